@@ -1,0 +1,305 @@
+"""Rotations: Hamilton quaternions, scalar first, `quat_WB` taking body vectors to the world.
+
+Each equation exists once, as a scalar numba function `*_core` (floats in, tuples out) that other kernels
+call. The public functions are those same equations over arrays: the last axis holds the components, the axes
+in front broadcast. Euler angles are intrinsic z-y'-x'' (yaw, then pitch, then roll). All conversions to other
+orders and frames are in this module.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numba import float64, guvectorize, njit
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+GIMBAL_LOCK = 1e-8
+"""Cosine of pitch below which roll and yaw are one angle; it is then given to yaw."""
+
+
+# --- equations ------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def multiply_core(pw, px, py, pz, qw, qx, qy, qz):
+    """Hamilton product p ⊗ q: first q, then p."""
+    return (
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+    )
+
+
+@njit(cache=True)
+def rotate_core(qw, qx, qy, qz, x, y, z):
+    """Body vector to world, q ⊗ (0, v) ⊗ q*, for a unit q, as v + 2 w (r × v) + 2 r × (r × v)."""
+    tx = 2.0 * (qy * z - qz * y)
+    ty = 2.0 * (qz * x - qx * z)
+    tz = 2.0 * (qx * y - qy * x)
+    return (
+        x + qw * tx + qy * tz - qz * ty,
+        y + qw * ty + qz * tx - qx * tz,
+        z + qw * tz + qx * ty - qy * tx,
+    )
+
+
+@njit(cache=True)
+def rotate_inverse_core(qw, qx, qy, qz, x, y, z):
+    """World vector to body, q* ⊗ (0, v) ⊗ q, for a unit q."""
+    return rotate_core(qw, -qx, -qy, -qz, x, y, z)
+
+
+@njit(cache=True)
+def normalize_core(qw, qx, qy, qz):
+    """Scale a quaternion that is not zero to length 1."""
+    scale = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    return qw * scale, qx * scale, qy * scale, qz * scale
+
+
+@njit(cache=True)
+def matrix_core(qw, qx, qy, qz):
+    """Rotation matrix R_WB of a unit q, row by row."""
+    return (
+        1.0 - 2.0 * (qy * qy + qz * qz),
+        2.0 * (qx * qy - qw * qz),
+        2.0 * (qx * qz + qw * qy),
+        2.0 * (qx * qy + qw * qz),
+        1.0 - 2.0 * (qx * qx + qz * qz),
+        2.0 * (qy * qz - qw * qx),
+        2.0 * (qx * qz - qw * qy),
+        2.0 * (qy * qz + qw * qx),
+        1.0 - 2.0 * (qx * qx + qy * qy),
+    )
+
+
+@njit(cache=True)
+def euler_core(qw, qx, qy, qz):
+    """Roll, pitch, yaw of a quaternion [rad]; its length does not matter. At ±90° pitch roll is 0."""
+    sin_pitch = 2.0 * (qw * qy - qx * qz)
+    r00 = qw * qw + qx * qx - qy * qy - qz * qz
+    r10 = 2.0 * (qx * qy + qw * qz)
+    cos_pitch = math.hypot(r00, r10)
+    pitch = math.atan2(sin_pitch, cos_pitch)
+    if cos_pitch < GIMBAL_LOCK * abs(sin_pitch):
+        return 0.0, pitch, math.atan2(2.0 * (qw * qz - qx * qy), qw * qw - qx * qx + qy * qy - qz * qz)
+    roll = math.atan2(2.0 * (qy * qz + qw * qx), qw * qw - qx * qx - qy * qy + qz * qz)
+    return roll, pitch, math.atan2(r10, r00)
+
+
+@njit(cache=True)
+def from_euler_core(roll, pitch, yaw):
+    """Quaternion of roll, pitch, yaw [rad], intrinsic z-y'-x''."""
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+@njit(cache=True)
+def from_rotvec_core(x, y, z):
+    """Exponential map: the rotation by the angle |v| [rad] about v."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 - angle * angle / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
+    return math.cos(0.5 * angle), scale * x, scale * y, scale * z
+
+
+@njit(cache=True)
+def from_matrix_core(r00, r01, r02, r10, r11, r12, r20, r21, r22):
+    """Quaternion of a rotation matrix, from its largest component (Shepperd 1978); w is not negative."""
+    trace = r00 + r11 + r22
+    if trace >= max(r00, r11, r22):
+        q = (1.0 + trace, r21 - r12, r02 - r20, r10 - r01)
+    elif r00 >= r11 and r00 >= r22:
+        q = (r21 - r12, 1.0 + 2.0 * r00 - trace, r01 + r10, r02 + r20)
+    elif r11 >= r22:
+        q = (r02 - r20, r01 + r10, 1.0 + 2.0 * r11 - trace, r12 + r21)
+    else:
+        q = (r10 - r01, r02 + r20, r12 + r21, 1.0 + 2.0 * r22 - trace)
+    w, x, y, z = normalize_core(q[0], q[1], q[2], q[3])
+    if w < 0.0:
+        return -w, -x, -y, -z
+    return w, x, y, z
+
+
+# --- the same equations over arrays ---------------------------------------------------------------
+# A generalized ufunc cannot name an output size that no input has, so some take a spare `like` of that size.
+
+_VECTOR = np.zeros(3)
+_QUAT = np.zeros(4)
+
+
+def _over_arrays(layout: str) -> Callable[[Callable[..., None]], Callable[..., Array]]:
+    """Decorator: a generalized ufunc of float64 operands with the given layout."""
+    return guvectorize([(float64[:],) * layout.count("(")], layout, cache=True)
+
+
+@_over_arrays("(q),(q)->(q)")
+def _multiply(p, q, out):
+    out[0], out[1], out[2], out[3] = multiply_core(p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3])
+
+
+@_over_arrays("(q),(v)->(v)")
+def _rotate(q, v, out):
+    out[0], out[1], out[2] = rotate_core(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
+
+
+@_over_arrays("(q),(v)->(v)")
+def _rotate_inverse(q, v, out):
+    out[0], out[1], out[2] = rotate_inverse_core(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
+
+
+@_over_arrays("(q)->(q)")
+def _normalize(q, out):
+    out[0], out[1], out[2], out[3] = normalize_core(q[0], q[1], q[2], q[3])
+
+
+@_over_arrays("(q),(v)->(v)")
+def _euler(q, like, out):
+    out[0], out[1], out[2] = euler_core(q[0], q[1], q[2], q[3])
+
+
+@_over_arrays("(v),(q)->(q)")
+def _from_euler(v, like, out):
+    out[0], out[1], out[2], out[3] = from_euler_core(v[0], v[1], v[2])
+
+
+@_over_arrays("(v),(q)->(q)")
+def _from_rotvec(v, like, out):
+    out[0], out[1], out[2], out[3] = from_rotvec_core(v[0], v[1], v[2])
+
+
+@_over_arrays("(q),(m)->(m)")
+def _matrix(q, like, out):
+    (out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8]) = matrix_core(
+        q[0], q[1], q[2], q[3]
+    )
+
+
+@_over_arrays("(m),(q)->(q)")
+def _from_matrix(m, like, out):
+    out[0], out[1], out[2], out[3] = from_matrix_core(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+
+
+def _components(name: str, value: ArrayLike, size: int) -> Array:
+    """Array of float64 with `size` components in its last axis, else ValueError."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != size:
+        raise ValueError(f"{name} has shape {array.shape}; its last axis must hold {size} components")
+    return array
+
+
+def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
+    """Hamilton product p ⊗ q, shapes (..., 4): as rotations, first q and then p."""
+    return _multiply(_components("p", p, 4), _components("q", q, 4))
+
+
+def quat_conjugate(q: ArrayLike) -> Array:
+    """Conjugate, for a unit quaternion the inverse rotation, shape (..., 4)."""
+    return _components("q", q, 4) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
+    """Body vectors v (..., 3) in world axes, by unit quaternions q (..., 4)."""
+    return _rotate(_components("q", q, 4), _components("v", v, 3))
+
+
+def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> Array:
+    """World vectors v (..., 3) in body axes, by unit quaternions q (..., 4)."""
+    return _rotate_inverse(_components("q", q, 4), _components("v", v, 3))
+
+
+def quat_normalize(q: ArrayLike) -> Array:
+    """Quaternions (..., 4) scaled to length 1.
+
+    Raises:
+        ValueError: A quaternion is zero or not finite.
+    """
+    array = _components("q", q, 4)
+    length = np.linalg.norm(array, axis=-1)
+    if not np.all((length > 0.0) & np.isfinite(length)):
+        raise ValueError("a quaternion to normalise must be finite and not zero")
+    return _normalize(array)
+
+
+def canonical(q: ArrayLike) -> Array:
+    """The one of q and −q (the same rotation) whose scalar part is not negative, shape (..., 4)."""
+    array = _components("q", q, 4)
+    return np.where(array[..., :1] < 0.0, -array, array)
+
+
+def euler_from_quat(q: ArrayLike) -> Array:
+    """Roll, pitch, yaw (..., 3) [rad] of quaternions (..., 4)."""
+    return _euler(_components("q", q, 4), _VECTOR)
+
+
+def roll_pitch_from_quat(q: ArrayLike) -> Array:
+    """Roll and pitch (..., 2) [rad] of quaternions (..., 4)."""
+    return euler_from_quat(q)[..., :2]
+
+
+def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
+    """Quaternions (..., 4) of roll, pitch and yaw [rad], which broadcast together."""
+    angles = np.broadcast_arrays(*(np.asarray(angle, dtype=np.float64) for angle in (roll, pitch, yaw)))
+    return _from_euler(np.stack(angles, axis=-1), _QUAT)
+
+
+def quat_from_roll_pitch(roll_pitch: ArrayLike, yaw: ArrayLike = 0.0) -> Array:
+    """Quaternions (..., 4) of roll and pitch (..., 2) [rad] at the given yaw [rad]."""
+    angles = _components("roll_pitch", roll_pitch, 2)
+    return quat_from_euler(angles[..., 0], angles[..., 1], yaw)
+
+
+def quat_from_rotvec(v: ArrayLike) -> Array:
+    """Quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
+    return _from_rotvec(_components("v", v, 3), _QUAT)
+
+
+def matrix_from_quat(q: ArrayLike) -> Array:
+    """Rotation matrices R_WB (..., 3, 3) of unit quaternions (..., 4)."""
+    flat = _matrix(_components("q", q, 4), np.zeros(9))
+    return flat.reshape(*flat.shape[:-1], 3, 3)
+
+
+def quat_from_matrix(R: ArrayLike) -> Array:
+    """Quaternions (..., 4), w not negative, of rotation matrices (..., 3, 3)."""
+    matrix = np.asarray(R, dtype=np.float64)
+    if matrix.shape[-2:] != (3, 3):
+        raise ValueError(f"R has shape {matrix.shape}; its last two axes must be 3 × 3")
+    return _from_matrix(matrix.reshape(*matrix.shape[:-2], 9), _QUAT)
+
+
+# --- other orders and frames ----------------------------------------------------------------------
+
+
+def xyzw_from_wxyz(q: ArrayLike) -> Array:
+    """Scalar-last quaternions (ROS, scipy) of scalar-first ones, shape (..., 4)."""
+    return np.roll(_components("q", q, 4), -1, axis=-1)
+
+
+def wxyz_from_xyzw(q: ArrayLike) -> Array:
+    """Scalar-first quaternions of scalar-last ones (ROS, scipy), shape (..., 4)."""
+    return np.roll(_components("q", q, 4), 1, axis=-1)
+
+
+def swap_flu_frd(v: ArrayLike) -> Array:
+    """Body vectors (..., 3) from forward-left-up to forward-right-down axes, or back (its own inverse)."""
+    return _components("v", v, 3) * np.array([1.0, -1.0, -1.0])
+
+
+def swap_enu_ned(v: ArrayLike) -> Array:
+    """World vectors (..., 3) from east-north-up to north-east-down axes, or back (its own inverse)."""
+    return _components("v", v, 3)[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+
+
+def swap_enu_flu_ned_frd(q: ArrayLike) -> Array:
+    """Attitudes (..., 4) from FLU body in ENU world to FRD body in NED world, or back (its own inverse)."""
+    world = np.array([0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0])
+    return quat_multiply(world, quat_multiply(q, np.array([0.0, 1.0, 0.0, 0.0])))
