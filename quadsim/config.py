@@ -1,0 +1,177 @@
+"""Configuration: a TOML file, of ours or of the user, becomes a frozen and typed model, or one clear error.
+
+A TOML file stands alone: it inherits nothing, and a key that the model does not know is an error. Models go
+to JSON and back without loss with pydantic's own `model_dump_json` and `model_validate_json`.
+"""
+
+import difflib
+import json
+import tomllib
+from collections.abc import Iterable
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Literal, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+
+class Strict(BaseModel):
+    """Parent of every configuration model: frozen, finite numbers only, no unknown keys."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True, validate_default=True
+    )
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def preset_names(folder: str) -> list[str]:
+    """Names of the presets that ship in a folder ("vehicles", "imus", "scenarios"), sorted."""
+    return sorted(item.name.removesuffix(".toml") for item in _toml_files(folder))
+
+
+def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
+    """Load a preset or a user's TOML file into a model.
+
+    Args:
+        source: Name of a preset, or a path: anything that ends in `.toml` or contains a directory.
+        folder: Kind of preset: "vehicles", "imus" or "scenarios".
+        model: Model to build.
+
+    Raises:
+        ValueError: One line with the file, the key, its value and what is allowed.
+    """
+    file = _find(source, folder)
+    label = str(source) if isinstance(file, Path) else f"{folder}/{source}"
+    try:
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{label}: not valid TOML: {error}") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{label}: not a text file in UTF-8 ({error.reason} at byte {error.start})"
+        ) from error
+    except OSError as error:
+        raise ValueError(f"{label}: cannot be read: {error.strerror}") from error
+    return parse(data, model, label)
+
+
+def parse(data: dict[str, object], model: type[Model], label: str) -> Model:
+    """Build a model from the tables of a TOML file; numbers in quotes and the like are not converted.
+
+    Args:
+        data: Content of the file.
+        model: Model to build.
+        label: What to call the data in an error, usually the file's name.
+
+    Raises:
+        ValueError: One line with the label, the key, its value and what is allowed.
+    """
+    try:
+        return model.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        raise ValueError(f"{label}: {describe(error, model)}") from error
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """One line for the first thing wrong in a model's input, with the number of further ones.
+
+    Unknown keys come first: a mistyped key is the reason why another one is missing.
+    """
+    first, *others = sorted(
+        error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden"
+    )
+    return _describe_one(first, model) + (f" (and {len(others)} more)" if others else "")
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Hint for a mistyped name: the nearest valid one if one is near, and the list of them all."""
+    names = list(valid)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return (f'did you mean "{close[0]}"? ' if close else "") + f"valid: {', '.join(names) or 'none'}"
+
+
+def _toml_files(folder: str) -> list[Traversable]:
+    root = files("scenarios") if folder == "scenarios" else files("assets") / folder
+    return [item for item in root.iterdir() if item.name.endswith(".toml")] if root.is_dir() else []
+
+
+def _find(source: str | Path, folder: str) -> Traversable:
+    """File of a preset name or of a path."""
+    path = Path(source).expanduser()
+    if isinstance(source, Path) or path.suffix == ".toml" or len(path.parts) > 1:
+        if path.is_file():
+            return path
+        reason = "is a directory, not a TOML file" if path.is_dir() else "no such file"
+        raise ValueError(f"{source}: {reason}; presets: {', '.join(preset_names(folder)) or 'none'}")
+    for item in _toml_files(folder):
+        if item.name == f"{source}.toml":
+            return item
+    kind = folder.removesuffix("s")
+    raise ValueError(
+        f'unknown {kind} "{source}"; {nearest(str(source), preset_names(folder))}, or a path to a .toml'
+    )
+
+
+def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
+    path, models = _follow(error["loc"], model)
+    key = str(error["loc"][-1]) if error["loc"] else ""
+    match error["type"]:
+        case "extra_forbidden":
+            valid = [name for owner in models for name in _field_names(owner)]
+            return f'unknown key "{path}"; {nearest(key, valid)}'
+        case "missing":
+            return f'missing key "{path}"'
+    message = " ".join(error["msg"].removeprefix("Value error, ").removeprefix("Input ").split())
+    if not path or error["type"] == "union_tag_not_found":
+        return f"{path}: {message}" if path else message
+    return f"{path} = {_shorten(error['input'])}: {message}"
+
+
+def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:
+    """Key path as the user would write it, and the models that could hold its last key."""
+    path, owners, inside = "", [model], [model]
+    for step in location:
+        if isinstance(step, int):
+            path += f"[{step}]"
+            continue
+        tagged = [candidate for candidate in inside if step in _tags(candidate)]
+        if tagged and not any(step in candidate.model_fields for candidate in inside):
+            inside = tagged  # the tag of a union, which is not a key of the file
+            continue
+        path += f".{step}" if path else step
+        owners = inside
+        inside = [found for owner in owners for found in _models_in_field(owner, step)]
+    return path, owners
+
+
+def _field_names(model: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _models_in_field(model: type[BaseModel], key: str) -> list[type[BaseModel]]:
+    for name, field in model.model_fields.items():
+        if key in (name, field.alias):
+            return _models_in(field.annotation)
+    return []
+
+
+def _models_in(annotation: object) -> list[type[BaseModel]]:
+    """Models named anywhere in a type annotation."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models_in(part)]
+
+
+def _tags(model: type[BaseModel]) -> set[object]:
+    """Literal values of a model's fields, by which a union tells its members apart."""
+    annotations = (field.annotation for field in model.model_fields.values())
+    return {value for item in annotations if get_origin(item) is Literal for value in get_args(item)}
+
+
+def _shorten(value: object) -> str:
+    text = json.dumps(value, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,144 @@
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import Field
+
+from quadsim.config import Strict, load_toml, preset_names
+
+
+class Rotor(Strict):
+    """A nested table."""
+
+    radius: Annotated[float, Field(gt=0)]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Calm(Strict):
+    """A member of a union without further keys."""
+
+    kind: Literal["calm"]
+
+
+class Storm(Strict):
+    """A member of a union with a key of its own."""
+
+    kind: Literal["storm"]
+    speed: Annotated[float, Field(ge=0, le=50)]
+
+
+class Robot(Strict):
+    """Every shape of key that the presets use."""
+
+    mass: float
+    rotor: Rotor | None = None
+    weather: tuple[Annotated[Calm | Storm, Field(discriminator="kind")], ...] = ()
+
+
+def load(tmp_path: Path, text: str) -> Robot:
+    path = tmp_path / "robot.toml"
+    path.write_text(text)
+    return load_toml(path, "vehicles", Robot)
+
+
+def error_line(tmp_path: Path, text: str) -> str:
+    with pytest.raises(ValueError, match=r"robot\.toml") as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+FULL = """
+mass = 1
+[rotor]
+radius = 0.1
+position = [0, 1, 2.5]
+[[weather]]
+kind = "calm"
+[[weather]]
+kind = "storm"
+speed = 12
+"""
+
+
+def test_toml_becomes_a_typed_model(tmp_path):
+    robot = load(tmp_path, FULL)
+    assert robot.mass == 1.0
+    assert robot.rotor == Rotor(radius=0.1, position=(0.0, 1.0, 2.5))
+    assert robot.weather == (Calm(kind="calm"), Storm(kind="storm", speed=12.0))
+
+
+def test_model_is_frozen(tmp_path):
+    with pytest.raises(ValueError, match="frozen"):
+        load(tmp_path, FULL).mass = 2.0
+
+
+def test_json_round_trip_keeps_the_model(tmp_path):
+    robot = load(tmp_path, FULL)
+    assert Robot.model_validate_json(robot.model_dump_json()) == robot
+    assert Robot.model_validate(robot.model_dump()) == robot
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("mass = 1\nmass == 2\n", ["not valid TOML", "line 2"]),
+        ("mass = 1\nrotor = {radus = 0.1}", ['unknown key "rotor.radus"', 'did you mean "radius"']),
+        ("mass = 1\nzzz = 1", ['unknown key "zzz"', "valid: mass, rotor, weather"]),
+        ("mass = 1\nweather = [{kind = 'storm', sped = 1}]", ['"weather[0].sped"', '"speed"', "and 1 more"]),
+        (
+            "mass = 1\nweather = [{kind = 'storm', speed = 99}]",
+            ["weather[0].speed = 99", "less than or equal to 50"],
+        ),
+        ("mass = 1\nweather = [{kind = 'rain'}]", ["weather[0]", "'calm', 'storm'"]),
+        ("mass = 1\nweather = [{speed = 1}]", ["weather[0]", "kind"]),
+        ("mass = 1\nrotor = {radius = 0}", ["rotor.radius = 0", "greater than 0"]),
+        ("mass = 1\nrotor = {radius = 1, position = [1, 2]}", ["rotor.position[2]"]),
+        ("mass = '1'", ['mass = "1"', "number"]),
+        ("mass = true", ["mass = true", "number"]),
+        ("mass = inf", ["mass", "finite"]),
+        ("mass = nan", ["mass", "finite"]),
+        ("mass = 2020-01-01", ["mass", "number"]),
+        ("", ['missing key "mass"']),
+    ],
+)
+def test_error_says_file_key_value_and_what_is_allowed(tmp_path, text, parts):
+    message = error_line(tmp_path, text)
+    for part in parts:
+        assert part in message
+
+
+def test_unknown_preset_lists_the_names():
+    with pytest.raises(ValueError, match=r'unknown imu "adis"; did you mean "adis16448"\? valid: .*px4-mini'):
+        load_toml("adis", "imus", Robot)
+
+
+def test_missing_file_lists_the_presets(tmp_path):
+    with pytest.raises(ValueError, match=r"gone\.toml: no such file; presets: adis16448"):
+        load_toml(tmp_path / "gone.toml", "imus", Robot)
+
+
+def test_directory_and_binary_file_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="is a directory"):
+        load_toml(tmp_path, "imus", Robot)
+    path = tmp_path / "binary.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="not a text file"):
+        load_toml(path, "imus", Robot)
+
+
+def test_file_in_the_working_directory_needs_its_suffix(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("robot.toml").write_text("mass = 3")
+    assert load_toml("robot.toml", "vehicles", Robot).mass == 3.0
+
+
+def test_preset_names_are_sorted():
+    names = preset_names("imus")
+    assert names == sorted(names)
+    assert {"adis16448", "perfect", "px4-mini"} <= set(names)
+
+
+def test_folder_without_presets_has_no_names():
+    assert preset_names("nothing-here") == []
