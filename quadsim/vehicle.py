@@ -1,0 +1,145 @@
+"""The vehicle: its numbers, read from TOML, and their per-flight randomisation."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from .config import Strict, load_toml
+
+GRAVITY = 9.81  # m/s², along −z of the world
+AIR_DENSITY = 1.225  # kg/m³, ISA sea level
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Rotor(Strict):
+    """One rotor: where it sits and which way it turns."""
+
+    position: tuple[Finite, Finite, Finite] = Field(description="Hub w.r.t. the centre of mass, body axes [m].")
+    spin: Literal["cw", "ccw"] = Field(description="Sense of rotation seen from above.")
+
+
+class Motor(Strict):
+    """Constants shared by all rotors."""
+
+    k_f: Positive = Field(description="Thrust constant, thrust = k_f ω² [N s²].")
+    k_m: Positive = Field(description="Yaw torque per thrust [m].")
+    omega_max: Positive = Field(description="Highest rotor speed [rad/s].")
+    tau_up: Positive = Field(description="Time constant of the first-order lag when spinning up [s].")
+    tau_down: Positive = Field(description="The same when spinning down [s].")
+    rotor_drag: NonNegative = Field(description="H-force constant c of −c |ω| V⊥ [N s²/m].")
+    rolling_moment: NonNegative = Field(description="Rolling-moment constant of −c_r |ω| V⊥ [N s²].")
+
+
+class Frame(Strict):
+    """The airframe: drag and outline."""
+
+    drag_area: tuple[NonNegative, NonNegative, NonNegative] = Field(
+        description="C_d A per body axis of the quadratic drag −½ ρ C_d A |v| v [m²]."
+    )
+    size: tuple[Positive, Positive, Positive] = Field(description="Half extents of the box that touches ground [m].")
+    prop_radius: Positive = Field(description="Propeller radius, for pictures [m].")
+
+
+class Vehicle(Strict):
+    """A quadrotor. Body axes: x forward, y left, z up, origin at the centre of mass."""
+
+    name: str = Field(description="Name shown in reports.")
+    source: str = Field(description="Where the numbers come from.")
+    mass: Positive = Field(description="Mass [kg].")
+    inertia: tuple[Positive, Positive, Positive] = Field(description="Principal moments of inertia [kg m²].")
+    rotors: tuple[Rotor, Rotor, Rotor, Rotor] = Field(description="The four rotors.")
+    motor: Motor
+    frame: Frame
+
+    @model_validator(mode="after")
+    def _must_fly(self) -> "Vehicle":
+        if self.thrust_to_weight <= 1.1:
+            raise ValueError(f"thrust-to-weight is {self.thrust_to_weight:.2f}; a vehicle needs more than 1.1 to fly")
+        a, b, c = sorted(self.inertia)
+        if a + b < c * (1 - 1e-9):
+            raise ValueError(f"inertia {self.inertia} breaks the triangle inequality; no rigid body has it")
+        if abs(np.linalg.det(self.allocation)) < 1e-12 * np.prod(np.abs(self.allocation).max(axis=1)):
+            raise ValueError("the four rotors cannot command thrust, roll, pitch and yaw independently")
+        return self
+
+    @property
+    def hover_rotor_vel(self) -> float:
+        """Rotor speed at which four rotors carry the weight [rad/s]."""
+        return float(np.sqrt(self.mass * GRAVITY / (4 * self.motor.k_f)))
+
+    @property
+    def thrust_to_weight(self) -> float:
+        """Highest total thrust over weight."""
+        return 4 * self.motor.k_f * self.motor.omega_max**2 / (self.mass * GRAVITY)
+
+    @property
+    def drag_time_constant(self) -> float:
+        """Time constant of the speed's decay by rotor drag alone, at hover rotor speed: m / (c Σω) [s]."""
+        return self.mass / (4 * self.motor.rotor_drag * self.hover_rotor_vel)
+
+    @property
+    def hubs(self) -> np.ndarray:
+        """Hub positions and reaction sense, shape (4, 4): x, y, z [m], +1 where the yaw reaction is along +z."""
+        return np.array([[*r.position, 1.0 if r.spin == "cw" else -1.0] for r in self.rotors])
+
+    @property
+    def allocation(self) -> np.ndarray:
+        """Matrix from squared rotor speeds [rad²/s²] to (thrust [N], roll, pitch, yaw torque [N m]), shape (4, 4)."""
+        x, y, _, reaction = self.hubs.T
+        return self.motor.k_f * np.stack([np.ones(4), y, -x, self.motor.k_m * reaction])
+
+
+def load_vehicle(source: str | Path) -> Vehicle:
+    """Read a vehicle: a shipped name ("hummingbird", "px4-quad", "crazyflie") or the path of a TOML file."""
+    return load_toml(source, "vehicles", Vehicle)
+
+
+class Randomisation(Strict):
+    """Relative spread, per flight, of a vehicle's numbers: each is multiplied by 1 + U(−spread, spread)."""
+
+    mass: float = Field(0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
+    inertia: float = Field(0.0, ge=0, lt=0.5, description="Spread of each moment of inertia, beyond the mass.")
+    thrust: float = Field(0.0, ge=0, lt=0.5, description="Spread of k_f.")
+    torque: float = Field(0.0, ge=0, lt=0.5, description="Spread of k_m.")
+    rotor_drag: float = Field(0.0, ge=0, lt=1, description="Spread of the rotor-drag constant.")
+    frame_drag: float = Field(0.0, ge=0, lt=1, description="Spread of C_d A.")
+    motor_lag: float = Field(0.0, ge=0, lt=0.9, description="Spread of both motor time constants.")
+
+
+def randomise(vehicle: Vehicle, spread: Randomisation, rng: np.random.Generator) -> Vehicle:
+    """Draw one vehicle of the family around `vehicle`. Zero spread returns the same numbers."""
+
+    def factor(width: float) -> float:
+        return 1.0 + width * rng.uniform(-1.0, 1.0)
+
+    mass, k_f, k_m, drag, area, lag = map(
+        factor,
+        (spread.mass, spread.thrust, spread.torque, spread.rotor_drag, spread.frame_drag, spread.motor_lag),
+    )
+    # the pair (x, y) shares one draw, so that no draw breaks the triangle inequality of a flat airframe
+    across, along = factor(spread.inertia), factor(spread.inertia)
+    ixx, iyy, izz = vehicle.inertia
+    ixx, iyy = ixx * mass * across, iyy * mass * across
+    motor = vehicle.motor.model_copy(
+        update={
+            "k_f": vehicle.motor.k_f * k_f,
+            "k_m": vehicle.motor.k_m * k_m,
+            "rotor_drag": vehicle.motor.rotor_drag * drag,
+            "tau_up": vehicle.motor.tau_up * lag,
+            "tau_down": vehicle.motor.tau_down * lag,
+        }
+    )
+    frame = vehicle.frame.model_copy(update={"drag_area": tuple(a * area for a in vehicle.frame.drag_area)})
+    return vehicle.model_copy(
+        update={
+            "mass": vehicle.mass * mass,
+            "inertia": (ixx, iyy, min(izz * mass * along, ixx + iyy)),
+            "motor": motor,
+            "frame": frame,
+        }
+    )
