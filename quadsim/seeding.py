@@ -1,0 +1,42 @@
+"""Random streams that depend on nothing but the seed: one per vehicle, per component and per flight.
+
+The children are those that `SeedSequence.spawn` would give to a fresh parent, but the parent is not changed:
+asking twice gives the same stream, whatever the number of vehicles, of workers and of parts switched on.
+"""
+
+from collections.abc import Sequence
+from numbers import Integral
+from typing import TypeAlias
+
+import numpy as np
+
+Seed: TypeAlias = int | np.random.SeedSequence | Sequence[np.random.SeedSequence]
+"""A whole number, a seed sequence for a batch, or one seed sequence per vehicle."""
+
+
+def child(parent: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
+    """Descendant of a seed sequence: `child(s, 2, 0)` is the first child of the third child of s."""
+    return np.random.SeedSequence(
+        parent.entropy, spawn_key=(*parent.spawn_key, *key), pool_size=parent.pool_size
+    )
+
+
+def vehicle_seeds(seed: Seed, n: int) -> list[np.random.SeedSequence]:
+    """One seed sequence per vehicle; that of vehicle i does not depend on n.
+
+    Raises:
+        ValueError: The seed is negative, of another type, or holds another number of seed sequences than n.
+    """
+    if isinstance(seed, Integral):
+        if seed < 0:
+            raise ValueError(f"seed is {seed}; it must be a whole number from 0 up")
+        seed = np.random.SeedSequence(int(seed))
+    if isinstance(seed, np.random.SeedSequence):
+        return [child(seed, vehicle) for vehicle in range(n)]
+    if not isinstance(seed, Sequence) or not all(isinstance(each, np.random.SeedSequence) for each in seed):
+        raise ValueError(
+            f"seed is {seed!r}; it must be a whole number, a SeedSequence or one for each vehicle"
+        )
+    if len(seed) != n:
+        raise ValueError(f"{len(seed)} seeds for {n} vehicles; there must be one for each")
+    return list(seed)

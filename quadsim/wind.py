@@ -1,0 +1,372 @@
+"""Wind: constant, 1−cosine gusts, Dryden turbulence, a recording, and any sum of them, in world axes [m/s].
+
+Dryden turbulence is that of MIL-F-8785C at low altitude, driven by white noise and discretised exactly: it
+has the standard deviation and the spectrum of the continuous process at any rate, from the first sample on.
+"""
+
+import csv
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+from scipy.special import gammainc
+
+from .config import Strict
+from .seeding import Seed, child, vehicle_seeds
+
+Array = NDArray[np.float64]
+Vector: TypeAlias = tuple[float, float, float]
+
+FOOT = 0.3048
+LOW_ALTITUDE = (10.0 * FOOT, 1000.0 * FOOT)
+"""Altitudes between which the low-altitude model holds [m]; those outside are moved to the nearest end."""
+MIN_AIRSPEED = 1.0
+"""Floor of the airspeed [m/s]: at rest relative to the air, turbulence would never change."""
+
+
+class Constant(Strict):
+    """Wind that does not change."""
+
+    kind: Literal["constant"] = "constant"
+    velocity: Vector
+    """Velocity of the air in world axes [m/s]."""
+
+
+class Gust(Strict):
+    """A 1−cosine gust (MIL-F-8785C 3.7.3): up, hold, and down again as it came."""
+
+    kind: Literal["gust"] = "gust"
+    velocity: Vector
+    """Velocity of the air at the peak, in world axes [m/s]."""
+    start: Annotated[float, Field(ge=0.0)] = 0.0
+    """When it begins [s]."""
+    rise: Annotated[float, Field(gt=0.0)]
+    """Time from nothing to the peak [s]: the gust length d_m over the airspeed."""
+    hold: Annotated[float, Field(ge=0.0)] | None = None
+    """Time at the peak [s]; left out, the gust stays, as in the specification."""
+
+
+class Dryden(Strict):
+    """Dryden turbulence at low altitude (MIL-F-8785C), with zero mean."""
+
+    kind: Literal["dryden"] = "dryden"
+    airspeed: Annotated[float, Field(ge=0.0)]
+    """Speed of the vehicle through the air [m/s]; in hover, the mean wind speed. At least 1 m/s is used."""
+    altitude: Annotated[float, Field(ge=0.0)]
+    """Height above ground [m]; 3.05 m to 304.8 m are used."""
+    wind_20ft: Annotated[float, Field(ge=0.0)]
+    """Wind speed at 20 ft [m/s], the strength: 7.7 light, 15.4 moderate, 23.2 severe."""
+    heading_deg: float = 0.0
+    """Direction of flight through the air, counter-clockwise from world x [deg]."""
+
+
+class Recording(Strict):
+    """Wind measured over time: a CSV file with the header `t,x,y,z` [s, m/s], linear between its rows."""
+
+    kind: Literal["file"] = "file"
+    path: str
+    """The file; before its first row and after its last one these hold."""
+
+
+WindSpec: TypeAlias = Annotated[Constant | Gust | Dryden | Recording, Field(discriminator="kind")]
+"""Any wind of a TOML file, told apart by its `kind`: "constant", "gust", "dryden" or "file"."""
+
+
+def gust_one_minus_cosine(
+    time: ArrayLike, velocity: ArrayLike, start: float, rise: float, hold: float | None = None
+) -> Array:
+    """A 1−cosine gust, V_m / 2 (1 − cos(π (t − start) / rise)) while it rises (MIL-F-8785C 3.7.3).
+
+    Args:
+        time: Any shape (...) [s].
+        velocity: Velocity at the peak V_m, shape (3,) [m/s].
+        start: When it begins [s].
+        rise: Time from nothing to the peak [s].
+        hold: Time at the peak, after which it falls as it rose [s]; None for ever.
+
+    Returns:
+        Velocity of the air, shape (..., 3) [m/s].
+    """
+    elapsed = np.asarray(time, dtype=np.float64) - start
+    strength = 0.5 * (1.0 - np.cos(np.pi * np.clip(elapsed / rise, 0.0, 1.0)))
+    if hold is not None:
+        strength *= 0.5 * (1.0 + np.cos(np.pi * np.clip((elapsed - rise - hold) / rise, 0.0, 1.0)))
+    return strength[..., None] * np.asarray(velocity, dtype=np.float64)
+
+
+def dryden_scales(altitude: ArrayLike, wind_20ft: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Lengths L_u = L_v, L_w [m] and standard deviations σ_u = σ_v, σ_w [m/s] (MIL-F-8785C 3.7.3.4).
+
+    With k = 0.177 + 0.000823 h: L_w = h, L_u = h / k^1.2, σ_w = 0.1 W20, σ_u = σ_w / k^0.4, h in feet.
+
+    Args:
+        altitude: Height above ground [m].
+        wind_20ft: Wind speed at 20 ft [m/s].
+    """
+    feet = np.clip(np.asarray(altitude, dtype=np.float64), *LOW_ALTITUDE) / FOOT
+    base = 0.177 + 0.000823 * feet
+    sigma_w = 0.1 * np.asarray(wind_20ft, dtype=np.float64)
+    return feet / base**1.2 * FOOT, feet * FOOT, sigma_w / base**0.4, sigma_w
+
+
+_TURBULENCE = np.dtype(
+    [
+        ("scale", "f8", 3),  # of the output, for u, v, w
+        ("tau", "f8", 3),  # dt / T with T = L / V
+        ("decay", "f8", 3),  # e^−tau
+        ("l11", "f8", 3),  # Cholesky factor of the noise that one step adds
+        ("l21", "f8", 3),
+        ("l22", "f8", 3),
+        ("direction", "f8", 2),  # cosine and sine of the heading
+        ("state", "f8", 5),  # u, v₁, v₂, w₁, w₂ of the next sample
+    ],
+    align=True,
+)
+
+
+@njit(cache=True)
+def _add_turbulence(random, vehicles, vehicle, out):
+    """Add the turbulence of one vehicle to `out` (steps, 3) [m/s].
+
+    Along the flight path H_u = σ √(2L/πV) / (1 + T s): x ← e^{−τ} x + √(1 − e^{−2τ}) n, output σ x. Across it
+    H_v,w = σ √(L/πV) (1 + √3 T s) / (1 + T s)²: with x = (y, T ẏ) the transition over one step is
+    Φ = e^{−τ} [[1 + τ, τ], [−τ, 1 − τ]] and the stationary covariance I (output σ/2 (x₁ + √3 x₂)), so the
+    noise of one step has the covariance I − Φ Φᵀ, which is what Van Loan's integral gives.
+    """
+    p = vehicles[vehicle]
+    x = p.state
+    along, across = p.direction[0], p.direction[1]
+    for step in range(out.shape[0]):
+        u = p.scale[0] * x[0]
+        v = p.scale[1] * (x[1] + 1.7320508075688772 * x[2])
+        out[step, 0] += along * u - across * v
+        out[step, 1] += across * u + along * v
+        out[step, 2] += p.scale[2] * (x[3] + 1.7320508075688772 * x[4])
+        x[0] = p.decay[0] * x[0] + p.l11[0] * random.standard_normal()
+        for axis in range(1, 3):
+            i = 2 * axis - 1
+            x1, x2, tau = x[i], x[i + 1], p.tau[axis]
+            n1, n2 = random.standard_normal(), random.standard_normal()
+            x[i] = p.decay[axis] * ((1.0 + tau) * x1 + tau * x2) + p.l11[axis] * n1
+            x[i + 1] = p.decay[axis] * ((1.0 - tau) * x2 - tau * x1) + p.l21[axis] * n1 + p.l22[axis] * n2
+
+
+class Turbulence:
+    """Dryden turbulence of n vehicles, one block of time after another."""
+
+    def __init__(
+        self,
+        n: int,
+        rate_hz: float,
+        *,
+        airspeed: ArrayLike,
+        altitude: ArrayLike,
+        wind_20ft: ArrayLike,
+        seed: Seed,
+        heading: ArrayLike = 0.0,
+    ) -> None:
+        """Start at time 0, in the stationary state; arguments as in `dryden`."""
+        _check_grid(n, 0, rate_hz)
+        speed = np.maximum(_per_vehicle("airspeed", airspeed, n), MIN_AIRSPEED)
+        height, strength = _per_vehicle("altitude", altitude, n), _per_vehicle("wind_20ft", wind_20ft, n)
+        length_u, length_w, sigma_u, sigma_w = dryden_scales(height, strength)
+        lengths = np.stack([length_u, length_u, length_w], axis=-1)
+        angle = _per_vehicle("heading", heading, n, lowest=-np.inf)
+        self._vehicles = np.zeros(n, _TURBULENCE)
+        self._vehicles["scale"] = np.stack([sigma_u, sigma_u / 2.0, sigma_w / 2.0], axis=-1)
+        self._vehicles["direction"] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        self._set_coefficients(speed[:, None] / (lengths * rate_hz))
+        self._seeds = vehicle_seeds(seed, n)
+        self._flight = np.zeros(n, dtype=np.int64)
+        self._random = [self._start(vehicle) for vehicle in range(n)]
+
+    def _set_coefficients(self, tau: Array) -> None:
+        """Transition and noise of one step, tau = dt / T (n, 3); nothing cancels where tau is small."""
+        p, decay = self._vehicles, np.exp(-tau)
+        p["tau"], p["decay"] = tau, decay
+        p["l11"] = np.sqrt(gammainc(3.0, 2.0 * tau))  # 1 − e^{−2τ} (1 + 2τ + 2τ²)
+        p["l21"] = 2.0 * (tau * decay) ** 2 / p["l11"]
+        p["l22"] = np.sqrt(-np.expm1(-2.0 * tau) + 2.0 * tau * (1.0 - tau) * decay**2 - p["l21"] ** 2)
+        p["l11"][:, 0] = np.sqrt(-np.expm1(-2.0 * tau[:, 0]))
+
+    def _start(self, vehicle: int) -> np.random.Generator:
+        random = np.random.default_rng(child(self._seeds[vehicle], int(self._flight[vehicle])))
+        self._vehicles["state"][vehicle] = random.standard_normal(5)
+        return random
+
+    def reset(self, ids: Sequence[int] | NDArray[np.int64]) -> None:
+        """Begin a new flight, with new turbulence, for some of the vehicles."""
+        for vehicle in ids:
+            self._flight[vehicle] += 1
+            self._random[vehicle] = self._start(vehicle)
+
+    def add_to(self, wind: Array) -> None:
+        """Add the next block of turbulence to a wind, shape (n, steps, 3) [m/s]."""
+        for vehicle, random in enumerate(self._random):
+            _add_turbulence(random, self._vehicles, vehicle, wind[vehicle])
+
+
+def dryden(
+    n: int,
+    steps: int,
+    rate_hz: float,
+    airspeed: ArrayLike,
+    altitude: ArrayLike,
+    wind_20ft: ArrayLike,
+    seed: Seed,
+    heading: ArrayLike = 0.0,
+) -> Array:
+    """Dryden turbulence of zero mean, exact at any rate and stationary from the first sample (MIL-F-8785C).
+
+    Args:
+        n: Number of vehicles.
+        steps: Number of samples.
+        rate_hz: Samples per second.
+        airspeed: Speed through the air, one or (n,) [m/s]; at least 1 m/s is used.
+        altitude: Height above ground, one or (n,) [m]; 3.05 m to 304.8 m are used.
+        wind_20ft: Wind speed at 20 ft, one or (n,) [m/s].
+        seed: Whole number, seed sequence, or one seed sequence per vehicle.
+        heading: Direction of flight through the air, counter-clockwise from world x, one or (n,) [rad].
+
+    Returns:
+        Velocity of the air in world axes, shape (n, steps, 3) [m/s].
+
+    Raises:
+        ValueError: An argument is out of range.
+    """
+    _check_grid(n, steps, rate_hz)
+    wind = np.zeros((n, steps, 3))
+    strength = {"airspeed": airspeed, "altitude": altitude, "wind_20ft": wind_20ft, "heading": heading}
+    Turbulence(n, rate_hz, seed=seed, **strength).add_to(wind)
+    return wind
+
+
+class WindStream:
+    """The sum of several winds for n vehicles, taken in blocks: a long flight needs no long array."""
+
+    def __init__(self, specs: Sequence[WindSpec], n: int, rate_hz: float, seed: Seed) -> None:
+        """Start all vehicles at time 0.
+
+        Args:
+            specs: Winds to add up; none is still air.
+            n: Number of vehicles.
+            rate_hz: Samples per second.
+            seed: Whole number, seed sequence, or one seed sequence per vehicle.
+        """
+        _check_grid(n, 0, rate_hz)
+        seeds = vehicle_seeds(seed, n)
+        self.rate_hz = rate_hz
+        self._step = np.zeros(n, dtype=np.int64)
+        self._of_time = [_function_of_time(spec) for spec in specs if not isinstance(spec, Dryden)]
+        turbulence = [spec for spec in specs if isinstance(spec, Dryden)]
+        self._turbulence = [
+            Turbulence(
+                n,
+                rate_hz,
+                airspeed=spec.airspeed,
+                altitude=spec.altitude,
+                wind_20ft=spec.wind_20ft,
+                heading=np.radians(spec.heading_deg),
+                seed=[child(each, index) for each in seeds],
+            )
+            for index, spec in enumerate(turbulence)
+        ]
+
+    def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
+        """Begin a new flight at time 0, with new turbulence, for some vehicles or for all."""
+        chosen = np.arange(len(self._step)) if ids is None else np.asarray(ids, dtype=np.int64)
+        self._step[chosen] = 0
+        for each in self._turbulence:
+            each.reset(chosen)
+
+    def take(self, steps: int) -> Array:
+        """Wind of the next samples in world axes, shape (n, steps, 3) [m/s]."""
+        wind = np.zeros((len(self._step), steps, 3))
+        first = self._step[:1] if np.all(self._step == self._step[0]) else self._step
+        time = (first[:, None] + np.arange(steps)) / self.rate_hz
+        for velocity in self._of_time:
+            wind += velocity(time)
+        for each in self._turbulence:
+            each.add_to(wind)
+        self._step += steps
+        return wind
+
+
+def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, seed: Seed) -> Array:
+    """The sum of several winds in world axes, shape (n, steps, 3) [m/s]; arguments as in `WindStream`."""
+    _check_grid(n, steps, rate_hz)
+    return WindStream(specs, n, rate_hz, seed).take(steps)
+
+
+def read_recording(path: str | Path) -> tuple[Array, Array]:
+    """Time (rows,) [s] and wind (rows, 3) [m/s] of a CSV file with the header `t,x,y,z`.
+
+    Raises:
+        ValueError: The file or one of its rows is not as described; the line is named.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8") as file:
+            rows = [(line, row) for line, row in enumerate(csv.reader(file), start=1) if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise ValueError(f"{path}: cannot be read: {reason}") from error
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    if header != ["t", "x", "y", "z"]:
+        raise ValueError(f'{path}: the first line is "{",".join(header)}"; it must be "t,x,y,z"')
+    table = np.array([_numbers(path, line, row) for line, row in rows[1:]]).reshape(-1, 4)
+    if len(table) < 2:
+        raise ValueError(f"{path}: {len(table)} rows of wind; at least 2 are needed")
+    late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    if late.size:
+        line = rows[int(late[0]) + 2][0]
+        raise ValueError(
+            f"{path}, line {line}: time {table[late[0] + 1, 0]:g} s does not come after the line before"
+        )
+    return table[:, 0], table[:, 1:]
+
+
+def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
+    try:
+        numbers = [float(cell) for cell in row]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4 or not np.all(np.isfinite(numbers)):
+        raise ValueError(f'{path}, line {line}: "{",".join(row)}" is not four finite numbers t,x,y,z')
+    return numbers
+
+
+def _function_of_time(spec: Constant | Gust | Recording) -> Callable[[Array], Array]:
+    """Wind (..., 3) [m/s] at times (...) [s] of a wind that is the same for every seed."""
+    match spec:
+        case Constant():
+            return lambda time: np.broadcast_to(spec.velocity, (*time.shape, 3))
+        case Gust():
+            return partial(
+                gust_one_minus_cosine,
+                velocity=spec.velocity,
+                start=spec.start,
+                rise=spec.rise,
+                hold=spec.hold,
+            )
+        case Recording():
+            times, winds = read_recording(spec.path)
+            return lambda time: np.stack([np.interp(time, times, column) for column in winds.T], axis=-1)
+
+
+def _check_grid(n: int, steps: int, rate_hz: float) -> None:
+    if n < 1 or steps < 0 or not (rate_hz > 0.0 and np.isfinite(rate_hz)):
+        raise ValueError(f"n={n}, steps={steps}, rate_hz={rate_hz}; need n ≥ 1, steps ≥ 0 and rate_hz > 0")
+
+
+def _per_vehicle(name: str, value: ArrayLike, n: int, lowest: float = 0.0) -> Array:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape not in ((), (1,), (n,)) or not np.all(np.isfinite(array) & (array >= lowest)):
+        raise ValueError(
+            f"{name} is {value}; it must be one finite number or {n} of them, from {lowest:g} up"
+        )
+    return np.broadcast_to(array, (n,))

@@ -1,0 +1,272 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg, signal
+
+from quadsim.config import Strict, load_toml
+from quadsim.wind import (
+    Constant,
+    Dryden,
+    Gust,
+    Recording,
+    Turbulence,
+    WindSpec,
+    WindStream,
+    dryden,
+    dryden_scales,
+    gust_one_minus_cosine,
+    read_recording,
+    wind_series,
+)
+
+AIRSPEED, ALTITUDE, WIND_20FT = 6.0, 20.0, 15.0
+BANDS_HZ = [(0.01, 0.05), (0.05, 0.5), (0.5, 5.0)]
+
+
+def theory(axis: int, frequency: np.ndarray) -> np.ndarray:
+    """One-sided spectral density of MIL-F-8785C [m²/s²/Hz]."""
+    length_u, length_w, sigma_u, sigma_w = dryden_scales(ALTITUDE, WIND_20FT)
+    T = (length_u, length_u, length_w)[axis] / AIRSPEED
+    sigma = (sigma_u, sigma_u, sigma_w)[axis]
+    x = (2.0 * np.pi * frequency * T) ** 2
+    return sigma**2 * (4.0 * T / (1.0 + x) if axis == 0 else 2.0 * T * (1.0 + 3.0 * x) / (1.0 + x) ** 2)
+
+
+def band_errors_db(wind: np.ndarray, axis: int, rate_hz: float) -> list[float]:
+    frequency, density = signal.welch(wind[..., axis], rate_hz, nperseg=2**14, detrend=False, axis=-1)
+    density = density.mean(axis=0)
+    errors = []
+    for low, high in BANDS_HZ:
+        band = (frequency >= low) & (frequency < high)
+        errors.append(10.0 * np.log10(density[band].sum() / theory(axis, frequency[band]).sum()))
+    return errors
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_dryden_spectrum_matches_the_specification(axis):
+    wind = dryden(40, 100_000, 50.0, AIRSPEED, ALTITUDE, WIND_20FT, seed=3)
+    assert np.abs(band_errors_db(wind, axis, 50.0)).max() < 0.5
+
+
+def test_dryden_scales_at_20_metres():
+    length_u, length_w, sigma_u, sigma_w = dryden_scales(20.0, 15.0)
+    assert length_u == pytest.approx(116.1, abs=0.05)
+    assert length_w == pytest.approx(20.0)
+    assert sigma_u == pytest.approx(2.696, abs=0.0005)
+    assert sigma_w == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("rate_hz", [0.5, 5.0, 50.0, 500.0])
+def test_standard_deviation_does_not_depend_on_dt(rate_hz):
+    seeds = 4000
+    wind = dryden(seeds, 20, rate_hz, AIRSPEED, ALTITUDE, WIND_20FT, seed=5)
+    expected = np.array([2.6955, 2.6955, 1.5])
+    assert np.std(wind[:, -1], axis=0) == pytest.approx(expected, rel=4.0 / np.sqrt(2 * seeds))
+
+
+def test_start_is_stationary_over_seeds():
+    wind = dryden(4000, 400, 20.0, AIRSPEED, ALTITUDE, WIND_20FT, seed=6)
+    spread = wind.std(axis=0)  # (steps, 3)
+    assert spread == pytest.approx(np.broadcast_to([2.6955, 2.6955, 1.5], spread.shape), rel=0.06)
+    assert np.abs(wind.mean(axis=0)).max() < 0.2
+
+
+@pytest.mark.parametrize("tau", [1e-7, 1e-4, 0.02, 1.0, 10.0])
+def test_one_step_is_exact_by_van_loan(tau):
+    turbulence = Turbulence(1, 1.0, airspeed=1.0, altitude=20.0, wind_20ft=1.0, seed=0)
+    turbulence._set_coefficients(np.full((1, 3), tau))
+    p = turbulence._vehicles[0]
+    A = np.array([[0.0, 1.0], [-1.0, -2.0]])
+    Q = np.diag([0.0, 4.0])  # gives the stationary covariance 1
+    van_loan = linalg.expm(np.block([[-A, Q], [np.zeros((2, 2)), A.T]]) * tau)
+    transition = van_loan[2:, 2:].T
+    covariance = transition @ van_loan[:2, 2:]
+    factor = np.array([[p["l11"][1], 0.0], [p["l21"][1], p["l22"][1]]])
+    assert factor @ factor.T == pytest.approx(covariance, rel=1e-6, abs=1e-18)
+    assert p["decay"][0] ** 2 + p["l11"][0] ** 2 == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 7])
+def test_a_vehicle_has_the_same_wind_in_any_batch(n):
+    alone = dryden(n, 50, 200.0, 5.0, 10.0, 8.0, seed=9)
+    assert np.array_equal(alone, dryden(12, 50, 200.0, 5.0, 10.0, 8.0, seed=9)[:n])
+    assert not np.array_equal(alone[0], dryden(2, 50, 200.0, 5.0, 10.0, 8.0, seed=9)[1])
+
+
+def test_vehicles_can_have_their_own_strength():
+    both = dryden(2, 40, 200.0, [5.0, 9.0], [10.0, 30.0], [8.0, 2.0], seed=1, heading=[0.0, 1.0])
+    for vehicle, (speed, height, strength, heading) in enumerate([(5, 10, 8, 0), (9, 30, 2, 1)]):
+        alone = dryden(2, 40, 200.0, speed, height, strength, seed=1, heading=heading)[vehicle]
+        assert np.array_equal(both[vehicle], alone)
+
+
+def test_heading_turns_the_flight_path_about_the_vertical():
+    north = dryden(3, 30, 100.0, 5.0, 10.0, 8.0, seed=2, heading=np.pi / 2)
+    east = dryden(3, 30, 100.0, 5.0, 10.0, 8.0, seed=2)
+    assert north == pytest.approx(np.stack([-east[..., 1], east[..., 0], east[..., 2]], axis=-1))
+
+
+def test_airspeed_and_altitude_are_held_in_the_range_of_the_model():
+    assert np.array_equal(
+        dryden(1, 9, 9.0, 0.0, 0.0, 5.0, seed=0), dryden(1, 9, 9.0, 1.0, 3.048, 5.0, seed=0)
+    )
+    assert np.array_equal(
+        dryden(1, 9, 9.0, 2.0, 9e9, 5.0, seed=0), dryden(1, 9, 9.0, 2.0, 304.8, 5.0, seed=0)
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    airspeed=st.floats(0.0, 1e6),
+    altitude=st.floats(0.0, 1e6),
+    strength=st.floats(0.0, 1e3),
+    rate_hz=st.floats(1e-3, 1e5),
+    seed=st.integers(0, 2**64),
+)
+def test_no_parameters_make_the_wind_infinite(airspeed, altitude, strength, rate_hz, seed):
+    wind = dryden(2, 20, rate_hz, airspeed, altitude, strength, seed)
+    assert np.isfinite(wind).all()
+    assert np.abs(wind).max() <= 10.0 * strength
+
+
+def test_gust_rises_holds_and_falls():
+    time = np.array([0.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0])
+    wind = gust_one_minus_cosine(time, [8.0, 0.0, -4.0], start=1.0, rise=1.0, hold=1.0)
+    assert wind[:, 0] == pytest.approx([0.0, 0.0, 4.0, 8.0, 8.0, 8.0, 4.0, 0.0, 0.0])
+    assert wind[:, 2] == pytest.approx(-wind[:, 0] / 2.0)
+
+
+def test_gust_without_hold_stays_as_the_specification_has_it():
+    assert gust_one_minus_cosine(1e6, [8.0, 0.0, 0.0], start=1.0, rise=1.0).tolist() == [8.0, 0.0, 0.0]
+
+
+SPECS = [
+    Constant(velocity=(1.0, 2.0, 0.0)),
+    Gust(velocity=(0.0, 5.0, 0.0), start=0.1, rise=0.2),
+    Dryden(airspeed=5.0, altitude=10.0, wind_20ft=8.0),
+    Dryden(airspeed=5.0, altitude=10.0, wind_20ft=8.0),
+]
+
+
+def test_winds_add_up():
+    total = wind_series(SPECS[:3], 4, 100, 200.0, seed=3)
+    parts = [wind_series([spec], 4, 100, 200.0, seed=3) for spec in SPECS[:3]]
+    assert total == pytest.approx(sum(parts))
+    assert total.shape == (4, 100, 3)
+    assert np.array_equal(wind_series([], 4, 100, 200.0, seed=3), np.zeros((4, 100, 3)))
+
+
+def test_two_turbulences_of_one_flight_are_independent():
+    first = wind_series(SPECS[2:3], 1, 50, 200.0, seed=3)
+    assert not np.allclose(wind_series(SPECS[2:], 1, 50, 200.0, seed=3), 2.0 * first)
+
+
+def test_blocks_of_a_stream_join_without_a_seam():
+    stream = WindStream(SPECS, 3, 200.0, seed=4)
+    blocks = np.concatenate([stream.take(steps) for steps in (1, 0, 7, 32)], axis=1)
+    assert np.array_equal(blocks, wind_series(SPECS, 3, 40, 200.0, seed=4))
+
+
+def test_reset_restarts_only_the_chosen_vehicles_with_new_turbulence():
+    straight = WindStream(SPECS, 3, 200.0, seed=4)
+    stream = WindStream(SPECS, 3, 200.0, seed=4)
+    first = straight.take(20)
+    stream.take(20)
+    stream.reset([1])
+    after, going_on = stream.take(20), straight.take(20)
+    assert np.array_equal(after[[0, 2]], going_on[[0, 2]])
+    assert not np.allclose(after[1], first[1])
+    steady = WindStream(SPECS[:2], 3, 200.0, seed=4)
+    steady.take(20)
+    steady.reset()
+    assert np.array_equal(steady.take(20), wind_series(SPECS[:2], 3, 20, 200.0, seed=4))
+
+
+def test_seed_sequences_choose_the_vehicles():
+    parents = np.random.SeedSequence(8).spawn(3)
+    series = wind_series(SPECS, 3, 10, 200.0, seed=8)
+    assert np.array_equal(series[1:], wind_series(SPECS, 2, 10, 200.0, seed=parents[1:]))
+
+
+def test_recording_is_interpolated_and_held_at_its_ends(tmp_path):
+    path = tmp_path / "wind.csv"
+    path.write_text("t, x, y, z\n1,0,0,0\n2,4,-2,1\n\n")
+    wind = wind_series([Recording(path=str(path))], 2, 4, 1.0, seed=0)
+    assert wind[0].tolist() == [[0, 0, 0], [0, 0, 0], [4, -2, 1], [4, -2, 1]]
+    assert np.array_equal(wind[0], wind[1])
+    assert wind_series([Recording(path=str(path))], 1, 4, 2.0, seed=0)[0, 3].tolist() == [2.0, -1.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "must be"),
+        ("time,x,y,z\n0,0,0,0\n1,0,0,0\n", "must be"),
+        ("t,x,y,z\n0,0,0,0\n", "1 rows"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "line 3"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0,abc\n", "line 3"),
+        ("t,x,y,z\n0,0,0,nan\n1,0,0,0\n", "line 2"),
+        ("t,x,y,z\n0,0,0,0\n\n1,0,0,0\n1,0,0,0\n", "line 5"),
+    ],
+)
+def test_bad_recording_is_refused_with_its_line(tmp_path, text, reason):
+    path = tmp_path / "wind.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"wind\.csv.*{reason}"):
+        read_recording(path)
+
+
+def test_missing_recording_is_one_clear_line(tmp_path):
+    with pytest.raises(ValueError, match="cannot be read: No such file"):
+        WindStream([Recording(path=str(tmp_path / "none.csv"))], 1, 200.0, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n": 0}, "n=0"),
+        ({"steps": -1}, "steps=-1"),
+        ({"rate_hz": 0.0}, "rate_hz=0"),
+        ({"rate_hz": float("nan")}, "rate_hz=nan"),
+        ({"airspeed": -1.0}, "airspeed is -1"),
+        ({"altitude": float("inf")}, "altitude is inf"),
+        ({"wind_20ft": [1.0, 2.0]}, "wind_20ft is"),
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": "x"}, "seed is 'x'"),
+        ({"seed": np.random.SeedSequence(0).spawn(2)}, "2 seeds for 1"),
+    ],
+)
+def test_bad_arguments_are_refused(change, message):
+    good = {
+        "n": 1,
+        "steps": 5,
+        "rate_hz": 200.0,
+        "airspeed": 5.0,
+        "altitude": 9.0,
+        "wind_20ft": 8.0,
+        "seed": 0,
+    }
+    with pytest.raises(ValueError, match=message):
+        dryden(**(good | change))
+
+
+class Weather(Strict):
+    """A scenario that only has wind."""
+
+    wind: tuple[WindSpec, ...] = ()
+
+
+def test_scenario_holds_a_list_of_winds(tmp_path):
+    path = tmp_path / "scenario.toml"
+    path.write_text(
+        '[[wind]]\nkind = "constant"\nvelocity = [3, 0, 0]\n'
+        '[[wind]]\nkind = "dryden"\nairspeed = 5\naltitude = 10\nwind_20ft = 8\n'
+        '[[wind]]\nkind = "gust"\nvelocity = [0, 5, 0]\nrise = 1\n'
+    )
+    weather = load_toml(path, "scenarios", Weather)
+    assert [spec.kind for spec in weather.wind] == ["constant", "dryden", "gust"]
+    assert Weather.model_validate_json(weather.model_dump_json()) == weather
+    path.write_text('[[wind]]\nkind = "gust"\nvelocity = [0, 5, 0]\nrise = 0\n')
+    with pytest.raises(ValueError, match=r"wind\[0\]\.rise = 0: should be greater than 0"):
+        load_toml(path, "scenarios", Weather)
