@@ -1,0 +1,93 @@
+"""How wrong an attitude estimate is. One set of functions for every table and figure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One number per sequence, and how it spreads over the sequences."""
+
+    sequences: Array
+    """(n,), the number of each sequence."""
+
+    @property
+    def median(self) -> float:
+        """Median over sequences."""
+        return float(np.median(self.sequences))
+
+    @property
+    def mean(self) -> float:
+        """Mean over sequences."""
+        return float(np.mean(self.sequences))
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation over sequences (of the sample, n − 1); 0 for a single one."""
+        return float(np.std(self.sequences, ddof=1)) if self.sequences.size > 1 else 0.0
+
+    def mean_interval(
+        self, level: float = 0.95, resamples: int = 10_000, seed: int = 0
+    ) -> tuple[float, float]:
+        """Bootstrap confidence interval of the mean over sequences (percentile method)."""
+        n = self.sequences.size
+        draws = np.random.default_rng(seed).integers(0, n, (resamples, n))
+        low, high = np.quantile(self.sequences[draws].mean(axis=1), [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+        return float(low), float(high)
+
+
+def absolute_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
+    """Absolute error of roll and of pitch [deg], shape (..., 2), from angles in radians; at most 180."""
+    estimate, truth = _pair(estimate, truth)
+    difference = estimate - truth
+    return np.degrees(np.abs(difference - 2.0 * np.pi * np.round(difference / (2.0 * np.pi))))
+
+
+def attitude_error(estimate: ArrayLike, truth: ArrayLike) -> Summary:
+    """Mean absolute error of roll and pitch, pooled, of each sequence [deg].
+
+    Args:
+        estimate: Roll and pitch (n, T, 2) [rad].
+        truth: The same, true; NaN where it is not known, and such samples are not counted.
+    """
+    return Summary(np.nanmean(absolute_error(estimate, truth), axis=(-2, -1)).reshape(-1))
+
+
+def inclination_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
+    """Angle between the estimated and the true direction of gravity in body axes [deg], shape (...).
+
+    The inclination part of the BROAD benchmark's error (Laidig et al. 2021), 2 arccos √(w² + z²) of the error
+    quaternion in world axes, which no yaw changes.
+
+    Args:
+        estimate: Roll and pitch (..., 2) [rad].
+        truth: The same, true; NaN gives NaN.
+    """
+    estimate, truth = _pair(estimate, truth)
+    a, b = up_in_body(estimate), up_in_body(truth)
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def inclination_rmse(estimate: ArrayLike, truth: ArrayLike) -> Summary:
+    """RMS over time of the inclination error of each sequence [deg], from roll and pitch (n, T, 2) [rad]."""
+    return Summary(np.sqrt(np.nanmean(inclination_error(estimate, truth) ** 2, axis=-1)).reshape(-1))
+
+
+def up_in_body(roll_pitch: ArrayLike) -> Array:
+    """Direction of the world's z axis in body axes, (..., 3), of roll and pitch (..., 2) [rad]."""
+    angles = np.asarray(roll_pitch, dtype=np.float64)
+    roll, pitch = angles[..., 0], angles[..., 1]
+    return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=-1)
+
+
+def _pair(estimate: ArrayLike, truth: ArrayLike) -> tuple[Array, Array]:
+    estimate, truth = np.asarray(estimate, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    if estimate.shape != truth.shape or estimate.shape[-1:] != (2,):
+        raise ValueError(
+            f"estimate {estimate.shape} and truth {truth.shape} must both have one shape (n, T, 2)"
+        )
+    return estimate, truth

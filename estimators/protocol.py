@@ -1,0 +1,216 @@
+"""Estimators by name: make one, run it over sequences, run many parameter sets at once."""
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadsim.config import nearest
+from quadsim.estimator import AttitudeEstimator
+
+from .complementary import ADAPTIVE, COMPLEMENTARY
+from .filters import NOT_SUMMED, Algorithm, Filter, Parameter, checked, paired, start
+from .madgwick import MADGWICK
+from .mahony import MAHONY
+from .truth import Truth
+from .tuned import tuned_for
+
+Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
+
+COMPILED: dict[str, Algorithm] = {a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK)}
+NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
+
+
+def names() -> list[str]:
+    """Every name that `create` knows."""
+    return ["truth", *COMPILED, *NETWORKS]
+
+
+def parameters(name: str) -> Mapping[str, Parameter]:
+    """Numeric parameters of an estimator, with their defaults and the range in which tuning looks for them.
+
+    Raises:
+        ValueError: For an unknown name.
+    """
+    _known(name)
+    if name in COMPILED:
+        return COMPILED[name].parameters
+    return {}
+
+
+def create(
+    name: str,
+    rate_hz: float = 200.0,
+    *,
+    tuning: str | Path | None = None,
+    **params: float | str | Path | None,
+) -> AttitudeEstimator:
+    """Make an estimator.
+
+    Args:
+        name: One of `names()`.
+        rate_hz: Samples per second.
+        tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
+            `quadsim tune`; None for the shipped default domain.
+        params: The filter's own parameters; for a network, `weights`.
+
+    Raises:
+        ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
+    """
+    _known(name)
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise ValueError(f"rate_hz = {rate_hz} must be a positive number")
+    if name == "truth":
+        checked(name, {}, params)
+        return Truth(rate_hz)
+    if name in NETWORKS:
+        return _network(name, rate_hz, params)
+    return Filter(COMPILED[name], rate_hz, _values(name, rate_hz, params, tuning))
+
+
+def run(
+    est: AttitudeEstimator,
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    roll_pitch: ArrayLike | None = None,
+    quat: ArrayLike | None = None,
+) -> Array:
+    """Reset an estimator and run it over n sequences; the same numbers as `update` in a loop.
+
+    Args:
+        est: The estimator.
+        gyro: Body rate (n, T, 3) [rad/s]; NaN where a sample is missing.
+        accel: Specific force in body axes (n, T, 3) [m/s²]; NaN where a sample is missing.
+        roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None where it is not known.
+        quat: True quat_WB (n, T, 4), for an estimator that observes the truth.
+
+    Returns:
+        Roll and pitch (n, T, 2) [rad].
+
+    Raises:
+        ValueError: For shapes that do not fit, or an estimator that observes the truth and is given none.
+    """
+    gyro, accel = paired(gyro, accel)
+    est.reset(len(gyro), roll_pitch=roll_pitch)
+    observe = getattr(est, "observe", None)
+    sequence = getattr(est, "sequence", None)
+    if observe is not None:
+        out = _run_observing(est, observe, gyro, accel, quat)
+    elif sequence is not None:
+        out = sequence(gyro, accel)
+    else:
+        out = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(gyro.shape[1])], axis=1)
+    _report_skipped(est, gyro.shape[1])
+    return out
+
+
+def run_batch(
+    name: str,
+    params: Mapping[str, ArrayLike],
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    rate_hz: float = 200.0,
+    roll_pitch: ArrayLike | None = None,
+) -> Array:
+    """Run p parameter sets of one estimator over n sequences.
+
+    Args:
+        name: One of `names()`.
+        params: Parameter name to values (p,); the others keep their default.
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force in body axes (n, T, 3) [m/s²].
+        rate_hz: Samples per second.
+        roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None where it is not known.
+
+    Returns:
+        Roll and pitch (p, n, T, 2) [rad].
+    """
+    gyro, accel = paired(gyro, accel)
+    sets = parameter_sets(params)
+    if name not in COMPILED:
+        return np.stack(
+            [run(create(name, rate_hz, tuning=None, **each), gyro, accel, roll_pitch) for each in sets]
+        )
+    matrix = parameter_matrix(name, sets, rate_hz)
+    states = start(COMPILED[name], matrix, len(gyro), roll_pitch)
+    out = np.empty((len(states), gyro.shape[1], 2))
+    none = np.empty((len(gyro), 0, 2))
+    COMPILED[name].sequence(states, matrix, 1.0 / rate_hz, gyro, accel, out, none, NOT_SUMMED)
+    return out.reshape(len(sets), *gyro.shape[:2], 2)
+
+
+def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
+    """Columns (p,) as p dictionaries.
+
+    Raises:
+        ValueError: If the columns differ in length.
+    """
+    if not params:
+        return [{}]
+    columns = [np.atleast_1d(np.asarray(column, dtype=np.float64)) for column in params.values()]
+    if len({column.shape for column in columns}) > 1 or columns[0].ndim != 1:
+        shapes = ", ".join(f"{key} {column.shape}" for key, column in zip(params, columns, strict=True))
+        raise ValueError(f"all parameters must have one shape (p,): {shapes}")
+    return [dict(zip(params, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
+
+
+def parameter_matrix(name: str, sets: list[dict[str, float]], rate_hz: float) -> Array:
+    """All parameters of a compiled filter, (p, k), with the defaults filled in."""
+    return np.array([list(_values(name, rate_hz, each, None).values()) for each in sets])
+
+
+def _known(name: str) -> None:
+    if name not in names():
+        raise ValueError(f'unknown estimator "{name}"; {nearest(name, names())}')
+
+
+def _values(
+    name: str, rate_hz: float, params: Mapping[str, object], tuning: str | Path | None
+) -> dict[str, float]:
+    """Every parameter of a filter, in order: what is given, else tuned, else the default."""
+    spec = parameters(name)
+    given = checked(name, spec, params)
+    tuned = tuned_for(name, tuning)
+    found = {} if tuned is None else checked(f"{tuning or 'tuning'}: {name}", spec, tuned.values)
+    ratio = 1.0 if tuned is None else tuned.rate_hz / rate_hz
+    found = {key: spec[key].carried(value, ratio) for key, value in found.items()}
+    return {key: given.get(key, found.get(key, each.default)) for key, each in spec.items()}
+
+
+def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> AttitudeEstimator:
+    from .networks import create_network  # imports torch, which no other estimator needs
+
+    for key in params:
+        if key != "weights":
+            raise ValueError(f'{name} has no parameter "{key}"; {nearest(key, ["weights"])}')
+    weights = params.get("weights")
+    if not isinstance(weights, str | Path | None):
+        raise ValueError(f"{name}: weights = {weights!r} is not a path")
+    return create_network(name, rate_hz, weights=weights)
+
+
+def _run_observing(
+    est: AttitudeEstimator, observe, gyro: Array, accel: Array, quat: ArrayLike | None
+) -> Array:
+    if quat is None:
+        raise ValueError("this estimator observes the truth: give run(..., quat=) of shape (n, T, 4)")
+    truth = np.asarray(quat, dtype=np.float64)
+    if truth.shape != (*gyro.shape[:2], 4):
+        raise ValueError(f"quat has shape {truth.shape}; it must be {(*gyro.shape[:2], 4)}")
+    out = np.empty((*gyro.shape[:2], 2))
+    for t in range(gyro.shape[1]):
+        observe(truth[:, t])
+        out[:, t] = est.update(gyro[:, t], accel[:, t])
+    return out
+
+
+def _report_skipped(est: AttitudeEstimator, steps: int) -> None:
+    skipped = np.asarray(getattr(est, "skipped", 0))
+    if skipped.sum() > 0:
+        total = int(skipped.sum())
+        logger.warning("%d of %d samples were missing; the estimator went on from its prediction", total,
+                       steps * skipped.size)  # fmt: skip
