@@ -72,7 +72,7 @@ def test_start_is_stationary_over_seeds():
     assert np.abs(wind.mean(axis=0)).max() < 0.2
 
 
-@pytest.mark.parametrize("tau", [1e-7, 1e-4, 0.02, 1.0, 10.0])
+@pytest.mark.parametrize("tau", [1e-7, 1e-4, 0.02, 1.0, 3.0])
 def test_one_step_is_exact_by_van_loan(tau):
     turbulence = Turbulence(1, 1.0, airspeed=1.0, altitude=20.0, wind_20ft=1.0, seed=0)
     turbulence._set_coefficients(np.full((1, 3), tau))
