@@ -37,15 +37,19 @@ class State(NamedTuple):
 
 def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bool = False) -> str:
     """The MuJoCo model of one vehicle as XML."""
-    return (resources.files("assets") / "quadrotor.xml").read_text().format(
-        name=vehicle.name,
-        timestep=repr(timestep),
-        integrator=integrator,
-        gravity=GRAVITY,
-        contact="enable" if contact else "disable",
-        mass=repr(vehicle.mass),
-        inertia=" ".join(map(repr, vehicle.inertia)),
-        size=" ".join(map(repr, vehicle.frame.size)),
+    return (
+        (resources.files("assets") / "quadrotor.xml")
+        .read_text()
+        .format(
+            name=vehicle.name,
+            timestep=repr(timestep),
+            integrator=integrator,
+            gravity=GRAVITY,
+            contact="enable" if contact else "disable",
+            mass=repr(vehicle.mass),
+            inertia=" ".join(map(repr, vehicle.inertia)),
+            size=" ".join(map(repr, vehicle.frame.size)),
+        )
     )
 
 
@@ -139,11 +143,19 @@ class Plant:
             raise ValueError(f"rate_hz is {rate_hz}; it must be a positive number")
         integrators = [name.removeprefix("mjINT_") for name in mujoco.mjtIntegrator.__members__]
         if integrator.upper() not in [name.upper() for name in integrators]:
-            raise ValueError(f"unknown integrator {integrator!r}; choose one of RK4, implicitfast, implicit, Euler")
+            raise ValueError(
+                f"unknown integrator {integrator!r}; choose one of RK4, implicitfast, implicit, Euler"
+            )
         vehicles = [vehicle] * n if isinstance(vehicle, Vehicle) else list(vehicle)
         if len(vehicles) != n:
             raise ValueError(f"{len(vehicles)} vehicles were given for n = {n}")
-        self.n, self.rate_hz, self.dt, self.vehicle, self.contact = n, rate_hz, 1.0 / rate_hz, vehicles[0], contact
+        self.n, self.rate_hz, self.dt, self.vehicle, self.contact = (
+            n,
+            rate_hz,
+            1.0 / rate_hz,
+            vehicles[0],
+            contact,
+        )
         self.substeps = math.ceil(self.dt / (CONTACT_STEP if contact else FLIGHT_STEP) - 1e-9)
         self.step_dt = self.dt / self.substeps
         self.params = np.stack([rotors.parameter_row(v) for v in vehicles])

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from .vehicle import AIR_DENSITY, Vehicle
 
-MASS, IXX, IYY, IZZ, K_F, K_M, OMEGA_MAX, TAU_UP, TAU_DOWN, ROTOR_DRAG, ROLLING, DRAG_X, DRAG_Y, DRAG_Z = range(14)
+MASS, IXX, IYY, IZZ, K_F, K_M, OMEGA_MAX, TAU_UP, TAU_DOWN, ROTOR_DRAG, ROLLING, DRAG_X, DRAG_Y, DRAG_Z = (
+    range(14)
+)
 EFFECT = 14  # four columns: thrust of each rotor relative to a healthy one
 PARAMETERS = EFFECT + 4
 

@@ -19,7 +19,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 class Rotor(Strict):
     """One rotor: where it sits and which way it turns."""
 
-    position: tuple[Finite, Finite, Finite] = Field(description="Hub w.r.t. the centre of mass, body axes [m].")
+    position: tuple[Finite, Finite, Finite] = Field(
+        description="Hub w.r.t. the centre of mass, body axes [m]."
+    )
     spin: Literal["cw", "ccw"] = Field(description="Sense of rotation seen from above.")
 
 
@@ -41,8 +43,24 @@ class Frame(Strict):
     drag_area: tuple[NonNegative, NonNegative, NonNegative] = Field(
         description="C_d A per body axis of the quadratic drag −½ ρ C_d A |v| v [m²]."
     )
-    size: tuple[Positive, Positive, Positive] = Field(description="Half extents of the box that touches ground [m].")
+    size: tuple[Positive, Positive, Positive] = Field(
+        description="Half extents of the box that touches ground [m]."
+    )
     prop_radius: Positive = Field(description="Propeller radius, for pictures [m].")
+
+
+class Gains(Strict):
+    """Gains of the cascaded controller, made by `quadsim design` from phase margins."""
+
+    rate: Positive = Field(description="Roll and pitch rate error to angular acceleration [1/s].")
+    rate_integral: NonNegative = Field(description="Its integral action [1/s²].")
+    yaw_rate: Positive = Field(description="Yaw rate error to angular acceleration [1/s].")
+    yaw_rate_integral: NonNegative = Field(description="Its integral action [1/s²].")
+    attitude: Positive = Field(description="Tilt error to roll and pitch rate [1/s].")
+    yaw: Positive = Field(description="Yaw error to yaw rate [1/s].")
+    velocity: Positive = Field(description="Velocity error to acceleration [1/s].")
+    velocity_integral: NonNegative = Field(description="Its integral action [1/s²].")
+    position: Positive = Field(description="Position error to velocity [1/s].")
 
 
 class Vehicle(Strict):
@@ -55,11 +73,16 @@ class Vehicle(Strict):
     rotors: tuple[Rotor, Rotor, Rotor, Rotor] = Field(description="The four rotors.")
     motor: Motor
     frame: Frame
+    controller: Gains | None = Field(
+        None, description="Gains; left out, they are designed when first needed."
+    )
 
     @model_validator(mode="after")
     def _must_fly(self) -> "Vehicle":
         if self.thrust_to_weight <= 1.1:
-            raise ValueError(f"thrust-to-weight is {self.thrust_to_weight:.2f}; a vehicle needs more than 1.1 to fly")
+            raise ValueError(
+                f"thrust-to-weight is {self.thrust_to_weight:.2f}; a vehicle needs more than 1.1 to fly"
+            )
         a, b, c = sorted(self.inertia)
         if a + b < c * (1 - 1e-9):
             raise ValueError(f"inertia {self.inertia} breaks the triangle inequality; no rigid body has it")
@@ -103,7 +126,9 @@ class Randomisation(Strict):
     """Relative spread, per flight, of a vehicle's numbers: each is multiplied by 1 + U(−spread, spread)."""
 
     mass: float = Field(0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
-    inertia: float = Field(0.0, ge=0, lt=0.5, description="Spread of each moment of inertia, beyond the mass.")
+    inertia: float = Field(
+        0.0, ge=0, lt=0.5, description="Spread of each moment of inertia, beyond the mass."
+    )
     thrust: float = Field(0.0, ge=0, lt=0.5, description="Spread of k_f.")
     torque: float = Field(0.0, ge=0, lt=0.5, description="Spread of k_m.")
     rotor_drag: float = Field(0.0, ge=0, lt=1, description="Spread of the rotor-drag constant.")

@@ -1,0 +1,266 @@
+"""Flights: plant, IMU, attitude estimator and controller closed into one loop, and many recorded at once.
+
+One instant k: the plant's state → IMU sample → estimate of roll and pitch → controller → rotor command → the
+state at k + 1. `FlightLoop` is that loop, whoever drives it; `simulate_flights` drives it on true attitude and
+records.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from .config import Strict
+from .controller import Controller, Level
+from .estimator import AttitudeEstimator
+from .imu import ImuSpec, ImuStream, simulate_imu_with_bias
+from .plant import Plant
+from .rotation import euler_core
+from .seeding import child
+from .trajectory import Mix, Trajectory, reference
+from .vehicle import Randomisation, Vehicle, randomise
+from .wind import WindSpec, wind_series
+
+Array = NDArray[np.float64]
+
+MAX_SPEED = 150.0  # m/s, and
+MAX_BODY_RATE = 150.0  # rad/s: a vehicle beyond either has diverged
+
+
+class FlightLoop:
+    """n closed loops, one sample at a time.
+
+    After `reset` and after every `step`, `gyro`, `accel` (n, 3) and `attitude` (n, 2), the estimated roll and
+    pitch, belong to the state in `plant`.
+
+    Args:
+        vehicle: One vehicle, or n of them. The controller is tuned for `nominal`, or else for the first.
+        n: Number of vehicles.
+        rate_hz: Samples per second.
+        imu: IMU to fly on; None for a perfect one.
+        estimator: Source of roll and pitch; None for the truth.
+        seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
+        contact: Whether the ground can be touched.
+        nominal: The vehicle that the controller believes in.
+        corrupt: Called as corrupt(gyro, accel, k) on every sample, may change both in place: sensor faults.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle | Sequence[Vehicle],
+        n: int = 1,
+        *,
+        rate_hz: float = 200.0,
+        imu: ImuSpec | None = None,
+        estimator: AttitudeEstimator | None = None,
+        seed: int | Sequence[np.random.SeedSequence] = 0,
+        contact: bool = False,
+        nominal: Vehicle | None = None,
+        corrupt: Callable[[Array, Array, int], None] | None = None,
+    ) -> None:
+        if estimator is not None and estimator.rate_hz != rate_hz:
+            raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
+        self.n, self.rate_hz, self.k = n, rate_hz, 0
+        self.plant = Plant(vehicle, n, rate_hz, contact=contact)
+        self.controller = Controller(nominal or self.plant.vehicle, n, rate_hz)
+        self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed)
+        self.estimator = estimator
+        self.corrupt = corrupt
+        self._observe = getattr(estimator, "observe", None)
+        self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
+        self._calm = np.zeros((n, 3))
+        self.gyro, self.accel, self.attitude = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2))
+
+    def reset(
+        self,
+        position: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        quat: ArrayLike | None = None,
+        ang_vel: ArrayLike | None = None,
+        known_attitude: bool = False,
+    ) -> None:
+        """Start all vehicles anew; arguments as for `Plant.reset`.
+
+        The estimator starts level, unless `known_attitude`: then it is told the true roll and pitch.
+        """
+        self.plant.reset(position, velocity, quat, ang_vel)
+        self.controller.reset()
+        self.k = 0
+        read_attitude(self.plant.quat, self.true_attitude, self.yaw)
+        if self.imu is not None:
+            self.imu.reset()
+        if self.estimator is not None:
+            self.estimator.reset(self.n, roll_pitch=self.true_attitude.copy() if known_attitude else None)
+        self._sense()
+
+    def step(self, level: Level, command: Array, wind: Array | None = None) -> None:
+        """Fly on by one sample: control from the present estimate, move, sense.
+
+        Args:
+            level: Where the command enters the cascade, see `quadsim.controller`.
+            command: (n, width of the level).
+            wind: (n, 3) world [m/s]; None for still air.
+        """
+        plant = self.plant
+        rotor_vel_cmd = self.controller.step(
+            level, command, plant.position, plant.velocity, self.attitude, self.yaw, self.gyro
+        )
+        plant.advance(rotor_vel_cmd, self._calm if wind is None else wind)
+        self.k += 1
+        read_attitude(plant.quat, self.true_attitude, self.yaw)
+        self._sense()
+
+    def _sense(self) -> None:
+        plant = self.plant
+        if self.imu is None:
+            self.gyro, self.accel = plant.ang_vel, plant.specific_force
+        else:
+            self.gyro, self.accel = self.imu.sample(
+                plant.ang_vel, plant.specific_force, plant.ang_acc, plant.rotor_vel
+            )
+        if self.corrupt is not None:
+            self.gyro, self.accel = self.gyro.copy(), self.accel.copy()
+            self.corrupt(self.gyro, self.accel, self.k)
+        if self.estimator is None:
+            self.attitude = self.true_attitude
+        else:
+            if self._observe is not None:
+                self._observe(plant.quat)
+            self.attitude = self.estimator.update(self.gyro, self.accel)
+
+
+@njit(cache=True)
+def read_attitude(quat, roll_pitch, yaw):
+    """Write roll and pitch (n, 2) and yaw (n,) of quat (n, 4)."""
+    for i in range(quat.shape[0]):
+        roll_pitch[i, 0], roll_pitch[i, 1], yaw[i] = euler_core(
+            quat[i, 0], quat[i, 1], quat[i, 2], quat[i, 3]
+        )
+
+
+class FlightConfig(Strict):
+    """What a recorded flight is made of; stored whole in every dataset."""
+
+    vehicle: Vehicle = Field(description="The nominal vehicle.")
+    imu: ImuSpec = Field(description="The IMU.")
+    trajectory: Trajectory = Field(default_factory=Mix, description="What to fly.")
+    wind: tuple[WindSpec, ...] = Field((), description="Winds, added up.")
+    randomisation: Randomisation = Field(
+        default_factory=Randomisation, description="Spread of the vehicle's numbers."
+    )
+    warmup_s: float = Field(
+        4.0, ge=0, le=60, description="Flown before recording, so that flights begin in the midst of motion [s]."
+    )
+
+
+class Layout(NamedTuple):
+    """Columns of a recorded row."""
+
+    position: slice = slice(0, 3)
+    velocity: slice = slice(3, 6)
+    quat: slice = slice(6, 10)
+    ang_vel: slice = slice(10, 13)
+    specific_force: slice = slice(13, 16)
+    rotor_vel: slice = slice(16, 20)
+    ang_acc: slice = slice(20, 23)
+    wind: slice = slice(23, 26)
+    rotor_vel_cmd: slice = slice(26, 30)
+
+
+LAYOUT = Layout()
+WIDTH = 30
+
+
+@njit(cache=True)
+def record(k, row, position, velocity, quat, ang_vel, specific_force, rotor_vel, ang_acc, wind, command, log, end):
+    """Write sample k of every vehicle into log (n, T, WIDTH); a vehicle that has diverged ends there.
+
+    row: (WIDTH,) scratch. end: (n,) the number of valid samples, T while all is well; later ones repeat the last.
+    """
+    for i in range(log.shape[0]):
+        speed = rate = 0.0
+        for j in range(3):
+            row[j], row[3 + j], row[10 + j] = position[i, j], velocity[i, j], ang_vel[i, j]
+            row[13 + j], row[20 + j], row[23 + j] = specific_force[i, j], ang_acc[i, j], wind[i, j]
+            speed += velocity[i, j] ** 2
+            rate += ang_vel[i, j] ** 2
+        for j in range(4):
+            row[6 + j], row[16 + j], row[26 + j] = quat[i, j], rotor_vel[i, j], command[i, j]
+        sane = speed < MAX_SPEED**2 and rate < MAX_BODY_RATE**2 and np.all(np.isfinite(row))
+        if sane and end[i] > k:
+            log[i, k] = row
+            continue
+        end[i] = min(end[i], k)
+        if k > 0:
+            log[i, k] = log[i, k - 1]
+        else:
+            log[i, k] = 0.0
+            log[i, k, 6] = 1.0  # level: even a flight without a valid sample holds rotations
+
+
+def simulate_flights(
+    config: FlightConfig, seeds: Sequence[np.random.SeedSequence], steps: int, rate_hz: float = 200.0
+) -> dict[str, Array | list[str]]:
+    """Fly one flight per seed on true attitude and record it.
+
+    Args:
+        config: What to fly.
+        seeds: One per flight; flight i depends on seeds[i] alone.
+        steps: Samples to record, after the warm-up.
+        rate_hz: Samples per second.
+
+    Returns:
+        Arrays (n, T, ...) gyro accel ang_vel specific_force quat position velocity rotor_vel rotor_vel_cmd wind
+        gyro_bias accel_bias, and `end_step` (n,), the number of valid samples of each flight (a vehicle that
+        diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
+    """
+    n, warmup = len(seeds), round(config.warmup_s * rate_hz)
+    path, body, air, imu = ([child(seed, part) for seed in seeds] for part in range(4))
+    vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
+    target = reference(config.trajectory, warmup + steps, rate_hz, path)
+    wind = wind_series(config.wind, n, warmup + steps, rate_hz, air) if config.wind else None
+    loop = FlightLoop(vehicles, n, rate_hz=rate_hz, nominal=config.vehicle)
+    loop.reset(position=target[:, 0, :3], velocity=target[:, 0, 3:6])
+    log, end = np.zeros((n, steps, WIDTH)), np.full(n, steps)
+    plant, row, calm = loop.plant, np.empty(WIDTH), np.zeros((n, 3))
+    for k in range(warmup + steps):
+        air_now = calm if wind is None else wind[:, k]
+        if k:
+            loop.step("position", target[:, k - 1], air_now)
+        if k >= warmup:
+            record(
+                k - warmup,
+                row,
+                plant.position,
+                plant.velocity,
+                plant.quat,
+                plant.ang_vel,
+                plant.specific_force,
+                plant.rotor_vel,
+                plant.ang_acc,
+                air_now,
+                loop.controller.rotor_vel_cmd,
+                log,
+                end,
+            )
+    flown = {name: log[..., columns] for name, columns in LAYOUT._asdict().items()}
+    gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
+        config.imu,
+        flown["ang_vel"],
+        flown["specific_force"],
+        rate_hz,
+        imu,
+        ang_acc=flown.pop("ang_acc"),
+        rotor_vel=flown["rotor_vel"],
+    )
+    return flown | {
+        "gyro": gyro,
+        "accel": accel,
+        "gyro_bias": gyro_bias,
+        "accel_bias": accel_bias,
+        "end_step": end,
+        "end_reason": ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end],
+    }

@@ -1,0 +1,360 @@
+"""References: where to fly, as arrays (n, steps, 11) of position-level commands of `quadsim.controller`.
+
+Columns: position (3) [m], velocity (3) [m/s], acceleration (3) [m/s²], yaw [rad], yaw rate [rad/s], world axes.
+Every kind of trajectory is a small typed model, chosen by `kind` in TOML; random ones are drawn per flight.
+"""
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+
+from .config import Strict
+from .vehicle import GRAVITY
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+COLUMNS = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "yaw", "yaw_rate")
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+TiltDeg = Annotated[float, Field(gt=0, le=55)]
+
+
+class Hover(Strict):
+    """Stay at one place."""
+
+    kind: Literal["hover"] = "hover"
+    position: Vector = Field((0.0, 0.0, 2.0), description="Where [m].")
+    yaw_deg: float = Field(0.0, description="Heading [deg].")
+
+
+class Step(Strict):
+    """Hover, then jump: the set-point moves at once, there and back."""
+
+    kind: Literal["step"] = "step"
+    position: Vector = Field((0.0, 0.0, 2.0), description="Start [m].")
+    offset: Vector = Field((2.0, 0.0, 0.0), description="Size of the jump [m].")
+    yaw_deg: float = Field(0.0, description="Jump of the heading [deg].")
+    at_s: float = Field(2.0, ge=0, description="Time of the first jump [s].")
+    hold_s: Positive = Field(6.0, description="Time until the next jump, back or there again [s].")
+
+
+class Lissajous(Strict):
+    """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. The amplitude grows over one period."""
+
+    kind: Literal["lissajous"] = "lissajous"
+    position: Vector = Field((0.0, 0.0, 2.0), description="Centre [m].")
+    amplitude: Vector = Field((3.0, 1.5, 0.0), description="Amplitudes [m].")
+    ratio: tuple[int, int, int] = Field((1, 2, 1), description="Frequencies over the basic one.")
+    period_s: Positive = Field(6.0, description="Period of the basic frequency [s].")
+    yaw_along: bool = Field(False, description="Turn the nose into the direction of flight.")
+
+
+class Waypoints(Strict):
+    """Minimum snap through waypoints, at rest at both ends; flown again and again until time is up.
+
+    For given times the curve that minimises ∫ ‖d⁴x/dt⁴‖² is the interpolating spline of degree 7
+    (Mellinger & Kumar 2011); times follow from distance over speed.
+    """
+
+    kind: Literal["waypoints"] = "waypoints"
+    points: tuple[Vector, ...] = Field(
+        (), description="Waypoints [m]; none draws random ones for each flight."
+    )
+    random_points: int = Field(8, ge=2, le=100, description="How many to draw.")
+    box: Vector = Field((6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
+    position: Vector = Field((0.0, 0.0, 4.0), description="Centre of that box [m].")
+    speed: Positive = Field(2.5, description="Mean speed along straight legs [m/s].")
+
+
+class Mix(Strict):
+    """Random aggressive flight that fills the envelope: dashes, circles, stops and turns of the heading.
+
+    A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn up to
+    `max_tilt_deg`, so roll and pitch spread over about 0.25 rad.
+    """
+
+    kind: Literal["mix"] = "mix"
+    position: Vector = Field((0.0, 0.0, 20.0), description="Start and centre of the flown volume [m].")
+    max_tilt_deg: TiltDeg = Field(45.0, description="Largest tilt that a reference asks for [deg].")
+    min_tilt_deg: float = Field(18.0, ge=0, description="Smallest peak tilt of a dash [deg].")
+    dash_s: tuple[Positive, Positive] = Field((0.8, 2.6), description="Range of the length of a dash [s].")
+    circle_share: float = Field(0.25, ge=0, le=1, description="Share of circles among the manoeuvres.")
+    pause_share: float = Field(0.15, ge=0, le=1, description="Share of hovering pauses, of 0.2 to 1.5 s.")
+    max_yaw_rate: float = Field(1.5, ge=0, description="Largest yaw rate of a turn [rad/s].")
+    radius: Positive = Field(15.0, description="Beyond this distance from the centre, dashes lead back [m].")
+
+
+class Doublets(Strict):
+    """Tilt one way, then the other, on roll and pitch in turn: the identification manoeuvre."""
+
+    kind: Literal["doublets"] = "doublets"
+    position: Vector = Field((0.0, 0.0, 5.0), description="Start [m].")
+    tilt_deg: TiltDeg = Field(30.0, description="Peak tilt [deg].")
+    swing_s: Positive = Field(1.2, description="Length of one doublet [s].")
+    pause_s: float = Field(1.0, ge=0, description="Hover between doublets [s].")
+
+
+class SetPointFile(Strict):
+    """A user's own set-points: CSV with the columns t, x, y, z and, if wanted, yaw [s, m, rad]; splined between."""
+
+    kind: Literal["file"] = "file"
+    path: str = Field(description="The CSV file.")
+
+
+Trajectory = Annotated[
+    Hover | Step | Lissajous | Waypoints | Mix | Doublets | SetPointFile, Field(discriminator="kind")
+]
+Seeds = Sequence[np.random.SeedSequence]
+
+
+def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Array:
+    """Set-points for one flight per seed.
+
+    Args:
+        spec: What to fly.
+        steps: Number of samples.
+        rate_hz: Samples per second.
+        seeds: One per flight; a flight depends on its own alone.
+
+    Returns:
+        (n, steps, 11), columns as in `COLUMNS`.
+
+    Raises:
+        ValueError: If a set-point file is missing or malformed.
+    """
+    time = np.arange(steps) / rate_hz
+    if isinstance(spec, Mix | Waypoints | Doublets) and not (isinstance(spec, Waypoints) and spec.points):
+        return np.stack([_random(spec, time, np.random.default_rng(seed)) for seed in seeds])
+    return np.repeat(_fixed(spec, time)[None], len(seeds), axis=0)
+
+
+def _random(spec: Mix | Waypoints | Doublets, time: Array, rng: np.random.Generator) -> Array:
+    if isinstance(spec, Waypoints):
+        points = np.array(spec.position) + rng.uniform(-1, 1, (spec.random_points, 3)) * np.array(spec.box)
+        return _minimum_snap(np.vstack([spec.position, points, spec.position]), spec.speed, time)
+    segments = (
+        _mix_segments(spec, time[-1], rng)
+        if isinstance(spec, Mix)
+        else _doublet_segments(spec, time[-1], rng)
+    )
+    turns = _turns(spec.max_yaw_rate, time[-1], rng) if isinstance(spec, Mix) else np.zeros((0, 3))
+    out = np.zeros((time.size, len(COLUMNS)))
+    out[:, :3] = spec.position
+    _fly_segments(segments, turns, time, out)
+    return out
+
+
+def _fixed(spec: Hover | Step | Lissajous | Waypoints | SetPointFile, time: Array) -> Array:
+    match spec:
+        case Hover():
+            out = _still(spec.position, math.radians(spec.yaw_deg), time)
+        case Step():
+            out = _still(spec.position, 0.0, time)
+            away = (time >= spec.at_s) & (np.floor((time - spec.at_s) / spec.hold_s) % 2 == 0)
+            out[away, :3] += spec.offset
+            out[away, 9] += math.radians(spec.yaw_deg)
+        case Lissajous():
+            out = _lissajous(spec, time)
+        case Waypoints():
+            out = _minimum_snap(np.array(spec.points), spec.speed, time)
+        case SetPointFile():
+            out = _from_file(Path(spec.path), time)
+    return out
+
+
+def _still(position: Vector, yaw: float, time: Array) -> Array:
+    out = np.zeros((time.size, len(COLUMNS)))
+    out[:, :3], out[:, 9] = position, yaw
+    return out
+
+
+def _lissajous(spec: Lissajous, time: Array) -> Array:
+    rate = 2 * np.pi * np.array(spec.ratio) / spec.period_s
+    phase = time[:, None] * rate
+    wave = np.stack([np.sin(phase), rate * np.cos(phase), -(rate**2) * np.sin(phase)])
+    s = np.clip(time / spec.period_s, 0, 1)
+    grow = np.stack([s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3), 140 * s**3 * (1 - s) ** 3 / spec.period_s,
+                     420 * s**2 * (1 - s) ** 2 * (1 - 2 * s) / spec.period_s**2])[..., None]  # fmt: skip
+    amplitude = np.array(spec.amplitude)
+    out = _still(spec.position, 0.0, time)
+    out[:, 0:3] += amplitude * grow[0] * wave[0]
+    out[:, 3:6] = amplitude * (grow[0] * wave[1] + grow[1] * wave[0])
+    out[:, 6:9] = amplitude * (grow[0] * wave[2] + 2 * grow[1] * wave[1] + grow[2] * wave[0])
+    if spec.yaw_along:
+        out[:, 9] = np.unwrap(np.arctan2(out[:, 4], out[:, 3]))
+        square = np.maximum(out[:, 3] ** 2 + out[:, 4] ** 2, 1e-3)
+        out[:, 10] = (out[:, 3] * out[:, 7] - out[:, 4] * out[:, 6]) / square
+    return out
+
+
+def _minimum_snap(points: Array, speed: float, time: Array) -> Array:
+    """Degree-7 spline through the points, derivatives 1 to 3 zero at both ends, run back to its start, and repeated."""
+    loop = points if np.allclose(points[0], points[-1]) else np.vstack([points, points[-2::-1]])
+    legs = np.linalg.norm(np.diff(loop, axis=0), axis=1)
+    if np.any(legs < 1e-6):
+        raise ValueError("two waypoints in a row are the same point; leave one out")
+    # a leg from or to rest takes longer: a speed that rises from zero halves the mean
+    slow = np.ones(legs.size)
+    slow[0] = slow[-1] = 2.0
+    knots = np.concatenate([[0.0], np.cumsum(slow * legs / speed)])
+    rest: list[tuple[int, Array]] = [(order, np.zeros(3)) for order in (1, 2, 3)]
+    curve: BSpline = make_interp_spline(knots, loop, k=7, bc_type=(rest, rest))
+    at = np.mod(time, knots[-1])
+    out = np.zeros((time.size, len(COLUMNS)))
+    for order in range(3):
+        out[:, 3 * order : 3 * order + 3] = curve(at, nu=order)
+    return out
+
+
+def _from_file(path: Path, time: Array) -> Array:
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot read the set-points: {error.strerror}") from None
+    try:
+        table = np.array([[float(row[name]) for name in ("t", "x", "y", "z")] for row in rows])
+        yaw = np.array([float(row.get("yaw") or 0.0) for row in rows])
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(
+            f"{path}: set-points need numbers in the columns t, x, y, z (and yaw, if wanted)"
+        ) from None
+    if len(table) < 2 or not np.all(np.isfinite(table)) or np.any(np.diff(table[:, 0]) <= 0):
+        raise ValueError(f"{path}: set-points need two rows or more, finite, with rising t")
+    at = np.clip(time, table[0, 0], table[-1, 0])
+    curve = CubicSpline(table[:, 0], np.column_stack([table[:, 1:], np.unwrap(yaw)]), bc_type="clamped")
+    value, slope, bend = (curve(at, nu) for nu in range(3))
+    over = time > table[-1, 0]
+    slope[over], bend[over] = 0.0, 0.0
+    return np.column_stack([value[:, :3], slope[:, :3], bend[:, :3], value[:, 3], slope[:, 3]])
+
+
+# --- random manoeuvres: a table of segments, flown by one compiled function ----------------------------------------
+
+# columns: start, length [s], kind (0 dash, 1 circle, 2 pause), then for a dash its displacement (3),
+# for a circle its two axis vectors (3 + 3) and angular frequency
+_DASH, _CIRCLE, _PAUSE = 0.0, 1.0, 2.0
+_DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
+
+
+def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
+    rows: list[list[float]] = []
+    clock, where = 0.0, np.zeros(3)
+    low, high = math.radians(min(spec.min_tilt_deg, spec.max_tilt_deg)), math.radians(spec.max_tilt_deg)
+    while clock < end:
+        draw, heading = rng.random(), rng.uniform(-np.pi, np.pi)
+        climb = np.clip(rng.normal(0.0, 0.1), -0.25, 0.25) * GRAVITY  # peak vertical acceleration
+        lateral = (GRAVITY - abs(climb)) * math.tan(rng.uniform(low, high))
+        if draw < spec.pause_share:
+            length = rng.uniform(0.2, 1.5)
+            row = [clock, length, _PAUSE]
+        elif draw < spec.pause_share + spec.circle_share:
+            turns, period = int(rng.integers(1, 4)), rng.uniform(1.6, 3.5)
+            length, omega = (turns + 2) * period, 2 * np.pi / period
+            radius = 0.7 * lateral / omega**2  # the window adds to the acceleration
+            axes = radius * np.array(
+                [[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]]
+            )
+            flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
+            row = [clock, length, _CIRCLE, *axes[0], bob, *(flat * axes[1]), -bob, omega]
+        else:
+            length = rng.uniform(*spec.dash_s)
+            if np.linalg.norm(where[:2]) > spec.radius:
+                heading = math.atan2(-where[1], -where[0]) + rng.uniform(-0.5, 0.5)
+            reach = lateral * length**2 / _DASH_PEAK
+            rise = climb * length**2 / _DASH_PEAK
+            if abs(where[2] + rise) > 0.4 * spec.position[2]:
+                rise = -math.copysign(rise, where[2])
+            move = np.array([reach * math.cos(heading), reach * math.sin(heading), rise])
+            where = where + move
+            row = [clock, length, _DASH, *move]
+        rows.append(row + [0.0] * (10 - len(row)))
+        clock += length
+    return np.array(rows)
+
+
+def _doublet_segments(spec: Doublets, end: float, rng: np.random.Generator) -> Array:
+    reach = GRAVITY * math.tan(math.radians(spec.tilt_deg)) * spec.swing_s**2 / _DASH_PEAK
+    rows, clock, turn = [], rng.uniform(0.2, 1.0), 0
+    while clock < end:
+        sign = 1.0 if turn % 4 < 2 else -1.0
+        move = [sign * reach, 0.0, 0.0] if turn % 2 == 0 else [0.0, sign * reach, 0.0]
+        rows.append([clock, spec.swing_s, _DASH, *move, 0.0, 0.0, 0.0, 0.0])
+        clock += spec.swing_s + spec.pause_s
+        turn += 1
+    return np.array(rows)
+
+
+def _turns(max_rate: float, end: float, rng: np.random.Generator) -> Array:
+    """Turns of the heading: start [s], length [s], angle [rad]."""
+    rows, clock = [], 0.0
+    while clock < end and max_rate > 0:
+        length = rng.uniform(1.0, 4.0)
+        # the rest-to-rest polynomial's largest slope is 35/16
+        rows.append([clock, length, rng.uniform(-1, 1) * max_rate * length * 16 / 35])
+        clock += length + rng.uniform(0.0, 2.0)
+    return np.array(rows).reshape(-1, 3)
+
+
+@njit(cache=True)
+def _rest_to_rest(s):
+    """35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷ and its first two derivatives: minimum snap from rest to rest."""
+    t = 1.0 - s
+    value = s**4 * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
+    return value, 140.0 * s**3 * t**3, 420.0 * s**2 * t**2 * (t - s)
+
+
+@njit(cache=True)
+def _fly_segments(segments, turns, time, out):
+    base = out[0, :3].copy()
+    seg, turn, heading = 0, 0, 0.0
+    for k in range(time.size):
+        while seg < segments.shape[0] and time[k] >= segments[seg, 0] + segments[seg, 1]:
+            if segments[seg, 2] == _DASH:
+                base += segments[seg, 3:6]
+            seg += 1
+        out[k, :3] = base
+        if seg < segments.shape[0] and time[k] >= segments[seg, 0]:
+            row = segments[seg]
+            length = row[1]
+            s = (time[k] - row[0]) / length
+            if row[2] == _DASH:
+                value, slope, bend = _rest_to_rest(s)
+                for i in range(3):
+                    out[k, i] += row[3 + i] * value
+                    out[k, 3 + i] = row[3 + i] * slope / length
+                    out[k, 6 + i] = row[3 + i] * bend / length**2
+            elif row[2] == _CIRCLE:
+                # the window rises over the first quarter of the segment and falls over the last
+                edge, sign = 4.0 * min(s, 1.0 - s), (1.0 if s < 0.5 else -1.0)
+                w, dw, ddw = _rest_to_rest(min(edge, 1.0))
+                dw, ddw = dw * 4.0 * sign / length, ddw * 16.0 / length**2
+                omega = row[9]
+                phase = omega * (time[k] - row[0])
+                sin, cos = math.sin(phase), math.cos(phase)
+                for i in range(3):
+                    a, b = row[3 + i], row[6 + i]
+                    f, df, ddf = (
+                        a * sin + b * cos,
+                        omega * (a * cos - b * sin),
+                        -omega * omega * (a * sin + b * cos),
+                    )
+                    out[k, i] += w * f
+                    out[k, 3 + i] = w * df + dw * f
+                    out[k, 6 + i] = w * ddf + 2.0 * dw * df + ddw * f
+        while turn < turns.shape[0] and time[k] >= turns[turn, 0] + turns[turn, 1]:
+            heading += turns[turn, 2]
+            turn += 1
+        out[k, 9] = heading
+        if turn < turns.shape[0] and time[k] >= turns[turn, 0]:
+            value, slope, _ = _rest_to_rest((time[k] - turns[turn, 0]) / turns[turn, 1])
+            out[k, 9] += turns[turn, 2] * value
+            out[k, 10] = turns[turn, 2] * slope / turns[turn, 1]
