@@ -1,4 +1,4 @@
-"""Cascaded quadrotor control: position → velocity → attitude → body rate → rotor allocation, compiled and batched.
+"""Cascaded quadrotor control, compiled and batched: position → velocity → attitude → body rate → rotors.
 
 Each stage takes the output of the one before it, so that a command can enter at any level:
 
@@ -10,8 +10,8 @@ Each stage takes the output of the one before it, so that a command can enter at
 | rate     | roll, pitch, yaw rate, body axes [rad/s], collective thrust per mass [m/s²]               |
 | rotor    | four rotor speeds [rad/s]                                                                 |
 
-Gains come from `quadsim.design`. Roll and pitch are whatever the attitude estimator says; the rest of the state comes
-from an external position sensor.
+Gains come from `quadsim.design`. Roll and pitch are whatever the attitude estimator says; the rest of the
+state comes from an external position sensor.
 """
 
 import math
@@ -82,7 +82,7 @@ def _thrust_direction(ax, ay, az):
 
 @njit(cache=True)
 def _attitude_stage(g, q, zx, zy, zz, yaw_error):
-    """P on tilt and yaw: the body rate to ask for. z is the wanted thrust axis, world (Brescianini & D'Andrea 2018)."""
+    """P on tilt and yaw: the body rate to ask for; z: wanted thrust axis (Brescianini & D'Andrea 2018)."""
     bx, by, bz = rotate_inverse_core(q[0], q[1], q[2], q[3], zx, zy, zz)
     sine = math.sqrt(bx * bx + by * by)
     angle = math.atan2(sine, bz)
@@ -109,7 +109,7 @@ def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
 
 @njit(cache=True)
 def _allocate(c, inverse, thrust, torque, out):
-    """Rotor speeds for thrust and torque. Where they do not fit, yaw gives way first, then each rotor clips."""
+    """Rotor speeds for thrust and torque; if they do not fit, yaw gives way first, then each rotor clips."""
     low, high = (IDLE * c[7]) ** 2, c[7] * c[7]
     room = 1.0
     for i in range(4):
@@ -135,7 +135,8 @@ def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw
         inverse: (4, 4) from thrust and torque to squared rotor speed.
         dt: Sample period [s].
         command: (n, width of the level).
-        position, velocity: (n, 3) world.
+        position: (n, 3) world [m].
+        velocity: (n, 3) world [m/s].
         attitude: (n, 2) estimated roll and pitch [rad].
         yaw: (n,) [rad].
         gyro: (n, 3) measured body rate [rad/s].
@@ -243,8 +244,8 @@ class Controller:
             gyro: (n, 3) measured body rate [rad/s].
         """
         control(
-            LEVELS.index(level), self._g, self._c, self._inverse, self.dt, command, position, velocity, attitude, yaw,
-            gyro, self._memory, self.rotor_vel_cmd,
+            LEVELS.index(level), self._g, self._c, self._inverse, self.dt, command, position, velocity,
+            attitude, yaw, gyro, self._memory, self.rotor_vel_cmd,
         )  # fmt: skip
         return self.rotor_vel_cmd
 

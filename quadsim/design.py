@@ -7,8 +7,8 @@ Every loop is closed around the one inside it, and its gain is the one that give
     velocity  L = (k_vel + k_vel_i / s) · T_att(s) / s
     position  L = k_pos · T_vel(s) / s
 
-with M(s) = 1 / (τ s + 1) the rotor lag, T the sample period (zero-order hold: half a sample), T_est the estimator's
-delay, T_x(s) the closed inner loop. Delays are 3rd-order Padé approximations. `quadsim design` prints the result.
+with M(s) = 1 / (τ s + 1) the rotor lag, T the sample period (zero-order hold: half a sample), T_est the
+estimator's delay, T_x(s) the closed inner loop. Delays are 3rd-order Padé approximations.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import control
 import numpy as np
 from control import TransferFunction
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from .vehicle import Gains, Vehicle
 
@@ -49,9 +49,9 @@ class Blocks(NamedTuple):
 
 def blocks(vehicle: Vehicle, rate_hz: float, estimator_delay: float) -> Blocks:
     """Actuator and estimator as transfer functions."""
-    s = control.tf("s")
-    lag = 1 / (0.5 * (vehicle.motor.tau_up + vehicle.motor.tau_down) * s + 1)
-    return Blocks(lag * _delay(0.5 / rate_hz) / s, _delay(estimator_delay), 1 / s)
+    integrator = TransferFunction([1.0], [1.0, 0.0])
+    lag = TransferFunction([1.0], [0.5 * (vehicle.motor.tau_up + vehicle.motor.tau_down), 1.0])
+    return Blocks(lag * _delay(0.5 / rate_hz) * integrator, _delay(estimator_delay), integrator)
 
 
 def rate_loop(b: Blocks, k: float) -> TransferFunction:
@@ -128,7 +128,8 @@ def margins(loop: TransferFunction) -> Margins:
 
 
 def _delay(seconds: float) -> TransferFunction:
-    return control.tf(*control.pade(seconds, 3)) if seconds > 0 else control.tf([1.0], [1.0])
+    numerator, denominator = control.pade(seconds, 3) if seconds > 0 else ([1.0], [1.0])
+    return TransferFunction(numerator, denominator)
 
 
 def _gain_for(loop: Callable[[float], TransferFunction], phase_deg: float, name: str) -> float:
@@ -140,9 +141,8 @@ def _gain_for(loop: Callable[[float], TransferFunction], phase_deg: float, name:
         raise ValueError(
             f"no gain gives the {name} loop a phase margin of {phase_deg:g}°: its delays are too long"
         )
-    return float(
-        brentq(lambda k: _phase_margin(loop(k)) - phase_deg, grid[above], grid[above - 1], xtol=1e-9)
-    )
+    bracket = (grid[above], grid[above - 1])
+    return root_scalar(lambda k: _phase_margin(loop(k)) - phase_deg, bracket=bracket, xtol=1e-9).root
 
 
 def _phase_margin(loop: TransferFunction) -> float:

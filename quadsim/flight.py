@@ -1,8 +1,8 @@
 """Flights: plant, IMU, attitude estimator and controller closed into one loop, and many recorded at once.
 
-One instant k: the plant's state → IMU sample → estimate of roll and pitch → controller → rotor command → the
-state at k + 1. `FlightLoop` is that loop, whoever drives it; `simulate_flights` drives it on true attitude and
-records.
+One instant k: the plant's state → IMU sample → estimate of roll and pitch → controller → rotor command →
+the state at k + 1. `FlightLoop` is that loop, whoever drives it; `simulate_flights` drives it on true attitude
+and records.
 """
 
 from collections.abc import Callable, Sequence
@@ -146,13 +146,16 @@ class FlightConfig(Strict):
 
     vehicle: Vehicle = Field(description="The nominal vehicle.")
     imu: ImuSpec = Field(description="The IMU.")
-    trajectory: Trajectory = Field(default_factory=Mix, description="What to fly.")
+    trajectory: Trajectory = Field(default=Mix(), description="What to fly.")
     wind: tuple[WindSpec, ...] = Field((), description="Winds, added up.")
     randomisation: Randomisation = Field(
-        default_factory=Randomisation, description="Spread of the vehicle's numbers."
+        default=Randomisation(), description="Spread of the vehicle's numbers."
     )
     warmup_s: float = Field(
-        4.0, ge=0, le=60, description="Flown before recording, so that flights begin in the midst of motion [s]."
+        4.0,
+        ge=0,
+        le=60,
+        description="Flown before recording, so that flights begin in the midst of motion [s].",
     )
 
 
@@ -175,10 +178,12 @@ WIDTH = 30
 
 
 @njit(cache=True)
-def record(k, row, position, velocity, quat, ang_vel, specific_force, rotor_vel, ang_acc, wind, command, log, end):
+def record(
+    k, row, position, velocity, quat, ang_vel, specific_force, rotor_vel, ang_acc, wind, command, log, end
+):
     """Write sample k of every vehicle into log (n, T, WIDTH); a vehicle that has diverged ends there.
 
-    row: (WIDTH,) scratch. end: (n,) the number of valid samples, T while all is well; later ones repeat the last.
+    row: (WIDTH,) scratch. end: (n,) number of valid samples, T while all is well; later ones repeat the last.
     """
     for i in range(log.shape[0]):
         speed = rate = 0.0
@@ -213,9 +218,9 @@ def simulate_flights(
         rate_hz: Samples per second.
 
     Returns:
-        Arrays (n, T, ...) gyro accel ang_vel specific_force quat position velocity rotor_vel rotor_vel_cmd wind
-        gyro_bias accel_bias, and `end_step` (n,), the number of valid samples of each flight (a vehicle that
-        diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
+        Arrays (n, T, ...) gyro accel ang_vel specific_force quat position velocity rotor_vel rotor_vel_cmd
+        wind gyro_bias accel_bias, and `end_step` (n,), the number of valid samples of each flight (a vehicle
+        that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
     n, warmup = len(seeds), round(config.warmup_s * rate_hz)
     path, body, air, imu = ([child(seed, part) for seed in seeds] for part in range(4))

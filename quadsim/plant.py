@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from . import rotors
-from .rotation import rotate_core, rotate_inverse_core
+from .rotation import rotate_inverse_core
 from .vehicle import GRAVITY, Vehicle
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bo
 def actuate(params, hubs, dt, rotor_vel_cmd, wind, qpos, qvel, rotor_vel, specific_force, ang_acc, ctrl):
     """Advance the rotors by dt and write the wrench, averaged over that step, into ctrl (n, 6).
 
-    Rotor lag is exact. Drag is taken at mid-step from the current acceleration, which makes it second order in dt.
+    Rotor lag is exact. Drag is taken at mid-step from the current acceleration: second order in dt.
     """
     speed = np.empty(4)
     square = np.empty(4)
@@ -87,7 +87,7 @@ def actuate(params, hubs, dt, rotor_vel_cmd, wind, qpos, qvel, rotor_vel, specif
 
 @njit(cache=True)
 def sense(params, hubs, wind, qpos, qvel, rotor_vel, reaction, specific_force, ang_acc):
-    """Write specific force and angular acceleration of this very instant, from state, rotors, wind and ground reaction.
+    """Write specific force and angular acceleration of this instant, the ground reaction included.
 
     reaction: (n, 6) ground force in world axes and moment in body axes, or (0, 6) in free flight.
     """
@@ -115,8 +115,8 @@ class Plant:
     """n quadrotors, stepped together at the sample rate.
 
     The current state is held in live arrays (`position`, `velocity`, `quat`, `ang_vel`, `rotor_vel`,
-    `specific_force`, `ang_acc`), all of one instant; `step` returns copies. `rotor_effect` (n, 4) scales the thrust of
-    each rotor and may be written at any time; `set_mass` changes masses in flight.
+    `specific_force`, `ang_acc`), all of one instant; `step` returns copies. `rotor_effect` (n, 4) scales
+    the thrust of each rotor and may be written at any time; `set_mass` changes masses in flight.
 
     Args:
         vehicle: One vehicle for all, or a sequence of n of them (same layout, own numbers).
@@ -232,11 +232,11 @@ class Plant:
         return self.state()
 
     def advance(self, rotor_vel_cmd: Array, wind: Array) -> None:
-        """`step` for inner loops: float64 arrays of full shape, no checks; the live arrays hold the result."""
+        """`step` for inner loops: float64 arrays of full shape, no checks; live arrays hold the result."""
         for _ in range(self.substeps):
             actuate(
-                self.params, self.hubs, self.step_dt, rotor_vel_cmd, wind, self._qpos, self._qvel, self.rotor_vel,
-                self.specific_force, self.ang_acc, self._ctrl,
+                self.params, self.hubs, self.step_dt, rotor_vel_cmd, wind, self._qpos, self._qvel,
+                self.rotor_vel, self.specific_force, self.ang_acc, self._ctrl,
             )  # fmt: skip
             self.batch.step(stage=self._stage)
             self._sense(wind)

@@ -1,7 +1,7 @@
 """Rotors and frame: first-order lag, thrust, H-force and drag as one body wrench. Pure equations, compiled.
 
-Each vehicle's constants travel as one row of a (n, PARAMETERS) array, so that every vehicle of a batch can have its
-own; the indices below name the columns.
+Each vehicle's constants travel as one row of a (n, PARAMETERS) array, so that every vehicle of a batch can
+have its own; the indices below name the columns.
 """
 
 import math
@@ -29,7 +29,7 @@ def parameter_row(vehicle: Vehicle) -> NDArray[np.float64]:
 
 @njit(cache=True, inline="always")
 def lag(omega, ref, tau, dt):
-    """First-order lag over dt towards ref: the speed at the end, its mean and its mean square over the interval.
+    """First-order lag over dt towards ref: the speed at the end, its mean and mean square over the interval.
 
     ω(t) = ref + (ω − ref) e^{−t/τ}, so the answer is exact and the same at any call rate.
     """
@@ -44,17 +44,21 @@ def lag(omega, ref, tau, dt):
 def wrench(p, hubs, speed, square, vx, vy, vz, wx, wy, wz):
     """Aerodynamic force and moment on the vehicle, body axes, about the centre of mass.
 
-    Rotor i: thrust k_f ω² along z, H-force −c |ω| V⊥, moments r × F, reaction torque k_m k_f ω² and −c_r |ω| V⊥
-    (RotorS, gazebo_motor_model; Martin & Salaün 2010), V⊥ the hub's air-relative velocity in the rotor plane.
-    Frame: −½ ρ C_d A |v| v per axis.
+    Rotor i: thrust k_f ω² along z, H-force −c |ω| V⊥, moments r × F, reaction torque k_m k_f ω² and
+    −c_r |ω| V⊥ (RotorS, gazebo_motor_model; Martin & Salaün 2010), V⊥ the hub's air-relative velocity in the
+    rotor plane. Frame: −½ ρ C_d A |v| v per axis.
 
     Args:
         p: One parameter row.
         hubs: (4, 4) hub positions [m] and reaction sense.
         speed: (4,) rotor speed [rad/s].
         square: (4,) squared rotor speed [rad²/s²]: of this instant, or its mean over a step.
-        vx, vy, vz: Air-relative velocity of the centre of mass, body axes [m/s].
-        wx, wy, wz: Body rate [rad/s].
+        vx: Air-relative velocity of the centre of mass, body axes [m/s]; vy and vz likewise.
+        vy: See vx.
+        vz: See vx.
+        wx: Body rate [rad/s]; wy and wz likewise.
+        wy: See wx.
+        wz: See wx.
 
     Returns:
         (fx, fy, fz) [N] and (mx, my, mz) [N m] as one tuple.

@@ -1,6 +1,6 @@
 """References: where to fly, as arrays (n, steps, 11) of position-level commands of `quadsim.controller`.
 
-Columns: position (3) [m], velocity (3) [m/s], acceleration (3) [m/s²], yaw [rad], yaw rate [rad/s], world axes.
+Columns: position (3) [m], velocity (3) [m/s], acceleration (3) [m/s²], yaw [rad], yaw rate [rad/s], world.
 Every kind of trajectory is a small typed model, chosen by `kind` in TOML; random ones are drawn per flight.
 """
 
@@ -47,7 +47,7 @@ class Step(Strict):
 
 
 class Lissajous(Strict):
-    """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. The amplitude grows over one period."""
+    """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. It grows over one period."""
 
     kind: Literal["lissajous"] = "lissajous"
     position: Vector = Field((0.0, 0.0, 2.0), description="Centre [m].")
@@ -77,8 +77,8 @@ class Waypoints(Strict):
 class Mix(Strict):
     """Random aggressive flight that fills the envelope: dashes, circles, stops and turns of the heading.
 
-    A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn up to
-    `max_tilt_deg`, so roll and pitch spread over about 0.25 rad.
+    A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
+    up to `max_tilt_deg`, so roll and pitch spread over about 0.25 rad.
     """
 
     kind: Literal["mix"] = "mix"
@@ -103,7 +103,7 @@ class Doublets(Strict):
 
 
 class SetPointFile(Strict):
-    """A user's own set-points: CSV with the columns t, x, y, z and, if wanted, yaw [s, m, rad]; splined between."""
+    """A user's set-points: CSV with columns t, x, y, z and, if wanted, yaw [s, m, rad]; splined between."""
 
     kind: Literal["file"] = "file"
     path: str = Field(description="The CSV file.")
@@ -196,7 +196,7 @@ def _lissajous(spec: Lissajous, time: Array) -> Array:
 
 
 def _minimum_snap(points: Array, speed: float, time: Array) -> Array:
-    """Degree-7 spline through the points, derivatives 1 to 3 zero at both ends, run back to its start, and repeated."""
+    """Degree-7 spline through the points, derivatives 1 to 3 zero at both ends, run back, and repeated."""
     loop = points if np.allclose(points[0], points[-1]) else np.vstack([points, points[-2::-1]])
     legs = np.linalg.norm(np.diff(loop, axis=0), axis=1)
     if np.any(legs < 1e-6):
@@ -237,7 +237,7 @@ def _from_file(path: Path, time: Array) -> Array:
     return np.column_stack([value[:, :3], slope[:, :3], bend[:, :3], value[:, 3], slope[:, 3]])
 
 
-# --- random manoeuvres: a table of segments, flown by one compiled function ----------------------------------------
+# --- random manoeuvres: a table of segments, flown by one compiled function ---
 
 # columns: start, length [s], kind (0 dash, 1 circle, 2 pause), then for a dash its displacement (3),
 # for a circle its two axis vectors (3 + 3) and angular frequency

@@ -107,12 +107,12 @@ class Vehicle(Strict):
 
     @property
     def hubs(self) -> np.ndarray:
-        """Hub positions and reaction sense, shape (4, 4): x, y, z [m], +1 where the yaw reaction is along +z."""
+        """Hub positions and reaction sense, (4, 4): x, y, z [m], +1 where the yaw reaction is along +z."""
         return np.array([[*r.position, 1.0 if r.spin == "cw" else -1.0] for r in self.rotors])
 
     @property
     def allocation(self) -> np.ndarray:
-        """Matrix from squared rotor speeds [rad²/s²] to (thrust [N], roll, pitch, yaw torque [N m]), shape (4, 4)."""
+        """From squared rotor speeds [rad²/s²] to thrust [N] and roll, pitch, yaw torque [N m], (4, 4)."""
         x, y, _, reaction = self.hubs.T
         return self.motor.k_f * np.stack([np.ones(4), y, -x, self.motor.k_m * reaction])
 
