@@ -1,8 +1,8 @@
 """Flights: plant, IMU, attitude estimator and controller closed into one loop, and many recorded at once.
 
-One instant k: the plant's state → IMU sample → estimate of roll and pitch → controller → rotor command →
-the state at k + 1. `FlightLoop` is that loop, whoever drives it; `simulate_flights` drives it on true attitude
-and records.
+One instant k: the plant's state → IMU sample → estimate of roll and pitch → controller → rotors →
+the state at k + 1. `FlightLoop` is that loop, whoever drives it; `simulate_flights` drives it on true
+attitude and records.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +45,8 @@ class FlightLoop:
         seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
         contact: Whether the ground can be touched.
         nominal: The vehicle that the controller believes in.
-        corrupt: Called as corrupt(gyro, accel, k) on every sample, may change both in place: sensor faults.
+        corrupt: Called as corrupt(gyro, accel, k) on every sample, k (n,) counting each vehicle's samples
+            from 0; may change both in place: sensor faults. At NaN the controller holds its last body rate.
     """
 
     def __init__(
@@ -59,11 +60,11 @@ class FlightLoop:
         seed: int | Sequence[np.random.SeedSequence] = 0,
         contact: bool = False,
         nominal: Vehicle | None = None,
-        corrupt: Callable[[Array, Array, int], None] | None = None,
+        corrupt: Callable[[Array, Array, NDArray[np.int64]], None] | None = None,
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
-        self.n, self.rate_hz, self.k = n, rate_hz, 0
+        self.n, self.rate_hz, self.k = n, rate_hz, np.zeros(n, dtype=np.int64)
         self.plant = Plant(vehicle, n, rate_hz, contact=contact)
         self.controller = Controller(nominal or self.plant.vehicle, n, rate_hz)
         self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed)
@@ -73,6 +74,7 @@ class FlightLoop:
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
         self._calm = np.zeros((n, 3))
         self.gyro, self.accel, self.attitude = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2))
+        self._rate = np.zeros((n, 3))
 
     def reset(
         self,
@@ -88,13 +90,39 @@ class FlightLoop:
         """
         self.plant.reset(position, velocity, quat, ang_vel)
         self.controller.reset()
-        self.k = 0
+        self.k[:] = 0
         read_attitude(self.plant.quat, self.true_attitude, self.yaw)
         if self.imu is not None:
             self.imu.reset()
         if self.estimator is not None:
             self.estimator.reset(self.n, roll_pitch=self.true_attitude.copy() if known_attitude else None)
-        self._sense()
+        self.sense()
+
+    def restart(
+        self,
+        ids: NDArray[np.int64],
+        position: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        quat: ArrayLike | None = None,
+        ang_vel: ArrayLike | None = None,
+        known_attitude: bool = False,
+    ) -> None:
+        """Start some vehicles anew while the others fly on; for use between `move` and `sense`.
+
+        Raises:
+            ValueError: If the estimator cannot restart single vehicles.
+        """
+        self.plant.reset(position, velocity, quat, ang_vel, ids=ids)
+        self.controller.reset(ids)
+        self.k[ids] = 0
+        read_attitude(self.plant.quat, self.true_attitude, self.yaw)
+        if self.imu is not None:
+            self.imu.reset(ids)
+        if self.estimator is not None:
+            restart = getattr(self.estimator, "restart", None)
+            if restart is None:
+                raise ValueError("this estimator has no restart(ids, roll_pitch): it starts all or none")
+            restart(ids, roll_pitch=self.true_attitude[ids] if known_attitude else None)
 
     def step(self, level: Level, command: Array, wind: Array | None = None) -> None:
         """Fly on by one sample: control from the present estimate, move, sense.
@@ -104,16 +132,21 @@ class FlightLoop:
             command: (n, width of the level).
             wind: (n, 3) world [m/s]; None for still air.
         """
+        self.move(level, command, wind)
+        self.sense()
+
+    def move(self, level: Level, command: Array, wind: Array | None = None) -> None:
+        """The first half of `step`: control and motion."""
         plant = self.plant
         rotor_vel_cmd = self.controller.step(
-            level, command, plant.position, plant.velocity, self.attitude, self.yaw, self.gyro
+            level, command, plant.position, plant.velocity, self.attitude, self.yaw, self._rate
         )
         plant.advance(rotor_vel_cmd, self._calm if wind is None else wind)
         self.k += 1
         read_attitude(plant.quat, self.true_attitude, self.yaw)
-        self._sense()
 
-    def _sense(self) -> None:
+    def sense(self) -> None:
+        """The second half of `step`: IMU and estimate."""
         plant = self.plant
         if self.imu is None:
             self.gyro, self.accel = plant.ang_vel, plant.specific_force
@@ -121,9 +154,12 @@ class FlightLoop:
             self.gyro, self.accel = self.imu.sample(
                 plant.ang_vel, plant.specific_force, plant.ang_acc, plant.rotor_vel
             )
-        if self.corrupt is not None:
+        if self.corrupt is None:
+            self._rate = self.gyro
+        else:
             self.gyro, self.accel = self.gyro.copy(), self.accel.copy()
             self.corrupt(self.gyro, self.accel, self.k)
+            self._rate = np.where(np.isfinite(self.gyro), self.gyro, self._rate)
         if self.estimator is None:
             self.attitude = self.true_attitude
         else:
@@ -147,12 +183,12 @@ class FlightConfig(Strict):
     vehicle: Vehicle = Field(description="The nominal vehicle.")
     imu: ImuSpec = Field(description="The IMU.")
     trajectory: Trajectory = Field(default=Mix(), description="What to fly.")
-    wind: tuple[WindSpec, ...] = Field((), description="Winds, added up.")
+    wind: tuple[WindSpec, ...] = Field(default=(), description="Winds, added up.")
     randomisation: Randomisation = Field(
         default=Randomisation(), description="Spread of the vehicle's numbers."
     )
     warmup_s: float = Field(
-        4.0,
+        default=4.0,
         ge=0,
         le=60,
         description="Flown before recording, so that flights begin in the midst of motion [s].",

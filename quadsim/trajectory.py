@@ -31,30 +31,30 @@ class Hover(Strict):
     """Stay at one place."""
 
     kind: Literal["hover"] = "hover"
-    position: Vector = Field((0.0, 0.0, 2.0), description="Where [m].")
-    yaw_deg: float = Field(0.0, description="Heading [deg].")
+    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Where [m].")
+    yaw_deg: float = Field(default=0.0, description="Heading [deg].")
 
 
 class Step(Strict):
     """Hover, then jump: the set-point moves at once, there and back."""
 
     kind: Literal["step"] = "step"
-    position: Vector = Field((0.0, 0.0, 2.0), description="Start [m].")
-    offset: Vector = Field((2.0, 0.0, 0.0), description="Size of the jump [m].")
-    yaw_deg: float = Field(0.0, description="Jump of the heading [deg].")
-    at_s: float = Field(2.0, ge=0, description="Time of the first jump [s].")
-    hold_s: Positive = Field(6.0, description="Time until the next jump, back or there again [s].")
+    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
+    offset: Vector = Field(default=(2.0, 0.0, 0.0), description="Size of the jump [m].")
+    yaw_deg: float = Field(default=0.0, description="Jump of the heading [deg].")
+    at_s: float = Field(default=2.0, ge=0, description="Time of the first jump [s].")
+    hold_s: Positive = Field(default=6.0, description="Time until the next jump, back or there again [s].")
 
 
 class Lissajous(Strict):
     """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. It grows over one period."""
 
     kind: Literal["lissajous"] = "lissajous"
-    position: Vector = Field((0.0, 0.0, 2.0), description="Centre [m].")
-    amplitude: Vector = Field((3.0, 1.5, 0.0), description="Amplitudes [m].")
-    ratio: tuple[int, int, int] = Field((1, 2, 1), description="Frequencies over the basic one.")
-    period_s: Positive = Field(6.0, description="Period of the basic frequency [s].")
-    yaw_along: bool = Field(False, description="Turn the nose into the direction of flight.")
+    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Centre [m].")
+    amplitude: Vector = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
+    ratio: tuple[int, int, int] = Field(default=(1, 2, 1), description="Frequencies over the basic one.")
+    period_s: Positive = Field(default=6.0, description="Period of the basic frequency [s].")
+    yaw_along: bool = Field(default=False, description="Turn the nose into the direction of flight.")
 
 
 class Waypoints(Strict):
@@ -66,12 +66,12 @@ class Waypoints(Strict):
 
     kind: Literal["waypoints"] = "waypoints"
     points: tuple[Vector, ...] = Field(
-        (), description="Waypoints [m]; none draws random ones for each flight."
+        default=(), description="Waypoints [m]; none draws random ones for each flight."
     )
-    random_points: int = Field(8, ge=2, le=100, description="How many to draw.")
-    box: Vector = Field((6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
-    position: Vector = Field((0.0, 0.0, 4.0), description="Centre of that box [m].")
-    speed: Positive = Field(2.5, description="Mean speed along straight legs [m/s].")
+    random_points: int = Field(default=8, ge=2, le=100, description="How many to draw.")
+    box: Vector = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
+    position: Vector = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
+    speed: Positive = Field(default=2.5, description="Mean speed along straight legs [m/s].")
 
 
 class Mix(Strict):
@@ -82,24 +82,34 @@ class Mix(Strict):
     """
 
     kind: Literal["mix"] = "mix"
-    position: Vector = Field((0.0, 0.0, 20.0), description="Start and centre of the flown volume [m].")
-    max_tilt_deg: TiltDeg = Field(45.0, description="Largest tilt that a reference asks for [deg].")
-    min_tilt_deg: float = Field(18.0, ge=0, description="Smallest peak tilt of a dash [deg].")
-    dash_s: tuple[Positive, Positive] = Field((0.8, 2.6), description="Range of the length of a dash [s].")
-    circle_share: float = Field(0.25, ge=0, le=1, description="Share of circles among the manoeuvres.")
-    pause_share: float = Field(0.15, ge=0, le=1, description="Share of hovering pauses, of 0.2 to 1.5 s.")
-    max_yaw_rate: float = Field(1.5, ge=0, description="Largest yaw rate of a turn [rad/s].")
-    radius: Positive = Field(15.0, description="Beyond this distance from the centre, dashes lead back [m].")
+    position: Vector = Field(
+        default=(0.0, 0.0, 20.0), description="Start and centre of the flown volume [m]."
+    )
+    max_tilt_deg: TiltDeg = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
+    min_tilt_deg: float = Field(default=18.0, ge=0, description="Smallest peak tilt of a dash [deg].")
+    dash_s: tuple[Positive, Positive] = Field(
+        default=(0.8, 2.6), description="Range of the length of a dash [s]."
+    )
+    circle_share: float = Field(
+        default=0.25, ge=0, le=1, description="Share of circles among the manoeuvres."
+    )
+    pause_share: float = Field(
+        default=0.15, ge=0, le=1, description="Share of hovering pauses, of 0.2 to 1.5 s."
+    )
+    max_yaw_rate: float = Field(default=1.5, ge=0, description="Largest yaw rate of a turn [rad/s].")
+    radius: Positive = Field(
+        default=15.0, description="Beyond this distance from the centre, dashes lead back [m]."
+    )
 
 
 class Doublets(Strict):
     """Tilt one way, then the other, on roll and pitch in turn: the identification manoeuvre."""
 
     kind: Literal["doublets"] = "doublets"
-    position: Vector = Field((0.0, 0.0, 5.0), description="Start [m].")
-    tilt_deg: TiltDeg = Field(30.0, description="Peak tilt [deg].")
-    swing_s: Positive = Field(1.2, description="Length of one doublet [s].")
-    pause_s: float = Field(1.0, ge=0, description="Hover between doublets [s].")
+    position: Vector = Field(default=(0.0, 0.0, 5.0), description="Start [m].")
+    tilt_deg: TiltDeg = Field(default=30.0, description="Peak tilt [deg].")
+    swing_s: Positive = Field(default=1.2, description="Length of one doublet [s].")
+    pause_s: float = Field(default=1.0, ge=0, description="Hover between doublets [s].")
 
 
 class SetPointFile(Strict):

@@ -74,7 +74,7 @@ class Vehicle(Strict):
     motor: Motor
     frame: Frame
     controller: Gains | None = Field(
-        None, description="Gains; left out, they are designed when first needed."
+        default=None, description="Gains; left out, they are designed when first needed."
     )
 
     @model_validator(mode="after")
@@ -125,15 +125,15 @@ def load_vehicle(source: str | Path) -> Vehicle:
 class Randomisation(Strict):
     """Relative spread, per flight, of a vehicle's numbers: each is multiplied by 1 + U(−spread, spread)."""
 
-    mass: float = Field(0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
+    mass: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
     inertia: float = Field(
-        0.0, ge=0, lt=0.5, description="Spread of each moment of inertia, beyond the mass."
+        default=0.0, ge=0, lt=0.5, description="Spread of each moment of inertia, beyond the mass."
     )
-    thrust: float = Field(0.0, ge=0, lt=0.5, description="Spread of k_f.")
-    torque: float = Field(0.0, ge=0, lt=0.5, description="Spread of k_m.")
-    rotor_drag: float = Field(0.0, ge=0, lt=1, description="Spread of the rotor-drag constant.")
-    frame_drag: float = Field(0.0, ge=0, lt=1, description="Spread of C_d A.")
-    motor_lag: float = Field(0.0, ge=0, lt=0.9, description="Spread of both motor time constants.")
+    thrust: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of k_f.")
+    torque: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of k_m.")
+    rotor_drag: float = Field(default=0.0, ge=0, lt=1, description="Spread of the rotor-drag constant.")
+    frame_drag: float = Field(default=0.0, ge=0, lt=1, description="Spread of C_d A.")
+    motor_lag: float = Field(default=0.0, ge=0, lt=0.9, description="Spread of both motor time constants.")
 
 
 def randomise(vehicle: Vehicle, spread: Randomisation, rng: np.random.Generator) -> Vehicle:
