@@ -125,7 +125,7 @@ def _allocate(c, inverse, thrust, torque, out):
 
 
 @njit(cache=True)
-def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw, gyro, memory, out):
+def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw, gyro, memory, axis, out):
     """One step of the cascade for n vehicles.
 
     Args:
@@ -141,6 +141,7 @@ def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw
         yaw: (n,) [rad].
         gyro: (n, 3) measured body rate [rad/s].
         memory: (n, 10), changed in place.
+        axis: (n, 3), written: the thrust axis asked for, world; as it was where the command is a lower one.
         out: (n, 4) commanded rotor speeds [rad/s].
     """
     torque = np.empty(3)
@@ -188,6 +189,7 @@ def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw
                 bx, by, bz = rotate_core(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
                 # only the part of the wanted force along the estimated thrust axis can be made now
                 specific = size * max(zx * bx + zy * by + zz * bz, 0.2)
+            axis[k, 0], axis[k, 1], axis[k, 2] = zx, zy, zz
             p, r, s = _attitude_stage(g, q, zx, zy, zz, want_yaw - yaw[k])
             p, r, s = p + forward_x, r + forward_y, s + forward_yaw
         _rate_stage(g, c, dt, m, gyro[k], p, r, s, torque)
@@ -196,6 +198,9 @@ def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw
 
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
+
+    After a step, `rotor_vel_cmd` (n, 4) holds its command and `thrust_axis` (n, 3) where it wants the thrust
+    to point, world axes.
 
     Args:
         vehicle: The nominal vehicle; its `controller` gains are used, or designed when it has none.
@@ -217,6 +222,7 @@ class Controller:
         self._inverse = np.linalg.inv(vehicle.allocation)
         self._memory = np.zeros((n, _MEMORY))
         self.rotor_vel_cmd = np.full((n, 4), vehicle.hover_rotor_vel)
+        self.thrust_axis = np.tile([0.0, 0.0, 1.0], (n, 1))
 
     def reset(self, ids: NDArray[np.int_] | slice = slice(None)) -> None:
         """Clear the integrators of some vehicles."""
@@ -245,7 +251,7 @@ class Controller:
         """
         control(
             LEVELS.index(level), self._g, self._c, self._inverse, self.dt, command, position, velocity,
-            attitude, yaw, gyro, self._memory, self.rotor_vel_cmd,
+            attitude, yaw, gyro, self._memory, self.thrust_axis, self.rotor_vel_cmd,
         )  # fmt: skip
         return self.rotor_vel_cmd
 
