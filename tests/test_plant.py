@@ -1,0 +1,287 @@
+"""The plant against closed forms and invariants."""
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from quadsim.plant import Plant
+from quadsim.rotation import matrix_from_quat, quat_from_euler
+from quadsim.vehicle import GRAVITY, load_vehicle
+
+HUMMINGBIRD = load_vehicle("hummingbird")
+VACUUM = HUMMINGBIRD.model_copy(
+    update={
+        "motor": HUMMINGBIRD.motor.model_copy(update={"rotor_drag": 0.0, "rolling_moment": 0.0}),
+        "frame": HUMMINGBIRD.frame.model_copy(update={"drag_area": (0.0, 0.0, 0.0)}),
+    }
+)
+LINEAR = HUMMINGBIRD.model_copy(
+    update={"frame": HUMMINGBIRD.frame.model_copy(update={"drag_area": (0.0, 0.0, 0.0)})}
+)
+BATCHES = pytest.mark.parametrize("n", [1, 7])
+
+
+def hover(n, vehicle=HUMMINGBIRD):
+    return np.full((n, 4), vehicle.hover_rotor_vel)
+
+
+@BATCHES
+def test_hover_speed_holds_still(n):
+    plant = Plant(HUMMINGBIRD, n)
+    for _ in range(400):
+        state = plant.step(hover(n))
+    assert state.position == pytest.approx(np.tile([0, 0, 1.0], (n, 1)), abs=1e-9)
+    assert state.specific_force == pytest.approx(np.tile([0, 0, GRAVITY], (n, 1)), abs=1e-9)
+
+
+@BATCHES
+def test_free_fall_reads_zero(n):
+    plant = Plant(VACUUM, n)
+    plant.reset(rotor_vel=0.0, ang_vel=(1.0, -2.0, 3.0))
+    for _ in range(100):
+        state = plant.step(np.zeros((n, 4)))
+        assert np.abs(state.specific_force).max() < 1e-12
+    assert state.velocity[:, 2] == pytest.approx(-GRAVITY * 0.5)
+
+
+def test_terminal_velocity_balances_weight_and_drag():
+    plant = Plant(HUMMINGBIRD, 1, rate_hz=50)
+    plant.reset(position=(0, 0, 1e4), rotor_vel=0.0)
+    for _ in range(50 * 60):
+        state = plant.step(np.zeros(4))
+    area = HUMMINGBIRD.frame.drag_area[2]
+    expected = np.sqrt(2 * HUMMINGBIRD.mass * GRAVITY / (1.225 * area))
+    assert state.velocity[0, 2] == pytest.approx(-expected, rel=1e-6)
+    assert state.specific_force[0, 2] == pytest.approx(GRAVITY, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate_hz", [50, 200, 1000])
+def test_rotor_reaches_63_percent_after_one_time_constant_at_any_rate(rate_hz):
+    plant = Plant(HUMMINGBIRD, 2, rate_hz=rate_hz)
+    motor = HUMMINGBIRD.motor
+    low, high = 300.0, 600.0
+    plant.reset(rotor_vel=[[low] * 4, [high] * 4])
+    target = np.array([[high] * 4, [low] * 4])
+    for k in range(1, rate_hz // 10):
+        state = plant.step(target)
+        t = k / rate_hz
+        assert state.rotor_vel[0] == pytest.approx(high + (low - high) * np.exp(-t / motor.tau_up))
+        assert state.rotor_vel[1] == pytest.approx(low + (high - low) * np.exp(-t / motor.tau_down))
+    exactly = Plant(HUMMINGBIRD, 1, rate_hz=1 / motor.tau_up)
+    exactly.reset(rotor_vel=low)
+    reached = exactly.step(np.full(4, high)).rotor_vel
+    assert (reached - low) / (high - low) == pytest.approx(np.full((1, 4), 1 - np.exp(-1)))
+
+
+@BATCHES
+def test_without_drag_the_accelerometer_cannot_see_40_degrees_of_tilt(n):
+    plant = Plant(VACUUM, n)
+    plant.reset(quat=quat_from_euler(np.radians(40), 0, 0))
+    for _ in range(100):
+        state = plant.step(hover(n, VACUUM))
+    assert state.specific_force == pytest.approx(np.tile([0, 0, GRAVITY], (n, 1)), abs=1e-9)
+
+
+def test_with_drag_steady_tilt_shows_in_the_accelerometer():
+    """At the airspeed m g sinθ / (c Σω cosθ) of a steady tilt, body-x specific force is −g sinθ and lift g cosθ."""
+    tilt = np.radians(10)
+    vehicle = LINEAR
+    omega = vehicle.hover_rotor_vel * np.sqrt(np.cos(tilt))
+    airspeed = vehicle.mass * GRAVITY * np.sin(tilt) / (vehicle.motor.rotor_drag * 4 * omega * np.cos(tilt))
+    plant = Plant(vehicle, 1)
+    state = plant.reset(velocity=(airspeed, 0, 0), quat=quat_from_euler(0, tilt, 0), rotor_vel=omega)
+    assert state.specific_force[0, 0] == pytest.approx(-GRAVITY * np.sin(tilt), rel=1e-9)
+    assert airspeed == pytest.approx(8.54, abs=0.005)
+
+
+def test_wind_is_the_same_as_flying_the_other_way():
+    """Galilei: drifting with the wind and flying in still air are one thing."""
+    wind = np.array([[6.0, -3.0, 1.0]])
+    rng = np.random.default_rng(0)
+    still, windy = Plant(HUMMINGBIRD, 1), Plant(HUMMINGBIRD, 1)
+    still.reset(velocity=(1.0, 2.0, 0.5), ang_vel=(1, 2, 3))
+    windy.reset(velocity=np.array([1.0, 2.0, 0.5]) + wind, ang_vel=(1, 2, 3))
+    windy.step(hover(1), wind), still.step(hover(1))  # reset senses in still air
+    for _ in range(200):
+        command = rng.uniform(300, 600, (1, 4))
+        a, b = still.step(command), windy.step(command, wind)
+    assert b.velocity - wind == pytest.approx(a.velocity, abs=1e-4)
+    assert b.specific_force == pytest.approx(a.specific_force, abs=1e-3)
+    assert b.quat == pytest.approx(a.quat, abs=1e-5)
+
+
+@BATCHES
+def test_tumbling_in_vacuum_conserves_angular_momentum_and_energy(n):
+    plant = Plant(VACUUM, n)
+    rng = np.random.default_rng(1)
+    plant.reset(ang_vel=rng.normal(0, 3, (n, 3)), quat=rng.normal(size=(n, 4)), rotor_vel=0.0)
+
+    def momentum_and_energy(state):
+        spin = np.asarray(VACUUM.inertia) * state.ang_vel
+        return np.einsum("nij,nj->ni", matrix_from_quat(state.quat), spin), np.sum(
+            spin * state.ang_vel, axis=-1
+        )
+
+    before = momentum_and_energy(plant.state())
+    for _ in range(1000):
+        state = plant.step(np.zeros((n, 4)))
+    after = momentum_and_energy(state)
+    assert after[0] == pytest.approx(before[0], rel=1e-6, abs=1e-8)
+    assert after[1] == pytest.approx(before[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_thrust_difference_turns_the_right_way(axis):
+    """More thrust on the left rolls right-handed about x; more at the back pitches the nose down (positive pitch)."""
+    plant = Plant(HUMMINGBIRD, 1)
+    command = hover(1)
+    more, less = (1, 3) if axis == 0 else (2, 0)
+    command[0, more] += 20
+    command[0, less] -= 20
+    for _ in range(5):
+        state = plant.step(command)
+    assert state.ang_vel[0, axis] > 0.1
+    assert abs(state.ang_vel[0, 1 - axis]) < 1e-2 * state.ang_vel[0, axis]
+
+
+def test_clockwise_rotors_push_the_body_counter_clockwise():
+    plant = Plant(HUMMINGBIRD, 1)
+    command = hover(1)
+    command[0, [0, 2]] += 20  # front and back spin clockwise
+    command[0, [1, 3]] -= 20
+    assert plant.step(command).ang_vel[0, 2] > 0
+
+
+def test_specific_force_and_angular_acceleration_belong_to_the_same_instant():
+    """Differences of velocity and rate between neighbours equal the mean of the two neighbours' values."""
+    plant = Plant(HUMMINGBIRD, 1, rate_hz=1000)
+    rng = np.random.default_rng(3)
+    plant.reset(velocity=(4, 1, 0), ang_vel=(2, -1, 1), quat=quat_from_euler(0.4, -0.3, 1.0))
+    command = hover(1) + rng.uniform(-20, 20, (1, 4))
+    states = [plant.state()] + [plant.step(command) for _ in range(200)]
+    world = np.array([matrix_from_quat(s.quat)[0] @ s.specific_force[0] for s in states]) - [0, 0, GRAVITY]
+    velocity = np.array([s.velocity[0] for s in states])
+    change = np.diff(velocity, axis=0) * 1000
+    assert change == pytest.approx((world[1:] + world[:-1]) / 2, abs=2e-3)
+    assert np.abs(change - world[1:]).max() > 5e-3  # one sample late would show
+    rate = np.array([s.ang_vel[0] for s in states])
+    turn = np.array([s.ang_acc[0] for s in states])
+    assert np.diff(rate, axis=0) * 1000 == pytest.approx(
+        (turn[1:] + turn[:-1]) / 2, abs=2e-2 * np.abs(turn).max()
+    )
+
+
+def test_60_degree_manoeuvre_agrees_with_an_independent_integrator():
+    """Constant rotor speeds, a full turn past 60°: scipy's DOP853 on the textbook equations, drag left out."""
+    omega = np.array([440.0, 453.0, 472.0, 450.0])
+    plant = Plant(VACUUM, 1)
+    plant.reset(rotor_vel=omega)
+    inertia, forces = np.array(VACUUM.inertia), VACUUM.allocation @ omega**2
+
+    def derivative(_, y):
+        w, x, yy, z = y[:4]
+        p, q, r = y[4:7]
+        spin = 0.5 * np.array(
+            [-x * p - yy * q - z * r, w * p + yy * r - z * q, w * q + z * p - x * r, w * r + x * q - yy * p]
+        )
+        turn = (forces[1:] - np.cross(y[4:7], inertia * y[4:7])) / inertia
+        thrust = matrix_from_quat(y[:4] / np.linalg.norm(y[:4])) @ [0, 0, forces[0] / VACUUM.mass]
+        return np.concatenate([spin, turn, thrust - [0, 0, GRAVITY], y[7:10]])
+
+    start = np.concatenate([[1, 0, 0, 0], np.zeros(6), [0, 0, 1]])
+    exact = solve_ivp(derivative, (0, 0.6), start, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    for _ in range(120):
+        state = plant.step(omega)
+    tilt = np.degrees(np.arccos(matrix_from_quat(state.quat[0])[2, 2]))
+    assert tilt > 60
+    angle = 2 * np.arccos(min(1.0, abs(state.quat[0] @ exact[:4])))
+    assert np.degrees(angle) < 1e-4
+    assert state.position[0] == pytest.approx(exact[10:13], abs=1e-6)
+
+
+def test_a_vehicle_in_a_batch_flies_as_it_would_alone():
+    rng = np.random.default_rng(5)
+    quat, commands = rng.normal(size=(7, 4)), rng.uniform(300, 600, (50, 7, 4))
+    many = Plant(HUMMINGBIRD, 7)
+    many.reset(quat=quat)
+    one = Plant(HUMMINGBIRD, 1)
+    one.reset(quat=quat[4:5])
+    for command in commands:
+        together, alone = many.step(command), one.step(command[4:5])
+    for a, b in zip(together, alone, strict=True):
+        assert np.array_equal(a[4:5], b)
+
+
+def test_vehicles_of_one_batch_can_differ():
+    heavy = HUMMINGBIRD.model_copy(update={"mass": 1.0})
+    plant = Plant([HUMMINGBIRD, heavy], 2)
+    plant.reset(rotor_vel=hover(2))
+    for _ in range(100):
+        state = plant.step(hover(2))
+    assert state.position[0, 2] == pytest.approx(1.0)
+    fall = GRAVITY * (1 - HUMMINGBIRD.mass / 1.0)
+    assert state.velocity[1, 2] == pytest.approx(-fall * 0.5, rel=0.02)
+
+
+def test_dropping_a_payload_lifts_the_vehicle():
+    plant = Plant(HUMMINGBIRD, 2)
+    plant.set_mass([HUMMINGBIRD.mass, HUMMINGBIRD.mass * 0.9])
+    for _ in range(20):
+        state = plant.step(hover(2))
+    assert state.velocity[0, 2] == pytest.approx(0, abs=1e-9)
+    assert state.velocity[1, 2] == pytest.approx(GRAVITY * (1 / 0.9 - 1) * 0.1, rel=0.02)
+
+
+def test_a_vehicle_rests_on_the_ground_and_feels_it():
+    plant = Plant(HUMMINGBIRD, 2, contact=True)
+    plant.reset(position=(0, 0, 0.05), rotor_vel=0.0)
+    for _ in range(400):
+        state = plant.step(np.zeros((2, 4)))
+    assert state.position[:, 2] == pytest.approx(HUMMINGBIRD.frame.size[2], abs=2e-3)
+    assert state.specific_force == pytest.approx(np.tile([0, 0, GRAVITY], (2, 1)), abs=0.02)
+
+
+def test_step_returns_copies():
+    plant = Plant(HUMMINGBIRD, 1)
+    first = plant.step(hover(1) * 1.1)
+    kept = first.position.copy()
+    plant.step(hover(1) * 1.1)
+    assert np.array_equal(first.position, kept)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.floats(-1e6, 1e6), min_size=4, max_size=4),
+    st.lists(st.floats(-60, 60), min_size=3, max_size=3),
+)
+def test_no_command_or_wind_makes_a_state_that_is_not_finite(command, wind):
+    plant = Plant(HUMMINGBIRD, 1)
+    for _ in range(20):
+        state = plant.step(command, np.array(wind)[None])
+    assert all(np.all(np.isfinite(part)) for part in state)
+    assert np.all(state.rotor_vel <= HUMMINGBIRD.motor.omega_max)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Plant(HUMMINGBIRD, 0), "at least one vehicle"),
+        (lambda: Plant(HUMMINGBIRD, 1, rate_hz=float("nan")), "rate_hz"),
+        (lambda: Plant(HUMMINGBIRD, 1, integrator="RK5"), "RK4"),
+        (lambda: Plant(HUMMINGBIRD, 1).step([1, 2, 3]), "shape"),
+        (lambda: Plant(HUMMINGBIRD, 1).step([1, 2, 3, np.nan]), "finite"),
+        (lambda: Plant(HUMMINGBIRD, 1).reset(quat=(0, 0, 0, 0)), "length zero"),
+        (lambda: Plant([HUMMINGBIRD], 2), "n = 2"),
+        (lambda: Plant(HUMMINGBIRD, 1).set_mass([-1.0]), "positive"),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_the_engine_is_mujoco_4():
+    assert mujoco.__version__.startswith("4.")
