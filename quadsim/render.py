@@ -1,0 +1,320 @@
+"""Pictures and videos of flights, without a screen: EGL where there is one, else OSMesa.
+
+The scene (sky, ground, sun, paint) is `assets/scene.xml`; the quadrotor is drawn from its vehicle's own
+numbers, so any airframe looks like itself. No physics happens here: vehicles are placed where a flight says
+they were.
+"""
+
+import importlib
+import itertools
+import logging
+import os
+import sys
+from contextlib import closing
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .rotation import quat_from_rotvec, quat_multiply
+from .vehicle import Vehicle
+
+log = logging.getLogger(__name__)
+
+Image = NDArray[np.uint8]
+
+NO_OPENGL = "no headless OpenGL on this machine, so no pictures: install Debian's libegl1 or libosmesa6"
+TRAIL_COLOUR = np.array([0.93, 0.36, 0.08, 0.85], dtype=np.float32)
+
+
+class View(NamedTuple):
+    """Where the camera looks from."""
+
+    target: tuple[float, float, float]  #: point looked at, world [m]
+    distance: float = 1.3  #: [m]
+    azimuth: float = 145.0  #: direction of view about z [deg]; 0 looks along +x
+    elevation: float = -22.0  #: [deg]; negative looks down
+
+
+class Scene:
+    """An offscreen picture of some quadrotors, to be drawn again and again; `close` it afterwards.
+
+    Args:
+        vehicle: Airframe to draw.
+        copies: Number of quadrotors in the picture.
+        width: Width of the image [px].
+        height: Height of the image [px].
+        oversample: Drawn this many times finer and averaged, for smooth edges.
+
+    Raises:
+        RuntimeError: If neither EGL nor OSMesa works here; the message says what to install.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, copies: int = 1, width: int = 960, height: int = 540, oversample: int = 1
+    ):
+        self.width, self.height, self.oversample = width, height, oversample
+        shape = (height * oversample, width * oversample)
+        self._context = _gl_context(shape[1], shape[0])
+        self._context.make_current()
+        self.model = scene_model(vehicle, copies, shape[1], shape[0])
+        self.data = mujoco.MjData(self.model)
+        self._rect = mujoco.MjrRect(0, 0, shape[1], shape[0])
+        self._pixels = np.empty((*shape, 3), dtype=np.uint8)
+        self._scene = mujoco.MjvScene(self.model, maxgeom=10_000)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
+        self._drawer = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._drawer)
+
+    def draw(self, position: ArrayLike, quat: ArrayLike, view: View, trail: ArrayLike | None = None) -> Image:
+        """Draw the quadrotors.
+
+        Args:
+            position: (copies, 3) or (3,) centre of mass, world [m].
+            quat: (copies, 4) or (4,) quat_WB.
+            view: Camera.
+            trail: (m, 3) points joined by a thin line [m].
+
+        Returns:
+            Image of shape (height, width, 3).
+        """
+        self.data.mocap_pos[:] = position
+        self.data.mocap_quat[:] = quat
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = view.target
+        camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
+        every = mujoco.mjtCatBit.mjCAT_ALL.value
+        option, perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
+        mujoco.mjv_updateScene(self.model, self.data, option, perturbation, camera, every, self._scene)
+        if trail is not None:
+            self._add_trail(np.asarray(trail, dtype=np.float64))
+        self._context.make_current()
+        mujoco.mjr_render(self._rect, self._scene, self._drawer)
+        mujoco.mjr_readPixels(self._pixels, None, self._rect, self._drawer)
+        return self._shrink(self._pixels[::-1])
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._context.make_current()
+        self._drawer.free()
+        self._context.free()
+
+    def _shrink(self, pixels: Image) -> Image:
+        k = self.oversample
+        if k == 1:
+            return pixels.copy()
+        blocks = pixels.reshape(self.height, k, self.width, k, 3)
+        return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
+
+    def _add_trail(self, points: NDArray[np.float64]) -> None:
+        for start, end in itertools.pairwise(points):
+            if self._scene.ngeom >= self._scene.maxgeom:
+                return
+            geom = self._scene.geoms[self._scene.ngeom]
+            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE.value
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), TRAIL_COLOUR)
+            mujoco.mjv_connector(geom, capsule, 0.005, start, end)
+            self._scene.ngeom += 1
+
+
+def still(
+    vehicle: Vehicle,
+    position: ArrayLike,
+    quat: ArrayLike,
+    view: View,
+    trail: ArrayLike | None = None,
+    width: int = 1200,
+    height: int = 675,
+) -> Image:
+    """One picture of quadrotors at given places; the arguments are those of `Scene.draw`.
+
+    Raises:
+        RuntimeError: If neither EGL nor OSMesa works here.
+    """
+    places = np.atleast_2d(np.asarray(position, dtype=np.float64))
+    with closing(Scene(vehicle, len(places), width, height, oversample=2)) as scene:
+        return scene.draw(places, quat, view, trail)
+
+
+def film(
+    path: str | Path,
+    vehicle: Vehicle,
+    time: ArrayLike,
+    position: ArrayLike,
+    quat: ArrayLike,
+    fps: float = 30.0,
+    width: int = 960,
+    height: int = 540,
+) -> Path:
+    """Write a video of a flight in real time; the camera follows, and the last two seconds leave a trail.
+
+    Args:
+        path: File to write, `.mp4`.
+        vehicle: Airframe.
+        time: (T,) [s].
+        position: (T, 3) [m].
+        quat: (T, 4) quat_WB.
+        fps: Frames per second.
+        width: Width of the video [px].
+        height: Height of the video [px].
+
+    Raises:
+        RuntimeError: If neither EGL nor OSMesa works here.
+        ValueError: If the flight has no two samples.
+    """
+    import imageio.v2 as imageio
+
+    t, p, q = (np.asarray(each, dtype=np.float64) for each in (time, position, quat))
+    if t.ndim != 1 or t.size < 2:
+        raise ValueError(f"time has shape {t.shape}; a film needs a flight of at least two samples")
+    frames = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / fps))
+    targets = _smooth(p, seconds=0.6, dt=float(t[1] - t[0]))
+    tail = max(int(2.0 / (t[1] - t[0])), 2)
+    with (
+        closing(Scene(vehicle, 1, width, height)) as scene,
+        imageio.get_writer(path, fps=fps, macro_block_size=2, quality=8) as video,
+    ):
+        for k in frames:
+            view = View(tuple(targets[k]), distance=1.6, elevation=-18.0)
+            video.append_data(scene.draw(p[k], q[k], view, p[max(k - tail, 0) : k + 1 : 4]))  # pyright: ignore[reportAttributeAccessIssue]
+    return Path(path)
+
+
+def scene_model(vehicle: Vehicle, copies: int, width: int, height: int) -> mujoco.MjModel:
+    """The scene with quadrotors that can be placed anywhere (mocap bodies)."""
+    spec = mujoco.MjSpec.from_string((resources.files("assets") / "scene.xml").read_text())
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    for index in range(copies):
+        body = spec.worldbody.add_body(name=f"quadrotor{index}", mocap=True)
+        for geom in quadrotor_geoms(vehicle):
+            body.add_geom(contype=0, conaffinity=0, **geom)
+    return spec.compile()
+
+
+def quadrotor_geoms(vehicle: Vehicle) -> list[dict[str, object]]:
+    """Shapes that make up the picture of a vehicle, in body axes, from its hubs and propellers."""
+    hubs = vehicle.hubs
+    arm = float(np.linalg.norm(hubs[:, :2], axis=1).mean())
+    scale = arm / 0.17  # everything that the vehicle does not tell is in proportion to its arms
+    plane = float(hubs[:, 2].mean())
+    front = hubs[:, 0] > 0.5 * arm
+    geoms = _body(scale, plane)
+    for hub, leads in zip(hubs, front, strict=True):
+        geoms += _arm(hub, scale, "orange" if leads else "carbon")
+        geoms += _rotor(hub, vehicle.frame.prop_radius, scale, spin_phase=0.9 * hub[0] + 2.3 * hub[1] / arm)
+    return geoms
+
+
+def _shape(
+    kind: str, size: ArrayLike, pos: ArrayLike, material: str, yaw: float = 0.0, castshadow: bool = True
+) -> dict[str, object]:
+    geom_type = getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
+    quat = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+    size = [*np.atleast_1d(np.asarray(size, dtype=float)), 0.0, 0.0][:3]
+    place = {"pos": list(np.asarray(pos, dtype=float)), "quat": quat}
+    return {"type": geom_type, "size": size, **place, "material": material, "castshadow": castshadow}
+
+
+def _body(s: float, plane: float) -> list[dict[str, object]]:
+    """Centre stack: battery below, plates, flight computer, a dome, and the two lights."""
+    z = plane - 0.024 * s
+    return [
+        _shape("cylinder", [0.048 * s, 0.0022 * s], [0, 0, z - 0.006 * s], "carbon"),
+        _shape("cylinder", [0.044 * s, 0.0022 * s], [0, 0, z + 0.010 * s], "carbon"),
+        _shape("box", [0.046 * s, 0.019 * s, 0.013 * s], [0, 0, z - 0.022 * s], "battery"),
+        _shape("box", [0.006 * s, 0.0196 * s, 0.0136 * s], [0.024 * s, 0, z - 0.022 * s], "white"),
+        _shape("box", [0.026 * s, 0.026 * s, 0.002 * s], [0, 0, z + 0.017 * s], "board"),
+        _shape("box", [0.011 * s, 0.011 * s, 0.003 * s], [0.006 * s, 0, z + 0.021 * s], "plastic"),
+        _shape("ellipsoid", [0.033 * s, 0.033 * s, 0.026 * s], [0, 0, z + 0.020 * s], "white"),
+        _shape("ellipsoid", [0.0335 * s, 0.011 * s, 0.0266 * s], [0, 0, z + 0.020 * s], "orange"),
+        _shape("sphere", 0.005 * s, [0.046 * s, 0, z + 0.010 * s], "red_light"),
+        _shape("sphere", 0.005 * s, [-0.046 * s, 0, z + 0.010 * s], "green_light"),
+        *[
+            _shape(
+                "cylinder", [0.0028 * s, 0.010 * s], [0.036 * s * x, 0.036 * s * y, z + 0.002 * s], "metal"
+            )
+            for x in (-0.025, 0.025)
+            for y in (-0.025, 0.025)
+        ],
+    ]
+
+
+def _arm(hub: ArrayLike, s: float, material: str) -> list[dict[str, object]]:
+    x, y, z, _ = np.asarray(hub, dtype=float)
+    length, yaw, low = float(np.hypot(x, y)), float(np.arctan2(y, x)), z - 0.024 * s
+    along = np.array([x, y]) / length
+    leg, band = along * (length - 0.012 * s), along * (length - 0.052 * s)
+    return [
+        _shape("box", [length / 2, 0.0075 * s, 0.005 * s], [x / 2, y / 2, low], "carbon", yaw),
+        _shape("box", [0.027 * s, 0.0082 * s, 0.0056 * s], [*band, low], material, yaw),
+        _shape("cylinder", [0.0155 * s, 0.006 * s], [x, y, low + 0.004 * s], "plastic"),
+        _shape("cylinder", [0.0135 * s, 0.006 * s], [x, y, low + 0.015 * s], "metal"),
+        _shape("cylinder", [0.0032 * s, 0.0235 * s], [*leg, low - 0.025 * s], "plastic"),
+        _shape("sphere", 0.0062 * s, [*leg, low - 0.048 * s], material),
+    ]
+
+
+def _rotor(hub: ArrayLike, radius: float, s: float, spin_phase: float) -> list[dict[str, object]]:
+    """Two pitched blades, a hub, and the disc that a turning propeller looks like."""
+    x, y, z, reaction = np.asarray(hub, dtype=float)
+    shapes = [
+        _shape("cylinder", [radius, 0.0006 * s], [x, y, z], "blur", castshadow=False),
+        _shape("cylinder", [0.0065 * s, 0.0045 * s], [x, y, z], "plastic"),
+        _shape("ellipsoid", [0.005 * s, 0.005 * s, 0.006 * s], [x, y, z + 0.005 * s], "orange"),
+    ]
+    for angle in (spin_phase, spin_phase + np.pi):
+        blade = _shape("ellipsoid", [0.5 * radius, 0.082 * radius, 0.0016 * s], [0, 0, 0], "blade", angle)
+        pitch = quat_from_rotvec(np.array([-reaction * 0.24, 0.0, 0.0]))
+        blade["quat"] = list(quat_multiply(np.asarray(blade["quat"]), pitch))
+        blade["pos"] = [x + 0.5 * radius * np.cos(angle), y + 0.5 * radius * np.sin(angle), z]
+        shapes.append(blade)
+    return shapes
+
+
+def _smooth(points: NDArray[np.float64], seconds: float, dt: float) -> NDArray[np.float64]:
+    """Low-pass without delay: a first-order filter forwards, then backwards."""
+    decay = np.exp(-dt / seconds)
+    out = points.copy()
+    for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
+        step = order.step
+        for k in order:
+            out[k] += decay * (out[k - step] - out[k])
+    return out
+
+
+class _Context(Protocol):
+    def make_current(self) -> None: ...
+    def free(self) -> None: ...
+
+
+def _gl_context(width: int, height: int) -> _Context:
+    """A headless OpenGL context.
+
+    MuJoCo chooses its backend from an environment variable when it is first imported; here the backends are
+    tried in turn instead, so that nobody has to set anything. PyOpenGL serves only one of them at a time and
+    is loaded anew for the next.
+    """
+    reasons = []
+    chosen = os.environ.get("PYOPENGL_PLATFORM")
+    for backend in [chosen] if chosen in ("egl", "osmesa") else ["egl", "osmesa"]:
+        try:
+            return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+        except (ImportError, AttributeError, RuntimeError, OSError) as error:
+            reasons.append(f"{backend}: {error}")
+            if chosen is None:
+                _forget_opengl(backend)
+    log.debug("%s", "; ".join(reasons))
+    raise RuntimeError(NO_OPENGL)
+
+
+def _forget_opengl(backend: str) -> None:
+    os.environ.pop("PYOPENGL_PLATFORM", None)
+    for name in list(sys.modules):
+        if name.split(".")[0] == "OpenGL" or name.startswith(f"mujoco.{backend}"):
+            del sys.modules[name]
