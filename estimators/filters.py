@@ -118,6 +118,14 @@ class Filter:
         self._states = start(self.algorithm, self._params, n, roll_pitch, quat)
         self._shape, self._sample = (n, 3), (n, 1, 3)
 
+    def restart(
+        self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
+    ) -> None:
+        """Start some of the vehicles again, the others fly on; attitudes (len(ids), ·) as in `reset`."""
+        rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
+        if rows.size > 0:
+            self._states[rows] = start(self.algorithm, self._params, rows.size, roll_pitch, quat)
+
     def update(self, gyro: Array, accel: Array) -> Array:
         """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
         gyro = np.ascontiguousarray(gyro, dtype=np.float64)

@@ -9,8 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.config import nearest
 from quadsim.estimator import AttitudeEstimator
+from quadsim.vehicle import load_vehicle
 
+from . import ekf
 from .complementary import ADAPTIVE, COMPLEMENTARY
+from .ekf import EKF
+from .ekf_drag import EKF_DRAG, drag_of
+from .eskf import ESKF
 from .filters import NOT_SUMMED, Algorithm, Filter, Parameter, checked, paired, start
 from .madgwick import MADGWICK
 from .mahony import MAHONY
@@ -21,13 +26,16 @@ Array = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
-COMPILED: dict[str, Algorithm] = {a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK)}
+COMPILED: dict[str, Algorithm] = {
+    a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK, EKF, ESKF, EKF_DRAG)
+}
+FILTERPY = ("ekf-filterpy", "ukf-filterpy")
 NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
 
 
 def names() -> list[str]:
     """Every name that `create` knows."""
-    return ["truth", *COMPILED, *NETWORKS]
+    return ["truth", *COMPILED, *FILTERPY, "vqf", *NETWORKS]
 
 
 def parameters(name: str) -> Mapping[str, Parameter]:
@@ -39,6 +47,12 @@ def parameters(name: str) -> Mapping[str, Parameter]:
     _known(name)
     if name in COMPILED:
         return COMPILED[name].parameters
+    if name in FILTERPY:
+        return ekf.PARAMETERS
+    if name == "vqf":
+        from .vqf_filter import PARAMETERS
+
+        return PARAMETERS
     return {}
 
 
@@ -56,7 +70,8 @@ def create(
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
             `quadsim tune`; None for the shipped default domain.
-        params: The filter's own parameters; for a network, `weights`.
+        params: The filter's own parameters; for a network `weights`; for ekf-drag also `vehicle`, the name or
+            file of the vehicle whose drag it is to know.
 
     Raises:
         ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
@@ -69,7 +84,16 @@ def create(
         return Truth(rate_hz)
     if name in NETWORKS:
         return _network(name, rate_hz, params)
-    return Filter(COMPILED[name], rate_hz, _values(name, rate_hz, params, tuning))
+    values = _values(name, rate_hz, _of_vehicle(params) if name == "ekf-drag" else params, tuning)
+    if name in FILTERPY:
+        from .filterpy_filters import FilterpyFilter
+
+        return FilterpyFilter("ekf" if name == "ekf-filterpy" else "ukf", rate_hz, **values)
+    if name == "vqf":
+        from .vqf_filter import VqfFilter
+
+        return VqfFilter(rate_hz, values)
+    return Filter(COMPILED[name], rate_hz, values)
 
 
 def run(
@@ -179,6 +203,16 @@ def _values(
     ratio = 1.0 if tuned is None else tuned.rate_hz / rate_hz
     found = {key: spec[key].carried(value, ratio) for key, value in found.items()}
     return {key: given.get(key, found.get(key, each.default)) for key, each in spec.items()}
+
+
+def _of_vehicle(params: Mapping[str, object]) -> dict[str, object]:
+    """Parameters of ekf-drag with `vehicle` replaced by that vehicle's drag."""
+    if "vehicle" not in params:
+        return dict(params)
+    source = params["vehicle"]
+    if not isinstance(source, str | Path):
+        raise ValueError(f"ekf-drag: vehicle = {source!r} is not a vehicle's name or file")
+    return drag_of(load_vehicle(source)) | {key: value for key, value in params.items() if key != "vehicle"}
 
 
 def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> AttitudeEstimator:

@@ -110,8 +110,8 @@ def record(row, flight, t, roll, pitch, out, target, squared_error):
 
 
 @njit(cache=True, nogil=True)
-def clean(states, dt, gyro, accel, gyro_out, accel_out):
-    """`usable` over whole sequences, for estimators that are not compiled here.
+def clean(states, dt, gyro, accel, gyro_out, accel_out, between):
+    """`usable` or `usable_between` over whole sequences, for estimators that are not compiled here.
 
     Args:
         states: (n, COMMON), updated.
@@ -120,10 +120,14 @@ def clean(states, dt, gyro, accel, gyro_out, accel_out):
         accel: (n, T, 3) [m/s²].
         gyro_out: (n, T, 3), written.
         accel_out: (n, T, 3), written; zero where it cannot be used.
+        between: Whether rates are to be the mean of this sample and the last.
     """
     for i in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            gx, gy, gz, ax, ay, az = usable(states[i], dt, gyro[i, t], accel[i, t])
+            if between:
+                gx, gy, gz, ax, ay, az = usable_between(states[i], dt, gyro[i, t], accel[i, t])
+            else:
+                gx, gy, gz, ax, ay, az = usable(states[i], dt, gyro[i, t], accel[i, t])
             gyro_out[i, t, 0], gyro_out[i, t, 1], gyro_out[i, t, 2] = gx, gy, gz
             accel_out[i, t, 0], accel_out[i, t, 1], accel_out[i, t, 2] = ax, ay, az
 

@@ -22,9 +22,17 @@ class Truth:
         """Start n vehicles: level, or at a known attitude, roll_pitch (n, 2) [rad] or quat_WB (n, 4)."""
         self.quat = initial_quat(n, roll_pitch, quat)[0]
 
+    def restart(
+        self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
+    ) -> None:
+        """Start some of the vehicles again; attitudes (len(ids), ·) as in `reset`."""
+        rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
+        if rows.size > 0:
+            self.quat[rows] = initial_quat(rows.size, roll_pitch, quat)[0]
+
     def observe(self, quat: Array) -> None:
         """Take the true quat_WB (n, 4); call it just before `update`."""
-        self.quat = np.asarray(quat, dtype=np.float64)
+        self.quat = np.array(quat, dtype=np.float64)
 
     def update(self, gyro: Array, accel: Array) -> Array:
         """Roll and pitch of the last quaternion seen, (n, 2) [rad]."""

@@ -13,6 +13,7 @@ class AttitudeEstimator(Protocol):
 
     - `observe(quat)`: an estimator that is fed the truth; called with quat_WB (n, 4) just before `update`.
     - `sequence(gyro, accel)`: (n, T, 3) twice -> (n, T, 2), the same numbers as T calls of `update`, faster.
+    - `restart(ids, roll_pitch=None)`: `reset` for some of the vehicles, the others fly on.
     - `quat` (n, 4), and `reset(quat=...)`: the filter estimates a quaternion quat_WB.
     - `gyro_bias` (n, 3) [rad/s]: the filter estimates the bias of its gyroscope.
     - `skipped` (n,): samples since `reset` that were missing in part or whole and were bridged by prediction.

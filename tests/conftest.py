@@ -1,0 +1,61 @@
+"""Small synthetic flights for the tests of estimators: cheap, seeded, and of a known physics."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def fly(
+    flights: int = 4, seconds: float = 20.0, rate_hz: float = 200.0, noise: float = 1.0, seed: int = 0
+) -> xr.Dataset:
+    """Flights of a point mass, thrust along body z and drag across it, tilt and heading sums of sines.
+
+    Noise and turn-on biases are those of an ADIS16448, times `noise`. Returns a dataset as the generator makes it.
+    """
+    rng, dt = np.random.default_rng(seed), 1.0 / rate_hz
+    t = np.arange(round(seconds * rate_hz)) * dt
+    freq = rng.uniform(0.1, 1.0, (flights, 3, 4, 1)) * 2.0 * np.pi
+    phase = rng.uniform(0.0, 2.0 * np.pi, freq.shape)
+    size = rng.normal(0.0, 0.15, freq.shape)
+    roll, pitch, yaw = np.moveaxis((size * np.sin(freq * t + phase)).sum(axis=2), 1, 0)
+    d_roll, d_pitch, d_yaw = np.moveaxis((size * freq * np.cos(freq * t + phase)).sum(axis=2), 1, 0)
+    quat = quat_from_euler(roll, pitch, yaw)
+    rate = np.stack(
+        [
+            d_roll - d_yaw * np.sin(pitch),
+            d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
+            -d_pitch * np.sin(roll) + d_yaw * np.cos(pitch) * np.cos(roll),
+        ],
+        axis=-1,
+    )
+    thrust = 9.81 / (np.cos(roll) * np.cos(pitch))
+    force, velocity = np.empty_like(rate), np.zeros((flights, 3))
+    for k in range(t.size):
+        across = quat_rotate_inverse(quat[:, k], velocity)
+        force[:, k] = -across / 4.90 * np.sqrt(thrust[:, k] / 9.81)[:, None]
+        force[:, k, 2] = thrust[:, k]
+        velocity = velocity + dt * (quat_rotate(quat[:, k], force[:, k]) + GRAVITY)
+    spread = rng.normal(size=(2, flights, 1, 3)) * np.array([0.0087, 0.196])[:, None, None, None]
+    white = rng.normal(size=(2, *rate.shape)) * np.array([3.394e-4, 0.004])[:, None, None, None] / np.sqrt(dt)
+    gyro, accel = np.stack([rate, force]) + noise * (spread + white)
+    dims = ("flight", "time", "axis")
+    return xr.Dataset(
+        {"gyro": (dims, gyro), "accel": (dims, accel), "quat": (("flight", "time", "quat"), quat)},
+        attrs={"rate_hz": rate_hz},
+    )
+
+
+@pytest.fixture(scope="session")
+def make_flights():
+    """The function `fly`."""
+    return fly
+
+
+@pytest.fixture(scope="session")
+def flights():
+    """Four flights of 20 s at 200 Hz with the noise and biases of an ADIS16448."""
+    return fly()
