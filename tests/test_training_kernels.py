@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+import torch
+
+from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
+from training.kernels import Workspace, attsnn
+
+
+def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0):
+    rng = np.random.default_rng(seed)
+    shapes = [(h0, 6), (h1, h0), (h1, h1), (2, h1)]
+    scales = [0.3, 3.0 / h0, 1.0 / h1, 0.3]
+    w = [torch.tensor(rng.normal(size=s) * k * gain) for s, k in zip(shapes, scales, strict=True)]
+    tau = [torch.tensor(1 - np.exp(rng.uniform(-4, -0.2, size))) for size in (h0, h0, h1, h1, 1, 1)]
+    if quantised:
+        w, tau = [quantise_weights(x) for x in w], [quantise_decay(x) for x in tau]
+    return Weights(*(x.to(dtype).requires_grad_() for x in (*w, *tau)))
+
+
+def random_input(n, steps, seed=1):
+    rng = np.random.default_rng(seed)
+    return torch.tensor(np.round(rng.normal(size=(n, steps, 6)) * 1024) / 1024)
+
+
+def gradients(output, weights, seed=2):
+    target = torch.tensor(np.random.default_rng(seed).normal(size=output.shape), dtype=output.dtype)
+    return torch.autograd.grad((output * target).sum(), tuple(weights))
+
+
+@pytest.mark.parametrize("quantised", [False, True])
+@pytest.mark.parametrize("delay", [1, 2])
+@pytest.mark.parametrize(
+    ("n", "steps", "h0", "h1", "threads"), [(5, 60, 13, 9, 1), (1, 4, 3, 4, 1), (8, 90, 100, 100, 2)]
+)
+def test_fused_network_equals_the_pytorch_loop(quantised, delay, n, steps, h0, h1, threads):
+    weights, x = random_weights(h0, h1, quantised=quantised), random_input(n, steps)
+    expected, encoding, hidden = forward(x, weights, quantised, delay)
+    space = Workspace(steps, n, weights, quantised, delay, threads)
+    output = attsnn(x, weights, space)
+    for spikes, name in ((encoding, "s0"), (hidden, "s1")):
+        lists = np.concatenate([getattr(trace, name)[2:] for trace in space.traces], 1)
+        mine = np.zeros(spikes.shape)
+        for t in range(steps):
+            for b in range(n):
+                mine[b, t, lists[t, b, 1 : 1 + lists[t, b, 0]]] = 1
+        np.testing.assert_array_equal(mine, spikes.detach().numpy())
+    if steps > 10:
+        assert 0.01 < encoding.mean() < 0.9
+        assert 0.01 < hidden.mean() < 0.9
+    np.testing.assert_allclose(output.detach(), expected.detach(), rtol=0, atol=0 if quantised else 1e-11)
+    for name, mine, theirs in zip(
+        Weights._fields, gradients(output, weights), gradients(expected, weights), strict=True
+    ):
+        scale = max(1.0, float(theirs.abs().max()))
+        np.testing.assert_allclose(mine / scale, theirs / scale, rtol=0, atol=1e-10, err_msg=name)
+
+
+@pytest.mark.parametrize("quantised", [False, True])
+@pytest.mark.parametrize("delay", [1, 2])
+def test_carried_windows_are_one_long_window(quantised, delay):
+    weights, x = random_weights(12, 10, quantised=quantised), random_input(3, 120)
+    whole = attsnn(x, weights, Workspace(120, 3, weights, quantised, delay)).detach()
+    space = Workspace(40, 3, weights, quantised, delay)
+    parts = [attsnn(x[:, 40 * k : 40 * k + 40], weights, space, carry=k > 0).detach() for k in range(3)]
+    np.testing.assert_allclose(torch.cat(parts, 1), whole, rtol=0, atol=0 if quantised else 1e-11)
+
+
+def test_quantised_float32_window_equals_the_float64_one():
+    wide = random_weights(100, 100)
+    narrow = Weights(*(w.detach().float().requires_grad_() for w in wide))
+    x = random_input(4, 300)
+    np.testing.assert_array_equal(
+        attsnn(x, narrow, Workspace(300, 4, narrow)).detach(),
+        attsnn(x, wide, Workspace(300, 4, wide)).detach().float(),
+    )
+
+
+def test_a_trace_that_is_gone_is_not_used():
+    weights, x = random_weights(5, 5), random_input(2, 10)
+    space = Workspace(10, 2, weights)
+    first = attsnn(x, weights, space)
+    attsnn(x, weights, space)
+    with pytest.raises(RuntimeError, match="another window"):
+        first.sum().backward()
+    with pytest.raises(ValueError, match=r"batch: \(2, 9\)"):
+        attsnn(x[:, :9], weights, space)

@@ -1,0 +1,369 @@
+"""Att-SNN, forward and surrogate-gradient backward over a window, compiled.
+
+`attsnn` is `estimators.spiking.forward` fused into one pass over time each way (the tests hold them equal: the same
+spikes, gradients to 1e-10 in float64). What makes it fast: only membrane potentials, the encoding currents and
+lists of spikes are kept, currents are recomputed; forward and weight gradients add rows of the neurons that
+spiked; the gradient of the spikes is one matrix product per step for the whole batch; buffers are reused; the
+batch is split over threads (sums are added in the order of the parts, so the result does not depend on timing).
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numba import njit
+from numpy.typing import NDArray
+from torch import Tensor
+
+from estimators.dynamics import STATE_ONE, THRESHOLD, _list_spikes, advance
+from estimators.spiking import SURROGATE_WIDTH, Weights
+
+Floats = NDArray[np.floating]
+
+
+@dataclass
+class Trace:
+    """What the forward pass leaves for the backward pass, time first. Rows 0 and 1 come before the window."""
+
+    v0: Floats
+    """Potentials of the encoding layer before the reset, row t + 2 is step t, shape (T + 2, n, h0)."""
+    v1: Floats
+    """Potentials of the hidden layer before the reset, shape (T + 2, n, h1)."""
+    vo: Floats
+    """Potentials of the outputs, shape (T + 2, n, outputs)."""
+    u0: Floats
+    """Currents of the encoding layer, row t + 1 is step t, shape (T + 1, n, h0)."""
+    s0: NDArray[np.uint16]
+    """Spikes of the encoding layer: their number, then the neurons, row t + 2 is step t, (T + 2, n, h0 + 1)."""
+    s1: NDArray[np.uint16]
+    """Spikes of the hidden layer, shape (T + 2, n, h1 + 1)."""
+
+    @classmethod
+    def empty(cls, steps: int, n: int, h0: int, h1: int, outputs: int, dtype: np.dtype) -> Trace:
+        """Buffers for one window."""
+        return cls(
+            v0=np.zeros((steps + 2, n, h0), dtype),
+            v1=np.zeros((steps + 2, n, h1), dtype),
+            vo=np.zeros((steps + 2, n, outputs), dtype),
+            u0=np.zeros((steps + 1, n, h0), dtype),
+            s0=np.zeros((steps + 2, n, h0 + 1), np.uint16),
+            s1=np.zeros((steps + 2, n, h1 + 1), np.uint16),
+        )
+
+    def rewind(self) -> None:
+        """Start from rest: clear the rows before the window."""
+        for rows in (self.v0, self.v1, self.vo, self.s0, self.s1):
+            rows[:2] = 0
+        self.u0[0] = 0
+
+    def carry(self) -> None:
+        """Start where the last window ended."""
+        for rows in (self.v0, self.v1, self.vo, self.s0, self.s1):
+            rows[:2] = rows[-2:]
+        self.u0[0] = self.u0[-1]
+
+
+@njit(cache=True, nogil=True)
+def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay, v0, v1, vo, u0, s0, s1):
+    """Run the window x (T, n, inputs) from the rows before it; weights (in, out) in units of 1.0."""
+    steps, n = x.shape[:2]
+    h0, h1, outputs = v0.shape[2], v1.shape[2], vo.shape[2]
+    one = STATE_ONE if quantised else 1.0
+    unit = 1.0 / one
+    threshold = THRESHOLD * one
+    total = np.zeros(max(h1, outputs), w_ff.dtype)
+    state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 2, outputs))
+    for b in range(n):  # the currents follow from the last two potentials: u[-1] = v[-1] - D(v[-2] after reset)
+        for i in range(h0):
+            state0[b, 0, i], state0[b, 1, i] = u0[0, b, i] * one, v0[1, b, i] * one
+        for i in range(h1):
+            before = 0.0 if v1[0, b, i] > THRESHOLD else v1[0, b, i] * one * taus[3][i]
+            state1[b, 1, i] = v1[1, b, i] * one
+            state1[b, 0, i] = state1[b, 1, i] - (np.trunc(before) if quantised else before)
+        for o in range(outputs):
+            before = vo[0, b, o] * one * out_taus[1]
+            state2[b, 1, o] = vo[1, b, o] * one
+            state2[b, 0, o] = state2[b, 1, o] - (np.trunc(before) if quantised else before)
+    for t in range(steps):
+        for b in range(n):
+            advance(
+                x[t, b], w_in, w_ff, w_rec, w_out, taus, out_taus, quantised,
+                state0[b, 0], state0[b, 1], state1[b, 0], state1[b, 1], state2[b],
+                s0[t + 1, b], s1[t + 1, b], s1[t + 2 - delay, b], total,
+            )  # fmt: skip
+            _list_spikes(state0[b, 1], threshold, s0[t + 2, b])
+            _list_spikes(state1[b, 1], threshold, s1[t + 2, b])
+            for i in range(h0):
+                v0[t + 2, b, i] = state0[b, 1, i] * unit
+                u0[t + 1, b, i] = state0[b, 0, i] * unit
+            for i in range(h1):
+                v1[t + 2, b, i] = state1[b, 1, i] * unit
+            for o in range(outputs):
+                vo[t + 2, b, o] = state2[b, 1, o] * unit
+
+
+@njit(cache=True, nogil=True)
+def backward_window(
+    x, grad, weights, taus, out_taus, constants, quantised, delay,
+    v0, v1, vo, u0, s0, s1, g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
+):  # fmt: skip
+    """Gradients of a window into g_*, shaped like the weights (in, out) and (2, h) for τ_syn and τ_mem.
+
+    Args:
+        x: Input, shape (T, n, inputs).
+        grad: Gradient of the outputs, shape (T, n, outputs).
+        weights: w_ff and w_rec side by side, (h1, h0 + h1), and w_out (outputs, h1).
+        taus: τ_syn, τ_mem of the encoding and of the hidden layer.
+        out_taus: τ_syn and τ_mem of the outputs, shape (2,).
+        constants: Threshold, surrogate width, one, 1.0 and 0.0 in the floating type of the computation.
+        quantised: Whether the forward pass was.
+        delay: Of the recurrent connection, 1 or 2.
+        v0: This and the following are the trace.
+    """
+    w_down, w_out = weights
+    threshold, width, unit, one, zero = constants[0], constants[1], constants[2], constants[3], constants[4]
+    steps, n = x.shape[:2]
+    h0, h1, outputs = v0.shape[2], v1.shape[2], vo.shape[2]
+    syn0, mem0, syn1, mem1 = _tile(taus[0], n), _tile(taus[1], n), _tile(taus[2], n), _tile(taus[3], n)
+    du0, dv0 = np.zeros_like(syn0), np.zeros_like(syn0)
+    du1, dv1 = np.zeros_like(syn1), np.zeros_like(syn1)
+    a_syn0, a_mem0 = np.zeros_like(syn0), np.zeros_like(syn0)
+    a_syn1, a_mem1 = np.zeros_like(syn1), np.zeros_like(syn1)
+    du_out, dv_out = np.zeros((n, outputs), v0.dtype), np.zeros((n, outputs), v0.dtype)
+    ds0, ds1 = np.zeros_like(syn0), np.zeros_like(syn1)
+    down, down_before = np.zeros((n, h0 + h1), v0.dtype), np.zeros((n, h0 + h1), v0.dtype)
+    for t in range(steps - 1, -1, -1):
+        late = down if delay == 1 else down_before
+        for b in range(n):
+            ds0[b * h0 : (b + 1) * h0] = down[b, :h0]
+            into = ds1[b * h1 : (b + 1) * h1]
+            into[:] = late[b, h0:]
+            for o in range(outputs):
+                d = du_out[b, o]
+                for i in range(h1):
+                    into[i] += d * w_out[o, i]
+            for o in range(outputs):
+                dv_out[b, o] = grad[t, b, o] + out_taus[1] * dv_out[b, o]
+                du_out[b, o] = dv_out[b, o] + out_taus[0] * du_out[b, o]
+                left = vo[t, b, o] * unit * out_taus[1]
+                current = vo[t + 1, b, o] - (np.trunc(left) if quantised else left) / unit
+                g_tau_out[0] += du_out[b, o] * current
+                g_tau_out[1] += dv_out[b, o] * vo[t + 1, b, o]
+
+        # Hidden layer; the currents are recomputed as in `forward_window`.
+        v, before, long_before = v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), v1[t].reshape(-1)
+        for i in range(v.shape[0]):
+            kept = before[i] if before[i] <= threshold else zero
+            left = long_before[i] * mem1[i] if long_before[i] <= threshold else zero
+            if quantised:
+                left = np.trunc(left * unit) / unit
+            slope = one + width * abs(v[i] - threshold)
+            d = (zero if v[i] > threshold else mem1[i] * dv1[i]) + ds1[i] / (slope * slope)
+            dv1[i] = d
+            du1[i] = d + syn1[i] * du1[i]
+            a_mem1[i] += d * kept
+            a_syn1[i] += du1[i] * (before[i] - left)
+
+        v, before, current0 = v0[t + 2].reshape(-1), v0[t + 1].reshape(-1), u0[t].reshape(-1)
+        for i in range(v.shape[0]):
+            kept = before[i] if before[i] <= threshold else zero
+            slope = one + width * abs(v[i] - threshold)
+            d = (zero if v[i] > threshold else mem0[i] * dv0[i]) + ds0[i] / (slope * slope)
+            dv0[i] = d
+            du0[i] = d + syn0[i] * du0[i]
+            a_mem0[i] += d * kept
+            a_syn0[i] += du0[i] * current0[i]
+
+        for b in range(n):
+            d0, d1 = du0[b * h0 : (b + 1) * h0], du1[b * h1 : (b + 1) * h1]
+            for k in range(x.shape[2]):
+                sample = x[t, b, k]
+                row = g_in[k]
+                for i in range(h0):
+                    row[i] += sample * d0[i]
+            _add_to_rows(g_ff, d1, s0[t + 1, b])
+            _add_to_rows(g_rec, d1, s1[t + 2 - delay, b])
+            spikes = s1[t + 1, b]
+            for k in range(1, 1 + spikes[0]):
+                for o in range(outputs):
+                    g_out[spikes[k], o] += du_out[b, o]
+        down, down_before = down_before, down
+        _product(du1.reshape(n, h1), w_down, down)
+    for b in range(n):
+        for i in range(h0):
+            g_tau0[0, i] += a_syn0[b * h0 + i]
+            g_tau0[1, i] += a_mem0[b * h0 + i]
+        for i in range(h1):
+            g_tau1[0, i] += a_syn1[b * h1 + i]
+            g_tau1[1, i] += a_mem1[b * h1 + i]
+
+
+@njit(cache=True, inline="always")
+def _add_to_rows(rows, values, spikes):
+    for k in range(1, 1 + spikes[0]):
+        row = rows[spikes[k]]
+        for i in range(values.shape[0]):
+            row[i] += values[i]
+
+
+@njit(cache=True)
+def _tile(values, n):
+    tiled = np.empty(n * values.shape[0], values.dtype)
+    for b in range(n):
+        tiled[b * values.shape[0] : (b + 1) * values.shape[0]] = values
+    return tiled
+
+
+@njit(cache=True, nogil=True)
+def _product(a, b, out):
+    """out = a b; four rows of a by four of b at a time, so that the sums stay in registers."""
+    out[:] = 0
+    n, inner = a.shape
+    for i in range(0, n - n % 4, 4):
+        p0, p1, p2, p3 = out[i], out[i + 1], out[i + 2], out[i + 3]
+        for k in range(0, inner - inner % 4, 4):
+            b0, b1, b2, b3 = b[k], b[k + 1], b[k + 2], b[k + 3]
+            a00, a01, a02, a03 = a[i, k], a[i, k + 1], a[i, k + 2], a[i, k + 3]
+            a10, a11, a12, a13 = a[i + 1, k], a[i + 1, k + 1], a[i + 1, k + 2], a[i + 1, k + 3]
+            a20, a21, a22, a23 = a[i + 2, k], a[i + 2, k + 1], a[i + 2, k + 2], a[i + 2, k + 3]
+            a30, a31, a32, a33 = a[i + 3, k], a[i + 3, k + 1], a[i + 3, k + 2], a[i + 3, k + 3]
+            for j in range(out.shape[1]):
+                c0, c1, c2, c3 = b0[j], b1[j], b2[j], b3[j]
+                p0[j] += a00 * c0 + a01 * c1 + a02 * c2 + a03 * c3
+                p1[j] += a10 * c0 + a11 * c1 + a12 * c2 + a13 * c3
+                p2[j] += a20 * c0 + a21 * c1 + a22 * c2 + a23 * c3
+                p3[j] += a30 * c0 + a31 * c1 + a32 * c2 + a33 * c3
+        for k in range(inner - inner % 4, inner):
+            for r in range(4):
+                for j in range(out.shape[1]):
+                    out[i + r, j] += a[i + r, k] * b[k, j]
+    for i in range(n - n % 4, n):
+        for k in range(inner):
+            for j in range(out.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+
+
+class Workspace:
+    """The buffers of one window shape, and the state that one window hands to the next.
+
+    Args:
+        steps: Length of the window.
+        n: Sequences in the batch.
+        weights: Parameters of the network, for their sizes and their floating type.
+        quantised: Compute as the chip does.
+        recurrent_delay: 1 or 2 steps.
+        threads: Parts into which the batch is split.
+    """
+
+    def __init__(
+        self,
+        steps: int,
+        n: int,
+        weights: Weights,
+        quantised: bool = True,
+        recurrent_delay: int = 1,
+        threads: int = 1,
+    ) -> None:
+        """Allocate the buffers."""
+        self.steps, self.n, self.quantised, self.recurrent_delay = steps, n, quantised, recurrent_delay
+        self.dtype = weights.w_ff.detach().numpy().dtype
+        edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
+        self.parts = [slice(lo, hi) for lo, hi in zip(edges[:-1], edges[1:], strict=True)]
+        h0, outputs, h1 = weights.w_in.shape[0], *weights.w_out.shape
+        self.traces = [Trace.empty(steps, p.stop - p.start, h0, h1, outputs, self.dtype) for p in self.parts]
+        self.runs = 0
+
+    def each(self, function) -> list:
+        """Call `function(part, trace)` for every part of the batch, in threads where there are several."""
+        if len(self.parts) == 1:
+            return [function(self.parts[0], self.traces[0])]
+        with ThreadPoolExecutor(len(self.parts)) as pool:
+            return list(pool.map(function, self.parts, self.traces))
+
+    @property
+    def spike_rates(self) -> tuple[float, float]:
+        """Mean spikes per neuron and step of the encoding and of the hidden layer in the last window."""
+        return tuple(
+            float(np.concatenate([getattr(t, s)[2:, :, 0] for t in self.traces], 1).mean() / size)
+            for s, size in (("s0", self.traces[0].v0.shape[2]), ("s1", self.traces[0].v1.shape[2]))
+        )  # pyright: ignore[reportReturnType]  (two by construction)
+
+
+class _Fused(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, space: Workspace, carry: bool, x: Tensor, *weights: Tensor) -> Tensor:
+        arrays = [w.detach().numpy() for w in weights]
+        one = STATE_ONE if space.quantised else 1.0
+        rows = [np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[:4]]
+        rows[0] = rows[0].astype(np.float64)
+        taus = tuple(tau.astype(np.float64) for tau in arrays[4:8])
+        out_taus = np.concatenate(arrays[8:]).astype(np.float64)
+        samples = x.detach().numpy()
+
+        def run(part: slice, trace: Trace) -> None:
+            trace.carry() if carry else trace.rewind()
+            forward_window(
+                np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64), *rows, taus, out_taus,
+                space.quantised, space.recurrent_delay,
+                trace.v0, trace.v1, trace.vo, trace.u0, trace.s0, trace.s1,
+            )  # fmt: skip
+
+        space.each(run)
+        space.runs += 1
+        ctx.space, ctx.run, ctx.x, ctx.weights = space, space.runs, samples, arrays
+        out = np.concatenate([trace.vo[2:] for trace in space.traces], 1)
+        return torch.from_numpy(np.ascontiguousarray(out.transpose(1, 0, 2)))
+
+    @staticmethod
+    def backward(ctx, *grads: Tensor):
+        space: Workspace = ctx.space
+        if space.runs != ctx.run:
+            raise RuntimeError("the workspace has run another window since this one: its trace is gone")
+        w_in, w_ff, w_rec, w_out, *taus = ctx.weights
+        grad = grads[0].numpy()
+        down = np.hstack([w_ff, w_rec])
+        constants = np.array(
+            [THRESHOLD, SURROGATE_WIDTH, STATE_ONE if space.quantised else 1.0, 1.0, 0.0], space.dtype
+        )
+
+        def run(part: slice, trace: Trace) -> list[Floats]:
+            sums = [np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out)]
+            tau_sums = [np.zeros((2, w_in.shape[0]), space.dtype), np.zeros((2, w_ff.shape[0]), space.dtype)]
+            tau_sums.append(np.zeros(2, space.dtype))
+            backward_window(
+                np.ascontiguousarray(ctx.x[part].transpose(1, 0, 2), space.dtype),
+                np.ascontiguousarray(grad[part].transpose(1, 0, 2), space.dtype),
+                (down, w_out), tuple(taus[:4]), np.concatenate(taus[4:]), constants,
+                space.quantised, space.recurrent_delay,
+                trace.v0, trace.v1, trace.vo, trace.u0, trace.s0, trace.s1, *sums, *tau_sums,
+            )  # fmt: skip
+            return [*(s.T for s in sums), *tau_sums[0], *tau_sums[1], tau_sums[2][:1], tau_sums[2][1:]]
+
+        parts = space.each(run)
+        totals = parts[0]
+        for part in parts[1:]:
+            totals = [a + b for a, b in zip(totals, part, strict=True)]
+        return None, None, None, *(torch.from_numpy(np.ascontiguousarray(t)) for t in totals)
+
+
+def attsnn(x: Tensor, weights: Weights, space: Workspace, carry: bool = False) -> Tensor:
+    """Run the network over a window, differentiable with respect to its weights (on the CPU).
+
+    Args:
+        x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
+        weights: Parameters (for the quantised network already on the chip's grid).
+        space: Buffers; its trace belongs to this window until the next call.
+        carry: Go on from the state at the end of the last window instead of from rest.
+
+    Returns:
+        Output potentials in units of 1.0, shape (n, T, outputs).
+
+    Raises:
+        ValueError: The batch is not of the workspace's shape.
+    """
+    if x.shape[:2] != (space.n, space.steps):
+        raise ValueError(f"batch: {tuple(x.shape[:2])} (n, steps), the workspace is for {(space.n, space.steps)}")
+    return _Fused.apply(space, carry, x, *weights)  # pyright: ignore[reportReturnType]
