@@ -125,10 +125,11 @@ def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
             return f'unknown key "{path}"; {nearest(key, valid)}'
         case "missing":
             return f'missing key "{path}"'
+        case "union_tag_not_found":
+            tag = str(error.get("ctx", {}).get("discriminator", "")).strip("'")
+            return f'missing key "{path}.{tag}"'
     message = " ".join(error["msg"].removeprefix("Value error, ").removeprefix("Input ").split())
-    if not path or error["type"] == "union_tag_not_found":
-        return f"{path}: {message}" if path else message
-    return f"{path} = {_shorten(error['input'])}: {message}"
+    return f"{path} = {_shorten(error['input'])}: {message}" if path else message
 
 
 def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:

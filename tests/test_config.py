@@ -92,7 +92,7 @@ def test_json_round_trip_keeps_the_model(tmp_path):
             ["weather[0].speed = 99", "less than or equal to 50"],
         ),
         ("mass = 1\nweather = [{kind = 'rain'}]", ["weather[0]", "'calm', 'storm'"]),
-        ("mass = 1\nweather = [{speed = 1}]", ["weather[0]", "kind"]),
+        ("mass = 1\nweather = [{speed = 1}]", ['missing key "weather[0].kind"']),
         ("mass = 1\nrotor = {radius = 0}", ["rotor.radius = 0", "greater than 0"]),
         ("mass = 1\nrotor = {radius = 1, position = [1, 2]}", ["rotor.position[2]"]),
         ("mass = '1'", ['mass = "1"', "number"]),
