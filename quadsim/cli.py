@@ -1,11 +1,13 @@
 """The command line. Each verb is thin: it parses, calls one function of the library, and says what came out.
 
-This is the only module of `quadsim` that imports the packages above it, inside each verb, so that `--help` is fast.
+This is the only module of `quadsim` that imports the packages above it: inside each verb, so that `--help` is
+fast.
 """
 
 import logging
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +26,7 @@ from rich.table import Table
 
 app = typer.Typer(
     name="quadsim",
-    help="Fly a MuJoCo quadrotor on spiking, learned and classical attitude estimators, and see which to trust.",
+    help="Fly a MuJoCo quadrotor on spiking, learned and classical attitude estimators: see which to trust.",
     epilog="Start here: quadsim demo --out reports/demo",
     no_args_is_help=True,
     add_completion=False,
@@ -82,8 +84,8 @@ def generate(
 ) -> None:
     """Generate labelled synthetic flights: IMU samples and everything that was true.
 
-    The defaults are the paper's size, 35 flights of 100 s at 200 Hz, and take some ten seconds. A killed run goes
-    on where it stopped when the same command is given again; the result does not depend on the number of workers.
+    The defaults are the paper's size, 35 flights of 100 s at 200 Hz, and take some ten seconds. A killed run
+    goes on where it stopped when the same command is given again; the number of workers changes nothing.
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """
@@ -160,7 +162,7 @@ def design(
 ) -> None:
     """Design the controller's gains from phase margins, and print them with the margins they leave.
 
-    Paste the gains under \\[controller] in the vehicle's TOML file; left out, they are designed when first needed.
+    Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed.
     """
     from .design import design as design_gains
     from .design import loop_margins
@@ -181,7 +183,7 @@ def design(
 
 
 @contextmanager
-def executor_of(cluster: str | None) -> Iterator[object | None]:
+def executor_of(cluster: str | None) -> Iterator[Executor | None]:
     """The executor of a Dask cluster, or None for processes of our own."""
     if cluster is None:
         yield None

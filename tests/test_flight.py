@@ -1,0 +1,172 @@
+"""The closed loop: controller, plant and IMU together."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadsim.controller import LEVELS, Controller
+from quadsim.design import loop_margins
+from quadsim.flight import FlightConfig, FlightLoop, simulate_flights
+from quadsim.imu import load_imu
+from quadsim.rotation import quat_from_euler, roll_pitch_from_quat
+from quadsim.trajectory import Hover, Mix
+from quadsim.vehicle import GRAVITY, Randomisation, load_vehicle
+from quadsim.wind import Constant, Dryden
+
+HUMMINGBIRD = load_vehicle("hummingbird")
+HOVER = np.array([[0, 0, 2.0, 0, 0, 0, 0, 0, 0, 0, 0]])
+
+
+def config(**changes):
+    return FlightConfig(vehicle=HUMMINGBIRD, imu=load_imu("adis16448"), **changes)
+
+
+def seeds(n, seed=0):
+    return np.random.SeedSequence(seed).spawn(n)
+
+
+@pytest.mark.parametrize("name", ["hummingbird", "px4-quad", "crazyflie"])
+@pytest.mark.parametrize("n", [1, 7])
+def test_hover_holds_a_point_from_any_start(name, n):
+    loop = FlightLoop(load_vehicle(name), n)
+    rng = np.random.default_rng(0)
+    loop.reset(
+        position=rng.uniform((-1, -1, 1), (1, 1, 3), (n, 3)),
+        quat=quat_from_euler(rng.uniform(-0.7, 0.7, n), rng.uniform(-0.7, 0.7, n), rng.uniform(-3, 3, n)),
+        ang_vel=rng.normal(0, 1, (n, 3)),
+    )
+    for _ in range(3000):
+        loop.step("position", np.repeat(HOVER, n, axis=0))
+    assert loop.plant.position == pytest.approx(np.tile([0, 0, 2.0], (n, 1)), abs=0.02)
+
+
+def test_integral_action_holds_position_against_12_metres_per_second():
+    loop = FlightLoop(HUMMINGBIRD, 1)
+    loop.reset(position=(0, 0, 2.0))
+    wind = np.array([[12.0, 0, 0]])
+    for _ in range(6000):
+        loop.step("position", HOVER, wind)
+    assert loop.plant.position[0] == pytest.approx([0, 0, 2.0], abs=0.05)
+    assert np.degrees(loop.true_attitude[0, 1]) < -10  # nose down into a wind from the front
+
+
+def test_small_attitude_step_crosses_as_fast_as_the_design_says():
+    """Time to 63 % of a 3° step is about 1 / crossover of the designed loop, plus the rotor lag."""
+    loop = FlightLoop(HUMMINGBIRD, 1)
+    loop.reset()
+    target = np.radians(3.0)
+    roll = []
+    for _ in range(200):
+        loop.step("attitude", np.array([[target, 0.0, 0.0, GRAVITY]]))
+        roll.append(loop.true_attitude[0, 0])
+    reached = (np.argmax(np.array(roll) > 0.63 * target) + 1) / 200
+    crossover = loop_margins(HUMMINGBIRD, loop.controller.gains)["attitude"].crossover
+    assert reached == pytest.approx(1 / crossover + 0.05, abs=0.05)
+    assert max(roll) < 1.25 * target
+
+
+@pytest.mark.parametrize(
+    ("level", "command", "read", "wanted"),
+    [
+        ("velocity", [1.0, -0.5, 0.2, 0.3], lambda loop: loop.plant.velocity[0], [1.0, -0.5, 0.2]),
+        ("attitude", [0.1, -0.05, 0.4, GRAVITY], lambda loop: loop.true_attitude[0], [0.1, -0.05]),
+        ("attitude", [0.1, -0.05, 0.4, GRAVITY], lambda loop: loop.yaw, [0.4]),
+        ("rate", [0.0, 0.0, 0.6, GRAVITY], lambda loop: loop.plant.ang_vel[0], [0.0, 0.0, 0.6]),
+        ("rotor", [450.0] * 4, lambda loop: loop.plant.rotor_vel[0], [450.0] * 4),
+    ],
+)
+def test_a_command_is_followed_at_every_level(level, command, read, wanted):
+    loop = FlightLoop(HUMMINGBIRD, 1)
+    loop.reset(position=(0, 0, 50))
+    for _ in range(800):
+        loop.step(level, np.array([command]))
+    assert read(loop) == pytest.approx(wanted, abs=0.02)
+
+
+@given(st.lists(st.floats(-1e9, 1e9), min_size=11, max_size=11), st.sampled_from(LEVELS))
+@settings(max_examples=60, deadline=None)
+def test_rotor_commands_stay_within_the_rotors(numbers, level):
+    controller = Controller(HUMMINGBIRD, 1)
+    command = np.array([numbers])[:, : 11 if level == "position" else 4]
+    zero = np.zeros((1, 3))
+    out = controller.step(level, command, zero, zero, np.zeros((1, 2)), np.zeros(1), zero)
+    assert np.all((out >= 0) & (out <= HUMMINGBIRD.motor.omega_max))
+
+
+def test_recorded_flights_reach_45_degrees_with_the_papers_spread():
+    flown = simulate_flights(config(), seeds(6), 6000)
+    roll_pitch = roll_pitch_from_quat(flown["quat"])
+    assert 0.2 < roll_pitch.std() < 0.3
+    tilt = np.arccos(np.cos(roll_pitch[..., 0]) * np.cos(roll_pitch[..., 1]))
+    assert np.degrees(tilt.max()) > 45
+    assert all(reason == "" for reason in flown["end_reason"])
+
+
+def test_the_gyro_sample_is_aligned_with_the_state():
+    """With a perfect IMU, the mean of gyro samples k and k + 1 turns quat k into quat k + 1."""
+    flown = simulate_flights(FlightConfig(vehicle=HUMMINGBIRD, imu=load_imu("perfect")), seeds(2), 2000)
+    quat, gyro = flown["quat"], flown["gyro"]
+    assert np.array_equal(gyro, flown["ang_vel"])
+    w, x, y, z = np.moveaxis(quat[:, :-1], -1, 0)
+    a, b, c, d = np.moveaxis(quat[:, 1:], -1, 0)
+    vector = np.stack([w*b - x*a - y*d + z*c, w*c + x*d - y*a - z*b, w*d - x*c + y*b - z*a], axis=-1)  # fmt: skip
+    turned = 2 * vector * np.sign(w * a + x * b + y * c + z * d)[..., None] * 200
+    aligned = turned - (gyro[:, :-1] + gyro[:, 1:]) / 2
+    late = turned[:, 1:] - (gyro[:, :-2] + gyro[:, 1:-1]) / 2
+    assert np.sqrt(np.mean(aligned**2)) < 0.02
+    assert np.sqrt(np.mean(late**2)) > 3 * np.sqrt(np.mean(aligned**2))
+
+
+def test_a_flight_does_not_depend_on_its_batch():
+    spread, breeze = Randomisation(mass=0.1, rotor_drag=0.2), Constant(velocity=(2, 0, 0))
+    varied = config(randomisation=spread, wind=(breeze,))
+    together = simulate_flights(varied, seeds(5), 300)
+    alone = simulate_flights(varied, seeds(5)[3:4], 300)
+    for name, values in together.items():
+        assert np.array_equal(np.asarray(values)[3:4], np.asarray(alone[name])), name
+
+
+def test_adding_wind_does_not_change_the_imu_noise():
+    calm = simulate_flights(config(trajectory=Hover()), seeds(2), 400)
+    windy = simulate_flights(config(trajectory=Hover(), wind=(Constant(velocity=(3, 0, 0)),)), seeds(2), 400)
+    assert np.array_equal(calm["gyro_bias"], windy["gyro_bias"])
+    noise = [flown["gyro"] - flown["ang_vel"] for flown in (calm, windy)]
+    assert noise[0] == pytest.approx(noise[1], abs=1e-12)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0, 40), st.floats(1, 55))
+def test_no_seed_wind_or_set_point_records_a_number_that_is_not_finite(seed, gale, tilt):
+    storm = Dryden(airspeed=max(gale, 1.0), altitude=20.0, wind_20ft=gale)
+    rough = config(trajectory=Mix(max_tilt_deg=tilt), wind=(Constant(velocity=(gale, 0.0, 0.0)), storm))
+    flown = simulate_flights(rough, seeds(2, seed), 600)
+    for name, values in flown.items():
+        if name != "end_reason":
+            assert np.all(np.isfinite(values)), name
+
+
+def test_a_vehicle_that_cannot_fly_ends_with_a_reason_and_finite_numbers():
+    """An inertia a thousandth of the designed one: the rate loop is unstable and the vehicle tumbles."""
+    broken = HUMMINGBIRD.model_copy(update={"inertia": (7e-6, 7e-6, 1.2e-5)})
+    loop_for = FlightConfig(vehicle=broken, imu=load_imu("adis16448"))
+    gains = HUMMINGBIRD.controller.model_copy(update={"rate": 2e4, "rate_integral": 0.0})
+    doomed = loop_for.model_copy(update={"vehicle": broken.model_copy(update={"controller": gains})})
+    flown = simulate_flights(doomed, seeds(2), 400)
+    assert np.all(flown["end_step"] < 400)
+    assert all("diverged after" in reason for reason in flown["end_reason"])
+    assert all(np.all(np.isfinite(v)) for k, v in flown.items() if k != "end_reason")
+    assert np.linalg.norm(flown["quat"], axis=-1) == pytest.approx(np.ones((2, 400)))
+
+
+def test_an_estimator_of_another_rate_is_refused():
+    class Slow:
+        rate_hz = 100.0
+
+        def reset(self, n=1, roll_pitch=None): ...
+
+        def update(self, gyro, accel):
+            return np.zeros((len(gyro), 2))
+
+    with pytest.raises(ValueError, match="100 Hz"):
+        FlightLoop(HUMMINGBIRD, 1, estimator=Slow())

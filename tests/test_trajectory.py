@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from quadsim.trajectory import Doublets, Hover, Lissajous, Mix, SetPointFile, Step, Waypoints, reference
+from quadsim.vehicle import GRAVITY
+
+RATE = 200.0
+SMOOTH = [Lissajous(), Waypoints(), Doublets(), Mix(), Lissajous(yaw_along=True)]
+
+
+def fly(spec, seconds=60.0, n=2, seed=0):
+    return reference(spec, int(seconds * RATE), RATE, np.random.SeedSequence(seed).spawn(n))
+
+
+def tilt_deg(path):
+    acceleration = path[..., 6:9] + [0, 0, GRAVITY]
+    return np.degrees(np.arctan2(np.linalg.norm(acceleration[..., :2], axis=-1), acceleration[..., 2]))
+
+
+@pytest.mark.parametrize("spec", SMOOTH, ids=lambda spec: spec.kind)
+def test_velocity_and_acceleration_are_the_derivatives_of_position(spec):
+    path = fly(spec)
+    middle = path[:, 1:-1]
+    assert np.gradient(path[..., 0:3], 1 / RATE, axis=1)[:, 1:-1] == pytest.approx(middle[..., 3:6], abs=2e-3)
+    assert np.gradient(path[..., 3:6], 1 / RATE, axis=1)[:, 1:-1] == pytest.approx(middle[..., 6:9], abs=2e-2)
+
+
+@pytest.mark.parametrize("spec", [Mix(), Doublets()], ids=lambda spec: spec.kind)
+def test_yaw_rate_is_the_derivative_of_yaw(spec):
+    path = fly(spec)
+    assert np.gradient(path[..., 9], 1 / RATE, axis=1)[:, 1:-1] == pytest.approx(path[:, 1:-1, 10], abs=1e-3)
+
+
+def test_mix_fills_the_envelope_to_45_degrees():
+    """Roll and pitch of the reference spread over about 0.25 rad, the paper's distribution."""
+    path = fly(Mix(), seconds=200, n=8)
+    per_axis = np.sqrt(np.mean(np.radians(tilt_deg(path)) ** 2) / 2)
+    assert 0.2 < per_axis < 0.3
+    assert 41 < np.percentile(tilt_deg(path), 99.8) < 50
+    assert tilt_deg(path).max() > 45
+    assert path[..., 2].min() > 5
+
+
+def test_minimum_snap_passes_the_waypoints_and_rests_at_both_ends():
+    points = ((0.0, 0.0, 2.0), (3.0, 0.0, 2.0), (3.0, 3.0, 3.0), (0.0, 3.0, 2.0), (0.0, 0.0, 2.0))
+    path = fly(Waypoints(points=points), seconds=40)[0]
+    assert path[0, 3:9] == pytest.approx(np.zeros(6), abs=1e-9)
+    for point in points:
+        assert np.linalg.norm(path[:, :3] - point, axis=-1).min() < 0.05
+
+
+def test_minimum_snap_beats_a_perturbed_curve():
+    """Of all curves through the waypoints with the same ends the spline has the least ∫ |snap|²."""
+    points = ((0.0, 0.0, 2.0), (3.0, 1.0, 2.0), (2.0, 4.0, 2.0), (0.0, 0.0, 2.0))
+    path = fly(Waypoints(points=points, speed=1.0), seconds=40)[0]
+    end = int(np.argmax(np.linalg.norm(path[400:, 3:6], axis=-1) < 1e-3)) + 400
+    snap = np.gradient(np.gradient(path[:end, 6:9], 1 / RATE, axis=0), 1 / RATE, axis=0)[5:-5]
+    t = np.linspace(0, 1, end)
+    knots = [int(np.argmin(np.linalg.norm(path[:end, :3] - p, axis=-1))) / end for p in points[1:3]]
+    bump = (t * (1 - t)) ** 5 * np.prod([(t - k) for k in knots], axis=0)
+    extra = np.gradient(np.gradient(np.gradient(np.gradient(bump, 1 / RATE), 1 / RATE), 1 / RATE), 1 / RATE)[
+        5:-5
+    ]
+    for scale in (-1.0, 1.0):
+        other = snap[:, 0] + scale * extra / np.abs(extra).max()
+        assert np.sum(other**2) > np.sum(snap[:, 0] ** 2)
+
+
+def test_step_goes_there_and_back():
+    path = fly(Step(offset=(2.0, 0.0, 0.0), at_s=1.0, hold_s=3.0), seconds=8)[0]
+    assert path[int(0.9 * RATE), 0] == 0
+    assert path[int(2.0 * RATE), 0] == 2
+    assert path[int(4.5 * RATE), 0] == 0
+
+
+def test_a_flight_depends_on_its_own_seed_alone():
+    seeds = np.random.SeedSequence(3).spawn(5)
+    assert np.array_equal(reference(Mix(), 2000, RATE, seeds)[3], reference(Mix(), 2000, RATE, seeds[3:4])[0])
+
+
+def test_hover_is_still():
+    assert np.all(fly(Hover())[..., 3:9] == 0)
+
+
+def test_set_points_from_a_file_are_passed_through(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("t,x,y,z,yaw\n0,0,0,2,0\n2,1,0,2,0.5\n4,1,2,3,0\n")
+    flown = fly(SetPointFile(path=str(path)), seconds=6)[0]
+    assert flown[int(2 * RATE), [0, 1, 2, 9]] == pytest.approx([1, 0, 2, 0.5])
+    assert flown[-1, :9] == pytest.approx([1, 2, 3, 0, 0, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x,y,z\n1,2,3\n",
+        "t,x,y,z\n0,0,0,0\n",
+        "t,x,y,z\n0,0,0,a\n1,0,0,0\n",
+        "t,x,y,z\n1,0,0,0\n0,0,0,0\n",
+        "",
+    ],
+)
+def test_a_wrong_set_point_file_is_named(tmp_path, text):
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"points\.csv"):
+        fly(SetPointFile(path=str(path)))
+
+
+def test_a_missing_set_point_file_is_named():
+    with pytest.raises(ValueError, match="no-such-file"):
+        fly(SetPointFile(path="no-such-file.csv"))
+
+
+def test_a_tilt_beyond_the_controller_is_refused():
+    with pytest.raises(ValidationError):
+        Mix(max_tilt_deg=80)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 2**31),
+    st.floats(1, 55),
+    st.floats(0, 1),
+    st.floats(0, 1),
+    st.floats(0, 3),
+)
+def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, yaw_rate):
+    spec = Mix(max_tilt_deg=tilt, circle_share=circles, pause_share=pauses, max_yaw_rate=yaw_rate)
+    path = fly(spec, seconds=20, n=1, seed=seed)
+    assert np.all(np.isfinite(path))
+    assert np.abs(path[..., 10]).max() <= yaw_rate + 1e-9
