@@ -104,7 +104,7 @@ def test_recorded_flights_reach_45_degrees_with_the_papers_spread():
 
 
 def test_the_gyro_sample_is_aligned_with_the_state():
-    """With a perfect IMU, the mean of gyro samples k and k + 1 turns quat k into quat k + 1."""
+    """The mean of gyro samples k and k + 1 turns quat k into quat k + 1, and no other pair does."""
     flown = simulate_flights(FlightConfig(vehicle=HUMMINGBIRD, imu=load_imu("perfect")), seeds(2), 2000)
     quat, gyro = flown["quat"], flown["gyro"]
     assert np.array_equal(gyro, flown["ang_vel"])
