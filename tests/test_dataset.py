@@ -1,0 +1,470 @@
+import errno
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zarr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadsim import dataset, dataset_store
+from quadsim.dataset import dataset_info, generate, open_dataset, split_flights, verify
+from quadsim.dataset_store import VARIABLES, partial_folder
+from quadsim.flight import FlightConfig, simulate_flights
+from quadsim.imu import load_imu
+from quadsim.rotation import roll_pitch_from_quat
+from quadsim.vehicle import load_vehicle
+
+FLIGHTS, DURATION, STEPS = 7, 0.5, 100
+CONFIG = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.5)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return generate(CONFIG, FLIGHTS, DURATION, tmp_path_factory.mktemp("data") / "x.zarr", workers=1)
+
+
+@pytest.fixture
+def own(finished: Path, tmp_path: Path) -> Path:
+    """A copy that a test may damage."""
+    subprocess.run(["cp", "-r", str(finished), str(tmp_path)], check=True)
+    return tmp_path / "x.zarr"
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+class Inline(Executor):
+    """Runs tasks at once, and fails in one of them."""
+
+    def __init__(self, failing: int, error: Exception) -> None:
+        self.tasks, self.failing, self.error = 0, failing, error
+
+    def submit(self, fn, /, *args, **kwargs):
+        """A future that is done."""
+        future = Future()
+        self.tasks += 1
+        if self.tasks == self.failing:
+            future.set_exception(self.error)
+        else:
+            future.set_result(fn(*args, **kwargs))
+        return future
+
+
+def interrupted(out: Path) -> Path:
+    with pytest.raises(OSError, match=r"cannot write .*No space left on device.* kept"):
+        generate(
+            CONFIG,
+            FLIGHTS,
+            DURATION,
+            out,
+            workers=7,
+            executor=Inline(5, OSError(errno.ENOSPC, "No space left on device")),
+        )
+    return out
+
+
+# --- what is in it ---
+
+
+def test_every_variable_has_its_dims_units_and_name(finished):
+    found = open_dataset(finished)
+    assert set(found.data_vars) == set(VARIABLES)
+    for name, variable in VARIABLES.items():
+        assert found[name].dims == ("flight", "time", variable.dim)
+        assert found[name].shape[:2] == (FLIGHTS, STEPS)
+        assert found[name].attrs == {"units": variable.units, "long_name": variable.long_name}
+
+
+def test_coordinates_label_flight_time_and_components(finished):
+    found = open_dataset(finished)
+    assert found["time"].to_numpy() == pytest.approx(np.arange(STEPS) / 200)
+    assert found["time"].attrs["units"] == "s"
+    assert found["flight"].to_numpy().tolist() == list(range(FLIGHTS))
+    assert found["quat"].sel(quat_axis="w").shape == (FLIGHTS, STEPS)
+    assert found["gyro"].sel(axis="z").shape == (FLIGHTS, STEPS)
+    assert (found["valid_steps"] == STEPS).all()
+    assert (found["end_reason"] == "").all()
+
+
+def test_configuration_seed_and_rate_are_inside(finished):
+    attributes = open_dataset(finished).attrs
+    assert FlightConfig.model_validate_json(attributes["config"]) == CONFIG
+    assert (attributes["seed"], attributes["rate_hz"], attributes["duration_s"]) == (0, 200.0, DURATION)
+
+
+def test_a_flight_is_the_simulation_of_its_own_seed(finished):
+    alone = simulate_flights(CONFIG, [np.random.SeedSequence(0).spawn(FLIGHTS)[4]], STEPS, 200.0)
+    found = open_dataset(finished).isel(flight=4)
+    for name in VARIABLES:
+        assert np.array_equal(found[name].to_numpy(), alone[name][0].astype("f4"))
+
+
+# --- what it depends on ---
+
+
+def test_two_processes_write_the_same_bytes_as_one(finished, tmp_path):
+    out = generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=2)
+    assert files(out) == files(finished)
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_bytes_do_not_depend_on_the_batches(finished, tmp_path, monkeypatch, batch):
+    monkeypatch.setattr(dataset, "BATCH_FLIGHTS", batch)
+    assert files(generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=1)) == files(finished)
+
+
+def test_any_executor_will_do(finished, tmp_path):
+    with ThreadPoolExecutor(3) as executor:
+        out = generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=3, executor=executor)
+    assert files(out) == files(finished)
+
+
+def test_a_dask_cluster_is_an_executor_too(finished, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.Client(processes=False, n_workers=1, dashboard_address=None) as client:
+        out = generate(
+            CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=2, executor=client.get_executor()
+        )
+    assert files(out) == files(finished)
+
+
+def test_a_larger_dataset_begins_with_the_same_flights(finished, tmp_path):
+    larger = generate(CONFIG, FLIGHTS + 1, DURATION, tmp_path / "y.zarr", workers=1)
+    checksums = [open_dataset(path)["checksum"].to_numpy()[:FLIGHTS].tolist() for path in (larger, finished)]
+    assert checksums[0] == checksums[1]
+
+
+def test_another_seed_gives_other_flights(finished, tmp_path):
+    other = generate(CONFIG, FLIGHTS, DURATION, tmp_path / "y.zarr", seed=1, workers=1)
+    assert not set(open_dataset(other)["checksum"].values) & set(open_dataset(finished)["checksum"].values)
+
+
+# --- interruption ---
+
+
+def test_an_unfinished_dataset_says_how_far_it_is(tmp_path):
+    out = interrupted(tmp_path / "x.zarr")
+    for path in (out, partial_folder(out)):
+        with pytest.raises(ValueError, match=r"is unfinished: 6 of 7 flights; rerun"):
+            open_dataset(path)
+
+
+def test_a_rerun_flies_only_what_is_missing(finished, tmp_path, monkeypatch):
+    out = interrupted(tmp_path / "x.zarr")
+    flown, progress = [], []
+
+    def counting(config, seeds, steps, rate_hz):
+        flown.extend(seed.spawn_key[0] for seed in seeds)
+        return simulate_flights(config, seeds, steps, rate_hz)
+
+    monkeypatch.setattr(dataset_store, "simulate_flights", counting)
+    generate(CONFIG, FLIGHTS, DURATION, out, workers=1, progress=lambda *done: progress.append(done))
+    assert flown == [4]
+    assert progress == [(6, 7), (7, 7)]
+    assert files(out) == files(finished)
+    assert not partial_folder(out).exists()
+
+
+def test_a_flight_whose_file_was_cut_short_is_flown_again(finished, tmp_path):
+    out = interrupted(tmp_path / "x.zarr")
+    os.truncate(dataset_store.chunk_file(partial_folder(out) / "data", "wind", 2), 10)
+    (partial_folder(out) / "flights" / "00003.json").write_text("{")
+    with pytest.raises(ValueError, match="4 of 7"):
+        open_dataset(out)
+    assert files(generate(CONFIG, FLIGHTS, DURATION, out, workers=1)) == files(finished)
+
+
+def test_a_finished_dataset_is_left_as_it_is(finished):
+    before = (finished / "zarr.json").stat().st_mtime_ns
+    assert generate(CONFIG, FLIGHTS, DURATION, finished, workers=1) == finished
+    assert (finished / "zarr.json").stat().st_mtime_ns == before
+
+
+def test_a_killed_run_resumes_and_leaves_no_process_behind(tmp_path):
+    script = """
+import sys
+from quadsim import dataset
+from quadsim.flight import FlightConfig
+
+dataset.BATCH_FLIGHTS = 1
+dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 60, 2.0, sys.argv[1], workers=2)
+"""
+    out = tmp_path / "killed.zarr"
+    run = subprocess.Popen(
+        [sys.executable, "-c", script, str(out), CONFIG.model_dump_json()], cwd=Path(__file__).parents[1]
+    )
+    markers = partial_folder(out) / "flights"
+    await_true(lambda: markers.is_dir() and len(list(markers.glob("*.json"))) >= 3)
+    workers = children(run.pid)
+    run.kill()
+    run.wait()
+    await_true(lambda: not any(alive(pid) for pid in workers))
+    assert len(workers) >= 2
+    with pytest.raises(ValueError, match=r"unfinished: \d+ of 60 flights"):
+        open_dataset(out)
+    generate(CONFIG, 60, 2.0, out, workers=1)
+    assert verify(out) == 60
+    assert not list(out.rglob("*.partial"))
+    whole = generate(CONFIG, 60, 2.0, tmp_path / "whole.zarr", workers=1)
+    assert files(out) == files(whole)
+
+
+def test_a_worker_that_dies_is_replaced(finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset, "BATCH_FLIGHTS", 1)
+    deaths = []
+
+    def kill_one_worker(done, total):
+        if done == 1 and not deaths:
+            deaths.append(multiprocessing.active_children()[0])
+            deaths[0].kill()
+
+    out = generate(CONFIG, FLIGHTS, DURATION, tmp_path / "x.zarr", workers=2, progress=kill_one_worker)
+    assert deaths
+    assert files(out) == files(finished)
+
+
+def test_workers_that_keep_dying_are_one_clear_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset, "ATTEMPTS", 1)
+    monkeypatch.setattr(dataset, "BATCH_FLIGHTS", 1)
+
+    def kill_all_workers(done, total):
+        for worker in multiprocessing.active_children():
+            worker.kill()
+
+    with pytest.raises(ChildProcessError, match=r"keep dying .*of 40 flights are kept: rerun to resume"):
+        generate(CONFIG, 40, DURATION, tmp_path / "x.zarr", workers=2, progress=kill_all_workers)
+
+
+def await_true(condition, seconds: float = 60) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def children(pid: int) -> list[int]:
+    return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+# --- another dataset in the way ---
+
+
+def test_another_dataset_is_not_continued_nor_replaced(own, tmp_path):
+    unfinished = interrupted(tmp_path / "unfinished.zarr")
+    for out in (own, unfinished):
+        with pytest.raises(ValueError, match=r"another dataset \(seed is 0, not 3\).*--out.*--overwrite"):
+            generate(CONFIG, FLIGHTS, DURATION, out, seed=3, workers=1)
+
+
+def test_the_setting_that_differs_is_named(own):
+    heavier = CONFIG.model_copy(update={"warmup_s": 1.0})
+    with pytest.raises(ValueError, match=r"config.warmup_s is 0.5, not 1.0"):
+        generate(heavier, FLIGHTS, DURATION, own, workers=1)
+
+
+def test_overwrite_replaces_finished_and_unfinished_datasets(own, tmp_path):
+    for out in (own, interrupted(tmp_path / "unfinished.zarr")):
+        generate(CONFIG, 2, DURATION, out, seed=3, workers=1, overwrite=True)
+        assert open_dataset(out).sizes["flight"] == 2
+        assert not partial_folder(out).exists()
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_is_not_a_dataset_is_never_replaced(tmp_path, overwrite):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter").write_text("1")
+    (tmp_path / "y.zarr.partial").mkdir()
+    (tmp_path / "y.zarr.partial" / "chapter").write_text("2")
+    for name in ("thesis", "y.zarr"):
+        with pytest.raises(ValueError, match=r"not a dataset|not from quadsim"):
+            generate(CONFIG, 2, DURATION, tmp_path / name, workers=1, overwrite=overwrite)
+    assert len(files(tmp_path)) == 2
+
+
+# --- refusals ---
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"flights": 0}, "flights = 0: a whole number from 1 on"),
+        ({"flights": 1.5}, "flights = 1.5"),
+        ({"duration_s": 0.0}, "duration_s = 0.0"),
+        ({"duration_s": float("nan")}, "duration_s = nan"),
+        ({"rate_hz": -1.0}, "rate_hz = -1.0"),
+        ({"seed": -1}, "seed = -1"),
+        ({"workers": 0}, "workers = 0"),
+    ],
+)
+def test_bad_arguments_are_named(tmp_path, wrong, message):
+    arguments = {"flights": 1, "duration_s": 1.0, "out": tmp_path / "x.zarr"} | wrong
+    with pytest.raises(ValueError, match=message):
+        generate(CONFIG, **arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_path_that_cannot_be_written_is_one_clear_line(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"cannot write .*/file/x.zarr: Not a directory") as caught:
+        generate(CONFIG, 1, DURATION, tmp_path / "file" / "x.zarr", workers=1)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_path_says_what_makes_one(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no such dataset; `quadsim generate --out"):
+        open_dataset(tmp_path / "none.zarr")
+
+
+def test_what_is_not_a_dataset_is_refused(tmp_path):
+    (tmp_path / "file.zarr").write_text("not one")
+    (tmp_path / "folder.zarr").mkdir()
+    for name, attributes in (
+        ("other", {"title": "x"}),
+        ("odd", {"format": "quadsim flights", "format_version": 1}),
+    ):
+        (tmp_path / f"{name}.zarr").mkdir()
+        (tmp_path / f"{name}.zarr" / "zarr.json").write_text(json.dumps({"attributes": attributes}))
+    for path in tmp_path.iterdir():
+        with pytest.raises(ValueError, match="is not a dataset of quadsim") as caught:
+            open_dataset(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_newer_format_is_refused(own):
+    metadata = json.loads((own / "zarr.json").read_text())
+    metadata["attributes"]["format_version"] = 2
+    (own / "zarr.json").write_text(json.dumps(metadata))
+    with pytest.raises(ValueError, match=r"format version 2, newer than the 1 .*update quadsim"):
+        open_dataset(own)
+
+
+@pytest.mark.parametrize("lost", ["accel/c.5.0.0", "checksum/c/0", "time/c/0"])
+def test_a_missing_file_is_found_on_opening(own, lost):
+    (own / lost).unlink()
+    with pytest.raises(ValueError, match=rf"truncated: .*{lost} is missing"):
+        open_dataset(own)
+
+
+def test_a_short_file_is_found_on_opening(own):
+    os.truncate(own / "accel" / "c.5.0.0", 100)
+    with pytest.raises(ValueError, match="damaged: flight 5 is cut short"):
+        open_dataset(own)
+
+
+# --- verify ---
+
+
+def test_an_undamaged_dataset_is_verified(finished):
+    assert verify(finished) == FLIGHTS
+
+
+def test_verify_names_the_damaged_flights(own):
+    (own / "accel" / "c.1.0.0").unlink()
+    os.truncate(own / "gyro" / "c.2.0.0", 100)
+    swap(own / "gyro" / "c.3.0.0", own / "velocity" / "c.3.0.0")
+    (own / "quat" / "c.4.0.0").write_bytes(bytes((own / "quat" / "c.4.0.0").stat().st_size))
+    zarr.open_array(own / "quat")[5, 3, 1] = np.nan
+    zarr.open_array(own / "stored_bytes")[5] = dataset_store.stored_bytes(own, 5)
+    with pytest.raises(ValueError, match="5 of 7 flights are damaged") as caught:
+        verify(own)
+    for fault in (
+        "flight 1 (accel is missing)",
+        "flight 2 (a file is cut short)",
+        "flight 3 (its checksum differs)",
+        "flight 4 (it cannot be read",
+        "flight 5 (quat is not finite)",
+    ):
+        assert fault in str(caught.value)
+
+
+def swap(a: Path, b: Path) -> None:
+    content = a.read_bytes()
+    a.write_bytes(b.read_bytes())
+    b.write_bytes(content)
+
+
+# --- flights that end early ---
+
+
+def test_a_diverging_flight_ends_with_a_reason_and_holds_its_last_sample(tmp_path, monkeypatch):
+    def diverging(config, seeds, steps, rate_hz):
+        log = simulate_flights(config, seeds, steps, rate_hz)
+        log["end_step"][1], log["end_reason"][1] = 30, "hit the ground"
+        log["position"][1, 30:] = np.nan
+        log["velocity"][2, 40] = np.inf  # the simulation itself did not notice
+        log["end_step"][3], log["end_reason"][3] = 0, "never flew"
+        log["gyro"][3] = np.nan
+        return log
+
+    monkeypatch.setattr(dataset_store, "simulate_flights", diverging)
+    found = open_dataset(generate(CONFIG, 4, DURATION, tmp_path / "x.zarr", workers=1)).load()
+    assert found["valid_steps"].to_numpy().tolist() == [STEPS, 30, 40, 0]
+    assert found["end_reason"].to_numpy().tolist()[:2] == ["", "hit the ground"]
+    assert "not finite" in str(found["end_reason"][2].item())
+    assert all(np.isfinite(found[name]).all() for name in VARIABLES)
+    for flight, end in ((1, 30), (2, 40)):
+        for name in VARIABLES:
+            values = found[name].to_numpy()[flight]
+            assert (values[end:] == values[end - 1]).all()
+    assert (found["quat"][3] == [1, 0, 0, 0]).all()
+    assert verify(tmp_path / "x.zarr") == 4
+    assert dataset_info(tmp_path / "x.zarr")["flights_ended_early"] == 3
+
+
+# --- summary and split ---
+
+
+def test_info_states_spread_over_all_samples(finished):
+    info = dataset_info(finished)
+    roll, pitch = np.degrees(roll_pitch_from_quat(open_dataset(finished)["quat"].to_numpy())).std((0, 1))
+    assert info["roll_sd_deg"] == pytest.approx(roll, rel=1e-4)
+    assert info["pitch_sd_deg"] == pytest.approx(pitch, rel=1e-4)
+    assert info["samples"] == FLIGHTS * STEPS
+    assert info["config"]["imu"] == CONFIG.imu.model_dump(mode="json")
+
+
+def test_tilt_of_a_known_attitude(tmp_path, monkeypatch):
+    def tilted(config, seeds, steps, rate_hz):
+        log = simulate_flights(config, seeds, steps, rate_hz)
+        log["quat"][:] = (np.cos(np.radians(20)), np.sin(np.radians(20)), 0, 0)
+        return log
+
+    monkeypatch.setattr(dataset_store, "simulate_flights", tilted)
+    info = dataset_info(generate(CONFIG, 1, DURATION, tmp_path / "x.zarr", workers=1))
+    assert info["max_tilt_deg"] == pytest.approx(40, abs=1e-3)
+    assert info["roll_sd_deg"] == pytest.approx(0, abs=1e-3)
+
+
+@given(n=st.integers(3, 300), seed=st.integers(0, 2**32))
+def test_a_split_uses_every_flight_once_and_leaves_no_set_empty(n, seed):
+    sets = split_flights(n, seed)
+    assert sorted(np.concatenate(sets)) == list(range(n))
+    assert all(len(each) for each in sets)
+    assert all(np.array_equal(a, b) for a, b in zip(sets, split_flights(n, seed), strict=True))
+
+
+def test_the_papers_split_of_35_flights():
+    assert [len(each) for each in split_flights(35, 0)] == [24, 7, 4]
+
+
+def test_a_split_needs_three_flights_and_shares_that_add_up():
+    with pytest.raises(ValueError, match="flights = 2"):
+        split_flights(2)
+    with pytest.raises(ValueError, match="add up to 1"):
+        split_flights(10, 0, (0.5, 0.2, 0.1))
