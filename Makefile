@@ -7,7 +7,7 @@ run: install  ## Generate flights, score the estimators, fly them through four s
 	$(BIN)/quadsim demo --out reports/demo
 
 test: install  ## The whole suite
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto
 
 check: install  ## Linter, formatter, type checker and import contract
 	$(BIN)/ruff check .
