@@ -22,6 +22,7 @@ from typing import Literal, NamedTuple
 import numcodecs.blosc
 import numpy as np
 import zarr
+from numcodecs import Blosc
 from numpy.typing import NDArray
 from pydantic import BaseModel
 from zarr.codecs import BloscCodec
@@ -32,7 +33,8 @@ from .flight import FlightConfig, simulate_flights
 
 FORMAT: Literal["quadsim flights"] = "quadsim flights"
 FORMAT_VERSION = 1
-COMPRESSION = BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle", typesize=4)
+CODEC = Blosc(cname="lz4", clevel=1, shuffle=Blosc.BITSHUFFLE, typesize=4)  # writes what
+COMPRESSION = BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle", typesize=4)  # declares to readers
 
 
 class Variable(NamedTuple):
@@ -130,7 +132,7 @@ def begin(folder: Path, plan: Plan) -> None:
             attributes={"units": variable.units, "long_name": variable.long_name},
             config={"write_empty_chunks": True},
         )
-    _write_whole(folder / "plan.json", plan.model_dump_json())
+    _write_whole(folder / "plan.json", plan.model_dump_json().encode())
 
 
 def read_plan(folder: Path) -> str | None:
@@ -154,11 +156,10 @@ def fly_batch(plan: Plan, folder: Path, flights: Sequence[int]) -> Sequence[int]
         raise FileNotFoundError(f"{folder} is not seen by a worker: the workers must share a file system")
     seeds = [np.random.SeedSequence(plan.seed, spawn_key=(flight,)) for flight in flights]
     log = simulate_flights(plan.config, seeds, plan.steps, plan.rate_hz)
-    group = zarr.open_group(folder / "data", mode="r+", zarr_format=3)
     for row, flight in enumerate(flights):
         values = {name: np.asarray(log[name][row], dtype="<f4") for name in VARIABLES}
         end_step, end_reason = int(log["end_step"][row]), str(log["end_reason"][row])
-        _write_flight(folder, group, flight, values, end_step, end_reason)
+        _write_flight(folder, flight, values, end_step, end_reason)
     return flights
 
 
@@ -182,7 +183,7 @@ def finish(folder: Path, plan: Plan, out: Path) -> None:
     store = folder / "data"
     records = whole_flights(folder)
     _write_coordinates(store, plan, [records[flight] for flight in range(plan.flights)])
-    for stray in store.glob("*/*.partial"):  # a chunk that a killed worker left half written
+    for stray in store.glob("*/*.tmp"):  # a chunk that a killed worker left half written
         stray.unlink()
     if out.exists():
         out.rename(folder / "replaced")
@@ -282,7 +283,6 @@ def _array(group: zarr.Group, name: str) -> zarr.Array:
 
 def _write_flight(
     folder: Path,
-    group: zarr.Group,
     flight: int,
     values: dict[str, NDArray[np.float32]],
     end_step: int,
@@ -290,10 +290,10 @@ def _write_flight(
 ) -> None:
     valid_steps, end_reason = _hold_after_end(values, end_step, end_reason)
     numcodecs.blosc.use_threads = False  # several threads would order the blocks of a chunk by chance
-    for name, array in values.items():
-        _array(group, name)[flight] = array
+    for name, array in values.items():  # as Zarr would, without its event loop: a tenth of the time
+        _write_whole(chunk_file(folder / "data", name, flight), CODEC.encode(array))
     record = Record(valid_steps, end_reason, checksum(values), stored_bytes(folder / "data", flight))
-    _write_whole(folder / "flights" / f"{flight:05d}.json", json.dumps(record._asdict()))
+    _write_whole(folder / "flights" / f"{flight:05d}.json", json.dumps(record._asdict()).encode())
 
 
 def _hold_after_end(
@@ -359,8 +359,8 @@ def _write_coordinates(store: Path, plan: Plan, records: Sequence[Record]) -> No
         zarr.consolidate_metadata(group.store)
 
 
-def _write_whole(file: Path, text: str) -> None:
+def _write_whole(file: Path, content: bytes) -> None:
     """Write a file so that it is never seen half written."""
     draft = file.with_name(f"{file.name}.{os.getpid()}.tmp")
-    draft.write_text(text, encoding="utf-8")
+    draft.write_bytes(content)
     draft.replace(file)

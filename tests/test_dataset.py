@@ -213,7 +213,7 @@ dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 60, 2.0, sys.arg
         open_dataset(out)
     generate(CONFIG, 60, 2.0, out, workers=1)
     assert verify(out) == 60
-    assert not list(out.rglob("*.partial"))
+    assert not list(out.rglob("*.tmp"))
     whole = generate(CONFIG, 60, 2.0, tmp_path / "whole.zarr", workers=1)
     assert files(out) == files(whole)
 
