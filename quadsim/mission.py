@@ -1,7 +1,7 @@
-"""A mission: n flights of one scenario on one estimator, one sample at a time, and the judge of their crashes.
+"""A mission: n flights of one scenario on one estimator, one sample at a time, and who judges their crashes.
 
-The closed-loop benchmark and the Gymnasium environments both fly missions. A flight depends on the scenario, the
-estimator and its own seed, and on nothing else: neither on n, nor on the flights beside it.
+The closed-loop benchmark and the Gymnasium environments both fly missions. A flight depends on the scenario,
+the estimator and its own seed, and on nothing else: neither on n, nor on the flights beside it.
 """
 
 import math
@@ -38,8 +38,8 @@ class Mission:
     """n flights of a scenario. `begin` them, then `step` until `k` reaches `steps`.
 
     `loop` holds plant, sensors, estimate and controller at the current sample; `k` (n,) counts each flight's
-    samples; `cause` (n,) tells which flights have crashed, and why. What a crashed vehicle does is of no meaning: it
-    is put back to its set-point as often as it crashes again, so that no number overflows.
+    samples; `cause` (n,) tells which flights have crashed, and why. What a crashed vehicle does means nothing:
+    it is put back above its set-point as often as it crashes again, so that no number overflows.
 
     Args:
         scenario: What to fly.
@@ -96,7 +96,7 @@ class Mission:
         look_up(self.k, self._targets, self._winds, self.target, self.air)
 
     def step(self, level: Level = "position", command: Array | None = None) -> None:
-        """Fly on by one sample: to the scenario's set-point, or on a command at any level of the controller."""
+        """Fly on by one sample, to the scenario's set-point or on a command at a level of the controller."""
         self._lift_the_fallen()
         self._faults.apply(self.k)
         self.loop.step(level, self.target if command is None else command, self.air)

@@ -1,0 +1,122 @@
+"""One cell of the benchmark: a scenario flown on an estimator with many seeds, and the file it is kept in."""
+
+import base64
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+import estimators
+from quadsim.mission import CAUSES, Mission
+from quadsim.scenario import Scenario
+from quadsim.seeding import vehicle_seeds
+
+from .metrics import LAYOUT, WIDTH, error_histogram, flight_metrics, summarise, write_row
+
+Array = NDArray[np.float64]
+Row = dict[str, float | int | str | None]
+
+SERIES_HZ = 25.0
+"""Samples per second of the time series that are kept for plots."""
+
+
+class Series(TypedDict):
+    """One flight in time, every channel as 16-bit integers with a scale, in base64."""
+
+    dt: float
+    channels: dict[str, tuple[float, str]]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What came of one cell. `reason` tells why there is nothing, and is empty when all is well."""
+
+    scenario: str
+    estimator: str
+    fingerprint: str
+    reason: str
+    flights: list[Row]
+    """One row per seed."""
+    histogram: list[int]
+    """Counts of the errors, as in `metrics.error_histogram`."""
+    series: Series | None
+    """The first seed in time."""
+
+    @property
+    def row(self) -> Row:
+        """The cell as one row of the table."""
+        head: Row = {"scenario": self.scenario, "estimator": self.estimator, "reason": self.reason}
+        return head | (summarise(self.flights) if self.flights else {})
+
+    def save(self, path: Path) -> None:
+        """Write the cell, whole or not at all."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+        partial.write_text(json.dumps(asdict(self), allow_nan=False))
+        partial.replace(path)
+
+
+def load_cell(path: Path) -> Cell | None:
+    """A cell from its file; None where there is no whole one."""
+    try:
+        return Cell(**json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def fly_cell(
+    name: str, scenario: Scenario, estimator: str, seeds: int, seed: int, rate_hz: float, fingerprint: str
+) -> Cell:
+    """Fly a scenario with seeds 0 … seeds − 1 of `seed`, all at once; a failure is a cell with its reason."""
+    try:
+        mission = Mission(scenario, estimators.create(estimator, rate_hz), seeds, rate_hz)
+        log, end = fly(mission, seed)
+    except Exception as error:  # whatever an estimator does, the other cells go on
+        reason = f"{type(error).__name__}: {error}"
+        return Cell(name, estimator, fingerprint, reason, [], [], None)
+    metrics = flight_metrics(log, end, rate_hz, mission.vehicle)
+    flights = [
+        {"scenario": name, "estimator": estimator, "seed": i, "cause": CAUSES[mission.cause[i]]}
+        | {"flown_s": float(end[i] / rate_hz)}
+        | {key: None if np.isnan(values[i]) else float(values[i]) for key, values in metrics.items()}
+        for i in range(seeds)
+    ]
+    histogram = error_histogram(log, end).tolist()
+    series = pack_series(log[0, : max(end[0], 1)], rate_hz)
+    return Cell(name, estimator, fingerprint, "", flights, histogram, series)
+
+
+def fly(mission: Mission, seed: int) -> tuple[Array, NDArray[np.int64]]:
+    """Fly a mission to its end: its log (n, T, WIDTH) and how many samples each flight lasted (n,)."""
+    mission.begin(vehicle_seeds(seed, mission.n))
+    loop, plant, controller = mission.loop, mission.loop.plant, mission.loop.controller
+    log = np.zeros((mission.steps, mission.n, WIDTH))
+    end = np.full(mission.n, mission.steps)
+    command = controller.rotor_vel_cmd.copy()
+    for k in range(mission.steps):
+        mission.step()
+        write_row(
+            plant.position, plant.quat, (loop.true_attitude, loop.yaw), loop.attitude, mission.target,
+            controller.thrust_axis, plant.rotor_vel, controller.rotor_vel_cmd, command, log[k],
+        )  # fmt: skip
+        end[(mission.cause > 0) & (end > k)] = k
+    return log.swapaxes(0, 1), end
+
+
+def pack_series(log: Array, rate_hz: float) -> Series:
+    """One flight (T, WIDTH), thinned to `SERIES_HZ`: angles [deg], positions and set-points [m]."""
+    every = max(round(rate_hz / SERIES_HZ), 1)
+    thin = log[::every]
+    angles = np.degrees(np.hstack([thin[:, LAYOUT.euler], thin[:, LAYOUT.estimate]]))
+    names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
+    columns = np.hstack([angles, thin[:, LAYOUT.position], thin[:, LAYOUT.target]])
+    return {"dt": every / rate_hz, "channels": dict(zip(names, map(_pack, columns.T), strict=True))}
+
+
+def _pack(values: Array) -> tuple[float, str]:
+    scale = max(float(np.abs(values).max()), 1e-6) / 32767
+    return scale, base64.b64encode(np.round(values / scale).astype("<i2").tobytes()).decode()

@@ -1,0 +1,173 @@
+"""The report: one HTML file that needs nothing else, with the verdict first."""
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+import imageio.v3 as imageio
+import jinja2
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.vehicle import load_vehicle
+
+from .cell import Cell
+from .metrics import ERROR_BINS, ERROR_DECADES, METRICS
+from .runner import Results
+from .verdict import TRUTH, offline_verdict, verdict
+
+SHOWN = 4
+"""Estimators drawn at first in the time plots."""
+
+
+class Picture(NamedTuple):
+    """A rendered still."""
+
+    image: NDArray[np.uint8]  #: (height, width, 3)
+    caption: str
+
+
+def write_report(
+    path: str | Path,
+    results: Results | None = None,
+    *,
+    title: str = "Which attitude estimator to fly",
+    offline: Sequence[Mapping[str, object]] = (),
+    offline_caption: str = "Estimators run over recorded flights, without a loop.",
+    still: Picture | None = None,
+    csv: Sequence[str] = (),
+    footer: str = "",
+    focus: str = "att-snn-loihi",
+) -> Path:
+    """Write the report.
+
+    Args:
+        path: HTML file to write.
+        results: Closed-loop results; without them only the recorded flights are shown.
+        title: Heading.
+        offline: Rows of the table of recorded flights, with the key "estimator"; other keys become columns.
+        offline_caption: What those flights are.
+        still: Picture for the top.
+        csv: Files beside the report to link to.
+        footer: How it was made.
+        focus: The estimator that the verdict speaks of besides the best, if it was flown.
+
+    Raises:
+        ValueError: If there is nothing to report.
+    """
+    if results is None and not offline:
+        raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
+    rows = results.rows if results else []
+    context = {
+        "title": title,
+        "verdict": verdict(rows, focus) if rows else offline_verdict(offline),
+        "rows": rows,
+        "metrics": METRICS if rows else (),
+        "scenarios": _scenarios(results),
+        "estimators": results.settings.estimators if results else [],
+        "lookup": {(row["scenario"], row["estimator"]): row for row in rows},
+        "offline": _offline_table(offline),
+        "offline_caption": offline_caption,
+        "still": still
+        and base64.b64encode(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)).decode(),
+        "still_caption": still.caption if still else "",
+        "csv": list(csv),
+        "footer": footer or _footer(results),
+        "payload": _payload(results, offline, focus),
+    }
+    path = Path(path).expanduser()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(_environment().get_template("report.html").render(context), encoding="utf-8")
+    return path
+
+
+def _jpeg(image: NDArray[np.uint8]) -> str:
+    return base64.b64encode(imageio.imwrite("<bytes>", image, extension=".jpg", quality=88)).decode()
+
+
+def _scenarios(results: Results | None) -> list[dict[str, str]]:
+    if results is None:
+        return []
+    return [{"name": n, "description": s.description} for n, s in results.settings.scenarios.items()]
+
+
+def _footer(results: Results | None) -> str:
+    if results is None:
+        return ""
+    s = results.settings
+    return (
+        f"{s.seeds} flight{'s' if s.seeds > 1 else ''} in each cell, seeds 0 to {s.seeds - 1} of {s.seed}, "
+        f"at {s.rate_hz:g} Hz. Flight i of every estimator has the same wind, sensor noise and start."
+    )
+
+
+def _offline_table(rows: Sequence[Mapping[str, object]]) -> dict[str, object] | None:
+    if not rows:
+        return None
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    columns = [{"key": key, "label": _label(key), "numeric": _numeric(rows, key)} for key in keys]
+    return {"columns": columns, "rows": [{key: row.get(key) for key in keys} for row in rows]}
+
+
+def _numeric(rows: Sequence[Mapping[str, object]], key: str) -> bool:
+    return all(isinstance(row.get(key), int | float | np.number | None) for row in rows)
+
+
+def _label(key: str) -> str:
+    """Heading for a key: `mean_deg` becomes "mean [deg]"."""
+    for unit in ("deg", "m", "s", "ms", "us"):
+        if key.endswith(f"_{unit}"):
+            return f"{key.removesuffix(f'_{unit}').replace('_', ' ')} [{unit}]"
+    return key.replace("_", " ")
+
+
+def _payload(results: Results | None, offline: Sequence[Mapping[str, object]], focus: str) -> str:
+    names = results.settings.estimators if results else [str(row.get("estimator")) for row in offline]
+    ranked = [s["estimator"] for s in verdict(results.rows, focus).standings] if results else []
+    shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
+    low, high = ERROR_DECADES
+    data: dict[str, object] = {
+        "estimators": list(dict.fromkeys(names)),
+        "scenarios": list(results.settings.scenarios) if results else [],
+        "shown": shown,
+        "metrics": [metric.__dict__ for metric in METRICS],
+        "edges": {"low": low, "high": high, "bins": ERROR_BINS},
+    }
+    if results:
+        scenarios = results.settings.scenarios.values()
+        vehicle = load_vehicle(next(iter(scenarios)).vehicle)
+        data |= {
+            "cells": {f"{cell.scenario}|{cell.estimator}": _cell(cell) for cell in results.cells},
+            "series_seed": 0,
+            "hubs": vehicle.hubs[:, :3].tolist(),
+            "prop_radius": vehicle.frame.prop_radius,
+        }
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _cell(cell: Cell) -> dict[str, object]:
+    row = cell.row
+    values = {metric.key: row.get(metric.key) for metric in METRICS}
+    return {"values": values, "histogram": cell.histogram, "series": cell.series}
+
+
+def _environment() -> jinja2.Environment:
+    def source(name: str) -> str:
+        return (files("scenarios") / name).read_text(encoding="utf-8")
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(source),
+        autoescape=lambda name: True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = _number
+    return environment
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,116 @@
+"""The verdict of a benchmark in words: which estimator to fly, and how the others did."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .cell import Row
+
+TRUTH = "truth"
+"""The estimator that is fed the truth: the reference, not a candidate."""
+
+
+class Verdict(NamedTuple):
+    """The answer, in words."""
+
+    headline: str
+    lines: list[str]
+    standings: list[dict[str, str]]
+    """Estimators from best to worst: estimator, grade ("flies" or "crashes") and text."""
+
+
+class Total(NamedTuple):
+    """An estimator over all its scenarios."""
+
+    flights: int
+    crashes: int
+    error: float  #: mean over scenarios of the estimation error [deg]
+    attitude: float  #: mean over scenarios of the attitude tracking [deg]
+    failed: int  #: cells that did not run
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """What to sort by: fewest crashes first, then the smallest error."""
+        return (not self.flights, self.crashes / max(self.flights, 1), self.error)
+
+
+def verdict(rows: Sequence[Row], focus: str = "") -> Verdict:
+    """Rank the estimators of a benchmark and say what came out, the best first, then `focus`."""
+    names = list(dict.fromkeys(str(row["estimator"]) for row in rows))
+    totals = {name: total([row for row in rows if row["estimator"] == name]) for name in names}
+    ranked = sorted((name for name in names if name != TRUTH), key=lambda name: totals[name].rank)
+    references = [name for name in names if name == TRUTH]
+    standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
+    flown = [name for name in ranked if totals[name].flights]
+    if not flown:
+        return Verdict("No estimator flew.", [], standings)
+    best, truth = totals[flown[0]], totals.get(TRUTH)
+    lines = []
+    if truth and truth.attitude > 0:
+        ratio = f"{best.attitude / truth.attitude:.2f} × as far from the commanded attitude as on the truth"
+        lines.append(f"On it, the vehicle strays {ratio}.")
+    if focus in flown[1:]:
+        lines.append(_sentence(focus, totals[focus], truth))
+    return Verdict(_headline(flown[0], best), lines, standings)
+
+
+def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
+    """The same for recorded flights alone: the smallest error."""
+    for key in ("mean_deg", "median_deg"):
+        rated = {
+            str(row["estimator"]): value for row in rows if isinstance(value := row.get(key), int | float)
+        }
+        rated.pop(TRUTH, None)
+        if rated:
+            best = min(rated, key=lambda name: rated[name])
+            return Verdict(f"Smallest error on recorded flights: {best}, {rated[best]:.2f}°.", [], [])
+    return Verdict("Recorded flights", [], [])
+
+
+def total(rows: Sequence[Row]) -> Total:
+    """Add up an estimator's rows."""
+    flown = [row for row in rows if not row["reason"]]
+    error, attitude = (
+        [float(value) for row in flown if (value := row[key]) is not None]
+        for key in ("error_deg", "attitude_deg")
+    )
+    return Total(
+        flights=sum(int(row["flights"] or 0) for row in flown),
+        crashes=sum(int(row["crashes"] or 0) for row in flown),
+        error=float(np.mean(error)) if error else 0.0,
+        attitude=float(np.mean(attitude)) if attitude else 0.0,
+        failed=len(rows) - len(flown),
+    )
+
+
+def _headline(name: str, best: Total) -> str:
+    if best.crashes:
+        return (
+            f"Fly {name}: it crashed least, in {best.crashes} of {best.flights} flights, "
+            f"with an error of {best.error:.2f}°."
+        )
+    return f"Fly {name}: no crash in {best.flights} flights, and the smallest error, {best.error:.2f}°."
+
+
+def _sentence(name: str, each: Total, truth: Total | None) -> str:
+    crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
+    text = f"{name}: {crashes} in {each.flights} flights, error {each.error:.2f}°"
+    if truth and truth.attitude > 0:
+        text += f", attitude tracking {each.attitude / truth.attitude:.2f} × that on the truth"
+    return text + "."
+
+
+def _standing(name: str, each: Total, rows: Sequence[Row]) -> dict[str, str]:
+    crashed = [
+        f"{row['scenario']} ({row['crashes']} of {row['flights']})"
+        for row in rows
+        if row["estimator"] == name and not row["reason"] and row["crashes"]
+    ]
+    if not each.flights:
+        return {"estimator": name, "grade": "crashes", "text": "did not run"}
+    text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
+    text += " · the reference" if name == TRUTH else f" · error {each.error:.2f}°"
+    if each.failed:
+        text += f" · {each.failed} scenario{'s' if each.failed > 1 else ''} did not run"
+    return {"estimator": name, "grade": "crashes" if crashed or each.failed else "flies", "text": text}
