@@ -47,9 +47,9 @@ class Variable(NamedTuple):
 
 
 VARIABLES = {
-    "gyro": Variable("axis", "rad/s", "gyroscope reading: body rate with the errors of the IMU, body axes"),
+    "gyro": Variable("axis", "rad/s", "gyroscope reading: body rate with the errors of the IMU, sensor axes"),
     "accel": Variable(
-        "axis", "m/s^2", "accelerometer reading: specific force with the errors of the IMU, body axes"
+        "axis", "m/s^2", "accelerometer reading: specific force with the errors of the IMU, sensor axes"
     ),
     "ang_vel": Variable("axis", "rad/s", "true angular rate of the body w.r.t. the world, body axes"),
     "specific_force": Variable("axis", "m/s^2", "true specific force at the centre of mass, body axes"),
@@ -59,8 +59,8 @@ VARIABLES = {
     "rotor_vel": Variable("rotor", "rad/s", "rotor speed"),
     "rotor_vel_cmd": Variable("rotor", "rad/s", "rotor speed commanded by the controller"),
     "wind": Variable("axis", "m/s", "velocity of the air in the world, z up"),
-    "gyro_bias": Variable("axis", "rad/s", "true bias of the gyroscope, body axes"),
-    "accel_bias": Variable("axis", "m/s^2", "true bias of the accelerometer, body axes"),
+    "gyro_bias": Variable("axis", "rad/s", "true bias of the gyroscope, sensor axes"),
+    "accel_bias": Variable("axis", "m/s^2", "true bias of the accelerometer, sensor axes"),
 }
 LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": ["0", "1", "2", "3"]}
 

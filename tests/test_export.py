@@ -1,0 +1,180 @@
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from quadsim import dataset_store
+from quadsim.dataset import generate, open_dataset
+from quadsim.dataset_store import VARIABLES
+from quadsim.export import FORMATS, export, timestamps
+from quadsim.flight import FlightConfig, simulate_flights
+from quadsim.imu import load_imu
+from quadsim.vehicle import load_vehicle
+
+FLIGHTS, STEPS, ENDS = 3, 60, [60, 25, 60]
+IMU = load_imu("adis16448").model_copy(
+    update={"lever_arm": (0.01, 0.02, 0.03), "mounting_deg": (0.0, 0.0, 90.0)}
+)
+CONFIG = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=IMU, warmup_s=0.0)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three flights, of which the second ends early."""
+
+    def ending_early(config, seeds, steps, rate_hz):
+        log = simulate_flights(config, seeds, steps, rate_hz)
+        log["end_step"][1], log["end_reason"][1] = ENDS[1], "hit the ground"
+        return log
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dataset_store, "simulate_flights", ending_early)
+        return generate(CONFIG, FLIGHTS, STEPS / 200, tmp_path_factory.mktemp("data") / "x.zarr", workers=1)
+
+
+def flown(source: Path, flight: int) -> xr.Dataset:
+    return open_dataset(source).isel(flight=flight, time=slice(ENDS[flight]))
+
+
+def test_netcdf_holds_the_whole_dataset(source, tmp_path):
+    out = export(source, tmp_path / "x.nc", "netcdf")
+    with xr.open_dataset(out, engine="h5netcdf") as found:
+        xr.testing.assert_identical(found.load(), open_dataset(source).load())
+
+
+def test_parquet_holds_every_sample_flown_as_a_row_with_units(source, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    file = parquet.ParquetFile(export(source, tmp_path / "x.parquet", "parquet"))
+    assert file.num_row_groups == FLIGHTS
+    assert file.schema_arrow.field("accel_z").metadata[b"units"] == b"m/s^2"
+    assert json.loads(file.schema_arrow.metadata[b"config"]) == CONFIG.model_dump(mode="json")
+    for flight in range(FLIGHTS):
+        table, truth = file.read_row_group(flight), flown(source, flight)
+        assert set(table["flight"].to_pylist()) == {flight}
+        assert np.array_equal(table["time"], truth["time"])
+        for name, variable in VARIABLES.items():
+            columns = [table[f"{name}_{label}"] for label in truth[variable.dim].to_numpy()]
+            assert np.array_equal(np.stack(columns, axis=-1), truth[name])
+
+
+def test_euroc_files_hold_the_samples_flown_in_nanoseconds(source, tmp_path):
+    out = export(source, tmp_path / "euroc", "csv")
+    for flight in range(FLIGHTS):
+        mav, truth = out / f"flight_{flight:03d}" / "mav0", flown(source, flight)
+        imu = np.loadtxt(mav / "imu0" / "data.csv", delimiter=",")
+        state = np.loadtxt(mav / "state_groundtruth_estimate0" / "data.csv", delimiter=",")
+        assert np.array_equal(imu[:, 0], np.arange(ENDS[flight]) * 5_000_000)
+        assert np.array_equal(imu[:, 0], state[:, 0])
+        found = np.split(imu[:, 1:].astype("f4"), [3], axis=1)
+        found += np.split(state[:, 1:].astype("f4"), [3, 7, 10, 13], axis=1)
+        names = ("gyro", "accel", "position", "quat", "velocity", "gyro_bias", "accel_bias")
+        for name, values in zip(names, found, strict=True):
+            assert np.array_equal(values, truth[name]), name
+
+
+def test_euroc_headers_are_those_of_the_original_dataset(source, tmp_path):
+    mav = export(source, tmp_path / "euroc", "csv") / "flight_000" / "mav0"
+    assert (mav / "imu0" / "data.csv").read_text().splitlines()[0] == (
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+        "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+    )
+    assert (mav / "state_groundtruth_estimate0" / "data.csv").read_text().splitlines()[0] == (
+        "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], "
+        "v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], "
+        "b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], "
+        "b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]"
+    )
+
+
+def test_euroc_sensor_file_states_mounting_and_noise(source, tmp_path):
+    yaml = pytest.importorskip("yaml")
+    folder = export(source, tmp_path / "euroc", "csv") / "flight_000" / "mav0" / "imu0"
+    sensor = yaml.safe_load((folder / "sensor.yaml").read_text().split("\n", 1)[1])
+    pose = np.reshape(sensor["T_BS"]["data"], (4, 4))
+    assert pose[:3, 3] == pytest.approx(IMU.lever_arm)
+    assert pose[:3, :3] @ [1, 0, 0] == pytest.approx(
+        [0, 1, 0]
+    )  # turned left: its x axis is the body's y axis
+    assert sensor["gyroscope_noise_density"] == pytest.approx(IMU.gyro.noise)
+    assert sensor["accelerometer_random_walk"] == pytest.approx(IMU.accel.random_walk)
+    assert sensor["rate_hz"] == 200
+
+
+def test_rosbags_hold_imu_and_pose_of_every_sample_flown(source, tmp_path):
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    out = export(source, tmp_path / "bags", "rosbag2")
+    for flight in range(FLIGHTS):
+        truth, found = flown(source, flight), {"/imu": [], "/pose": []}
+        with rosbag2.Reader(out / f"flight_{flight:03d}") as bag:
+            for topic, time, raw in bag.messages():
+                message = store.deserialize_cdr(raw, topic.msgtype)
+                stamp = message.header.stamp
+                assert stamp.sec * 1_000_000_000 + stamp.nanosec == time
+                found[topic.topic].append((time, message))
+        for messages in found.values():
+            assert [time for time, _ in messages] == timestamps(ENDS[flight], 200.0).tolist()
+        imu, pose = ([message for _, message in found[topic]] for topic in ("/imu", "/pose"))
+        assert imu[0].orientation_covariance[0] == -1
+        assert imu[0].angular_velocity_covariance[4] == pytest.approx(IMU.gyro.noise**2 * 200)
+        assert np.array_equal([xyz(each.angular_velocity) for each in imu], truth["gyro"])
+        assert np.array_equal([xyz(each.linear_acceleration) for each in imu], truth["accel"])
+        assert np.array_equal([xyz(each.pose.position) for each in pose], truth["position"])
+        quat = [(each.pose.orientation.w, *xyz(each.pose.orientation)) for each in pose]
+        assert np.array_equal(quat, truth["quat"])
+
+
+def xyz(message) -> tuple[float, float, float]:
+    return message.x, message.y, message.z
+
+
+def test_timestamps_do_not_drift_at_rates_that_divide_unevenly():
+    assert timestamps(3_000_001, 300.0)[-1] == 10_000 * 1_000_000_000
+    assert np.ptp(np.diff(timestamps(1000, 300.0))) <= 1
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_progress_ends_with_the_last_flight(source, tmp_path, format):
+    calls = []
+    export(source, tmp_path / "out", format, progress=lambda *done: calls.append(done))
+    assert calls[-1] == (FLIGHTS, FLIGHTS)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_an_unknown_format_is_told_the_valid_ones(source, tmp_path):
+    with pytest.raises(
+        ValueError, match=r'unknown format "netcfd"; did you mean "netcdf"\? valid: netcdf, csv'
+    ):
+        export(source, tmp_path / "x", "netcfd")
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_nothing_is_overwritten(source, tmp_path, format):
+    (tmp_path / "thesis").write_text("chapter 1")
+    with pytest.raises(ValueError, match="exists already"):
+        export(source, tmp_path / "thesis", format)
+    assert (tmp_path / "thesis").read_text() == "chapter 1"
+
+
+@pytest.mark.parametrize(
+    ("format", "module"), [("netcdf", "h5netcdf"), ("parquet", "pyarrow"), ("rosbag2", "rosbags.rosbag2")]
+)
+def test_a_missing_package_is_one_clear_line_and_leaves_nothing(
+    source, tmp_path, monkeypatch, format, module
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(
+        ValueError, match=rf'needs the package {module.split(".")[0]}: pip install "quadsim\[export\]"'
+    ):
+        export(source, tmp_path / "x", format)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_path_that_cannot_be_written_is_one_clear_line(source, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"cannot write .*/file/x.nc: "):
+        export(source, tmp_path / "file" / "x.nc", "netcdf")
