@@ -109,17 +109,22 @@ def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
 
 @njit(cache=True)
 def _allocate(c, inverse, thrust, torque, out):
-    """Rotor speeds for thrust and torque; if they do not fit, yaw gives way first, then each rotor clips."""
+    """Rotor speeds for thrust and torque; if they do not fit, thrust gives way to roll and pitch, yaw to both."""
     low, high = (IDLE * c[7]) ** 2, c[7] * c[7]
+    most, least = -math.inf, math.inf
+    for i in range(4):
+        out[i] = inverse[i, 0] * thrust + inverse[i, 1] * torque[0] + inverse[i, 2] * torque[1]
+        most, least = max(most, out[i]), min(least, out[i])
+    shift = min(high - most, 0.0)
+    shift += max(low - (least + shift), 0.0)
     room = 1.0
     for i in range(4):
-        base = inverse[i, 0] * thrust + inverse[i, 1] * torque[0] + inverse[i, 2] * torque[1]
+        out[i] += shift
         yaw = inverse[i, 3] * torque[2]
         if yaw > 0.0:
-            room = min(room, max(high - base, 0.0) / yaw)
+            room = min(room, max(high - out[i], 0.0) / yaw)
         elif yaw < 0.0:
-            room = min(room, max(base - low, 0.0) / -yaw)
-        out[i] = base
+            room = min(room, max(out[i] - low, 0.0) / -yaw)
     for i in range(4):
         out[i] = math.sqrt(min(max(out[i] + room * inverse[i, 3] * torque[2], low), high))
 

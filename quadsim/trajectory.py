@@ -86,15 +86,15 @@ class Mix(Strict):
         default=(0.0, 0.0, 20.0), description="Start and centre of the flown volume [m]."
     )
     max_tilt_deg: TiltDeg = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
-    min_tilt_deg: float = Field(default=18.0, ge=0, description="Smallest peak tilt of a dash [deg].")
+    min_tilt_deg: float = Field(default=25.0, ge=0, description="Smallest peak tilt of a dash [deg].")
     dash_s: tuple[Positive, Positive] = Field(
-        default=(0.8, 2.6), description="Range of the length of a dash [s]."
+        default=(1.0, 2.6), description="Range of the length of a dash [s]."
     )
     circle_share: float = Field(
         default=0.25, ge=0, le=1, description="Share of circles among the manoeuvres."
     )
     pause_share: float = Field(
-        default=0.15, ge=0, le=1, description="Share of hovering pauses, of 0.2 to 1.5 s."
+        default=0.1, ge=0, le=1, description="Share of hovering pauses, of 0.2 to 1.5 s."
     )
     max_yaw_rate: float = Field(default=1.5, ge=0, description="Largest yaw rate of a turn [rad/s].")
     radius: Positive = Field(
