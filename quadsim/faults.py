@@ -174,10 +174,11 @@ class VehicleFaults:
     """What the faults do to the plant: `apply` before every step, with every vehicle's count of samples."""
 
     def __init__(self, faults: Sequence[SensorFault | VehicleFault], plant: Plant) -> None:
-        """Take the faults of the vehicle out of all."""
+        """Take the faults of the vehicle out of all; `any` tells whether there are some."""
         self._plant = plant
         self._payloads = [fault for fault in faults if isinstance(fault, PayloadDrop)]
         self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery)]
+        self.any = bool(self._payloads or self._rotors)
         self._empty = plant.params[:, MASS].copy()
         self._mass = self._empty
 

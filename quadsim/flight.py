@@ -34,7 +34,7 @@ class FlightLoop:
     """n closed loops, one sample at a time.
 
     After `reset` and after every `step`, `gyro`, `accel` (n, 3) and `attitude` (n, 2), the estimated roll and
-    pitch, belong to the state in `plant`.
+    pitch, belong to the state in `plant`. `rate` (n, 3) is `gyro` with missing samples held.
 
     Args:
         vehicle: One vehicle, or n of them. The controller is tuned for `nominal`, or else for the first.
@@ -74,7 +74,7 @@ class FlightLoop:
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
         self._calm = np.zeros((n, 3))
         self.gyro, self.accel, self.attitude = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2))
-        self._rate = np.zeros((n, 3))
+        self.rate = np.zeros((n, 3))
 
     def reset(
         self,
@@ -107,7 +107,7 @@ class FlightLoop:
         ang_vel: ArrayLike | None = None,
         known_attitude: bool = False,
     ) -> None:
-        """Start some vehicles anew while the others fly on; for use between `move` and `sense`.
+        """Start some vehicles anew while the others fly on; the next `sense` gives their first sample.
 
         Raises:
             ValueError: If the estimator cannot restart single vehicles.
@@ -118,7 +118,9 @@ class FlightLoop:
         read_attitude(self.plant.quat, self.true_attitude, self.yaw)
         if self.imu is not None:
             self.imu.reset(ids)
-        if self.estimator is not None:
+        if self.estimator is not None and len(ids) == self.n:
+            self.estimator.reset(self.n, roll_pitch=self.true_attitude.copy() if known_attitude else None)
+        elif self.estimator is not None:
             restart = getattr(self.estimator, "restart", None)
             if restart is None:
                 raise ValueError("this estimator has no restart(ids, roll_pitch): it starts all or none")
@@ -139,7 +141,7 @@ class FlightLoop:
         """The first half of `step`: control and motion."""
         plant = self.plant
         rotor_vel_cmd = self.controller.step(
-            level, command, plant.position, plant.velocity, self.attitude, self.yaw, self._rate
+            level, command, plant.position, plant.velocity, self.attitude, self.yaw, self.rate
         )
         plant.advance(rotor_vel_cmd, self._calm if wind is None else wind)
         self.k += 1
@@ -155,11 +157,11 @@ class FlightLoop:
                 plant.ang_vel, plant.specific_force, plant.ang_acc, plant.rotor_vel
             )
         if self.corrupt is None:
-            self._rate = self.gyro
+            self.rate = self.gyro
         else:
             self.gyro, self.accel = self.gyro.copy(), self.accel.copy()
             self.corrupt(self.gyro, self.accel, self.k)
-            self._rate = np.where(np.isfinite(self.gyro), self.gyro, self._rate)
+            self.rate = np.where(np.isfinite(self.gyro), self.gyro, self.rate)
         if self.estimator is None:
             self.attitude = self.true_attitude
         else:

@@ -38,8 +38,8 @@ class Mission:
     """n flights of a scenario. `begin` them, then `step` until `k` reaches `steps`.
 
     `loop` holds plant, sensors, estimate and controller at the current sample; `k` (n,) counts each flight's
-    samples; `cause` (n,) tells which flights have crashed, and why. What a crashed vehicle does means nothing:
-    it is put back above its set-point as often as it crashes again, so that no number overflows.
+    samples; `cause` (n,) tells which flights have crashed, and why. What a crashed vehicle does then means
+    nothing: it is put back above its set-point as often as it crashes again, so that no number overflows.
 
     Args:
         scenario: What to fly.
@@ -92,23 +92,48 @@ class Mission:
         self._faults = VehicleFaults(faults, self.loop.plant)
         self.k = self.loop.k
         self.cause[:] = self._down[:] = FLYING
-        self.loop.reset(*self._start(seeds), known_attitude=self.scenario.start.known_attitude)
+        self._fallen = 0
+        start = self._start(seeds, self._targets[:, 0])
+        self.loop.reset(*start, known_attitude=self.scenario.start.known_attitude)
         look_up(self.k, self._targets, self._winds, self.target, self.air)
+
+    def restart(self, ids: NDArray[np.int64], seeds: Seeds) -> None:
+        """Begin some flights anew, one seed each, while the others go on; call `sense` before they are read.
+
+        Sensor noise and faults go on with what the seed of the vehicle's first flight holds for its next.
+        """
+        targets, winds = self._plan(seeds)
+        self._targets[ids] = targets
+        if len(self._winds) == self.n and self.scenario.wind:
+            self._winds[ids] = winds
+        self.cause[ids] = self._down[ids] = FLYING
+        self.loop.restart(
+            ids, *self._start(seeds, targets[:, 0]), known_attitude=self.scenario.start.known_attitude
+        )
 
     def step(self, level: Level = "position", command: Array | None = None) -> None:
         """Fly on by one sample, to the scenario's set-point or on a command at a level of the controller."""
-        self._lift_the_fallen()
-        self._faults.apply(self.k)
-        self.loop.step(level, self.target if command is None else command, self.air)
-        look_up(self.k, self._targets, self._winds, self.target, self.air)
-        plant = self.loop.plant
-        judge(self._limits, plant.position, plant.quat, plant.ang_vel, self.target, self._down, self.cause)
+        self.move(level, command)
+        self.sense()
 
-    def _lift_the_fallen(self) -> None:
-        if self._down.any():
+    def move(self, level: Level = "position", command: Array | None = None) -> None:
+        """The first half of `step`: control and motion."""
+        if self._fallen:
             fallen = np.flatnonzero(self._down)
             self.loop.plant.reset(position=self.target[fallen, :3] + [0.0, 0.0, 1.0], ids=fallen)
             self.loop.controller.reset(fallen)
+        if self._faults.any:
+            self._faults.apply(self.k)
+        self.loop.move(level, self.target if command is None else command, self.air)
+
+    def sense(self) -> None:
+        """The second half of `step`: IMU, estimate, the next set-point, and who has crashed."""
+        self.loop.sense()
+        look_up(self.k, self._targets, self._winds, self.target, self.air)
+        plant = self.loop.plant
+        self._fallen = judge(
+            self._limits, plant.position, plant.quat, plant.ang_vel, self.target, self._down, self.cause
+        )
 
     def _plan(self, seeds: Seeds) -> tuple[Array, Array]:
         """Set-points (n, steps + 1, 11) and winds (n or 1, steps + 1, 3) of whole flights."""
@@ -119,9 +144,9 @@ class Mission:
             return targets, np.zeros((1, 1, 3))
         return targets, wind_series(self.scenario.wind, len(seeds), steps, self.rate_hz, air)
 
-    def _start(self, seeds: Seeds) -> tuple[Array, Array, Array, Array]:
-        """Position, velocity, quat_WB and body rate in which flights begin."""
-        start, first = self.scenario.start, self._targets[:, 0]
+    def _start(self, seeds: Seeds, first: Array) -> tuple[Array, Array, Array, Array]:
+        """Position, velocity, quat_WB and body rate to begin with, from the first set-points (n, 11)."""
+        start = self.scenario.start
         angles = np.array(
             [np.random.default_rng(child(s, BEGINNING)).uniform(-np.pi, np.pi, 3) for s in seeds]
         )
@@ -147,10 +172,11 @@ def look_up(k, targets, winds, target, air):
 
 @njit(cache=True)
 def judge(limits, position, quat, ang_vel, target, down, cause):
-    """Write which vehicles are down now, and why; `cause` keeps the first reason.
+    """Write which vehicles are down now, and why, and return how many; `cause` keeps the first reason.
 
     limits: cosine of the largest tilt, lowest height [m], largest distance from the set-point [m].
     """
+    fallen = 0
     for i in range(position.shape[0]):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
         cos_tilt = 1.0 - 2.0 * (quat[i, 1] ** 2 + quat[i, 2] ** 2)
@@ -167,3 +193,5 @@ def judge(limits, position, quat, ang_vel, target, down, cause):
             down[i] = AWAY
         if cause[i] == FLYING:
             cause[i] = down[i]
+        fallen += down[i] != FLYING
+    return fallen

@@ -1,0 +1,395 @@
+"""Gymnasium environments: one quadrotor on an attitude estimator of your choice, and its batched twin."""
+
+import copy
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from .controller import LEVELS, WIDTH, Level
+from .estimator import AttitudeEstimator
+from .mission import CAUSES, FLYING, Mission
+from .render import Image, Scene, View
+from .scenario import Scenario, load_scenario
+from .vehicle import GRAVITY
+
+Array = NDArray[np.float64]
+
+OBSERVATION_LIMIT = np.array(3 * [100.0] + 3 * [50.0] + 3 * [50.0] + 3 * [np.pi] + 2 * [1.0] + 3 * [50.0])
+"""Largest value of each observation; what is larger is clipped."""
+ACTION_SCALE: dict[Level, tuple[float, ...]] = {
+    "position": (1.0, 1.0, 1.0, np.pi),
+    "velocity": (3.0, 3.0, 3.0, np.pi),
+    "attitude": (0.6, 0.6, np.pi, GRAVITY),
+    "rate": (6.0, 6.0, 2.0, GRAVITY),
+    "rotor": (1.0, 1.0, 1.0, 1.0),
+}
+"""What an action of 1 stands for at each level; rotors: from hover speed to the highest."""
+
+
+class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
+    """A quadrotor in MuJoCo that sees its roll and pitch through an attitude estimator.
+
+    ## Description
+
+    The vehicle flies a scenario of `quadsim.scenario`: a trajectory of set-points, with wind, sensor errors
+    and faults. A cascaded controller flies it on the estimate; the action enters that cascade at the level
+    of your choice, so that an agent may correct the set-point, or do all of the control itself. One step is
+    one sample, 5 ms at the default 200 Hz. The closed-loop benchmark flies the very same `Mission`.
+
+    ## Action space
+
+    `Box(-1, 1, (4,), float32)`, for the four numbers below; 0 is always "nothing special".
+
+    | level    | 0              | 1               | 2            | 3                             |
+    |----------|----------------|-----------------|--------------|-------------------------------|
+    | position | Δx, ±1 m       | Δy, ±1 m        | Δz, ±1 m     | Δyaw, ±π                      |
+    | velocity | Δv_x, ±3 m/s   | Δv_y, ±3 m/s    | Δv_z, ±3 m/s | Δyaw, ±π                      |
+    | attitude | roll, ±0.6 rad | pitch, ±0.6 rad | Δyaw, ±π     | thrust per mass, g (1 + a)    |
+    | rate     | p, ±6 rad/s    | q, ±6 rad/s     | r, ±2 rad/s  | thrust per mass, g (1 + a)    |
+    | rotor    | first rotor    | second          | third        | fourth: ω_h + a (ω_max − ω_h) |
+
+    Δ is relative to the scenario's set-point, world axes; the zero action at level `position` flies the
+    scenario as the benchmark does. ω_h is the hover speed, rotors in the order of the vehicle's file.
+
+    ## Observation space
+
+    `Box((17,), float32)`, clipped to its limits:
+
+    | num   | observation                          | limit    |
+    |-------|--------------------------------------|----------|
+    | 0–2   | set-point minus position, world      | 100 m    |
+    | 3–5   | set-point minus velocity, world      | 50 m/s   |
+    | 6–8   | acceleration of the set-point, world | 50 m/s²  |
+    | 9–10  | estimated roll and pitch             | π rad    |
+    | 11    | set-point yaw minus yaw              | π rad    |
+    | 12–13 | cosine and sine of yaw               | 1        |
+    | 14–16 | gyroscope, body axes                 | 50 rad/s |
+
+    Roll and pitch come from the estimator under test alone; position, velocity and yaw from an ideal external
+    sensor.
+
+    ## Reward
+
+    1 / (1 + ‖e_p‖² + 0.1 ‖e_v‖²) in each step, with e_p [m] and e_v [m/s] the errors of observations 0–5; 0
+    in the step of a crash. 1 is perfect.
+
+    ## Starting state
+
+    As the scenario says: at its first set-point, displaced or tilted as drawn for the seed.
+
+    ## Episode end
+
+    - Termination: a crash by the scenario's criteria (by default a tilt above 75°, the ground, or 10 m from
+      the set-point); `info["cause"]` tells which.
+    - Truncation: the scenario's duration is over.
+
+    ## Arguments
+
+    | argument      | default    | meaning                                                                |
+    |---------------|------------|------------------------------------------------------------------------|
+    | `estimator`   | None       | an `AttitudeEstimator`, made for `rate_hz`; None for the true attitude |
+    | `scenario`    | "hover"    | a `Scenario`, the name of a shipped one or the path of a TOML file     |
+    | `level`       | "attitude" | where the action enters the controller                                 |
+    | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
+    | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
+    | `render_mode` | None       | "rgb_array" for pictures                                               |
+
+    `gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, ...)` makes the batched twin: sub-environment i
+    is, number for number, this environment reset with `seed + i`. It restarts finished episodes in the next
+    step.
+
+    ## Version history
+
+    - v0: first version.
+    """
+
+    # gymnasium declares this as a variable of instances
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self,
+        estimator: AttitudeEstimator | None = None,
+        scenario: Scenario | str = "hover",
+        level: Level = "attitude",
+        rate_hz: float = 200.0,
+        duration_s: float | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        self._flights = Flights(estimator, scenario, level, 1, rate_hz, duration_s, render_mode)
+        self.render_mode = render_mode
+        self.observation_space, self.action_space = spaces()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        self._flights.begin([flight_seed(self.np_random)], afresh=seed is not None)
+        return self._flights.observe()[0][0], {}
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Fly one sample with an action of four numbers."""
+        flights = self._flights
+        flights.step(np.asarray(action, dtype=np.float64).reshape(1, 4))
+        observation, reward = flights.observe()
+        cause, over = flights.mission.cause[0], flights.mission.k[0] >= flights.mission.steps
+        crashed = bool(cause != FLYING)
+        return (
+            observation[0],
+            float(reward[0]),
+            crashed,
+            bool(over),
+            {"cause": CAUSES[cause]} if crashed else {},
+        )
+
+    def render(self) -> Image | None:
+        """A picture of the vehicle, (540, 960, 3); None without a render mode."""
+        return self._flights.picture(0) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Free what rendering took."""
+        self._flights.close()
+
+
+class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+    """n quadrotors stepped as one batch; spaces, reward and arguments are those of `QuadrotorEnv`."""
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        estimator: AttitudeEstimator | None = None,
+        scenario: Scenario | str = "hover",
+        level: Level = "attitude",
+        rate_hz: float = 200.0,
+        duration_s: float | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if estimator is not None and num_envs > 1 and not hasattr(estimator, "restart"):
+            estimator = OnePerVehicle(estimator)
+        self._flights = Flights(estimator, scenario, level, num_envs, rate_hz, duration_s, render_mode)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.single_observation_space, self.single_action_space = spaces()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._random: list[np.random.Generator] = []
+        self._done = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin all episodes."""
+        super().reset(seed=seed)
+        if seed is not None or not self._random:
+            first = int(self.np_random.integers(2**31)) if seed is None else seed
+            self._random = [np_random(first + i)[0] for i in range(self.num_envs)]
+        self._flights.begin([flight_seed(each) for each in self._random], afresh=seed is not None)
+        self._done[:] = False
+        return self._flights.observe()[0], {}
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Fly one sample with actions (n, 4); episodes that ended in the last step begin anew instead."""
+        flights, mission = self._flights, self._flights.mission
+        again = np.flatnonzero(self._done)
+        seeds = [flight_seed(self._random[i]) for i in again]
+        flights.step(np.asarray(actions, dtype=np.float64).reshape(self.num_envs, 4), again, seeds)
+        observation, reward = flights.observe()
+        terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
+        reward[again] = 0.0
+        self._done = terminated | truncated
+        info = {"cause": mission.cause.copy(), "_cause": terminated.copy()} if terminated.any() else {}
+        return observation, reward, terminated, truncated, info
+
+    def render(self) -> tuple[Image, ...] | None:
+        """A picture of every vehicle; None without a render mode."""
+        if self.render_mode != "rgb_array":
+            return None
+        return tuple(self._flights.picture(i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free what rendering took."""
+        self._flights.close()
+
+
+class Flights:
+    """What both environments do: a mission, driven by actions, turned into observations and rewards."""
+
+    def __init__(
+        self,
+        estimator: AttitudeEstimator | None,
+        scenario: Scenario | str,
+        level: Level,
+        n: int,
+        rate_hz: float,
+        duration_s: float | None,
+        render_mode: str | None,
+    ) -> None:
+        if level not in LEVELS:
+            raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, or None')
+        scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        self.mission = Mission(scenario, estimator, n, rate_hz, duration_s)
+        self._level: Level = level
+        self._index, self._command = LEVELS.index(level), np.zeros((n, WIDTH[level]))
+        vehicle = self.mission.vehicle
+        self._speeds = np.array([vehicle.hover_rotor_vel, vehicle.motor.omega_max - vehicle.hover_rotor_vel])
+        self._scale = np.array(ACTION_SCALE[level])
+        self._scene: Scene | None = None
+        self._begun = False
+
+    def begin(self, seeds: list[np.random.SeedSequence], afresh: bool) -> None:
+        """Begin all flights, one seed each; afresh: forget all earlier ones."""
+        if afresh or not self._begun:
+            self.mission.begin(seeds)
+            self._begun = True
+        else:
+            self.mission.restart(np.arange(self.mission.n), seeds)
+            self.mission.sense()
+
+    def step(
+        self,
+        action: Array,
+        again: NDArray[np.int64] | None = None,
+        seeds: list[np.random.SeedSequence] | None = None,
+    ) -> None:
+        """Fly one sample with actions (n, 4); flights `again` begin anew in place of it."""
+        if not self._begun:
+            raise ValueError("step was called before reset")
+        to_command(self._index, action, self._scale, self._speeds, self.mission.target, self._command)
+        self.mission.move(self._level, self._command)
+        if again is not None and len(again):
+            self.mission.restart(again, seeds or [])
+        self.mission.sense()
+
+    def observe(self) -> tuple[NDArray[np.float32], Array]:
+        """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
+        mission, loop = self.mission, self.mission.loop
+        observation = np.empty((mission.n, OBSERVATION_LIMIT.size), dtype=np.float32)
+        reward = np.empty(mission.n)
+        observe(
+            mission.target, loop.plant.position, loop.plant.velocity, loop.attitude, loop.yaw, loop.rate,
+            mission.cause, OBSERVATION_LIMIT, observation, reward,
+        )  # fmt: skip
+        return observation, reward
+
+    def picture(self, index: int) -> Image:
+        """Draw one vehicle."""
+        plant = self.mission.loop.plant
+        self._scene = self._scene or Scene(self.mission.vehicle)
+        x, y, z = plant.position[index]
+        return self._scene.draw(plant.position[index], plant.quat[index], View((x, y, z), distance=1.6))
+
+    def close(self) -> None:
+        """Free the scene."""
+        if self._scene is not None:
+            self._scene.close()
+            self._scene = None
+
+
+class OnePerVehicle:
+    """An estimator for n vehicles made of n copies, for one that cannot restart single vehicles."""
+
+    def __init__(self, estimator: AttitudeEstimator) -> None:
+        self.rate_hz = estimator.rate_hz
+        self._pattern, self._each = estimator, [copy.deepcopy(estimator)]
+        if getattr(estimator, "observe", None) is not None:
+            self.observe = self._observe
+
+    def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
+        """Start n vehicles."""
+        self._each = [copy.deepcopy(self._pattern) for _ in range(n)]
+        self.restart(np.arange(n), roll_pitch)
+
+    def restart(self, ids: NDArray[np.int64], roll_pitch: ArrayLike | None = None) -> None:
+        """Start some vehicles anew, at attitudes (m, 2) [rad] where these are known."""
+        known = None if roll_pitch is None else np.asarray(roll_pitch)
+        for row, vehicle in enumerate(ids):
+            self._each[vehicle].reset(1, roll_pitch=None if known is None else known[row : row + 1])
+
+    def update(self, gyro: Array, accel: Array) -> Array:
+        """Take one sample of every vehicle."""
+        return np.concatenate(
+            [each.update(gyro[i : i + 1], accel[i : i + 1]) for i, each in enumerate(self._each)]
+        )
+
+    def _observe(self, quat: Array) -> None:
+        for i, each in enumerate(self._each):
+            observe = getattr(each, "observe", None)
+            if observe is not None:
+                observe(quat[i : i + 1])
+
+
+def spaces() -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    """Observation and action space of one vehicle."""
+    limit = OBSERVATION_LIMIT.astype(np.float32)
+    return gymnasium.spaces.Box(-limit, limit, dtype=np.float32), gymnasium.spaces.Box(
+        -1.0, 1.0, (4,), np.float32
+    )
+
+
+def flight_seed(random: np.random.Generator) -> np.random.SeedSequence:
+    """Draw the seed of a flight."""
+    return np.random.SeedSequence(random.integers(2**32, size=4).tolist())
+
+
+@njit(cache=True)
+def to_command(level, action, scale, speeds, target, command):
+    """Write commands (n, width of the level) of actions (n, 4); see the table of `QuadrotorEnv`."""
+    for i in range(action.shape[0]):
+        u = np.empty(4)
+        for j in range(4):
+            u[j] = min(max(action[i, j], -1.0), 1.0) * scale[j]
+        if level == 0:
+            command[i] = target[i]
+            command[i, 0] += u[0]
+            command[i, 1] += u[1]
+            command[i, 2] += u[2]
+            command[i, 9] += u[3]
+        elif level == 1:
+            for j in range(3):
+                command[i, j] = target[i, 3 + j] + u[j]
+            command[i, 3] = target[i, 9] + u[3]
+        elif level == 2:
+            command[i, 0], command[i, 1] = u[0], u[1]
+            command[i, 2], command[i, 3] = target[i, 9] + u[2], GRAVITY + u[3]
+        elif level == 3:
+            command[i, 0], command[i, 1], command[i, 2], command[i, 3] = u[0], u[1], u[2], GRAVITY + u[3]
+        else:
+            for j in range(4):
+                command[i, j] = speeds[0] + u[j] * speeds[1]
+
+
+@njit(cache=True)
+def observe(target, position, velocity, attitude, yaw, rate, cause, limit, observation, reward):
+    """Write observations (n, 17) and rewards (n,); see the tables of `QuadrotorEnv`."""
+    for i in range(observation.shape[0]):
+        o = observation[i]
+        apart = slip = 0.0
+        for j in range(3):
+            o[j] = target[i, j] - position[i, j]
+            o[3 + j] = target[i, 3 + j] - velocity[i, j]
+            o[6 + j] = target[i, 6 + j]
+            o[14 + j] = rate[i, j]
+            apart += (target[i, j] - position[i, j]) ** 2
+            slip += (target[i, 3 + j] - velocity[i, j]) ** 2
+        o[9], o[10] = attitude[i, 0], attitude[i, 1]
+        turn = target[i, 9] - yaw[i]
+        o[11] = np.arctan2(np.sin(turn), np.cos(turn))
+        o[12], o[13] = np.cos(yaw[i]), np.sin(yaw[i])
+        for j in range(o.shape[0]):
+            o[j] = min(max(o[j], -limit[j]), limit[j])
+        reward[i] = 1.0 / (1.0 + apart + 0.1 * slip) if cause[i] == 0 else 0.0
