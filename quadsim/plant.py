@@ -1,5 +1,6 @@
 """The plant: n quadrotors in MuJoCo, driven by rotor-speed commands and wind, one sample at a time."""
 
+import logging
 import math
 from collections.abc import Sequence
 from importlib import resources
@@ -16,6 +17,9 @@ from .rotation import rotate_inverse_core
 from .vehicle import GRAVITY, Vehicle
 
 Array = NDArray[np.float64]
+
+# the engine would otherwise write a file into the working directory for every vehicle that diverges
+mujoco.set_mju_user_warning(logging.getLogger(__name__).info)
 
 FLIGHT_STEP = 0.005
 """Longest RK4 step [s]: within 1e-5° of a converged solution over an aggressive manoeuvre."""
