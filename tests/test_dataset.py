@@ -196,7 +196,7 @@ from quadsim import dataset
 from quadsim.flight import FlightConfig
 
 dataset.BATCH_FLIGHTS = 1
-dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 60, 2.0, sys.argv[1], workers=2)
+dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 40, 1.0, sys.argv[1], workers=2)
 """
     out = tmp_path / "killed.zarr"
     run = subprocess.Popen(
@@ -209,12 +209,12 @@ dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 60, 2.0, sys.arg
     run.wait()
     await_true(lambda: not any(alive(pid) for pid in workers))
     assert len(workers) >= 2
-    with pytest.raises(ValueError, match=r"unfinished: \d+ of 60 flights"):
+    with pytest.raises(ValueError, match=r"unfinished: \d+ of 40 flights"):
         open_dataset(out)
-    generate(CONFIG, 60, 2.0, out, workers=1)
-    assert verify(out) == 60
+    generate(CONFIG, 40, 1.0, out, workers=1)
+    assert verify(out) == 40
     assert not list(out.rglob("*.tmp"))
-    whole = generate(CONFIG, 60, 2.0, tmp_path / "whole.zarr", workers=1)
+    whole = generate(CONFIG, 40, 1.0, tmp_path / "whole.zarr", workers=1)
     assert files(out) == files(whole)
 
 
