@@ -25,6 +25,8 @@ BIAS_EXP = 4
 _BIAS_STEP = 16.0
 _BIAS_MAX = 4095.0 * _BIAS_STEP
 _V_MAX = 8388607.0
+_OUTPUT_THRESHOLD = 131071.0 * 64.0
+"""The highest that the chip has; an output that gets there all the same is reset."""
 _WRAP_21 = 2097152.0
 _WRAP_23 = 8388608.0
 
@@ -115,7 +117,7 @@ def advance(
         if quantised:
             out[0, o] = _wrap(out[0, o], _WRAP_23)
         y = _decay(out[1, o], out_taus[1], quantised) + out[0, o]
-        out[1, o] = min(max(y, -_V_MAX), _V_MAX) if quantised else y
+        out[1, o] = (0.0 if y > _OUTPUT_THRESHOLD else max(y, -_V_MAX)) if quantised else y
 
     h1 = v1.shape[0]
     for i in range(h1):

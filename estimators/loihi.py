@@ -100,26 +100,34 @@ class LoihiNetwork:
         # The sources of all spikes stand in one row: the network's input, then layer after layer.
         self._start = np.cumsum([self.n_in, *self.sizes]).astype(np.int64)
         fan_in = [np.vstack([w.T, _recurrent_rows(layer)]) for w, layer in zip(w_in, layers, strict=True)]
-        self._rows = np.array([(w.shape[1], r.shape[0]) for w, r in zip(w_in, fan_in, strict=True)], np.int64)
-        self._weights = np.concatenate([r.ravel() for r in fan_in]).astype(np.int32)
-        self._du, self._dv, self._vth, self._bias_mant, self._bias_exp = (
-            np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int64)
-            for name in ("du", "dv", "vth", "bias_mant", "bias_exp")
+        rows = np.array(
+            [(w.shape[1], r.shape[0]) for w, r in zip(w_in, fan_in, strict=True)], np.int64
         )
+        weights = np.concatenate([r.ravel() for r in fan_in]).astype(np.int32)
+        vectors = [
+            np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int64)
+            for name in ("bias_mant", "bias_exp", "du", "dv", "vth")
+        ]
+        self.bias_mant = vectors[0]
+        self.parameters = (vectors[1], weights, rows, self._start, *vectors[2:])
+        """What `step_arrays` takes after the state."""
         self.reset()
+
+    def zero_state(self, n: int) -> tuple[NDArray[np.int8], NDArray[np.int8], Ints, Ints, Ints]:
+        """State of `n` copies at rest: spikes before and after a step, currents, potentials, biases."""
+        total = int(self._start[-1]) - self.n_in
+        spikes = np.zeros((2, n, self.n_in + total), np.int8)
+        bias = np.tile(self.bias_mant, (n, 1))
+        return spikes[0], spikes[1], np.zeros((n, total), np.int64), np.zeros((n, total), np.int64), bias
 
     def reset(self, n: int = 1) -> None:
         """Set the currents, potentials and spikes of `n` independent copies to zero."""
-        total = int(self._start[-1]) - self.n_in
-        self._u = np.zeros((n, total), np.int64)
-        self._v = np.zeros((n, total), np.int64)
-        self._bias = np.tile(self._bias_mant, (n, 1))
-        self._before = np.zeros((n, self.n_in + total), np.int8)
-        self._after = np.zeros((n, self.n_in + total), np.int8)
+        self._state = self.zero_state(n)
+        _, after, u, v, _ = self._state
         edges = self._start[1:-1] - self.n_in
-        self.u: list[Ints] = np.split(self._u, edges, axis=1)
-        self.v: list[Ints] = np.split(self._v, edges, axis=1)
-        self.s: list[NDArray[np.int8]] = np.split(self._after[:, self.n_in :], edges, axis=1)
+        self.u: list[Ints] = np.split(u, edges, axis=1)
+        self.v: list[Ints] = np.split(v, edges, axis=1)
+        self.s: list[NDArray[np.int8]] = np.split(after[:, self.n_in :], edges, axis=1)
 
     def step(
         self, spikes_in: ArrayLike | None = None, bias_mant: ArrayLike | None = None
@@ -138,26 +146,13 @@ class LoihiNetwork:
         Raises:
             ValueError: A shape that does not fit.
         """
-        n, first = self._u.shape[0], self.sizes[0]
-        self._after[:, : self.n_in] = 0 if spikes_in is None else _fit("spikes_in", spikes_in, n, self.n_in)
-        if bias_mant is None:
-            self._bias[:, :first] = self._bias_mant[:first]
-        else:
-            self._bias[:, :first] = _fit("bias_mant", bias_mant, n, first)
-        _step(
-            self._before,
-            self._after,
-            self._u,
-            self._v,
-            self._bias,
-            self._bias_exp,
-            self._weights,
-            self._rows,
-            self._start,
-            self._du,
-            self._dv,
-            self._vth,
+        _, after, u, _, bias = self._state
+        n, first = u.shape[0], self.sizes[0]
+        after[:, : self.n_in] = 0 if spikes_in is None else _fit("spikes_in", spikes_in, n, self.n_in)
+        bias[:, :first] = (
+            self.bias_mant[:first] if bias_mant is None else _fit("bias_mant", bias_mant, n, first)
         )
+        step_arrays(*self._state, *self.parameters)
         return self.s[-1]
 
 
@@ -174,9 +169,23 @@ def wrap(x: int, bits: int) -> int:
 
 
 @njit(cache=True)
-def _step(  # type annotations of arrays would only repeat the attributes above
-    before, after, u, v, bias, bias_exp, weights, rows, start, du, dv, vth
-) -> None:
+def step_arrays(before, after, u, v, bias, bias_exp, weights, rows, start, du, dv, vth):
+    """One step of `n` copies: all layers read the spikes in `before`, and `after` gets the new ones.
+
+    Args:
+        before: Spikes one step ago, the network's input first, shape (n, in + neurons); overwritten.
+        after: Spikes after the last step, and in its first columns those of this step's input; changed.
+        u: Currents, shape (n, neurons); changed.
+        v: Membrane potentials after the reset, shape (n, neurons); changed.
+        bias: Bias mantissas of this step, shape (n, neurons).
+        bias_exp: Exponents of the biases, shape (neurons,).
+        weights: For each layer the rows of its feed-forward and of its recurrent sources, flattened.
+        rows: Numbers of these rows, shape (layers, 2).
+        start: First source of each layer in `before`, shape (layers + 1,).
+        du: Decays of the currents, shape (neurons,).
+        dv: Decays of the potentials, shape (neurons,).
+        vth: Threshold mantissas, shape (neurons,).
+    """
     n_in = start[0]
     before[:, n_in:] = after[:, n_in:]
     for b in range(u.shape[0]):

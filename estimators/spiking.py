@@ -17,6 +17,7 @@ SURROGATE_WIDTH = 20.0
 _BIAS_STEP = 2.0**4
 _BIAS_MAX = 4095 * _BIAS_STEP
 _V_MAX = 2.0**23 - 1
+_OUTPUT_THRESHOLD = 131071.0 * 64
 
 
 class _SuperSpike(torch.autograd.Function):
@@ -116,7 +117,9 @@ def forward(
     outputs, encoding, hidden = [], [], []
     for t in range(steps):
         u2 = wrapped(decay(u2, weights.syn2) + wrapped(s1 @ w_out.T, 21), 23)
-        v2 = clipped(decay(v2, weights.mem2) + u2)
+        v2 = decay(v2, weights.mem2) + u2
+        if quantised:
+            v2 = _straight(v2, torch.where(v2 > _OUTPUT_THRESHOLD, 0.0, v2.clamp(min=-_V_MAX)))
         feedback = s1 if recurrent_delay == 1 else late
         u1 = wrapped(decay(u1, weights.syn1) + wrapped(s0 @ w_ff.T + feedback @ w_rec.T, 21), 23)
         drive = x[:, t] @ w_in.T

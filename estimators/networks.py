@@ -1,0 +1,305 @@
+"""Trained networks as estimators: Att-SNN in float64 and on emulated Loihi, and its non-spiking twin Att-RNN.
+
+Nothing here imports torch: inference is compiled. Missing samples (NaN, or a specific force of exactly zero) are
+bridged by the last good one and counted.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from .dynamics import BIAS_EXP, run_network, zero_state
+from .gru import run_gru
+from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, step_arrays, wrap
+from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, shipped_network
+
+Array = NDArray[np.float64]
+States = tuple[NDArray[np.generic], ...]
+
+INPUT_ONE = 1024
+"""Integer input of the network for a scaled reading of 1.0."""
+INPUT_MAX = 32767
+GRAVITY = 9.81
+SETTLE_S = 4.0
+"""A network told its attitude sees a vehicle at rest in it for this long before its first sample [s]."""
+
+
+def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
+    """Make a network estimator.
+
+    Args:
+        name: "att-snn" (float64), "att-snn-loihi" (the same network in integers) or "att-rnn".
+        rate_hz: Samples per second; the one that the weights were trained for.
+        weights: Weights file; None: the ones that ship.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: Unknown name, a file of another kind of network, or another sample rate.
+    """
+    if name not in ("att-snn", "att-snn-loihi", "att-rnn"):
+        raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
+    model = name.removesuffix("-loihi")
+    config, tensors = shipped_network(model) if weights is None else load_network(weights)
+    if config.model != model:
+        raise ValueError(f"{weights}: weights of {config.model}, {name} needs {model}")
+    if not np.isclose(rate_hz, config.rate_hz):
+        raise ValueError(f"{name}: the weights are for {config.rate_hz:g} Hz, not for {rate_hz:g} Hz")
+    if name == "att-rnn":
+        return NetworkEstimator(Recurrent(config, tensors), rate_hz)
+    if name == "att-snn":
+        return NetworkEstimator(Spiking(config, tensors), rate_hz)
+    return NetworkEstimator(OnLoihi(config, tensors), rate_hz)
+
+
+class Core(Protocol):
+    """A network without memory of its own: states go in, are changed, and outputs come back."""
+
+    def zero(self, n: int) -> States:
+        """States of `n` vehicles at the start, each array with one row per vehicle."""
+        ...
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        ...
+
+
+class NetworkEstimator:
+    """A network that follows n vehicles: the estimator protocol around a `Core`.
+
+    Args:
+        core: The network.
+        rate_hz: Samples per second.
+    """
+
+    def __init__(self, core: Core, rate_hz: float) -> None:
+        """Start with one vehicle of unknown attitude."""
+        self.core, self.rate_hz = core, rate_hz
+        self.reset()
+
+    def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
+        """Forget everything and start n vehicles; roll_pitch (n, 2) [rad] where the attitude is known."""
+        self._states = self._started(n, roll_pitch)
+
+    def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
+        """Start some of the vehicles again, (k,) of them, with their attitude (k, 2) where it is known."""
+        rows = np.arange(len(self._states[0]))[np.asarray(ids)]
+        for mine, fresh in zip(self._states, self._started(rows.size, roll_pitch), strict=True):
+            mine[rows] = fresh
+
+    def update(self, gyro: Array, accel: Array) -> Array:
+        """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
+        n = len(self._states[0])
+        gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
+        if gyro.shape != (n, 3) or accel.shape != (n, 3):
+            raise ValueError(f"sample: gyro {gyro.shape} and accel {accel.shape}, should be ({n}, 3)")
+        out = np.empty((n, 1, 2))
+        self.core.run(self._states, gyro.reshape(n, 1, 3), accel.reshape(n, 1, 3), out)
+        return out[:, 0]
+
+    def sequence(self, gyro: ArrayLike, accel: ArrayLike) -> Array:
+        """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""
+        gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
+        n = len(self._states[0])
+        if gyro.ndim != 3 or gyro.shape != accel.shape or gyro.shape[0] != n or gyro.shape[2] != 3:
+            raise ValueError(f"sequence: gyro {gyro.shape} and accel {accel.shape}, should be ({n}, T, 3)")
+        out = np.empty((*gyro.shape[:2], 2))
+        self.core.run(self._states, gyro, accel, out)
+        return out
+
+    @property
+    def skipped(self) -> NDArray[np.int64]:
+        """Samples since the start that were missing in part or whole, shape (n,)."""
+        return self._states[0][:, 6].astype(np.int64)
+
+    def _started(self, n: int, roll_pitch: ArrayLike | None) -> States:
+        states = self.core.zero(n)
+        if roll_pitch is not None:
+            known = np.asarray(roll_pitch, dtype=np.float64)
+            if known.shape != (n, 2):
+                raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
+            steps = round(SETTLE_S * self.rate_hz)
+            accel = np.repeat(_gravity(known)[:, None], steps, 1)
+            self.core.run(states, np.zeros_like(accel), accel, np.empty((n, steps, 2)))
+        return states
+
+
+class Spiking:
+    """Att-SNN in float64; the quantised one with the numbers of the chip."""
+
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Lay the weights out for the kernel."""
+        one = 2.0**14 if config.quantised else 1.0
+        weights, taus = real_weights(config, tensors)
+        self._weights = np.concatenate([w.T.ravel() for w in weights]) * one
+        self._taus = np.concatenate(taus)
+        self._sizes = (config.encoding, config.hidden, config.recurrent_delay, config.steps_per_sample)
+        self._quantised, self._scale = config.quantised, config.output_scale / one
+        self._offset, self._gain = input_scaling(config.inputs)
+
+    def zero(self, n: int) -> States:
+        """Everything at rest."""
+        return (np.zeros((n, 7)), *zero_state(n, *self._sizes[:2]))
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        held, state, spikes = states
+        x = np.empty((*gyro.shape[:2], 6))
+        encode(gyro, accel, self._offset, self._gain, held, x)
+        x /= INPUT_ONE
+        run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
+        out *= self._scale
+
+
+class OnLoihi:
+    """Att-SNN in integers: the encoding current on the host, everything that spikes and the outputs on the chip.
+
+    Raises:
+        ValueError: The network is not quantised, or not in the chip's time convention.
+    """
+
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Place the network on the chip."""
+        if not config.quantised or config.recurrent_delay != 1:
+            raise ValueError("att-snn-loihi needs quantised weights and a recurrent delay of 1")
+        w = {name: value.astype(np.int64) for name, value in tensors.items()}
+        self.chip = LoihiNetwork(
+            [
+                LoihiLayer(w_in=None, du=w["syn0"], dv=w["mem0"], bias_exp=BIAS_EXP),
+                LoihiLayer(w_in=w["w_ff"], w_rec=w["w_rec"], du=w["syn1"], dv=w["mem1"]),
+                LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX),
+            ]
+        )
+        self._encoder = np.ascontiguousarray(w["w_in"].T), w["syn0"]
+        self._steps, self._scale = config.steps_per_sample, config.output_scale / 2**14
+        self._offset, self._gain = input_scaling(config.inputs)
+
+    def zero(self, n: int) -> States:
+        """Everything at rest."""
+        return (np.zeros((n, 7)), np.zeros((n, self._encoder[0].shape[1]), np.int64), *self.chip.zero_state(n))
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        _run_on_loihi(
+            gyro, accel, self._offset, self._gain, *self._encoder, self._steps, self._scale,
+            states, self.chip.parameters, out,
+        )  # fmt: skip
+
+
+class Recurrent:
+    """Att-RNN: two GRU layers and a linear output, in float32."""
+
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Lay the weights out for the kernel."""
+        self._weights = tuple(
+            np.ascontiguousarray(tensors[f"gru.{kind}_l{layer}"].T, np.float32)
+            for layer in (0, 1)
+            for kind in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+        )
+        self._out = np.ascontiguousarray(tensors["out.weight"], np.float32), tensors["out.bias"].astype(np.float32)
+        self._sizes, self._steps, self._scale = (config.encoding, config.hidden), 1, config.output_scale
+        self._offset, self._gain = input_scaling(config.inputs)
+
+    def zero(self, n: int) -> States:
+        """Everything at rest."""
+        return (np.zeros((n, 7)), *(np.zeros((n, units), np.float32) for units in self._sizes))
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        held, h0, h1 = states
+        x = np.empty((*gyro.shape[:2], 6))
+        encode(gyro, accel, self._offset, self._gain, held, x)
+        run_gru((x / INPUT_ONE).astype(np.float32), self._weights, self._out, h0, h1, out)
+        out *= self._scale
+
+
+def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
+    """Offset and gain (6,) of the readings: integer input = round((reading - offset) gain)."""
+    offset = np.array([0.0, 0.0, 0.0, *inputs.accel_offset])
+    return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
+
+
+def scaled_inputs(inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike) -> Array:
+    """Inputs of the network, in steps of 1/1024, for readings (n, T, 3) twice; shape (n, T, 6)."""
+    offset, gain = input_scaling(inputs)
+    gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
+    x = np.empty((*gyro.shape[:2], 6))
+    encode(gyro, accel, offset, gain, np.zeros((len(gyro), 7)), x)
+    return x / INPUT_ONE
+
+
+def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], list[Array]]:
+    """Weights and time constants of a spiking network in units of 1.0, in the order of the layers."""
+    w_scale = 1 / 256 if config.quantised else 1.0
+    weights = [tensors[name].astype(np.float64) * w_scale for name in ("w_in", "w_ff", "w_rec", "w_out")]
+    taus = [tensors[name].astype(np.float64) for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2")]
+    return weights, [1 - tau / 4096 for tau in taus] if config.quantised else taus
+
+
+def _gravity(roll_pitch: Array) -> Array:
+    """Specific force of a vehicle at rest, (n, 2) -> (n, 3) [m/s²]."""
+    roll, pitch = roll_pitch.T
+    return GRAVITY * np.stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], -1)
+
+
+@njit(cache=True)
+def _encode_sample(gyro, accel, offset, gain, held):
+    """Scale one sample into `held` (6 inputs, samples missing), keeping what it replaces where one is missing."""
+    rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
+    force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
+    force_found = np.isfinite(force) and force > 0.0
+    if rate_found:
+        for k in range(3):
+            held[k] = min(max(np.rint((gyro[k] - offset[k]) * gain[k]), -INPUT_MAX), INPUT_MAX)
+    if force_found:
+        for k in range(3):
+            value = np.rint((accel[k] - offset[3 + k]) * gain[3 + k])
+            held[3 + k] = min(max(value, -INPUT_MAX), INPUT_MAX)
+    if not (rate_found and force_found):
+        held[6] += 1.0
+
+
+@njit(cache=True)
+def encode(gyro, accel, offset, gain, held, x):
+    """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; `held` (n, 7) keeps the last ones and a count."""
+    for n in range(gyro.shape[0]):
+        for t in range(gyro.shape[1]):
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, held[n])
+            for k in range(6):
+                x[n, t, k] = held[n, k]
+
+
+@njit(cache=True)
+def _run_on_loihi(gyro, accel, offset, gain, w_in, du, steps, scale, states, parameters, out):
+    held, current, before, after, u, v, bias = states
+    n_outputs = out.shape[2]
+    first_output = v.shape[1] - n_outputs
+    for t in range(gyro.shape[1]):
+        for n in range(gyro.shape[0]):
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, held[n])
+        for _ in range(steps):
+            for n in range(gyro.shape[0]):
+                _encoding_bias(held[n], w_in, du, current[n], bias[n])
+            step_arrays(before, after, u, v, bias, *parameters)
+        for n in range(gyro.shape[0]):
+            for k in range(n_outputs):
+                out[n, t, k] = v[n, first_output + k] * scale
+
+
+@njit(cache=True)
+def _encoding_bias(x, w_in, du, current, bias):
+    """Advance the host's currents of the encoding layer and write them as bias mantissas, toward zero."""
+    for i in range(current.shape[0]):
+        drive = 0
+        for k in range(w_in.shape[0]):
+            drive += w_in[k, i] * np.int64(x[k])
+        # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
+        drive = drive >> 4 if drive >= 0 else -(-drive >> 4)
+        u = wrap(decay(current[i], du[i]) + drive, 23)
+        current[i] = u
+        mantissa = u >> BIAS_EXP if u >= 0 else -(-u >> BIAS_EXP)
+        bias[i] = min(max(mantissa, -BIAS_MANT_MAX), BIAS_MANT_MAX)

@@ -1,0 +1,146 @@
+"""Networks on disk: safetensors files that say in their metadata how the network is to be run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, JsonValue, ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from quadsim.config import Strict
+
+Tensors = dict[str, NDArray[Any]]
+
+
+class InputScaling(Strict):
+    """What the network's inputs are: (reading - offset) / range, gyroscope first."""
+
+    gyro: float = Field(2.5, gt=0)
+    """Body rate of an input of 1.0 [rad/s]."""
+    accel: tuple[float, float, float] = (1.0, 1.0, 4.0)
+    """Specific force, less the offset, of an input of 1.0 [m/s²]."""
+    accel_offset: tuple[float, float, float] = (0.0, 0.0, 9.81)
+    """Specific force of an input of 0 [m/s²]."""
+
+
+PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))
+
+
+class NetworkConfig(Strict):
+    """How a network is run, and where its weights come from."""
+
+    model: Literal["att-snn", "att-rnn"]
+    rate_hz: float = Field(200.0, gt=0)
+    """Samples per second that it was trained for."""
+    encoding: int = Field(100, ge=1)
+    """Neurons of the encoding layer (att-rnn: units of the first GRU)."""
+    hidden: int = Field(100, ge=1)
+    """Neurons of the recurrent layer (att-rnn: units of the second GRU)."""
+    inputs: InputScaling = InputScaling()
+    quantised: bool = True
+    """Whole numbers in the chip's ranges (att-snn)."""
+    recurrent_delay: Literal[1, 2] = 1
+    """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
+    steps_per_sample: int = Field(1, ge=1, le=16)
+    """Network steps for each IMU sample."""
+    output_scale: float = 1.0
+    """Radians for an output potential of 1.0."""
+    training: dict[str, JsonValue] = {}
+    """Data, seed, epochs, commit, validation error."""
+
+
+def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the tensors of a network."""
+    h0, h1 = config.encoding, config.hidden
+    if config.model == "att-snn":
+        taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
+        return {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (2, h1), **taus}
+    shapes: dict[str, tuple[int, ...]] = {"out.weight": (2, h1), "out.bias": (2,)}
+    for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
+        shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
+        shapes |= {f"gru.weight_hh_l{layer}": (3 * units, units), f"gru.bias_hh_l{layer}": (3 * units,)}
+    return shapes
+
+
+def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
+    """Write a network.
+
+    Args:
+        path: File to write.
+        config: How to run it.
+        tensors: Its weights. Spiking: float time constants and weights where `quantised` is false; otherwise
+            int16, weights as mantissas of 1/256 and `syn`, `mem` as the chip's decays, 4096 (1 - τ).
+
+    Raises:
+        ValueError: Tensors that do not fit the configuration.
+    """
+    _check(Path(path), config, dict(tensors))
+    plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+    save_file(plain, path, metadata={"config": config.model_dump_json()})
+
+
+def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
+    """Read a network that `save_network` wrote.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: One line: not such a file, or tensors of the wrong shape or type.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such weights file")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+    except SafetensorError as error:
+        raise ValueError(f"{path}: not a safetensors file ({error})") from error
+    if "config" not in metadata:
+        raise ValueError(f"{path}: no network configuration in the metadata")
+    try:
+        config = NetworkConfig.model_validate_json(metadata["config"])
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{path}: configuration in the metadata: {where}: {first['msg']}") from error
+    _check(path, config, tensors)
+    return config, tensors
+
+
+def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
+    """The weights that ship with the package, for "att-snn" or "att-rnn"."""
+    with as_file(files("assets") / "weights" / f"{model}.safetensors") as path:
+        return load_network(path)
+
+
+def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
+    wanted = expected_shapes(config)
+    if missing := sorted(set(wanted) - set(tensors)):
+        raise ValueError(f"{path}: tensor {missing[0]} is missing")
+    if extra := sorted(set(tensors) - set(wanted)):
+        raise ValueError(f"{path}: unknown tensor {extra[0]}, {config.model} has {', '.join(wanted)}")
+    whole = config.model == "att-snn" and config.quantised
+    for name, shape in wanted.items():
+        value = tensors[name]
+        if value.shape != shape:
+            raise ValueError(f"{path}: tensor {name} has shape {value.shape}, should be {shape}")
+        if whole != (value.dtype == np.int16) or (not whole and value.dtype.kind != "f"):
+            raise ValueError(f"{path}: tensor {name} is {value.dtype}, should be {'int16' if whole else 'float'}")
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"{path}: tensor {name} has values that are not finite")
+        if whole:
+            _check_chip(path, name, value)
+
+
+def _check_chip(path: Path, name: str, value: NDArray[np.int16]) -> None:
+    low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
+    if value.min() < low or value.max() > high:
+        raise ValueError(f"{path}: tensor {name} spans {value.min()}...{value.max()}, allowed {low}...{high}")
+    if name.startswith("w_") and np.any(value % 2):
+        raise ValueError(f"{path}: tensor {name} has odd mantissas, only even ones exist")
