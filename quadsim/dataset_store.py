@@ -362,5 +362,8 @@ def _write_coordinates(store: Path, plan: Plan, records: Sequence[Record]) -> No
 def _write_whole(file: Path, content: bytes) -> None:
     """Write a file so that it is never seen half written."""
     draft = file.with_name(f"{file.name}.{os.getpid()}.tmp")
-    draft.write_bytes(content)
-    draft.replace(file)
+    try:
+        draft.write_bytes(content)
+        draft.replace(file)
+    finally:
+        draft.unlink(missing_ok=True)  # still there if the disk is full
