@@ -22,9 +22,10 @@ def random_input(n, steps, seed=1):
     return torch.tensor(np.round(rng.normal(size=(n, steps, 6)) * 1024) / 1024)
 
 
-def gradients(output, weights, seed=2):
+def gradients(output, rates, weights, seed=2):
     target = torch.tensor(np.random.default_rng(seed).normal(size=output.shape), dtype=output.dtype)
-    return torch.autograd.grad((output * target).sum(), tuple(weights))
+    loss = (output * target).sum() + 3.0 * rates[0] - 2.0 * rates[1] ** 2
+    return torch.autograd.grad(loss, tuple(weights))
 
 
 @pytest.mark.parametrize("quantised", [False, True])
@@ -36,7 +37,9 @@ def test_fused_network_equals_the_pytorch_loop(quantised, delay, n, steps, h0, h
     weights, x = random_weights(h0, h1, quantised=quantised), random_input(n, steps)
     expected, encoding, hidden = forward(x, weights, quantised, delay)
     space = Workspace(steps, n, weights, quantised, delay, threads)
-    output = attsnn(x, weights, space)
+    output, rates = attsnn(x, weights, space)
+    expected_rates = torch.stack([encoding.mean(), hidden.mean()])
+    np.testing.assert_allclose(rates.detach(), expected_rates.detach(), rtol=1e-12)
     for spikes, name in ((encoding, "s0"), (hidden, "s1")):
         lists = np.concatenate([getattr(trace, name)[2:] for trace in space.traces], 1)
         mine = np.zeros(spikes.shape)
@@ -48,9 +51,8 @@ def test_fused_network_equals_the_pytorch_loop(quantised, delay, n, steps, h0, h
         assert 0.01 < encoding.mean() < 0.9
         assert 0.01 < hidden.mean() < 0.9
     np.testing.assert_allclose(output.detach(), expected.detach(), rtol=0, atol=0 if quantised else 1e-11)
-    for name, mine, theirs in zip(
-        Weights._fields, gradients(output, weights), gradients(expected, weights), strict=True
-    ):
+    mine_all, theirs_all = gradients(output, rates, weights), gradients(expected, expected_rates, weights)
+    for name, mine, theirs in zip(Weights._fields, mine_all, theirs_all, strict=True):
         scale = max(1.0, float(theirs.abs().max()))
         np.testing.assert_allclose(mine / scale, theirs / scale, rtol=0, atol=1e-10, err_msg=name)
 
@@ -59,9 +61,9 @@ def test_fused_network_equals_the_pytorch_loop(quantised, delay, n, steps, h0, h
 @pytest.mark.parametrize("delay", [1, 2])
 def test_carried_windows_are_one_long_window(quantised, delay):
     weights, x = random_weights(12, 10, quantised=quantised), random_input(3, 120)
-    whole = attsnn(x, weights, Workspace(120, 3, weights, quantised, delay)).detach()
+    whole = attsnn(x, weights, Workspace(120, 3, weights, quantised, delay))[0].detach()
     space = Workspace(40, 3, weights, quantised, delay)
-    parts = [attsnn(x[:, 40 * k : 40 * k + 40], weights, space, carry=k > 0).detach() for k in range(3)]
+    parts = [attsnn(x[:, 40 * k : 40 * k + 40], weights, space, carry=k > 0)[0].detach() for k in range(3)]
     np.testing.assert_allclose(torch.cat(parts, 1), whole, rtol=0, atol=0 if quantised else 1e-11)
 
 
@@ -70,15 +72,15 @@ def test_quantised_float32_window_equals_the_float64_one():
     narrow = Weights(*(w.detach().float().requires_grad_() for w in wide))
     x = random_input(4, 300)
     np.testing.assert_array_equal(
-        attsnn(x, narrow, Workspace(300, 4, narrow)).detach(),
-        attsnn(x, wide, Workspace(300, 4, wide)).detach().float(),
+        attsnn(x, narrow, Workspace(300, 4, narrow))[0].detach(),
+        attsnn(x, wide, Workspace(300, 4, wide))[0].detach().float(),
     )
 
 
 def test_a_trace_that_is_gone_is_not_used():
     weights, x = random_weights(5, 5), random_input(2, 10)
     space = Workspace(10, 2, weights)
-    first = attsnn(x, weights, space)
+    first, _ = attsnn(x, weights, space)
     attsnn(x, weights, space)
     with pytest.raises(RuntimeError, match="another window"):
         first.sum().backward()

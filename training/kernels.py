@@ -76,7 +76,9 @@ def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay
     threshold = THRESHOLD * one
     total = np.zeros(max(h1, outputs), w_ff.dtype)
     state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 2, outputs))
-    for b in range(n):  # the currents follow from the last two potentials: u[-1] = v[-1] - D(v[-2] after reset)
+    for b in range(
+        n
+    ):  # the currents follow from the last two potentials: u[-1] = v[-1] - D(v[-2] after reset)
         for i in range(h0):
             state0[b, 0, i], state0[b, 1, i] = u0[0, b, i] * one, v0[1, b, i] * one
         for i in range(h1):
@@ -118,13 +120,16 @@ def backward_window(
         weights: w_ff and w_rec side by side, (h1, h0 + h1), and w_out (outputs, h1).
         taus: τ_syn, τ_mem of the encoding and of the hidden layer.
         out_taus: τ_syn and τ_mem of the outputs, shape (2,).
-        constants: Threshold, surrogate width, one, 1.0 and 0.0 in the floating type of the computation.
+        constants: Threshold, surrogate width, one, 1.0, 0.0, and the gradient of every spike of the encoding and
+            of the hidden layer, in the floating type of the computation.
         quantised: Whether the forward pass was.
         delay: Of the recurrent connection, 1 or 2.
         v0: This and the following are the trace.
     """
     w_down, w_out = weights
-    threshold, width, unit, one, zero = constants[0], constants[1], constants[2], constants[3], constants[4]
+    threshold, width, unit, one, zero, cost0, cost1 = (
+        constants[0], constants[1], constants[2], constants[3], constants[4], constants[5], constants[6]
+    )  # fmt: skip
     steps, n = x.shape[:2]
     h0, h1, outputs = v0.shape[2], v1.shape[2], vo.shape[2]
     syn0, mem0, syn1, mem1 = _tile(taus[0], n), _tile(taus[1], n), _tile(taus[2], n), _tile(taus[3], n)
@@ -138,9 +143,9 @@ def backward_window(
     for t in range(steps - 1, -1, -1):
         late = down if delay == 1 else down_before
         for b in range(n):
-            ds0[b * h0 : (b + 1) * h0] = down[b, :h0]
+            ds0[b * h0 : (b + 1) * h0] = down[b, :h0] + cost0
             into = ds1[b * h1 : (b + 1) * h1]
-            into[:] = late[b, h0:]
+            into[:] = late[b, h0:] + cost1
             for o in range(outputs):
                 d = du_out[b, o]
                 for i in range(h1):
@@ -284,17 +289,15 @@ class Workspace:
             return list(pool.map(function, self.parts, self.traces))
 
     @property
-    def spike_rates(self) -> tuple[float, float]:
-        """Mean spikes per neuron and step of the encoding and of the hidden layer in the last window."""
-        return tuple(
-            float(np.concatenate([getattr(t, s)[2:, :, 0] for t in self.traces], 1).mean() / size)
-            for s, size in (("s0", self.traces[0].v0.shape[2]), ("s1", self.traces[0].v1.shape[2]))
-        )  # pyright: ignore[reportReturnType]  (two by construction)
+    def spikes(self) -> tuple[int, int]:
+        """Places for a spike in a window: neurons x steps x sequences of the encoding and of the hidden layer."""
+        first = self.traces[0]
+        return first.v0.shape[2] * self.n * self.steps, first.v1.shape[2] * self.n * self.steps
 
 
 class _Fused(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, space: Workspace, carry: bool, x: Tensor, *weights: Tensor) -> Tensor:
+    def forward(ctx, space: Workspace, carry: bool, x: Tensor, *weights: Tensor) -> tuple[Tensor, Tensor]:
         arrays = [w.detach().numpy() for w in weights]
         one = STATE_ONE if space.quantised else 1.0
         rows = [np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[:4]]
@@ -315,7 +318,11 @@ class _Fused(torch.autograd.Function):
         space.runs += 1
         ctx.space, ctx.run, ctx.x, ctx.weights = space, space.runs, samples, arrays
         out = np.concatenate([trace.vo[2:] for trace in space.traces], 1)
-        return torch.from_numpy(np.ascontiguousarray(out.transpose(1, 0, 2)))
+        counts = [
+            sum(int(getattr(trace, name)[2:, :, 0].sum()) for trace in space.traces) for name in ("s0", "s1")
+        ]
+        rates = np.array([c / places for c, places in zip(counts, space.spikes, strict=True)], space.dtype)
+        return torch.from_numpy(np.ascontiguousarray(out.transpose(1, 0, 2))), torch.from_numpy(rates)
 
     @staticmethod
     def backward(ctx, *grads: Tensor):
@@ -325,9 +332,9 @@ class _Fused(torch.autograd.Function):
         w_in, w_ff, w_rec, w_out, *taus = ctx.weights
         grad = grads[0].numpy()
         down = np.hstack([w_ff, w_rec])
-        constants = np.array(
-            [THRESHOLD, SURROGATE_WIDTH, STATE_ONE if space.quantised else 1.0, 1.0, 0.0], space.dtype
-        )
+        one = STATE_ONE if space.quantised else 1.0
+        costs = grads[1].numpy() / space.spikes
+        constants = np.array([THRESHOLD, SURROGATE_WIDTH, one, 1.0, 0.0, *costs], space.dtype)
 
         def run(part: slice, trace: Trace) -> list[Floats]:
             sums = [np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out)]
@@ -349,7 +356,7 @@ class _Fused(torch.autograd.Function):
         return None, None, None, *(torch.from_numpy(np.ascontiguousarray(t)) for t in totals)
 
 
-def attsnn(x: Tensor, weights: Weights, space: Workspace, carry: bool = False) -> Tensor:
+def attsnn(x: Tensor, weights: Weights, space: Workspace, carry: bool = False) -> tuple[Tensor, Tensor]:
     """Run the network over a window, differentiable with respect to its weights (on the CPU).
 
     Args:
@@ -359,11 +366,14 @@ def attsnn(x: Tensor, weights: Weights, space: Workspace, carry: bool = False) -
         carry: Go on from the state at the end of the last window instead of from rest.
 
     Returns:
-        Output potentials in units of 1.0, shape (n, T, outputs).
+        Output potentials in units of 1.0, shape (n, T, outputs), and the mean spikes per neuron and step of the
+        encoding and of the hidden layer, shape (2,); both carry gradients.
 
     Raises:
         ValueError: The batch is not of the workspace's shape.
     """
     if x.shape[:2] != (space.n, space.steps):
-        raise ValueError(f"batch: {tuple(x.shape[:2])} (n, steps), the workspace is for {(space.n, space.steps)}")
+        raise ValueError(
+            f"batch: {tuple(x.shape[:2])} (n, steps), the workspace is for {(space.n, space.steps)}"
+        )
     return _Fused.apply(space, carry, x, *weights)  # pyright: ignore[reportReturnType]

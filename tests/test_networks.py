@@ -1,0 +1,174 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from estimators.networks import create_network, scaled_inputs
+from estimators.weights_file import NetworkConfig, expected_shapes, load_network, save_network
+
+
+def random_snn(config, seed=0):
+    rng = np.random.default_rng(seed)
+    tensors = {}
+    for name, shape in expected_shapes(config).items():
+        if not name.startswith("w_"):
+            tensors[name] = np.clip(np.exp(rng.uniform(0.0, 8.3, shape)), 1, 4096).astype(np.int16)
+            continue
+        scale = {"w_in": 40, "w_ff": 50, "w_rec": 30, "w_out": 60}[name]
+        tensors[name] = (2 * np.clip(np.rint(rng.normal(0, scale / 2, shape)), -128, 127)).astype(np.int16)
+    return tensors
+
+
+def random_rnn(config, seed=0):
+    rng = np.random.default_rng(seed)
+    return {k: rng.normal(0, 0.2, s).astype(np.float32) for k, s in expected_shapes(config).items()}
+
+
+@pytest.fixture
+def snn_file(tmp_path):
+    config = NetworkConfig(model="att-snn", output_scale=1 / 256)
+    save_network(tmp_path / "snn.safetensors", config, random_snn(config))
+    return tmp_path / "snn.safetensors"
+
+
+@pytest.fixture
+def rnn_file(tmp_path):
+    config = NetworkConfig(model="att-rnn")
+    save_network(tmp_path / "rnn.safetensors", config, random_rnn(config))
+    return tmp_path / "rnn.safetensors"
+
+
+def samples(n, steps, seed=1):
+    rng = np.random.default_rng(seed)
+    return rng.normal(0, 1, (n, steps, 3)), rng.normal([0, 0, 9.8], 0.5, (n, steps, 3))
+
+
+def same_spikes_for(weights, steps, seed, steps_per_sample=1):
+    """Run the float64 network and the emulator side by side and compare every state after every step."""
+    gyro, accel = samples(1, steps, seed)
+    floats = create_network("att-snn", weights=weights)
+    chip = create_network("att-snn-loihi", weights=weights)
+    counts = np.zeros(2, int)
+    for t in range(steps):
+        a = floats.update(gyro[:, t], accel[:, t])
+        b = chip.update(gyro[:, t], accel[:, t])
+        np.testing.assert_array_equal(a, b)
+        _, state, lists = floats._states
+        _, _, _, after, u, _, _ = chip._states
+        h = (len(after[0]) - 2) // 2
+        encoding, hidden = lists[0, 1 : 1 + lists[0, 0]], lists[0, h + 2 : h + 2 + lists[0, h + 1]]
+        np.testing.assert_array_equal(encoding, np.flatnonzero(after[0, :h]))
+        np.testing.assert_array_equal(hidden, np.flatnonzero(after[0, h : 2 * h]))
+        np.testing.assert_array_equal(state[0, 2 * h : 3 * h], u[0, h : 2 * h])
+        counts += len(encoding), len(hidden)
+    assert np.all(counts > steps // 10)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_quantised_network_and_emulator_spike_alike_over_2000_steps(tmp_path, seed):
+    config = NetworkConfig(model="att-snn", output_scale=1 / 256, steps_per_sample=1 + seed)
+    save_network(tmp_path / "w", config, random_snn(config, seed))
+    same_spikes_for(tmp_path / "w", 2000, seed)
+
+
+def test_shipped_network_and_emulator_spike_alike_over_2000_steps():
+    same_spikes_for(None, 2000, 3)
+
+
+@pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
+def test_streaming_equals_the_whole_sequence(name, snn_file, rnn_file):
+    est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
+    gyro, accel = samples(3, 80)
+    gyro[0, 20], accel[1, 30:33], accel[2, 5] = np.nan, np.nan, 0.0
+    est.reset(3)
+    whole = est.sequence(gyro, accel)
+    np.testing.assert_array_equal(est.skipped, [1, 3, 1])
+    est.reset(3)
+    streamed = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(80)], 1)
+    np.testing.assert_array_equal(streamed, whole)
+    est.reset(1)
+    np.testing.assert_array_equal(est.sequence(gyro[1:2], accel[1:2])[0], whole[1])
+
+
+@pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
+def test_restart_leaves_the_others_alone(name, snn_file, rnn_file):
+    est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
+    gyro, accel = samples(3, 60)
+    est.reset(3)
+    whole = est.sequence(gyro, accel)
+    est.reset(3)
+    est.sequence(gyro[:, :30], accel[:, :30])
+    est.restart([1])
+    rest = est.sequence(gyro[:, 30:], accel[:, 30:])
+    np.testing.assert_array_equal(rest[[0, 2]], whole[[0, 2], 30:])
+    est.reset(1)
+    np.testing.assert_array_equal(rest[1], est.sequence(gyro[1:2, 30:], accel[1:2, 30:])[0])
+
+
+@pytest.mark.parametrize("name", ["att-snn-loihi", "att-rnn"])
+def test_shipped_networks_start_at_the_attitude_they_are_told(name):
+    est = create_network(name)
+    known = np.radians([[10.0, -5.0], [0.0, 8.0], [0.0, 0.0]])
+    est.reset(3, roll_pitch=known)
+    still = 9.81 * np.stack(
+        [-np.sin(known[:, 1]), np.sin(known[:, 0]) * np.cos(known[:, 1]), np.cos(known).prod(1)], 1
+    )
+    error = np.degrees(np.abs(est.update(np.zeros((3, 3)), still) - known))
+    assert error.max() < 4.0
+
+
+def test_gru_equals_torch(rnn_file):
+    config, tensors = load_network(rnn_file)
+    gru = torch.nn.GRU(6, 100, 2, batch_first=True)
+    gru.load_state_dict({k.removeprefix("gru."): torch.tensor(v) for k, v in tensors.items() if "gru" in k})
+    gyro, accel = samples(2, 50)
+    x = torch.tensor(scaled_inputs(config.inputs, gyro, accel), dtype=torch.float32)
+    expected = gru(x)[0].detach().numpy() @ tensors["out.weight"].T + tensors["out.bias"]
+    est = create_network("att-rnn", weights=rnn_file)
+    est.reset(2)
+    np.testing.assert_allclose(est.sequence(gyro, accel), expected, atol=1e-5)
+
+
+def test_inference_does_not_import_torch(snn_file):
+    code = (
+        "import sys, numpy as np; from estimators.networks import create_network; "
+        f"create_network('att-snn-loihi', weights={str(snn_file)!r}).update(np.zeros((1, 3)), np.ones((1, 3))); "
+        "assert 'torch' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_shipped_network_is_within_the_parameter_budget():
+    from estimators.weights_file import shipped_network
+
+    _, tensors = shipped_network("att-snn")
+    assert sum(t.size for t in tensors.values()) <= 21202
+
+
+def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
+    config, tensors = load_network(snn_file)
+    path = tmp_path / "x.safetensors"
+    with pytest.raises(FileNotFoundError, match="no such weights file"):
+        create_network("att-snn", weights=tmp_path / "none")
+    path.write_bytes(b"hello")
+    with pytest.raises(ValueError, match="not a safetensors file"):
+        create_network("att-snn", weights=path)
+    with pytest.raises(ValueError, match="weights of att-rnn, att-snn-loihi needs att-snn"):
+        create_network("att-snn-loihi", weights=rnn_file)
+    with pytest.raises(ValueError, match=r"for 200 Hz, not for 100 Hz"):
+        create_network("att-snn", 100.0, weights=snn_file)
+    for change, message in (
+        ({"w_ff": tensors["w_ff"][:50]}, r"w_ff has shape \(50, 100\), should be \(100, 100\)"),
+        ({"w_ff": tensors["w_ff"].astype(np.float32)}, "w_ff is float32, should be int16"),
+        ({"w_ff": tensors["w_ff"] + np.int16(1)}, "odd mantissas"),
+        ({"mem0": tensors["mem0"] * 0}, r"mem0 spans 0\.\.\.0, allowed 1\.\.\.4096"),
+        ({"more": tensors["w_ff"]}, "unknown tensor more"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            save_network(path, config, tensors | change)
+    with pytest.raises(ValueError, match="no network 'att'"):
+        create_network("att")
+    with pytest.raises(ValueError, match=r"gyro \(1, 2\)"):
+        create_network("att-snn", weights=snn_file).update(np.zeros((1, 2)), np.zeros((1, 3)))

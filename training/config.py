@@ -1,0 +1,132 @@
+"""Everything that can be chosen about a training run, and the two presets."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+
+from estimators.weights_file import PAPER_SCALING, InputScaling
+from quadsim.config import Strict
+
+from .augment import Augmentation
+
+
+class TrainConfig(Strict):
+    """A training run; the defaults are the paper's recipe."""
+
+    model: Literal["att-snn", "att-rnn"] = "att-snn"
+    """Spiking network, or its non-spiking twin."""
+    data: tuple[str, ...]
+    """Datasets to train on."""
+    validation: tuple[str, ...] = ()
+    """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
+    seed: int = 0
+    """Of the initial weights, the split, the windows and the sensor errors."""
+    preset: Literal["paper", "best"] = "paper"
+    """What the other values started from."""
+
+    encoding: int = Field(100, ge=1)
+    """Neurons of the encoding layer."""
+    hidden: int = Field(100, ge=1)
+    """Neurons of the recurrent layer."""
+    quantised: bool = True
+    """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
+    recurrent_delay: Literal[1, 2] = 1
+    """1: the chip's time convention; 2: the paper's equations (att-snn)."""
+    steps_per_sample: int = Field(1, ge=1, le=16)
+    """Network steps for each IMU sample (att-snn)."""
+    inputs: InputScaling = PAPER_SCALING
+    """Scaling of the six inputs."""
+    output_scale: float = Field(1.0, gt=0)
+    """Radians for an output potential of 1.0 (att-snn)."""
+    start: Literal["random", "solved"] = "random"
+    """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
+
+    optimiser_lr: float = Field(0.005, gt=0)
+    """Learning rate of Adam."""
+    adam_beta2: float = Field(0.999, gt=0, lt=1)
+    """Decay of Adam's second moment."""
+    decay: Literal["none", "cosine"] = "none"
+    """Learning rate over the epochs: constant, or half a cosine down to a hundredth."""
+    clip: float = Field(0.0, ge=0)
+    """Largest norm of the gradient; 0: no limit."""
+    lookahead_k: int = Field(6, ge=1)
+    """Steps of the fast weights for one of the slow."""
+    lookahead_alpha: float = Field(0.5, gt=0, le=1)
+    """How far the slow weights follow."""
+
+    epochs: int = Field(500, ge=1)
+    """Most epochs."""
+    batches: int = Field(15, ge=1)
+    """Updates in an epoch."""
+    batch_size: int = Field(40, ge=1)
+    """Windows in a batch."""
+    window_s: float = Field(10.0, gt=0)
+    """Length of a window [s]."""
+    windows_per_stream: int = Field(1, ge=1)
+    """Windows that follow one another with the state carried over (truncated backpropagation)."""
+    stop_early: bool = True
+    """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
+    augmentation: Augmentation = Augmentation()
+    """Sensor errors and symmetries, drawn anew for every window or stream."""
+    rate_cost: float = Field(0.0, ge=0)
+    """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
+    rate_targets: tuple[float, float] = (0.1, 0.1)
+    """Spikes per neuron and step that cost nothing, encoding and hidden layer."""
+    threads: int = Field(1, ge=1)
+    """Threads that share a batch; the result depends on their number in the last digits only."""
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "best": {
+        "inputs": InputScaling(),
+        "output_scale": 1 / 256,
+        "start": "solved",
+        "optimiser_lr": 0.02,
+        "adam_beta2": 0.99,
+        "decay": "cosine",
+        "clip": 1.0,
+        "epochs": 160,
+        "batches": 60,
+        "window_s": 5.0,
+        "windows_per_stream": 3,
+        "stop_early": False,
+        "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
+        "rate_cost": 0.01,
+        "rate_targets": (0.1, 0.1),
+    },
+}
+"""What each preset changes."""
+
+RNN_BEST = {"optimiser_lr": 0.003, "batches": 30, "epochs": 100}
+"""What "best" changes further for att-rnn."""
+
+
+def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
+    """A configuration from a preset and what differs from it.
+
+    Raises:
+        ValueError: One line: an unknown preset or field, or a value out of range.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"no preset {preset!r}, there are {', '.join(PRESETS)}")
+    for name in choices:
+        if name not in TrainConfig.model_fields:
+            near = difflib.get_close_matches(name, TrainConfig.model_fields, 1, 0.0)
+            raise ValueError(f"training has no field {name!r}, the nearest is {near[0]!r}")
+    values = PRESETS[preset] | (RNN_BEST if preset == "best" and choices.get("model") == "att-rnn" else {})
+    for name in ("data", "validation"):
+        if isinstance(choices.get(name), str | Path):
+            choices[name] = (str(choices[name]),)
+        elif name in choices:
+            choices[name] = tuple(str(path) for path in choices[name])
+    try:
+        return TrainConfig(**(values | choices | {"preset": preset}))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"training: {where} = {first['input']!r}: {first['msg']}") from error

@@ -1,0 +1,377 @@
+"""The training loop: epochs of windows, validation on whole flights, checkpoints, and the weights file.
+
+A run's folder holds `config.json`, `log.csv` (a row per epoch), `checkpoint.pt`, `best.safetensors` and
+`curve.png`. A run that was stopped goes on from its checkpoint and ends with the same weights.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+import math
+import os
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from estimators.networks import NetworkEstimator, Recurrent, Spiking, scaled_inputs
+from estimators.weights_file import NetworkConfig, Tensors, save_network
+
+from .config import TrainConfig, make_config
+from .data import Batch, Flights, load_flights, split, windows
+from .loss import attitude_loss, finished, rate_cost
+from .models import AttRNN, AttSNN, start_from_data, start_like_the_paper
+from .optim import Lookahead
+
+log = logging.getLogger(__name__)
+
+Model = AttSNN | AttRNN
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """A row of the log."""
+
+    epoch: int
+    updates: int
+    train_rmse_deg: float
+    """Root mean square error over the windows of the epoch."""
+    val_mse: float
+    """Mean square error on the validation flights [rad²], which chooses the best epoch."""
+    val_error_deg: float
+    """Mean absolute error of roll and pitch over whole validation flights, unknown initial attitude."""
+    val_settled_deg: float
+    """The same without the first 5 s."""
+    rate_encoding: float
+    """Spikes per neuron and step while training."""
+    rate_hidden: float
+    learning_rate: float
+    seconds: float
+    """Time that training has taken so far."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a run ended."""
+
+    weights: Path
+    """File of the best epoch's weights."""
+    best: Epoch
+    reason: str
+    """Why it ended."""
+
+
+Progress = Callable[[Epoch, TrainConfig], None]
+
+
+class _Run:
+    """The state of a run in memory: what a checkpoint saves."""
+
+    def __init__(self, config: TrainConfig, flights: Flights, validation: Flights) -> None:
+        self.config, self.flights, self.validation = config, flights, validation
+        self.model = _new_model(config)
+        self.steps = round(config.window_s * flights.rate_hz)
+        _start(self.model, config, flights, self.steps)
+        adam = torch.optim.Adam(
+            self.model.parameters(), lr=config.optimiser_lr, betas=(0.9, config.adam_beta2)
+        )
+        self.optimiser = Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
+        self.history: list[Epoch] = []
+
+    def one_epoch(self) -> Epoch:
+        """Train for an epoch and validate the slow weights."""
+        began, config, number = time.monotonic(), self.config, len(self.history)
+        squares, rates = [], []
+        batches = windows(
+            self.flights, config.augmentation, config.batches, config.batch_size, self.steps,
+            config.windows_per_stream, (config.seed, 1, number),
+        )  # fmt: skip
+        for k, batch in enumerate(batches):
+            rate = _learning_rate(config, number * config.batches + k)
+            for group in self.optimiser.param_groups:
+                group["lr"] = rate
+            square, spikes = self._update(batch)
+            if not math.isfinite(square):
+                raise FloatingPointError(f"the loss is {square} at epoch {number}, update {k}")
+            squares.append(square)
+            rates.append(spikes)
+        mse, error, settled = self._validate()
+        return Epoch(
+            epoch=number,
+            updates=(number + 1) * config.batches,
+            train_rmse_deg=math.degrees(math.sqrt(np.mean(squares))),
+            val_mse=mse,
+            val_error_deg=error,
+            val_settled_deg=settled,
+            rate_encoding=float(np.mean([r[0] for r in rates])),
+            rate_hidden=float(np.mean([r[1] for r in rates])),
+            learning_rate=rate,
+            seconds=(self.history[-1].seconds if self.history else 0.0) + time.monotonic() - began,
+        )
+
+    def _update(self, batch: Batch) -> tuple[float, list[float]]:
+        config = self.config
+        x = _inputs(config, batch.gyro, batch.accel)
+        estimate, rates = self.model(x, batch.carry)
+        estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
+        loss = attitude_loss(estimate, torch.from_numpy(batch.roll_pitch))
+        cost = loss + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))
+        self.optimiser.zero_grad()
+        cost.backward()
+        if config.clip > 0:
+            torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        self.optimiser.step()
+        self.model.constrain()
+        return float(loss.detach()), rates.tolist()
+
+    def _validate(self) -> tuple[float, float, float]:
+        estimate = self.estimator().sequence(self.validation.gyro, self.validation.accel)
+        error = estimate - self.validation.roll_pitch
+        late = round(5.0 * self.validation.rate_hz)
+        settled = error[:, late:] if error.shape[1] > late else error
+        return float(np.mean(error**2)), *(float(np.degrees(np.abs(e).mean())) for e in (error, settled))
+
+    def estimator(self) -> NetworkEstimator:
+        """The slow weights, flown as the estimator that will ship."""
+        with self.optimiser.evaluated():
+            config, tensors = exported(self.model, self.config, self.flights.rate_hz, {})
+        core = Spiking(config, tensors) if config.model == "att-snn" else Recurrent(config, tensors)
+        est = NetworkEstimator(core, config.rate_hz)
+        est.reset(len(self.validation))
+        return est
+
+    def checkpoint(self) -> dict[str, Any]:
+        return {
+            "model": self.model.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "history": [asdict(epoch) for epoch in self.history],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.model.load_state_dict(state["model"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.history = [Epoch(**row) for row in state["history"]]
+
+
+def train(
+    model: str = "att-snn",
+    data: str | Path | tuple[str, ...] = (),
+    out: str | Path = "runs/att-snn",
+    preset: str = "paper",
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Result:
+    """Train a network, or go on with a run that was stopped.
+
+    Args:
+        model: "att-snn" or "att-rnn".
+        data: One dataset or several.
+        out: Folder of the run.
+        preset: "paper" or "best".
+        progress: Called after every epoch.
+        choices: Fields of `TrainConfig` that differ from the preset.
+
+    Raises:
+        ValueError: A bad choice or dataset, or another run's folder.
+        FileNotFoundError: A dataset is not there.
+    """
+    config = make_config(preset, model=model, data=data, **choices)
+    out = Path(out)
+    flights, validation = _flights(config)
+    _claim(out, config)
+    run = _Run(config, flights, validation)
+    if (out / "checkpoint.pt").is_file():
+        run.restore(torch.load(out / "checkpoint.pt", weights_only=True))
+    reason = _go_on(run, out, progress)
+    if not run.history:
+        raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
+    _plot(out, run.history)
+    best = min(run.history, key=lambda epoch: epoch.val_mse)
+    return Result(weights=out / "best.safetensors", best=best, reason=reason)
+
+
+def exported(
+    model: Model, config: TrainConfig, rate_hz: float, note: dict[str, Any]
+) -> tuple[NetworkConfig, Tensors]:
+    """The network as it is flown: its configuration and tensors for `save_network`."""
+    spiking = config.model == "att-snn"
+    network = NetworkConfig(
+        model=config.model,
+        rate_hz=rate_hz,
+        encoding=config.encoding,
+        hidden=config.hidden,
+        inputs=config.inputs,
+        quantised=config.quantised and spiking,
+        recurrent_delay=config.recurrent_delay,
+        steps_per_sample=config.steps_per_sample if spiking else 1,
+        output_scale=config.output_scale if spiking else 1.0,
+        training=note,
+    )
+    if isinstance(model, AttRNN):
+        return network, {name: value.numpy().copy() for name, value in model.state_dict().items()}
+    with torch.no_grad():
+        arrays = {name: w.numpy() for name, w in model.weights()._asdict().items()}
+    if not config.quantised:
+        return network, {name: w.astype(np.float32) for name, w in arrays.items()}
+    return network, {
+        name: np.rint(w * 256 if name.startswith("w_") else 4096 * (1 - w.astype(np.float64))).astype(
+            np.int16
+        )
+        for name, w in arrays.items()
+    }
+
+
+def _go_on(run: _Run, out: Path, progress: Progress | None) -> str:
+    """Train until something ends the run; the reason."""
+    config = run.config
+    try:
+        while len(run.history) < config.epochs:
+            epoch = run.one_epoch()
+            run.history.append(epoch)
+            if epoch.val_mse <= min(e.val_mse for e in run.history):
+                _save_best(run, out, epoch)
+            _replace(out / "checkpoint.pt", lambda path: torch.save(run.checkpoint(), path))
+            _write_log(out, run.history)
+            if progress:
+                progress(epoch, config)
+            losses = [e.val_mse for e in run.history]
+            if config.stop_early and (reason := finished(losses)):
+                return reason
+    except KeyboardInterrupt:
+        return "interrupted"
+    except FloatingPointError as error:
+        log.error("%s: training stopped, the best weights so far are kept", error)
+        return str(error)
+    return f"all {config.epochs} epochs done"
+
+
+def _save_best(run: _Run, out: Path, epoch: Epoch) -> None:
+    note = {
+        "config": json.loads(run.config.model_dump_json()),
+        "commit": _commit(),
+        "epoch": epoch.epoch + 1,
+        "updates": epoch.updates,
+        "seconds": round(epoch.seconds, 1),
+        "training_flights": len(run.flights),
+        "validation_flights": len(run.validation),
+        "validation_error_deg": round(epoch.val_error_deg, 4),
+    }
+    with run.optimiser.evaluated():
+        network, tensors = exported(run.model, run.config, run.flights.rate_hz, note)
+    _replace(out / "best.safetensors", lambda path: save_network(path, network, tensors))
+
+
+def _flights(config: TrainConfig) -> tuple[Flights, Flights]:
+    flights = load_flights(config.data)
+    if config.validation:
+        return flights, load_flights(config.validation)
+    train_ids, val_ids, _ = split(len(flights), config.seed)
+    return flights.select(train_ids), flights.select(val_ids)
+
+
+def _new_model(config: TrainConfig) -> Model:
+    torch.manual_seed(config.seed)
+    if config.model == "att-rnn":
+        if config.encoding != config.hidden:
+            raise ValueError(
+                f"att-rnn: layers of {config.encoding} and {config.hidden} units, should be equal"
+            )
+        return AttRNN(config.hidden)
+    return AttSNN(
+        config.encoding,
+        config.hidden,
+        config.quantised,
+        config.recurrent_delay,
+        config.output_scale,
+        config.threads,
+    )
+
+
+def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> None:
+    if isinstance(model, AttRNN):
+        return
+    if config.start == "random":
+        start_like_the_paper(model, config.seed)
+        return
+    several = min(3, flights.gyro.shape[1] // steps)
+    batch = next(windows(flights, config.augmentation, 1, 32, several * steps, 1, (config.seed, 0)))
+    x = _inputs(config, batch.gyro, batch.accel).numpy()
+    start_from_data(
+        model,
+        x,
+        np.repeat(batch.roll_pitch, config.steps_per_sample, 1),
+        config.seed,
+        config.steps_per_sample,
+    )
+
+
+def _inputs(config: TrainConfig, gyro: NDArray[np.floating], accel: NDArray[np.floating]) -> Tensor:
+    x = scaled_inputs(config.inputs, gyro, accel)
+    if config.model == "att-rnn":
+        return torch.from_numpy(x.astype(np.float32))
+    return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
+
+
+def _learning_rate(config: TrainConfig, update: int) -> float:
+    if config.decay == "none":
+        return config.optimiser_lr
+    share = update / (config.epochs * config.batches)
+    return config.optimiser_lr * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
+
+
+def _claim(out: Path, config: TrainConfig) -> None:
+    """Make the folder this run's; refuse one of a run with another configuration."""
+    out.mkdir(parents=True, exist_ok=True)
+    file, text = out / "config.json", config.model_dump_json(indent=2)
+    if file.is_file() and file.read_text() != text:
+        raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
+    _replace(file, lambda path: path.write_text(text))
+
+
+def _write_log(out: Path, history: list[Epoch]) -> None:
+    def write(path: Path) -> None:
+        with path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, [f.name for f in fields(Epoch)])
+            writer.writeheader()
+            writer.writerows(asdict(epoch) for epoch in history)
+
+    _replace(out / "log.csv", write)
+
+
+def _plot(out: Path, history: list[Epoch]) -> None:
+    """Training and validation loss over the epochs (the paper's Fig. 4)."""
+    from matplotlib.figure import Figure
+
+    axes = (figure := Figure(figsize=(7, 4))).subplots()
+    epochs = [e.epoch + 1 for e in history]
+    axes.semilogy(epochs, [math.radians(e.train_rmse_deg) ** 2 for e in history], label="training windows")
+    axes.semilogy(epochs, [e.val_mse for e in history], label="validation flights")
+    axes.set(xlabel="epoch", ylabel="mean square error [rad²]")
+    axes.legend()
+    axes.grid(alpha=0.3)
+    figure.savefig(out / "curve.png", dpi=150, bbox_inches="tight")
+
+
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file so that it is either the old one or whole."""
+    part = path.with_name(path.name + ".part")
+    write(part)
+    os.replace(part, path)
+
+
+def _commit() -> str:
+    """The commit of the code, where it runs from a repository."""
+    here = Path(__file__).parent
+    found = subprocess.run(
+        ["git", "-C", str(here), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
+    )
+    return found.stdout.strip()

@@ -1,0 +1,41 @@
+"""What training minimises, and when it stops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from torch import Tensor
+
+
+def attitude_loss(estimate: Tensor, roll_pitch: Tensor) -> Tensor:
+    """Mean square error over roll and pitch [rad²]; both (n, T, 2)."""
+    return (estimate - roll_pitch).square().mean()
+
+
+def rate_cost(rates: Tensor, targets: Tensor) -> Tensor:
+    """How far the layers' spike rates lie above their targets, summed; both (2,)."""
+    return (rates - targets).clamp(min=0.0).sum()
+
+
+def finished(losses: Sequence[float], window: int = 20, rise: float = 1.1, patience: int = 50) -> str | None:
+    """Whether a run of validation losses has ended, as in the paper.
+
+    Args:
+        losses: One for each epoch so far.
+        window: Epochs in the moving average.
+        rise: The moving average may exceed its lowest by this factor.
+        patience: Epochs that the lowest loss may be old.
+
+    Returns:
+        The reason to stop, or None.
+    """
+    if not losses:
+        return None
+    if len(losses) - 1 - int(np.argmin(losses)) >= patience:
+        return f"the lowest validation loss is {patience} epochs old"
+    if len(losses) > window:
+        average = np.convolve(losses, np.full(window, 1 / window), mode="valid")
+        if average[-1] > rise * average.min():
+            return f"the {window}-epoch average is above {rise:g} times its lowest"
+    return None

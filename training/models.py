@@ -1,0 +1,261 @@
+"""Att-SNN and Att-RNN as trainable modules, and how their weights start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from estimators.spiking import Weights, quantise_decay, quantise_weights
+
+from .kernels import Workspace, attsnn
+
+OUTPUTS = 2
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Time constants at the start, log-uniform between two values each [network steps]."""
+
+    encode_syn: tuple[float, float]
+    encode_mem: tuple[float, float]
+    hidden_syn: tuple[float, float]
+    hidden_mem: tuple[float, float]
+    output_syn: float
+    output_mem: float
+
+
+PAPER_RANGES = Ranges((1.0, 5.0), (1.0, 5.0), (1.0, 5.0), (1.0, 5.0), 2.0, 5.0)
+WIDE_RANGES = Ranges((0.5, 4.0), (60.0, 400.0), (1.0, 400.0), (20.0, 200.0), 1.5, 200.0)
+
+
+class AttSNN(nn.Module):
+    """The spiking network; its time constants are trained as logits of τ.
+
+    Args:
+        encoding: Neurons of the encoding layer.
+        hidden: Neurons of the recurrent layer.
+        quantised: Run as the chip does, weights and decays on its grid.
+        recurrent_delay: 1 (the chip) or 2 (the paper's equations).
+        output_scale: Radians for an output potential of 1.0.
+        threads: Parts of a batch that run side by side.
+    """
+
+    def __init__(
+        self,
+        encoding: int = 100,
+        hidden: int = 100,
+        quantised: bool = True,
+        recurrent_delay: int = 1,
+        output_scale: float = 1.0,
+        threads: int = 1,
+    ) -> None:
+        """Allocate the parameters; `start_like_the_paper` or `start_from_data` fills them."""
+        super().__init__()
+        self.quantised, self.recurrent_delay = quantised, recurrent_delay
+        self.output_scale, self.threads = output_scale, threads
+        self.w_in = nn.Parameter(torch.zeros(encoding, 6))
+        self.w_ff = nn.Parameter(torch.zeros(hidden, encoding))
+        self.w_rec = nn.Parameter(torch.zeros(hidden, hidden))
+        self.w_out = nn.Parameter(torch.zeros(OUTPUTS, hidden))
+        self.syn0 = nn.Parameter(torch.zeros(encoding))
+        self.mem0 = nn.Parameter(torch.zeros(encoding))
+        self.syn1 = nn.Parameter(torch.zeros(hidden))
+        self.mem1 = nn.Parameter(torch.zeros(hidden))
+        self.syn2 = nn.Parameter(torch.zeros(1))
+        self.mem2 = nn.Parameter(torch.zeros(1))
+        for name in Weights._fields[:4]:  # a step of the optimiser is relative to these
+            self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
+        self._spaces: dict[tuple[int, int], Workspace] = {}
+
+    def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
+        """Set one of the four weight matrices, and its rows' scales to their root mean square."""
+        w = torch.tensor(values, dtype=torch.float32)
+        used = (w != 0).sum(1, keepdim=True).clamp(min=1)
+        scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
+        with torch.no_grad():
+            getattr(self, f"{name}_scale").copy_(scale)
+            getattr(self, name).copy_(w / scale)
+
+    def weights(self) -> Weights:
+        """Weights and time constants as the network uses them."""
+        w = [getattr(self, name) * getattr(self, f"{name}_scale") for name in Weights._fields[:4]]
+        tau = [torch.sigmoid(getattr(self, name)) for name in Weights._fields[4:]]
+        if not self.quantised:
+            return Weights(*w, *tau)
+        return Weights(*(quantise_weights(x) for x in w), *(quantise_decay(x) for x in tau))
+
+    def forward(self, x: Tensor, carry: bool = False) -> tuple[Tensor, Tensor]:
+        """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
+
+        `carry` goes on from the last window of this shape.
+        """
+        weights = self.weights()
+        out, rates = attsnn(x, weights, self.space(x, weights), carry)
+        return out * self.output_scale, rates
+
+    def space(self, x: Tensor, weights: Weights) -> Workspace:
+        """The workspace for windows of this shape."""
+        key = (x.shape[0], x.shape[1])
+        if key not in self._spaces:
+            self._spaces[key] = Workspace(
+                x.shape[1], x.shape[0], weights, self.quantised, self.recurrent_delay, self.threads
+            )
+        return self._spaces[key]
+
+    @torch.no_grad()
+    def constrain(self) -> None:
+        """Keep weights in the chip's range and time constants where their gradient lives."""
+        if self.quantised:
+            for name in Weights._fields[:4]:
+                limit = 1.0 / getattr(self, f"{name}_scale")
+                w = getattr(self, name)
+                w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
+        for name in Weights._fields[4:]:
+            getattr(self, name).clamp_(-6.0, math.log(4095.0))
+
+
+def start_like_the_paper(model: AttSNN, seed: int) -> None:
+    """Weights of unit scale over the square root of their number, short time constants."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    _start_taus(model, PAPER_RANGES, rng)
+    for name in Weights._fields[:4]:
+        w = getattr(model, name)
+        with torch.no_grad():
+            w.copy_(torch.tensor(rng.normal(0, 1 / math.sqrt(w.shape[1]), w.shape)))
+
+
+def start_from_data(
+    model: AttSNN,
+    x: NDArray[np.float64],
+    roll_pitch: NDArray[np.floating],
+    seed: int,
+    steps_per_sample: int = 1,
+    fan_in: int = 25,
+) -> None:
+    """A network that is solved, not trained: a leaky integrator over random features of the real input.
+
+    Encoders point in random directions of the inputs, with gains spread over more than a decade; hidden
+    neurons read a few encoders each over time constants from a step to seconds. Each layer is scaled so that its
+    currents reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
+    Engineering Framework, Eliasmith & Anderson 2003).
+
+    Args:
+        model: To fill.
+        x: Scaled inputs, shape (n, T, 6).
+        roll_pitch: Targets, shape (n, T, 2) [rad].
+        seed: Of the random directions.
+        steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
+        fan_in: Encoders that each hidden neuron reads.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    _start_taus(model, WIDE_RANGES, rng, steps_per_sample)
+    h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
+    spread = x.reshape(-1, 6).std(0)
+    directions = rng.normal(size=(h0, 6)) * (rng.random((h0, 6)) < 0.3)
+    directions[np.arange(h0), np.arange(h0) % 5] += np.where(np.arange(h0) // 5 % 2 == 0, -2.0, 2.0)
+    gain = np.exp(rng.uniform(math.log(0.05), math.log(0.5), (h0, 1)))
+    tau = torch.sigmoid(model.syn0).detach().numpy()[:, None]
+    w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / spread * gain * (1 - tau)
+    w_ff = np.zeros((h1, h0))
+    for row in w_ff:
+        chosen = rng.choice(h0, min(fan_in, h0), replace=False)
+        row[chosen] = rng.normal(size=chosen.size)
+    w_rec = rng.normal(size=(h1, h1)) * (rng.random((h1, h1)) < 0.1) * 0.02
+    model.set_weights("w_in", w_in)
+    model.set_weights("w_ff", w_ff * _current_scale(model, x, w_ff, rng))
+    model.set_weights("w_rec", w_rec)
+    model.constrain()
+    model.set_weights("w_out", _solve_outputs(model, x, roll_pitch))
+    model.constrain()
+
+
+def _start_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch: int = 1) -> None:
+    with torch.no_grad():
+        for name, limits in (
+            ("syn0", ranges.encode_syn),
+            ("mem0", ranges.encode_mem),
+            ("syn1", ranges.hidden_syn),
+            ("mem1", ranges.hidden_mem),
+            ("syn2", (ranges.output_syn,) * 2),
+            ("mem2", (ranges.output_mem,) * 2),
+        ):
+            parameter = getattr(model, name)
+            low, high = (math.log(limit * (1 if name in ("syn0", "syn2") else stretch)) for limit in limits)
+            steps = np.exp(rng.uniform(low, high, parameter.shape))
+            tau = np.exp(-1.0 / steps)
+            parameter.copy_(torch.tensor(np.log(tau / (1 - tau))))
+
+
+def _spikes(model: AttSNN, x: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+    """Spikes of both layers, (n, T, h)."""
+    with torch.no_grad():
+        model(torch.from_numpy(x))
+    trace = model.space(torch.from_numpy(x), model.weights()).traces
+    both = []
+    for name in ("v0", "v1"):
+        v = np.concatenate([getattr(t, name)[2:] for t in trace], 1)
+        both.append((v > 0.5).transpose(1, 0, 2))
+    return both[0], both[1]
+
+
+def _filtered(signal: NDArray, tau: NDArray) -> NDArray:
+    """First-order filter u[t] = τ u[t-1] + signal[t] along time, (n, T, k)."""
+    out = np.empty(signal.shape, np.float32)
+    state = np.zeros((signal.shape[0], signal.shape[2]))
+    for t in range(signal.shape[1]):
+        state = tau * state + signal[:, t]
+        out[:, t] = state
+    return out
+
+
+def _current_scale(model: AttSNN, x: NDArray[np.float64], w_ff: NDArray, rng: np.random.Generator) -> NDArray:
+    """Factor for each hidden neuron that makes its mean drive fill its membrane to a random part of 0.5."""
+    spikes, _ = _spikes(model, x)
+    tau = torch.sigmoid(model.syn1).detach().numpy()
+    current = _filtered(spikes @ w_ff.T, tau)
+    rate = np.exp(rng.uniform(math.log(0.2), math.log(1.0), len(w_ff)))
+    sign = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)  # towards spiking, not silence
+    return (sign * 0.5 * rate / np.maximum(current.std((0, 1)), 1e-6))[:, None]
+
+
+def _solve_outputs(model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]) -> NDArray:
+    """Ridge regression from the hidden spikes, filtered as the outputs filter them, to roll and pitch."""
+    _, spikes = _spikes(model, x)
+    features = spikes.astype(np.float32)
+    for name in ("syn2", "mem2"):
+        features = _filtered(features, torch.sigmoid(getattr(model, name)).detach().numpy())
+    skip = x.shape[1] // 4
+    a = features[:, skip:].reshape(-1, features.shape[2]).astype(np.float64)
+    b = roll_pitch[:, skip:].reshape(-1, 2) / model.output_scale
+    gram = a.T @ a
+    ridge = 1e-3 * np.trace(gram) / len(gram)
+    return np.linalg.solve(gram + ridge * np.eye(len(gram)), a.T @ b).T
+
+
+class AttRNN(nn.Module):
+    """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles)."""
+
+    def __init__(self, hidden: int = 100) -> None:
+        """Build with PyTorch's own initial weights."""
+        super().__init__()
+        self.gru = nn.GRU(6, hidden, num_layers=2, batch_first=True)
+        self.out = nn.Linear(hidden, OUTPUTS)
+        self._state: Tensor | None = None
+
+    def forward(self, x: Tensor, carry: bool = False) -> tuple[Tensor, Tensor]:
+        """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and no spikes (2,).
+
+        `carry` goes on from the last window.
+        """
+        y, state = self.gru(x, self._state if carry else None)
+        self._state = state.detach()
+        return self.out(y), torch.zeros(2)
+
+    @torch.no_grad()
+    def constrain(self) -> None:
+        """Any weight will do."""
