@@ -60,7 +60,7 @@ class Scene:
         shape = (height * oversample, width * oversample)
         self._context = _gl_context(shape[1], shape[0])
         self._context.make_current()
-        self.model = scene_model(vehicle, copies, shape[1], shape[0])
+        self.model = scene_model(vehicle, copies, shape[1], shape[0], samples=4 if oversample == 1 else 0)
         self.data = mujoco.MjData(self.model)
         self._rect = mujoco.MjrRect(0, 0, shape[1], shape[0])
         self._pixels = np.empty((*shape, 3), dtype=np.uint8)
@@ -148,7 +148,7 @@ def film(
     time: ArrayLike,
     position: ArrayLike,
     quat: ArrayLike,
-    fps: float = 30.0,
+    fps: float = 25.0,
     width: int = 960,
     height: int = 540,
 ) -> Path:
@@ -174,22 +174,23 @@ def film(
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"time has shape {t.shape}; a film needs a flight of at least two samples")
     frames = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / fps))
-    targets = _smooth(p, seconds=0.6, dt=float(t[1] - t[0]))
-    tail = max(int(2.0 / (t[1] - t[0])), 2)
+    targets = _smooth(p, seconds=0.12, dt=float(t[1] - t[0]))
+    tail = max(round(2.0 / (t[1] - t[0])), 20)
     with (
         closing(Scene(vehicle, 1, width, height)) as scene,
         imageio.get_writer(path, fps=fps, macro_block_size=2, quality=8) as video,
     ):
         for k in frames:
-            view = View(tuple(targets[k]), distance=1.6, elevation=-18.0)
-            video.append_data(scene.draw(p[k], q[k], view, p[max(k - tail, 0) : k + 1 : 4]))  # pyright: ignore[reportAttributeAccessIssue]
+            view = View(tuple(targets[k]), distance=2.0, elevation=-18.0)
+            video.append_data(scene.draw(p[k], q[k], view, p[max(k - tail, 0) : k + 1 : tail // 20]))  # pyright: ignore[reportAttributeAccessIssue]
     return Path(path)
 
 
-def scene_model(vehicle: Vehicle, copies: int, width: int, height: int) -> mujoco.MjModel:
-    """The scene with quadrotors that can be placed anywhere (mocap bodies)."""
+def scene_model(vehicle: Vehicle, copies: int, width: int, height: int, samples: int) -> mujoco.MjModel:
+    """The scene with quadrotors that can be placed anywhere (mocap bodies); samples: for each pixel."""
     spec = mujoco.MjSpec.from_string((resources.files("assets") / "scene.xml").read_text())
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    spec.visual.quality.offsamples = samples
     for index in range(copies):
         body = spec.worldbody.add_body(name=f"quadrotor{index}", mocap=True)
         for geom in quadrotor_geoms(vehicle):

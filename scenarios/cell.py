@@ -76,18 +76,24 @@ def fly_cell(
         mission = Mission(scenario, estimators.create(estimator, rate_hz), seeds, rate_hz)
         log, end = fly(mission, seed)
     except Exception as error:  # whatever an estimator does, the other cells go on
-        reason = f"{type(error).__name__}: {error}"
-        return Cell(name, estimator, fingerprint, reason, [], [], None)
-    metrics = flight_metrics(log, end, rate_hz, mission.vehicle)
+        kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
+        return Cell(name, estimator, fingerprint, f"{kind}{error}", [], [], None)
+    return make_cell(name, estimator, fingerprint, mission, log, end)
+
+
+def make_cell(
+    name: str, estimator: str, fingerprint: str, mission: Mission, log: Array, end: NDArray[np.int64]
+) -> Cell:
+    """The cell of a mission that has been flown."""
+    metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)
     flights = [
         {"scenario": name, "estimator": estimator, "seed": i, "cause": CAUSES[mission.cause[i]]}
-        | {"flown_s": float(end[i] / rate_hz)}
+        | {"flown_s": float(end[i] / mission.rate_hz)}
         | {key: None if np.isnan(values[i]) else float(values[i]) for key, values in metrics.items()}
-        for i in range(seeds)
+        for i in range(mission.n)
     ]
-    histogram = error_histogram(log, end).tolist()
-    series = pack_series(log[0, : max(end[0], 1)], rate_hz)
-    return Cell(name, estimator, fingerprint, "", flights, histogram, series)
+    series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz)
+    return Cell(name, estimator, fingerprint, "", flights, error_histogram(log, end).tolist(), series)
 
 
 def fly(mission: Mission, seed: int) -> tuple[Array, NDArray[np.int64]]:

@@ -25,7 +25,7 @@ def unpack_series(cell: Cell) -> dict[str, Array]:
     out: dict[str, Array] = {}
     for name, (scale, text) in cell.series["channels"].items():
         out[name] = np.multiply(scale, np.frombuffer(base64.b64decode(text), dtype="<i2"), dtype=np.float64)
-    out["time"] = cell.series["dt"] * np.arange(len(out["x"]))
+    out["time"] = np.asarray(cell.series["dt"] * np.arange(len(out["x"])), dtype=np.float64)
     return out
 
 

@@ -1,0 +1,82 @@
+"""One scenario on one estimator, looked at closely: a report, every sample as CSV, and a video."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import estimators
+from quadsim.mission import Mission
+from quadsim.render import film
+from quadsim.rotation import quat_from_euler
+from quadsim.scenario import load_scenario
+
+from .cell import fly, make_cell
+from .metrics import LAYOUT
+from .report import write_report
+from .runner import Results, Settings, write_csv
+
+COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
+"""Columns of the CSV file: SI units and radians."""
+
+
+class Flown(NamedTuple):
+    """What came of it, and where it is."""
+
+    results: Results
+    report: Path
+    samples: Path  #: CSV file of the first flight
+    video: Path | None
+
+
+def fly_scenario(
+    source: str | Path,
+    estimator: str,
+    out: str | Path,
+    *,
+    seeds: int = 1,
+    seed: int = 0,
+    duration_s: float | None = None,
+    rate_hz: float = 200.0,
+    video: bool = False,
+) -> Flown:
+    """Fly a scenario on an estimator and write what happened.
+
+    Args:
+        source: A shipped scenario or the path of a TOML file.
+        estimator: Name of an estimator.
+        out: Folder for `report.html`, `flight.csv` and `flight.mp4`.
+        seeds: Number of flights; the files show the first.
+        seed: Seed of everything random.
+        duration_s: Length, instead of the scenario's [s].
+        rate_hz: Samples per second.
+        video: Whether to make a video of the first flight.
+
+    Raises:
+        ValueError: For a bad argument or scenario file.
+        OSError: If a file cannot be written.
+        RuntimeError: If a video is wanted and there is no headless OpenGL; the other files are written by
+        then.
+    """
+    if seeds < 1:
+        raise ValueError(f"seeds is {seeds}; at least one flight is needed")
+    scenario, name = load_scenario(source), Path(source).name.removesuffix(".toml")
+    mission = Mission(scenario, estimators.create(estimator, rate_hz), seeds, rate_hz, duration_s)
+    log, end = fly(mission, seed)
+    cell = make_cell(name, estimator, "", mission, log, end)
+    results = Results(Settings({name: scenario}, [estimator], seeds, seed, rate_hz), [cell])
+    out = Path(out).expanduser()
+    out.mkdir(parents=True, exist_ok=True)
+    first = log[0, : max(end[0], 1)]
+    time = np.arange(len(first)) / rate_hz
+    columns = [LAYOUT.position, LAYOUT.euler, LAYOUT.estimate, LAYOUT.target]
+    table = np.column_stack([time, *(first[:, each] for each in columns)])
+    write_csv(out / "flight.csv", [dict(zip(COLUMNS, row, strict=True)) for row in table.tolist()])
+    report = write_report(
+        out / "report.html", results, title=f"{name} on {estimator}", csv=["flight.csv"], focus=estimator
+    )
+    film_path = None
+    if video:
+        quat = quat_from_euler(*first[:, LAYOUT.euler].T)
+        film_path = film(out / "flight.mp4", mission.vehicle, time, first[:, LAYOUT.position], quat)
+    return Flown(results, report, out / "flight.csv", film_path)
