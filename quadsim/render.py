@@ -175,14 +175,14 @@ def film(
         raise ValueError(f"time has shape {t.shape}; a film needs a flight of at least two samples")
     frames = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / fps))
     targets = _smooth(p, seconds=0.12, dt=float(t[1] - t[0]))
-    tail = max(round(2.0 / (t[1] - t[0])), 20)
+    tail = max(round(2.0 / (t[1] - t[0])), 40)
     with (
         closing(Scene(vehicle, 1, width, height)) as scene,
         imageio.get_writer(path, fps=fps, macro_block_size=2, quality=8) as video,
     ):
         for k in frames:
             view = View(tuple(targets[k]), distance=2.0, elevation=-18.0)
-            video.append_data(scene.draw(p[k], q[k], view, p[max(k - tail, 0) : k + 1 : tail // 20]))  # pyright: ignore[reportAttributeAccessIssue]
+            video.append_data(scene.draw(p[k], q[k], view, p[max(k - tail, 0) : k + 1 : tail // 40]))  # pyright: ignore[reportAttributeAccessIssue]
     return Path(path)
 
 

@@ -28,7 +28,7 @@ PREFERRED = ("att-snn-loihi", "ekf")
 """Whose flight the picture shows, if it was flown."""
 
 RECORDED = (
-    "Every estimator run over {flights} generated flights of {duration_s:g} s with tilts up to 45°, without a "
+    "Every estimator run over {flights} generated flights of {duration_s:g} s, tilts up to 45°, without a "
     "loop: mean absolute error of roll and pitch, pooled, over the flights. Start: whether the estimator was "
     "told its first attitude, or began level."
 )
