@@ -1,4 +1,4 @@
-"""Validate the simulator against theory and write docs/simulator.md with its figures: python docs/simulator.py."""
+"""Validate the simulator against theory: `python docs/simulator.py` writes simulator.md and its figures."""
 
 from pathlib import Path
 
@@ -77,7 +77,7 @@ def allan_figure() -> list[str]:
 
 
 def dryden_figure() -> list[str]:
-    """Spectra of simulated turbulence against MIL-F-8785C; returns table rows of the error in three bands."""
+    """Spectra of simulated turbulence against MIL-F-8785C; rows: the error in three bands."""
     airspeed, altitude, wind_20ft = 10.0, 20.0, 15.0
     series = dryden(64, 2**16, 20.0, airspeed, altitude, wind_20ft, seed=2)
     lengths = [float(x) for x in dryden_scales(altitude, wind_20ft)]
@@ -98,9 +98,8 @@ def dryden_figure() -> list[str]:
         for low, high in ((0.01, 0.05), (0.05, 0.5), (0.5, 3.0)):
             band = (f >= low) & (f < high)
             errors.append(10 * np.log10(power[band].sum() / theory[band].sum()))
-        rows.append(
-            f"| {name} | {' | '.join(f'{e:+.2f}' for e in errors)} | {series[..., k].std():.3f} | {sigma:.3f} |"
-        )
+        shown = " | ".join(f"{error:+.2f}" for error in errors)
+        rows.append(f"| {name} | {shown} | {series[..., k].std():.3f} | {sigma:.3f} |")
         axis.legend(fontsize=7)
         if k == 0:
             axis.set_ylabel("power [m²/s² / Hz]")
@@ -156,9 +155,8 @@ def margin_rows() -> list[str]:
         vehicle = load_vehicle(name)
         assert vehicle.controller is not None
         for loop, m in loop_margins(vehicle, vehicle.controller).items():
-            rows.append(
-                f"| {name} | {loop} | {m.crossover:.2f} | {m.phase_deg:.1f} | {m.gain_db:.1f} | {m.delay_ms:.0f} |"
-            )
+            values = f"{m.crossover:.2f} | {m.phase_deg:.1f} | {m.gain_db:.1f} | {m.delay_ms:.0f}"
+            rows.append(f"| {name} | {loop} | {values} |")
     return rows
 
 
