@@ -1,0 +1,166 @@
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import estimators
+import quadsim  # noqa: F401  registers the environment
+from quadsim.controller import LEVELS
+from quadsim.env import ACTION_SCALE, OBSERVATION_LIMIT, OnePerVehicle
+from quadsim.render import Scene
+from quadsim.scenario import Crash, Scenario, Start, load_scenario
+from quadsim.trajectory import Hover
+from quadsim.vehicle import load_vehicle
+
+ID = "quadsim/Quadrotor-v0"
+SHORT = Scenario(
+    description="",
+    duration_s=0.1,
+    trajectory=Hover(position=(0.0, 0.0, 2.0)),
+    start=Start(known_attitude=True),
+)
+TILTING = SHORT.model_copy(update={"start": Start(tilt_deg=60.0), "crash": Crash(tilt_deg=50.0)})
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_passes_gymnasiums_own_checker_at_every_action_level(level):
+    env = gymnasium.make(ID, estimator=estimators.create("mahony"), scenario="hover", level=level)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_passes_the_checker_with_pictures():
+    try:
+        Scene(load_vehicle("hummingbird"), width=64, height=64).close()
+    except RuntimeError as error:
+        pytest.skip(str(error))
+    env = gymnasium.make(ID, render_mode="rgb_array")
+    check_env(env.unwrapped)
+    env.reset(seed=0)
+    assert env.render().shape == (540, 960, 3)
+    env.close()
+
+
+def test_zero_action_at_level_position_holds_the_set_point():
+    env = gymnasium.make(ID, estimator=estimators.create("madgwick"), scenario="hover", level="position")
+    observation, _ = env.reset(seed=5)
+    done = False
+    while not done:
+        observation, reward, crashed, done, _ = env.step(np.zeros(4))
+        assert not crashed
+    assert np.linalg.norm(observation[:3]) < 0.1
+    assert reward > 0.98
+
+
+@pytest.mark.parametrize("name", ["truth", "mahony"])
+def test_batched_twin_gives_the_numbers_of_single_environments_through_restarts(name):
+    n, seed = 3, 11
+    scenario = load_scenario("wind-gust").model_copy(
+        update={"duration_s": 0.1, "start": Start(tilt_deg=20.0)}
+    )
+    batch = gymnasium.make_vec(
+        ID, n, "vector_entry_point", estimator=estimators.create(name), scenario=scenario, level="rate"
+    )
+    singles = [
+        gymnasium.make(ID, estimator=estimators.create(name), scenario=scenario, level="rate")
+        for _ in range(n)
+    ]
+    random = np.random.default_rng(0)
+    observations, _ = batch.reset(seed=seed)
+    expected = np.stack([env.reset(seed=seed + i)[0] for i, env in enumerate(singles)])
+    np.testing.assert_array_equal(observations, expected)
+    for step in range(50):
+        action = random.uniform(-1, 1, (n, 4)).astype(np.float32)
+        observations, rewards, _, truncated, _ = batch.step(action)
+        if step % 21 == 20:  # the step after the 20th is the restart
+            expected = [env.reset()[0] for env in singles]
+            assert not rewards.any()
+        else:
+            results = [env.step(a) for env, a in zip(singles, action, strict=True)]
+            expected = [result[0] for result in results]
+            np.testing.assert_array_equal(rewards, [result[1] for result in results])
+            np.testing.assert_array_equal(truncated, [result[3] for result in results])
+        np.testing.assert_array_equal(observations, np.stack(expected))
+
+
+def test_one_vehicle_of_a_batch_restarts_alone():
+    batch = gymnasium.make_vec(ID, 2, "vector_entry_point", scenario="hover", level="rotor")
+    batch.reset(seed=0)
+    fall = np.array([[-1.0, -1.0, -1.0, -1.0], [0.0, 0.0, 0.0, 0.0]], dtype=np.float32)
+    crashed = np.zeros(2, dtype=bool)
+    while not crashed.any():
+        _, rewards, crashed, _, info = batch.step(fall)
+    assert crashed.tolist() == [True, False]
+    assert rewards[0] == 0.0
+    assert info["cause"][0] > 0
+    observations, _, crashed, truncated, _ = batch.step(fall)
+    assert not crashed.any()
+    assert not truncated.any()
+    np.testing.assert_allclose(observations[0, :3], 0.0, atol=1e-6)
+
+
+def test_a_crash_terminates_with_its_cause():
+    env = gymnasium.make(ID, scenario=TILTING)
+    env.reset(seed=0)
+    _, reward, terminated, truncated, info = env.step(np.zeros(4))
+    assert (reward, terminated, truncated, info) == (0.0, True, False, {"cause": "tilted over"})
+
+
+def test_time_truncates():
+    env = gymnasium.make(ID, scenario=SHORT)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(4))[2:4] for _ in range(20)]
+    assert ends == [(False, False)] * 19 + [(False, True)]
+
+
+def test_same_seed_same_flight_and_other_seed_other_noise():
+    def gyro(seed):
+        env = gymnasium.make(ID, scenario=SHORT)
+        env.reset(seed=seed)
+        return env.step(np.zeros(4))[0][14:]
+
+    np.testing.assert_array_equal(gyro(1), gyro(1))
+    assert not np.array_equal(gyro(1), gyro(2))
+
+
+def test_estimator_copies_fly_like_one_batched_estimator():
+    random = np.random.default_rng(1)
+    gyro, accel = random.normal(0, 0.3, (20, 4, 3)), random.normal(0, 1, (20, 4, 3)) + [0, 0, 9.81]
+    batched, copies = estimators.create("mahony"), OnePerVehicle(estimators.create("mahony"))
+    start = random.normal(0, 0.1, (4, 2))
+    batched.reset(4, roll_pitch=start)
+    copies.reset(4, roll_pitch=start)
+    for g, a in zip(gyro, accel, strict=True):
+        np.testing.assert_array_equal(copies.update(g, a), batched.update(g, a))
+
+
+def test_observation_never_leaves_its_space():
+    env = gymnasium.make(ID, scenario=TILTING.model_copy(update={"duration_s": 5.0}), level="rate")
+    env.reset(seed=0)
+    for _ in range(200):
+        observation, *_ = env.step(np.ones(4, dtype=np.float32))
+        assert env.observation_space.contains(observation)
+    assert OBSERVATION_LIMIT.shape == env.observation_space.shape
+    assert set(ACTION_SCALE) == set(LEVELS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"level": "moment"}, 'unknown level "moment"; valid: position, velocity'),
+        ({"scenario": "hoover"}, 'unknown scenario "hoover"; did you mean "hover"'),
+        ({"render_mode": "ansi"}, "unknown render_mode"),
+        ({"estimator": estimators.create("mahony", rate_hz=100.0)}, "runs at 100 Hz and the loop at 200 Hz"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        gymnasium.make(ID, **arguments).reset(seed=0)
+
+
+def test_step_before_reset_is_refused():
+    with pytest.raises(ValueError, match="before reset"):
+        gymnasium.make(ID).unwrapped.step(np.zeros(4))

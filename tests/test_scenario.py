@@ -1,0 +1,231 @@
+import tomllib
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quadsim.config import parse
+from quadsim.faults import sensor_faults
+from quadsim.mission import AWAY, CAUSES, GROUNDED, TILTED, Mission
+from quadsim.scenario import Crash, Scenario, Start, load_scenario, scenario_names
+from quadsim.seeding import vehicle_seeds
+from quadsim.trajectory import Hover
+
+HOVER = Scenario(description="", duration_s=1.0, start=Start(known_attitude=True))
+
+
+def build(toml: str) -> Scenario:
+    return parse(tomllib.loads('description = ""\n' + toml), Scenario, "mine.toml")
+
+
+def with_faults(*faults: dict) -> Scenario:
+    return Scenario.model_validate(HOVER.model_dump() | {"faults": faults})
+
+
+def corrupted(fault: dict, samples: int, n: int = 1, value: float = 1.0) -> np.ndarray:
+    """Gyro and accel side by side, (samples, n, 6), of a constant reading under a fault at 100 Hz."""
+    corrupt = sensor_faults(with_faults(fault).faults, n, 100.0, 0)
+    assert corrupt is not None
+    out = np.empty((samples, n, 6))
+    for k in range(samples):
+        gyro, accel = np.full((n, 3), value + k), np.full((n, 3), value + k)
+        corrupt(gyro, accel, np.full(n, k))
+        out[k] = np.hstack([gyro, accel])
+    return out
+
+
+# --- files ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_four_first_scenarios_are_shipped():
+    assert {"hover", "step", "wind-gust", "initial-tilt"} <= set(scenario_names())
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_shipped_scenario_loads_and_explains_its_numbers(name):
+    scenario = load_scenario(name)
+    assert len(scenario.description) > 30
+    text = (files("scenarios") / f"{name}.toml").read_text()
+    assert "#" in text
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("duraton_s = 3.0", 'unknown key "duraton_s"; did you mean "duration_s"'),
+        ("duration_s = 0.0", r"duration_s = 0.0"),
+        ('duration_s = "20 s"', r'duration_s = "20 s"'),
+        ("[start]\ntilt = 20.0", 'unknown key "start.tilt"; did you mean "tilt_deg"'),
+        ("[start]\ntilt_deg = 200.0", r"start.tilt_deg = 200.0"),
+        ("[crash]\ndistance = -1.0", r"crash.distance = -1.0"),
+        ('[trajectory]\nkind = "hovr"', "hovr"),
+        ('[[wind]]\nkind = "constant"\nvelocity = [1.0, 2.0]', "velocity"),
+        ('[[faults]]\nkind = "gremlin"', "gremlin"),
+        ('[[faults]]\nkind = "dropout"\nprobability = 1.5', r"probability = 1.5"),
+        ('[[faults]]\nkind = "rotor-loss"\nrotor = 4', r"rotor = 4"),
+    ],
+)
+def test_mistakes_are_named_with_file_and_key(toml, message):
+    with pytest.raises(ValueError, match=message) as error:
+        build(toml)
+    assert str(error.value).startswith("mine.toml: ")
+    assert "\n" not in str(error.value)
+
+
+WORDS = st.text("ab_. é", max_size=4)
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.floats() | WORDS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(WORDS, inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(deadline=None)
+@given(st.dictionaries(st.sampled_from([*Scenario.model_fields, "speed", ""]), ANYTHING, max_size=4))
+def test_any_content_is_a_scenario_or_one_clear_line(content):
+    try:
+        scenario = parse(content, Scenario, "mine.toml")
+    except ValueError as error:
+        assert str(error).startswith("mine.toml: ")
+        assert len(str(error).splitlines()) == 1
+    else:
+        assert scenario == Scenario.model_validate_json(scenario.model_dump_json())
+
+
+# --- missions ------------------------------------------------------------------------------------------------------
+
+
+def flown(scenario: Scenario, n: int = 2, seed: int = 0) -> Mission:
+    mission = Mission(scenario, None, n)
+    mission.begin(vehicle_seeds(seed, n))
+    for _ in range(mission.steps):
+        mission.step()
+    return mission
+
+
+def test_a_flight_does_not_depend_on_the_flights_beside_it():
+    scenario = load_scenario("dryden-moderate").model_copy(update={"duration_s": 0.5})
+    alone, beside = flown(scenario, 1), flown(scenario, 3)
+    np.testing.assert_array_equal(alone.loop.plant.position[0], beside.loop.plant.position[0])
+    np.testing.assert_array_equal(alone.loop.gyro[0], beside.loop.gyro[0])
+
+
+def test_wind_does_not_change_the_sensor_noise():
+    calm = HOVER.model_copy(update={"start": Start()})
+    windy = Scenario.model_validate(
+        calm.model_dump() | {"wind": [{"kind": "dryden", "airspeed": 5, "altitude": 10, "wind_20ft": 15}]}
+    )
+    missions = [Mission(each) for each in (calm, windy)]
+    for mission in missions:
+        mission.begin(vehicle_seeds(3, 1))
+    np.testing.assert_array_equal(missions[0].loop.gyro, missions[1].loop.gyro)
+
+
+def test_starts_tilted_by_the_given_angle_about_an_axis_of_its_own():
+    mission = Mission(HOVER.model_copy(update={"start": Start(tilt_deg=25.0)}), None, 4)
+    mission.begin(vehicle_seeds(0, 4))
+    quat = mission.loop.plant.quat
+    tilt = np.degrees(np.arccos(1 - 2 * (quat[:, 1] ** 2 + quat[:, 2] ** 2)))
+    np.testing.assert_allclose(tilt, 25.0)
+    assert len(np.unique(quat[:, 1])) == 4
+    np.testing.assert_allclose(quat[:, 3], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ({"start": Start(tilt_deg=80.0)}, TILTED),
+        ({"trajectory": Hover(position=(0.0, 0.0, -0.5))}, GROUNDED),
+        ({"start": Start(offset=(0.0, 0.0, 1.0)), "crash": Crash(distance=0.5)}, AWAY),
+    ],
+)
+def test_crashes_are_told_apart(change, cause):
+    mission = flown(HOVER.model_copy(update=change))
+    assert [CAUSES[c] for c in mission.cause] == [CAUSES[cause]] * 2
+
+
+def test_a_flight_that_was_restarted_is_new():
+    mission = flown(HOVER, 2)
+    mission.cause[:] = TILTED
+    mission.move()
+    mission.restart(np.array([1]), vehicle_seeds(9, 1))
+    mission.sense()
+    assert mission.k.tolist() == [mission.steps + 1, 0]
+    assert mission.cause.tolist() == [TILTED, 0]
+
+
+# --- faults --------------------------------------------------------------------------------------------------------
+
+
+def test_bias_step_adds_to_its_sensor_from_its_time_on():
+    out = corrupted({"kind": "gyro-bias-step", "bias_deg": (0.0, 180.0, 0.0), "at_s": 0.03}, 5, value=0.0)
+    ideal = np.arange(5.0)[:, None, None] * np.ones((1, 1, 6))
+    np.testing.assert_allclose(out[:3], ideal[:3])
+    np.testing.assert_allclose((out - ideal)[3:, 0, :3], [[0.0, np.pi, 0.0]] * 2)
+    np.testing.assert_allclose((out - ideal)[..., 3:], 0.0)
+
+
+def test_stuck_sensor_repeats_its_last_good_sample():
+    out = corrupted({"kind": "stuck", "at_s": 0.02, "length_s": 0.03}, 7)[:, 0, 0]
+    np.testing.assert_array_equal(out, [1, 2, 2, 2, 2, 6, 7])
+
+
+def test_stuck_sensor_sticks_again_after_its_period():
+    out = corrupted({"kind": "stuck", "at_s": 0.01, "length_s": 0.01, "every_s": 0.03}, 8)[:, 0, 0]
+    np.testing.assert_array_equal(out, [1, 1, 3, 4, 4, 6, 7, 7])
+
+
+def test_delay_gives_the_sample_of_so_long_ago():
+    out = corrupted({"kind": "delay", "delay_s": 0.02}, 6)[:, 0, 0]
+    np.testing.assert_array_equal(out, [1, 1, 1, 2, 3, 4])
+
+
+def test_saturation_clips():
+    out = corrupted({"kind": "saturation", "accel": 3.0}, 6)
+    np.testing.assert_array_equal(out[:, 0, 5], [1, 2, 3, 3, 3, 3])
+    np.testing.assert_array_equal(out[:, 0, 0], [1, 2, 3, 4, 5, 6])
+
+
+def test_dropouts_come_at_their_rate_and_last_their_time():
+    fault = {"kind": "dropout", "probability": 0.1, "length_s": 0.03}
+    lost = np.isnan(corrupted(fault, 2000, n=4)).all(axis=2)
+    starts = np.diff(lost.astype(int), axis=0) == 1
+    assert starts.sum() == pytest.approx(0.1 * (~lost).sum(), rel=0.15)
+    runs = lost.sum() / (starts.sum() + lost[0].sum())
+    assert runs == pytest.approx(3.0 / 0.9, rel=0.1)  # one may begin where another ends
+
+
+def test_vibration_has_its_amplitude_and_a_phase_of_its_own():
+    out = corrupted({"kind": "vibration", "frequency_hz": 7.3, "accel": 2.0}, 1000, n=2, value=0.0)
+    wave = out[..., 3:] - np.arange(1000.0)[:, None, None]
+    np.testing.assert_allclose(np.sqrt((wave**2).mean(axis=0)), np.sqrt(2.0), rtol=0.02)
+    assert np.abs(wave[0, 0] - wave[0, 1]).max() > 1e-3
+
+
+def test_controller_holds_its_rate_while_samples_are_missing():
+    mission = flown(with_faults({"kind": "dropout", "probability": 1.0, "at_s": 0.5}))
+    assert np.isnan(mission.loop.gyro).all()
+    assert np.isfinite(mission.loop.rate).all()
+    assert np.isfinite(mission.loop.plant.position).all()
+
+
+def test_payload_is_carried_and_then_dropped():
+    mission = Mission(with_faults({"kind": "payload-drop", "mass": 0.2, "at_s": 0.5}))
+    mission.begin(vehicle_seeds(0, 1))
+    masses = []
+    for _ in range(mission.steps):
+        mission.step()
+        masses.append(mission.loop.plant.params[0, 0])
+    np.testing.assert_allclose(masses[:100], 0.916)
+    np.testing.assert_allclose(masses[100:], 0.716)
+
+
+def test_rotors_fade_and_break_as_told():
+    faults = [
+        {"kind": "low-battery", "effect": 0.8, "at_s": 0.0, "fade_s": 0.5},
+        {"kind": "rotor-loss", "rotor": 2, "effect": 0.5, "at_s": 0.9},
+    ]
+    mission = flown(with_faults(*faults))
+    np.testing.assert_allclose(mission.loop.plant.rotor_effect, [[0.8, 0.8, 0.4, 0.8]] * 2)
