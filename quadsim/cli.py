@@ -6,11 +6,12 @@ fast.
 
 import logging
 import sys
-from collections.abc import Callable, Iterator
+import tomllib
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 from rich.console import Console
@@ -23,6 +24,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from training.config import TrainConfig
 
 app = typer.Typer(
     name="quadsim",
@@ -42,24 +46,37 @@ Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one 
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
 
 
+class Bar(Protocol):
+    """A progress bar: how much is done of how much, and a remark."""
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Move the bar."""
+
+
 @contextmanager
-def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar as a callback (done, total), with units per second and time left."""
+def progress_bar(title: str, unit: str) -> Iterator[Bar]:
+    """A progress bar as a callback, with units per second and time left."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn(f"{unit}, {{task.fields[speed]}}"),
+        TextColumn(f"{unit}{{task.fields[note]}}"),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=None, speed="")
+        task = bar.add_task(title, total=None, note="")
 
-        def update(done: int, total: int) -> None:
-            speed = bar.tasks[0].speed
-            bar.update(task, completed=done, total=total, speed=f"{speed:.2g} a second" if speed else "")
+        def update(done: int, total: int, note: str = "") -> None:
+            speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
+            remarks = [f"{speed:.2g} a second"] if speed else []
+            bar.update(
+                task,
+                completed=done,
+                total=total,
+                note="".join(f", {r}" for r in [*remarks, *([note] * bool(note))]),
+            )
 
         yield update
 
@@ -180,6 +197,269 @@ def design(
     console.print("\\[controller]")
     for name, value in gains.model_dump().items():
         console.print(f"{name} = {value:.4g}", highlight=False)
+
+
+@app.command()
+def export(
+    dataset: Annotated[Path, typer.Argument(help="A dataset.")],
+    out: Annotated[Path, typer.Option(help="What to write; it must not exist yet.")],
+    format: Annotated[str, typer.Option(help="netcdf, parquet, csv (EuRoC folders) or rosbag2.")],
+) -> None:
+    """Write a dataset as NetCDF, Parquet, EuRoC folders of CSV, or a ROS 2 bag."""
+    from .export import export as export_dataset
+
+    with progress_bar("export", "flights") as progress:
+        export_dataset(dataset, out, format, progress)
+    console.print(f"{out}: {dataset} as {format}", soft_wrap=True)
+
+
+@app.command()
+def train(
+    data: Annotated[list[Path], typer.Option(help="Dataset to train on; give it again to mix several.")],
+    out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
+    model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",
+    preset: Annotated[str, typer.Option(help="paper: its recipe to the letter; best: our own.")] = "best",
+    validation: Annotated[
+        list[Path] | None,
+        typer.Option(help="Dataset to choose the best epoch by; else part of --data."),
+    ] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Threads that share a batch.")] = 1,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Any other field, as name=value; an unknown one lists them."),
+    ] = None,
+    seed: Seed = 0,
+) -> None:
+    """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
+
+    Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the same
+    command goes on where a run stopped.
+
+    Example: quadsim train --data data/train.zarr --validation data/val.zarr --out runs/snn
+    """
+    from training.loop import Epoch
+    from training.loop import train as train_network
+
+    choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
+    if epochs is not None:
+        choices["epochs"] = epochs
+    if validation:
+        choices["validation"] = tuple(map(str, validation))
+    with progress_bar(f"train {model}", "epochs") as bar:
+
+        def progress(epoch: Epoch, config: "TrainConfig") -> None:
+            bar(epoch.epoch + 1, config.epochs)
+            console.print(
+                f"epoch {epoch.epoch}: training RMSE {epoch.train_rmse_deg:.2f}°, "
+                f"validation {epoch.val_error_deg:.2f}°, spike rates {epoch.rate_encoding:.3f} "
+                f"{epoch.rate_hidden:.3f}",
+                highlight=False,
+            )
+
+        result = train_network(
+            model,
+            tuple(map(str, data)),
+            out,
+            preset,
+            progress,
+            seed=seed,
+            threads=threads,
+            **choices,
+        )
+    console.print(
+        f"{result.weights}: validation error {result.best.val_error_deg:.2f}° at epoch {result.best.epoch}; "
+        f"{result.reason}",
+        soft_wrap=True,
+    )
+
+
+@app.command()
+def tune(
+    estimator: Annotated[str, typer.Option(help="A filter with parameters, for example mahony; or all.")],
+    data: Annotated[Path, typer.Option(help="Dataset to tune on.")],
+    out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it are kept.")],
+    particles: Annotated[int, typer.Option(min=2, help="Parameter sets tried at once.")] = 100,
+    iterations: Annotated[int, typer.Option(min=1, help="How often.")] = 50,
+    flights: Annotated[int | None, typer.Option(min=1, help="Flights to use; all when left out.")] = None,
+    search: Annotated[
+        str, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
+    ] = "swarm",
+    threads: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
+    seed: Seed = 0,
+) -> None:
+    """Tune a filter on recorded flights with the paper's particle swarm.
+
+    Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
+    """
+    from estimators import names, parameters
+    from estimators.tuning import write_tuning
+    from estimators.tuning import tune as tune_filter
+
+    from .dataset import open_dataset
+
+    if search not in ("swarm", "evolution"):
+        raise ValueError(f"search is {search!r}; choose swarm or evolution")
+    flown = open_dataset(data)
+    tunable = [name for name in names() if any(each.searched for each in parameters(name).values())]
+    for name in tunable if estimator == "all" else [estimator]:
+        command = (
+            f"quadsim tune --estimator {name} --data {data} --particles {particles} --iterations {iterations}"
+        )
+        with progress_bar(f"tune {name}", "iterations") as bar:
+
+            def progress(iteration: int, total: int, cost: float, bar: Bar = bar) -> None:
+                bar(iteration, total, f"best {cost:.3g} rad²")
+
+            tuned = tune_filter(
+                name,
+                flown,
+                particles=particles,
+                iterations=iterations,
+                seed=seed,
+                flights=flights,
+                search=search,
+                workers=threads,
+                command=command,
+                progress=progress,
+            )
+        write_tuning(out, name, tuned, f"Tuned on {data} (quadsim tune)")
+        console.print(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {tuned.values}", soft_wrap=True)
+
+
+@app.command()
+def fly(
+    scenario: Annotated[
+        str, typer.Argument(help="A shipped scenario, for example wind-gust, or a TOML file.")
+    ],
+    estimator: Annotated[str, typer.Option(help="Estimator to fly on.")] = "att-snn-loihi",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.1, help="Length in seconds, not the scenario's.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 1,
+    rate: Rate = 200.0,
+    seed: Seed = 0,
+    video: Annotated[bool, typer.Option("--video", help="Make an MP4 of the first flight.")] = False,
+) -> None:
+    """Fly one scenario on one estimator and look at it closely: report, every sample as CSV, video.
+
+    Example: quadsim fly wind-gust --estimator att-snn-loihi --video
+    """
+    from scenarios.single import fly_scenario
+
+    folder = out or Path("reports") / f"fly-{Path(scenario).stem}-{estimator}"
+    flown = fly_scenario(
+        scenario, estimator, folder, seeds=seeds, seed=seed, duration_s=duration, rate_hz=rate, video=video
+    )
+    row = flown.results.rows[0]
+    if row["reason"]:
+        raise ValueError(f"{estimator} did not fly {scenario}: {row['reason']}")
+    error = "no error to speak of" if row["error_deg"] is None else f"error {row['error_deg']:.2f}°"
+    console.print(f"{flown.report}: {row['crashes']} of {row['flights']} crashed, {error}", soft_wrap=True)
+
+
+@app.command()
+def bench(
+    out: Annotated[Path, typer.Option(help="Folder for report.html, results.csv and flights.csv.")] = Path(
+        "reports/bench"
+    ),
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Scenario; give it again for more. All if left out.")
+    ] = None,
+    estimator: Annotated[list[str] | None, typer.Option(help="Estimator; likewise.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Flights in each cell.")] = 10,
+    duration: Annotated[
+        float | None, typer.Option(min=0.1, help="Length in seconds, not the scenarios'.")
+    ] = None,
+    rate: Rate = 200.0,
+    seed: Seed = 0,
+    workers: Workers = None,
+    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
+) -> None:
+    """Fly scenarios × estimators × seeds in closed loop, and report which estimator to fly.
+
+    Finished cells are kept: the same command goes on where a killed run stopped.
+
+    Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
+    """
+    import estimators
+    from scenarios.report import write_report
+    from scenarios.runner import bench as run_bench
+    from scenarios.summary import closed_loop_table
+
+    from .scenario import scenario_names
+
+    with executor_of(cluster) as executor, progress_bar("fly", "cells") as progress:
+        results = run_bench(
+            scenario or scenario_names(),
+            estimator or estimators.names(),
+            seeds,
+            out,
+            seed=seed,
+            duration_s=duration,
+            rate_hz=rate,
+            workers=workers,
+            executor=executor,
+            progress=progress,
+        )
+    report_path = write_report(out / "report.html", results, csv=["results.csv", "flights.csv"])
+    console.print(closed_loop_table(results))
+    console.print(headline(report_path, results.rows), soft_wrap=True)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder that quadsim bench wrote.")],
+    out: Annotated[Path | None, typer.Option(help="HTML file; FOLDER/report.html when left out.")] = None,
+) -> None:
+    """Write the report of finished closed-loop flights again."""
+    from scenarios.report import write_report
+    from scenarios.runner import load_results
+
+    results = load_results(folder)
+    path = write_report(out or folder / "report.html", results, csv=["results.csv", "flights.csv"])
+    console.print(headline(path, results.rows), soft_wrap=True)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything.")] = Path("reports/demo"),
+    flights: Annotated[int, typer.Option(min=1, help="Flights to generate.")] = 6,
+    seeds: Annotated[int, typer.Option(min=1, help="Flights of each estimator in each scenario.")] = 5,
+    seed: Seed = 0,
+    workers: Workers = None,
+) -> None:
+    """Do all of it in small: generate flights, score the estimators on them, fly them, write the report."""
+    from scenarios.demo import demo as run_demo
+    from scenarios.summary import closed_loop_table, offline_table
+
+    done = run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers, stage=progress_bar)
+    console.print(offline_table(done.offline))
+    console.print(closed_loop_table(done.results))
+    if done.note:
+        console.print(done.note, soft_wrap=True)
+    console.print(headline(done.report, done.results.rows), soft_wrap=True)
+
+
+def headline(path: Path, rows: Sequence[dict[str, Any]]) -> str:
+    """Where the report is, and what its verdict says."""
+    from scenarios.verdict import verdict
+
+    return f"{path}: {verdict(rows).headline}"
+
+
+def pair_of(text: str) -> tuple[str, object]:
+    """A setting given as name=value; the value is read as TOML, or as it stands."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"--set takes name=value, not {text!r}")
+    try:
+        return name, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return name, value
 
 
 @contextmanager
