@@ -233,8 +233,8 @@ def train(
 ) -> None:
     """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
 
-    Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the same
-    command goes on where a run stopped.
+    Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the
+    same command goes on where a run stopped.
 
     Example: quadsim train --data data/train.zarr --validation data/val.zarr --out runs/snn
     """
@@ -293,8 +293,8 @@ def tune(
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """
     from estimators import names, parameters
-    from estimators.tuning import write_tuning
     from estimators.tuning import tune as tune_filter
+    from estimators.tuning import write_tuning
 
     from .dataset import open_dataset
 
