@@ -24,11 +24,18 @@ SERIES_HZ = 25.0
 """Samples per second of the time series that are kept for plots."""
 
 
+class Channel(TypedDict):
+    """Numbers of one kind in time: 16-bit integers in base64, times a scale."""
+
+    scale: float
+    data: str
+
+
 class Series(TypedDict):
-    """One flight in time, every channel as 16-bit integers with a scale, in base64."""
+    """One flight in time."""
 
     dt: float
-    channels: dict[str, tuple[float, str]]
+    channels: dict[str, Channel]
 
 
 @dataclass(frozen=True)
@@ -123,6 +130,7 @@ def pack_series(log: Array, rate_hz: float) -> Series:
     return {"dt": every / rate_hz, "channels": dict(zip(names, map(_pack, columns.T), strict=True))}
 
 
-def _pack(values: Array) -> tuple[float, str]:
+def _pack(values: Array) -> Channel:
     scale = max(float(np.abs(values).max()), 1e-6) / 32767
-    return scale, base64.b64encode(np.round(values / scale).astype("<i2").tobytes()).decode()
+    data = base64.b64encode(np.round(values / scale).astype("<i2").tobytes()).decode()
+    return {"scale": scale, "data": data}

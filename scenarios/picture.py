@@ -23,8 +23,10 @@ def unpack_series(cell: Cell) -> dict[str, Array]:
     if not cell.series:
         raise ValueError(f"{cell.scenario} on {cell.estimator} did not fly: {cell.reason}")
     out: dict[str, Array] = {}
-    for name, (scale, text) in cell.series["channels"].items():
-        out[name] = np.multiply(scale, np.frombuffer(base64.b64decode(text), dtype="<i2"), dtype=np.float64)
+    for name, channel in cell.series["channels"].items():
+        out[name] = np.multiply(
+            channel["scale"], np.frombuffer(base64.b64decode(channel["data"]), dtype="<i2"), dtype=np.float64
+        )
     out["time"] = np.asarray(cell.series["dt"] * np.arange(len(out["x"])), dtype=np.float64)
     return out
 

@@ -5,10 +5,10 @@ const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 const RAD = Math.PI / 180;
 
 /* One colour per estimator, the same in every chart; after Paul Tol's and Okabe & Ito's colour-blind safe sets. */
-const PALETTE = ["#8a8f98", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#7b5cd6", "#b8860b", "#117a65", "#e4572e", "#4a6fa5", "#a23b72"];
-const DASHES = [[], [], [], [], [], [], [], [6, 3], [6, 3], [6, 3], [2, 2], [2, 2], [2, 2]];
+const PALETTE = ["#8a8f98", "#0072b2", "#56b4e9", "#e69f00", "#009e73", "#7b5cd6", "#b294e8", "#cc79a7", "#b8860b", "#8f7a1d", "#117a65", "#a23b72", "#e4572e", "#d55e00"];
+const DASHES = [[], [7, 3], [2, 2]]; // the palette a second and a third time over
 const colour = Object.fromEntries(data.estimators.map((name, i) => [name, PALETTE[i % PALETTE.length]]));
-const dash = Object.fromEntries(data.estimators.map((name, i) => [name, DASHES[i % DASHES.length]]));
+const dash = Object.fromEntries(data.estimators.map((name, i) => [name, DASHES[Math.floor(i / PALETTE.length) % DASHES.length]]));
 for (const dot of all(".dot")) dot.style.setProperty("--colour", colour[dot.dataset.estimator] ?? "#888");
 
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -124,8 +124,8 @@ function series(scenario, estimator) {
   if (!c?.series) return null;
   if (c.decoded) return c.decoded;
   const decoded = { dt: c.series.dt };
-  for (const [name, [scale, text]] of Object.entries(c.series.channels)) {
-    const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+  for (const [name, { scale, data }] of Object.entries(c.series.channels)) {
+    const bytes = Uint8Array.from(atob(data), (character) => character.charCodeAt(0));
     decoded[name] = Float32Array.from(new Int16Array(bytes.buffer), (q) => q * scale);
   }
   return (c.decoded = decoded);

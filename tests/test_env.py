@@ -128,7 +128,7 @@ def test_same_seed_same_flight_and_other_seed_other_noise():
 
 def test_estimator_copies_fly_like_one_batched_estimator():
     random = np.random.default_rng(1)
-    gyro, accel = random.normal(0, 0.3, (20, 4, 3)), random.normal(0, 1, (20, 4, 3)) + [0, 0, 9.81]
+    gyro, accel = random.normal(0, 0.3, (20, 4, 3)), random.normal((0, 0, 9.81), 1, (20, 4, 3))
     batched, copies = estimators.create("mahony"), OnePerVehicle(estimators.create("mahony"))
     start = random.normal(0, 0.1, (4, 2))
     batched.reset(4, roll_pitch=start)

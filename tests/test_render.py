@@ -1,0 +1,128 @@
+import os
+import subprocess
+import sys
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from quadsim.render import NO_OPENGL, Scene, View, film, quadrotor_geoms, still
+from quadsim.rotation import quat_from_euler
+from quadsim.scenario import Scenario
+from quadsim.vehicle import load_vehicle
+from scenarios.cell import fly_cell
+from scenarios.picture import flight_picture
+
+VEHICLE = load_vehicle("hummingbird")
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+VIEW = View((0.0, 0.0, 1.0))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _opengl():
+    try:
+        Scene(VEHICLE, width=64, height=64).close()
+    except RuntimeError as error:
+        pytest.skip(str(error))
+
+
+def orange(image):
+    """Pixels in the colour of the front arm."""
+    red, green, blue = np.moveaxis(image.astype(int), -1, 0)
+    return (red > 120) & (red > 2 * green - 20) & (red > 2 * blue)
+
+
+def test_still_shows_the_vehicle_before_sky_and_ground():
+    image = still(VEHICLE, (0, 0, 1), LEVEL, VIEW, width=320, height=180)
+    assert image.shape == (180, 320, 3)
+    assert image.dtype == np.uint8
+    dark = (image.max(axis=-1) < 70).mean()
+    assert 0.005 < dark < 0.3  # the carbon of arms and blades, and nothing else
+
+
+def test_picture_follows_the_attitude():
+    pictures = [
+        still(VEHICLE, (0, 0, 1), quat_from_euler(roll, 0.0, 0.0), VIEW, width=160, height=90)
+        for roll in (0.0, 0.6)
+    ]
+    assert np.abs(pictures[0].astype(int) - pictures[1]).max() > 50
+
+
+def test_nose_is_orange_and_points_forward():
+    above = View((0.0, 0.0, 1.0), distance=1.3, azimuth=90.0, elevation=-89.0)  # x to the right, y up
+    image = still(VEHICLE, (0, 0, 1), LEVEL, above, width=320, height=320)
+    nose = np.argwhere(orange(image)[:, 200:])
+    tail = np.argwhere(orange(image)[:, :110])
+    assert len(nose) > 4 * len(tail)
+
+
+def test_every_copy_and_the_trail_are_drawn():
+    places = np.array([[-0.6, 0.0, 1.0], [0.6, 0.0, 1.0]])
+    view = View((0.0, 0.0, 1.0), distance=2.5, azimuth=90.0)
+    pair = still(VEHICLE, places, np.tile(LEVEL, (2, 1)), view, width=320, height=180)
+    assert all((half.max(axis=-1) < 70).any() for half in (pair[:, :160], pair[:, 160:]))
+    joined = still(VEHICLE, places, np.tile(LEVEL, (2, 1)), view, trail=places, width=320, height=180)
+    assert np.any(joined[:, 150:170] != pair[:, 150:170])
+
+
+@pytest.mark.parametrize("name", ["hummingbird", "px4-quad", "crazyflie"])
+def test_geometry_is_that_of_the_vehicle(name):
+    vehicle = load_vehicle(name)
+    discs = [geom for geom in quadrotor_geoms(vehicle) if geom["material"] == "blur"]
+    np.testing.assert_allclose([disc["pos"] for disc in discs], vehicle.hubs[:, :3])
+    assert {disc["size"][0] for disc in discs} == {vehicle.frame.prop_radius}
+
+
+def test_film_lasts_as_long_as_the_flight(tmp_path):
+    time = np.arange(100) / 100
+    position = np.stack([time, 0 * time, 1 + 0 * time], axis=-1)
+    path = film(
+        tmp_path / "x.mp4", VEHICLE, time, position, np.tile(LEVEL, (100, 1)), fps=10, width=160, height=96
+    )
+    frames = imageio.imread(path, plugin="FFMPEG")
+    assert frames.shape == (10, 96, 160, 3)
+
+
+def test_film_of_nothing_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="at least two samples"):
+        film(tmp_path / "x.mp4", VEHICLE, [0.0], [[0, 0, 1]], [LEVEL])
+
+
+def test_flight_is_one_picture():
+    cell = fly_cell("x", Scenario(description="", duration_s=0.5), "truth", 1, 0, 200.0, "")
+    assert flight_picture(cell, VEHICLE, width=160, height=90).shape == (90, 160, 3)
+
+
+@pytest.mark.parametrize(
+    ("blocked", "code"),
+    [
+        ({"mujoco.egl"}, "OK"),  # falls back to OSMesa
+        ({"mujoco.egl", "mujoco.osmesa"}, NO_OPENGL),
+    ],
+)
+def test_without_egl_osmesa_draws_and_without_both_the_message_helps(blocked, code):
+    script = f"""
+import importlib, sys
+real = importlib.import_module
+def import_module(name, package=None):
+    if name in {blocked!r}:
+        raise ImportError("not here")
+    return real(name, package)
+importlib.import_module = import_module
+from quadsim.render import Scene
+from quadsim.vehicle import load_vehicle
+try:
+    Scene(load_vehicle("hummingbird"), width=64, height=64).close()
+    print("OK")
+except RuntimeError as error:
+    print(error)
+"""
+    environment = {
+        key: value for key, value in os.environ.items() if key not in ("PYOPENGL_PLATFORM", "MUJOCO_GL")
+    }
+    out = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
+    )
+    if code == "OK" and out.stdout.strip() == NO_OPENGL:
+        pytest.skip("OSMesa is not installed")
+    assert out.stdout.strip() == code

@@ -1,0 +1,287 @@
+"""The report, as text and in a browser."""
+
+import re
+import shutil
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import estimators
+from quadsim.mission import Mission
+from quadsim.scenario import Scenario
+from scenarios.cell import Cell, fly, make_cell
+from scenarios.report import Picture, write_report
+from scenarios.runner import Results, Settings
+from scenarios.verdict import offline_verdict, verdict
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+OFFLINE = [
+    {"estimator": "truth", "start": "known", "mean_deg": 0.0},
+    {"estimator": "mahony", "start": "known", "mean_deg": 2.5},
+    {"estimator": "ekf", "start": "known", "note": "no weights <here>"},
+]
+
+
+def row(scenario, estimator, crashes=0, error=1.0, flights=10, reason=""):
+    if reason:
+        return {"scenario": scenario, "estimator": estimator, "reason": reason}
+    head = {
+        "scenario": scenario,
+        "estimator": estimator,
+        "reason": "",
+        "flights": flights,
+        "crashes": crashes,
+    }
+    return head | {"error_deg": error, "attitude_deg": 2 * error}
+
+
+def flight(seed, scenario, estimator, cause="", error=1.0):
+    numbers = {
+        "flown_s": 1.0,
+        "error_deg": error,
+        "inclination_deg": 1.5,
+        "attitude_deg": 2.0,
+        "position_m": 0.1,
+    }
+    numbers |= {"worst_tilt_deg": 10.0, "converge_s": None, "power_w": 50.0, "jitter": 1.0}
+    return {"scenario": scenario, "estimator": estimator, "seed": seed, "cause": cause} | numbers
+
+
+@pytest.fixture(scope="module")
+def results():
+    """Two scenarios on three estimators: one flown, one that crashes half the time, one that did not run."""
+    scenario = Scenario(description="Hold a place & <stay> there.", duration_s=2.0)
+    mission = Mission(scenario, estimators.create("mahony"), 2)
+    log, end = fly(mission, 0)
+    cells = []
+    for name in ("calm", "storm"):
+        for estimator in ("truth", "mahony"):
+            cells.append(make_cell(name, estimator, "", mission, log, end))
+        flights = [flight(0, name, "ekf", "flew away", 9.0), flight(1, name, "ekf")]
+        cells.append(Cell(name, "ekf", "", "", flights, cells[0].histogram, cells[0].series))
+        cells.append(Cell(name, "vqf", "", "no weights <here>", [], [], None))
+    names = ["truth", "mahony", "ekf", "vqf"]
+    return Results(Settings({"calm": scenario, "storm": scenario}, names, 2, 0, 200.0), cells)
+
+
+@pytest.fixture(scope="module")
+def report(results, tmp_path_factory):
+    picture = Picture(np.full((90, 160, 3), 128, dtype=np.uint8), 'A "picture" & its caption')
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    return write_report(path, results, offline=OFFLINE, still=picture, csv=["results.csv"], focus="ekf")
+
+
+# --- the verdict ----------------------------------------------------------------------------------
+
+
+def test_fewest_crashes_win_then_the_smallest_error():
+    rows = [
+        row("a", "truth", error=0.0),
+        row("a", "x", 1, 0.1),
+        row("a", "y", error=2.0),
+        row("a", "z", error=1.0),
+    ]
+    result = verdict(rows)
+    assert [s["estimator"] for s in result.standings] == ["z", "y", "x", "truth"]
+    assert result.headline == "Fly z: no crash in 10 flights, and the smallest error, 1.00°."
+
+
+def test_where_all_crash_the_verdict_says_so():
+    result = verdict([row("a", "x", 3), row("b", "x", 1), row("a", "y", 9), row("b", "y", 9)])
+    assert result.headline == "Fly x: it crashed least, in 4 of 20 flights, with an error of 1.00°."
+    assert result.standings[0] == {
+        "estimator": "x",
+        "grade": "crashes",
+        "text": "crashed in a (3 of 10), b (1 of 10) · error 1.00°",
+    }
+
+
+def test_verdict_speaks_of_the_estimator_in_focus_and_compares_with_the_truth():
+    rows = [row("a", "truth", error=0.5), row("a", "x", error=1.0), row("a", "y", crashes=1, error=2.0)]
+    lines = verdict(rows, focus="y").lines
+    assert lines == [
+        "On it, the vehicle strays 2.00 × as far from the commanded attitude as on the truth.",
+        "y: 1 crash in 10 flights, error 2.00°, attitude tracking 4.00 × that on the truth.",
+    ]
+
+
+def test_estimators_that_did_not_run_come_last_and_are_told():
+    result = verdict([row("a", "x", reason="no weights"), row("a", "y", crashes=10)])
+    assert [s["text"] for s in result.standings] == ["crashed in a (10 of 10) · error 1.00°", "did not run"]
+    assert verdict([row("a", "x", reason="no weights")]).headline == "No estimator flew."
+
+
+def test_recorded_flights_have_a_verdict_of_their_own():
+    assert offline_verdict(OFFLINE).headline == "Smallest error on recorded flights: mahony, 2.50°."
+
+
+# --- the file -------------------------------------------------------------------------------------
+
+
+class Links(HTMLParser):
+    """Everything that a browser would fetch."""
+
+    def __init__(self):
+        super().__init__()
+        self.fetched = []
+
+    def handle_starttag(self, tag, attributes):
+        """Note what a tag fetches."""
+        values = dict(attributes)
+        if tag in ("img", "script", "iframe", "source", "video", "audio"):
+            self.fetched.append(values.get("src"))
+        if tag == "link":
+            self.fetched.append(values.get("href"))
+
+
+def test_report_fetches_nothing(report):
+    text = report.read_text()
+    parser = Links()
+    parser.feed(text)
+    assert all(each is None or each.startswith("data:") for each in parser.fetched)
+    assert not re.search(r"(@import|url\(|fetch\(|XMLHttpRequest|https?://)", text)
+
+
+def test_text_of_users_is_escaped(report):
+    text = report.read_text()
+    assert "Hold a place &amp; &lt;stay&gt; there." in text
+    assert "<stay>" not in text
+    assert "no weights <here>" not in text
+
+
+def test_report_of_recorded_flights_alone(tmp_path):
+    text = write_report(tmp_path / "r.html", offline=OFFLINE).read_text()
+    assert "Smallest error on recorded flights" in text
+    assert "<canvas" not in text
+
+
+def test_report_of_nothing_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="nothing to report"):
+        write_report(tmp_path / "r.html")
+
+
+# --- in a browser ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Debian's Chromium, without a screen."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no chromium: install Debian's package of that name")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])
+def page(request, browser, report):
+    """The report, open; errors and requests are looked at afterwards."""
+    width, height = request.param
+    page = browser.new_page(viewport={"width": width, "height": height})
+    noise, requests = [], []
+    page.on("console", lambda message: noise.append(message.text))
+    page.on("pageerror", lambda error: noise.append(str(error)))
+    page.on("request", lambda each: requests.append(each.url))
+    page.goto(report.as_uri())
+    yield page
+    assert noise == []
+    assert [url for url in requests if not url.startswith("data:")] == [report.as_uri()]
+    page.close()
+
+
+def column(page, number, table="#results"):
+    return page.locator(f"{table} tbody tr td:nth-child({number})").all_inner_texts()
+
+
+def painted(page, canvas):
+    """How many pixels of a canvas are not empty."""
+    return page.evaluate(
+        """id => {
+            const canvas = document.getElementById(id);
+            const image = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+            return image.data.filter((value, i) => i % 4 == 3 && value).length;
+        }""",
+        canvas,
+    )
+
+
+def test_everything_is_there(page):
+    for part in ("verdict", "map", "series", "replay", "spread", "table", "offline", "method"):
+        assert page.locator(f"#{part}").is_visible()
+    assert page.locator("#verdict h2").inner_text().startswith("Fly mahony: no crash in 4 flights")
+    assert page.locator(".heat tbody td").count() == 8
+    assert page.locator("#violins polygon").count() == 2
+    assert painted(page, "plot") > 1000
+    assert painted(page, "stage") > 1000
+    assert page.evaluate("document.querySelector('figure img').naturalWidth") == 160
+
+
+def test_page_is_no_wider_than_its_window(page):
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_headings_sort_both_ways_with_empty_cells_last(page):
+    page.locator("#results th button").nth(2).click()
+    numbers = [text for text in column(page, 3) if "did not run" not in text]
+    assert [float(text) for text in numbers] == sorted(float(text) for text in numbers)
+    assert "did not run" in column(page, 3)[-1]
+    page.locator("#results th button").nth(2).click()
+    numbers = [text for text in column(page, 3) if "did not run" not in text]
+    assert [float(text) for text in numbers] == sorted((float(text) for text in numbers), reverse=True)
+    assert "did not run" in column(page, 3)[-1]
+    assert page.locator("#results th").nth(2).get_attribute("aria-sort") == "descending"
+
+
+def test_table_shows_one_scenario(page):
+    page.select_option("#table-scenario", "storm")
+    visible = page.locator("#results tbody tr:visible td:first-child").all_inner_texts()
+    assert set(visible) == {"storm"}
+    assert len(visible) == 4
+
+
+def test_map_shows_another_metric(page):
+    page.select_option("#map-metric", "crash_rate")
+    cells = page.locator(".heat tbody tr:nth-child(3) td b").all_inner_texts()
+    assert cells == ["0.50", "0.50"]
+    assert page.locator(".heat td.crashed").count() == 2
+
+
+def test_a_cell_of_the_map_chooses_the_flight(page):
+    page.locator('.heat td[data-scenario="storm"][data-estimator="ekf"]').click()
+    assert page.locator("#series select.scenario").input_value() == "storm"
+    assert page.locator('#chips button[data-estimator="ekf"]').get_attribute("aria-pressed") == "true"
+
+
+def test_cursor_reads_the_curves(page):
+    box = page.locator("#plot").bounding_box()
+    page.locator("#plot").scroll_into_view_if_needed()
+    page.locator("#plot").hover(position={"x": box["width"] / 2, "y": 100})
+    assert "mahony" in page.locator("#readout").inner_text()
+
+
+def test_dragging_zooms_and_double_click_shows_all(page):
+    page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
+    box = page.locator("#plot").bounding_box()
+    page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 100)
+    page.mouse.up()
+    assert 0 < page.evaluate("frame.t0") < page.evaluate("frame.t1") < page.evaluate("frame.end")
+    page.locator("#plot").dblclick()
+    assert page.evaluate("frame.t1 === frame.end")
+
+
+def test_replay_moves(page):
+    page.locator("#play").click()
+    page.wait_for_function("state.time > 0.1")
+    page.locator("#play").click()
+    assert page.locator("#clock-text").inner_text() != "0.0 s"
+
+
+def test_theme_switches_the_colours(page):
+    before = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.locator("#theme").click()
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before

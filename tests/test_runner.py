@@ -1,0 +1,313 @@
+import csv
+import json
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import estimators
+from quadsim.mission import Mission
+from quadsim.scenario import Scenario, Start
+from quadsim.vehicle import load_vehicle
+from scenarios import cell as cell_module
+from scenarios import runner
+from scenarios.cell import fly, fly_cell, load_cell
+from scenarios.metrics import (
+    LAYOUT,
+    METRICS,
+    WIDTH,
+    convergence_time,
+    error_histogram,
+    flight_metrics,
+    summarise,
+    wilson,
+)
+from scenarios.picture import unpack_series
+from scenarios.runner import bench, load_results
+from scenarios.single import fly_scenario
+from scenarios.summary import closed_loop_table
+
+SHORT = 0.3
+TOO_TILTED = (
+    'description = "tilted beyond its own limit"\n[start]\ntilt_deg = 40.0\n[crash]\ntilt_deg = 30.0\n'
+)
+
+
+@pytest.fixture
+def crashing(tmp_path):
+    path = tmp_path / "crashing.toml"
+    path.write_text(TOO_TILTED)
+    return path
+
+
+def small(out, **changes):
+    arguments = {"scenarios": ["hover", "wind-gust"], "names": ["truth", "mahony"], "seeds": 2, "out": out}
+    return bench(**(arguments | {"duration_s": SHORT, "workers": 1} | changes))
+
+
+# --- metrics --------------------------------------------------------------------------------------
+
+
+def steady_log(n=2, steps=400):
+    """A log of level flight on the set-point with a perfect estimate."""
+    log = np.zeros((n, steps, WIDTH))
+    log[..., LAYOUT.rotor_vel] = load_vehicle("hummingbird").hover_rotor_vel
+    return log, np.full(n, steps)
+
+
+def test_perfect_flight_has_no_error():
+    log, end = steady_log()
+    metrics = flight_metrics(log, end, 200.0, load_vehicle("hummingbird"))
+    for key in (
+        "error_deg",
+        "inclination_deg",
+        "attitude_deg",
+        "position_m",
+        "worst_tilt_deg",
+        "converge_s",
+        "jitter",
+    ):
+        np.testing.assert_array_equal(metrics[key], 0.0)
+
+
+def test_hover_power_is_that_of_four_rotors_carrying_the_weight():
+    log, end = steady_log()
+    vehicle = load_vehicle("hummingbird")
+    power = flight_metrics(log, end, 200.0, vehicle)["power_w"]
+    np.testing.assert_allclose(power, vehicle.mass * 9.81 * vehicle.motor.k_m * vehicle.hover_rotor_vel)
+
+
+def test_known_offsets_give_their_own_size():
+    log, end = steady_log()
+    log[..., LAYOUT.estimate] = np.radians([3.0, -1.0])
+    log[..., LAYOUT.position] = [0.3, 0.0, 0.4]
+    metrics = flight_metrics(log, end, 200.0, load_vehicle("hummingbird"))
+    np.testing.assert_allclose(metrics["error_deg"], 2.0)
+    np.testing.assert_allclose(metrics["position_m"], 0.5)
+
+    assert error_histogram(log, end).sum() == 2 * 2 * 400
+
+
+def test_nothing_after_a_crash_counts():
+    log, end = steady_log()
+    log[0, 100:] = np.nan
+    end[0] = 100
+    metrics = flight_metrics(log, end, 200.0, load_vehicle("hummingbird"))
+    np.testing.assert_array_equal(metrics["error_deg"], 0.0)
+    assert error_histogram(log, end).sum() == 2 * (100 + 400)
+
+
+def test_time_to_converge_is_the_start_of_the_first_second_below_the_limit():
+    error = np.full((3, 1000), 20.0)
+    error[0, 300:] = 1.0
+    error[1, 100:250] = 1.0  # three quarters of a second are not enough
+    error[1, 600:] = 1.0
+    np.testing.assert_array_equal(convergence_time(error, 200.0), [1.5, 3.0, np.nan])
+
+
+def test_wilson_interval_of_textbook_values():
+    np.testing.assert_allclose(wilson(0, 10), (0.0, 0.2775), atol=1e-4)  # Brown, Cai, DasGupta 2001
+    np.testing.assert_allclose(wilson(5, 10), (0.2366, 0.7634), atol=1e-4)
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_median_convergence_is_empty_when_most_never_converge():
+    flight = {metric.key: 1.0 for metric in METRICS} | {"cause": ""}
+    assert (
+        summarise([flight, flight | {"converge_s": None}, flight | {"converge_s": None}])["converge_s"]
+        is None
+    )
+    assert summarise([flight, flight, flight | {"converge_s": None}])["converge_s"] == 1.0
+
+
+# --- a flight -------------------------------------------------------------------------------------
+
+
+def test_log_holds_what_the_loop_did():
+    mission = Mission(Scenario(description="", duration_s=0.2), estimators.create("madgwick"), 2)
+    log, end = fly(mission, seed=4)
+    assert end.tolist() == [40, 40]
+    np.testing.assert_array_equal(log[:, -1, LAYOUT.position], mission.loop.plant.position)
+    np.testing.assert_array_equal(log[:, -1, LAYOUT.estimate], mission.loop.attitude)
+    up = mission.loop.plant.quat
+    np.testing.assert_allclose(
+        np.cos(log[:, -1, LAYOUT.tilt]), 1 - 2 * (up[:, 1] ** 2 + up[:, 2] ** 2), atol=1e-12
+    )
+
+
+def test_true_attitude_follows_the_command_better_than_a_poor_estimate():
+    scenario = Scenario(description="", duration_s=2.0, start=Start(tilt_deg=20.0))
+    cells = [fly_cell("x", scenario, name, 4, 0, 200.0, "") for name in ("truth", "complementary")]
+    good, poor = (cell.row["attitude_deg"] for cell in cells)
+    assert good < 0.9 * poor
+
+
+def test_series_come_back_from_their_packing():
+    cell = fly_cell("x", Scenario(description="", duration_s=1.0), "mahony", 1, 0, 200.0, "")
+    series = unpack_series(cell)
+    assert series["time"].tolist() == pytest.approx(np.arange(25) / 25)
+    np.testing.assert_allclose(series["z"], 2.0, atol=0.05)
+    np.testing.assert_array_equal(series["x_ref"], 0.0)
+
+
+# --- the benchmark --------------------------------------------------------------------------------
+
+
+def test_results_do_not_depend_on_the_workers(tmp_path):
+    one = small(tmp_path / "one")
+    two = small(tmp_path / "two", workers=2)
+    assert one.flights == two.flights
+    for name in ("results.csv", "flights.csv", "bench.json"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_flights_do_not_depend_on_how_many_there_are(tmp_path):
+    few, many = small(tmp_path / "few", seeds=1), small(tmp_path / "many", seeds=3)
+    kept = [flight for flight in many.flights if flight["seed"] == 0]
+    assert kept == few.flights
+
+
+def test_second_run_flies_nothing_and_says_the_same(tmp_path, monkeypatch):
+    first = small(tmp_path)
+    monkeypatch.setattr(runner, "fly_cell", lambda *job: pytest.fail("flew again"))
+    assert small(tmp_path) == first
+
+
+def test_interrupted_run_goes_on_with_what_is_missing(tmp_path, monkeypatch):
+    whole = small(tmp_path / "whole")
+    flown = []
+
+    def until_the_third(*job):
+        if len(flown) == 2:
+            raise KeyboardInterrupt
+        flown.append(job[:3:2])
+        return fly_cell(*job)
+
+    monkeypatch.setattr(runner, "fly_cell", until_the_third)
+    with pytest.raises(KeyboardInterrupt):
+        small(tmp_path / "part")
+    (tmp_path / "part" / "cells" / "hover--truth.json").write_text("half a fi")  # and one file is damaged
+    again = []
+    monkeypatch.setattr(runner, "fly_cell", lambda *job: again.append(job[:3:2]) or fly_cell(*job))
+    assert small(tmp_path / "part") == whole
+    assert again == [("hover", "truth"), ("wind-gust", "truth"), ("wind-gust", "mahony")]
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"seeds": 3}, {"duration_s": 0.2}])
+def test_cells_of_another_configuration_are_flown_anew(tmp_path, monkeypatch, change):
+    small(tmp_path)
+    again = []
+    monkeypatch.setattr(runner, "fly_cell", lambda *job: again.append(job) or fly_cell(*job))
+    small(tmp_path, **change)
+    assert len(again) == 4
+
+
+def test_cells_are_flown_anew_when_the_code_has_changed(tmp_path, monkeypatch):
+    small(tmp_path)
+    again = []
+    monkeypatch.setattr(runner, "code_digest", lambda: "other code")
+    monkeypatch.setattr(runner, "fly_cell", lambda *job: again.append(job) or fly_cell(*job))
+    small(tmp_path)
+    assert len(again) == 4
+
+
+def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
+    class Broken:
+        rate_hz = 200.0
+
+        def reset(self, n=1, roll_pitch=None):
+            pass
+
+        def update(self, gyro, accel):
+            raise ZeroDivisionError("no idea")
+
+    create = estimators.create
+    monkeypatch.setattr(
+        cell_module.estimators,
+        "create",
+        lambda name, rate_hz: Broken() if name == "mahony" else create(name, rate_hz),
+    )
+    results = small(tmp_path)
+    reasons = [row["reason"] for row in results.rows]
+    assert reasons == ["", "ZeroDivisionError: no idea"] * 2
+    assert load_results(tmp_path) == results
+    with (tmp_path / "results.csv").open() as file:
+        assert [row["reason"] for row in csv.DictReader(file)] == reasons
+    monkeypatch.undo()
+    assert not any(row["reason"] for row in small(tmp_path).rows)  # and it is tried again
+
+
+def test_dead_worker_is_a_row_with_its_reason(tmp_path):
+    class Deadly(ThreadPoolExecutor):
+        def submit(self, fn, *args):
+            if args[2] == "truth":
+                future = Future()
+                future.set_exception(MemoryError("killed"))
+                return future
+            return super().submit(fn, *args)
+
+    with Deadly(1) as executor:
+        rows = small(tmp_path, executor=executor).rows
+    assert [row["reason"] for row in rows] == ["MemoryError: killed", ""] * 2
+
+
+def test_crashes_are_counted_with_their_cause(tmp_path, crashing):
+    results = small(tmp_path / "out", scenarios=[crashing], names=["truth"])
+    assert [(flight["cause"], flight["flown_s"]) for flight in results.flights] == [("tilted over", 0.0)] * 2
+    row = results.rows[0]
+    assert (row["crashes"], row["crash_rate"]) == (2, 1.0)
+    assert 0.3 < row["crash_low"] < row["crash_high"] == 1.0
+    assert closed_loop_table(results).row_count == 1
+
+
+def test_results_load_as_they_were(tmp_path):
+    assert small(tmp_path) == load_results(tmp_path)
+    assert load_cell(tmp_path / "cells" / "hover--truth.json") is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scenarios": ["hoover"]}, 'unknown scenario "hoover"; did you mean "hover"'),
+        ({"names": ["mahoney"]}, 'unknown estimator "mahoney"; did you mean "mahony"'),
+        ({"names": []}, "at least one estimator"),
+        ({"scenarios": []}, "at least one scenario"),
+        ({"seeds": 0}, "seeds is 0"),
+        ({"duration_s": -1.0}, "duration is -1.0 s"),
+    ],
+)
+def test_bad_arguments_are_named(tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
+        small(tmp_path, **change)
+
+
+def test_two_scenarios_of_one_name_are_refused(tmp_path):
+    (tmp_path / "hover.toml").write_text('description = "another"')
+    with pytest.raises(ValueError, match='two scenarios are called "hover"'):
+        small(tmp_path / "out", scenarios=["hover", tmp_path / "hover.toml"])
+
+
+def test_folder_without_results_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"no bench\.json"):
+        load_results(tmp_path)
+    (tmp_path / "bench.json").write_text(json.dumps({"settings": 3}))
+    with pytest.raises(ValueError, match="not the index of a benchmark"):
+        load_results(tmp_path)
+
+
+def test_lost_cell_is_named(tmp_path):
+    small(tmp_path)
+    (tmp_path / "cells" / "hover--truth.json").unlink()
+    with pytest.raises(ValueError, match=r"hover--truth\.json: missing"):
+        load_results(tmp_path)
+
+
+def test_one_scenario_looked_at_closely(tmp_path):
+    flown = fly_scenario("hover", "mahony", tmp_path, seeds=2, duration_s=SHORT)
+    with flown.samples.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 60
+    assert float(rows[-1]["t"]) == pytest.approx(59 / 200)
+    assert float(rows[-1]["z"]) == pytest.approx(2.0, abs=0.02)
+    assert "mahony" in flown.report.read_text()
+    assert flown.video is None
