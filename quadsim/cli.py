@@ -351,9 +351,19 @@ def fly(
     from scenarios.single import fly_scenario
 
     folder = out or Path("reports") / f"fly-{Path(scenario).stem}-{estimator}"
-    flown = fly_scenario(
-        scenario, estimator, folder, seeds=seeds, seed=seed, duration_s=duration, rate_hz=rate, video=video
-    )
+    try:
+        flown = fly_scenario(
+            scenario,
+            estimator,
+            folder,
+            seeds=seeds,
+            seed=seed,
+            duration_s=duration,
+            rate_hz=rate,
+            video=video,
+        )
+    except RuntimeError as error:  # no headless OpenGL for the video
+        raise ValueError(str(error)) from error
     row = flown.results.rows[0]
     if row["reason"]:
         raise ValueError(f"{estimator} did not fly {scenario}: {row['reason']}")
