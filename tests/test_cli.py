@@ -1,0 +1,135 @@
+"""The command line: what it says to a newcomer, to a mistake, and at the end of the work."""
+
+import sys
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from quadsim.cli import app, main, pair_of
+
+VERBS = ["generate", "train", "tune", "evaluate", "fly", "bench", "report", "export", "design", "demo"]
+
+
+@pytest.fixture
+def quadsim(monkeypatch, capsys, tmp_path):
+    """Run the command line in an empty folder: (exit code, standard output, standard error)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["quadsim", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        captured = capsys.readouterr()
+        return stop.value.code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def dataset(quadsim, tmp_path):
+    path = tmp_path / "flights.zarr"
+    code, out, _ = quadsim("generate", "--flights", 2, "--duration", 2, "--workers", 1, "--out", path)
+    assert code == 0
+    assert "2 flights of 2 s at 200 Hz" in out
+    return path
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself(quadsim, verb):
+    code, out, _ = quadsim(verb, "--help")
+    assert code == 0
+    assert "Usage: quadsim" in out
+    assert len(out.splitlines()) > 8
+
+
+def test_every_verb_has_help_of_its_own():
+    assert {command.name or command.callback.__name__ for command in app.registered_commands} == set(VERBS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["generate", "--out", "x.zarr", "--vehicle", "humingbird"], "hummingbird"),
+        (["generate", "--out", "x.zarr", "--imu", "missing.toml"], "missing.toml"),
+        (["generate", "--out", "/proc/x.zarr", "--flights", "1", "--duration", "1"], "/proc/x.zarr"),
+        (["dataset", "info", "missing.zarr"], "missing.zarr"),
+        (["dataset", "verify", "missing.zarr"], "missing.zarr"),
+        (["dataset", "plot", "missing.zarr"], "missing.zarr"),
+        (["export", "missing.zarr", "--out", "x", "--format", "netcdf"], "missing.zarr"),
+        (["train", "--data", "missing.zarr", "--out", "run"], "missing.zarr"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--preset", "wurst"], "wurst"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--set", "epochs"], "name=value"),
+        (["tune", "--estimator", "mahony", "--data", "missing.zarr", "--out", "x.toml"], "missing.zarr"),
+        (["evaluate", "--data", "missing.zarr"], "missing.zarr"),
+        (["fly", "hoover"], "hover"),
+        (["fly", "hover", "--estimator", "mahoni"], "mahony"),
+        (["bench", "--scenario", "hover", "--estimator", "mahoni"], "mahony"),
+        (["bench", "--scenario", "missing.toml"], "missing.toml"),
+        (["report", "missing"], "missing"),
+    ],
+)
+def test_a_mistake_is_one_clear_line_and_exit_code_2(quadsim, arguments, said):
+    code, _, err = quadsim(*arguments)
+    assert code == 2
+    lines = [line for line in err.splitlines() if line.startswith("quadsim:")]
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert "Traceback" not in err
+
+
+def test_a_file_that_is_not_a_dataset_is_refused(quadsim, tmp_path):
+    (tmp_path / "notes.txt").write_text("hello")
+    for verb in (["dataset", "info"], ["evaluate", "--data"]):
+        code, _, err = quadsim(*verb, "notes.txt")
+        assert code == 2
+        assert "notes.txt" in err
+
+
+def test_malformed_toml_names_the_line(quadsim, tmp_path):
+    (tmp_path / "mine.toml").write_text("mass = \n")
+    code, _, err = quadsim("generate", "--out", "x.zarr", "--vehicle", "mine.toml")
+    assert code == 2
+    assert "mine.toml" in err
+    assert "line 1" in err
+
+
+def test_weights_of_the_wrong_shape_are_refused(quadsim, tmp_path):
+    from estimators import create
+
+    path = tmp_path / "wrong.safetensors"
+    save_file({"w": np.zeros((3, 2))}, path)
+    with pytest.raises(ValueError, match=r"wrong\.safetensors"):
+        create("att-snn", weights=path)
+
+
+def test_a_dataset_is_described_verified_drawn_and_exported(quadsim, dataset, tmp_path):
+    assert "flights" in quadsim("dataset", "info", dataset)[1]
+    assert "2 flights are whole" in quadsim("dataset", "verify", dataset)[1]
+    assert quadsim("dataset", "plot", dataset, "--out", "picture.png")[0] == 0
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+    assert quadsim("export", dataset, "--out", "flights.nc", "--format", "netcdf")[0] == 0
+
+
+def test_the_same_command_again_finds_its_work_done(quadsim, dataset):
+    again = quadsim("generate", "--flights", 2, "--duration", 2, "--workers", 1, "--out", dataset)
+    other = quadsim("generate", "--flights", 3, "--duration", 2, "--workers", 1, "--out", dataset)
+    assert again[0] == 0
+    assert other[0] == 2
+    assert "--overwrite" in other[2]
+
+
+def test_design_prints_gains_and_margins(quadsim):
+    code, out, _ = quadsim("design", "--vehicle", "px4-quad")
+    assert code == 0
+    assert "phase margin" in out
+    assert "attitude = " in out
+
+
+@pytest.mark.parametrize(
+    ("text", "pair"),
+    [("a=1", ("a", 1)), ("a=0.5", ("a", 0.5)), ("a=true", ("a", True)), ("a=solved", ("a", "solved"))],
+)
+def test_a_setting_is_read_as_toml_or_as_it_stands(text, pair):
+    assert pair_of(text) == pair
