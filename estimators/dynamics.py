@@ -86,7 +86,7 @@ def _drive(u, v, tau, threshold, quantised):
 def advance(
     x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, u0, v0, u1, v1, out, s0, s1, s1_late, total
 ):
-    """One step of one copy of the network. Weights are (in, out) and in state units; all states change in place.
+    """One step of one copy of the network; weights in state units, all states change in place.
 
     Args:
         x: Input sample, shape (inputs,).

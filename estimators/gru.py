@@ -10,7 +10,7 @@ from numba import njit
 
 @njit(cache=True)
 def _affine(x, weight, bias, out):
-    """out = bias + x weight, row by row of the weight (in, out)."""
+    """Write bias + x weight into `out`, row by row of the weight (in, out)."""
     out[:] = bias
     for k in range(x.shape[0]):
         value, row = x[k], weight[k]
@@ -20,7 +20,7 @@ def _affine(x, weight, bias, out):
 
 @njit(cache=True)
 def _gru_step(x, w_ih, w_hh, b_ih, b_hh, h, from_x, from_h):
-    """h <- (1 - z) n + z h with the reset and update gates r, z and the candidate n."""
+    """Replace h by (1 - z) n + z h with the reset and update gates r, z and the candidate n."""
     _affine(x, w_ih, b_ih, from_x)
     _affine(h, w_hh, b_hh, from_h)
     units, one = h.shape[0], np.float32(1.0)

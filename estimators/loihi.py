@@ -100,9 +100,7 @@ class LoihiNetwork:
         # The sources of all spikes stand in one row: the network's input, then layer after layer.
         self._start = np.cumsum([self.n_in, *self.sizes]).astype(np.int64)
         fan_in = [np.vstack([w.T, _recurrent_rows(layer)]) for w, layer in zip(w_in, layers, strict=True)]
-        rows = np.array(
-            [(w.shape[1], r.shape[0]) for w, r in zip(w_in, fan_in, strict=True)], np.int64
-        )
+        rows = np.array([(w.shape[1], r.shape[0]) for w, r in zip(w_in, fan_in, strict=True)], np.int64)
         weights = np.concatenate([r.ravel() for r in fan_in]).astype(np.int32)
         vectors = [
             np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int64)

@@ -1,7 +1,7 @@
 """Trained networks as estimators: Att-SNN in float64 and on emulated Loihi, and its non-spiking twin Att-RNN.
 
-Nothing here imports torch: inference is compiled. Missing samples (NaN, or a specific force of exactly zero) are
-bridged by the last good one and counted.
+Nothing here imports torch: inference is compiled. Missing samples (NaN, or a specific force of exactly zero)
+are bridged by the last good one and counted.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ class Spiking:
 
 
 class OnLoihi:
-    """Att-SNN in integers: the encoding current on the host, everything that spikes and the outputs on the chip.
+    """Att-SNN in integers: the encoding current on the host, all that spikes and the outputs on the chip.
 
     Raises:
         ValueError: The network is not quantised, or not in the chip's time convention.
@@ -180,7 +180,11 @@ class OnLoihi:
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (np.zeros((n, 7)), np.zeros((n, self._encoder[0].shape[1]), np.int64), *self.chip.zero_state(n))
+        return (
+            np.zeros((n, 7)),
+            np.zeros((n, self._encoder[0].shape[1]), np.int64),
+            *self.chip.zero_state(n),
+        )
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
@@ -200,7 +204,10 @@ class Recurrent:
             for layer in (0, 1)
             for kind in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         )
-        self._out = np.ascontiguousarray(tensors["out.weight"], np.float32), tensors["out.bias"].astype(np.float32)
+        self._out = (
+            np.ascontiguousarray(tensors["out.weight"], np.float32),
+            tensors["out.bias"].astype(np.float32),
+        )
         self._sizes, self._steps, self._scale = (config.encoding, config.hidden), 1, config.output_scale
         self._offset, self._gain = input_scaling(config.inputs)
 
@@ -243,12 +250,14 @@ def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], 
 def _gravity(roll_pitch: Array) -> Array:
     """Specific force of a vehicle at rest, (n, 2) -> (n, 3) [m/s²]."""
     roll, pitch = roll_pitch.T
-    return GRAVITY * np.stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], -1)
+    return GRAVITY * np.stack(
+        [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], -1
+    )
 
 
 @njit(cache=True)
 def _encode_sample(gyro, accel, offset, gain, held):
-    """Scale one sample into `held` (6 inputs, samples missing), keeping what it replaces where one is missing."""
+    """Scale one sample into `held`: 6 inputs, which a missing reading leaves as they are, and a count."""
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
     force_found = np.isfinite(force) and force > 0.0
@@ -265,7 +274,7 @@ def _encode_sample(gyro, accel, offset, gain, held):
 
 @njit(cache=True)
 def encode(gyro, accel, offset, gain, held, x):
-    """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; `held` (n, 7) keeps the last ones and a count."""
+    """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; `held` (n, 7) keeps the last ones."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
             _encode_sample(gyro[n, t], accel[n, t], offset, gain, held[n])

@@ -91,7 +91,7 @@ def forward(
         recurrent_delay: 1: the chip's time convention; 2: the paper's equations.
 
     Returns:
-        Output potentials (n, T, outputs), spikes of the encoding (n, T, h0) and of the hidden layer (n, T, h1).
+        Output potentials (n, T, outputs), spikes of the encoding (n, T, h0) and hidden layer (n, T, h1).
     """
     n, steps, _ = x.shape
     one = STATE_ONE if quantised else 1.0
@@ -123,7 +123,9 @@ def forward(
         feedback = s1 if recurrent_delay == 1 else late
         u1 = wrapped(decay(u1, weights.syn1) + wrapped(s0 @ w_ff.T + feedback @ w_rec.T, 21), 23)
         drive = x[:, t] @ w_in.T
-        u0 = wrapped(decay(u0, weights.syn0) + (_straight(drive, torch.trunc(drive)) if quantised else drive), 23)
+        u0 = wrapped(
+            decay(u0, weights.syn0) + (_straight(drive, torch.trunc(drive)) if quantised else drive), 23
+        )
         bias = _straight(u0, _bias(u0)) if quantised else u0
         late = s1
         s1, v1 = fire(clipped(decay(v1, weights.mem1) + u1))

@@ -21,7 +21,7 @@ Tensors = dict[str, NDArray[Any]]
 class InputScaling(Strict):
     """What the network's inputs are: (reading - offset) / range, gyroscope first."""
 
-    gyro: float = Field(2.5, gt=0)
+    gyro: float = Field(default=2.5, gt=0)
     """Body rate of an input of 1.0 [rad/s]."""
     accel: tuple[float, float, float] = (1.0, 1.0, 4.0)
     """Specific force, less the offset, of an input of 1.0 [m/s²]."""
@@ -36,22 +36,22 @@ class NetworkConfig(Strict):
     """How a network is run, and where its weights come from."""
 
     model: Literal["att-snn", "att-rnn"]
-    rate_hz: float = Field(200.0, gt=0)
+    rate_hz: float = Field(default=200.0, gt=0)
     """Samples per second that it was trained for."""
-    encoding: int = Field(100, ge=1)
+    encoding: int = Field(default=100, ge=1)
     """Neurons of the encoding layer (att-rnn: units of the first GRU)."""
-    hidden: int = Field(100, ge=1)
+    hidden: int = Field(default=100, ge=1)
     """Neurons of the recurrent layer (att-rnn: units of the second GRU)."""
     inputs: InputScaling = InputScaling()
     quantised: bool = True
     """Whole numbers in the chip's ranges (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
-    steps_per_sample: int = Field(1, ge=1, le=16)
+    steps_per_sample: int = Field(default=1, ge=1, le=16)
     """Network steps for each IMU sample."""
     output_scale: float = 1.0
     """Radians for an output potential of 1.0."""
-    training: dict[str, JsonValue] = {}
+    training: dict[str, JsonValue] = Field(default_factory=dict)
     """Data, seed, epochs, commit, validation error."""
 
 
@@ -131,7 +131,9 @@ def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
         if value.shape != shape:
             raise ValueError(f"{path}: tensor {name} has shape {value.shape}, should be {shape}")
         if whole != (value.dtype == np.int16) or (not whole and value.dtype.kind != "f"):
-            raise ValueError(f"{path}: tensor {name} is {value.dtype}, should be {'int16' if whole else 'float'}")
+            raise ValueError(
+                f"{path}: tensor {name} is {value.dtype}, should be {'int16' if whole else 'float'}"
+            )
         if not np.all(np.isfinite(value)):
             raise ValueError(f"{path}: tensor {name} has values that are not finite")
         if whole:

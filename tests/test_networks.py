@@ -134,7 +134,8 @@ def test_gru_equals_torch(rnn_file):
 def test_inference_does_not_import_torch(snn_file):
     code = (
         "import sys, numpy as np; from estimators.networks import create_network; "
-        f"create_network('att-snn-loihi', weights={str(snn_file)!r}).update(np.zeros((1, 3)), np.ones((1, 3))); "
+        f"est = create_network('att-snn-loihi', weights={str(snn_file)!r}); "
+        "est.update(np.zeros((1, 3)), np.ones((1, 3))); "
         "assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

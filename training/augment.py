@@ -73,7 +73,7 @@ def augment(
 
 
 def roll_pitch_of_up(up: Array) -> Array:
-    """Roll and pitch of the attitude in which the world's up has these body coordinates (..., 3) -> (..., 2)."""
+    """Roll and pitch at which the world's up has these body coordinates, (..., 3) -> (..., 2)."""
     roll = np.arctan2(up[..., 1], up[..., 2])
     return np.stack([roll, np.arctan2(-up[..., 0], np.hypot(up[..., 1], up[..., 2]))], -1)
 

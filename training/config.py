@@ -28,55 +28,55 @@ class TrainConfig(Strict):
     preset: Literal["paper", "best"] = "paper"
     """What the other values started from."""
 
-    encoding: int = Field(100, ge=1)
+    encoding: int = Field(default=100, ge=1)
     """Neurons of the encoding layer."""
-    hidden: int = Field(100, ge=1)
+    hidden: int = Field(default=100, ge=1)
     """Neurons of the recurrent layer."""
     quantised: bool = True
     """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
-    steps_per_sample: int = Field(1, ge=1, le=16)
+    steps_per_sample: int = Field(default=1, ge=1, le=16)
     """Network steps for each IMU sample (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
-    output_scale: float = Field(1.0, gt=0)
+    output_scale: float = Field(default=1.0, gt=0)
     """Radians for an output potential of 1.0 (att-snn)."""
     start: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
 
-    optimiser_lr: float = Field(0.005, gt=0)
+    optimiser_lr: float = Field(default=0.005, gt=0)
     """Learning rate of Adam."""
-    adam_beta2: float = Field(0.999, gt=0, lt=1)
+    adam_beta2: float = Field(default=0.999, gt=0, lt=1)
     """Decay of Adam's second moment."""
     decay: Literal["none", "cosine"] = "none"
     """Learning rate over the epochs: constant, or half a cosine down to a hundredth."""
-    clip: float = Field(0.0, ge=0)
+    clip: float = Field(default=0.0, ge=0)
     """Largest norm of the gradient; 0: no limit."""
-    lookahead_k: int = Field(6, ge=1)
+    lookahead_k: int = Field(default=6, ge=1)
     """Steps of the fast weights for one of the slow."""
-    lookahead_alpha: float = Field(0.5, gt=0, le=1)
+    lookahead_alpha: float = Field(default=0.5, gt=0, le=1)
     """How far the slow weights follow."""
 
-    epochs: int = Field(500, ge=1)
+    epochs: int = Field(default=500, ge=1)
     """Most epochs."""
-    batches: int = Field(15, ge=1)
+    batches: int = Field(default=15, ge=1)
     """Updates in an epoch."""
-    batch_size: int = Field(40, ge=1)
+    batch_size: int = Field(default=40, ge=1)
     """Windows in a batch."""
-    window_s: float = Field(10.0, gt=0)
+    window_s: float = Field(default=10.0, gt=0)
     """Length of a window [s]."""
-    windows_per_stream: int = Field(1, ge=1)
+    windows_per_stream: int = Field(default=1, ge=1)
     """Windows that follow one another with the state carried over (truncated backpropagation)."""
     stop_early: bool = True
     """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
     augmentation: Augmentation = Augmentation()
     """Sensor errors and symmetries, drawn anew for every window or stream."""
-    rate_cost: float = Field(0.0, ge=0)
+    rate_cost: float = Field(default=0.0, ge=0)
     """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
     rate_targets: tuple[float, float] = (0.1, 0.1)
     """Spikes per neuron and step that cost nothing, encoding and hidden layer."""
-    threads: int = Field(1, ge=1)
+    threads: int = Field(default=1, ge=1)
     """Threads that share a batch; the result depends on their number in the last digits only."""
 
 
@@ -125,7 +125,7 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
         elif name in choices:
             choices[name] = tuple(str(path) for path in choices[name])
     try:
-        return TrainConfig(**(values | choices | {"preset": preset}))
+        return TrainConfig.model_validate(values | choices | {"preset": preset})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -46,7 +46,7 @@ class Flights:
     @property
     def roll_pitch(self) -> NDArray[np.float64]:
         """True roll and pitch, shape (n, T, 2) [rad]."""
-        return roll_pitch_of_up(self.up.astype(np.float64))
+        return roll_pitch_of_up(self.up).astype(np.float64)
 
     def select(self, ids: Sequence[int] | NDArray[np.int64]) -> Flights:
         """Some of the flights."""
@@ -152,8 +152,11 @@ def windows(
         which = rng.integers(len(flights), size=batch_size)
         start = rng.integers(available - length + 1, size=batch_size)
         index = start[:, None] + np.arange(length)
+        rows = which[:, None]
         gyro, accel, up = augment(
-            *(getattr(flights, k)[which[:, None], index] for k in ("ang_vel", "specific_force", "up")),
+            flights.ang_vel[rows, index],
+            flights.specific_force[rows, index],
+            flights.up[rows, index],
             augmentation,
             flights.rate_hz,
             rng,

@@ -1,16 +1,17 @@
 """Att-SNN, forward and surrogate-gradient backward over a window, compiled.
 
-`attsnn` is `estimators.spiking.forward` fused into one pass over time each way (the tests hold them equal: the same
-spikes, gradients to 1e-10 in float64). What makes it fast: only membrane potentials, the encoding currents and
-lists of spikes are kept, currents are recomputed; forward and weight gradients add rows of the neurons that
-spiked; the gradient of the spikes is one matrix product per step for the whole batch; buffers are reused; the
-batch is split over threads (sums are added in the order of the parts, so the result does not depend on timing).
+`attsnn` is `estimators.spiking.forward` fused into one pass over time each way (the tests hold them equal:
+the same spikes, gradients to 1e-10 in float64). What makes it fast: only membrane potentials, the encoding
+currents and lists of spikes are kept, other currents are recomputed; forward and weight gradients add rows of
+the neurons that spiked; the gradient of the spikes is one matrix product per step for the whole batch;
+buffers are reused. The batch is split over threads; sums are added in the order of the parts.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -37,7 +38,7 @@ class Trace:
     u0: Floats
     """Currents of the encoding layer, row t + 1 is step t, shape (T + 1, n, h0)."""
     s0: NDArray[np.uint16]
-    """Spikes of the encoding layer: their number, then the neurons, row t + 2 is step t, (T + 2, n, h0 + 1)."""
+    """Spikes of the encoding layer: their number, then the neurons, shape (T + 2, n, h0 + 1)."""
     s1: NDArray[np.uint16]
     """Spikes of the hidden layer, shape (T + 2, n, h1 + 1)."""
 
@@ -112,7 +113,7 @@ def backward_window(
     x, grad, weights, taus, out_taus, constants, quantised, delay,
     v0, v1, vo, u0, s0, s1, g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
 ):  # fmt: skip
-    """Gradients of a window into g_*, shaped like the weights (in, out) and (2, h) for τ_syn and τ_mem.
+    """Add the gradients of a window to g_*.
 
     Args:
         x: Input, shape (T, n, inputs).
@@ -120,11 +121,23 @@ def backward_window(
         weights: w_ff and w_rec side by side, (h1, h0 + h1), and w_out (outputs, h1).
         taus: τ_syn, τ_mem of the encoding and of the hidden layer.
         out_taus: τ_syn and τ_mem of the outputs, shape (2,).
-        constants: Threshold, surrogate width, one, 1.0, 0.0, and the gradient of every spike of the encoding and
-            of the hidden layer, in the floating type of the computation.
+        constants: Threshold, surrogate width, one, 1.0, 0.0, and the gradient of every spike of the encoding
+            and of the hidden layer, in the floating type of the computation.
         quantised: Whether the forward pass was.
         delay: Of the recurrent connection, 1 or 2.
-        v0: This and the following are the trace.
+        v0: Trace, as are the next five.
+        v1: Trace.
+        vo: Trace.
+        u0: Trace.
+        s0: Trace.
+        s1: Trace.
+        g_in: Sum of the gradients of the encoding weights, shape (inputs, h0).
+        g_ff: Of the feed-forward weights, shape (h0, h1).
+        g_rec: Of the recurrent weights, shape (h1, h1).
+        g_out: Of the output weights, shape (h1, outputs).
+        g_tau0: Of τ_syn and τ_mem of the encoding layer, shape (2, h0).
+        g_tau1: Of the hidden layer, shape (2, h1).
+        g_tau_out: Of the outputs, shape (2,).
     """
     w_down, w_out = weights
     threshold, width, unit, one, zero, cost0, cost1 = (
@@ -224,7 +237,7 @@ def _tile(values, n):
 
 @njit(cache=True, nogil=True)
 def _product(a, b, out):
-    """out = a b; four rows of a by four of b at a time, so that the sums stay in registers."""
+    """Write a b into `out`; four rows of a by four of b at a time, so that the sums stay in registers."""
     out[:] = 0
     n, inner = a.shape
     for i in range(0, n - n % 4, 4):
@@ -276,7 +289,7 @@ class Workspace:
         self.steps, self.n, self.quantised, self.recurrent_delay = steps, n, quantised, recurrent_delay
         self.dtype = weights.w_ff.detach().numpy().dtype
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
-        self.parts = [slice(lo, hi) for lo, hi in zip(edges[:-1], edges[1:], strict=True)]
+        self.parts = [slice(lo, hi) for lo, hi in pairwise(edges)]
         h0, outputs, h1 = weights.w_in.shape[0], *weights.w_out.shape
         self.traces = [Trace.empty(steps, p.stop - p.start, h0, h1, outputs, self.dtype) for p in self.parts]
         self.runs = 0
@@ -290,7 +303,7 @@ class Workspace:
 
     @property
     def spikes(self) -> tuple[int, int]:
-        """Places for a spike in a window: neurons x steps x sequences of the encoding and of the hidden layer."""
+        """Places for a spike in a window (neurons, steps, sequences) of the encoding and hidden layer."""
         first = self.traces[0]
         return first.v0.shape[2] * self.n * self.steps, first.v1.shape[2] * self.n * self.steps
 
@@ -300,8 +313,7 @@ class _Fused(torch.autograd.Function):
     def forward(ctx, space: Workspace, carry: bool, x: Tensor, *weights: Tensor) -> tuple[Tensor, Tensor]:
         arrays = [w.detach().numpy() for w in weights]
         one = STATE_ONE if space.quantised else 1.0
-        rows = [np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[:4]]
-        rows[0] = rows[0].astype(np.float64)
+        w_in, w_ff, w_rec, w_out = (np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[:4])
         taus = tuple(tau.astype(np.float64) for tau in arrays[4:8])
         out_taus = np.concatenate(arrays[8:]).astype(np.float64)
         samples = x.detach().numpy()
@@ -309,7 +321,8 @@ class _Fused(torch.autograd.Function):
         def run(part: slice, trace: Trace) -> None:
             trace.carry() if carry else trace.rewind()
             forward_window(
-                np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64), *rows, taus, out_taus,
+                np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64),
+                w_in.astype(np.float64), w_ff, w_rec, w_out, taus, out_taus,
                 space.quantised, space.recurrent_delay,
                 trace.v0, trace.v1, trace.vo, trace.u0, trace.s0, trace.s1,
             )  # fmt: skip
@@ -337,17 +350,20 @@ class _Fused(torch.autograd.Function):
         constants = np.array([THRESHOLD, SURROGATE_WIDTH, one, 1.0, 0.0, *costs], space.dtype)
 
         def run(part: slice, trace: Trace) -> list[Floats]:
-            sums = [np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out)]
-            tau_sums = [np.zeros((2, w_in.shape[0]), space.dtype), np.zeros((2, w_ff.shape[0]), space.dtype)]
-            tau_sums.append(np.zeros(2, space.dtype))
+            g_in, g_ff, g_rec, g_out = (
+                np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out)
+            )
+            g_tau0, g_tau1 = (np.zeros((2, w.shape[0]), space.dtype) for w in (w_in, w_ff))
+            g_tau_out = np.zeros(2, space.dtype)
             backward_window(
                 np.ascontiguousarray(ctx.x[part].transpose(1, 0, 2), space.dtype),
                 np.ascontiguousarray(grad[part].transpose(1, 0, 2), space.dtype),
                 (down, w_out), tuple(taus[:4]), np.concatenate(taus[4:]), constants,
                 space.quantised, space.recurrent_delay,
-                trace.v0, trace.v1, trace.vo, trace.u0, trace.s0, trace.s1, *sums, *tau_sums,
+                trace.v0, trace.v1, trace.vo, trace.u0, trace.s0, trace.s1,
+                g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
             )  # fmt: skip
-            return [*(s.T for s in sums), *tau_sums[0], *tau_sums[1], tau_sums[2][:1], tau_sums[2][1:]]
+            return [g_in.T, g_ff.T, g_rec.T, g_out.T, *g_tau0, *g_tau1, g_tau_out[:1], g_tau_out[1:]]
 
         parts = space.each(run)
         totals = parts[0]
@@ -366,8 +382,8 @@ def attsnn(x: Tensor, weights: Weights, space: Workspace, carry: bool = False) -
         carry: Go on from the state at the end of the last window instead of from rest.
 
     Returns:
-        Output potentials in units of 1.0, shape (n, T, outputs), and the mean spikes per neuron and step of the
-        encoding and of the hidden layer, shape (2,); both carry gradients.
+        Output potentials in units of 1.0, shape (n, T, outputs), and the mean spikes per neuron and step of
+        the encoding and of the hidden layer, shape (2,); both carry gradients.
 
     Raises:
         ValueError: The batch is not of the workspace's shape.

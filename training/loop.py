@@ -91,6 +91,7 @@ class _Run:
         """Train for an epoch and validate the slow weights."""
         began, config, number = time.monotonic(), self.config, len(self.history)
         squares, rates = [], []
+        rate = _learning_rate(config, number * config.batches)
         batches = windows(
             self.flights, config.augmentation, config.batches, config.batch_size, self.steps,
             config.windows_per_stream, (config.seed, 1, number),
@@ -138,7 +139,8 @@ class _Run:
         error = estimate - self.validation.roll_pitch
         late = round(5.0 * self.validation.rate_hz)
         settled = error[:, late:] if error.shape[1] > late else error
-        return float(np.mean(error**2)), *(float(np.degrees(np.abs(e).mean())) for e in (error, settled))
+        mean, mean_settled = (float(np.degrees(np.abs(e).mean())) for e in (error, settled))
+        return float(np.mean(error**2)), mean, mean_settled
 
     def estimator(self) -> NetworkEstimator:
         """The slow weights, flown as the estimator that will ship."""

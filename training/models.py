@@ -139,9 +139,9 @@ def start_from_data(
 ) -> None:
     """A network that is solved, not trained: a leaky integrator over random features of the real input.
 
-    Encoders point in random directions of the inputs, with gains spread over more than a decade; hidden
-    neurons read a few encoders each over time constants from a step to seconds. Each layer is scaled so that its
-    currents reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
+    Encoders point in random directions of the inputs, with gains spread over a decade; hidden neurons read a
+    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
+    reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
     Engineering Framework, Eliasmith & Anderson 2003).
 
     Args:

@@ -11,7 +11,7 @@ from torch.optim import Optimizer
 
 
 class Lookahead:
-    """Slow weights that follow the fast ones: every k steps slow += α (fast - slow), and fast starts there again.
+    """Slow weights follow the fast: every k steps slow += α (fast - slow), and fast starts there again.
 
     Args:
         optimizer: Moves the fast weights, which are the parameters themselves.

@@ -1,0 +1,161 @@
+import csv
+
+import numpy as np
+import pytest
+import torch
+
+from estimators.networks import create_network
+from estimators.weights_file import load_network
+from quadsim.dataset import generate
+from quadsim.recipe import flight_config, load_recipe
+from training import loop
+from training.augment import Augmentation, augment, roll_pitch_of_up
+from training.config import TrainConfig, make_config
+from training.data import load_flights, split, windows
+from training.loop import train
+from training.loss import finished
+
+TINY = {
+    "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
+    "encoding": 20, "hidden": 16,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "tiny.zarr"
+    config = flight_config(load_recipe("hummingbird"))
+    return generate(config, flights=5, duration_s=4.0, out=path, seed=3, workers=1)
+
+
+def weights_of(folder):
+    return load_network(folder / "best.safetensors")[1]
+
+
+def same(a, b):
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name])
+
+
+def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
+    rows = []
+    result = train(
+        data=dataset, out=tmp_path / "run", progress=lambda epoch, config: rows.append(epoch),
+        **TINY | {"epochs": 8, "batches": 10},
+    )  # fmt: skip
+    assert rows[-1].train_rmse_deg < 0.9 * rows[0].train_rmse_deg
+    assert result.best.val_mse == min(row.val_mse for row in rows)
+    with (tmp_path / "run" / "log.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 8
+    assert (tmp_path / "run" / "curve.png").stat().st_size > 1000
+    config, _ = load_network(result.weights)
+    assert config.training["epoch"] == result.best.epoch + 1
+    est = create_network("att-snn-loihi", weights=result.weights)
+    assert est.update(np.zeros((1, 3)), np.array([[0.0, 0.0, 9.81]])).shape == (1, 2)
+
+
+@pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
+def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
+    choices = TINY | {"model": model, "hidden": 20}
+    train(data=dataset, out=tmp_path / "whole", **choices)
+
+    def die(epoch, config):
+        if epoch.epoch == 1:
+            raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        train(data=dataset, out=tmp_path / "cut", progress=die, **choices)
+    train(data=dataset, out=tmp_path / "cut", **choices)
+    whole, cut = (torch.load(tmp_path / run / "checkpoint.pt", weights_only=True) for run in ("whole", "cut"))
+    for name in whole["model"]:
+        np.testing.assert_array_equal(whole["model"][name], cut["model"][name])
+    same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
+
+
+def test_ctrl_c_keeps_the_best_weights(dataset, tmp_path):
+    def interrupt(epoch, config):
+        raise KeyboardInterrupt
+
+    result = train(data=dataset, out=tmp_path / "run", progress=interrupt, **TINY)
+    assert result.reason == "interrupted"
+    assert result.weights.is_file()
+
+
+def test_a_loss_that_is_not_a_number_stops_the_run(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "attitude_loss", lambda estimate, truth: estimate.sum() * float("nan"))
+    with pytest.raises(ValueError, match="the loss is nan at epoch 0, update 0"):
+        train(data=dataset, out=tmp_path / "run", **TINY)
+
+
+def test_another_configuration_does_not_overwrite_a_run(dataset, tmp_path):
+    train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
+    with pytest.raises(ValueError, match="holds a run with another configuration"):
+        train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 2})
+
+
+def test_bad_choices_give_one_clear_line(tmp_path):
+    with pytest.raises(ValueError, match="no preset 'fast', there are paper, best"):
+        make_config("fast", data="x.zarr")
+    with pytest.raises(ValueError, match="no field 'epoch', the nearest is 'epochs'"):
+        make_config(data="x.zarr", epoch=3)
+    with pytest.raises(ValueError, match=r"training: batch_size = 0: .*greater than or equal to 1"):
+        make_config(data="x.zarr", batch_size=0)
+    with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
+        train(data=tmp_path / "none.zarr", out=tmp_path / "run")
+
+
+def test_every_field_is_documented():
+    assert all(field.description for field in TrainConfig.model_fields.values())
+
+
+def test_windows_of_a_stream_follow_one_another(dataset):
+    flights = load_flights([dataset])
+    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0)
+    batches = list(windows(flights, quiet, 4, 3, 100, 2, (0, 1)))
+    assert [batch.carry for batch in batches] == [False, True, False, True]
+    long = next(windows(flights, quiet, 1, 3, 200, 1, (0, 1)))
+    np.testing.assert_array_equal(np.concatenate([b.gyro for b in batches[:2]], 1), long.gyro)
+    again = list(windows(flights, quiet, 4, 3, 100, 2, (0, 1)))
+    np.testing.assert_array_equal(batches[3].accel, again[3].accel)
+
+
+def test_split_has_every_flight_once():
+    parts = split(35, seed=0)
+    assert [len(p) for p in parts] == [24, 7, 4]
+    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(35))
+
+
+def test_symmetry_keeps_kinematics_and_gravity(dataset):
+    flights = load_flights([dataset])
+    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, yaw_symmetry=True)
+    rng = np.random.default_rng(0)
+    rate, force, up = (getattr(flights, k).astype(float) for k in ("ang_vel", "specific_force", "up"))
+    gyro, accel, turned = augment(rate, force, up, quiet, 200.0, rng)
+    np.testing.assert_allclose((accel * turned).sum(-1), (force * up).sum(-1), atol=1e-5)
+    # d up / dt = up x rate, in the turned axes as in the old ones.
+    slope = (turned[:, 2:] - turned[:, :-2]) * 100.0
+    residual = slope - np.cross(turned, gyro)[:, 1:-1]
+    assert np.abs(residual).max() < 0.1 * np.abs(slope).max()
+    assert not np.allclose(turned, up)
+
+
+def test_noise_has_the_density_that_is_asked_for():
+    zero = np.zeros((20, 2000, 3), np.float32)
+    both = Augmentation(gyro_noise=0.01, accel_noise=0.02, gyro_bias=0.1, accel_bias=0.3)
+    gyro, accel, _ = augment(zero, zero, zero, both, 200.0, np.random.default_rng(0))
+    for signal, density, bias in ((gyro, 0.01, 0.1), (accel, 0.02, 0.3)):
+        np.testing.assert_allclose(signal.std(1).mean(), density * np.sqrt(200), rtol=0.02)
+        np.testing.assert_allclose(signal.mean(1).std(), bias, rtol=0.3)
+
+
+def test_roll_and_pitch_of_up():
+    up = np.array([-np.sin(0.3), np.sin(0.2) * np.cos(0.3), np.cos(0.2) * np.cos(0.3)])
+    np.testing.assert_allclose(roll_pitch_of_up(up), [0.2, 0.3])
+
+
+def test_stopping_rules_of_the_paper():
+    falling = list(np.linspace(1, 0.5, 60))
+    assert finished(falling) is None
+    assert finished([*falling, *[0.6] * 50]) == "the lowest validation loss is 50 epochs old"
+    assert "20-epoch average" in str(finished([*falling, *[0.9] * 20]))

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+import torch
+
+from training.optim import Lookahead
+
+
+def start():
+    torch.manual_seed(0)
+    weights = torch.nn.Parameter(torch.randn(5))
+    return weights, Lookahead(torch.optim.Adam([weights], lr=0.1), k=3, alpha=0.5)
+
+
+def descend(weights, optimiser, steps):
+    for _ in range(steps):
+        optimiser.zero_grad()
+        (weights.square().sum() + weights.sum()).backward()
+        optimiser.step()
+
+
+def test_slow_weights_go_half_way_every_k_steps():
+    weights = torch.nn.Parameter(torch.tensor([0.0]))
+    optimiser = Lookahead(torch.optim.SGD([weights], lr=1.0), k=2, alpha=0.5)
+    seen = []
+    for _ in range(4):
+        weights.grad = torch.tensor([-1.0])
+        optimiser.step()
+        seen.append(weights.item())
+    assert seen == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_evaluated_weights_are_the_slow_ones():
+    weights, optimiser = start()
+    before = weights.detach().clone()
+    descend(weights, optimiser, 2)
+    fast = weights.detach().clone()
+    with optimiser.evaluated():
+        torch.testing.assert_close(weights.detach(), before)
+    torch.testing.assert_close(weights.detach(), fast)
+
+
+@pytest.mark.parametrize("saved_after", [3, 4])
+def test_resumed_run_is_the_same_bit_for_bit(saved_after, tmp_path):
+    weights, optimiser = start()
+    descend(weights, optimiser, saved_after)
+    torch.save({"w": weights.detach(), "o": optimiser.state_dict()}, tmp_path / "x.pt")
+    descend(weights, optimiser, 7)
+    again, resumed = start()
+    state = torch.load(tmp_path / "x.pt", weights_only=True)
+    with torch.no_grad():
+        again.copy_(state["w"])
+    resumed.load_state_dict(state["o"])
+    descend(again, resumed, 7)
+    np.testing.assert_array_equal(again.detach(), weights.detach())
+
+
+@pytest.mark.parametrize(("k", "alpha"), [(0, 0.5), (6, 0.0), (6, 1.5)])
+def test_values_out_of_range_are_refused(k, alpha):
+    with pytest.raises(ValueError, match=r"k: 0|alpha"):
+        Lookahead(torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=1.0), k, alpha)
