@@ -5,7 +5,7 @@ const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 const RAD = Math.PI / 180;
 
 /* One colour per estimator, the same in every chart; after Paul Tol's and Okabe & Ito's colour-blind safe sets. */
-const PALETTE = ["#8a8f98", "#0072b2", "#56b4e9", "#e69f00", "#009e73", "#7b5cd6", "#b294e8", "#cc79a7", "#b8860b", "#8f7a1d", "#117a65", "#a23b72", "#e4572e", "#d55e00"];
+const PALETTE = ["#8a8f98", "#0072b2", "#56b4e9", "#e69f00", "#009e73", "#7b5cd6", "#b294e8", "#cc79a7", "#a6761d", "#c9a27a", "#12aebd", "#7f9f2f", "#ff8a75", "#d62728"];
 const DASHES = [[], [7, 3], [2, 2]]; // the palette a second and a third time over
 const colour = Object.fromEntries(data.estimators.map((name, i) => [name, PALETTE[i % PALETTE.length]]));
 const dash = Object.fromEntries(data.estimators.map((name, i) => [name, DASHES[Math.floor(i / PALETTE.length) % DASHES.length]]));
