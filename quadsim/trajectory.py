@@ -75,7 +75,7 @@ class Waypoints(Strict):
 
 
 class Mix(Strict):
-    """Random aggressive flight that fills the envelope: dashes, circles, stops and turns of the heading.
+    """Random aggressive flight that fills the envelope: dashes, circles, jumps, stops and turns.
 
     A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
     up to `max_tilt_deg`, so roll and pitch spread over about 0.25 rad.
@@ -92,6 +92,12 @@ class Mix(Strict):
     )
     circle_share: float = Field(
         default=0.25, ge=0, le=1, description="Share of circles among the manoeuvres."
+    )
+    circle_s: tuple[Positive, Positive] = Field(
+        default=(1.6, 3.5), description="Range of the period of a circle [s]."
+    )
+    jump_share: float = Field(
+        default=0.0, ge=0, le=1, description="Share of jumps of the set-point, by 0.5 to 2.5 m."
     )
     pause_share: float = Field(
         default=0.1, ge=0, le=1, description="Share of hovering pauses, of 0.2 to 1.5 s."
@@ -249,9 +255,9 @@ def _from_file(path: Path, time: Array) -> Array:
 
 # --- random manoeuvres: a table of segments, flown by one compiled function ---
 
-# columns: start, length [s], kind (0 dash, 1 circle, 2 pause), then for a dash its displacement (3),
+# columns: start, length [s], kind, then for a dash or a jump its displacement (3),
 # for a circle its two axis vectors (3 + 3) and angular frequency
-_DASH, _CIRCLE, _PAUSE = 0.0, 1.0, 2.0
+_DASH, _CIRCLE, _PAUSE, _JUMP = 0.0, 1.0, 2.0, 3.0
 _DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
 
 
@@ -267,7 +273,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
             length = rng.uniform(0.2, 1.5)
             row = [clock, length, _PAUSE]
         elif draw < spec.pause_share + spec.circle_share:
-            turns, period = int(rng.integers(1, 4)), rng.uniform(1.6, 3.5)
+            turns, period = int(rng.integers(1, 4)), rng.uniform(*spec.circle_s)
             length, omega = (turns + 2) * period, 2 * np.pi / period
             radius = 0.7 * lateral / omega**2  # the window adds to the acceleration
             axes = radius * np.array(
@@ -275,6 +281,11 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
             )
             flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
             row = [clock, length, _CIRCLE, *axes[0], bob, *(flat * axes[1]), -bob, omega]
+        elif draw < spec.pause_share + spec.circle_share + spec.jump_share:
+            length, reach = rng.uniform(2.0, 4.0), rng.uniform(0.5, 2.5)
+            move = reach * np.array([math.cos(heading), math.sin(heading), rng.uniform(-0.3, 0.3)])
+            where = where + move
+            row = [clock, length, _JUMP, *move]
         else:
             length = rng.uniform(*spec.dash_s)
             if np.linalg.norm(where[:2]) > spec.radius:
@@ -328,7 +339,7 @@ def _fly_segments(segments, turns, time, out):
     seg, turn, heading = 0, 0, 0.0
     for k in range(time.size):
         while seg < segments.shape[0] and time[k] >= segments[seg, 0] + segments[seg, 1]:
-            if segments[seg, 2] == _DASH:
+            if segments[seg, 2] == _DASH or segments[seg, 2] == _JUMP:
                 base += segments[seg, 3:6]
             seg += 1
         out[k, :3] = base
@@ -342,6 +353,9 @@ def _fly_segments(segments, turns, time, out):
                     out[k, i] += row[3 + i] * value
                     out[k, 3 + i] = row[3 + i] * slope / length
                     out[k, 6 + i] = row[3 + i] * bend / length**2
+            elif row[2] == _JUMP:
+                for i in range(3):
+                    out[k, i] += row[3 + i]
             elif row[2] == _CIRCLE:
                 # the window rises over the first quarter of the segment and falls over the last
                 edge, sign = 4.0 * min(s, 1.0 - s), (1.0 if s < 0.5 else -1.0)
