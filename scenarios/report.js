@@ -80,7 +80,7 @@ function closedLoop() {
   zoomable($("plot"));
   turnable($("stage"));
   player();
-  addEventListener("resize", redraw);
+  for (const change of ["resize", "beforeprint", "afterprint"]) addEventListener(change, redraw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(state.scenario);
   drawMap();
