@@ -28,7 +28,7 @@ def sequence(states, params, dt, gyro, accel, out, target, squared_error):
         k_a = params[row // n, 1] if params.shape[1] > 1 else 0.0
         s, i = states[row], row % n
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable(s, dt, gyro[i, t], accel[i, t])
+            gx, gy, gz, ax, ay, az = usable(s, dt, gyro, accel, i, t)
             roll, pitch = s[ROLL] + gx * dt, s[PITCH] + gy * dt
             if ax != 0.0 or ay != 0.0 or az != 0.0:
                 acc_roll, acc_pitch = tilt_of_force_core(ax, ay, az)

@@ -25,7 +25,7 @@ SIGMA_UNKNOWN = 0.5
 QUAT, COVARIANCE, SIZE = COMMON, COMMON + 4, 20
 
 
-@njit(cache=True)
+@njit
 def predict(q, P, F, FP, gx, gy, gz, dt, noise):
     """Advance quaternion q (4,) and covariance P (4, 4) by one sample; F and FP are scratch (4, 4)."""
     c, x, y, z = from_rotvec_core(gx * dt, gy * dt, gz * dt)
@@ -45,7 +45,7 @@ def predict(q, P, F, FP, gx, gy, gz, dt, noise):
         P[i, i] += noise
 
 
-@njit(cache=True)
+@njit
 def correct(q, P, H, dx, ax, ay, az, variance):
     """Correct q (4,) and P (4, 4) by a specific force, axis by axis; H (3, 4) and dx (4,) are scratch.
 
@@ -90,7 +90,7 @@ def sequence(states, params, dt, gyro, accel, out, target, squared_error):
         s, i = states[row], row % n
         q, P = s[QUAT : QUAT + 4], s[COVARIANCE : COVARIANCE + 16].reshape(4, 4)
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro[i, t], accel[i, t])
+            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
             predict(q, P, F, FP, gx, gy, gz, dt, walk)
             if ax != 0.0 or ay != 0.0 or az != 0.0:
                 correct(q, P, H, dx, ax, ay, az, variance)

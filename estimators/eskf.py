@@ -27,7 +27,7 @@ from .sample import COMMON, record, roll_pitch_core, usable_between
 QUAT, BIAS, COVARIANCE, SIZE = COMMON, COMMON + 4, COMMON + 7, 32
 
 
-@njit(cache=True)
+@njit
 def tilt_core(x, y, z):
     """Rotation vector x, y [rad] that takes a world vector to the z axis the short way; any length."""
     across = math.sqrt(x * x + y * y)
@@ -35,7 +35,7 @@ def tilt_core(x, y, z):
     return y * scale, -x * scale
 
 
-@njit(cache=True)
+@njit
 def turned(qw, qx, qy, qz, x, y):
     """The quaternion after a small rotation (x, y, 0) [rad] about world axes."""
     rw, rx, ry, rz = from_rotvec_core(x, y, 0.0)
@@ -43,7 +43,7 @@ def turned(qw, qx, qy, qz, x, y):
     return normalize_core(w, x, y, z)
 
 
-@njit(cache=True)
+@njit
 def propagate(P, qw, qx, qy, qz, dt, attitude_walk, bias_walk):
     """P ← F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]], the rows and columns of θ one after the other."""
     r00, r01, r02, r10, r11, r12, _, _, _ = matrix_core(qw, qx, qy, qz)
@@ -70,7 +70,7 @@ def sequence(states, params, dt, gyro, accel, out, target, squared_error):
         s, i = states[row], row % n
         P = s[COVARIANCE : COVARIANCE + 25].reshape(5, 5)
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro[i, t], accel[i, t])
+            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
             dw, dqx, dqy, dqz = from_rotvec_core(
                 (gx - s[BIAS]) * dt, (gy - s[BIAS + 1]) * dt, (gz - s[BIAS + 2]) * dt
             )

@@ -85,7 +85,7 @@ class Algorithm:
     gyro_bias: slice | None = None
     """Those that hold the gyroscope's bias."""
     velocity: slice | None = None
-    """Those that hold the air-relative velocity, world axes at the filter's own yaw."""
+    """Those that hold the velocity, world axes at the filter's own heading."""
 
 
 class Filter:
@@ -167,7 +167,7 @@ class Filter:
 
     @property
     def velocity(self) -> Array:
-        """Estimated velocity through the air, in the world axes of `quat`, (n, 3) [m/s]."""
+        """Estimated velocity in the world axes of `quat`, (n, 3) [m/s]."""
         return self._part("velocity", "a velocity")
 
     def _part(self, attribute: str, what: str) -> Array:

@@ -19,7 +19,7 @@ from .sample import COMMON, record, roll_pitch_core, usable
 QUAT, SIZE = COMMON, 4
 
 
-@njit(cache=True)
+@njit
 def descent(qw, qx, qy, qz, ax, ay, az):
     """Direction of steepest ascent Jᵀf / ‖Jᵀf‖ at q; zero where the gradient or the specific force is."""
     force = math.sqrt(ax * ax + ay * ay + az * az)
@@ -46,7 +46,7 @@ def sequence(states, params, dt, gyro, accel, out, target, squared_error):
         beta = params[row // n, 0]
         s, i = states[row], row % n
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable(s, dt, gyro[i, t], accel[i, t])
+            gx, gy, gz, ax, ay, az = usable(s, dt, gyro, accel, i, t)
             qw, qx, qy, qz = s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3]
             dw, dx, dy, dz = multiply_core(qw, qx, qy, qz, 0.0, 0.5 * gx, 0.5 * gy, 0.5 * gz)
             gw, gx, gy, gz = descent(qw, qx, qy, qz, ax, ay, az)

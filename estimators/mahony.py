@@ -27,7 +27,7 @@ def sequence(states, params, dt, gyro, accel, out, target, squared_error):
         k_p, k_i = params[row // n, 0], params[row // n, 1]
         s, i = states[row], row % n
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable(s, dt, gyro[i, t], accel[i, t])
+            gx, gy, gz, ax, ay, az = usable(s, dt, gyro, accel, i, t)
             qw, qx, qy, qz = s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3]
             ex = ey = ez = 0.0
             force = math.sqrt(ax * ax + ay * ay + az * az)

@@ -154,17 +154,15 @@ def run_batch(
         Roll and pitch (p, n, T, 2) [rad].
     """
     gyro, accel = paired(gyro, accel)
-    sets = parameter_sets(params)
     if name not in COMPILED:
-        return np.stack(
-            [run(create(name, rate_hz, tuning=None, **each), gyro, accel, roll_pitch) for each in sets]
-        )
-    matrix = parameter_matrix(name, sets, rate_hz)
+        estimators = [create(name, rate_hz, tuning=None, **each) for each in parameter_sets(params)]
+        return np.stack([run(est, gyro, accel, roll_pitch) for est in estimators])
+    matrix = parameter_matrix(name, params, rate_hz)
     states = start(COMPILED[name], matrix, len(gyro), roll_pitch)
     out = np.empty((len(states), gyro.shape[1], 2))
     none = np.empty((len(gyro), 0, 2))
     COMPILED[name].sequence(states, matrix, 1.0 / rate_hz, gyro, accel, out, none, NOT_SUMMED)
-    return out.reshape(len(sets), *gyro.shape[:2], 2)
+    return out.reshape(len(matrix), *gyro.shape[:2], 2)
 
 
 def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
@@ -182,9 +180,9 @@ def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
     return [dict(zip(params, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
 
 
-def parameter_matrix(name: str, sets: list[dict[str, float]], rate_hz: float) -> Array:
-    """All parameters of a compiled filter, (p, k), with the defaults filled in."""
-    return np.array([list(_values(name, rate_hz, each, None).values()) for each in sets])
+def parameter_matrix(name: str, params: Mapping[str, ArrayLike], rate_hz: float) -> Array:
+    """All parameters of p sets of a compiled filter, (p, k), with the defaults filled in."""
+    return np.array([list(_values(name, rate_hz, each, None).values()) for each in parameter_sets(params)])
 
 
 def _known(name: str) -> None:

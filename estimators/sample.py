@@ -18,8 +18,8 @@ HOLD_S = 0.1
 """A missing gyroscope sample is replaced by the last good one for this long [s], and after that by zero."""
 
 
-@njit(cache=True)
-def usable(state, dt, gyro, accel):
+@njit
+def usable(state, dt, gyro, accel, i, t):
     """The sample to use for one that may be missing: rate held, specific force zero for "no correction".
 
     Missing is what is not finite, and a specific force of exactly zero, which no working sensor on a vehicle
@@ -28,14 +28,16 @@ def usable(state, dt, gyro, accel):
     Args:
         state: The vehicle's row; its common columns are updated.
         dt: Sample period [s].
-        gyro: Body rate (3,) [rad/s].
-        accel: Specific force (3,) [m/s²].
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force (n, T, 3) [m/s²].
+        i: Flight.
+        t: Sample.
 
     Returns:
         Rate x, y, z and specific force x, y, z.
     """
-    gx, gy, gz = gyro[0], gyro[1], gyro[2]
-    ax, ay, az = accel[0], accel[1], accel[2]
+    gx, gy, gz = gyro[i, t, 0], gyro[i, t, 1], gyro[i, t, 2]
+    ax, ay, az = accel[i, t, 0], accel[i, t, 1], accel[i, t, 2]
     rate_found = math.isfinite(gx) and math.isfinite(gy) and math.isfinite(gz)
     force = ax * ax + ay * ay + az * az
     force_found = math.isfinite(force) and force > 0.0
@@ -53,38 +55,67 @@ def usable(state, dt, gyro, accel):
     return gx, gy, gz, ax, ay, az
 
 
-@njit(cache=True)
-def usable_between(state, dt, gyro, accel):
+@njit
+def usable_between(state, dt, gyro, accel, i, t):
     """As `usable`, with the mean of this rate and the last: the trapezoidal rule from sample to sample."""
     known = state[AGE] <= HOLD_S
     last_x, last_y, last_z = state[RATE_X], state[RATE_Y], state[RATE_Z]
-    gx, gy, gz, ax, ay, az = usable(state, dt, gyro, accel)
+    gx, gy, gz, ax, ay, az = usable(state, dt, gyro, accel, i, t)
     if known:
         return 0.5 * (last_x + gx), 0.5 * (last_y + gy), 0.5 * (last_z + gz), ax, ay, az
     return gx, gy, gz, ax, ay, az
 
 
-@njit(cache=True)
+@njit
+def atan2_core(y, x):
+    """atan2 to one unit in the last place, compiled inline: twice as fast as a call of the C library.
+
+    Rational approximation of Cephes (S. Moshier, `atan.c`) on [0, tan π/8] after a turn by 0, 45 or 90°.
+    """
+    across, along = abs(y), abs(x)
+    if across > 2.414213562373095 * along:
+        top, bottom, turn = -along, across, 0.5 * math.pi
+    elif across > 0.41421356237309503 * along:
+        top, bottom, turn = across - along, across + along, 0.25 * math.pi
+    else:
+        top, bottom, turn = across, along, 0.0
+    r = top / bottom if bottom != 0.0 else 0.0
+    z = r * r
+    p = -8.750608600031904e-1 * z - 1.615753718733365e1
+    p = ((p * z - 7.500855792314705e1) * z - 1.228866684490136e2) * z - 6.485021904942025e1
+    q = ((z + 2.485846490142306e1) * z + 1.650270098316989e2) * z + 4.328810604912903e2
+    q = (q * z + 4.853903996359137e2) * z + 1.945506571482614e2
+    angle = turn + (r + r * z * p / q)
+    if x < 0.0:
+        angle = math.pi - angle
+    return angle if y >= 0.0 else -angle
+
+
+@njit
 def roll_pitch_core(qw, qx, qy, qz):
     """Roll and pitch of a quaternion [rad], without the yaw that `euler_core` also works out."""
     across = 2.0 * (qy * qz + qw * qx)
     up = qw * qw - qx * qx - qy * qy + qz * qz
-    return math.atan2(across, up), math.atan2(2.0 * (qw * qy - qx * qz), math.sqrt(across * across + up * up))
+    return atan2_core(across, up), atan2_core(2.0 * (qw * qy - qx * qz), math.sqrt(across * across + up * up))
 
 
-@njit(cache=True)
+@njit
 def tilt_of_force_core(ax, ay, az):
     """Roll and pitch at which gravity alone would give this specific force [rad]."""
-    return math.atan2(ay, az), math.atan2(-ax, math.sqrt(ay * ay + az * az))
+    return atan2_core(ay, az), atan2_core(-ax, math.sqrt(ay * ay + az * az))
 
 
-@njit(cache=True)
+@njit
 def wrap_core(angle):
-    """The same angle within ±π [rad]."""
-    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+    """The same angle within ±π, for one within ±3π [rad]."""
+    if angle > math.pi:
+        return angle - 2.0 * math.pi
+    if angle < -math.pi:
+        return angle + 2.0 * math.pi
+    return angle
 
 
-@njit(cache=True)
+@njit
 def record(row, flight, t, roll, pitch, out, target, squared_error):
     """Store an estimate, add its squared error to the row's sum, or both: whichever arrays have any samples.
 
@@ -125,9 +156,9 @@ def clean(states, dt, gyro, accel, gyro_out, accel_out, between):
     for i in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
             if between:
-                gx, gy, gz, ax, ay, az = usable_between(states[i], dt, gyro[i, t], accel[i, t])
+                gx, gy, gz, ax, ay, az = usable_between(states[i], dt, gyro, accel, i, t)
             else:
-                gx, gy, gz, ax, ay, az = usable(states[i], dt, gyro[i, t], accel[i, t])
+                gx, gy, gz, ax, ay, az = usable(states[i], dt, gyro, accel, i, t)
             gyro_out[i, t, 0], gyro_out[i, t, 1], gyro_out[i, t, 2] = gx, gy, gz
             accel_out[i, t, 0], accel_out[i, t, 1], accel_out[i, t, 2] = ax, ay, az
 

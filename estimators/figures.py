@@ -1,0 +1,66 @@
+"""Figures of the offline comparison. Each function returns a matplotlib figure that the caller saves."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .evaluate import OFFSETS_DEG, SETTLED_DEG, Evaluation
+
+COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
+
+
+def violins(evaluation: Evaluation) -> Figure:
+    """Distribution over sequences of the mean absolute error, one violin an estimator and start."""
+    names = list(dict.fromkeys(row.estimator for row in evaluation.rows))
+    starts = list(dict.fromkeys(row.initial for row in evaluation.rows))
+    figure = Figure(figsize=(1.5 + 0.9 * len(names), 4.2), layout="constrained")
+    axes = figure.subplots()
+    width = 0.8 / len(starts)
+    for k, start in enumerate(starts):
+        places = np.arange(len(names)) + (k - 0.5 * (len(starts) - 1)) * width
+        data = [evaluation.sequences[name, start] for name in names]
+        parts = axes.violinplot(data, positions=places, widths=0.9 * width, showmedians=True)
+        for body in parts["bodies"]:  # type: ignore[union-attr]  # matplotlib's stub names one collection
+            body.set(facecolor=COLOURS[start], alpha=0.5)
+        for part in ("cmedians", "cmins", "cmaxes", "cbars"):
+            parts[part].set(color=COLOURS[start], linewidth=1.0)
+        axes.plot([], [], color=COLOURS[start], linewidth=6.0, alpha=0.5, label=f"{start} start")
+    axes.set_xticks(np.arange(len(names)), names, rotation=35, ha="right")
+    axes.set(ylabel="mean absolute error of roll and pitch [°]", yscale="log")
+    axes.grid(axis="y", which="both", alpha=0.3)
+    axes.legend(frameon=False)
+    return figure
+
+
+def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
+    """Absolute error of roll and pitch over time: the median flight, and the middle half of the flights."""
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for k, ((name, start), error) in enumerate(evaluation.over_time.items()):
+        if start != initial:
+            continue
+        low, middle, high = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
+        (line,) = axes.plot(evaluation.time_s, middle, label=name, linestyle="-" if k < 20 else "--")
+        axes.fill_between(evaluation.time_s, low, high, color=line.get_color(), alpha=0.12, linewidth=0.0)
+    _finish(axes, f"absolute error, {initial} start [°]")
+    return figure
+
+
+def settling(evaluation: Evaluation) -> Figure:
+    """Decay of an initial tilt error: inclination error of the median flight, one panel an initial error."""
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    panels = figure.subplots(1, len(OFFSETS_DEG), sharey=True)
+    for axes, offset in zip(panels, OFFSETS_DEG, strict=True):
+        for (name, start), curve in evaluation.settling.items():
+            if start == offset:
+                axes.plot((np.arange(curve.size) + 1) / evaluation.rate_hz, curve, label=name, linewidth=1.0)
+        axes.axhline(SETTLED_DEG, color="black", linewidth=0.8, linestyle=":")
+        axes.set_title(f"starting {offset:.0f}° wrong")
+        _finish(axes, "inclination error [°]")
+    return figure
+
+
+def _finish(axes: Axes, label: str) -> None:
+    axes.set(xlabel="time [s]", ylabel=label, yscale="log")
+    axes.grid(which="both", alpha=0.3)
+    axes.legend(frameon=False, ncols=2, fontsize="small")

@@ -1,0 +1,254 @@
+"""Tuning: search the parameters of a filter that estimates best on training flights.
+
+The search lives in the unit cube; `Parameter.at` maps each coordinate to a parameter, mostly by factors
+between `low` and `high`. The cost is that of the paper (Stroobants, Dupeyroux, de Croon 2022): the mean
+squared error of roll and pitch per sample [rad²], averaged over flights, and 10 more for a position outside
+the cube, which is scored at the nearest point inside.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import OptimizeResult, differential_evolution
+
+from quadsim.vehicle import Vehicle
+
+from .ekf_drag import drag_of
+from .filters import start
+from .flights import Flights, Initial, load_flights
+from .metrics import absolute_error
+from .protocol import COMPILED, parameter_matrix, parameters, run_batch
+from .tuned import Tuned, load_tuning, to_toml
+
+Array = NDArray[np.float64]
+Cost = Callable[[Array], Array]
+Progress = Callable[[int, int, float], None]
+"""progress(iterations done, iterations in all, lowest cost so far [rad²])."""
+
+PENALTY = 10.0
+"""Added to the cost of a position outside the unit cube."""
+FIRST_SPEED = 0.1
+"""Initial velocities of the swarm are even in ± this."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a search in the unit cube."""
+
+    position: Array
+    """(d,)."""
+    cost: float
+    history: list[float]
+    """Lowest cost after each iteration."""
+    evaluations: int
+
+
+def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flights, workers: int = 1) -> Array:
+    """Cost of p parameter sets [rad²], shape (p,).
+
+    Args:
+        name: Estimator.
+        sets: Parameter name to values (p,); the others keep their default.
+        flights: What to score on.
+        workers: Threads that share the parameter sets of a compiled filter.
+    """
+    p = len(np.atleast_1d(next(iter(sets.values()))))
+    if name not in COMPILED:
+        return np.concatenate([_error_of_run(name, sets, flights, k) for k in range(p)])
+    matrix = parameter_matrix(name, sets, flights.rate_hz)
+    chunks = np.array_split(matrix, min(workers, p))
+    with ThreadPoolExecutor(len(chunks)) as pool:
+        return np.concatenate(list(pool.map(lambda chunk: _error_of_sets(name, chunk, flights), chunks)))
+
+
+def _error_of_sets(name: str, matrix: Array, flights: Flights) -> Array:
+    """All parameter sets × flights in one compiled call that keeps only sums and no interpreter lock."""
+    n = len(flights.gyro)
+    states = start(COMPILED[name], matrix, n, flights.start)
+    total, nothing = np.zeros(len(states)), np.empty((len(states), 0, 2))
+    COMPILED[name].sequence(
+        states, matrix, 1.0 / flights.rate_hz, flights.gyro, flights.accel, nothing, flights.truth, total
+    )
+    scored = np.isfinite(flights.truth).sum(axis=(1, 2))
+    return (total.reshape(-1, n) / scored).mean(axis=1)
+
+
+def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k: int) -> Array:
+    one = {key: np.atleast_1d(column)[k : k + 1] for key, column in sets.items()}
+    estimate = run_batch(name, one, flights.gyro, flights.accel, flights.rate_hz, flights.start)[0]
+    error = np.radians(absolute_error(estimate, flights.truth))
+    return np.nanmean(error**2, axis=(1, 2)).mean(keepdims=True)
+
+
+def swarm(
+    cost: Cost,
+    dimensions: int,
+    *,
+    particles: int = 100,
+    iterations: int = 50,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Found:
+    """Particle swarm in the unit cube (Shi & Eberhart 1998), with the paper's weights.
+
+    v ← w v + c1 r1 (own best − x) + c2 r2 (swarm's best − x),  x ← x + v;  w = 0.8, c1 = 0.15, c2 = 0.05.
+
+    Args:
+        cost: Positions inside the cube (p, d) -> costs (p,).
+        dimensions: d.
+        particles: Size of the swarm.
+        iterations: Evaluations of the whole swarm.
+        seed: Of the random numbers.
+        progress: Called after every iteration.
+    """
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0.0, 1.0, (particles, dimensions))
+    v = rng.uniform(-FIRST_SPEED, FIRST_SPEED, x.shape)
+    own, own_cost = x.copy(), np.full(particles, np.inf)
+    history: list[float] = []
+    for iteration in range(iterations):
+        inside = np.clip(x, 0.0, 1.0)
+        now = cost(inside) + PENALTY * np.any(x != inside, axis=1)
+        better = now < own_cost
+        own[better], own_cost[better] = inside[better], now[better]
+        best = own[np.argmin(own_cost)]
+        history.append(float(own_cost.min()))
+        if progress is not None:
+            progress(iteration + 1, iterations, history[-1])
+        r1, r2 = rng.uniform(0.0, 1.0, (2, particles, dimensions))
+        v = 0.8 * v + 0.15 * r1 * (own - x) + 0.05 * r2 * (best - x)
+        x = x + v
+    return Found(own[np.argmin(own_cost)], float(own_cost.min()), history, particles * iterations)
+
+
+def evolution(
+    cost: Cost,
+    dimensions: int,
+    *,
+    particles: int = 100,
+    iterations: int = 50,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Found:
+    """The search of `swarm` by scipy's differential evolution: a check that the swarm is not stuck."""
+    history: list[float] = []
+    evaluations = 0
+
+    def counted(x: Array) -> Array:
+        nonlocal evaluations
+        evaluations += x.shape[1]
+        return cost(np.clip(x.T, 0.0, 1.0))
+
+    def report(intermediate_result: OptimizeResult) -> None:
+        history.append(float(intermediate_result.fun))
+        if progress is not None:
+            progress(len(history), iterations, history[-1])
+
+    result = differential_evolution(
+        counted,
+        [(0.0, 1.0)] * dimensions,
+        popsize=max(1, particles // dimensions),
+        maxiter=iterations,
+        rng=seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        callback=report,
+    )
+    return Found(np.asarray(result.x), float(result.fun), history, evaluations)
+
+
+SEARCHES = {"swarm": swarm, "evolution": evolution}
+
+
+def tune(
+    name: str,
+    datasets: Sequence[xr.Dataset],
+    *,
+    particles: int = 100,
+    iterations: int = 50,
+    seed: int = 0,
+    initial: Initial = "unknown",
+    search: Literal["swarm", "evolution"] = "swarm",
+    flights: int | None = None,
+    workers: int = 1,
+    command: str = "estimators.tuning.tune",
+    progress: Progress | None = None,
+) -> Tuned:
+    """Tune one estimator on recorded flights.
+
+    Args:
+        name: Estimator with parameters to search.
+        datasets: Training flights; constants of the vehicle and IMU come from the first.
+        particles: Parameter sets tried at once.
+        iterations: How often.
+        seed: Of the search.
+        initial: Whether the filter is told the attitude it starts at.
+        search: Particle swarm, or differential evolution.
+        flights: How many flights of each dataset to use; None for all.
+        workers: Threads.
+        command: What to write into the result as its origin.
+        progress: Called after every iteration.
+
+    Raises:
+        ValueError: For an estimator without parameters to search, or a dataset that is not one.
+    """
+    searched = [key for key, each in parameters(name).items() if each.searched]
+    if not searched:
+        raise ValueError(f"{name} has no parameters to tune")
+    data, constants = load_flights(datasets, flights), known_constants(name, datasets[0])
+    if initial == "known":
+        data = data.known()
+
+    def values(positions: Array) -> dict[str, Array]:
+        found = {key: parameters(name)[key].at(x) for key, x in zip(searched, positions.T, strict=True)}
+        return found | {key: np.full(len(positions), value) for key, value in constants.items()}
+
+    found = SEARCHES[search](
+        lambda positions: mean_squared_error(name, values(positions), data, workers),
+        len(searched),
+        particles=particles,
+        iterations=iterations,
+        seed=seed,
+        progress=progress,
+    )
+    return Tuned(
+        command=command,
+        rate_hz=data.rate_hz,
+        rmse_deg=round(float(np.degrees(np.sqrt(found.cost))), 6),
+        evaluations=found.evaluations,
+        values={key: float(f"{value[0]:.6g}") for key, value in values(found.position[None]).items()},
+    )
+
+
+def known_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
+    """Parameters known of the vehicle and its IMU rather than searched, from the dataset's configuration."""
+    if name != "ekf-drag" or "config" not in dataset.attrs:
+        return {}
+    config = json.loads(dataset.attrs["config"])
+    imu = config["imu"]
+    return drag_of(Vehicle.model_validate(config["vehicle"])) | {
+        "bias_sigma": float(imu["gyro"]["turn_on"]),
+        "accel_bias_sigma": float(imu["accel"]["turn_on"]),
+    }
+
+
+def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
+    """Put one estimator's table into a tuning file; the other tables of the file stay.
+
+    Args:
+        path: TOML file, made if it is not there.
+        name: Estimator.
+        tuned: Its parameters.
+        comment: Text for the top of the file.
+    """
+    tables = load_tuning(path) if path.exists() else {}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(to_toml(tables | {name: tuned}, comment), encoding="utf-8")
