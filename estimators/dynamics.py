@@ -54,11 +54,17 @@ def _list_spikes(v, threshold, spikes):
 
 @njit(cache=True, inline="always")
 def _add_rows(total, weights, spikes):
-    """Add the rows of `weights` that belong to the neurons that spiked."""
-    for k in range(1, 1 + spikes[0]):
-        row = weights[spikes[k]]
+    """Add the rows of `weights` that belong to the neurons that spiked, four at a time."""
+    count = spikes[0]
+    whole = count - count % 4
+    for k in range(1, 1 + whole, 4):
+        j0, j1, j2, j3 = spikes[k], spikes[k + 1], spikes[k + 2], spikes[k + 3]
         for i in range(total.shape[0]):
-            total[i] += row[i]
+            total[i] += (weights[j0, i] + weights[j1, i]) + (weights[j2, i] + weights[j3, i])
+    for k in range(1 + whole, 1 + count):
+        j0 = spikes[k]
+        for i in range(total.shape[0]):
+            total[i] += weights[j0, i]
 
 
 @njit(cache=True, inline="always")

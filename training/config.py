@@ -45,6 +45,9 @@ class TrainConfig(Strict):
     start: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
 
+    init: str = ""
+    """Weights file of the same model and size to start from, in place of `start`."""
+
     optimiser_lr: float = Field(default=0.005, gt=0)
     """Learning rate of Adam."""
     adam_beta2: float = Field(default=0.999, gt=0, lt=1)

@@ -29,7 +29,7 @@ from estimators.weights_file import NetworkConfig, Tensors, save_network
 from .config import TrainConfig, make_config
 from .data import Batch, Flights, load_flights, split, windows
 from .loss import attitude_loss, finished, rate_cost
-from .models import AttRNN, AttSNN, start_from_data, start_like_the_paper
+from .models import AttRNN, AttSNN, start_from_data, start_from_weights, start_like_the_paper
 from .optim import Lookahead
 
 log = logging.getLogger(__name__)
@@ -299,6 +299,9 @@ def _new_model(config: TrainConfig) -> Model:
 
 
 def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> None:
+    if config.init:
+        start_from_weights(model, config.init)
+        return
     if isinstance(model, AttRNN):
         return
     if config.start == "random":

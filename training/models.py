@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from estimators.networks import real_weights
 from estimators.spiking import Weights, quantise_decay, quantise_weights
+from estimators.weights_file import load_network
 
 from .kernels import Workspace, attsnn
 
@@ -172,6 +175,32 @@ def start_from_data(
     model.constrain()
     model.set_weights("w_out", _solve_outputs(model, x, roll_pitch))
     model.constrain()
+
+
+def start_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
+    """Go on from a weights file.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: Not weights of such a network.
+    """
+    config, tensors = load_network(path)
+    if isinstance(model, AttRNN):
+        found = config.model, config.hidden
+        if found != ("att-rnn", model.out.in_features):
+            raise ValueError(f"init: {path} holds {found[0]} with {found[1]} hidden units")
+        model.load_state_dict({name: torch.tensor(value) for name, value in tensors.items()})
+        return
+    found = config.model, config.encoding, config.hidden
+    if found != ("att-snn", *model.w_ff.shape[::-1]):
+        raise ValueError(f"init: {path} holds {found[0]} with {found[1]} + {found[2]} neurons")
+    weights, taus = real_weights(config, tensors)
+    for name, w in zip(Weights._fields[:4], weights, strict=True):
+        model.set_weights(name, w)
+    for name, tau in zip(Weights._fields[4:], taus, strict=True):
+        inside = np.clip(tau, 1 / 1024, 4095 / 4096)
+        with torch.no_grad():
+            getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
 
 
 def _start_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch: int = 1) -> None:
