@@ -10,12 +10,19 @@ from numba import njit
 
 @njit(cache=True)
 def _affine(x, weight, bias, out):
-    """Write bias + x weight into `out`, row by row of the weight (in, out)."""
+    """Write bias + x weight into `out`, four rows of the weight (in, out) at a time."""
     out[:] = bias
-    for k in range(x.shape[0]):
-        value, row = x[k], weight[k]
+    whole = x.shape[0] - x.shape[0] % 4
+    for k in range(0, whole, 4):
+        x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
         for i in range(out.shape[0]):
-            out[i] += value * row[i]
+            out[i] += (x0 * weight[k, i] + x1 * weight[k + 1, i]) + (
+                x2 * weight[k + 2, i] + x3 * weight[k + 3, i]
+            )
+    for k in range(whole, x.shape[0]):
+        value = x[k]
+        for i in range(out.shape[0]):
+            out[i] += value * weight[k, i]
 
 
 @njit(cache=True)
