@@ -7,23 +7,15 @@ fast.
 import logging
 import sys
 import tomllib
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
+
+from .console import Bar, executor_of, progress_bar
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
@@ -39,46 +31,11 @@ app = typer.Typer(
 )
 dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
 app.add_typer(dataset_app, name="dataset")
-console = Console()
+console = Console(width=None if sys.stdout.isatty() else 110)  # a file or a pipe has no width of its own
 
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
-
-
-class Bar(Protocol):
-    """A progress bar: how much is done of how much, and a remark."""
-
-    def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Move the bar."""
-
-
-@contextmanager
-def progress_bar(title: str, unit: str) -> Iterator[Bar]:
-    """A progress bar as a callback, with units per second and time left."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(f"{unit}{{task.fields[note]}}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=None, note="")
-
-        def update(done: int, total: int, note: str = "") -> None:
-            speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
-            remarks = [f"{speed:.2g} a second"] if speed else []
-            bar.update(
-                task,
-                completed=done,
-                total=total,
-                note="".join(f", {r}" for r in [*remarks, *([note] * bool(note))]),
-            )
-
-        yield update
 
 
 @app.command()
@@ -277,7 +234,7 @@ def train(
 @app.command()
 def tune(
     estimator: Annotated[str, typer.Option(help="A filter with parameters, for example mahony; or all.")],
-    data: Annotated[Path, typer.Option(help="Dataset to tune on.")],
+    data: Annotated[list[Path], typer.Option(help="Dataset to tune on; give it again to mix several.")],
     out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it are kept.")],
     particles: Annotated[int, typer.Option(min=2, help="Parameter sets tried at once.")] = 100,
     iterations: Annotated[int, typer.Option(min=1, help="How often.")] = 50,
@@ -300,12 +257,11 @@ def tune(
 
     if search not in ("swarm", "evolution"):
         raise ValueError(f"search is {search!r}; choose swarm or evolution")
-    flown = open_dataset(data)
+    flown = [open_dataset(path) for path in data]
+    shown = " ".join(f"--data {path}" for path in data)
     tunable = [name for name in names() if any(each.searched for each in parameters(name).values())]
     for name in tunable if estimator == "all" else [estimator]:
-        command = (
-            f"quadsim tune --estimator {name} --data {data} --particles {particles} --iterations {iterations}"
-        )
+        command = f"quadsim tune --estimator {name} {shown} --particles {particles} --iterations {iterations}"
         with progress_bar(f"tune {name}", "iterations") as bar:
 
             def progress(iteration: int, total: int, cost: float, bar: Bar = bar) -> None:
@@ -323,8 +279,67 @@ def tune(
                 command=command,
                 progress=progress,
             )
-        write_tuning(out, name, tuned, f"Tuned on {data} (quadsim tune)")
+        write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")
         console.print(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {tuned.values}", soft_wrap=True)
+
+
+@app.command()
+def evaluate(
+    data: Annotated[Path, typer.Option(help="Dataset of flights that were not tuned or trained on.")],
+    estimator: Annotated[
+        list[str] | None, typer.Option(help="Estimator; give it again for more. All if left out.")
+    ] = None,
+    tuning: Annotated[
+        str | None, typer.Option(help="Tuned parameters: a shipped domain or a TOML file.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the report.")] = Path(
+        "reports/evaluate"
+    ),
+    seed: Seed = 0,
+) -> None:
+    """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
+
+    Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html.
+
+    Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
+    """
+    from dataclasses import asdict
+
+    import estimators
+    from estimators import figures
+    from estimators.evaluate import evaluate as evaluate_estimators
+    from scenarios.report import write_report
+    from scenarios.summary import evaluation_table
+
+    from .dataset import open_dataset
+
+    flown = open_dataset(data)
+    with progress_bar("evaluate", "runs") as bar:
+        done = evaluate_estimators(
+            flown, estimator or estimators.names(), tuning=tuning, seed=seed, progress=bar
+        )
+    done.write_csv(out / "evaluation.csv")
+    for name, draw in (
+        ("violins", figures.violins),
+        ("error-over-time", figures.error_over_time),
+        ("convergence", figures.settling),
+    ):
+        draw(done).savefig(out / f"{name}.png", dpi=130)
+    rows = [asdict(row) for row in done.rows]
+    caption = f"{flown.sizes['flight']} flights of {data}, without a loop."
+    page = write_report(
+        out / "report.html",
+        title="Attitude estimators on recorded flights",
+        offline=rows,
+        offline_caption=caption,
+        csv=["evaluation.csv"],
+    )
+    console.print(evaluation_table(done.rows, caption))
+    flying = [row for row in done.rows if row.initial == "unknown" and row.estimator != "truth"]
+    best = min(flying, key=lambda row: row.mean_deg)
+    console.print(
+        f"{page}: the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
+    )
 
 
 @app.command()
@@ -470,24 +485,6 @@ def pair_of(text: str) -> tuple[str, object]:
         return name, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return name, value
-
-
-@contextmanager
-def executor_of(cluster: str | None) -> Iterator[Executor | None]:
-    """The executor of a Dask cluster, or None for processes of our own."""
-    if cluster is None:
-        yield None
-        return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ValueError("--cluster needs Dask: pip install 'quadsim[cluster]'") from None
-    try:
-        client = Client(cluster, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise ValueError(f"no Dask scheduler answers at {cluster}: {error}") from None
-    with client:
-        yield client.get_executor()
 
 
 def main() -> None:

@@ -1,9 +1,13 @@
 """Results as tables for a terminal."""
 
+import math
 from collections.abc import Sequence
 
+from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
+
+from estimators.evaluate import Row as Evaluated
 
 from .offline import Row
 from .runner import Results
@@ -20,6 +24,28 @@ def closed_loop_table(results: Results) -> Table:
     for standing in verdict(results.rows).standings:
         estimator = standing["estimator"]
         table.add_row(estimator, *(_entry(rows[name, estimator]) for name in scenarios))
+    return table
+
+
+def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
+    """Errors on recorded flights with their confidence, convergence from an initial tilt, and run time."""
+    table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
+    table.add_column("estimator", no_wrap=True)
+    table.add_column("start", no_wrap=True)
+    for heading in ("median °", "mean ° (95 %)", "SD °", "20°→2° s", "45°→2° s", "ns"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        settling = ["never" if math.isnan(s) else f"{s:.2f}" for s in (row.settle_20_s, row.settle_45_s)]
+        mean = f"{row.mean_deg:.2f} ({row.mean_low_deg:.2f}–{row.mean_high_deg:.2f})"
+        table.add_row(
+            row.estimator,
+            row.initial,
+            f"{row.median_deg:.2f}",
+            mean,
+            f"{row.sd_deg:.2f}",
+            *settling,
+            f"{row.runtime_ns:.0f}",
+        )
     return table
 
 

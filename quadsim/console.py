@@ -1,0 +1,69 @@
+"""What long work shows on a terminal, and where it runs."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+
+class Bar(Protocol):
+    """A progress bar: how much is done of how much, and a remark."""
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Move the bar."""
+
+
+@contextmanager
+def progress_bar(title: str, unit: str) -> Iterator[Bar]:
+    """A progress bar as a callback, with units per second and time left."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(f"{unit}{{task.fields[note]}}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(title, total=None, note="")
+
+        def update(done: int, total: int, note: str = "") -> None:
+            speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
+            remarks = [f"{speed:.2g} a second"] if speed else []
+            bar.update(
+                task,
+                completed=done,
+                total=total,
+                note="".join(f", {r}" for r in [*remarks, *([note] * bool(note))]),
+            )
+
+        yield update
+
+
+@contextmanager
+def executor_of(cluster: str | None) -> Iterator[Executor | None]:
+    """The executor of a Dask cluster, or None for processes of our own."""
+    if cluster is None:
+        yield None
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ValueError("--cluster needs Dask: pip install 'quadsim[cluster]'") from None
+    try:
+        client = Client(cluster, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"no Dask scheduler answers at {cluster}: {error}") from None
+    with client:
+        yield client.get_executor()
