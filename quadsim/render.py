@@ -83,6 +83,7 @@ class Scene:
         """
         self.data.mocap_pos[:] = position
         self.data.mocap_quat[:] = quat
+        self._light(view)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
@@ -93,7 +94,7 @@ class Scene:
         option, perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
         mujoco.mjv_updateScene(self.model, self.data, option, perturbation, camera, every, self._scene)
         if trail is not None:
-            self._add_trail(np.asarray(trail, dtype=np.float64))
+            self._add_trail(np.asarray(trail, dtype=np.float64), radius=0.0025 * max(view.distance, 2.0))
         self._context.make_current()
         mujoco.mjr_render(self._rect, self._scene, self._drawer)
         mujoco.mjr_readPixels(self._pixels, None, self._rect, self._drawer)
@@ -105,6 +106,13 @@ class Scene:
         self._drawer.free()
         self._context.free()
 
+    def _light(self, view: View) -> None:
+        """Put the sun, whose shadows reach only so far, over the middle of the view."""
+        sun = self.model.light("sun").id
+        reach = max(1.5, view.distance)
+        self.model.light_pos[sun] = np.array(view.target) - 4.0 * reach * self.model.light_dir[sun]
+        self._drawer.shadowClip = reach
+
     def _shrink(self, pixels: Image) -> Image:
         k = self.oversample
         if k == 1:
@@ -112,14 +120,14 @@ class Scene:
         blocks = pixels.reshape(self.height, k, self.width, k, 3)
         return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
 
-    def _add_trail(self, points: NDArray[np.float64]) -> None:
+    def _add_trail(self, points: NDArray[np.float64], radius: float) -> None:
         for start, end in itertools.pairwise(points):
             if self._scene.ngeom >= self._scene.maxgeom:
                 return
             geom = self._scene.geoms[self._scene.ngeom]
             capsule = mujoco.mjtGeom.mjGEOM_CAPSULE.value
             mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), TRAIL_COLOUR)
-            mujoco.mjv_connector(geom, capsule, 0.005, start, end)
+            mujoco.mjv_connector(geom, capsule, radius, start, end)
             self._scene.ngeom += 1
 
 

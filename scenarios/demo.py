@@ -9,12 +9,10 @@ from typing import NamedTuple, TypeAlias
 import estimators
 from quadsim.dataset import generate
 from quadsim.recipe import flight_config, load_recipe
-from quadsim.vehicle import load_vehicle
 
-from .cell import Cell
 from .offline import Row, offline_errors
-from .picture import flight_picture
-from .report import Picture, write_report
+from .picture import cover
+from .report import write_report
 from .runner import Progress, Results, bench, write_csv
 
 log = logging.getLogger(__name__)
@@ -22,11 +20,6 @@ log = logging.getLogger(__name__)
 SCENARIOS = ("hover", "step", "wind-gust", "initial-tilt")
 SLOW = ("ukf-filterpy",)
 """Left out of the small version: the same numbers as the compiled filter, in ten times the time."""
-STILL = "step"
-STILL_FROM_S, STILL_TO_S = 1.9, 4.2
-PREFERRED = ("att-snn-loihi", "ekf")
-"""Whose flight the picture shows, if it was flown."""
-
 RECORDED = (
     "Every estimator run over {flights} generated flights of {duration_s:g} s, tilts up to 45°, without a "
     "loop: mean absolute error of roll and pitch, pooled, over the flights. Start: whether the estimator was "
@@ -89,7 +82,7 @@ def demo(
         results = bench(SCENARIOS, names, seeds, out, seed=seed, workers=workers, progress=progress)
     offline = offline_errors(dataset, names)
     write_csv(out / "recorded.csv", offline)
-    still, note = _still(results.cells)
+    still, note = cover(results.cells)
     report = write_report(
         out / "report.html",
         results,
@@ -99,18 +92,3 @@ def demo(
         csv=["results.csv", "flights.csv", "recorded.csv"],
     )
     return Demo(report, results, offline, note)
-
-
-def _still(cells: list[Cell]) -> tuple[Picture | None, str]:
-    """The picture for the top, or why there is none."""
-    flown = {cell.estimator: cell for cell in cells if cell.scenario == STILL and cell.series}
-    name = next((name for name in [*PREFERRED, *flown] if name in flown), None)
-    if name is None:
-        return None, "no picture: nothing flew"
-    try:
-        image = flight_picture(flown[name], load_vehicle("hummingbird"), STILL_FROM_S, STILL_TO_S)
-    except RuntimeError as error:
-        return None, str(error)
-    return Picture(
-        image, f"A jump of the set-point, flown on {name}: {STILL_FROM_S} s to {STILL_TO_S} s."
-    ), ""

@@ -1,17 +1,46 @@
 """A flight as one picture: the vehicle at several instants, and its path."""
 
 import base64
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadsim.render import Image, View, still
 from quadsim.rotation import quat_from_euler
-from quadsim.vehicle import Vehicle
+from quadsim.vehicle import Vehicle, load_vehicle
 
 from .cell import Cell
 
 Array = NDArray[np.float64]
+
+SHOWN = {"step": (1.9, 4.2), "figure-8": (5.5, 10.0), "racing": (0.5, 5.0)}
+"""Scenarios that make a good picture, best first, and the part to show [s]."""
+PREFERRED = ("att-snn-loihi", "ekf")
+"""Whose flight to show, if it was flown."""
+
+
+class Picture(NamedTuple):
+    """A rendered still."""
+
+    image: Image  #: (height, width, 3)
+    caption: str
+
+
+def cover(cells: Sequence[Cell], vehicle: str = "hummingbird") -> tuple[Picture | None, str]:
+    """A picture for the top of a report, or None and the reason why there is none."""
+    flown = {(cell.scenario, cell.estimator): cell for cell in cells if cell.series}
+    names = [*PREFERRED, *(estimator for _, estimator in flown)]
+    chosen = next((flown[s, e] for s in SHOWN for e in names if (s, e) in flown), None)
+    if chosen is None:
+        return None, f"no picture: none of {', '.join(SHOWN)} was flown"
+    start, end = SHOWN[chosen.scenario]
+    try:
+        image = flight_picture(chosen, load_vehicle(vehicle), start, end)
+    except RuntimeError as error:
+        return None, str(error)
+    return Picture(image, f"{chosen.scenario} on {chosen.estimator}, from {start:g} s to {end:g} s"), ""
 
 
 def unpack_series(cell: Cell) -> dict[str, Array]:

@@ -5,7 +5,6 @@ import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
 
 import imageio.v3 as imageio
 import jinja2
@@ -16,18 +15,12 @@ from quadsim.vehicle import load_vehicle
 
 from .cell import Cell
 from .metrics import ERROR_BINS, ERROR_DECADES, METRICS
+from .picture import Picture
 from .runner import Results
 from .verdict import TRUTH, offline_verdict, verdict
 
 SHOWN = 4
 """Estimators drawn at first in the time plots."""
-
-
-class Picture(NamedTuple):
-    """A rendered still."""
-
-    image: NDArray[np.uint8]  #: (height, width, 3)
-    caption: str
 
 
 def write_report(

@@ -11,7 +11,8 @@ import estimators
 from quadsim.mission import Mission
 from quadsim.scenario import Scenario
 from scenarios.cell import Cell, fly, make_cell
-from scenarios.report import Picture, write_report
+from scenarios.picture import Picture
+from scenarios.report import write_report
 from scenarios.runner import Results, Settings
 from scenarios.verdict import offline_verdict, verdict
 
