@@ -25,8 +25,8 @@ INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 GRAVITY = 9.81
-SETTLE_S = 4.0
-"""A network told its attitude sees a vehicle at rest in it for this long before its first sample [s]."""
+SETTLE_S, TURN_S = 3.0, 0.15
+"""A network that is told its attitude first sees a level hover for this long, and then a turn into it [s]."""
 
 
 def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
@@ -122,9 +122,8 @@ class NetworkEstimator:
             known = np.asarray(roll_pitch, dtype=np.float64)
             if known.shape != (n, 2):
                 raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
-            steps = round(SETTLE_S * self.rate_hz)
-            accel = np.repeat(_gravity(known)[:, None], steps, 1)
-            self.core.run(states, np.zeros_like(accel), accel, np.empty((n, steps, 2)))
+            gyro, accel = _turn_into(known, self.rate_hz)
+            self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
         return states
 
 
@@ -247,12 +246,19 @@ def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], 
     return weights, [1 - tau / 4096 for tau in taus] if config.quantised else taus
 
 
-def _gravity(roll_pitch: Array) -> Array:
-    """Specific force of a vehicle at rest, (n, 2) -> (n, 3) [m/s²]."""
+def _turn_into(roll_pitch: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Readings of a quadrotor that hovers and then turns about a horizontal axis into an attitude (n, 2)."""
     roll, pitch = roll_pitch.T
-    return GRAVITY * np.stack(
-        [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], -1
-    )
+    turning = round(TURN_S * rate_hz)
+    axis = np.stack([np.sin(roll) * np.cos(pitch), np.sin(pitch)], -1)
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.arctan2(sine, (np.cos(roll) * np.cos(pitch))[:, None])
+    rate = axis / np.maximum(sine, 1e-12) * angle * rate_hz / turning
+    gyro = np.zeros((len(roll_pitch), round(SETTLE_S * rate_hz) + turning, 3))
+    gyro[:, -turning:, :2] = rate[:, None]
+    accel = np.zeros_like(gyro)
+    accel[..., 2] = GRAVITY  # a rotor's thrust is along the body's z, whatever the tilt
+    return gyro, accel
 
 
 @njit(cache=True)
