@@ -411,6 +411,7 @@ def bench(
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
     """
     import estimators
+    from scenarios.picture import cover
     from scenarios.report import write_report
     from scenarios.runner import bench as run_bench
     from scenarios.summary import closed_loop_table
@@ -430,9 +431,12 @@ def bench(
             executor=executor,
             progress=progress,
         )
-    report_path = write_report(out / "report.html", results, csv=["results.csv", "flights.csv"])
+    still, note = cover(results.cells)
+    page = write_report(out / "report.html", results, still=still, csv=["results.csv", "flights.csv"])
     console.print(closed_loop_table(results))
-    console.print(headline(report_path, results.rows), soft_wrap=True)
+    if note:
+        console.print(note, soft_wrap=True)
+    console.print(headline(page, results.rows), soft_wrap=True)
 
 
 @app.command()
@@ -441,11 +445,13 @@ def report(
     out: Annotated[Path | None, typer.Option(help="HTML file; FOLDER/report.html when left out.")] = None,
 ) -> None:
     """Write the report of finished closed-loop flights again."""
+    from scenarios.picture import cover
     from scenarios.report import write_report
     from scenarios.runner import load_results
 
     results = load_results(folder)
-    path = write_report(out or folder / "report.html", results, csv=["results.csv", "flights.csv"])
+    path = out or folder / "report.html"
+    write_report(path, results, still=cover(results.cells)[0], csv=["results.csv", "flights.csv"])
     console.print(headline(path, results.rows), soft_wrap=True)
 
 
