@@ -156,7 +156,7 @@ def _settling(est: AttitudeEstimator, flights: Flights, offset_deg: float, seed:
     assert flights.start is not None
     wrong = offset_start(quat_from_roll_pitch(flights.start), offset_deg, seed)
     estimate = _run(est, replace(flights, start=wrong))
-    return np.nanmedian(inclination_error(estimate, flights.truth), axis=0)
+    return np.asarray(np.nanmedian(inclination_error(estimate, flights.truth), axis=0), np.float64)
 
 
 def _time_below(curve: Array, rate_hz: float) -> float:
@@ -173,13 +173,14 @@ def _block(rate_hz: float) -> int:
 
 def _block_times(steps: int, rate_hz: float) -> Array:
     size = _block(rate_hz)
-    return (np.arange(steps // size) + 0.5) * size / rate_hz
+    return (np.arange(steps // size, dtype=np.float64) + 0.5) * size / rate_hz
 
 
 def _blocks(estimate: Array, truth: Array, blocks: int) -> Array:
     """Mean absolute error in each block (n, blocks); the last takes what is missing at a known start."""
     error = absolute_error(estimate, truth).mean(axis=-1)
-    return np.stack([np.nanmean(part, axis=1) for part in np.array_split(error, blocks, axis=1)], axis=1)
+    parts = np.array_split(error, blocks, axis=1)
+    return np.stack([np.asarray(np.nanmean(part, axis=1), np.float64) for part in parts], axis=1)
 
 
 def _row(

@@ -31,6 +31,8 @@ COMPILED: dict[str, Algorithm] = {
 }
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
 NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
+DEFAULT_RATE_HZ = 200.0
+"""Sample rate to which the untuned defaults belong."""
 
 
 def names() -> list[str]:
@@ -198,9 +200,10 @@ def _values(
     given = checked(name, spec, params)
     tuned = tuned_for(name, tuning)
     found = {} if tuned is None else checked(f"{tuning or 'tuning'}: {name}", spec, tuned.values)
-    ratio = 1.0 if tuned is None else tuned.rate_hz / rate_hz
-    found = {key: spec[key].carried(value, ratio) for key, value in found.items()}
-    return {key: given.get(key, found.get(key, each.default)) for key, each in spec.items()}
+    tuned_rate = DEFAULT_RATE_HZ if tuned is None else tuned.rate_hz
+    elsewhere = {key: found.get(key, each.default) for key, each in spec.items()}
+    ratio = tuned_rate / rate_hz
+    return {key: given.get(key, spec[key].carried(value, ratio)) for key, value in elsewhere.items()}
 
 
 def _of_vehicle(params: Mapping[str, object]) -> dict[str, object]:

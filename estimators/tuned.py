@@ -1,5 +1,6 @@
 """Tuned parameters: TOML files, one a domain (vehicle and IMU), with one table per estimator."""
 
+import json
 from pathlib import Path
 
 from pydantic import Field, RootModel
@@ -57,7 +58,7 @@ def to_toml(tables: dict[str, Tuned], comment: str) -> str:
     """Text of a tuning file, with a comment on top."""
     lines = [f"# {line}".rstrip() for line in comment.splitlines()]
     for name, table in tables.items():
-        lines += ["", f"[{name}]", f'command = "{table.command}"']
+        lines += ["", f"[{name}]", f"command = {json.dumps(table.command)}"]
         lines += [f"{key} = {getattr(table, key)!r}" for key in ("rate_hz", "rmse_deg", "evaluations")]
         lines += [f"[{name}.values]", *(f"{key} = {value!r}" for key, value in table.values.items())]
     return "\n".join(lines) + "\n"

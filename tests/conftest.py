@@ -14,7 +14,7 @@ def fly(
 ) -> xr.Dataset:
     """Flights of a point mass, thrust along body z and drag across it, tilt and heading sums of sines.
 
-    Noise and turn-on biases are those of an ADIS16448, times `noise`. Returns a dataset as the generator makes it.
+    Noise and turn-on biases are those of an ADIS16448, times `noise`. A dataset as the generator makes it.
     """
     rng, dt = np.random.default_rng(seed), 1.0 / rate_hz
     t = np.arange(round(seconds * rate_hz)) * dt

@@ -1,0 +1,119 @@
+"""The offline comparison: its table, its curves and its figures."""
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimators import create, run
+from estimators.evaluate import evaluate, offset_start
+from estimators.figures import error_over_time, settling, violins
+from estimators.metrics import attitude_error, inclination_error
+from quadsim.rotation import roll_pitch_from_quat
+
+
+@pytest.fixture(scope="module")
+def evaluation(flights):
+    return evaluate(flights, ["truth", "mahony", "eskf"], settle_s=15.0)
+
+
+def test_truth_is_without_error_and_settled_from_the_start(evaluation):
+    for row in evaluation.rows[:2]:
+        assert (row.estimator, row.mean_deg, row.sd_deg, row.inclination_rmse_deg) == ("truth", 0, 0, 0)
+        assert (row.settle_20_s, row.settle_45_s) == (0.0, 0.0)
+
+
+def test_rows_hold_what_the_metrics_say(evaluation, flights):
+    gyro, accel = flights.gyro.values, flights.accel.values
+    truth = roll_pitch_from_quat(flights.quat.values)
+    rows = {(row.estimator, row.initial): row for row in evaluation.rows}
+    unknown = attitude_error(run(create("mahony"), gyro, accel), truth)
+    known = attitude_error(run(create("mahony"), gyro[:, 1:], accel[:, 1:], truth[:, 0]), truth[:, 1:])
+    for start, error in (("unknown", unknown), ("known", known)):
+        row = rows["mahony", start]
+        assert (row.median_deg, row.mean_deg, row.sd_deg) == (error.median, error.mean, error.sd)
+        assert row.mean_low_deg <= row.mean_deg <= row.mean_high_deg
+        np.testing.assert_array_equal(evaluation.sequences["mahony", start], error.sequences)
+    assert rows["mahony", "known"].runtime_ns > 0.0
+
+
+def test_error_over_time_averages_to_the_sequence_error(evaluation):
+    for key, blocks in evaluation.over_time.items():
+        assert blocks.shape == (4, evaluation.time_s.size)
+        np.testing.assert_allclose(blocks.mean(axis=1), evaluation.sequences[key], rtol=2e-3)
+
+
+@pytest.mark.parametrize("offset", [20.0, 45.0])
+def test_an_initial_error_has_the_size_it_says(flights, offset):
+    quat = flights.quat.values[:, 0]
+    error = inclination_error(offset_start(quat, offset), roll_pitch_from_quat(quat))
+    np.testing.assert_allclose(error, offset, atol=1e-6)
+
+
+def test_a_settling_curve_starts_at_the_offset_and_its_time_is_where_it_stays_below(evaluation):
+    row = next(row for row in evaluation.rows if row.estimator == "eskf")
+    for offset, found in ((20.0, row.settle_20_s), (45.0, row.settle_45_s)):
+        curve = evaluation.settling["eskf", offset]
+        assert curve[0] == pytest.approx(offset, abs=3.0)
+        if np.isfinite(found):
+            assert (curve[round(found * 200.0) :] < 2.0).all()
+        else:
+            assert curve[-1] >= 2.0
+
+
+def test_table_goes_to_csv(evaluation, tmp_path):
+    path = tmp_path / "new" / "table.csv"
+    evaluation.write_csv(path)
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["estimator"] for row in rows] == [row.estimator for row in evaluation.rows]
+    assert float(rows[-1]["mean_deg"]) == evaluation.rows[-1].mean_deg
+
+
+def test_figures_are_drawn(evaluation, tmp_path):
+    for k, figure in enumerate(
+        (violins(evaluation), error_over_time(evaluation, "known"), settling(evaluation))
+    ):
+        figure.savefig(tmp_path / f"{k}.png")
+        assert (tmp_path / f"{k}.png").stat().st_size > 5_000
+
+
+def test_estimators_may_be_given_as_objects(flights):
+    made = {"slow": create("madgwick", beta=0.001), "fast": create("madgwick", beta=0.5)}
+    rows = evaluate(flights, made, initial=("known",), settle_s=2.0).rows
+    assert [(row.estimator, row.initial) for row in rows] == [("slow", "known"), ("fast", "known")]
+
+
+def test_a_dataset_that_is_not_one_is_named(flights):
+    with pytest.raises(ValueError, match="the dataset has no accel"):
+        evaluate(flights.drop_vars("accel"), ["mahony"])
+
+
+# --- real recordings --------------------------------------------------------------------------------
+
+RECORDINGS = Path(os.environ.get("QUADSIM_REALDATA", Path(__file__).parents[2] / "shared" / "realdata"))
+
+
+def test_filters_on_real_recordings_with_optical_truth():
+    """BROAD trials, hand-moved: package defaults; scored where the benchmark marks movement."""
+    files = sorted((RECORDINGS / "broad").glob("*.npz"))
+    if not files:
+        pytest.skip("no recordings: set QUADSIM_REALDATA to a folder that has broad/*.npz")
+    errors = {name: [] for name in ("vqf", "madgwick", "ekf")}
+    vqf = dict(
+        tauAcc=3.0, biasForgettingTime=100.0, biasSigmaInit=0.5, biasSigmaMotion=0.1, biasSigmaRest=0.03
+    )
+    given = {"vqf": vqf, "madgwick": {"beta": 0.033}, "ekf": {"gyro_noise": 0.003, "accel_noise": 0.01}}
+    for file in files:
+        data = np.load(file)
+        rate = 1.0 / np.median(np.diff(data["t"]))
+        truth = roll_pitch_from_quat(data["quat"])
+        scored = data["valid"] & data["movement"] & (data["t"] > 3.0)
+        for name, found in errors.items():
+            out = run(create(name, rate, **given[name]), data["gyro"][None], data["acc"][None])
+            found.append(np.sqrt(np.mean(inclination_error(out[0], truth)[scored] ** 2)))
+    assert np.mean(errors["vqf"]) < 1.0
+    assert np.mean(errors["madgwick"]) < 2.5
+    assert np.mean(errors["ekf"]) < 3.0

@@ -1,0 +1,321 @@
+"""The filters against independent software, and the facts that hold for every one of them."""
+
+import ahrs
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimators import create, names, parameters, run, run_batch
+from estimators.metrics import attitude_error, inclination_error
+from quadsim.rotation import (
+    quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate_inverse,
+    roll_pitch_from_quat,
+)
+
+COMPILED = ["complementary", "complementary-adaptive", "mahony", "madgwick", "ekf", "eskf", "ekf-drag"]
+QUATERNION = ["mahony", "madgwick", "ekf", "eskf", "ekf-drag", "ekf-filterpy", "ukf-filterpy", "vqf"]
+CLASSICAL = [*COMPILED, "ekf-filterpy", "ukf-filterpy", "vqf"]
+VQF_DEFAULTS = {
+    "tauAcc": 3.0,
+    "biasForgettingTime": 100.0,
+    "biasSigmaInit": 0.5,
+    "biasSigmaMotion": 0.1,
+    "biasSigmaRest": 0.03,
+}
+START = np.array([0.9, 0.1, -0.2, 0.3]) / np.linalg.norm([0.9, 0.1, -0.2, 0.3])
+
+
+def arrays(flights, count=2, steps=1000):
+    part = flights.isel(flight=slice(count), time=slice(steps))
+    return part.gyro.values, part.accel.values, part.quat.values
+
+
+def settled(name):
+    """Gains in which a rest of some minutes at 20 Hz is long for every filter."""
+    return {
+        "complementary": {"gamma": 0.97},
+        "complementary-adaptive": {"gamma": 0.97, "k_a": 0.01},
+        "mahony": {"k_p": 1.0, "k_i": 0.05},
+        "madgwick": {"beta": 0.1},
+        "ekf": {"gyro_noise": 0.05, "accel_noise": 0.05},
+        "eskf": {"gyro_noise": 0.05, "accel_noise": 0.05, "bias_sigma": 0.01},
+        "ekf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
+        "ukf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
+        "vqf": VQF_DEFAULTS,
+    }[name]
+
+
+# --- against independent software -------------------------------------------------------------------
+
+
+def test_mahony_equals_ahrs_with_its_bias(flights):
+    gyro, accel, _ = arrays(flights, 1)
+    reference = ahrs.filters.Mahony(frequency=200.0, k_P=0.8, k_I=0.2)
+    est = create("mahony", 200.0, k_p=0.8, k_i=0.2)
+    est.reset(quat=START)
+    quat = START.copy()
+    for t in range(gyro.shape[1]):
+        quat = reference.updateIMU(quat, gyro[0, t], accel[0, t])
+        est.update(gyro[:, t], accel[:, t])
+        np.testing.assert_allclose(est.quat[0], quat, atol=1e-9)
+        np.testing.assert_allclose(est.gyro_bias[0], reference.b, atol=1e-9)
+
+
+def test_madgwick_equals_ahrs(flights):
+    gyro, accel, _ = arrays(flights, 1)
+    reference = ahrs.filters.Madgwick(frequency=200.0, gain=0.05)
+    est = create("madgwick", 200.0, beta=0.05)
+    est.reset(quat=START)
+    quat = START.copy()
+    for t in range(gyro.shape[1]):
+        quat = reference.updateIMU(quat, gyro[0, t], accel[0, t])
+        est.update(gyro[:, t], accel[:, t])
+        np.testing.assert_allclose(est.quat[0], quat, atol=1e-9)
+
+
+def test_complementary_equals_ahrs(flights):
+    gyro, accel, _ = arrays(flights, 1)
+    start = np.array([0.1, -0.2, 0.0])
+    reference = ahrs.filters.Complementary(gyro[0], accel[0], frequency=200.0, gain=0.98, w0=start)
+    est = create("complementary", 200.0, gamma=0.98)
+    out = run(est, gyro[:, 1:], accel[:, 1:], roll_pitch=start[:2])
+    np.testing.assert_allclose(out[0], reference.W[1:, :2], atol=1e-9)
+
+
+def test_ekf_equals_filterpy(flights):
+    gyro, accel, _ = arrays(flights, 2, 400)
+    ours, theirs = create("ekf"), create("ekf-filterpy")
+    np.testing.assert_allclose(run(ours, gyro, accel), run(theirs, gyro, accel), atol=1e-9)
+    np.testing.assert_allclose(ours.quat, theirs.quat, atol=1e-9)
+
+
+def test_unscented_and_extended_kalman_filter_agree_where_the_model_is_nearly_linear(flights):
+    gyro, accel, quat = arrays(flights, 2, 400)
+    start = roll_pitch_from_quat(quat[:, 0])
+    ekf = run(create("ekf-filterpy"), gyro, accel, start)
+    ukf = run(create("ukf-filterpy"), gyro, accel, start)
+    assert np.degrees(np.abs(ekf - ukf)).max() < 0.1
+
+
+def test_vqf_runs_as_its_authors_package(flights):
+    from vqf import VQF
+
+    gyro, accel, _ = arrays(flights, 1)
+    theirs = VQF(1.0 / 200.0).updateBatch(gyro[0], accel[0])["quat6D"]
+    ours = run(create("vqf", 200.0, **VQF_DEFAULTS), gyro, accel)
+    np.testing.assert_array_equal(ours[0], roll_pitch_from_quat(theirs))
+
+
+# --- every filter -----------------------------------------------------------------------------------
+
+
+def test_names_are_the_fixed_ones():
+    fixed = "truth complementary complementary-adaptive mahony madgwick ekf ekf-filterpy ukf-filterpy"
+    others = "ekf-drag eskf vqf att-rnn att-snn att-snn-loihi"
+    assert set(names()) == {*fixed.split(), *others.split()}
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_streaming_and_sequence_give_the_same_numbers(flights, name):
+    gyro, accel, _ = arrays(flights, 3, 60)
+    est = create(name)
+    whole = run(est, gyro, accel)
+    est.reset(3)
+    steps = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(60)], axis=1)
+    np.testing.assert_array_equal(whole, steps)
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_a_vehicle_does_not_feel_the_others(flights, name):
+    gyro, accel, _ = arrays(flights, 3, 60)
+    together = run(create(name), gyro, accel)
+    for i in range(3):
+        np.testing.assert_array_equal(run(create(name), gyro[i : i + 1], accel[i : i + 1])[0], together[i])
+
+
+@pytest.mark.parametrize("name", [*COMPILED, "vqf"])
+def test_run_batch_is_run_for_each_parameter_set(flights, name):
+    gyro, accel, quat = arrays(flights, 2, 200)
+    start = roll_pitch_from_quat(quat[:, 0])
+    key, parameter = next((k, p) for k, p in parameters(name).items() if p.searched)
+    values = parameter.at([0.3, 0.7])
+    batch = run_batch(name, {key: values}, gyro, accel, 200.0, start)
+    assert batch.shape == (2, 2, 200, 2)
+    for value, out in zip(values, batch, strict=True):
+        np.testing.assert_array_equal(out, run(create(name, **{key: value}), gyro, accel, start))
+
+
+@pytest.mark.parametrize("name", QUATERNION)
+def test_quaternion_has_unit_length(flights, name):
+    gyro, accel, _ = arrays(flights, 2, 200)
+    est = create(name)
+    run(est, gyro * 5.0, accel)
+    np.testing.assert_allclose(np.linalg.norm(est.quat, axis=-1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", QUATERNION)
+def test_roll_and_pitch_do_not_depend_on_heading(flights, name):
+    gyro, accel, quat = arrays(flights, 2, 200)
+    est = create(name)
+    turned = quat_multiply(quat_from_euler(0.0, 0.0, 1.2), quat[:, 0])
+    est.reset(2, quat=quat[:, 0])
+    plain = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(200)])
+    before = est.quat
+    est.reset(2, quat=turned)
+    again = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(200)])
+    np.testing.assert_allclose(again, plain, atol=1e-7)
+    expected = quat_multiply(quat_from_euler(0.0, 0.0, 1.2), before)
+    assert np.abs(np.sum(est.quat * expected, axis=-1)) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_known_start_is_where_the_filter_starts(name):
+    start = np.array([[0.3, -0.4], [-0.2, 0.1]])
+    quat = quat_from_euler(start[:, 0], start[:, 1], 0.0)
+    accel = quat_rotate_inverse(quat, [0.0, 0.0, 9.81])[:, None]
+    out = run(create(name), np.zeros_like(accel), accel, roll_pitch=start)
+    if name != "ekf-drag":  # to which such a reading, across thrust, is speed
+        np.testing.assert_allclose(out[:, 0], start, atol=1e-3 if name == "madgwick" else 1e-9)
+    assert np.degrees(np.abs(out[:, 0] - start)).max() < 1.0
+
+
+@pytest.mark.parametrize("name", [n for n in CLASSICAL if n != "ekf-drag" and "filterpy" not in n])
+@settings(max_examples=20, deadline=None)
+@given(
+    tilt=st.floats(0.0, 160.0),
+    start_tilt=st.floats(0.0, 60.0),
+    direction=st.floats(-180.0, 180.0),
+    yaw=st.floats(-180.0, 180.0),
+)
+def test_at_rest_every_attitude_is_found_from_every_start(name, tilt, start_tilt, direction, yaw):
+    angles = np.radians([tilt, start_tilt, direction, yaw])
+    axis = np.array([np.cos(angles[2]), np.sin(angles[2]), 0.0])
+    if name.startswith("complementary"):
+        angles[0] = min(angles[0], np.radians(70.0))  # Euler angles; at 90° of pitch there is no roll
+    truth = quat_multiply(quat_from_euler(0.0, 0.0, angles[3]), quat_from_rotvec(angles[0] * axis))
+    start = roll_pitch_from_quat(quat_from_rotvec(-0.3 * angles[1] * axis))
+    accel = np.tile(quat_rotate_inverse(truth, [0.0, 0.0, 9.81]), (1, 6000, 1))
+    out = run(create(name, 20.0, **settled(name)), np.zeros_like(accel), accel, roll_pitch=start)
+    assert inclination_error(out[0, -1], roll_pitch_from_quat(truth)) < 0.5
+
+
+@pytest.mark.parametrize("name", ["mahony", "eskf", "vqf"])
+def test_gyroscope_bias_is_found_at_rest(name):
+    bias = np.array([0.01, -0.008, 0.0])
+    accel = np.tile([0.0, 0.0, 9.81], (1, 200 * 120, 1))
+    slow = {"gyro_noise": 1e-3, "accel_noise": 0.05, "bias_sigma": 0.01}
+    est = create(name, 200.0, **(slow if name == "eskf" else settled(name)))
+    run(est, np.broadcast_to(bias, accel.shape), accel)
+    np.testing.assert_allclose(est.gyro_bias[0, :2], bias[:2], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_tilt_is_about_the_same_at_any_sample_rate(make_flights, name):
+    steps = {}
+    for rate in (100.0, 400.0):
+        data = make_flights(1, 4.0, rate, noise=0.0)
+        truth = roll_pitch_from_quat(data.quat.values)
+        gyro, accel = data.gyro.values, data.accel.values
+        out = run(create(name, rate), gyro[:, 1:], accel[:, 1:], truth[:, 0])
+        steps[rate] = out[0, :: int(rate // 100)][:390]
+    assert np.degrees(np.abs(steps[100.0] - steps[400.0])).max() < 1.0
+
+
+def test_drag_aware_filter_finds_tilt_and_velocity_where_the_accelerometer_shows_drag_alone(make_flights):
+    data = make_flights(4, 40.0, noise=0.0)
+    truth = roll_pitch_from_quat(data.quat.values)
+    exact = {"frame_drag": 0.0, "wind_sigma": 0.01, "gust_noise": 0.001, "speed_noise": 100.0}
+    aware = run(create("ekf-drag", **exact), data.gyro.values, data.accel.values)
+    blind = run(create("eskf"), data.gyro.values, data.accel.values)
+    late = slice(4000, None)
+    assert attitude_error(aware[:, late], truth[:, late]).mean < 0.1
+    assert attitude_error(blind[:, late], truth[:, late]).mean > 0.3
+
+
+def test_drag_of_a_vehicle_can_be_named():
+    hummingbird = create("ekf-drag", vehicle="hummingbird")
+    assert hummingbird.values["drag_time"] == pytest.approx(4.90, abs=0.01)
+    assert create("ekf-drag", vehicle="px4-quad").values["drag_time"] != hummingbird.values["drag_time"]
+
+
+# --- missing samples --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_missing_samples_are_bridged_counted_and_reported(flights, name, caplog):
+    gyro, accel, _ = (each.copy() for each in arrays(flights, 2, 300))
+    whole = run(create(name), gyro, accel)
+    gyro[0, 100:103] = np.nan
+    accel[0, 150] = np.nan
+    accel[1, 200:210] = 0.0
+    est = create(name)
+    out = run(est, gyro, accel)
+    assert np.isfinite(out).all()
+    assert est.skipped.tolist() == [4, 10]
+    assert np.degrees(np.abs(out - whole)).max() < 2.0
+    assert len(caplog.records) == 1
+    assert "14 of 600 samples were missing" in caplog.text
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_a_long_gap_holds_the_attitude(flights, name):
+    gyro, accel, _ = (each.copy() for each in arrays(flights, 1, 600))
+    gyro[:, 200:] = np.nan
+    accel[:, 200:] = np.nan
+    out = run(create(name), gyro, accel)
+    if name != "vqf":  # whose bias estimate goes on turning it, slowly
+        assert np.degrees(np.abs(out[:, 230:] - out[:, 230:231])).max() < 2.0
+    assert np.isfinite(out).all()
+
+
+@pytest.mark.parametrize("name", [n for n in CLASSICAL if n != "ekf-drag"])
+def test_a_gyroscope_that_reads_exactly_zero_does_not_stop_the_correction(name):
+    accel = np.tile(quat_rotate_inverse(quat_from_euler(0.2, 0.0, 0.0), [0.0, 0.0, 9.81]), (1, 400, 1))
+    out = run(create(name), np.zeros_like(accel), accel, roll_pitch=[0.0, 0.0])
+    assert out[0, -1, 0] > 0.001
+
+
+def test_one_vehicle_can_be_started_again_while_the_others_fly_on(flights):
+    gyro, accel, _ = arrays(flights, 2, 40)
+    for name in CLASSICAL:
+        est, other = create(name), create(name)
+        run(est, gyro, accel)
+        run(other, gyro, accel)
+        est.restart([1], roll_pitch=[[0.1, 0.2]])
+        both, alone = est.update(gyro[:, 0], accel[:, 0]), other.update(gyro[:, 0], accel[:, 0])
+        np.testing.assert_array_equal(both[0], alone[0])
+        assert np.degrees(np.abs(both[1] - [0.1, 0.2])).max() < 2.0
+
+
+# --- truth, and mistakes ----------------------------------------------------------------------------
+
+
+def test_truth_has_no_error(flights):
+    gyro, accel, quat = arrays(flights)
+    out = run(create("truth"), gyro, accel, quat=quat)
+    np.testing.assert_array_equal(out, roll_pitch_from_quat(quat))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: create("mahonny"), 'unknown estimator "mahonny"; did you mean "mahony"'),
+        (lambda: create("mahony", kp=1.0), 'mahony has no parameter "kp"; did you mean "k_p"'),
+        (lambda: create("mahony", k_p=float("nan")), "k_p = nan is not a finite number"),
+        (lambda: create("complementary", gamma=1.2), "gamma = 1.2 is outside 0 to 1"),
+        (lambda: create("ekf", rate_hz=0.0), "rate_hz = 0.0 must be a positive number"),
+        (lambda: create("ekf", tuning="nowhere.toml"), "nowhere.toml: no such file"),
+        (lambda: run(create("truth"), np.zeros((1, 2, 3)), np.zeros((1, 2, 3))), "observes the truth"),
+        (lambda: run(create("ekf"), np.zeros((1, 2, 3)), np.zeros((1, 3, 3))), "must both have one shape"),
+        (lambda: create("ekf").update(np.zeros((2, 3)), np.zeros((2, 3))), "as in reset"),
+        (lambda: create("ekf").reset(2, roll_pitch=np.zeros((3, 2))), "roll_pitch has shape"),
+        (lambda: create("ekf").reset(0), "needs at least one vehicle"),
+    ],
+)
+def test_mistakes_are_named(call, message):
+    with pytest.raises(ValueError, match=message.replace("(", r"\(")):
+        call()

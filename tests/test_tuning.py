@@ -1,0 +1,142 @@
+"""The searches, the cost they lower, and the files they end in."""
+
+import numpy as np
+import pytest
+
+from estimators import create, parameters, run_batch
+from estimators.flights import load_flights
+from estimators.metrics import absolute_error
+from estimators.tuned import load_tuning
+from estimators.tuning import PENALTY, evolution, mean_squared_error, swarm, tune, write_tuning
+
+
+def bowl(x):
+    """Two valleys; the lower one, at 0.7, is the narrower."""
+    return np.sum((x - 0.3) ** 2, axis=1) + 0.02 - 0.05 * np.exp(-50.0 * np.sum((x - 0.7) ** 2, axis=1))
+
+
+@pytest.mark.parametrize("search", [swarm, evolution])
+def test_searches_find_the_lowest_point(search):
+    found = search(lambda x: np.sum((x - [0.2, 0.9]) ** 2, axis=1), 2, particles=60, iterations=60, seed=1)
+    np.testing.assert_allclose(found.position, [0.2, 0.9], atol=0.02)
+    assert found.cost == pytest.approx(np.sum((found.position - [0.2, 0.9]) ** 2))
+
+
+def test_swarm_starts_again_from_its_seed_and_reports_the_lowest_cost():
+    seen = []
+    runs = [
+        swarm(bowl, 3, particles=20, iterations=8, seed=5, progress=lambda *each: seen.append(each))
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(runs[0].position, runs[1].position)
+    assert [(i, n) for i, n, _ in seen[:8]] == [(i + 1, 8) for i in range(8)]
+    costs = [cost for _, _, cost in seen[:8]]
+    assert costs == sorted(costs, reverse=True) == runs[0].history
+    assert not np.array_equal(runs[0].position, swarm(bowl, 3, particles=20, iterations=8, seed=6).position)
+
+
+def test_outside_the_cube_costs_ten_more_and_is_scored_at_the_edge():
+    """With the lowest cost at a corner, particles leave the cube; none of them may win by it."""
+    asked = []
+
+    def cost(x):
+        asked.append(x)
+        return x.sum(axis=1)
+
+    found = swarm(cost, 2, particles=30, iterations=40, seed=0)
+    assert np.min(asked) >= 0.0
+    assert np.max(asked) <= 1.0
+    assert 0.0 <= found.cost < 0.1 < PENALTY
+
+
+def test_cost_is_the_mean_squared_error_averaged_over_flights(flights):
+    data = load_flights([flights])
+    data.truth[0, ::2] = np.nan
+    gains = {"k_p": np.array([0.1, 1.0, 3.0]), "k_i": np.array([0.0, 0.01, 0.1])}
+    cost = mean_squared_error("mahony", gains, data)
+    error = np.radians(
+        absolute_error(run_batch("mahony", gains, data.gyro, data.accel), data.truth[None].repeat(3, 0))
+    )
+    np.testing.assert_allclose(cost, np.nanmean(error**2, axis=(2, 3)).mean(axis=1), rtol=1e-12)
+
+
+def test_cost_does_not_depend_on_the_number_of_workers(flights):
+    data = load_flights([flights], 2).known()
+    gains = {"beta": np.geomspace(1e-3, 1.0, 5)}
+    one, three = (mean_squared_error("madgwick", gains, data, workers) for workers in (1, 3))
+    np.testing.assert_array_equal(one, three)
+
+
+def test_swarm_and_scipy_find_the_same_optimum(flights):
+    options = {"particles": 24, "iterations": 15, "flights": 2}
+    found = [tune("mahony", [flights], search=search, **options) for search in ("swarm", "evolution")]
+    assert found[0].rmse_deg == pytest.approx(found[1].rmse_deg, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["complementary", "eskf", "vqf"])
+def test_tuning_lowers_the_error(flights, name):
+    data = load_flights([flights], 2)
+    spec = parameters(name)
+    default = {key: np.array([each.default]) for key, each in spec.items()}
+    before = float(np.degrees(np.sqrt(mean_squared_error(name, default, data)[0])))
+    tuned = tune(name, [flights], particles=12, iterations=5, flights=2)
+    assert tuned.rmse_deg <= before
+    assert tuned.evaluations == 60
+
+
+def test_tuned_file_is_what_create_reads(flights, tmp_path):
+    path = tmp_path / "sub" / "mine.toml"
+    for name in ("mahony", "madgwick"):
+        tuned = tune(name, [flights], particles=6, iterations=2, flights=1, command=f'tune "{name}"')
+        write_tuning(path, name, tuned, "Found in a test.")
+    tables = load_tuning(path)
+    assert list(tables) == ["mahony", "madgwick"]
+    assert tables["mahony"].command == 'tune "mahony"'
+    est = create("mahony", tuning=path)
+    assert est.values == tables["mahony"].values
+    assert create("mahony", tuning=path, k_p=0.5).values["k_p"] == 0.5
+    with pytest.raises(ValueError, match=r"no table \[ekf\]; it has mahony, madgwick"):
+        create("ekf", tuning=path)
+
+
+def test_gain_of_a_sample_is_carried_over_to_another_rate(tmp_path, flights):
+    path = tmp_path / "mine.toml"
+    write_tuning(path, "complementary", tune("complementary", [flights], particles=4, iterations=1), "")
+    fast, slow = (create("complementary", rate, tuning=path).values["gamma"] for rate in (200.0, 50.0))
+    assert slow == pytest.approx(fast**4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[mahony", "not valid TOML"),
+        ("[mahony]\nk_p = 1.0", "mahony"),
+        (
+            '[mahony]\ncommand = ""\nrate_hz = 200.0\nrmse_deg = 1.0\nevaluations = 1\n'
+            "[mahony.values]\nkp = 1.0",
+            'no parameter "kp"; did you mean "k_p"',
+        ),
+    ],
+)
+def test_a_broken_tuning_file_is_named(tmp_path, text, message):
+    path = tmp_path / "broken.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"broken\.toml") as caught:
+        create("mahony", tuning=path)
+    assert message in str(caught.value)
+
+
+def test_shipped_parameters_are_the_defaults():
+    shipped = load_tuning("hummingbird-adis16448")
+    for name, table in shipped.items():
+        if not name.endswith("filterpy"):
+            assert create(name, table.rate_hz).values.items() >= table.values.items()
+
+
+def test_estimators_without_parameters_and_broken_datasets_are_named(flights):
+    with pytest.raises(ValueError, match="truth has no parameters to tune"):
+        tune("truth", [flights])
+    with pytest.raises(ValueError, match="the dataset has no quat"):
+        tune("mahony", [flights.drop_vars("quat")])
+    with pytest.raises(ValueError, match="must agree in length and sample rate"):
+        tune("mahony", [flights, flights.isel(time=slice(100))])
