@@ -40,7 +40,7 @@ def settled(name):
         "complementary": {"gamma": 0.97},
         "complementary-adaptive": {"gamma": 0.97, "k_a": 0.01},
         "mahony": {"k_p": 1.0, "k_i": 0.05},
-        "madgwick": {"beta": 0.1},
+        "madgwick": {"beta": 0.05},
         "ekf": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "eskf": {"gyro_noise": 0.05, "accel_noise": 0.05, "bias_sigma": 0.01},
         "ekf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},

@@ -1,0 +1,102 @@
+"""Speed of the filters: per streamed sample, per sample of a sequence, and against ahrs and VQF's C++.
+
+    python benchmarks/bench_filters.py [--tune]
+
+All numbers come from one run on one thread; each is the best of several repetitions. With --tune also the
+time of one swarm of 100 particles × 50 iterations on 48 flights of 100 s (4800 s, as long as the paper's epochs).
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+
+import ahrs
+import numpy as np
+import xarray as xr
+from vqf import VQF
+
+from estimators import create, names, run
+from estimators.protocol import COMPILED, NETWORKS
+from estimators.tuning import tune
+
+RATE_HZ = 200.0
+
+
+def best_of(call: Callable[[], object], repetitions: int) -> float:
+    times = []
+    for _ in range(repetitions):
+        begin = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def motion(flights: int, seconds: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Smooth random rates and a noisy specific force; what they are hardly matters to the speed."""
+    rng, steps = np.random.default_rng(seed), round(seconds * RATE_HZ)
+    t = np.arange(steps) / RATE_HZ
+    phase = rng.uniform(0.0, 2.0 * np.pi, (flights, 1, 3))
+    gyro = 0.3 * np.cos(2.0 * t[None, :, None] + phase) + rng.normal(0.0, 0.005, (flights, steps, 3))
+    accel = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.1, (flights, steps, 3))
+    return gyro, accel
+
+
+def ns_per_sample(name: str, gyro: np.ndarray, accel: np.ndarray, repetitions: int = 5) -> float:
+    est = create(name, RATE_HZ)
+    run(est, gyro[:1, :2], accel[:1, :2])
+    return best_of(lambda: run(est, gyro, accel), repetitions) / gyro[..., 0].size * 1e9
+
+
+def us_per_update(name: str, gyro: np.ndarray, accel: np.ndarray, count: int) -> float:
+    est = create(name, RATE_HZ)
+    est.reset(1)
+    samples = [(gyro[:1, t], accel[:1, t]) for t in range(count)]
+    est.update(*samples[0])
+
+    def stream() -> None:
+        for sample in samples:
+            est.update(*sample)
+
+    return best_of(stream, 3) / count * 1e6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tune", action="store_true", help="also time one swarm on 4800 s of flight")
+    arguments = parser.parse_args()
+    gyro, accel = motion(4, 100.0)
+
+    print(f"{'filter':24}{'update, n = 1':>16}{'run':>16}")
+    sequence = {}
+    for name in names():
+        if name in (*NETWORKS, "truth"):
+            continue
+        slow = name.endswith("filterpy")
+        part = slice(0, 400 if slow else None)
+        sequence[name] = ns_per_sample(name, gyro[:, part], accel[:, part], 2 if slow else 5)
+        streamed = us_per_update(name, gyro, accel, 400 if slow else 10_000)
+        print(f"{name:24}{streamed:>13.2f} µs{sequence[name]:>13.0f} ns")
+
+    print()
+    few = slice(0, 2000)
+    for name, make in (("mahony", ahrs.filters.Mahony), ("madgwick", ahrs.filters.Madgwick)):
+        theirs = best_of(lambda make=make: make(gyr=gyro[0, few], acc=accel[0, few], frequency=RATE_HZ), 2)
+        theirs *= 1e9 / 2000
+        print(f"{name}: ahrs {theirs:.0f} ns a sample, ours {theirs / sequence[name]:.0f} times as fast")
+    cpp = best_of(lambda: VQF(1.0 / RATE_HZ).updateBatch(gyro[0], accel[0]), 5) / gyro.shape[1] * 1e9
+    for name in COMPILED:
+        print(f"{name}: {cpp / sequence[name]:.2f} times as fast as VQF's C++ ({cpp:.0f} ns a sample)")
+
+    if arguments.tune:
+        gyro, accel = motion(48, 100.0)
+        dims = ("flight", "time", "axis")
+        quat = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*gyro.shape[:2], 4))
+        variables = {"gyro": (dims, gyro), "accel": (dims, accel), "quat": (("flight", "time", "quat"), quat)}
+        dataset = xr.Dataset(variables, attrs={"rate_hz": RATE_HZ})
+        begin = time.perf_counter()
+        tune("mahony", [dataset], particles=100, iterations=50, workers=2)
+        print(f"tuning mahony, 100 × 50 on 4800 s, two threads: {time.perf_counter() - begin:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
