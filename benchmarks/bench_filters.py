@@ -3,7 +3,7 @@
     python benchmarks/bench_filters.py [--tune]
 
 All numbers come from one run on one thread; each is the best of several repetitions. With --tune also the
-time of one swarm of 100 particles × 50 iterations on 48 flights of 100 s (4800 s, as long as the paper's epochs).
+time of one swarm of 100 particles × 50 iterations on 48 flights of 100 s.
 """
 
 import argparse

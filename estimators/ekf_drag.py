@@ -45,56 +45,51 @@ ACCEL_BIAS_WALK = 0.006
 
 
 @njit
-def propagate(P, matrix, v, w, dt, walks):
-    """P ← F P Fᵀ + Q, by rows, then by columns.
-
-    θ̇ = −R̂ δb,    δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb,    δẇ = −ŵ × R̂ δb.
-    """
+def transition(P, matrix, v, w, dt):
+    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
     vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
-    # v̂ × and ŵ × the columns of R̂
-    m00, m01, m02 = vy * r20 - vz * r10, vy * r21 - vz * r11, vy * r22 - vz * r12
-    m10, m11, m12 = vz * r00 - vx * r20, vz * r01 - vx * r21, vz * r02 - vx * r22
-    m20, m21, m22 = vx * r10 - vy * r00, vx * r11 - vy * r01, vx * r12 - vy * r02
-    k00, k01, k02 = wy * r20, wy * r21, wy * r22
-    k10, k11, k12 = -wx * r20, -wx * r21, -wx * r22
-    g = GRAVITY
     for j in range(ERRORS):
-        t0, t1, b0, b1, b2, c0, c1, c2 = (
-            P[0, j], P[1, j], P[7, j], P[8, j], P[9, j], P[10, j], P[11, j], P[12, j],
-        )  # fmt: skip
-        P[0, j] = t0 - dt * (r00 * b0 + r01 * b1 + r02 * b2)
-        P[1, j] = t1 - dt * (r10 * b0 + r11 * b1 + r12 * b2)
-        P[2, j] += dt * (g * t1 - r00 * c0 - r01 * c1 - r02 * c2 - m00 * b0 - m01 * b1 - m02 * b2)
-        P[3, j] -= dt * (g * t0 + r10 * c0 + r11 * c1 + r12 * c2 + m10 * b0 + m11 * b1 + m12 * b2)
-        P[4, j] -= dt * (r20 * c0 + r21 * c1 + r22 * c2 + m20 * b0 + m21 * b1 + m22 * b2)
-        P[5, j] -= dt * (k00 * b0 + k01 * b1 + k02 * b2)
-        P[6, j] -= dt * (k10 * b0 + k11 * b1 + k12 * b2)
+        x, y = P[0, j], P[1, j]
+        b0, b1, b2, c0, c1, c2 = P[7, j], P[8, j], P[9, j], P[10, j], P[11, j], P[12, j]
+        # R̂ δb and R̂ δc
+        bx, cx = r00 * b0 + r01 * b1 + r02 * b2, r00 * c0 + r01 * c1 + r02 * c2
+        by, cy = r10 * b0 + r11 * b1 + r12 * b2, r10 * c0 + r11 * c1 + r12 * c2
+        bz, cz = r20 * b0 + r21 * b1 + r22 * b2, r20 * c0 + r21 * c1 + r22 * c2
+        P[0, j] = x - dt * bx
+        P[1, j] = y - dt * by
+        P[2, j] += dt * (GRAVITY * y - cx - (vy * bz - vz * by))
+        P[3, j] += dt * (-GRAVITY * x - cy - (vz * bx - vx * bz))
+        P[4, j] += dt * (-cz - (vx * by - vy * bx))
+        P[5, j] -= dt * wy * bz
+        P[6, j] += dt * wx * bz
+
+
+@njit
+def propagate(P, T, matrix, v, w, dt, walks):
+    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; T is scratch."""
+    transition(P, matrix, v, w, dt)
     for i in range(ERRORS):
-        t0, t1, b0, b1, b2, c0, c1, c2 = (
-            P[i, 0], P[i, 1], P[i, 7], P[i, 8], P[i, 9], P[i, 10], P[i, 11], P[i, 12],
-        )  # fmt: skip
-        P[i, 0] = t0 - dt * (r00 * b0 + r01 * b1 + r02 * b2)
-        P[i, 1] = t1 - dt * (r10 * b0 + r11 * b1 + r12 * b2)
-        P[i, 2] += dt * (g * t1 - r00 * c0 - r01 * c1 - r02 * c2 - m00 * b0 - m01 * b1 - m02 * b2)
-        P[i, 3] -= dt * (g * t0 + r10 * c0 + r11 * c1 + r12 * c2 + m10 * b0 + m11 * b1 + m12 * b2)
-        P[i, 4] -= dt * (r20 * c0 + r21 * c1 + r22 * c2 + m20 * b0 + m21 * b1 + m22 * b2)
-        P[i, 5] -= dt * (k00 * b0 + k01 * b1 + k02 * b2)
-        P[i, 6] -= dt * (k10 * b0 + k11 * b1 + k12 * b2)
+        for j in range(ERRORS):
+            T[i, j] = P[j, i]
+    transition(T, matrix, v, w, dt)
+    for i in range(ERRORS):
+        for j in range(ERRORS):
+            P[i, j] = T[i, j]
         P[i, i] += walks[i]
 
 
 @njit
-def correct(P, dx, column, h, residual, variance):
-    """One scalar measurement with row h: adds to the error dx, reduces P; column is scratch."""
-    total = variance
-    for a in range(ERRORS):
-        column[a] = 0.0
-        for b in range(ERRORS):
-            column[a] += P[a, b] * h[b]
-    for a in range(ERRORS):
-        total += h[a] * column[a]
-        residual -= h[a] * dx[a]
+def correct(P, dx, column, total, residual):
+    """One scalar measurement with row h: adds to the error dx, reduces P.
+
+    Args:
+        P: Covariance.
+        dx: Error found so far.
+        column: P hᵀ.
+        total: h P hᵀ and the measurement's variance.
+        residual: Measured less expected, less h dx.
+    """
     for a in range(ERRORS):
         gain = column[a] / total
         dx[a] += gain * residual
@@ -103,37 +98,43 @@ def correct(P, dx, column, h, residual, variance):
 
 
 @njit
-def correct_by_drag(P, dx, column, h, matrix, v, w, c, ax, ay, drag, variance):
-    """Correct by the specific force across thrust, one axis after the other."""
+def correct_by_drag(P, dx, column, matrix, v, w, c, ax, ay, drag, variance):
+    """Correct by the specific force across thrust, one axis after the other; column is scratch."""
     for k in range(2):
-        hx, hy, hz = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
-        h[:] = 0.0
-        h[2], h[3], h[4], h[5], h[6], h[10 + k] = hx, hy, hz, -hx, -hy, 1.0
-        expected = hx * (v[0] - w[0]) + hy * (v[1] - w[1]) + hz * v[2] + c[k]
+        x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
+        expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + c[k]
+        found = x * (dx[2] - dx[5]) + y * (dx[3] - dx[6]) + z * dx[4] + dx[10 + k]
+        for a in range(ERRORS):
+            column[a] = x * (P[2, a] - P[5, a]) + y * (P[3, a] - P[6, a]) + z * P[4, a] + P[10 + k, a]
+        total = x * (column[2] - column[5]) + y * (column[3] - column[6]) + z * column[4] + column[10 + k]
         measured = ax if k == 0 else ay
-        correct(P, dx, column, h, measured - expected, variance)
+        correct(P, dx, column, total + variance, measured - expected - found)
 
 
 @njit
-def correct_by_rest(P, dx, column, h, v, speed_variance, climb_variance):
-    """Correct by the measurement v = 0, one axis after the other."""
+def correct_by_rest(P, dx, column, v, speed_variance, climb_variance):
+    """Correct by the measurement v = 0, one axis after the other; column is scratch."""
     for k in range(3):
-        h[:] = 0.0
-        h[2 + k] = 1.0
+        x, y = 0.0, 0.0  # of θ × v̂
         if k == 0:
-            h[1] = v[2]
+            y = v[2]
         elif k == 1:
-            h[0] = -v[2]
+            x = -v[2]
         else:
-            h[0], h[1] = v[1], -v[0]
-        correct(P, dx, column, h, -v[k], climb_variance if k == 2 else speed_variance)
+            x, y = v[1], -v[0]
+        for a in range(ERRORS):
+            column[a] = x * P[0, a] + y * P[1, a] + P[2 + k, a]
+        total = x * column[0] + y * column[1] + column[2 + k]
+        found = x * dx[0] + y * dx[1] + dx[2 + k]
+        correct(P, dx, column, total + (climb_variance if k == 2 else speed_variance), -v[k] - found)
 
 
 @njit(cache=True, nogil=True)
 def sequence(states, params, dt, gyro, accel, out, target, squared_error):
     """Params as in `PARAMETERS`. See `filters` for the arguments."""
     n, steps = gyro.shape[:2]
-    dx, column, h, walks = np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS)
+    dx, column, walks = np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS)
+    T = np.empty((ERRORS, ERRORS))
     for row in range(states.shape[0]):
         p = params[row // n]
         walks[0:2] = p[0] * p[0] * dt
@@ -153,7 +154,7 @@ def sequence(states, params, dt, gyro, accel, out, target, squared_error):
             dw, dqx, dqy, dqz = from_rotvec_core(gx, gy, gz)
             qw, qx, qy, qz = multiply_core(s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3], dw, dqx, dqy, dqz)
             matrix = matrix_core(qw, qx, qy, qz)
-            propagate(P, matrix, v, w, dt, walks)
+            propagate(P, T, matrix, v, w, dt, walks)
             dx[:] = 0.0
             if ax != 0.0 or ay != 0.0 or az != 0.0:
                 fx, fy, fz = rotate_core(qw, qx, qy, qz, ax - c[0], ay - c[1], az - c[2])
@@ -162,8 +163,8 @@ def sequence(states, params, dt, gyro, accel, out, target, squared_error):
                 v[2] += (fz - GRAVITY) * dt
                 speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
                 drag = math.sqrt(max(az, 0.0) / GRAVITY) / drag_time + frame_drag * speed
-                correct_by_drag(P, dx, column, h, matrix, v, w, c, ax, ay, drag, drag_variance)
-                correct_by_rest(P, dx, column, h, v, speed_variance, climb_variance)
+                correct_by_drag(P, dx, column, matrix, v, w, c, ax, ay, drag, drag_variance)
+                correct_by_rest(P, dx, column, v, speed_variance, climb_variance)
             qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
             s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3] = qw, qx, qy, qz
             rw, rx, ry, rz = from_rotvec_core(dx[0], dx[1], 0.0)
