@@ -3,7 +3,7 @@
 import csv
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator
-from quadsim.rotation import (
-    quat_from_roll_pitch,
-    quat_from_rotvec,
-    quat_multiply,
-    roll_pitch_from_quat,
-)  # fmt: skip
 
 from .flights import Flights, Initial, load_flights
 from .metrics import Summary, absolute_error, attitude_error, inclination_error, inclination_rmse
@@ -26,8 +20,10 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 """progress(runs done, runs in all, estimator that is next)."""
 
-OFFSETS_DEG = (20.0, 45.0)
-"""Initial tilt errors whose decay is timed."""
+TILTS_DEG = (20.0, 45.0)
+"""Tilts in which estimators that take themselves to be level are started, to time their recovery."""
+STARTS = 2
+"""How many such starts are taken of each flight."""
 SETTLED_DEG = 2.0
 """Inclination error below which an estimator counts as converged."""
 BLOCK_S = 0.5
@@ -51,7 +47,7 @@ class Row:
     inclination_rmse_deg: float
     """Mean over sequences of the inclination error's RMS."""
     settle_20_s: float
-    """From an initial tilt error of 20°: time after which the median flight stays below 2°; NaN for never."""
+    """Started in an unknown tilt of 20°: time after which the median start stays below 2°; NaN: never."""
     settle_45_s: float
     """The same from 45°."""
     runtime_ns: float
@@ -70,7 +66,7 @@ class Evaluation:
     over_time: dict[tuple[str, str], Array] = field(default_factory=dict)
     """Mean absolute error in each block of each sequence (n, blocks) [deg]."""
     settling: dict[tuple[str, float], Array] = field(default_factory=dict)
-    """(estimator, offset) to the median inclination error of the flights at each sample [deg]."""
+    """(estimator, tilt) to the median over starts of the inclination error in each block [deg]."""
     rate_hz: float = 0.0
 
     def write_csv(self, path: Path) -> None:
@@ -88,7 +84,7 @@ def evaluate(
     *,
     initial: Sequence[Initial] = ("unknown", "known"),
     tuning: str | Path | None = None,
-    settle_s: float = 60.0,
+    settle_s: float = 40.0,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Evaluation:
@@ -102,8 +98,8 @@ def evaluate(
         estimators: Names, or estimators under the names they are to have.
         initial: Which rows to make.
         tuning: Parameters of the estimators given by name, as in `create`.
-        settle_s: Length of the flights' beginnings on which the decay of an initial error is timed [s].
-        seed: Of the bootstrap and of the directions of the initial errors.
+        settle_s: Time that an estimator started in a tilt is given to recover [s].
+        seed: Of the bootstrap and of the choice of those starts.
         progress: Called before every run.
 
     Raises:
@@ -113,14 +109,15 @@ def evaluate(
     rate_hz = flights.rate_hz
     made = estimators if isinstance(estimators, Mapping) else _made(estimators, rate_hz, tuning)
     result = Evaluation(time_s=_block_times(flights.gyro.shape[1], rate_hz), rate_hz=rate_hz)
-    early = flights.first(max(2, round(settle_s * rate_hz))).known()
+    steps = min(round(settle_s * rate_hz), flights.gyro.shape[1])
+    pieces = {tilt: tilted_starts(flights, tilt, steps, seed) for tilt in TILTS_DEG}
     for index, (name, est) in enumerate(made.items()):
         if progress is not None:
             progress(index, len(made), name)
-        _run(est, flights.first(2))  # compiles
-        settle = {offset: _settling(est, early, offset, seed) for offset in OFFSETS_DEG}
-        result.settling |= {(name, offset): curve for offset, curve in settle.items()}
-        times = [_time_below(curve, rate_hz) for curve in settle.values()]
+        run(est, flights.gyro[:, :2], flights.accel[:, :2], quat=flights.quat[:, :2])  # compiles
+        settle = {tilt: _settling(est, pieces[tilt]) for tilt in TILTS_DEG}
+        result.settling |= {(name, tilt): curve for tilt, curve in settle.items()}
+        times = [_time_below(curve) for curve in settle.values()]
         for start in initial:
             chosen = flights.known() if start == "known" else flights
             begin = time.perf_counter()
@@ -134,11 +131,32 @@ def evaluate(
     return result
 
 
-def offset_start(quat: Array, offset_deg: float, seed: int = 0) -> Array:
-    """Roll and pitch (n, 2) [rad] of attitudes (n, 4) tilted by an angle about random horizontal axes."""
-    direction = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(quat))
-    axis = np.stack([np.cos(direction), np.sin(direction), np.zeros(len(quat))], axis=-1)
-    return roll_pitch_from_quat(quat_multiply(quat_from_rotvec(np.radians(offset_deg) * axis), quat))
+def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) -> Flights | None:
+    """Pieces of flights that begin where the vehicle is tilted by an angle, `STARTS` of each flight at most.
+
+    Args:
+        flights: Where to look.
+        tilt_deg: The tilt, met to 1°.
+        steps: Length of a piece.
+        seed: Of the choice among the places.
+
+    Returns:
+        The pieces with an unknown start, or None if there is no such place.
+    """
+    rng = np.random.default_rng(seed)
+    tilt = inclination_error(flights.truth, np.zeros_like(flights.truth))
+    places = []
+    for flight, each in enumerate(np.abs(tilt[:, : tilt.shape[1] - steps + 1] - tilt_deg) < 1.0):
+        found = np.flatnonzero(each)
+        chosen = rng.choice(found, min(STARTS, found.size), replace=False)
+        places += [(flight, slice(first, first + steps)) for first in np.sort(chosen)]
+    if not places:
+        return None
+    gyro, accel, quat, truth = (
+        np.stack([array[place] for place in places])
+        for array in (flights.gyro, flights.accel, flights.quat, flights.truth)
+    )
+    return Flights(gyro, accel, quat, truth, flights.rate_hz)
 
 
 def _made(
@@ -151,20 +169,22 @@ def _run(est: AttitudeEstimator, flights: Flights) -> Array:
     return run(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)
 
 
-def _settling(est: AttitudeEstimator, flights: Flights, offset_deg: float, seed: int) -> Array:
-    """Median over flights of the inclination error after a start that is wrong, (T,) [deg]."""
-    assert flights.start is not None
-    wrong = offset_start(quat_from_roll_pitch(flights.start), offset_deg, seed)
-    estimate = _run(est, replace(flights, start=wrong))
-    return np.asarray(np.nanmedian(inclination_error(estimate, flights.truth), axis=0), np.float64)
+def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:
+    """Median over pieces of the inclination error, averaged over each block, (blocks,) [deg]."""
+    if pieces is None:
+        return np.empty(0)
+    error = inclination_error(_run(est, pieces), pieces.truth)
+    blocks = _block_times(error.shape[1], pieces.rate_hz).size
+    means = [np.nanmean(part, axis=1) for part in np.array_split(error, blocks, axis=1)]
+    return np.asarray(np.nanmedian(np.stack(means, axis=1), axis=0), np.float64)
 
 
-def _time_below(curve: Array, rate_hz: float) -> float:
-    """Time after which a curve stays below `SETTLED_DEG` [s]; NaN if it never does."""
+def _time_below(curve: Array) -> float:
+    """Time after which a curve of blocks stays below `SETTLED_DEG` [s]; NaN if it never does."""
     above = np.flatnonzero(~(curve < SETTLED_DEG))
-    if above.size == 0:
-        return 0.0
-    return float("nan") if above[-1] == curve.size - 1 else float((above[-1] + 1) / rate_hz)
+    if curve.size == 0 or (above.size > 0 and above[-1] == curve.size - 1):
+        return float("nan")
+    return 0.0 if above.size == 0 else (float(above[-1]) + 1.0) * BLOCK_S
 
 
 def _block(rate_hz: float) -> int:

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .evaluate import OFFSETS_DEG, SETTLED_DEG, Evaluation
+from .evaluate import BLOCK_S, SETTLED_DEG, TILTS_DEG, Evaluation
 
 COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
 
@@ -47,15 +47,15 @@ def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
 
 
 def settling(evaluation: Evaluation) -> Figure:
-    """Decay of an initial tilt error: inclination error of the median flight, one panel an initial error."""
+    """Recovery after a start in an unknown tilt: inclination error of the median start, one panel a tilt."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    panels = figure.subplots(1, len(OFFSETS_DEG), sharey=True)
-    for axes, offset in zip(panels, OFFSETS_DEG, strict=True):
+    panels = figure.subplots(1, len(TILTS_DEG), sharey=True)
+    for axes, tilt in zip(panels, TILTS_DEG, strict=True):
         for (name, start), curve in evaluation.settling.items():
-            if start == offset:
-                axes.plot((np.arange(curve.size) + 1) / evaluation.rate_hz, curve, label=name, linewidth=1.0)
+            if start == tilt and curve.size > 0:
+                axes.plot((np.arange(curve.size) + 0.5) * BLOCK_S, curve, label=name, linewidth=1.0)
         axes.axhline(SETTLED_DEG, color="black", linewidth=0.8, linestyle=":")
-        axes.set_title(f"starting {offset:.0f}° wrong")
+        axes.set_title(f"started in a tilt of {tilt:.0f}°")
         _finish(axes, "inclination error [°]")
     return figure
 
@@ -63,4 +63,5 @@ def settling(evaluation: Evaluation) -> Figure:
 def _finish(axes: Axes, label: str) -> None:
     axes.set(xlabel="time [s]", ylabel=label, yscale="log")
     axes.grid(which="both", alpha=0.3)
-    axes.legend(frameon=False, ncols=2, fontsize="small")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, ncols=2, fontsize="small")

@@ -38,13 +38,6 @@ class Flights:
         )
         return Flights(gyro, accel, quat, truth, self.rate_hz, self.truth[:, 0])
 
-    def first(self, steps: int) -> "Flights":
-        """The beginnings of the flights."""
-        gyro, accel, quat, truth = (
-            np.ascontiguousarray(each[:, :steps]) for each in (self.gyro, self.accel, self.quat, self.truth)
-        )
-        return Flights(gyro, accel, quat, truth, self.rate_hz, self.start)
-
 
 def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Flights:
     """The first `count` flights of each dataset, or all, in double precision and with an unknown start.
