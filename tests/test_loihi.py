@@ -35,14 +35,18 @@ def test_emulator_equals_the_golden_vectors(name, n):
     net = golden_network(case)
     net.reset(n)
     spikes, bias = case.get("s_in"), case.get("bias_seq_mant_L0")
-    for t in range(golden["L0_u"].shape[0]):
+    steps = golden["L0_u"].shape[0]
+    seen = {key: np.zeros((n, *golden[key].shape), np.int64) for key in golden}
+    for t in range(steps):
         net.step(
             None if spikes is None else np.tile(spikes[t], (n, 1)),
             bias_mant=None if bias is None else bias[t],
         )
         for k in range(len(net.sizes)):
             for state, key in ((net.u, "u"), (net.v, "v"), (net.s, "s")):
-                np.testing.assert_array_equal(state[k], np.tile(golden[f"L{k}_{key}"][t], (n, 1)))
+                seen[f"L{k}_{key}"][:, t] = state[k]
+    for key, values in seen.items():
+        np.testing.assert_array_equal(values, np.broadcast_to(golden[key], values.shape), err_msg=key)
 
 
 def test_decay_rounds_toward_zero():
