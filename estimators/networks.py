@@ -67,6 +67,10 @@ class Core(Protocol):
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         ...
 
+    def place(self, states: States, roll_pitch: Array) -> None:
+        """Let the output read roll and pitch (n, 2) [rad] now, where the output has a state of its own."""
+        ...
+
 
 class NetworkEstimator:
     """A network that follows n vehicles: the estimator protocol around a `Core`.
@@ -124,6 +128,7 @@ class NetworkEstimator:
                 raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
+            self.core.place(states, known)
         return states
 
 
@@ -152,6 +157,11 @@ class Spiking:
         x /= INPUT_ONE
         run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
         out *= self._scale
+
+    def place(self, states: States, roll_pitch: Array) -> None:
+        """Set the potentials of the outputs, which forget within a second or so."""
+        potential = roll_pitch / self._scale
+        states[1][:, -2:] = np.rint(potential) if self._quantised else potential
 
 
 class OnLoihi:
@@ -192,6 +202,11 @@ class OnLoihi:
             states, self.chip.parameters, out,
         )  # fmt: skip
 
+    def place(self, states: States, roll_pitch: Array) -> None:
+        """Set the potentials of the outputs, which forget within a second or so."""
+        v = states[5]
+        v[:, -2:] = np.rint(roll_pitch / self._scale)
+
 
 class Recurrent:
     """Att-RNN: two GRU layers and a linear output, in float32."""
@@ -221,6 +236,9 @@ class Recurrent:
         encode(gyro, accel, self._offset, self._gain, held, x)
         run_gru((x / INPUT_ONE).astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
+
+    def place(self, states: States, roll_pitch: Array) -> None:
+        """Nothing to do: the output is a function of the units alone."""
 
 
 def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:

@@ -118,6 +118,16 @@ def test_shipped_networks_start_at_the_attitude_they_are_told(name):
     assert error.max() < 3.0
 
 
+def test_float64_and_integers_agree_from_a_known_attitude(snn_file):
+    gyro, accel = samples(2, 50)
+    runs = []
+    for name in ("att-snn", "att-snn-loihi"):
+        est = create_network(name, weights=snn_file)
+        est.reset(2, roll_pitch=np.array([[0.1, -0.2], [0.03, 0.0]]))
+        runs.append(est.sequence(gyro, accel))
+    np.testing.assert_array_equal(*runs)
+
+
 def test_gru_equals_torch(rnn_file):
     config, tensors = load_network(rnn_file)
     gru = torch.nn.GRU(6, 100, 2, batch_first=True)
