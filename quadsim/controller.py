@@ -130,21 +130,21 @@ def _allocate(c, inverse, thrust, torque, out):
 
 
 @njit(cache=True)
-def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw, gyro, memory, axis, out):
+def control(level, command, position, velocity, attitude, yaw, gyro, g, c, inverse, dt, memory, axis, out):
     """One step of the cascade for n vehicles.
 
     Args:
         level: 0 position … 4 rotor.
-        g: Gains, in the order of `quadsim.vehicle.Gains`.
-        c: (8,) mass, inertia (3), largest angular acceleration (3), largest rotor speed.
-        inverse: (4, 4) from thrust and torque to squared rotor speed.
-        dt: Sample period [s].
         command: (n, width of the level).
         position: (n, 3) world [m].
         velocity: (n, 3) world [m/s].
         attitude: (n, 2) estimated roll and pitch [rad].
         yaw: (n,) [rad].
         gyro: (n, 3) measured body rate [rad/s].
+        g: Gains, in the order of `quadsim.vehicle.Gains`.
+        c: (8,) mass, inertia (3), largest angular acceleration (3), largest rotor speed.
+        inverse: (4, 4) from thrust and torque to squared rotor speed.
+        dt: Sample period [s].
         memory: (n, 10), changed in place.
         axis: (n, 3), written: the thrust axis asked for, world; as it was where the command is a lower one.
         out: (n, 4) commanded rotor speeds [rad/s].
@@ -205,7 +205,7 @@ class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
     After a step, `rotor_vel_cmd` (n, 4) holds its command and `thrust_axis` (n, 3) where it wants the thrust
-    to point, world axes.
+    to point, world axes. `arrays` are the last arguments of `control`, for kernels that call it.
 
     Args:
         vehicle: The nominal vehicle; its `controller` gains are used, or designed when it has none.
@@ -219,15 +219,14 @@ class Controller:
     ) -> None:
         self.n, self.dt = n, 1.0 / rate_hz
         self.gains = gains or vehicle.controller or _designed(vehicle, rate_hz)
-        self._g = np.array(list(self.gains.model_dump().values()))
+        g = np.array(list(self.gains.model_dump().values()))
         arms = np.abs(vehicle.allocation[1:]).sum(axis=1) / 2 * vehicle.motor.omega_max**2
-        self._c = np.array(
-            [vehicle.mass, *vehicle.inertia, *(arms / vehicle.inertia), vehicle.motor.omega_max]
-        )
-        self._inverse = np.linalg.inv(vehicle.allocation)
+        c = np.array([vehicle.mass, *vehicle.inertia, *(arms / vehicle.inertia), vehicle.motor.omega_max])
+        inverse = np.linalg.inv(vehicle.allocation)
         self._memory = np.zeros((n, _MEMORY))
         self.rotor_vel_cmd = np.full((n, 4), vehicle.hover_rotor_vel)
         self.thrust_axis = np.tile([0.0, 0.0, 1.0], (n, 1))
+        self.arrays = (g, c, inverse, self.dt, self._memory, self.thrust_axis, self.rotor_vel_cmd)
 
     def reset(self, ids: NDArray[np.int_] | slice = slice(None)) -> None:
         """Clear the integrators of some vehicles."""
@@ -255,9 +254,8 @@ class Controller:
             gyro: (n, 3) measured body rate [rad/s].
         """
         control(
-            LEVELS.index(level), self._g, self._c, self._inverse, self.dt, command, position, velocity,
-            attitude, yaw, gyro, self._memory, self.thrust_axis, self.rotor_vel_cmd,
-        )  # fmt: skip
+            LEVELS.index(level), command, position, velocity, attitude, yaw, gyro, *self.arrays
+        )
         return self.rotor_vel_cmd
 
 

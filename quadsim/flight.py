@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from .config import Strict
-from .controller import Controller, Level
+from .controller import LEVELS, Controller, Level, control
 from .estimator import AttitudeEstimator
-from .imu import ImuSpec, ImuStream, simulate_imu_with_bias
-from .plant import Plant
+from .imu import ACCEL, GYRO, ImuSpec, ImuStream, simulate_imu_with_bias
+from .plant import Plant, actuate, sense
 from .rotation import euler_core
 from .seeding import child
 from .trajectory import Mix, Trajectory, reference
@@ -72,9 +72,12 @@ class FlightLoop:
         self.corrupt = corrupt
         self._observe = getattr(estimator, "observe", None)
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
-        self._calm = np.zeros((n, 3))
-        self.gyro, self.accel, self.attitude = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2))
-        self.rate = np.zeros((n, 3))
+        self.attitude, self._calm = self.true_attitude, np.zeros((n, 3))
+        motion = self.plant.ang_vel, self.plant.specific_force, self.plant.ang_acc, self.plant.rotor_vel
+        self._motion, self._reading = [each[:, None] for each in motion], np.zeros((2, n, 1, 3))
+        self._sample = motion[:2] if imu is None else (self._reading[GYRO, :, 0], self._reading[ACCEL, :, 0])
+        self.gyro, self.accel = self._sample
+        self.rate = self.gyro if corrupt is None else np.zeros((n, 3))
 
     def reset(
         self,
@@ -139,35 +142,54 @@ class FlightLoop:
 
     def move(self, level: Level, command: Array, wind: Array | None = None) -> None:
         """The first half of `step`: control and motion."""
-        plant = self.plant
-        rotor_vel_cmd = self.controller.step(
-            level, command, plant.position, plant.velocity, self.attitude, self.yaw, self.rate
-        )
-        plant.advance(rotor_vel_cmd, self._calm if wind is None else wind)
-        self.k += 1
-        read_attitude(plant.quat, self.true_attitude, self.yaw)
+        plant, controller = self.plant, self.controller
+        air = self._calm if wind is None else wind
+        steer(
+            LEVELS.index(level), command, self.attitude, self.yaw, self.rate, plant.step_dt, air, plant.ctrl,
+            *controller.arrays, *plant.arrays,
+        )  # fmt: skip
+        plant.integrate(controller.rotor_vel_cmd, air)
+        arrive(self.k, self.true_attitude, self.yaw, air, plant.reaction, *plant.arrays)
 
     def sense(self) -> None:
         """The second half of `step`: IMU and estimate."""
-        plant = self.plant
-        if self.imu is None:
-            self.gyro, self.accel = plant.ang_vel, plant.specific_force
-        else:
-            self.gyro, self.accel = self.imu.sample(
-                plant.ang_vel, plant.specific_force, plant.ang_acc, plant.rotor_vel
-            )
-        if self.corrupt is None:
-            self.rate = self.gyro
-        else:
-            self.gyro, self.accel = self.gyro.copy(), self.accel.copy()
+        if self.imu is not None:
+            self.imu.read(*self._motion, self._reading)
+        if self.corrupt is not None:
+            self.gyro, self.accel = (each.copy() for each in self._sample)
             self.corrupt(self.gyro, self.accel, self.k)
             self.rate = np.where(np.isfinite(self.gyro), self.gyro, self.rate)
-        if self.estimator is None:
-            self.attitude = self.true_attitude
-        else:
+        if self.estimator is not None:
             if self._observe is not None:
-                self._observe(plant.quat)
+                self._observe(self.plant.quat)
             self.attitude = self.estimator.update(self.gyro, self.accel)
+
+
+@njit(cache=True)
+def steer(
+    level, command, attitude, yaw, rate, step_dt, wind, ctrl,
+    g, c, inverse, dt, memory, axis, rotor_vel_cmd,
+    params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc,
+):  # fmt: skip
+    """Everything before the engine's step: `control`, then `actuate`."""
+    control(
+        level, command, qpos[:, :3], qvel[:, :3], attitude, yaw, rate, g, c, inverse, dt, memory, axis,
+        rotor_vel_cmd,
+    )  # fmt: skip
+    actuate(
+        step_dt, rotor_vel_cmd, wind, ctrl, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def arrive(
+    k, roll_pitch, yaw, wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc
+):  # fmt: skip
+    """Everything after it: `sense`, then `read_attitude`; k (n,) counts on."""
+    sense(wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc)
+    read_attitude(qpos[:, 3:], roll_pitch, yaw)
+    for i in range(k.shape[0]):
+        k[i] += 1
 
 
 @njit(cache=True)

@@ -227,10 +227,14 @@ class ImuStream:
         if self._needs_rotor_vel:
             self._rotor_vel[:, 0] = _given("rotor_vel", rotor_vel)
         out = np.empty(self._bias.shape)
-        self._measure(
-            0, 1, self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self._bias
-        )
+        self.read(self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out)
         return out[GYRO, :, 0], out[ACCEL, :, 0]
+
+    def read(
+        self, ang_vel: Array, specific_force: Array, ang_acc: Array, rotor_vel: Array, out: Array
+    ) -> None:
+        """`sample` for inner loops: float64 arrays (n, 1, ·), no checks; gyro and accel into out (2, n, 1, 3)."""
+        self._measure(0, 1, ang_vel, specific_force, ang_acc, rotor_vel, out, self._bias)
 
     def _switch_on(self, vehicle: int) -> None:
         """Draw what stays for a flight, and restart the noise from here."""

@@ -129,11 +129,11 @@ class Mission:
     def sense(self) -> None:
         """The second half of `step`: IMU, estimate, the next set-point, and who has crashed."""
         self.loop.sense()
-        look_up(self.k, self._targets, self._winds, self.target, self.air)
         plant = self.loop.plant
-        self._fallen = judge(
-            self._limits, plant.position, plant.quat, plant.ang_vel, self.target, self._down, self.cause
-        )
+        self._fallen = follow(
+            self.k, self._targets, self._winds, self.target, self.air,
+            self._limits, plant.position, plant.quat, plant.ang_vel, self._down, self.cause,
+        )  # fmt: skip
 
     def _plan(self, seeds: Seeds) -> tuple[Array, Array]:
         """Set-points (n, steps + 1, 11) and winds (n or 1, steps + 1, 3) of whole flights."""
@@ -168,6 +168,15 @@ def look_up(k, targets, winds, target, air):
     for i in range(k.shape[0]):
         target[i] = targets[min(i, targets.shape[0] - 1), min(k[i], targets.shape[1] - 1)]
         air[i] = winds[min(i, winds.shape[0] - 1), min(k[i], winds.shape[1] - 1)]
+
+
+@njit(cache=True)
+def follow(
+    k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause
+):  # fmt: skip
+    """`look_up`, then `judge`."""
+    look_up(k, targets, winds, target, air)
+    return judge(limits, position, quat, ang_vel, target, down, cause)
 
 
 @njit(cache=True)
