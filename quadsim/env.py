@@ -136,7 +136,8 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one sample with an action of four numbers."""
         flights = self._flights
-        flights.step(np.asarray(action, dtype=np.float64).reshape(1, 4))
+        flights.action[0] = action
+        flights.step()
         observation, reward = flights.observe()
         cause, over = flights.mission.cause[0], flights.mission.k[0] >= flights.mission.steps
         crashed = bool(cause != FLYING)
@@ -205,7 +206,8 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         flights, mission = self._flights, self._flights.mission
         again = np.flatnonzero(self._done)
         seeds = [flight_seed(self._random[i]) for i in again]
-        flights.step(np.asarray(actions, dtype=np.float64).reshape(self.num_envs, 4), again, seeds)
+        flights.action[:] = np.reshape(actions, (self.num_envs, 4))
+        flights.step(again, seeds)
         observation, reward = flights.observe()
         terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
         reward[again] = 0.0
@@ -245,6 +247,7 @@ class Flights:
         self.mission = Mission(scenario, estimator, n, rate_hz, duration_s)
         self._level: Level = level
         self._index, self._command = LEVELS.index(level), np.zeros((n, WIDTH[level]))
+        self.action = np.zeros((n, 4))
         vehicle = self.mission.vehicle
         self._speeds = np.array([vehicle.hover_rotor_vel, vehicle.motor.omega_max - vehicle.hover_rotor_vel])
         self._scale = np.array(ACTION_SCALE[level])
@@ -261,19 +264,17 @@ class Flights:
             self.mission.sense()
 
     def step(
-        self,
-        action: Array,
-        again: NDArray[np.int64] | None = None,
-        seeds: list[np.random.SeedSequence] | None = None,
+        self, again: NDArray[np.int64] | None = None, seeds: list[np.random.SeedSequence] | None = None
     ) -> None:
-        """Fly one sample with actions (n, 4); flights `again` begin anew in place of it."""
+        """Fly one sample with the actions in `action`; flights `again` begin anew in place of it."""
         if not self._begun:
             raise ValueError("step was called before reset")
-        to_command(self._index, action, self._scale, self._speeds, self.mission.target, self._command)
-        self.mission.move(self._level, self._command)
+        mission = self.mission
+        to_command(self._index, self.action, self._scale, self._speeds, mission.target, self._command)
+        mission.move(self._level, self._command)
         if again is not None and len(again):
-            self.mission.restart(again, seeds or [])
-        self.mission.sense()
+            mission.restart(again, seeds or [])
+        mission.sense()
 
     def observe(self) -> tuple[NDArray[np.float32], Array]:
         """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""

@@ -74,8 +74,11 @@ class FlightLoop:
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
         self.attitude, self._calm = self.true_attitude, np.zeros((n, 3))
         motion = self.plant.ang_vel, self.plant.specific_force, self.plant.ang_acc, self.plant.rotor_vel
-        self._motion, self._reading = [each[:, None] for each in motion], np.zeros((2, n, 1, 3))
-        self._sample = motion[:2] if imu is None else (self._reading[GYRO, :, 0], self._reading[ACCEL, :, 0])
+        self._sample = motion[:2]
+        if self.imu is not None:
+            reading = np.zeros((2, n, 1, 3))
+            self._sensing = *(each[:, None] for each in motion), reading, self.imu.bias
+            self._sample = reading[GYRO, :, 0], reading[ACCEL, :, 0]
         self.gyro, self.accel = self._sample
         self.rate = self.gyro if corrupt is None else np.zeros((n, 3))
 
@@ -154,7 +157,7 @@ class FlightLoop:
     def sense(self) -> None:
         """The second half of `step`: IMU and estimate."""
         if self.imu is not None:
-            self.imu.read(*self._motion, self._reading)
+            self.imu.read(0, 1, *self._sensing)
         if self.corrupt is not None:
             self.gyro, self.accel = (each.copy() for each in self._sample)
             self.corrupt(self.gyro, self.accel, self.k)

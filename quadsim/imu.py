@@ -182,19 +182,19 @@ class ImuStream:
         self._at = 0
         self._ang_vel, self._specific_force, self._ang_acc = np.zeros((3, n, 1, 3))
         self._rotor_vel = np.zeros((n, 1, ROTORS))
-        self._bias = np.zeros((2, n, 1, 3))
+        self.bias = np.zeros((2, n, 1, 3))
         for vehicle in range(n):
             self._switch_on(vehicle)
 
     @property
     def gyro_bias(self) -> Array:
         """True bias in the last reading of the gyro, turn-on and random walk, shape (n, 3) [rad/s]."""
-        return self._bias[GYRO, :, 0].copy()
+        return self.bias[GYRO, :, 0].copy()
 
     @property
     def accel_bias(self) -> Array:
         """True bias in the last reading of the accelerometer, shape (n, 3) [m/s²]."""
-        return self._bias[ACCEL, :, 0].copy()
+        return self.bias[ACCEL, :, 0].copy()
 
     def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
         """Switch some vehicles' IMUs, or all, off and on: new biases and noise, from the next child seed."""
@@ -226,15 +226,18 @@ class ImuStream:
             self._ang_acc[:, 0] = _given("ang_acc", ang_acc)
         if self._needs_rotor_vel:
             self._rotor_vel[:, 0] = _given("rotor_vel", rotor_vel)
-        out = np.empty(self._bias.shape)
-        self.read(self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out)
+        out = np.empty(self.bias.shape)
+        self.read(0, 1, self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self.bias)
         return out[GYRO, :, 0], out[ACCEL, :, 0]
 
-    def read(
-        self, ang_vel: Array, specific_force: Array, ang_acc: Array, rotor_vel: Array, out: Array
-    ) -> None:
-        """`sample` for inner loops: float64 arrays (n, 1, ·), no checks; gyro and accel into out (2, n, 1, 3)."""
-        self._measure(0, 1, ang_vel, specific_force, ang_acc, rotor_vel, out, self._bias)
+    def read(self, start: int, count: int, *arrays: Array) -> None:
+        """`sample` for inner loops, no checks: the last arguments of `imu_kernel.measure`, within one block."""
+        if self._at == BLOCK:
+            self._at = 0
+            for vehicle in range(len(self._vehicles)):
+                self._fill(vehicle, 0)
+        measure(self._vehicles, self._noise, self._at, start, count, *arrays)
+        self._at += count
 
     def _switch_on(self, vehicle: int) -> None:
         """Draw what stays for a flight, and restart the noise from here."""
@@ -244,22 +247,13 @@ class ImuStream:
         self._random[vehicle] = [
             np.random.default_rng(child(seed, flight, 1 + each)) for each in self._noises
         ]
-        self._bias[:, vehicle, 0] = self._vehicles["turn_on"][vehicle] + self._vehicles["walk"][vehicle]
+        self.bias[:, vehicle, 0] = self._vehicles["turn_on"][vehicle] + self._vehicles["walk"][vehicle]
         self._fill(vehicle, self._at)
 
     def _fill(self, vehicle: int, begin: int) -> None:
         """Draw a vehicle's noise for the rest of the block."""
         for each, random in zip(self._noises, self._random[vehicle], strict=True):
             random.standard_normal(out=self._noise[vehicle, each, begin:])
-
-    def _measure(self, start: int, count: int, *arrays: Array) -> None:
-        """Run the kernel over samples that lie within one block."""
-        if self._at == BLOCK:
-            self._at = 0
-            for vehicle in range(len(self._vehicles)):
-                self._fill(vehicle, 0)
-        measure(self._vehicles, self._noise, self._at, start, count, *arrays)
-        self._at += count
 
 
 def simulate_imu_with_bias(
@@ -287,7 +281,7 @@ def simulate_imu_with_bias(
     out, bias = np.empty((2, 2, n, steps, 3))
     for start in range(0, steps, BLOCK):
         count = min(BLOCK, steps - start)
-        stream._measure(start, count, rates, forces, accelerations, rotors, out, bias)
+        stream.read(start, count, rates, forces, accelerations, rotors, out, bias)
     return out[GYRO], out[ACCEL], bias[GYRO], bias[ACCEL]
 
 
