@@ -51,7 +51,7 @@ def _clip_norm(x, y, z, limit):
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _velocity_stage(g, dt, memory, velocity, want_x, want_y, want_z, ax, ay, az):
     """PI on velocity plus feed-forward: the acceleration to ask for, world [m/s²]."""
     ex, ey, ez = want_x - velocity[0], want_y - velocity[1], want_z - velocity[2]
@@ -80,7 +80,7 @@ def _thrust_direction(ax, ay, az):
     return fx / size, fy / size, fz / size, size
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _attitude_stage(g, q, zx, zy, zz, yaw_error):
     """P on tilt and yaw: the body rate to ask for; z: wanted thrust axis (Brescianini & D'Andrea 2018)."""
     bx, by, bz = rotate_inverse_core(q[0], q[1], q[2], q[3], zx, zy, zz)
@@ -92,7 +92,7 @@ def _attitude_stage(g, q, zx, zy, zz, yaw_error):
     return p, r, min(max(g[5] * error, -MAX_YAW_RATE), MAX_YAW_RATE)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
     """PI on body rate: the torque to ask for, gyroscopic term included [N m]."""
     want = (p, q, r)
@@ -107,7 +107,7 @@ def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
     out[2] += (c[2] - c[1]) * gyro[0] * gyro[1]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _allocate(c, inverse, thrust, torque, out):
     """Rotor speeds for thrust and torque; if they do not fit, thrust gives way to roll and pitch, yaw to both."""
     low, high = (IDLE * c[7]) ** 2, c[7] * c[7]
@@ -129,7 +129,7 @@ def _allocate(c, inverse, thrust, torque, out):
         out[i] = math.sqrt(min(max(out[i] + room * inverse[i, 3] * torque[2], low), high))
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def control(level, command, position, velocity, attitude, yaw, gyro, g, c, inverse, dt, memory, axis, out):
     """One step of the cascade for n vehicles.
 
@@ -253,9 +253,7 @@ class Controller:
             yaw: (n,) [rad].
             gyro: (n, 3) measured body rate [rad/s].
         """
-        control(
-            LEVELS.index(level), command, position, velocity, attitude, yaw, gyro, *self.arrays
-        )
+        control(LEVELS.index(level), command, position, velocity, attitude, yaw, gyro, *self.arrays)
         return self.rotor_vel_cmd
 
 

@@ -182,19 +182,20 @@ class ImuStream:
         self._at = 0
         self._ang_vel, self._specific_force, self._ang_acc = np.zeros((3, n, 1, 3))
         self._rotor_vel = np.zeros((n, 1, ROTORS))
-        self.bias = np.zeros((2, n, 1, 3))
+        self._bias = np.zeros((2, n, 1, 3))
+        self.arrays = self._vehicles, self._noise, self._bias
         for vehicle in range(n):
             self._switch_on(vehicle)
 
     @property
     def gyro_bias(self) -> Array:
         """True bias in the last reading of the gyro, turn-on and random walk, shape (n, 3) [rad/s]."""
-        return self.bias[GYRO, :, 0].copy()
+        return self._bias[GYRO, :, 0].copy()
 
     @property
     def accel_bias(self) -> Array:
         """True bias in the last reading of the accelerometer, shape (n, 3) [m/s²]."""
-        return self.bias[ACCEL, :, 0].copy()
+        return self._bias[ACCEL, :, 0].copy()
 
     def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
         """Switch some vehicles' IMUs, or all, off and on: new biases and noise, from the next child seed."""
@@ -226,18 +227,24 @@ class ImuStream:
             self._ang_acc[:, 0] = _given("ang_acc", ang_acc)
         if self._needs_rotor_vel:
             self._rotor_vel[:, 0] = _given("rotor_vel", rotor_vel)
-        out = np.empty(self.bias.shape)
-        self.read(0, 1, self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self.bias)
+        out = np.empty(self._bias.shape)
+        measure(
+            self._vehicles, self._noise, self.next_samples(), 0, 1,
+            self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self._bias,
+        )  # fmt: skip
         return out[GYRO, :, 0], out[ACCEL, :, 0]
 
-    def read(self, start: int, count: int, *arrays: Array) -> None:
-        """`sample` for inner loops, no checks: the last arguments of `imu_kernel.measure`, within one block."""
+    def next_samples(self, count: int = 1) -> int:
+        """The place in `noise` of the next samples, all within one block: they count as taken.
+
+        For loops that call `imu_kernel.measure` themselves, on `arrays`: vehicles, noise and bias.
+        """
         if self._at == BLOCK:
             self._at = 0
             for vehicle in range(len(self._vehicles)):
                 self._fill(vehicle, 0)
-        measure(self._vehicles, self._noise, self._at, start, count, *arrays)
         self._at += count
+        return self._at - count
 
     def _switch_on(self, vehicle: int) -> None:
         """Draw what stays for a flight, and restart the noise from here."""
@@ -247,7 +254,7 @@ class ImuStream:
         self._random[vehicle] = [
             np.random.default_rng(child(seed, flight, 1 + each)) for each in self._noises
         ]
-        self.bias[:, vehicle, 0] = self._vehicles["turn_on"][vehicle] + self._vehicles["walk"][vehicle]
+        self._bias[:, vehicle, 0] = self._vehicles["turn_on"][vehicle] + self._vehicles["walk"][vehicle]
         self._fill(vehicle, self._at)
 
     def _fill(self, vehicle: int, begin: int) -> None:
@@ -281,7 +288,11 @@ def simulate_imu_with_bias(
     out, bias = np.empty((2, 2, n, steps, 3))
     for start in range(0, steps, BLOCK):
         count = min(BLOCK, steps - start)
-        stream.read(start, count, rates, forces, accelerations, rotors, out, bias)
+        vehicles, noise, _ = stream.arrays
+        measure(
+            vehicles, noise, stream.next_samples(count), start, count,
+            rates, forces, accelerations, rotors, out, bias,
+        )  # fmt: skip
     return out[GYRO], out[ACCEL], bias[GYRO], bias[ACCEL]
 
 

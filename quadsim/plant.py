@@ -57,7 +57,7 @@ def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bo
     )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def actuate(dt, rotor_vel_cmd, wind, ctrl, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
     """Advance the rotors by dt and write the wrench, averaged over that step, into ctrl (n, 6).
 
@@ -89,7 +89,7 @@ def actuate(dt, rotor_vel_cmd, wind, ctrl, params, hubs, qpos, qvel, rotor_vel, 
         )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def sense(wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
     """Write specific force and angular acceleration of this instant, the ground reaction included.
 
@@ -246,7 +246,7 @@ class Plant:
         self._sense(wind)
 
     def integrate(self, rotor_vel_cmd: Array, wind: Array) -> None:
-        """`advance` without its first `actuate` and its last `sense`, for loops that compile these with more."""
+        """`advance` without its first `actuate` and last `sense`, for loops that compile them into more."""
         self.batch.step(stage=self._stage)
         for _ in range(self.substeps - 1):
             self._sense(wind)
