@@ -74,7 +74,8 @@ class FlightLoop:
         self._observe = getattr(estimator, "observe", None)
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
         self.attitude, self._calm = self.true_attitude, np.zeros((n, 3))
-        self._air, self._reading = self._calm, np.zeros((2, n, 1, 3))
+        self._air = self._calm  # in which the present state was reached
+        self._reading = np.zeros((2, n, 1, 3))
         self._sample = self.plant.ang_vel, self.plant.specific_force
         if imu is not None:
             self._sample = self._reading[GYRO, :, 0], self._reading[ACCEL, :, 0]
@@ -120,6 +121,8 @@ class FlightLoop:
         self.plant.reset(position, velocity, quat, ang_vel, ids=ids)
         self.controller.reset(ids)
         self.k[ids] = 0
+        self._air = self._air.copy()
+        self._air[ids] = 0.0
         read_attitude(self.plant.quat, self.true_attitude, self.yaw)
         if self.imu is not None:
             self.imu.reset(ids)

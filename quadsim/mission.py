@@ -115,7 +115,6 @@ class Mission:
         if len(self._winds) == self.n and self.scenario.wind:
             self._winds[ids] = winds
         self.cause[ids] = self._down[ids] = FLYING
-        self.air[ids] = 0.0  # their first sample is one of still air, as when all begin
         self.loop.restart(
             ids, *self._start(seeds, targets[:, 0]), known_attitude=self.scenario.start.known_attitude
         )

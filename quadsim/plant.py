@@ -219,7 +219,10 @@ class Plant:
         self.ctrl[rows] = 0.0
         if self.contact:
             self.batch.forward()
+        others = np.delete(np.arange(self.n), rows)  # whose state, in whatever wind, stays as it is
+        kept = self.specific_force[others], self.ang_acc[others]
         self._sense(self._calm)
+        self.specific_force[others], self.ang_acc[others] = kept
         return self.state()
 
     def step(self, rotor_vel_cmd: ArrayLike, wind: ArrayLike | None = None) -> State:
