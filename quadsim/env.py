@@ -136,7 +136,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one sample with an action of four numbers."""
         flights = self._flights
-        flights.action[0] = action
+        flights.action[0] = np.asarray(action).reshape(4)
         observation, reward = flights.step()
         mission = flights.mission
         cause, over = mission.cause.item(), mission.k.item() >= mission.steps
