@@ -51,7 +51,7 @@ def _clip_norm(x, y, z, limit):
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _velocity_stage(g, dt, memory, velocity, want_x, want_y, want_z, ax, ay, az):
     """PI on velocity plus feed-forward: the acceleration to ask for, world [m/s²]."""
     ex, ey, ez = want_x - velocity[0], want_y - velocity[1], want_z - velocity[2]
@@ -80,7 +80,7 @@ def _thrust_direction(ax, ay, az):
     return fx / size, fy / size, fz / size, size
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _attitude_stage(g, q, zx, zy, zz, yaw_error):
     """P on tilt and yaw: the body rate to ask for; z: wanted thrust axis (Brescianini & D'Andrea 2018)."""
     bx, by, bz = rotate_inverse_core(q[0], q[1], q[2], q[3], zx, zy, zz)
@@ -92,7 +92,7 @@ def _attitude_stage(g, q, zx, zy, zz, yaw_error):
     return p, r, min(max(g[5] * error, -MAX_YAW_RATE), MAX_YAW_RATE)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
     """PI on body rate: the torque to ask for, gyroscopic term included [N m]."""
     want = (p, q, r)
@@ -107,7 +107,7 @@ def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
     out[2] += (c[2] - c[1]) * gyro[0] * gyro[1]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _allocate(c, inverse, thrust, torque, out):
     """Rotor speeds for thrust and torque; if they do not fit, thrust gives way to roll and pitch, yaw to both."""
     low, high = (IDLE * c[7]) ** 2, c[7] * c[7]
@@ -129,22 +129,22 @@ def _allocate(c, inverse, thrust, torque, out):
         out[i] = math.sqrt(min(max(out[i] + room * inverse[i, 3] * torque[2], low), high))
 
 
-@njit(cache=True)
-def control(level, g, c, inverse, dt, command, position, velocity, attitude, yaw, gyro, memory, axis, out):
+@njit(cache=True, inline="always")
+def control(level, command, position, velocity, attitude, yaw, gyro, g, c, inverse, dt, memory, axis, out):
     """One step of the cascade for n vehicles.
 
     Args:
         level: 0 position … 4 rotor.
-        g: Gains, in the order of `quadsim.vehicle.Gains`.
-        c: (8,) mass, inertia (3), largest angular acceleration (3), largest rotor speed.
-        inverse: (4, 4) from thrust and torque to squared rotor speed.
-        dt: Sample period [s].
         command: (n, width of the level).
         position: (n, 3) world [m].
         velocity: (n, 3) world [m/s].
         attitude: (n, 2) estimated roll and pitch [rad].
         yaw: (n,) [rad].
         gyro: (n, 3) measured body rate [rad/s].
+        g: Gains, in the order of `quadsim.vehicle.Gains`.
+        c: (8,) mass, inertia (3), largest angular acceleration (3), largest rotor speed.
+        inverse: (4, 4) from thrust and torque to squared rotor speed.
+        dt: Sample period [s].
         memory: (n, 10), changed in place.
         axis: (n, 3), written: the thrust axis asked for, world; as it was where the command is a lower one.
         out: (n, 4) commanded rotor speeds [rad/s].
@@ -205,7 +205,7 @@ class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
     After a step, `rotor_vel_cmd` (n, 4) holds its command and `thrust_axis` (n, 3) where it wants the thrust
-    to point, world axes.
+    to point, world axes. `arrays` are the last arguments of `control`, for kernels that call it.
 
     Args:
         vehicle: The nominal vehicle; its `controller` gains are used, or designed when it has none.
@@ -219,15 +219,14 @@ class Controller:
     ) -> None:
         self.n, self.dt = n, 1.0 / rate_hz
         self.gains = gains or vehicle.controller or _designed(vehicle, rate_hz)
-        self._g = np.array(list(self.gains.model_dump().values()))
+        g = np.array(list(self.gains.model_dump().values()))
         arms = np.abs(vehicle.allocation[1:]).sum(axis=1) / 2 * vehicle.motor.omega_max**2
-        self._c = np.array(
-            [vehicle.mass, *vehicle.inertia, *(arms / vehicle.inertia), vehicle.motor.omega_max]
-        )
-        self._inverse = np.linalg.inv(vehicle.allocation)
+        c = np.array([vehicle.mass, *vehicle.inertia, *(arms / vehicle.inertia), vehicle.motor.omega_max])
+        inverse = np.linalg.inv(vehicle.allocation)
         self._memory = np.zeros((n, _MEMORY))
         self.rotor_vel_cmd = np.full((n, 4), vehicle.hover_rotor_vel)
         self.thrust_axis = np.tile([0.0, 0.0, 1.0], (n, 1))
+        self.arrays = (g, c, inverse, self.dt, self._memory, self.thrust_axis, self.rotor_vel_cmd)
 
     def reset(self, ids: NDArray[np.int_] | slice = slice(None)) -> None:
         """Clear the integrators of some vehicles."""
@@ -254,10 +253,7 @@ class Controller:
             yaw: (n,) [rad].
             gyro: (n, 3) measured body rate [rad/s].
         """
-        control(
-            LEVELS.index(level), self._g, self._c, self._inverse, self.dt, command, position, velocity,
-            attitude, yaw, gyro, self._memory, self.thrust_axis, self.rotor_vel_cmd,
-        )  # fmt: skip
+        control(LEVELS.index(level), command, position, velocity, attitude, yaw, gyro, *self.arrays)
         return self.rotor_vel_cmd
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .controller import LEVELS, WIDTH, Level
 from .estimator import AttitudeEstimator
-from .mission import CAUSES, FLYING, Mission
+from .mission import CAUSES, FLYING, Mission, follow
 from .render import Image, Scene, View
 from .scenario import Scenario, load_scenario
 from .vehicle import GRAVITY
@@ -136,17 +136,12 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one sample with an action of four numbers."""
         flights = self._flights
-        flights.step(np.asarray(action, dtype=np.float64).reshape(1, 4))
-        observation, reward = flights.observe()
-        cause, over = flights.mission.cause[0], flights.mission.k[0] >= flights.mission.steps
-        crashed = bool(cause != FLYING)
-        return (
-            observation[0],
-            float(reward[0]),
-            crashed,
-            bool(over),
-            {"cause": CAUSES[cause]} if crashed else {},
-        )
+        flights.action[0] = np.asarray(action).reshape(4)
+        observation, reward = flights.step()
+        mission = flights.mission
+        cause, over = mission.cause.item(), mission.k.item() >= mission.steps
+        info = {"cause": CAUSES[cause]} if cause != FLYING else {}
+        return observation[0], reward.item(), cause != FLYING, over, info
 
     def render(self) -> Image | None:
         """A picture of the vehicle, (540, 960, 3); None without a render mode."""
@@ -205,8 +200,8 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         flights, mission = self._flights, self._flights.mission
         again = np.flatnonzero(self._done)
         seeds = [flight_seed(self._random[i]) for i in again]
-        flights.step(np.asarray(actions, dtype=np.float64).reshape(self.num_envs, 4), again, seeds)
-        observation, reward = flights.observe()
+        flights.action[:] = np.reshape(actions, (self.num_envs, 4))
+        observation, reward = flights.step(again, seeds)
         terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
         reward[again] = 0.0
         self._done = terminated | truncated
@@ -245,6 +240,7 @@ class Flights:
         self.mission = Mission(scenario, estimator, n, rate_hz, duration_s)
         self._level: Level = level
         self._index, self._command = LEVELS.index(level), np.zeros((n, WIDTH[level]))
+        self.action = np.zeros((n, 4))
         vehicle = self.mission.vehicle
         self._speeds = np.array([vehicle.hover_rotor_vel, vehicle.motor.omega_max - vehicle.hover_rotor_vel])
         self._scale = np.array(ACTION_SCALE[level])
@@ -261,19 +257,29 @@ class Flights:
             self.mission.sense()
 
     def step(
-        self,
-        action: Array,
-        again: NDArray[np.int64] | None = None,
-        seeds: list[np.random.SeedSequence] | None = None,
-    ) -> None:
-        """Fly one sample with actions (n, 4); flights `again` begin anew in place of it."""
+        self, again: NDArray[np.int64] | None = None, seeds: list[np.random.SeedSequence] | None = None
+    ) -> tuple[NDArray[np.float32], Array]:
+        """Fly one sample with the actions in `action`; flights `again` begin anew in place of it.
+
+        Returns:
+            Observations (n, 17) and rewards (n,) at its end, as new arrays.
+        """
         if not self._begun:
             raise ValueError("step was called before reset")
-        to_command(self._index, action, self._scale, self._speeds, self.mission.target, self._command)
-        self.mission.move(self._level, self._command)
+        mission = self.mission
+        to_command(self._index, self.action, self._scale, self._speeds, mission.target, self._command)
+        mission.move(self._level, self._command)
         if again is not None and len(again):
-            self.mission.restart(again, seeds or [])
-        self.mission.sense()
+            mission.restart(again, seeds or [])
+        loop = mission.loop
+        loop.sense()
+        observation = np.empty((mission.n, OBSERVATION_LIMIT.size), dtype=np.float32)
+        reward = np.empty(mission.n)
+        mission.fallen = follow_and_observe(
+            loop.plant.velocity, loop.attitude, loop.yaw, loop.rate, OBSERVATION_LIMIT, observation, reward,
+            *mission.arrays,
+        )  # fmt: skip
+        return observation, reward
 
     def observe(self) -> tuple[NDArray[np.float32], Array]:
         """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
@@ -374,6 +380,17 @@ def to_command(level, action, scale, speeds, target, command):
 
 
 @njit(cache=True)
+def follow_and_observe(
+    velocity, attitude, yaw, rate, limit, observation, reward,
+    k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause,
+):  # fmt: skip
+    """`follow` of the mission, then `observe`."""
+    fallen = follow(k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause)
+    observe(target, position, velocity, attitude, yaw, rate, cause, limit, observation, reward)
+    return fallen
+
+
+@njit(cache=True, inline="always")
 def observe(target, position, velocity, attitude, yaw, rate, cause, limit, observation, reward):
     """Write observations (n, 17) and rewards (n,); see the tables of `QuadrotorEnv`."""
     for i in range(observation.shape[0]):

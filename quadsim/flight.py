@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from .config import Strict
-from .controller import Controller, Level
+from .controller import LEVELS, Controller, Level, control
 from .estimator import AttitudeEstimator
 from .imu import ImuSpec, ImuStream, simulate_imu_with_bias
-from .plant import Plant
+from .imu_kernel import ACCEL, GYRO, measure
+from .plant import Plant, actuate, sense
 from .rotation import euler_core
 from .seeding import child
 from .trajectory import Mix, Trajectory, reference
@@ -72,9 +73,14 @@ class FlightLoop:
         self.corrupt = corrupt
         self._observe = getattr(estimator, "observe", None)
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
-        self._calm = np.zeros((n, 3))
-        self.gyro, self.accel, self.attitude = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 2))
-        self.rate = np.zeros((n, 3))
+        self.attitude, self._calm = self.true_attitude, np.zeros((n, 3))
+        self._air = self._calm  # in which the present state was reached
+        self._reading = np.zeros((2, n, 1, 3))
+        self._sample = self.plant.ang_vel, self.plant.specific_force
+        if imu is not None:
+            self._sample = self._reading[GYRO, :, 0], self._reading[ACCEL, :, 0]
+        self.gyro, self.accel = self._sample
+        self.rate = self.gyro if corrupt is None else np.zeros((n, 3))
 
     def reset(
         self,
@@ -90,7 +96,7 @@ class FlightLoop:
         """
         self.plant.reset(position, velocity, quat, ang_vel)
         self.controller.reset()
-        self.k[:] = 0
+        self.k[:], self._air = 0, self._calm
         read_attitude(self.plant.quat, self.true_attitude, self.yaw)
         if self.imu is not None:
             self.imu.reset()
@@ -115,6 +121,8 @@ class FlightLoop:
         self.plant.reset(position, velocity, quat, ang_vel, ids=ids)
         self.controller.reset(ids)
         self.k[ids] = 0
+        self._air = self._air.copy()
+        self._air[ids] = 0.0
         read_attitude(self.plant.quat, self.true_attitude, self.yaw)
         if self.imu is not None:
             self.imu.reset(ids)
@@ -139,38 +147,73 @@ class FlightLoop:
 
     def move(self, level: Level, command: Array, wind: Array | None = None) -> None:
         """The first half of `step`: control and motion."""
-        plant = self.plant
-        rotor_vel_cmd = self.controller.step(
-            level, command, plant.position, plant.velocity, self.attitude, self.yaw, self.rate
-        )
-        plant.advance(rotor_vel_cmd, self._calm if wind is None else wind)
-        self.k += 1
-        read_attitude(plant.quat, self.true_attitude, self.yaw)
+        plant, controller = self.plant, self.controller
+        air = self._calm if wind is None else wind
+        steer(
+            LEVELS.index(level), command, self.attitude, self.yaw, self.rate, plant.step_dt, air, plant.ctrl,
+            self.k, *controller.arrays, *plant.arrays,
+        )  # fmt: skip
+        plant.integrate(controller.rotor_vel_cmd, air)
+        self._air = air
 
     def sense(self) -> None:
         """The second half of `step`: IMU and estimate."""
-        plant = self.plant
-        if self.imu is None:
-            self.gyro, self.accel = plant.ang_vel, plant.specific_force
+        plant, imu = self.plant, self.imu
+        if imu is None:
+            arrive(self.true_attitude, self.yaw, self._air, plant.reaction, *plant.arrays)
         else:
-            self.gyro, self.accel = self.imu.sample(
-                plant.ang_vel, plant.specific_force, plant.ang_acc, plant.rotor_vel
-            )
-        if self.corrupt is None:
-            self.rate = self.gyro
-        else:
-            self.gyro, self.accel = self.gyro.copy(), self.accel.copy()
+            perceive(
+                imu.next_samples(), *imu.arrays, self._reading, self.true_attitude, self.yaw, self._air,
+                plant.reaction, *plant.arrays,
+            )  # fmt: skip
+        if self.corrupt is not None:
+            self.gyro, self.accel = (each.copy() for each in self._sample)
             self.corrupt(self.gyro, self.accel, self.k)
             self.rate = np.where(np.isfinite(self.gyro), self.gyro, self.rate)
-        if self.estimator is None:
-            self.attitude = self.true_attitude
-        else:
+        if self.estimator is not None:
             if self._observe is not None:
                 self._observe(plant.quat)
             self.attitude = self.estimator.update(self.gyro, self.accel)
 
 
 @njit(cache=True)
+def steer(
+    level, command, attitude, yaw, rate, step_dt, wind, ctrl, k,
+    g, c, inverse, dt, memory, axis, rotor_vel_cmd,
+    params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc,
+):  # fmt: skip
+    """Everything before the engine's step: `control`, then `actuate`; k (n,) counts on."""
+    k += 1
+    control(
+        level, command, qpos[:, :3], qvel[:, :3], attitude, yaw, rate, g, c, inverse, dt, memory, axis,
+        rotor_vel_cmd,
+    )  # fmt: skip
+    actuate(
+        step_dt, rotor_vel_cmd, wind, ctrl, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc
+    )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
+def arrive(roll_pitch, yaw, wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
+    """Everything after it, but for the IMU: `sense`, then `read_attitude`."""
+    sense(wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc)
+    read_attitude(qpos[:, 3:], roll_pitch, yaw)
+
+
+@njit(cache=True)
+def perceive(
+    at, vehicles, noise, bias, reading, roll_pitch, yaw, wind, reaction,
+    params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc,
+):  # fmt: skip
+    """Everything after it: `arrive`, then `measure` the sample at place `at` of the IMU's block of noise."""
+    arrive(roll_pitch, yaw, wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc)
+    measure(
+        vehicles, noise, at, 0, 1, np.expand_dims(qvel[:, 3:], 1), np.expand_dims(specific_force, 1),
+        np.expand_dims(ang_acc, 1), np.expand_dims(rotor_vel, 1), reading, bias,
+    )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
 def read_attitude(quat, roll_pitch, yaw):
     """Write roll and pitch (n, 2) and yaw (n,) of quat (n, 4)."""
     for i in range(quat.shape[0]):

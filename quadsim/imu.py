@@ -183,6 +183,7 @@ class ImuStream:
         self._ang_vel, self._specific_force, self._ang_acc = np.zeros((3, n, 1, 3))
         self._rotor_vel = np.zeros((n, 1, ROTORS))
         self._bias = np.zeros((2, n, 1, 3))
+        self.arrays = self._vehicles, self._noise, self._bias
         for vehicle in range(n):
             self._switch_on(vehicle)
 
@@ -227,10 +228,23 @@ class ImuStream:
         if self._needs_rotor_vel:
             self._rotor_vel[:, 0] = _given("rotor_vel", rotor_vel)
         out = np.empty(self._bias.shape)
-        self._measure(
-            0, 1, self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self._bias
-        )
+        measure(
+            self._vehicles, self._noise, self.next_samples(), 0, 1,
+            self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self._bias,
+        )  # fmt: skip
         return out[GYRO, :, 0], out[ACCEL, :, 0]
+
+    def next_samples(self, count: int = 1) -> int:
+        """The place in `noise` of the next samples, all within one block: they count as taken.
+
+        For loops that call `imu_kernel.measure` themselves, on `arrays`: vehicles, noise and bias.
+        """
+        if self._at == BLOCK:
+            self._at = 0
+            for vehicle in range(len(self._vehicles)):
+                self._fill(vehicle, 0)
+        self._at += count
+        return self._at - count
 
     def _switch_on(self, vehicle: int) -> None:
         """Draw what stays for a flight, and restart the noise from here."""
@@ -247,15 +261,6 @@ class ImuStream:
         """Draw a vehicle's noise for the rest of the block."""
         for each, random in zip(self._noises, self._random[vehicle], strict=True):
             random.standard_normal(out=self._noise[vehicle, each, begin:])
-
-    def _measure(self, start: int, count: int, *arrays: Array) -> None:
-        """Run the kernel over samples that lie within one block."""
-        if self._at == BLOCK:
-            self._at = 0
-            for vehicle in range(len(self._vehicles)):
-                self._fill(vehicle, 0)
-        measure(self._vehicles, self._noise, self._at, start, count, *arrays)
-        self._at += count
 
 
 def simulate_imu_with_bias(
@@ -283,7 +288,11 @@ def simulate_imu_with_bias(
     out, bias = np.empty((2, 2, n, steps, 3))
     for start in range(0, steps, BLOCK):
         count = min(BLOCK, steps - start)
-        stream._measure(start, count, rates, forces, accelerations, rotors, out, bias)
+        vehicles, noise, _ = stream.arrays
+        measure(
+            vehicles, noise, stream.next_samples(count), start, count,
+            rates, forces, accelerations, rotors, out, bias,
+        )  # fmt: skip
     return out[GYRO], out[ACCEL], bias[GYRO], bias[ACCEL]
 
 

@@ -126,7 +126,7 @@ def _quantise(value, resolution, limit):
     return value
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def measure(vehicles, noise, first, start, count, ang_vel, specific_force, ang_acc, rotor_vel, out, bias):
     """Samples start … start + count of n vehicles.
 

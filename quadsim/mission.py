@@ -41,6 +41,9 @@ class Mission:
     samples; `cause` (n,) tells which flights have crashed, and why. What a crashed vehicle does then means
     nothing: it is put back above its set-point as often as it crashes again, so that no number overflows.
 
+    `sense` is `loop.sense`, then `fallen`, the number of vehicles down, from `follow(*arrays)`; an inner loop
+    may do these two itself, with `follow` inside a kernel of its own.
+
     Args:
         scenario: What to fly.
         estimator: Source of roll and pitch; None for the truth.
@@ -92,7 +95,12 @@ class Mission:
         self._faults = VehicleFaults(faults, self.loop.plant)
         self.k = self.loop.k
         self.cause[:] = self._down[:] = FLYING
-        self._fallen = 0
+        self.fallen = 0
+        plant = self.loop.plant
+        self.arrays = (
+            self.k, self._targets, self._winds, self.target, self.air, self._limits,
+            plant.position, plant.quat, plant.ang_vel, self._down, self.cause,
+        )  # fmt: skip
         start = self._start(seeds, self._targets[:, 0])
         self.loop.reset(*start, known_attitude=self.scenario.start.known_attitude)
         look_up(self.k, self._targets, self._winds, self.target, self.air)
@@ -118,7 +126,7 @@ class Mission:
 
     def move(self, level: Level = "position", command: Array | None = None) -> None:
         """The first half of `step`: control and motion."""
-        if self._fallen:
+        if self.fallen:
             fallen = np.flatnonzero(self._down)
             self.loop.plant.reset(position=self.target[fallen, :3] + [0.0, 0.0, 1.0], ids=fallen)
             self.loop.controller.reset(fallen)
@@ -129,11 +137,7 @@ class Mission:
     def sense(self) -> None:
         """The second half of `step`: IMU, estimate, the next set-point, and who has crashed."""
         self.loop.sense()
-        look_up(self.k, self._targets, self._winds, self.target, self.air)
-        plant = self.loop.plant
-        self._fallen = judge(
-            self._limits, plant.position, plant.quat, plant.ang_vel, self.target, self._down, self.cause
-        )
+        self.fallen = follow(*self.arrays)
 
     def _plan(self, seeds: Seeds) -> tuple[Array, Array]:
         """Set-points (n, steps + 1, 11) and winds (n or 1, steps + 1, 3) of whole flights."""
@@ -162,7 +166,7 @@ class Mission:
         )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def look_up(k, targets, winds, target, air):
     """Copy each flight's set-point and wind of its sample k (n,); the last one holds for ever."""
     for i in range(k.shape[0]):
@@ -170,7 +174,16 @@ def look_up(k, targets, winds, target, air):
         air[i] = winds[min(i, winds.shape[0] - 1), min(k[i], winds.shape[1] - 1)]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
+def follow(
+    k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause
+):  # fmt: skip
+    """`look_up`, then `judge`."""
+    look_up(k, targets, winds, target, air)
+    return judge(limits, position, quat, ang_vel, target, down, cause)
+
+
+@njit(cache=True, inline="always")
 def judge(limits, position, quat, ang_vel, target, down, cause):
     """Write which vehicles are down now, and why, and return how many; `cause` keeps the first reason.
 

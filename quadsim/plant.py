@@ -57,8 +57,8 @@ def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bo
     )
 
 
-@njit(cache=True)
-def actuate(params, hubs, dt, rotor_vel_cmd, wind, qpos, qvel, rotor_vel, specific_force, ang_acc, ctrl):
+@njit(cache=True, inline="always")
+def actuate(dt, rotor_vel_cmd, wind, ctrl, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
     """Advance the rotors by dt and write the wrench, averaged over that step, into ctrl (n, 6).
 
     Rotor lag is exact. Drag is taken at mid-step from the current acceleration: second order in dt.
@@ -89,8 +89,8 @@ def actuate(params, hubs, dt, rotor_vel_cmd, wind, qpos, qvel, rotor_vel, specif
         )  # fmt: skip
 
 
-@njit(cache=True)
-def sense(params, hubs, wind, qpos, qvel, rotor_vel, reaction, specific_force, ang_acc):
+@njit(cache=True, inline="always")
+def sense(wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
     """Write specific force and angular acceleration of this instant, the ground reaction included.
 
     reaction: (n, 6) ground force in world axes and moment in body axes, or (0, 6) in free flight.
@@ -120,7 +120,8 @@ class Plant:
 
     The current state is held in live arrays (`position`, `velocity`, `quat`, `ang_vel`, `rotor_vel`,
     `specific_force`, `ang_acc`), all of one instant; `step` returns copies. `rotor_effect` (n, 4) scales
-    the thrust of each rotor and may be written at any time; `set_mass` changes masses in flight.
+    the thrust of each rotor and may be written at any time; `set_mass` changes masses in flight. `arrays` are
+    the last arguments of `actuate` and `sense`, for kernels that call these.
 
     Args:
         vehicle: One vehicle for all, or a sequence of n of them (same layout, own numbers).
@@ -167,13 +168,16 @@ class Plant:
         self.hubs = self.vehicle.hubs
         self.model = mujoco.MjModel.from_xml_string(mjcf(self.vehicle, self.step_dt, integrator, contact))
         self.batch = Batch(self.model, n, nthread=1)
-        self._qpos, self._qvel, self._ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
-        self._reaction = self.batch.bind("qfrc_constraint") if contact else np.empty((0, 6))
+        qpos, qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self.reaction = self.batch.bind("qfrc_constraint") if contact else np.empty((0, 6))
         self._stage = (mujoco.mjtStage.mjSTAGE_ACC if contact else mujoco.mjtStage.mjSTAGE_NONE).value
-        self.position, self.quat = self._qpos[:, :3], self._qpos[:, 3:]
-        self.velocity, self.ang_vel = self._qvel[:, :3], self._qvel[:, 3:]
+        self.position, self.quat = qpos[:, :3], qpos[:, 3:]
+        self.velocity, self.ang_vel = qvel[:, :3], qvel[:, 3:]
         self.rotor_vel = np.empty((n, 4))
         self.specific_force, self.ang_acc = np.zeros((n, 3)), np.zeros((n, 3))
+        self.arrays = (
+            self.params, self.hubs, qpos, qvel, self.rotor_vel, self.specific_force, self.ang_acc
+        )  # fmt: skip
         self._calm = np.zeros((n, 3))
         if any(v is not vehicles[0] for v in vehicles):
             self._write_inertia()
@@ -212,10 +216,13 @@ class Plant:
         self.velocity[rows] = _rows("velocity", velocity, (rows.size, 3), 0.0)
         self.ang_vel[rows] = _rows("ang_vel", ang_vel, (rows.size, 3), 0.0)
         self.rotor_vel[rows] = _rows("rotor_vel", rotor_vel, (rows.size, 4), hover[:, None])
-        self._ctrl[rows] = 0.0
+        self.ctrl[rows] = 0.0
         if self.contact:
             self.batch.forward()
+        others = np.delete(np.arange(self.n), rows)  # whose state, in whatever wind, stays as it is
+        kept = self.specific_force[others], self.ang_acc[others]
         self._sense(self._calm)
+        self.specific_force[others], self.ang_acc[others] = kept
         return self.state()
 
     def step(self, rotor_vel_cmd: ArrayLike, wind: ArrayLike | None = None) -> State:
@@ -237,13 +244,17 @@ class Plant:
 
     def advance(self, rotor_vel_cmd: Array, wind: Array) -> None:
         """`step` for inner loops: float64 arrays of full shape, no checks; live arrays hold the result."""
-        for _ in range(self.substeps):
-            actuate(
-                self.params, self.hubs, self.step_dt, rotor_vel_cmd, wind, self._qpos, self._qvel,
-                self.rotor_vel, self.specific_force, self.ang_acc, self._ctrl,
-            )  # fmt: skip
-            self.batch.step(stage=self._stage)
+        self._actuate(rotor_vel_cmd, wind)
+        self.integrate(rotor_vel_cmd, wind)
+        self._sense(wind)
+
+    def integrate(self, rotor_vel_cmd: Array, wind: Array) -> None:
+        """`advance` without its first `actuate` and last `sense`, for loops that compile them into more."""
+        self.batch.step(stage=self._stage)
+        for _ in range(self.substeps - 1):
             self._sense(wind)
+            self._actuate(rotor_vel_cmd, wind)
+            self.batch.step(stage=self._stage)
 
     def state(self) -> State:
         """Copies of the live arrays."""
@@ -258,11 +269,11 @@ class Plant:
         self.params[:, rotors.MASS] = new
         self._write_inertia()
 
+    def _actuate(self, rotor_vel_cmd: Array, wind: Array) -> None:
+        actuate(self.step_dt, rotor_vel_cmd, wind, self.ctrl, *self.arrays)
+
     def _sense(self, wind: Array) -> None:
-        sense(
-            self.params, self.hubs, wind, self._qpos, self._qvel, self.rotor_vel, self._reaction,
-            self.specific_force, self.ang_acc,
-        )  # fmt: skip
+        sense(wind, self.reaction, *self.arrays)
 
     def _write_inertia(self) -> None:
         body = self.model.body("quadrotor").id

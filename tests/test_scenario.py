@@ -114,6 +114,22 @@ def test_a_flight_does_not_depend_on_the_flights_beside_it():
     np.testing.assert_array_equal(alone.loop.gyro[0], beside.loop.gyro[0])
 
 
+def test_a_flight_in_wind_does_not_notice_a_crash_beside_it():
+    windy = Scenario.model_validate(
+        HOVER.model_dump() | {"duration_s": 1.5, "wind": [{"kind": "constant", "velocity": (6, 3, 0)}]}
+    )
+    falling, holding = [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 9.81]
+    positions = []
+    for seeds, command in ((slice(0, 2), [falling, holding]), (slice(1, 2), [holding])):
+        mission = Mission(windy, None, len(command))
+        mission.begin(vehicle_seeds(0, 2)[seeds])
+        for _ in range(mission.steps):
+            mission.step("attitude", np.array(command))
+        positions.append(mission.loop.plant.position[-1].copy())
+        assert (mission.cause[0] > 0) == (len(command) == 2)
+    np.testing.assert_array_equal(*positions)
+
+
 def test_wind_does_not_change_the_sensor_noise():
     calm = HOVER.model_copy(update={"start": Start()})
     windy = Scenario.model_validate(
