@@ -63,7 +63,9 @@ def rotorpy_flight(duration: float) -> Callable[[], object] | None:
             controller=SE3Control(quad_params),
             trajectory=ThreeDCircularTraj(radius=np.array([2, 2, 0])),
             sim_rate=int(RATE),
-        ).run(t_final=duration, use_mocap=False, terminate=False, plot=False, animate_bool=False, verbose=False)
+        ).run(
+            t_final=duration, use_mocap=False, terminate=False, plot=False, animate_bool=False, verbose=False
+        )
 
     return work
 
@@ -104,7 +106,9 @@ def main() -> None:
     raw = medians["raw mj_step, RK4, in C"]
     bulk = medians["bulk: controller, noise, recording"]
 
-    table = Table("job", "µs a step", "raw / job", "job / bulk", title=f"one thread, median of {ROUNDS} rounds")
+    table = Table(
+        "job", "µs a step", "raw / job", "job / bulk", title=f"one thread, median of {ROUNDS} rounds"
+    )
     for name, value in medians.items():
         table.add_row(name, f"{value:.2f}", f"{raw / value:.2f}", f"{value / bulk:.1f}")
     console = Console()

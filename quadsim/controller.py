@@ -109,7 +109,7 @@ def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
 
 @njit(cache=True, inline="always")
 def _allocate(c, inverse, thrust, torque, out):
-    """Rotor speeds for thrust and torque; if they do not fit, thrust gives way to roll and pitch, yaw to both."""
+    """Rotor speeds for thrust and torque; what does not fit gives way: yaw first, then thrust."""
     low, high = (IDLE * c[7]) ** 2, c[7] * c[7]
     most, least = -math.inf, math.inf
     for i in range(4):
