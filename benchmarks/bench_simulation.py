@@ -3,7 +3,8 @@
     python benchmarks/bench_simulation.py            # one thread, rounds interleaved, medians and ratios
     pip install rotorpy                              # for the last row
 
-Everything is measured in one run; ratios matter, absolute times belong to the machine.
+Everything is measured in one run, a fraction of a second of each job in turn. A ratio is the median of the
+ratios within the rounds, so that a machine that slows down for a while slows both sides of it.
 """
 
 import os
@@ -29,7 +30,7 @@ from quadsim.plant import Plant
 from quadsim.vehicle import load_vehicle
 
 RATE = 200.0
-ROUNDS = 5
+ROUNDS = 25
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -75,7 +76,7 @@ def main() -> None:
     seeds = np.random.SeedSequence(0).spawn(16)
     plant = Plant(config.vehicle)
     data = mujoco.MjData(plant.model)
-    steps, flights, flight_steps, env_steps, rotor_s = 20000, 16, 4000, 4000, 5.0
+    steps, flights, flight_steps, env_steps, rotor_s = 20000, 16, 2000, 4000, 0.5
     env = gymnasium.make("quadsim/Quadrotor-v0", disable_env_checker=True).unwrapped
     env.reset(seed=0)
     action = env.action_space.sample() * 0
@@ -98,19 +99,17 @@ def main() -> None:
         jobs["rotorpy: controller, IMU, recording"] = (rotorpy, rotor_s * RATE)
     for work, _ in jobs.values():
         work()  # compile and warm up
-    times: dict[str, list[float]] = {name: [] for name in jobs}
-    for _ in range(ROUNDS):
+    times = {name: np.empty(ROUNDS) for name in jobs}
+    for i in range(ROUNDS):
         for name, (work, count) in jobs.items():
-            times[name].append(seconds(work) / count * 1e6)
-    medians = {name: float(np.median(values)) for name, values in times.items()}
-    raw = medians["raw mj_step, RK4, in C"]
-    bulk = medians["bulk: controller, noise, recording"]
+            times[name][i] = seconds(work) / count * 1e6
+    raw, bulk = (times[name] for name in list(jobs)[:2])
 
-    table = Table(
-        "job", "µs a step", "raw / job", "job / bulk", title=f"one thread, median of {ROUNDS} rounds"
-    )
-    for name, value in medians.items():
-        table.add_row(name, f"{value:.2f}", f"{raw / value:.2f}", f"{value / bulk:.1f}")
+    table = Table("job", "µs a step", "raw / job", "job / raw", "job / bulk")
+    table.title = f"one thread, median of {ROUNDS} rounds"
+    for name, spent in times.items():
+        ratios = (raw / spent, spent / raw, spent / bulk)
+        table.add_row(name, f"{np.median(spent):.2f}", *(f"{np.median(ratio):.2f}" for ratio in ratios))
     console = Console()
     console.print(table)
     with tempfile.TemporaryDirectory() as folder:

@@ -249,7 +249,7 @@ function drawViolins() {
     for (const s of scenario ? [scenario] : data.scenarios) cell(s, e)?.histogram?.forEach((count, i) => { total[i] += count; });
     return [e, total, total.reduce((a, b) => a + b, 0)];
   }).filter(([, , n]) => n > 0);
-  const [left, width, tall] = [130, 900, 46], bottom = 26, height = rows.length * tall + bottom;
+  const [left, width, tall] = [165, 900, 46], bottom = 26, height = rows.length * tall + bottom;
   const X = (decade) => left + ((decade - low) / (high - low)) * (width - left - 20);
   let svg = `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="Distribution of errors by estimator">`;
   for (const v of [0.01, 0.1, 1, 10, 100]) {
