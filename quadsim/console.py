@@ -32,15 +32,16 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
         MofNCompleteColumn(),
         TextColumn(f"{unit}{{task.fields[note]}}"),
         TimeElapsedColumn(),
-        TextColumn("left"),
+        TextColumn("gone,"),
         TimeRemainingColumn(),
+        TextColumn("left"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=None, note="")
 
         def update(done: int, total: int, note: str = "") -> None:
             speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
-            remarks = [f"{speed:.2g} a second"] if speed else []
+            remarks = [f"{speed:.0f} a second" if speed >= 10 else f"{speed:.2g} a second"] if speed else []
             bar.update(
                 task,
                 completed=done,

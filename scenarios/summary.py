@@ -50,15 +50,22 @@ def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
 
 
 def offline_table(rows: Sequence[Row]) -> Table:
-    """Errors on recorded flights, in the order given."""
-    table = Table("estimator", "start", title="On recorded flights: error of roll and pitch, °")
-    for heading in ("median", "mean", "SD", "inclination RMSE"):
+    """Errors on recorded flights, one estimator a row, in the order given."""
+    table = Table(
+        "estimator", title="On recorded flights: error of roll and pitch, mean ± SD over flights, °"
+    )
+    starts = {"level": "first attitude unknown", "known": "first attitude known"}
+    for heading in starts.values():
         table.add_column(heading, justify="right")
-    for row in rows:
-        keys = ("median_deg", "mean_deg", "sd_deg", "inclination_rmse_deg")
-        numbers = [f"{value:.2f}" if isinstance(value := row.get(key), float) else "–" for key in keys]
-        table.add_row(str(row["estimator"]), str(row["start"]), *numbers)
+    errors = {(row["estimator"], row["start"]): _error(row) for row in rows}
+    for name in dict.fromkeys(row["estimator"] for row in rows):
+        table.add_row(str(name), *(errors.get((name, start), "–") for start in starts))
     return table
+
+
+def _error(row: Row) -> str:
+    mean, sd = row.get("mean_deg"), row.get("sd_deg")
+    return f"{mean:.2f} ± {sd:.2f}" if isinstance(mean, float) and isinstance(sd, float) else "did not run"
 
 
 def _entry(row: Row) -> Text:
