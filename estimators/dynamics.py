@@ -12,8 +12,6 @@ whole, float64 holds them exactly, and the result is what `estimators.loihi` com
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -39,7 +37,7 @@ def _decay(x, tau, quantised):
 @njit(cache=True, inline="always")
 def _wrap(x, half):
     """Two's complement: into [-half, half)."""
-    return x if -half <= x < half else x - 2.0 * half * math.floor((x + half) / (2.0 * half))
+    return x if -half <= x < half else x - 2.0 * half * np.floor((x + half) / (2.0 * half))
 
 
 @njit(cache=True, inline="always")
@@ -90,7 +88,7 @@ def _drive(u, v, tau, threshold, quantised):
 
 @njit(cache=True)
 def advance(
-    x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, u0, v0, u1, v1, out, s0, s1, s1_late, total
+    x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, u0, v0, u1, v1, out, s0, s1, s1_late, total, drive
 ):
     """One step of one copy of the network; weights in state units, all states change in place.
 
@@ -111,15 +109,16 @@ def advance(
         s0: Spikes of the encoding layer: their number, then the neurons, shape (h0 + 1,).
         s1: Spikes of the hidden layer one step ago, shape (h1 + 1,).
         s1_late: Those that the recurrent connection delivers now (s1 itself for a delay of 1).
-        total: Scratch, shape (max(h1, outputs),).
+        total: Scratch in the type of the weights, shape (max(h1, outputs),).
+        drive: Scratch, shape (h0,).
     """
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
     for o in range(out.shape[1]):
         total[o] = 0
     _add_rows(total[: out.shape[1]], w_out, s1)
     for o in range(out.shape[1]):
-        drive = _wrap(np.float64(total[o]), _WRAP_21) if quantised else np.float64(total[o])
-        out[0, o] = _decay(out[0, o], out_taus[0], quantised) + drive
+        arrived = _wrap(np.float64(total[o]), _WRAP_21) if quantised else np.float64(total[o])
+        out[0, o] = _decay(out[0, o], out_taus[0], quantised) + arrived
         if quantised:
             out[0, o] = _wrap(out[0, o], _WRAP_23)
         y = _decay(out[1, o], out_taus[1], quantised) + out[0, o]
@@ -131,21 +130,24 @@ def advance(
     _add_rows(total[:h1], w_ff, s0)
     _add_rows(total[:h1], w_rec, s1_late)
     for i in range(h1):
-        drive = np.float64(total[i])
+        arrived = np.float64(total[i])
         if quantised:
-            u1[i] = _wrap(_decay(u1[i], taus[2][i], quantised) + _wrap(drive, _WRAP_21), _WRAP_23)
+            u1[i] = _wrap(_decay(u1[i], taus[2][i], quantised) + _wrap(arrived, _WRAP_21), _WRAP_23)
         else:
-            u1[i] = _decay(u1[i], taus[2][i], quantised) + drive
+            u1[i] = _decay(u1[i], taus[2][i], quantised) + arrived
     _membrane(u1, v1, taus[3], threshold, quantised)
 
     for i in range(v0.shape[0]):
-        drive = 0.0
-        for k in range(x.shape[0]):
-            drive += w_in[k, i] * x[k]
+        drive[i] = 0.0
+    for k in range(x.shape[0]):
+        value = x[k]
+        for i in range(v0.shape[0]):
+            drive[i] += w_in[k, i] * value
+    for i in range(v0.shape[0]):
         if quantised:
-            u0[i] = _wrap(_decay(u0[i], taus[0][i], quantised) + np.trunc(drive), _WRAP_23)
+            u0[i] = _wrap(_decay(u0[i], taus[0][i], quantised) + np.trunc(drive[i]), _WRAP_23)
         else:
-            u0[i] = _decay(u0[i], taus[0][i], quantised) + drive
+            u0[i] = _decay(u0[i], taus[0][i], quantised) + drive[i]
     _drive(u0, v0, taus[1], threshold, quantised)
 
 
@@ -178,7 +180,7 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
     )  # fmt: skip
     out_taus = taus[hidden + 2 * h1 :]
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
-    total = np.zeros(max(h1, outputs), weights.dtype)
+    total, drive = np.zeros(max(h1, outputs), weights.dtype), np.zeros(h0)
     for n in range(x.shape[0]):
         row = state[n]
         u0, v0 = row[:h0], row[h0:hidden]
@@ -192,7 +194,7 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
                 late = s1 if delay == 1 else s1_before
                 advance(
                     x[n, t], w_in, w_ff, w_rec, w_out, layer_taus, out_taus, quantised,
-                    u0, v0, u1, v1, y, s0, s1, late, total,
+                    u0, v0, u1, v1, y, s0, s1, late, total, drive,
                 )  # fmt: skip
                 s1_before[:] = s1
                 _list_spikes(v0, threshold, s0)

@@ -75,7 +75,7 @@ def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay
     one = STATE_ONE if quantised else 1.0
     unit = 1.0 / one
     threshold = THRESHOLD * one
-    total = np.zeros(max(h1, outputs), w_ff.dtype)
+    total, drive = np.zeros(max(h1, outputs), w_ff.dtype), np.zeros(h0)
     state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 2, outputs))
     for b in range(
         n
@@ -95,7 +95,7 @@ def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay
             advance(
                 x[t, b], w_in, w_ff, w_rec, w_out, taus, out_taus, quantised,
                 state0[b, 0], state0[b, 1], state1[b, 0], state1[b, 1], state2[b],
-                s0[t + 1, b], s1[t + 1, b], s1[t + 2 - delay, b], total,
+                s0[t + 1, b], s1[t + 1, b], s1[t + 2 - delay, b], total, drive,
             )  # fmt: skip
             _list_spikes(state0[b, 1], threshold, s0[t + 2, b])
             _list_spikes(state1[b, 1], threshold, s1[t + 2, b])
@@ -108,7 +108,7 @@ def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay
                 vo[t + 2, b, o] = state2[b, 1, o] * unit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def backward_window(
     x, grad, weights, taus, out_taus, constants, quantised, delay,
     v0, v1, vo, u0, s0, s1, g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
