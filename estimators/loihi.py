@@ -88,6 +88,7 @@ class LoihiNetwork:
         """Check that the layers fit, pack them, and start one copy from zero."""
         if not layers:
             raise ValueError("a network needs at least one layer, got none")
+        self.layers = list(layers)
         w_in = [np.asarray(layer.w_in) for layer in layers]
         for k in range(1, len(layers)):
             if w_in[k].shape[1] not in (0, w_in[k - 1].shape[0]):

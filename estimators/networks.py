@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from .chip import partition
 from .dynamics import BIAS_EXP, run_network, zero_state
 from .gru import run_gru
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, step_arrays, wrap
@@ -168,7 +169,7 @@ class OnLoihi:
     """Att-SNN in integers: the encoding current on the host, all that spikes and the outputs on the chip.
 
     Raises:
-        ValueError: The network is not quantised, or not in the chip's time convention.
+        ValueError: The network is not quantised, not in the chip's time convention, or does not fit.
     """
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
@@ -178,11 +179,12 @@ class OnLoihi:
         w = {name: value.astype(np.int64) for name, value in tensors.items()}
         self.chip = LoihiNetwork(
             [
-                LoihiLayer(w_in=None, du=w["syn0"], dv=w["mem0"], bias_exp=BIAS_EXP),
+                LoihiLayer(w_in=None, dv=w["mem0"], bias_exp=BIAS_EXP),
                 LoihiLayer(w_in=w["w_ff"], w_rec=w["w_rec"], du=w["syn1"], dv=w["mem1"]),
                 LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX),
             ]
         )
+        self.cores = partition(self.chip.layers)
         self._encoder = np.ascontiguousarray(w["w_in"].T), w["syn0"]
         self._steps, self._scale = config.steps_per_sample, config.output_scale / 2**14
         self._offset, self._gain = input_scaling(config.inputs)

@@ -440,6 +440,30 @@ def bench(
 
 
 @app.command()
+def inspect(
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights of an Att-SNN; the ones that ship when left out.")
+    ] = None,
+    profiles: Annotated[
+        int | None, typer.Option(min=3, help="Share this many decay profiles among all neurons first.")
+    ] = None,
+) -> None:
+    """Look inside a spiking network: where its neurons go on the chip, and what they take there.
+
+    Example: quadsim inspect --profiles 32
+    """
+    from estimators.inspection import load_spiking
+    from scenarios.summary import cores_table
+
+    name, network = load_spiking(weights, profiles)
+    console.print(cores_table(network.cores))
+    console.print(
+        f"{name}: {sum(network.chip.sizes)} neurons on {len(network.cores)} of a chip's 128 cores",
+        soft_wrap=True,
+    )
+
+
+@app.command()
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder that quadsim bench wrote.")],
     out: Annotated[Path | None, typer.Option(help="HTML file; FOLDER/report.html when left out.")] = None,

@@ -7,6 +7,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
 
+from estimators.chip import LIMITS, Core
 from estimators.evaluate import Row as Evaluated
 
 from .offline import Row
@@ -66,6 +67,17 @@ def offline_table(rows: Sequence[Row]) -> Table:
 def _error(row: Row) -> str:
     mean, sd = row.get("mean_deg"), row.get("sd_deg")
     return f"{mean:.2f} ± {sd:.2f}" if isinstance(mean, float) and isinstance(sd, float) else "did not run"
+
+
+def cores_table(cores: Sequence[Core]) -> Table:
+    """The neurons of each core of a chip, and how much of each limit they take."""
+    table = Table("core", "neurons of layer", title="On the chip: used of what a core has")
+    for name, limit in LIMITS.items():
+        table.add_column(f"{name}\n({limit})", justify="right")
+    for number, core in enumerate(cores):
+        layers = ", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items())
+        table.add_row(str(number), layers, *map(str, core.used().values()))
+    return table
 
 
 def _entry(row: Row) -> Text:

@@ -8,7 +8,19 @@ from safetensors.numpy import save_file
 
 from quadsim.cli import app, main, pair_of
 
-VERBS = ["generate", "train", "tune", "evaluate", "fly", "bench", "report", "export", "design", "demo"]
+VERBS = [
+    "generate",
+    "train",
+    "tune",
+    "evaluate",
+    "fly",
+    "bench",
+    "report",
+    "export",
+    "design",
+    "demo",
+    "inspect",
+]
 
 
 @pytest.fixture
@@ -68,6 +80,7 @@ def test_every_verb_has_help_of_its_own():
         (["bench", "--scenario", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "missing.toml"], "missing.toml"),
         (["report", "missing"], "missing"),
+        (["inspect", "--weights", "missing.safetensors"], "missing.safetensors"),
     ],
 )
 def test_a_mistake_is_one_clear_line_and_exit_code_2(quadsim, arguments, said):
@@ -118,6 +131,13 @@ def test_the_same_command_again_finds_its_work_done(quadsim, dataset):
     assert again[0] == 0
     assert other[0] == 2
     assert "--overwrite" in other[2]
+
+
+def test_inspect_shows_where_the_neurons_go(quadsim):
+    code, out, _ = quadsim("inspect", "--profiles", 32)
+    assert code == 0
+    assert "fan-in axons" in out
+    assert "202 neurons on 1 of a chip's 128 cores" in out
 
 
 def test_design_prints_gains_and_margins(quadsim):

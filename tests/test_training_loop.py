@@ -159,3 +159,12 @@ def test_stopping_rules_of_the_paper():
     assert finished(falling) is None
     assert finished([*falling, *[0.6] * 50]) == "the lowest validation loss is 50 epochs old"
     assert "20-epoch average" in str(finished([*falling, *[0.9] * 20]))
+
+
+def test_frozen_time_constants_stay_as_they_were(dataset, tmp_path):
+    first = train(data=dataset, out=tmp_path / "first", **TINY)
+    choices = TINY | {"init": str(first.weights), "train_decays": False, "rate_cost": 0.0}
+    train(data=dataset, out=tmp_path / "second", **choices)
+    before, after = weights_of(tmp_path / "first"), weights_of(tmp_path / "second")
+    same(*({k: x for k, x in each.items() if k.startswith(("syn", "mem"))} for each in (before, after)))
+    assert not np.array_equal(before["w_ff"], after["w_ff"])

@@ -47,6 +47,8 @@ class TrainConfig(Strict):
 
     init: str = ""
     """Weights file of the same model and size to start from, in place of `start`."""
+    train_decays: bool = True
+    """Whether the time constants are trained too (att-snn)."""
 
     optimiser_lr: float = Field(default=0.005, gt=0)
     """Learning rate of Adam."""

@@ -81,6 +81,8 @@ class _Run:
         self.model = _new_model(config)
         self.steps = round(config.window_s * flights.rate_hz)
         _start(self.model, config, flights, self.steps)
+        for name, parameter in self.model.named_parameters():
+            parameter.requires_grad_(config.train_decays or not name.startswith(("syn", "mem")))
         adam = torch.optim.Adam(
             self.model.parameters(), lr=config.optimiser_lr, betas=(0.9, config.adam_beta2)
         )
@@ -337,7 +339,7 @@ def _claim(out: Path, config: TrainConfig) -> None:
     """Make the folder this run's; refuse one of a run with another configuration."""
     out.mkdir(parents=True, exist_ok=True)
     file, text = out / "config.json", config.model_dump_json(indent=2)
-    if file.is_file() and file.read_text() != text:
+    if file.is_file() and TrainConfig.model_validate_json(file.read_text()) != config:
         raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     _replace(file, lambda path: path.write_text(text))
 

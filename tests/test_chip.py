@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from estimators.chip import LIMITS, decay_profiles, partition, synaptic_bits
+from estimators.loihi import LoihiLayer
+from estimators.networks import OnLoihi
+from estimators.profiles import share_profiles
+from estimators.weights_file import shipped_network
+
+
+def ones(out, inputs):
+    return np.full((out, inputs), 2)
+
+
+def test_every_neuron_has_one_place_and_every_core_fits():
+    chip = OnLoihi(*shipped_network("att-snn"))
+    placed = [(k, i) for core in chip.cores for k, ids in core.neurons.items() for i in ids]
+    assert sorted(placed) == [(k, i) for k, size in enumerate((100, 100, 2)) for i in range(size)]
+    assert all(core.used()[name] <= LIMITS[name] for core in chip.cores for name in LIMITS)
+
+
+def test_more_than_32_profiles_take_another_core():
+    for distinct, cores in ((32, 1), (33, 2), (64, 2), (65, 3)):
+        layer = LoihiLayer(w_in=ones(100, 4), du=1 + np.arange(100) % distinct, dv=7)
+        assert len(partition([layer])) == cores
+
+
+def test_more_than_1024_compartments_take_another_core():
+    layer = LoihiLayer(w_in=None, dv=np.full(1025, 3))
+    assert [len(core.neurons[0]) for core in partition([layer])] == [1024, 1]
+
+
+def test_synaptic_memory_fills_cores():
+    # 64 synapses of 8 + 9 bits and a head of 10 are 18 words of 64 bits.
+    assert synaptic_bits(np.array([64, 0, 1]), 300) == 64 * (18 + 1)
+    cores = partition([LoihiLayer(w_in=ones(300, 1000))])
+    assert len(cores) > 300 * 1000 * 8 // LIMITS["synaptic bits"]
+    assert all(core.used()["synaptic bits"] <= LIMITS["synaptic bits"] for core in cores)
+
+
+@pytest.mark.parametrize(
+    ("layers", "message"),
+    [
+        (
+            [LoihiLayer(w_in=ones(2, 5000))],
+            r"neuron 0 of layer 0: 5000 fan-in axons, a core has 4096: 904 too many",
+        ),
+        (
+            [LoihiLayer(w_in=None, dv=np.full(1024, 3)), LoihiLayer(w_in=ones(700, 1024))],
+            r"core 0: \d+ fan-out axons, a core has 4096: \d+ too many",
+        ),
+    ],
+)
+def test_a_network_that_does_not_fit_is_refused_with_the_limit_and_the_excess(layers, message):
+    with pytest.raises(ValueError, match=message):
+        partition(layers)
+
+
+def test_a_network_larger_than_the_chip_is_refused(monkeypatch):
+    monkeypatch.setitem(LIMITS, "compartments", 1)
+    with pytest.raises(ValueError, match="the network needs 129 cores, a chip has 128: 1 too many"):
+        partition([LoihiLayer(w_in=None, dv=np.full(129, 3))])
+
+
+def test_shared_profiles_fit_on_one_core():
+    config, tensors = shipped_network("att-snn")
+    shared = OnLoihi(config, share_profiles(tensors, 32))
+    assert len(shared.cores) == 1
+    together = np.unique(np.concatenate([decay_profiles(layer) for layer in shared.chip.layers]), axis=0)
+    assert len(together) <= 32
+    with pytest.raises(ValueError, match="profiles: 2, should be at least 3"):
+        share_profiles(tensors, 2)
