@@ -399,6 +399,10 @@ def bench(
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, not the scenarios'.")
     ] = None,
+    external: Annotated[
+        str | None,
+        typer.Option(help="External sensor instead of the scenarios': ideal, motion-capture or a TOML file."),
+    ] = None,
     rate: Rate = 200.0,
     seed: Seed = 0,
     workers: Workers = None,
@@ -426,6 +430,7 @@ def bench(
             out,
             seed=seed,
             duration_s=duration,
+            external=external,
             rate_hz=rate,
             workers=workers,
             executor=executor,

@@ -71,13 +71,13 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | 12–13 | cosine and sine of yaw               | 1        |
     | 14–16 | gyroscope, body axes                 | 50 rad/s |
 
-    Roll and pitch come from the estimator under test alone; position, velocity and yaw from an ideal external
-    sensor.
+    Roll and pitch come from the estimator under test alone; position, velocity and yaw from the scenario's
+    external sensor, with its noise, rate and delay (`quadsim.external`).
 
     ## Reward
 
-    1 / (1 + ‖e_p‖² + 0.1 ‖e_v‖²) in each step, with e_p [m] and e_v [m/s] the errors of observations 0–5; 0
-    in the step of a crash. 1 is perfect.
+    1 / (1 + ‖e_p‖² + 0.1 ‖e_v‖²) in each step, with e_p [m] and e_v [m/s] the true errors of position and
+    velocity, free of what the external sensor adds; 0 in the step of a crash. 1 is perfect.
 
     ## Starting state
 
@@ -276,7 +276,7 @@ class Flights:
         observation = np.empty((mission.n, OBSERVATION_LIMIT.size), dtype=np.float32)
         reward = np.empty(mission.n)
         mission.fallen = follow_and_observe(
-            loop.plant.velocity, loop.attitude, loop.yaw, loop.rate, OBSERVATION_LIMIT, observation, reward,
+            *loop.seen, loop.attitude, loop.rate, loop.plant.velocity, OBSERVATION_LIMIT, observation, reward,
             *mission.arrays,
         )  # fmt: skip
         return observation, reward
@@ -287,7 +287,7 @@ class Flights:
         observation = np.empty((mission.n, OBSERVATION_LIMIT.size), dtype=np.float32)
         reward = np.empty(mission.n)
         observe(
-            mission.target, loop.plant.position, loop.plant.velocity, loop.attitude, loop.yaw, loop.rate,
+            mission.target, *loop.seen, loop.attitude, loop.rate, loop.plant.position, loop.plant.velocity,
             mission.cause, OBSERVATION_LIMIT, observation, reward,
         )  # fmt: skip
         return observation, reward
@@ -381,32 +381,38 @@ def to_command(level, action, scale, speeds, target, command):
 
 @njit(cache=True)
 def follow_and_observe(
-    velocity, attitude, yaw, rate, limit, observation, reward,
+    seen_position, seen_velocity, seen_yaw, attitude, rate, velocity, limit, observation, reward,
     k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause,
 ):  # fmt: skip
     """`follow` of the mission, then `observe`."""
     fallen = follow(k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause)
-    observe(target, position, velocity, attitude, yaw, rate, cause, limit, observation, reward)
+    observe(
+        target, seen_position, seen_velocity, seen_yaw, attitude, rate, position, velocity, cause, limit,
+        observation, reward,
+    )  # fmt: skip
     return fallen
 
 
 @njit(cache=True, inline="always")
-def observe(target, position, velocity, attitude, yaw, rate, cause, limit, observation, reward):
+def observe(
+    target, seen_position, seen_velocity, seen_yaw, attitude, rate, position, velocity, cause, limit,
+    observation, reward,
+):  # fmt: skip
     """Write observations (n, 17) and rewards (n,); see the tables of `QuadrotorEnv`."""
     for i in range(observation.shape[0]):
         o = observation[i]
         apart = slip = 0.0
         for j in range(3):
-            o[j] = target[i, j] - position[i, j]
-            o[3 + j] = target[i, 3 + j] - velocity[i, j]
+            o[j] = target[i, j] - seen_position[i, j]
+            o[3 + j] = target[i, 3 + j] - seen_velocity[i, j]
             o[6 + j] = target[i, 6 + j]
             o[14 + j] = rate[i, j]
             apart += (target[i, j] - position[i, j]) ** 2
             slip += (target[i, 3 + j] - velocity[i, j]) ** 2
         o[9], o[10] = attitude[i, 0], attitude[i, 1]
-        turn = target[i, 9] - yaw[i]
+        turn = target[i, 9] - seen_yaw[i]
         o[11] = np.arctan2(np.sin(turn), np.cos(turn))
-        o[12], o[13] = np.cos(yaw[i]), np.sin(yaw[i])
+        o[12], o[13] = np.cos(seen_yaw[i]), np.sin(seen_yaw[i])
         for j in range(o.shape[0]):
             o[j] = min(max(o[j], -limit[j]), limit[j])
         reward[i] = 1.0 / (1.0 + apart + 0.1 * slip) if cause[i] == 0 else 0.0

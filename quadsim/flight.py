@@ -16,6 +16,7 @@ from pydantic import Field
 from .config import Strict
 from .controller import LEVELS, Controller, Level, control
 from .estimator import AttitudeEstimator
+from .external import ExternalSensor
 from .imu import ImuSpec, ImuStream, simulate_imu_with_bias
 from .imu_kernel import ACCEL, GYRO, measure
 from .plant import Plant, actuate, sense
@@ -35,7 +36,8 @@ class FlightLoop:
     """n closed loops, one sample at a time.
 
     After `reset` and after every `step`, `gyro`, `accel` (n, 3) and `attitude` (n, 2), the estimated roll and
-    pitch, belong to the state in `plant`. `rate` (n, 3) is `gyro` with missing samples held.
+    pitch, belong to the state in `plant`. `rate` (n, 3) is `gyro` with missing samples held. `seen` is the
+    position (n, 3), velocity (n, 3) and yaw (n,) that the controller sees.
 
     Args:
         vehicle: One vehicle, or n of them. The controller is tuned for `nominal`, or else for the first.
@@ -44,7 +46,8 @@ class FlightLoop:
         imu: IMU to fly on; None for a perfect one.
         estimator: Source of roll and pitch; None for the truth.
         seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
-        contact: Whether the ground can be touched.
+        contact: Whether the ground can be touched; the engine then makes 1 ms steps, implicitly.
+        external: Source of position, velocity and yaw; None for the truth.
         nominal: The vehicle that the controller believes in.
         corrupt: Called as corrupt(gyro, accel, k) on every sample, k (n,) counting each vehicle's samples
             from 0; may change both in place: sensor faults. At NaN the controller holds its last body rate.
@@ -60,19 +63,24 @@ class FlightLoop:
         estimator: AttitudeEstimator | None = None,
         seed: int | Sequence[np.random.SeedSequence] = 0,
         contact: bool = False,
+        external: ExternalSensor | None = None,
         nominal: Vehicle | None = None,
         corrupt: Callable[[Array, Array, NDArray[np.int64]], None] | None = None,
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
         self.n, self.rate_hz, self.k = n, rate_hz, np.zeros(n, dtype=np.int64)
-        self.plant = Plant(vehicle, n, rate_hz, contact=contact)
+        self.plant = Plant(vehicle, n, rate_hz, "implicitfast" if contact else "RK4", contact)
         self.controller = Controller(nominal or self.plant.vehicle, n, rate_hz)
         self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed)
         self.estimator = estimator
+        self.external = external
         self.corrupt = corrupt
         self._observe = getattr(estimator, "observe", None)
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
+        self.seen = self.plant.position, self.plant.velocity, self.yaw
+        if external is not None:
+            self.seen = external.position, external.velocity, external.yaw
         self.attitude, self._calm = self.true_attitude, np.zeros((n, 3))
         self._air = self._calm  # in which the present state was reached
         self._reading = np.zeros((2, n, 1, 3))
@@ -150,14 +158,14 @@ class FlightLoop:
         plant, controller = self.plant, self.controller
         air = self._calm if wind is None else wind
         steer(
-            LEVELS.index(level), command, self.attitude, self.yaw, self.rate, plant.step_dt, air, plant.ctrl,
-            self.k, *controller.arrays, *plant.arrays,
+            LEVELS.index(level), command, *self.seen, self.attitude, self.rate, plant.step_dt, air,
+            plant.ctrl, self.k, *controller.arrays, *plant.arrays,
         )  # fmt: skip
         plant.integrate(controller.rotor_vel_cmd, air)
         self._air = air
 
     def sense(self) -> None:
-        """The second half of `step`: IMU and estimate."""
+        """The second half of `step`: IMU, external sensor and estimate."""
         plant, imu = self.plant, self.imu
         if imu is None:
             arrive(self.true_attitude, self.yaw, self._air, plant.reaction, *plant.arrays)
@@ -166,6 +174,8 @@ class FlightLoop:
                 imu.next_samples(), *imu.arrays, self._reading, self.true_attitude, self.yaw, self._air,
                 plant.reaction, *plant.arrays,
             )  # fmt: skip
+        if self.external is not None:
+            self.external.measure(self.k, plant.position, plant.velocity, self.yaw)
         if self.corrupt is not None:
             self.gyro, self.accel = (each.copy() for each in self._sample)
             self.corrupt(self.gyro, self.accel, self.k)
@@ -178,14 +188,14 @@ class FlightLoop:
 
 @njit(cache=True)
 def steer(
-    level, command, attitude, yaw, rate, step_dt, wind, ctrl, k,
+    level, command, position, velocity, yaw, attitude, rate, step_dt, wind, ctrl, k,
     g, c, inverse, dt, memory, axis, rotor_vel_cmd,
     params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc,
 ):  # fmt: skip
     """Everything before the engine's step: `control`, then `actuate`; k (n,) counts on."""
     k += 1
     control(
-        level, command, qpos[:, :3], qvel[:, :3], attitude, yaw, rate, g, c, inverse, dt, memory, axis,
+        level, command, position, velocity, attitude, yaw, rate, g, c, inverse, dt, memory, axis,
         rotor_vel_cmd,
     )  # fmt: skip
     actuate(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .controller import WIDTH, Level
 from .estimator import AttitudeEstimator
+from .external import ExternalSensor, ExternalSpec, load_external
 from .faults import VehicleFaults, sensor_faults
 from .flight import FlightLoop
 from .imu import load_imu
@@ -30,7 +31,7 @@ FLYING, TILTED, GROUNDED, AWAY, DIVERGED = range(5)
 CAUSES = ("", "tilted over", "hit the ground", "flew away", "diverged")
 """Why a flight ended, by the codes above."""
 
-TRAJECTORY, AIR, SENSOR, BEGINNING, FAULT = range(5)
+TRAJECTORY, AIR, SENSOR, BEGINNING, FAULT, EXTERNAL = range(6)
 """Children of a flight's seed, one for each component that draws from it."""
 
 
@@ -66,6 +67,7 @@ class Mission:
         if self.steps < 1:
             raise ValueError(f"a flight of {duration_s} s has no sample at {rate_hz:g} Hz")
         self._imu, self._estimator = load_imu(scenario.imu), estimator
+        self._external = load_external(scenario.external)
         self._limits = np.array(
             [
                 math.cos(math.radians(scenario.crash.tilt_deg)),
@@ -82,7 +84,10 @@ class Mission:
         if len(seeds) != self.n:
             raise ValueError(f"{len(seeds)} seeds for {self.n} flights; there must be one for each")
         self._targets, self._winds = self._plan(seeds)
-        faults = self.scenario.faults
+        faults, external = self.scenario.faults, None
+        if self._external != ExternalSpec():
+            outside = [child(seed, EXTERNAL) for seed in seeds]
+            external = ExternalSensor(self._external, self.n, self.rate_hz, outside)
         self.loop = FlightLoop(
             self.vehicle,
             self.n,
@@ -90,6 +95,8 @@ class Mission:
             imu=self._imu,
             estimator=self._estimator,
             seed=[child(seed, SENSOR) for seed in seeds],
+            contact=self.scenario.contact,
+            external=external,
             corrupt=sensor_faults(faults, self.n, self.rate_hz, [child(seed, FAULT) for seed in seeds]),
         )
         self._faults = VehicleFaults(faults, self.loop.plant)

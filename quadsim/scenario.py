@@ -55,6 +55,10 @@ class Scenario(Strict):
     """A shipped vehicle, or the path of a TOML file."""
     imu: str = "adis16448"
     """A shipped IMU, or the path of a TOML file."""
+    external: str = "ideal"
+    """Where position, velocity and yaw come from: a shipped external sensor, or the path of a TOML file."""
+    contact: bool = False
+    """Whether the ground can be touched, at five times the cost; otherwise to reach it is to crash."""
     trajectory: Trajectory = Hover()
     """The set-points."""
     wind: tuple[WindSpec, ...] = ()

@@ -46,6 +46,16 @@ class Step(Strict):
     hold_s: Positive = Field(default=6.0, description="Time until the next jump, back or there again [s].")
 
 
+class Move(Strict):
+    """From one place to another and to stay there, rest to rest with minimum snap: take-off and landing."""
+
+    kind: Literal["move"] = "move"
+    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
+    offset: Vector = Field(default=(0.0, 0.0, 1.0), description="How far [m].")
+    at_s: float = Field(default=2.0, ge=0, description="When it begins [s].")
+    length_s: Positive = Field(default=4.0, description="How long it takes [s].")
+
+
 class Lissajous(Strict):
     """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. It grows over one period."""
 
@@ -126,7 +136,7 @@ class SetPointFile(Strict):
 
 
 Trajectory = Annotated[
-    Hover | Step | Lissajous | Waypoints | Mix | Doublets | SetPointFile, Field(discriminator="kind")
+    Hover | Step | Move | Lissajous | Waypoints | Mix | Doublets | SetPointFile, Field(discriminator="kind")
 ]
 Seeds = Sequence[np.random.SeedSequence]
 
@@ -168,7 +178,7 @@ def _random(spec: Mix | Waypoints | Doublets, time: Array, rng: np.random.Genera
     return out
 
 
-def _fixed(spec: Hover | Step | Lissajous | Waypoints | SetPointFile, time: Array) -> Array:
+def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, time: Array) -> Array:
     match spec:
         case Hover():
             out = _still(spec.position, math.radians(spec.yaw_deg), time)
@@ -177,6 +187,8 @@ def _fixed(spec: Hover | Step | Lissajous | Waypoints | SetPointFile, time: Arra
             away = (time >= spec.at_s) & (np.floor((time - spec.at_s) / spec.hold_s) % 2 == 0)
             out[away, :3] += spec.offset
             out[away, 9] += math.radians(spec.yaw_deg)
+        case Move():
+            out = _move(spec, time)
         case Lissajous():
             out = _lissajous(spec, time)
         case Waypoints():
@@ -189,6 +201,14 @@ def _fixed(spec: Hover | Step | Lissajous | Waypoints | SetPointFile, time: Arra
 def _still(position: Vector, yaw: float, time: Array) -> Array:
     out = np.zeros((time.size, len(COLUMNS)))
     out[:, :3], out[:, 9] = position, yaw
+    return out
+
+
+def _move(spec: Move, time: Array) -> Array:
+    out = _still(spec.position, 0.0, time)
+    way = np.clip((time - spec.at_s) / spec.length_s, 0, 1)[:, None]
+    for order, shape in enumerate(_rest_to_rest(way)):
+        out[:, 3 * order : 3 * order + 3] += np.array(spec.offset) * shape / spec.length_s**order
     return out
 
 

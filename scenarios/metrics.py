@@ -22,6 +22,8 @@ CONVERGED_DEG = 5.0
 """Inclination error below which an estimate counts as found [deg],"""
 CONVERGED_S = 1.0
 """if it stays there for this long [s]."""
+AWAY_M = 0.5
+"""Distance from the set-point beyond which a vehicle counts as thrown off [m]."""
 ERROR_DECADES = (-3.0, 2.3)
 """Range of the error histograms, powers of ten of a degree,"""
 ERROR_BINS = 106
@@ -84,6 +86,11 @@ METRICS = (
         "the median over flights, empty if most never get there.",
     ),
     Metric(
+        "recover_s", "Recovery time", "s", 2,
+        f"The longest time it took to come back, once more than {AWAY_M:g} m from the set-point, 0 if never "
+        "there; the median over flights, empty if most end away from it.",
+    ),
+    Metric(
         "power_w", "Rotor power", "W", 1,
         "Mean mechanical power of the rotors, Σ k_m k_f ω³; the mean over flights.",
     ),
@@ -139,6 +146,7 @@ def flight_metrics(log: Array, end: NDArray[np.int64], rate_hz: float, vehicle: 
         "position_m": _rms(apart),
         "worst_tilt_deg": np.degrees(np.nanmax(flown[..., LAYOUT.tilt], axis=1)),
         "converge_s": convergence_time(inclination, rate_hz),
+        "recover_s": recovery_time(apart, end == log.shape[1], rate_hz),
         "power_w": np.nanmean(power, axis=1),
         "jitter": _rms(flown[:, :, LAYOUT.command_change]),
     }
@@ -158,6 +166,22 @@ def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
     first = held.argmax(axis=1) if held.shape[1] else np.zeros(len(good), dtype=np.int64)
     found = held.any(axis=1)
     return np.where(found, first / rate_hz, np.nan)
+
+
+def recovery_time(apart: Array, whole: NDArray[np.bool_], rate_hz: float) -> Array:
+    """The longest time beyond `AWAY_M` before it came back, (n,) [s]; NaN where a flight does not end near.
+
+    Args:
+        apart: (n, T) distance from the set-point [m].
+        whole: (n,) whether a flight lasted to its end.
+        rate_hz: Samples per second.
+    """
+    longest = np.zeros(len(apart))
+    spell = np.zeros(len(apart), dtype=np.int64)
+    for away in (apart > AWAY_M).T:
+        spell = np.where(away, spell + 1, 0)
+        np.maximum(longest, spell, out=longest)
+    return np.where(whole & (spell == 0), longest / rate_hz, np.nan)
 
 
 def error_histogram(log: Array, end: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -195,7 +219,7 @@ def summarise(flights: list[dict[str, float | int | str | None]]) -> dict[str, f
 
 
 def _one_figure(key: str, values: Array) -> float | None:
-    if key == "converge_s":
+    if key in ("converge_s", "recover_s"):
         figure = float(np.median(np.where(np.isnan(values), np.inf, values)))
     elif np.isnan(values).all():
         return None

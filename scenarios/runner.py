@@ -16,6 +16,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import estimators
+from quadsim.external import load_external
 from quadsim.imu import load_imu
 from quadsim.scenario import Scenario, load_scenario
 from quadsim.vehicle import load_vehicle
@@ -64,6 +65,7 @@ def bench(
     *,
     seed: int = 0,
     duration_s: float | None = None,
+    external: str | None = None,
     rate_hz: float = 200.0,
     workers: int | None = None,
     executor: Executor | None = None,
@@ -83,6 +85,7 @@ def bench(
         out: Folder for the results.
         seed: Seed of everything random; flight i has its i-th child.
         duration_s: Length of the flights, instead of each scenario's own [s].
+        external: External sensor instead of each scenario's own, for example "ideal".
         rate_hz: Samples per second.
         workers: Processes, by default one for each CPU; 1 stays in this process.
         executor: Where to run in place of processes of our own, for instance a Dask client's
@@ -93,7 +96,7 @@ def bench(
         ValueError: For a bad argument or scenario file.
         OSError: If the results cannot be written.
     """
-    settings = _settings(scenarios, names, seeds, seed, duration_s, rate_hz)
+    settings = _settings(scenarios, names, seeds, seed, duration_s, external, rate_hz)
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
     code = code_digest()
@@ -178,7 +181,7 @@ def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, Travers
 
 def _settings(
     scenarios: Sequence[str | Path], names: Sequence[str], seeds: int, seed: int, duration_s: float | None,
-    rate_hz: float,
+    external: str | None, rate_hz: float,
 ) -> Settings:  # fmt: skip
     loaded: dict[str, Scenario] = {}
     for source in scenarios:
@@ -187,10 +190,13 @@ def _settings(
             if not 0 < duration_s <= 3600:
                 raise ValueError(f"duration is {duration_s} s; it must be above 0 and at most 3600")
             scenario = scenario.model_copy(update={"duration_s": duration_s})
+        if external is not None:
+            scenario = scenario.model_copy(update={"external": external})
         if name in loaded:
             raise ValueError(f'two scenarios are called "{name}"; give one of the files another name')
         load_vehicle(scenario.vehicle)  # a mistake in these is the user's, not a cell's
         load_imu(scenario.imu)
+        load_external(scenario.external)
         loaded[name] = scenario
     for name in names:
         if name not in estimators.names():
@@ -208,6 +214,7 @@ def _fingerprint(settings: Settings, name: str, estimator: str, code: str) -> st
         "scenario": scenario.model_dump(mode="json"),
         "vehicle": load_vehicle(scenario.vehicle).model_dump(mode="json"),
         "imu": load_imu(scenario.imu).model_dump(mode="json"),
+        "external": load_external(scenario.external).model_dump(mode="json"),
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -45,7 +45,7 @@ def flight(seed, scenario, estimator, cause="", error=1.0):
         "attitude_deg": 2.0,
         "position_m": 0.1,
     }
-    numbers |= {"worst_tilt_deg": 10.0, "converge_s": None, "power_w": 50.0, "jitter": 1.0}
+    numbers |= {"worst_tilt_deg": 10.0, "converge_s": None, "recover_s": 0.0, "power_w": 50.0, "jitter": 1.0}
     return {"scenario": scenario, "estimator": estimator, "seed": seed, "cause": cause} | numbers
 
 

@@ -19,6 +19,7 @@ from scenarios.metrics import (
     convergence_time,
     error_histogram,
     flight_metrics,
+    recovery_time,
     summarise,
     wilson,
 )
@@ -65,6 +66,7 @@ def test_perfect_flight_has_no_error():
         "position_m",
         "worst_tilt_deg",
         "converge_s",
+        "recover_s",
         "jitter",
     ):
         np.testing.assert_array_equal(metrics[key], 0.0)
@@ -103,6 +105,15 @@ def test_time_to_converge_is_the_start_of_the_first_second_below_the_limit():
     error[1, 100:250] = 1.0  # three quarters of a second are not enough
     error[1, 600:] = 1.0
     np.testing.assert_array_equal(convergence_time(error, 200.0), [1.5, 3.0, np.nan])
+
+
+def test_recovery_is_the_longest_spell_away_that_ended():
+    apart = np.zeros((4, 1000))
+    apart[0, 100:150] = apart[0, 300:500] = 2.0
+    apart[1, 900:] = 2.0  # still away at the end
+    apart[2, 10:30] = 2.0  # back, but crashed later
+    whole = np.array([True, True, False, True])
+    np.testing.assert_array_equal(recovery_time(apart, whole, 200.0), [1.0, np.nan, np.nan, 0.0])
 
 
 def test_wilson_interval_of_textbook_values():
@@ -193,7 +204,7 @@ def test_interrupted_run_goes_on_with_what_is_missing(tmp_path, monkeypatch):
     assert again == [("hover", "truth"), ("wind-gust", "truth"), ("wind-gust", "mahony")]
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"seeds": 3}, {"duration_s": 0.2}])
+@pytest.mark.parametrize("change", [{"seed": 1}, {"seeds": 3}, {"duration_s": 0.2}, {"external": "ideal"}])
 def test_cells_of_another_configuration_are_flown_anew(tmp_path, monkeypatch, change):
     small(tmp_path)
     again = []
@@ -273,6 +284,7 @@ def test_results_load_as_they_were(tmp_path):
         ({"names": []}, "at least one estimator"),
         ({"scenarios": []}, "at least one scenario"),
         ({"seeds": 0}, "seeds is 0"),
+        ({"external": "vicon"}, 'unknown external "vicon"'),
         ({"duration_s": -1.0}, "duration is -1.0 s"),
     ],
 )

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadsim.config import parse
+from quadsim.external import ExternalSensor, ExternalSpec
 from quadsim.faults import sensor_faults
 from quadsim.mission import AWAY, CAUSES, GROUNDED, TILTED, Mission
 from quadsim.scenario import Crash, Scenario, Start, load_scenario, scenario_names
@@ -247,3 +248,66 @@ def test_rotors_fade_and_break_as_told():
     ]
     mission = flown(with_faults(*faults))
     np.testing.assert_allclose(mission.loop.plant.rotor_effect, [[0.8, 0.8, 0.4, 0.8]] * 2)
+
+
+# --- the external sensor --------------------------------------------------------------------------
+
+
+def held(spec: ExternalSpec, samples: int, n: int = 2, restart: int = -1) -> np.ndarray:
+    """What an external sensor at 100 Hz says of a vehicle at x = k, v = 2 k, yaw = 3 k; (samples, n, 7)."""
+    sensor, k = ExternalSensor(spec, n, 100.0, 5), np.zeros(n, dtype=np.int64)
+    out = np.empty((samples, n, 7))
+    for step in range(samples):
+        k[0] = step if restart < 0 or step < restart else step - restart
+        k[1:] = step
+        sensor.measure(k, np.full((n, 3), 1.0 * step), np.full((n, 3), 2.0 * step), np.full(n, 3.0 * step))
+        out[step] = np.column_stack([sensor.position, sensor.velocity, sensor.yaw])
+    return out
+
+
+def test_external_sensor_holds_a_measurement_until_the_next_arrives():
+    out = held(ExternalSpec(rate_hz=50.0, delay_s=0.03), 10)
+    np.testing.assert_array_equal(out[:, 0, 0], [0, 0, 0, 0, 0, 2, 2, 4, 4, 6])
+    np.testing.assert_array_equal(out[:, 0, 3], 2 * out[:, 0, 0])
+    np.testing.assert_array_equal(out[:, 0, 6], 3 * out[:, 0, 0])
+
+
+def test_external_sensor_at_a_rate_that_does_not_divide_the_loops():
+    out = held(ExternalSpec(rate_hz=30.0), 10)[:, 0, 0]
+    np.testing.assert_array_equal(out, [0, 0, 0, 0, 4, 4, 4, 7, 7, 7])  # at 0, 3.33 and 6.67 samples
+
+
+def test_external_sensor_starts_anew_with_a_restarted_vehicle():
+    out = held(ExternalSpec(delay_s=0.02), 9, restart=5)
+    np.testing.assert_array_equal(out[:, 0, 0], [0, 0, 0, 1, 2, 5, 5, 5, 6])
+    np.testing.assert_array_equal(out[:, 1, 0], [0, 0, 0, 1, 2, 3, 4, 5, 6])
+
+
+def test_external_noise_has_its_size_and_a_vehicles_own_seed():
+    spec = ExternalSpec(position_noise=0.1, velocity_noise=0.2, yaw_noise_deg=3.0)
+    noise = held(spec, 3000, 3) - held(ExternalSpec(), 3000, 3)
+    want = np.repeat([0.1, 0.2, np.radians(3.0)], [3, 3, 1])
+    np.testing.assert_allclose(noise.std(axis=0), np.tile(want, (3, 1)), rtol=0.06)
+    np.testing.assert_array_equal(noise[:, :1], held(spec, 3000, 1) - held(ExternalSpec(), 3000, 1))
+    assert abs(np.corrcoef(noise[:, 0, 0], noise[:, 1, 0])[0, 1]) < 0.06
+
+
+def test_only_the_controller_is_misled_by_the_external_sensor():
+    scenario = HOVER.model_copy(update={"external": "motion-capture"})
+    ideal, real = flown(HOVER), flown(scenario)
+    np.testing.assert_array_equal(ideal.loop.seen[0], ideal.loop.plant.position)
+    apart = np.abs(real.loop.seen[0] - real.loop.plant.position)
+    assert 0 < apart.max() < 0.01
+    np.testing.assert_array_equal(real.loop.attitude, real.loop.true_attitude)
+
+
+def test_stands_on_the_ground_and_takes_off():
+    mission = Mission(load_scenario("take-off").model_copy(update={"duration_s": 8.0}), None, 1)
+    mission.begin(vehicle_seeds(0, 1))
+    height = []
+    for _ in range(mission.steps):
+        mission.step()
+        height.append(mission.loop.plant.position[0, 2])
+    np.testing.assert_allclose(height[200:600], 0.03, atol=1e-3)
+    assert height[-1] == pytest.approx(2.0, abs=0.03)
+    assert mission.cause[0] == 0

@@ -4,11 +4,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from quadsim.trajectory import Doublets, Hover, Lissajous, Mix, SetPointFile, Step, Waypoints, reference
+from quadsim.trajectory import (
+    Doublets,
+    Hover,
+    Lissajous,
+    Mix,
+    Move,
+    SetPointFile,
+    Step,
+    Waypoints,
+    reference,
+)
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
-SMOOTH = [Lissajous(), Waypoints(), Doublets(), Mix(), Lissajous(yaw_along=True)]
+SMOOTH = [Lissajous(), Move(), Waypoints(), Doublets(), Mix(), Lissajous(yaw_along=True)]
 
 
 def fly(spec, seconds=60.0, n=2, seed=0):
@@ -133,3 +143,10 @@ def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pause
     path = fly(spec, seconds=20, n=1, seed=seed)
     assert np.all(np.isfinite(path))
     assert np.abs(path[..., 10]).max() <= yaw_rate + 1e-9
+
+
+def test_move_goes_from_rest_to_rest_and_stays():
+    path = fly(Move(position=(1.0, 0.0, 0.0), offset=(0.0, 2.0, 3.0), at_s=1.0, length_s=2.0), 5.0)[0]
+    np.testing.assert_array_equal(path[:200, :3], [[1.0, 0.0, 0.0]] * 200)
+    np.testing.assert_allclose(path[600:, :3], [[1.0, 2.0, 3.0]] * 400)
+    np.testing.assert_allclose(path[[200, 600], 3:9], 0.0, atol=1e-9)
