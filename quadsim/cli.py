@@ -158,16 +158,32 @@ def design(
 
 @app.command()
 def export(
-    dataset: Annotated[Path, typer.Argument(help="A dataset.")],
+    source: Annotated[
+        Path, typer.Argument(help="A dataset; or weights: a file of them, or att-snn or att-rnn, which ship.")
+    ],
     out: Annotated[Path, typer.Option(help="What to write; it must not exist yet.")],
-    format: Annotated[str, typer.Option(help="netcdf, parquet, csv (EuRoC folders) or rosbag2.")],
+    format: Annotated[
+        str,
+        typer.Option(
+            help="Of a dataset: netcdf, parquet, csv (EuRoC folders) or rosbag2. "
+            "Of weights: nir, c99 (header and source) or onnx (att-rnn)."
+        ),
+    ],
 ) -> None:
-    """Write a dataset as NetCDF, Parquet, EuRoC folders of CSV, or a ROS 2 bag."""
+    """Write a dataset or a trained network in a format of other tools.
+
+    Example: quadsim export att-snn --format c99 --out firmware/att_snn
+    """
+    from estimators.weights_export import FORMATS, export_weights
+
     from .export import export as export_dataset
 
-    with progress_bar("export", "flights") as progress:
-        export_dataset(dataset, out, format, progress)
-    console.print(f"{out}: {dataset} as {format}", soft_wrap=True)
+    if format in FORMATS:
+        export_weights(source, out, format)
+    else:
+        with progress_bar("export", "flights") as progress:
+            export_dataset(source, out, format, progress)
+    console.print(f"{out}: {source} as {format}", soft_wrap=True)
 
 
 @app.command()

@@ -70,6 +70,7 @@ def test_every_verb_has_help_of_its_own():
         (["dataset", "verify", "missing.zarr"], "missing.zarr"),
         (["dataset", "plot", "missing.zarr"], "missing.zarr"),
         (["export", "missing.zarr", "--out", "x", "--format", "netcdf"], "missing.zarr"),
+        (["export", "missing.safetensors", "--out", "x", "--format", "c99"], "missing.safetensors"),
         (["train", "--data", "missing.zarr", "--out", "run"], "missing.zarr"),
         (["train", "--data", "missing.zarr", "--out", "run", "--preset", "wurst"], "wurst"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epochs"], "name=value"),

@@ -1,0 +1,132 @@
+#include "att_snn.h"
+
+/* Weights by source; half the chip's mantissas, which are even. */
+static const int8_t W_IN[ATT_SNN_INPUTS][ATT_SNN_ENCODING] = $w_in;
+static const int8_t W_FF[ATT_SNN_ENCODING][ATT_SNN_HIDDEN] = $w_ff;
+static const int8_t W_REC[ATT_SNN_HIDDEN][ATT_SNN_HIDDEN] = $w_rec;
+static const int8_t W_OUT[ATT_SNN_HIDDEN][ATT_SNN_OUTPUTS] = $w_out;
+
+/* What a step leaves of currents (du) and potentials (dv), of 4096. */
+static const uint16_t KEEP_U_ENCODING[ATT_SNN_ENCODING] = $syn0;
+static const uint16_t KEEP_V_ENCODING[ATT_SNN_ENCODING] = $mem0;
+static const uint16_t KEEP_U_HIDDEN[ATT_SNN_HIDDEN] = $syn1;
+static const uint16_t KEEP_V_HIDDEN[ATT_SNN_HIDDEN] = $mem1;
+static const uint16_t KEEP_U_OUTPUT = $syn2;
+static const uint16_t KEEP_V_OUTPUT = $mem2;
+
+static const double OFFSET[ATT_SNN_INPUTS] = $offset;
+static const double GAIN[ATT_SNN_INPUTS] = $gain;
+
+enum {
+    INPUT_MAX = $input_max,
+    BIAS_STEP = 16,
+    BIAS_MANT_MAX = 4095,
+    THRESHOLD = 128 * 64,
+    OUTPUT_THRESHOLD = 131071 * 64,
+    STATE_MAX = 8388607,
+    STEPS_PER_SAMPLE = $steps
+};
+
+/* The part of x that a decay leaves, rounded toward zero as C99 divides. */
+static int32_t decay(int32_t x, uint16_t keep) { return (int32_t)((int64_t)x * keep / 4096); }
+
+/* Two's complement with `bits` bits and sign. */
+static int32_t wrap(int32_t x, int bits)
+{
+    const uint32_t half = (uint32_t)1 << bits;
+    return (int32_t)(((uint32_t)x + half) & (2 * half - 1)) - (int32_t)half;
+}
+
+static int32_t clip(int32_t x, int32_t limit)
+{
+    return x > limit ? limit : x < -limit ? -limit : x;
+}
+
+/* Advance a membrane; returns whether it spikes. */
+static uint8_t membrane(int32_t *v, uint16_t keep, int32_t drive, int32_t threshold)
+{
+    const int32_t potential = clip(decay(*v, keep) + drive, STATE_MAX);
+    const uint8_t fires = potential > threshold;
+    *v = fires ? 0 : potential;
+    return fires;
+}
+
+/* Add the weights of every source that spiked. */
+static void gather(int32_t *sum, int n, const int8_t *weights, const uint8_t *spikes, int sources)
+{
+    for (int source = 0; source < sources; ++source)
+        if (spikes[source])
+            for (int i = 0; i < n; ++i)
+                sum[i] += weights[source * n + i];
+}
+
+static int32_t synapse(int32_t u, uint16_t keep, int32_t half_sum)
+{
+    return wrap(decay(u, keep) + wrap(half_sum * 128, 21), 23);
+}
+
+/* Nearest integer, ties to even, within the input's range. */
+static int32_t nearest(double x)
+{
+    if (x >= INPUT_MAX)
+        return INPUT_MAX;
+    if (x <= -INPUT_MAX)
+        return -INPUT_MAX;
+    int32_t down = (int32_t)x;
+    if ((double)down > x)
+        --down;
+    const double rest = x - (double)down;
+    return rest > 0.5 || (rest == 0.5 && (down & 1)) ? down + 1 : down;
+}
+
+static int finite(double x) { return x - x == 0.0; }
+
+void att_snn_reset(att_snn_state *state)
+{
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}};
+    *state = rest;
+}
+
+void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
+{
+    const double force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
+    if (finite(gyro[0] + gyro[1] + gyro[2]))
+        for (int k = 0; k < 3; ++k)
+            state->input[k] = nearest((gyro[k] - OFFSET[k]) * GAIN[k]);
+    if (finite(force) && force > 0.0)
+        for (int k = 0; k < 3; ++k)
+            state->input[3 + k] = nearest((accel[k] - OFFSET[3 + k]) * GAIN[3 + k]);
+}
+
+/* One step: every layer reads the spikes of the step before, so the last layer goes first. */
+static void step(att_snn_state *state)
+{
+    int32_t output[ATT_SNN_OUTPUTS] = {0};
+    int32_t hidden[ATT_SNN_HIDDEN] = {0};
+    gather(output, ATT_SNN_OUTPUTS, &W_OUT[0][0], state->s_hidden, ATT_SNN_HIDDEN);
+    gather(hidden, ATT_SNN_HIDDEN, &W_FF[0][0], state->s_encoding, ATT_SNN_ENCODING);
+    gather(hidden, ATT_SNN_HIDDEN, &W_REC[0][0], state->s_hidden, ATT_SNN_HIDDEN);
+    for (int i = 0; i < ATT_SNN_OUTPUTS; ++i) {
+        state->u_output[i] = synapse(state->u_output[i], KEEP_U_OUTPUT, output[i]);
+        membrane(&state->v_output[i], KEEP_V_OUTPUT, state->u_output[i], OUTPUT_THRESHOLD);
+    }
+    for (int i = 0; i < ATT_SNN_HIDDEN; ++i) {
+        state->u_hidden[i] = synapse(state->u_hidden[i], KEEP_U_HIDDEN[i], hidden[i]);
+        state->s_hidden[i] = membrane(&state->v_hidden[i], KEEP_V_HIDDEN[i], state->u_hidden[i], THRESHOLD);
+    }
+    for (int i = 0; i < ATT_SNN_ENCODING; ++i) {
+        int32_t drive = 0;
+        for (int k = 0; k < ATT_SNN_INPUTS; ++k)
+            drive += W_IN[k][i] * state->input[k];
+        const int32_t u = wrap(decay(state->u_encoding[i], KEEP_U_ENCODING[i]) + drive / 8, 23);
+        const int32_t bias = clip(u / BIAS_STEP, BIAS_MANT_MAX) * BIAS_STEP;
+        state->u_encoding[i] = u;
+        state->s_encoding[i] = membrane(&state->v_encoding[i], KEEP_V_ENCODING[i], bias, THRESHOLD);
+    }
+}
+
+void att_snn_step(att_snn_state *state)
+{
+    for (int k = 0; k < STEPS_PER_SAMPLE; ++k)
+        step(state);
+}

@@ -1,0 +1,38 @@
+/* Att-SNN, a spiking network that estimates roll and pitch from an IMU, as on Loihi: $encoding + $hidden
+ * neurons, $parameters parameters. Written by quadsim; integers only behind att_snn_encode, no heap, no library. */
+#ifndef ATT_SNN_H
+#define ATT_SNN_H
+
+#include <stdint.h>
+
+#define ATT_SNN_RATE_HZ $rate
+#define ATT_SNN_INPUTS 6
+#define ATT_SNN_ENCODING $encoding
+#define ATT_SNN_HIDDEN $hidden
+#define ATT_SNN_OUTPUTS 2
+/* Output potentials divided by this are radians. */
+#define ATT_SNN_UNITS_PER_RADIAN $units
+
+typedef struct {
+    int32_t input[ATT_SNN_INPUTS];      /* last good readings, scaled: 1024 is 1.0 */
+    int32_t u_encoding[ATT_SNN_ENCODING];
+    int32_t v_encoding[ATT_SNN_ENCODING];
+    int32_t u_hidden[ATT_SNN_HIDDEN];
+    int32_t v_hidden[ATT_SNN_HIDDEN];
+    int32_t u_output[ATT_SNN_OUTPUTS];
+    int32_t v_output[ATT_SNN_OUTPUTS];
+    uint8_t s_encoding[ATT_SNN_ENCODING]; /* spikes of the last step, 0 or 1 */
+    uint8_t s_hidden[ATT_SNN_HIDDEN];
+} att_snn_state;
+
+/* Start at rest, with an unknown attitude. */
+void att_snn_reset(att_snn_state *state);
+
+/* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading that
+ * is not finite, or a force of exactly zero, is missing and leaves the last good one. */
+void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3]);
+
+/* Run the network for one sample. Roll and pitch are state->v_output over ATT_SNN_UNITS_PER_RADIAN. */
+void att_snn_step(att_snn_state *state);
+
+#endif

@@ -1,0 +1,66 @@
+"""Att-SNN as C99 for a microcontroller: one header, one source, the emulator's numbers to the last bit."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .loihi import DECAY_ONE, STATE_ONE
+from .networks import INPUT_MAX, input_scaling
+from .weights_file import NetworkConfig, Tensors
+
+
+def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
+    """The two files by name: `att_snn.h` and `att_snn.c`.
+
+    Args:
+        config: How the network is run.
+        tensors: Its weights, the chip's integers.
+
+    Raises:
+        ValueError: Not an Att-SNN for the chip.
+    """
+    if config.model != "att-snn" or not config.quantised or config.recurrent_delay != 1:
+        raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
+    offset, gain = input_scaling(config.inputs)
+    integers = {name: value.astype(np.int64) for name, value in tensors.items()}
+    arrays = {
+        name: _braces(value.T // 2 if name.startswith("w_") else DECAY_ONE - value)
+        for name, value in integers.items()
+    }
+    arrays |= {name: str(DECAY_ONE - integers[name][0]) for name in ("syn2", "mem2")}
+    values = {
+        "encoding": config.encoding,
+        "hidden": config.hidden,
+        "parameters": sum(value.size for value in tensors.values()),
+        "rate": f"{config.rate_hz:g}",
+        "units": round(STATE_ONE / config.output_scale),
+        "steps": config.steps_per_sample,
+        "input_max": INPUT_MAX,
+        "offset": _braces(offset),
+        "gain": _braces(gain),
+        **arrays,
+    }
+    folder = files("assets") / "c99"
+    return {
+        name: Template((folder / name).read_text()).substitute(values) for name in ("att_snn.h", "att_snn.c")
+    }
+
+
+def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+    """Write both files into a folder, which is made where it is missing."""
+    texts = c_files(config, tensors)
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (Path(folder) / name).write_text(text)
+
+
+def _braces(values: NDArray) -> str:
+    """An initialiser; numbers as C and Python both read them."""
+    if values.ndim > 1:
+        return "{\n" + ",\n".join(_braces(row) for row in values) + "}"
+    return "{" + ", ".join(repr(value) for value in values.tolist()) + "}"

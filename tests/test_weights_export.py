@@ -1,0 +1,175 @@
+"""Exported networks against the ones that fly, run by a C compiler, by Norse and by ONNX Runtime."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from estimators.networks import OnLoihi, Recurrent, create_network, real_weights, scaled_inputs
+from estimators.spiking import Weights, forward
+from estimators.weights_export import export_weights
+from estimators.weights_file import NetworkConfig, expected_shapes, save_network, shipped_network
+
+
+def random_snn(config, seed=0):
+    rng = np.random.default_rng(seed)
+    return {
+        name: (2 * rng.integers(-60, 61, shape)).astype(np.int16)
+        if name.startswith("w_")
+        else rng.integers(1, 2000, shape).astype(np.int16)
+        for name, shape in expected_shapes(config).items()
+    }
+
+
+def readings(steps, seed=0):
+    """Hard ones: steps, saturation, missing samples."""
+    rng = np.random.default_rng(seed)
+    gyro = rng.normal(0, 1.5, (steps, 3)) + np.repeat(rng.normal(0, 2, (steps // 50 + 1, 3)), 50, 0)[:steps]
+    accel = rng.normal([0, 0, 9.81], 3.0, (steps, 3))
+    gyro[100:110, 1], accel[200, 0], accel[300:320], gyro[400], accel[500] = np.nan, np.inf, 0.0, 1e9, -1e9
+    return gyro, accel
+
+
+@pytest.fixture
+def compiled(tmp_path, request):
+    """Compile the export of a network, strictly: a function from samples (T, 6) to states, a structured array."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+
+    def build(weights, h0, h1):
+        export_weights(weights, tmp_path / "c", "c99")
+        driver = request.path.parent / "data" / "loihi" / "driver.c"
+        flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
+        sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
+        subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
+        sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
+        fields = [(name, np.int32, size) for name, size in sizes]
+        layout = np.dtype([*fields, ("s0", np.uint8, h0), ("s1", np.uint8, h1)], align=True)
+
+        def run(samples):
+            done = subprocess.run(
+                [tmp_path / "run"], input=samples.tobytes(), capture_output=True, check=True
+            )
+            return np.frombuffer(done.stdout, layout)
+
+        return run
+
+    return build
+
+
+@pytest.mark.parametrize("seed", [None, 0, 1])
+def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
+    if seed is None:
+        config, tensors = shipped_network("att-snn")
+        weights = "att-snn"
+    else:
+        scale = 1 / 256 if seed else 1.0
+        config = NetworkConfig(
+            model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale
+        )
+        tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
+        save_network(weights, config, tensors)
+    h0, h1 = config.encoding, config.hidden
+    gyro, accel = readings(4000)
+    states = compiled(weights, h0, h1)(np.concatenate([gyro, accel], 1))
+    core = OnLoihi(config, tensors)
+    mine = core.zero(1)
+    out = np.empty((1, 1, 2))
+    for t, theirs in enumerate(states):
+        core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
+        held, current, _, after, u, v, _ = mine
+        expected = {
+            "input": held[0, :6], "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
+            "v1": v[0, h0:-2], "v2": v[0, -2:], "s0": after[0, :h0], "s1": after[0, h0:-2],
+        }  # fmt: skip
+        for name, value in expected.items():
+            np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
+    assert states["s0"].mean() > 0.01
+    assert states["s1"].mean() > 0.01
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path):
+    """Chains deliver within a step in Norse: its hidden layer is one step ahead."""
+    nir = pytest.importorskip("nir")
+    norse = pytest.importorskip("norse.torch", reason="Norse is not installed")
+    torch = pytest.importorskip("torch")
+    config, tensors = shipped_network("att-snn")
+    graph = nir.read(export_weights("att-snn", tmp_path / "snn.nir", "nir"))
+    # Norse's reader leaves the leaky integrators out: the spikes are the graph's output here.
+    nodes = {name: node for name, node in graph.nodes.items() if name not in ("w_out", "output", "finish")}
+    nodes["finish"] = nir.Output({"output": np.array([config.hidden])})
+    edges = [edge for edge in graph.edges if set(edge) <= set(nodes)] + [("hidden", "finish")]
+    net = norse.from_nir(nir.NIRGraph(nodes, edges), dt=float(graph.metadata["dt"])).double()
+    gyro, accel = readings(600)
+    x = torch.tensor(scaled_inputs(config.inputs, gyro[None], accel[None]))
+    weights, taus = real_weights(config, tensors)
+    _, _, hidden = forward(x, Weights(*map(torch.tensor, (*weights, *taus))))
+    state, spikes = None, []
+    with torch.no_grad():
+        for t in range(x.shape[1]):
+            spike, state = net(x[:, t], state)
+            spikes.append(spike)
+    assert hidden.mean() > 0.1
+    np.testing.assert_array_equal(torch.stack(spikes, 1)[:, :-1], hidden[:, 1:])
+
+
+def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
+    nir = pytest.importorskip("nir")
+    _, tensors = shipped_network("att-snn")
+    graph = nir.read(export_weights("att-snn", tmp_path / "snn.nir", "nir"))
+    for name in ("w_in", "w_ff", "w_rec", "w_out"):
+        node = graph.nodes[name]
+        np.testing.assert_array_equal(node.metadata["mantissa"], tensors[name])
+        np.testing.assert_array_equal(node.weight * 256, tensors[name])
+    for name, syn, mem in (("encoding", "syn0", "mem0"), ("hidden", "syn1", "mem1")):
+        node = graph.nodes[name]
+        np.testing.assert_array_equal(node.metadata["du"], tensors[syn])
+        np.testing.assert_allclose(4096 * graph.metadata["dt"] / node.tau_mem, tensors[mem])
+    assert type(graph.nodes["output"]).__name__ == "CubaLI"
+
+
+def test_onnx_runtime_estimates_as_the_network_here(tmp_path):
+    runtime = pytest.importorskip("onnxruntime")
+    session = runtime.InferenceSession(export_weights("att-rnn", tmp_path / "rnn.onnx", "onnx"))
+    config, tensors = shipped_network("att-rnn")
+    rng = np.random.default_rng(0)
+    gyro, accel = rng.normal(0, 1, (2, 300, 3)), rng.normal([0, 0, 9.8], 1.0, (2, 300, 3))
+    core = Recurrent(config, tensors)
+    expected = np.empty((2, 300, 2))
+    core.run(core.zero(2), gyro, accel, expected)
+    states = {f"h{k}": np.zeros((1, 2, 100), np.float32) for k in (0, 1)}
+    parts = []
+    for part in np.split(np.arange(300), [100, 101]):  # whole windows and a single sample alike
+        feed = {
+            name: each[:, part].transpose(1, 0, 2).astype(np.float32)
+            for name, each in (("gyro", gyro), ("accel", accel))
+        }
+        roll_pitch, h0, h1 = session.run(None, feed | states)
+        states = {"h0": h0, "h1": h1}
+        parts.append(roll_pitch.transpose(1, 0, 2))
+    # A reading within a rounding error of half a step of 1/1024 may be rounded the other way in float32.
+    np.testing.assert_allclose(np.concatenate(parts, 1), expected, atol=2e-4)
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path):
+    for weights, format, message in (
+        ("att-rnn", "c99", "C99 needs quantised weights of att-snn"),
+        ("att-rnn", "nir", "a NIR graph needs weights of att-snn"),
+        ("att-snn", "onnx", "ONNX needs weights of att-rnn"),
+        ("att-snn", "csv", "format is 'csv'; weights are exported as nir, c99, onnx"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            export_weights(weights, tmp_path / "x", format)
+    with pytest.raises(FileNotFoundError, match="no such weights file"):
+        export_weights("missing.safetensors", tmp_path / "x", "nir")
+    with pytest.raises(ValueError, match="exists already"):
+        export_weights("att-snn", tmp_path, "c99")
+
+
+def test_the_c_header_names_the_scale_of_its_output(tmp_path):
+    export_weights("att-snn", tmp_path / "c", "c99")
+    header = (tmp_path / "c" / "att_snn.h").read_text()
+    scale = create_network("att-snn-loihi").core._scale
+    assert f"#define ATT_SNN_UNITS_PER_RADIAN {round(1 / scale)}\n" in header
