@@ -33,7 +33,7 @@ def readings(steps, seed=0):
 
 @pytest.fixture
 def compiled(tmp_path, request):
-    """Compile the export of a network, strictly: a function from samples (T, 6) to states, a structured array."""
+    """Compile the export of a network, strictly: a function from samples (T, 6) to an array of states."""
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
 
