@@ -419,6 +419,12 @@ def bench(
         str | None,
         typer.Option(help="External sensor instead of the scenarios': ideal, motion-capture or a TOML file."),
     ] = None,
+    breaking_point: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Find also where each estimator breaks: wind, bias, dropout; again for more, or all."
+        ),
+    ] = None,
     rate: Rate = 200.0,
     seed: Seed = 0,
     workers: Workers = None,
@@ -426,35 +432,58 @@ def bench(
 ) -> None:
     """Fly scenarios × estimators × seeds in closed loop, and report which estimator to fly.
 
-    Finished cells are kept: the same command goes on where a killed run stopped.
+    Finished cells are kept: the same command goes on where a killed run stopped. Breaking points are found by
+    bisection, on the same estimators and seeds, and join the report.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
     """
     import estimators
-    from scenarios.picture import cover
-    from scenarios.report import write_report
+    from scenarios.breaking import DISTURBANCES, breaking_points
+    from scenarios.publish import publish
     from scenarios.runner import bench as run_bench
-    from scenarios.summary import closed_loop_table
+    from scenarios.runner import code_digest
+    from scenarios.summary import breaking_table, closed_loop_table
 
     from .scenario import scenario_names
 
-    with executor_of(cluster) as executor, progress_bar("fly", "cells") as progress:
-        results = run_bench(
-            scenario or scenario_names(),
-            estimator or estimators.names(),
-            seeds,
-            out,
-            seed=seed,
-            duration_s=duration,
-            external=external,
-            rate_hz=rate,
-            workers=workers,
-            executor=executor,
-            progress=progress,
-        )
-    still, note = cover(results.cells)
-    page = write_report(out / "report.html", results, still=still, csv=["results.csv", "flights.csv"])
+    names = estimator or estimators.names()
+    searched = list(DISTURBANCES) if "all" in (breaking_point or []) else list(breaking_point or [])
+    with executor_of(cluster) as executor:
+        with progress_bar("fly", "cells") as progress:
+            results = run_bench(
+                scenario or scenario_names(),
+                names,
+                seeds,
+                out,
+                seed=seed,
+                duration_s=duration,
+                external=external,
+                rate_hz=rate,
+                workers=workers,
+                executor=executor,
+                progress=progress,
+            )
+        points = []
+        if searched:
+            with progress_bar("break", "points") as progress:
+                points = breaking_points(
+                    searched,
+                    names,
+                    seeds,
+                    out,
+                    code=code_digest(),
+                    seed=seed,
+                    duration_s=duration,
+                    external=external,
+                    rate_hz=rate,
+                    workers=workers,
+                    executor=executor,
+                    progress=progress,
+                )
+    page, note = publish(out, results, points)
     console.print(closed_loop_table(results))
+    if points:
+        console.print(breaking_table(points))
     if note:
         console.print(note, soft_wrap=True)
     console.print(headline(page, results.rows), soft_wrap=True)
@@ -490,14 +519,13 @@ def report(
     out: Annotated[Path | None, typer.Option(help="HTML file; FOLDER/report.html when left out.")] = None,
 ) -> None:
     """Write the report of finished closed-loop flights again."""
-    from scenarios.picture import cover
-    from scenarios.report import write_report
+    from scenarios.breaking import load_points
+    from scenarios.publish import publish
     from scenarios.runner import load_results
 
     results = load_results(folder)
-    path = out or folder / "report.html"
-    write_report(path, results, still=cover(results.cells)[0], csv=["results.csv", "flights.csv"])
-    console.print(headline(path, results.rows), soft_wrap=True)
+    points = [each for each in load_points(folder) if each.estimator in results.settings.estimators]
+    console.print(headline(publish(folder, results, points, out).report, results.rows), soft_wrap=True)
 
 
 @app.command()

@@ -88,7 +88,7 @@ METRICS = (
     Metric(
         "recover_s", "Recovery time", "s", 2,
         f"The longest time it took to come back, once more than {AWAY_M:g} m from the set-point, 0 if never "
-        "there; the median over flights, empty if most end away from it.",
+        "there; the median over flights, empty if most crash or stay away.",
     ),
     Metric(
         "power_w", "Rotor power", "W", 1,
@@ -169,19 +169,20 @@ def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
 
 
 def recovery_time(apart: Array, whole: NDArray[np.bool_], rate_hz: float) -> Array:
-    """The longest time beyond `AWAY_M` before it came back, (n,) [s]; NaN where a flight does not end near.
+    """The longest time beyond `AWAY_M` before it came back, (n,) [s]; NaN where it did not.
+
+    A flight that is away at its end has not come back if that has lasted for a second.
 
     Args:
         apart: (n, T) distance from the set-point [m].
         whole: (n,) whether a flight lasted to its end.
         rate_hz: Samples per second.
     """
-    longest = np.zeros(len(apart))
-    spell = np.zeros(len(apart), dtype=np.int64)
+    longest, spell = np.zeros((2, len(apart)))
     for away in (apart > AWAY_M).T:
+        longest = np.where(away, longest, np.maximum(longest, spell))
         spell = np.where(away, spell + 1, 0)
-        np.maximum(longest, spell, out=longest)
-    return np.where(whole & (spell == 0), longest / rate_hz, np.nan)
+    return np.where(whole & (spell < rate_hz), longest / rate_hz, np.nan)
 
 
 def error_histogram(log: Array, end: NDArray[np.int64]) -> NDArray[np.int64]:

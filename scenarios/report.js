@@ -50,8 +50,8 @@ function sortBy(table, th, column) {
 }
 
 function closedLoop() {
-  for (const select of [...all("select.scenario"), $("spread-scenario"), $("table-scenario")])
-    for (const name of data.scenarios) select.add(new Option(name, name));
+  for (const select of [...all("select.scenario"), ...["spread-scenario", "table-scenario", "pairs-scenario"].map($)])
+    for (const name of data.scenarios) select?.add(new Option(name, name));
   const focus = data.estimators.filter((name) => data.shown.includes(name));
   for (const name of focus) state.shown.add(name);
   for (const [key, q] of Object.entries(QUANTITIES)) $("quantity").add(new Option(q.label, key));
@@ -72,6 +72,11 @@ function closedLoop() {
   $("table-scenario").onchange = (event) => {
     for (const row of $("results").tBodies[0].rows) row.hidden = event.target.value && row.dataset.scenario !== event.target.value;
   };
+  if ($("pairs")) {
+    for (const name of data.estimators) $("pairs-base").add(new Option(name, name, false, name === data.best));
+    for (const id of ["pairs-base", "pairs-scenario", "pairs-metric"]) $(id).onchange = drawForest;
+    drawForest();
+  }
   for (const select of all("select.scenario")) select.onchange = () => choose(select.value);
   for (const td of all(".heat td")) {
     td.onclick = () => { state.shown.add(td.dataset.estimator); choose(td.dataset.scenario); $("series").scrollIntoView(); };
@@ -99,6 +104,7 @@ function redraw() {
   drawPlot();
   drawStage();
   drawViolins();
+  if ($("pairs")) drawForest();
 }
 
 /* ---- heat map ---- */
@@ -267,6 +273,35 @@ function drawViolins() {
       + `<line x1="${median}" x2="${median}" y1="${middle - 11}" y2="${middle + 11}" stroke="${css("--ink")}" stroke-width="2"/></g>`;
   });
   $("violins").innerHTML = svg + "</svg>";
+}
+
+/* ---- paired differences ---- */
+function drawForest() {
+  const base = $("pairs-base").value, unit = $("pairs-metric").selectedOptions[0].dataset.unit;
+  const rows = (data.pairs[$("pairs-metric").value + "|" + $("pairs-scenario").value] ?? []).flatMap(([a, b, mean, low, high, n, only, other]) =>
+    a === base ? [[b, mean === null ? null : -mean, high === null ? null : -high, low === null ? null : -low, n, other, only]]
+      : b === base ? [[a, mean, low, high, n, only, other]] : []).sort((x, y) => (x[1] ?? Infinity) - (y[1] ?? Infinity));
+  const ends = rows.flatMap(([, mean, low, high]) => mean === null ? [] : [low ?? mean, high ?? mean]);
+  let [from, to] = [Math.min(0, ...ends), Math.max(0, ...ends)];
+  const pad = 0.05 * (to - from || 1); from -= pad; to += pad;
+  const [left, right, width, tall] = [165, 235, 900, 26], bottom = 26, height = rows.length * tall + bottom;
+  const X = (v) => left + ((v - from) / (to - from)) * (width - left - right);
+  let svg = `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="Paired differences from ${base}">`;
+  const [marks, digits] = ticks(from, to, 6);
+  for (const v of marks) svg += `<line class="grid" x1="${X(v)}" x2="${X(v)}" y1="0" y2="${height - bottom}"/><text class="axis" x="${X(v)}" y="${height - 8}" text-anchor="middle">${v > 0 ? "+" : ""}${v.toFixed(digits)} ${unit}</text>`;
+  svg += `<line x1="${X(0)}" x2="${X(0)}" y1="0" y2="${height - bottom}" stroke="${css("--ink")}" stroke-width="1.5"/>`;
+  rows.forEach(([name, mean, low, high, n, only, other], i) => {
+    const y = (i + 0.5) * tall;
+    svg += `<g><title>${name}</title><text x="${left - 12}" y="${y + 4}" text-anchor="end">${name}</text>`;
+    if (mean !== null) {
+      if (low !== null) svg += `<line x1="${X(low)}" x2="${X(high)}" y1="${y}" y2="${y}" stroke="${colour[name]}" stroke-width="3" stroke-linecap="round"/>`;
+      svg += `<circle cx="${X(mean)}" cy="${y}" r="5" fill="${colour[name]}"/>`;
+    }
+    const text = mean === null ? "no flight that both flew" : `${mean > 0 ? "+" : ""}${mean.toFixed(2)}` + (low === null ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)})`);
+    const crashes = only || other ? `, ✕ ${only} : ${other}` : "";
+    svg += `<text class="value" x="${width - right + 14}" y="${y + 4}">${text}${crashes}</text></g>`;
+  });
+  $("forest").innerHTML = svg + "</svg>";
 }
 function blur(counts) {
   const kernel = [1, 4, 7, 4, 1];

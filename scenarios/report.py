@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from quadsim.vehicle import load_vehicle
 
-from .cell import Cell
+from .breaking import DISTURBANCES, Breaking
+from .cell import Cell, Row
 from .metrics import ERROR_BINS, ERROR_DECADES, METRICS
+from .pairs import ALL, PAIRED
 from .picture import Picture
 from .runner import Results
 from .verdict import TRUTH, offline_verdict, verdict
@@ -32,6 +34,8 @@ def write_report(
     offline_caption: str = "Estimators run over recorded flights, without a loop.",
     still: Picture | None = None,
     csv: Sequence[str] = (),
+    pairs: Sequence[Row] = (),
+    points: Sequence[Breaking] = (),
     footer: str = "",
     focus: str = "att-snn-loihi",
 ) -> Path:
@@ -45,6 +49,8 @@ def write_report(
         offline_caption: What those flights are.
         still: Picture for the top.
         csv: Files beside the report to link to.
+        pairs: Paired differences, as in `pairs.paired_differences`.
+        points: Breaking points.
         footer: How it was made.
         focus: The estimator that the verdict speaks of besides the best, if it was flown.
 
@@ -62,6 +68,9 @@ def write_report(
         "scenarios": _scenarios(results),
         "estimators": results.settings.estimators if results else [],
         "lookup": {(row["scenario"], row["estimator"]): row for row in rows},
+        "pairs": bool(pairs),
+        "paired": [metric for metric in METRICS if metric.key in PAIRED],
+        "breaking": _breaking(points),
         "offline": _offline_table(offline),
         "offline_caption": offline_caption,
         "still": still
@@ -69,7 +78,7 @@ def write_report(
         "still_caption": still.caption if still else "",
         "csv": list(csv),
         "footer": footer or _footer(results),
-        "payload": _payload(results, offline, focus),
+        "payload": _payload(results, offline, focus, pairs),
     }
     path = Path(path).expanduser()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -97,6 +106,26 @@ def _footer(results: Results | None) -> str:
     )
 
 
+def _breaking(points: Sequence[Breaking]) -> dict[str, object]:
+    """Disturbances as columns, estimators as rows, each entry with the length of its bar."""
+    kinds = {key: DISTURBANCES[key] for key in DISTURBANCES if any(p.disturbance == key for p in points)}
+    scale = {key: max([p.flies_at or 0.0 for p in points if p.disturbance == key] or [0.0]) for key in kinds}
+    found = {(p.estimator, p.disturbance): p for p in points}
+    rows = []
+    for name in dict.fromkeys(point.estimator for point in points):
+        entries = []
+        for key in kinds:
+            point = found.get((name, key))
+            flown = (point.flies_at or 0.0) if point else 0.0
+            value = None if point is None or point.reason else point.crashes_at or 2 * flown
+            share = flown / scale[key] if scale[key] else 0.0
+            text = point.text if point else "–"
+            title = (point.reason or f"{point.cause}, of {point.seeds} flights") if point else ""
+            entries.append({"text": text, "value": value, "share": share, "title": title})
+        rows.append({"estimator": name, "entries": entries})
+    return {"kinds": list(kinds.values()), "rows": rows}
+
+
 def _offline_table(rows: Sequence[Mapping[str, object]]) -> dict[str, object] | None:
     if not rows:
         return None
@@ -117,7 +146,9 @@ def _label(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _payload(results: Results | None, offline: Sequence[Mapping[str, object]], focus: str) -> str:
+def _payload(
+    results: Results | None, offline: Sequence[Mapping[str, object]], focus: str, pairs: Sequence[Row]
+) -> str:
     names = results.settings.estimators if results else [str(row.get("estimator")) for row in offline]
     ranked = [s["estimator"] for s in verdict(results.rows, focus).standings] if results else []
     shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
@@ -134,11 +165,33 @@ def _payload(results: Results | None, offline: Sequence[Mapping[str, object]], f
         vehicle = load_vehicle(next(iter(scenarios)).vehicle)
         data |= {
             "cells": {f"{cell.scenario}|{cell.estimator}": _cell(cell) for cell in results.cells},
+            "pairs": _pairs(pairs),
+            "all": ALL,
+            "best": next((name for name in ranked if name != TRUTH), None),
             "series_seed": 0,
             "hubs": vehicle.hubs[:, :3].tolist(),
             "prop_radius": vehicle.frame.prop_radius,
         }
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _pairs(pairs: Sequence[Row]) -> dict[str, list]:
+    """Compact: "metric|scenario" to lists of estimator, versus, difference, low, high, pairs, crashes."""
+    keys = (
+        "estimator",
+        "versus",
+        "difference",
+        "low",
+        "high",
+        "pairs",
+        "crashed_alone",
+        "versus_crashed_alone",
+    )
+    out: dict[str, list] = {}
+    for row in pairs:
+        entry = [round(v, 5) if isinstance(v := row[key], float) else v for key in keys]
+        out.setdefault(f"{row['metric']}|{row['scenario']}", []).append(entry)
+    return out
 
 
 def _cell(cell: Cell) -> dict[str, object]:

@@ -4,11 +4,8 @@ import csv
 import hashlib
 import json
 import logging
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
@@ -22,6 +19,7 @@ from quadsim.scenario import Scenario, load_scenario
 from quadsim.vehicle import load_vehicle
 
 from .cell import Cell, Row, fly_cell, load_cell
+from .jobs import spread
 
 log = logging.getLogger(__name__)
 
@@ -231,44 +229,12 @@ def _fly_all(
         (s, settings.scenarios[s], e, settings.seeds, settings.seed, settings.rate_hz, prints[s, e])
         for s, e in missing
     ]
-    workers = min(workers or len(os.sched_getaffinity(0)), len(jobs))
-    if executor is not None:
-        yield from _submit(executor, jobs)
-    elif workers <= 1:
-        for job in jobs:
-            yield fly_cell(*job)
-    else:
-        with _one_thread_each(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-            yield from _submit(pool, jobs)
-
-
-def _submit(executor: Executor, jobs: Sequence[tuple]) -> Iterator[Cell]:
-    pending: dict[Future[Cell], tuple] = {executor.submit(fly_cell, *job): job for job in jobs}
-    try:
-        for future in as_completed(pending):
-            name, _, estimator, *_, fingerprint = pending[future]
-            error = future.exception()
-            if error is None:
-                yield future.result()
-            else:  # the worker itself died
-                yield Cell(name, estimator, fingerprint, f"{type(error).__name__}: {error}", [], [], None)
-    finally:
-        for future in pending:
-            future.cancel()
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started inside use one thread for linear algebra: they share the cores among themselves."""
-    before = os.environ.get("OMP_NUM_THREADS")
-    os.environ["OMP_NUM_THREADS"] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["OMP_NUM_THREADS"]
+    for i, cell in spread(fly_cell, jobs, workers, executor):
+        if isinstance(cell, BaseException):  # the worker itself died
+            reason = f"{type(cell).__name__}: {cell}"
+            yield Cell(*missing[i], prints[missing[i]], reason, [], [], None)
         else:
-            os.environ["OMP_NUM_THREADS"] = before
+            yield cell
 
 
 def _parse(scenarios: dict[str, object]) -> dict[str, Scenario]:

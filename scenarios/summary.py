@@ -10,6 +10,7 @@ from rich.text import Text
 from estimators.chip import LIMITS, Core
 from estimators.evaluate import Row as Evaluated
 
+from .breaking import DISTURBANCES, Breaking
 from .offline import Row
 from .runner import Results
 from .verdict import verdict
@@ -25,6 +26,20 @@ def closed_loop_table(results: Results) -> Table:
     for standing in verdict(results.rows).standings:
         estimator = standing["estimator"]
         table.add_row(estimator, *(_entry(rows[name, estimator]) for name in scenarios))
+    return table
+
+
+def breaking_table(points: Sequence[Breaking]) -> Table:
+    """Estimators against disturbances: the least level at which one crashed."""
+    kinds = list(dict.fromkeys(point.disturbance for point in points))
+    table = Table("estimator", title="Breaking points: the least level at which a flight crashed")
+    for kind in kinds:
+        table.add_column(
+            f"{kind}{', ' if DISTURBANCES[kind].unit else ''}{DISTURBANCES[kind].unit}", justify="right"
+        )
+    for name in dict.fromkeys(point.estimator for point in points):
+        found = {point.disturbance: point for point in points if point.estimator == name}
+        table.add_row(name, *(found[kind].text if kind in found else "" for kind in kinds))
     return table
 
 

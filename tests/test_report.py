@@ -10,7 +10,9 @@ import pytest
 import estimators
 from quadsim.mission import Mission
 from quadsim.scenario import Scenario
+from scenarios.breaking import Breaking
 from scenarios.cell import Cell, fly, make_cell
+from scenarios.pairs import paired_differences
 from scenarios.picture import Picture
 from scenarios.report import write_report
 from scenarios.runner import Results, Settings
@@ -70,7 +72,22 @@ def results():
 def report(results, tmp_path_factory):
     picture = Picture(np.full((90, 160, 3), 128, dtype=np.uint8), 'A "picture" & its caption')
     path = tmp_path_factory.mktemp("report") / "report.html"
-    return write_report(path, results, offline=OFFLINE, still=picture, csv=["results.csv"], focus="ekf")
+    points = [
+        Breaking("wind", "truth", "m/s", 64.0, None, "", 2, ""),
+        Breaking("wind", "mahony", "m/s", 9.75, 10.0, "tilted over", 2, ""),
+        Breaking("wind", "vqf", "m/s", None, None, "", 2, "no weights <here>"),
+    ]
+    pairs = paired_differences(results.flights)
+    return write_report(
+        path,
+        results,
+        offline=OFFLINE,
+        still=picture,
+        csv=["results.csv"],
+        focus="ekf",
+        pairs=pairs,
+        points=points,
+    )
 
 
 # --- the verdict ----------------------------------------------------------------------------------
@@ -210,7 +227,9 @@ def painted(page, canvas):
 
 
 def test_everything_is_there(page):
-    for part in ("verdict", "map", "series", "replay", "spread", "table", "offline", "method"):
+    for part in (
+        "verdict", "map", "series", "replay", "spread", "pairs", "breaking", "table", "offline", "method"
+    ):  # fmt: skip
         assert page.locator(f"#{part}").is_visible()
     assert page.locator("#verdict h2").inner_text().startswith("Fly mahony: no crash in 4 flights")
     assert page.locator(".heat tbody td").count() == 8
@@ -248,6 +267,21 @@ def test_map_shows_another_metric(page):
     cells = page.locator(".heat tbody tr:nth-child(3) td b").all_inner_texts()
     assert cells == ["0.50", "0.50"]
     assert page.locator(".heat td.crashed").count() == 2
+
+
+def test_pairs_compare_with_the_chosen_estimator(page):
+    page.select_option("#pairs-base", "ekf")
+    assert set(page.locator("#forest g title").all_text_contents()) == {"truth", "mahony"}
+    shown = page.locator("#forest g .value").all_text_contents()
+    assert all("✕ 0 : 2" in each for each in shown)  # only the ekf crashed, once in each scenario
+    page.select_option("#pairs-base", "truth")
+    assert page.locator("#forest g").count() == 2
+
+
+def test_breaking_points_sort_with_the_open_end_last(page):
+    assert column(page, 2, "#breaking table") == ["> 64", "10", "did not run"]
+    page.locator("#breaking th button").nth(1).click()
+    assert column(page, 1, "#breaking table") == ["mahony", "truth", "vqf"]
 
 
 def test_a_cell_of_the_map_chooses_the_flight(page):

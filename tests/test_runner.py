@@ -108,12 +108,13 @@ def test_time_to_converge_is_the_start_of_the_first_second_below_the_limit():
 
 
 def test_recovery_is_the_longest_spell_away_that_ended():
-    apart = np.zeros((4, 1000))
+    apart = np.zeros((5, 1000))
     apart[0, 100:150] = apart[0, 300:500] = 2.0
-    apart[1, 900:] = 2.0  # still away at the end
+    apart[1, 700:] = 2.0  # still away at the end
     apart[2, 10:30] = 2.0  # back, but crashed later
-    whole = np.array([True, True, False, True])
-    np.testing.assert_array_equal(recovery_time(apart, whole, 200.0), [1.0, np.nan, np.nan, 0.0])
+    apart[4, 100:120] = apart[4, 990:] = 2.0  # thrown off again at the very end
+    whole = np.array([True, True, False, True, True])
+    np.testing.assert_array_equal(recovery_time(apart, whole, 200.0), [1.0, np.nan, np.nan, 0.0, 0.1])
 
 
 def test_wilson_interval_of_textbook_values():

@@ -1,0 +1,44 @@
+"""The report of a benchmark's folder, and the tables beside it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from .breaking import Breaking
+from .pairs import paired_differences
+from .picture import cover
+from .report import write_report
+from .runner import Results, write_csv
+
+
+class Published(NamedTuple):
+    """What was written."""
+
+    report: Path
+    note: str  #: why there is no picture; empty if there is one
+
+
+def publish(
+    folder: str | Path, results: Results, points: Sequence[Breaking] = (), path: Path | None = None
+) -> Published:
+    """Write pairs.csv, breaking.csv if there are such points, and report.html, which links to them.
+
+    Args:
+        folder: Where `bench` wrote results.csv and flights.csv.
+        results: What it returned.
+        points: Breaking points.
+        path: The report, by default report.html in the folder.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    folder = Path(folder).expanduser()
+    pairs = paired_differences(results.flights)
+    files = ["results.csv", "flights.csv"]
+    for name, rows in (("pairs.csv", pairs), ("breaking.csv", [vars(point) for point in points])):
+        if rows:
+            write_csv(folder / name, rows)
+            files.append(name)
+    still, note = cover(results.cells)
+    page = path or folder / "report.html"
+    return Published(write_report(page, results, still=still, csv=files, pairs=pairs, points=points), note)

@@ -1,0 +1,106 @@
+"""Breaking points and paired differences."""
+
+import numpy as np
+import pytest
+
+from quadsim.scenario import load_scenario
+from scenarios import breaking
+from scenarios.breaking import DISTURBANCES, bisect, breaking_points, load_points
+from scenarios.cell import Cell
+from scenarios.pairs import paired_differences
+
+
+@pytest.mark.parametrize("true", [0.3, 7.77, 31.9])
+def test_bisection_brackets_the_first_level_that_crashes(true):
+    tried = []
+    low, high = bisect(lambda level: tried.append(level) or level >= true, 32.0, 0.25)
+    assert low < true <= high
+    assert high - low <= 0.25
+    assert len(tried) == 2 + 7
+
+
+def test_bisection_has_open_ends():
+    assert bisect(lambda level: True, 32.0, 1.0) == (None, 0.0)
+    assert bisect(lambda level: False, 32.0, 1.0) == (32.0, None)
+
+
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_level_is_the_size_of_the_disturbance(name):
+    kind = DISTURBANCES[name]
+    scenario = kind.change(load_scenario(kind.scenario), 0.5)
+    size = {
+        "wind": lambda: np.linalg.norm(scenario.wind[0].velocity),
+        "bias": lambda: np.linalg.norm(scenario.faults[0].bias_deg),
+        "dropout": lambda: scenario.faults[0].probability,
+    }
+    assert size[name]() == pytest.approx(0.5)
+    assert len(scenario.wind) + len(scenario.faults) == 1
+
+
+@pytest.fixture
+def brittle(monkeypatch):
+    """Cells in which `truth` breaks at 10 m/s of wind, and `mahony` does not run."""
+    flown = []
+
+    def fly(name, scenario, estimator, seeds, seed, rate_hz, fingerprint):
+        flown.append((estimator, scenario.wind[0].velocity[0]))
+        if estimator == "mahony":
+            return Cell(name, estimator, "", "no idea", [], [], None)
+        cause = "tilted over" if scenario.wind[0].velocity[0] >= 10.0 else ""
+        return Cell(name, estimator, "", "", [{"cause": cause, "flown_s": 1.0}] * seeds, [], None)
+
+    monkeypatch.setattr(breaking, "fly_cell", fly)
+    return flown
+
+
+def test_points_are_found_kept_and_loaded(tmp_path, brittle):
+    def find(code="a"):
+        return breaking_points(["wind"], ["truth", "mahony"], 2, tmp_path, code=code, workers=1)
+
+    truth, mahony = find()
+    assert (truth.flies_at, truth.crashes_at, truth.cause) == (9.75, 10.0, "tilted over")
+    assert mahony.reason == "no idea"
+    assert (truth.text, mahony.text) == ("10", "did not run")
+    assert load_points(tmp_path) == [truth]
+    flown = len(brittle)
+    assert find() == [truth, mahony]
+    assert {estimator for estimator, _ in brittle[flown:]} == {"mahony"}
+    flown = len(brittle)
+    find("b")
+    assert "truth" in {estimator for estimator, _ in brittle[flown:]}
+
+
+def test_unknown_disturbance_is_named(tmp_path):
+    with pytest.raises(ValueError, match='unknown breaking point "rain"; valid: wind, bias, dropout'):
+        breaking_points(["rain"], ["truth"], 1, tmp_path, code="")
+
+
+def flight(scenario, estimator, seed, error, cause=""):
+    numbers = {"error_deg": error, "attitude_deg": 2 * error, "position_m": None}
+    return {"scenario": scenario, "estimator": estimator, "seed": seed, "cause": cause} | numbers
+
+
+def test_pairing_removes_what_the_flights_share():
+    hard = np.random.default_rng(0).uniform(1, 50, 6)
+    gap = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.0])
+    flights = [flight("a", "x", i, hard[i] + gap[i]) for i in range(6)]
+    flights += [flight("a", "y", i, hard[i]) for i in range(6)]
+    row = next(r for r in paired_differences(flights) if (r["scenario"], r["metric"]) == ("a", "error_deg"))
+    assert (row["estimator"], row["versus"], row["pairs"]) == ("x", "y", 6)
+    assert row["difference"] == pytest.approx(1.0)
+    half = 2.5706 * gap.std(ddof=1) / np.sqrt(6)  # Student's t at 97.5 % with 5 degrees of freedom
+    assert (row["low"], row["high"]) == pytest.approx((1 - half, 1 + half), rel=1e-4)
+
+
+def test_crashed_flights_make_no_pair_but_are_counted():
+    flights = [flight("a", "x", 0, 9.0, "tilted over"), flight("a", "x", 1, 3.0), flight("b", "x", 1, 5.0)]
+    flights += [flight("a", "y", 0, 1.0), flight("a", "y", 1, 1.0), flight("b", "y", 1, 1.0, "flew away")]
+    rows = {(r["scenario"], r["metric"]): r for r in paired_differences(flights)}
+    assert (rows["a", "error_deg"]["pairs"], rows["a", "error_deg"]["difference"]) == (1, 2.0)
+    assert (rows["b", "error_deg"]["pairs"], rows["b", "error_deg"]["difference"]) == (0, None)
+    assert rows["all", "error_deg"]["difference"] == 2.0
+    assert (rows["all", "error_deg"]["crashed_alone"], rows["all", "error_deg"]["versus_crashed_alone"]) == (
+        1,
+        1,
+    )
+    assert rows["all", "position_m"]["pairs"] == 0
