@@ -187,7 +187,7 @@ def step_arrays(before, after, u, v, bias, bias_exp, weights, rows, start, du, d
     """
     n_in = start[0]
     before[:, n_in:] = after[:, n_in:]
-    dendrite = np.empty(u.shape[1], np.int64)
+    dendrite = np.empty(u.shape[1], np.int32)
     for b in range(u.shape[0]):
         offset = 0
         for k in range(rows.shape[0]):
@@ -203,7 +203,7 @@ def step_arrays(before, after, u, v, bias, bias_exp, weights, rows, start, du, d
             offset += rows[k, 1] * size
             for i in range(size):
                 j = lo + i
-                current = wrap(decay(u[b, j], du[j]) + wrap(dendrite[i] << 6, 21), 23)
+                current = wrap(decay(u[b, j], du[j]) + wrap(int(dendrite[i]) << 6, 21), 23)
                 potential = decay(v[b, j], dv[j]) + current + (bias[b, j] << bias_exp[j])
                 potential = min(max(potential, -STATE_MAX), STATE_MAX)
                 fires = potential > vth[j] << 6
