@@ -374,6 +374,7 @@ def fly(
     rate: Rate = 200.0,
     seed: Seed = 0,
     video: Annotated[bool, typer.Option("--video", help="Make an MP4 of the first flight.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show the first flight in MuJoCo's viewer.")] = False,
 ) -> None:
     """Fly one scenario on one estimator and look at it closely: report, every sample as CSV, video.
 
@@ -392,8 +393,9 @@ def fly(
             duration_s=duration,
             rate_hz=rate,
             video=video,
+            view=view,
         )
-    except RuntimeError as error:  # no headless OpenGL for the video
+    except RuntimeError as error:  # no OpenGL for the video, no screen for the view
         raise ValueError(str(error)) from error
     row = flown.results.rows[0]
     if row["reason"]:

@@ -1,6 +1,7 @@
 """Gymnasium environments: one quadrotor on an attitude estimator of your choice, and its batched twin."""
 
 import copy
+import time
 from typing import Any
 
 import gymnasium
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from .controller import LEVELS, WIDTH, Level
 from .estimator import AttitudeEstimator
 from .mission import CAUSES, FLYING, Mission, follow
-from .render import Image, Scene, View
+from .render import Image, Scene, View, Window
 from .scenario import Scenario, load_scenario
 from .vehicle import GRAVITY
 
@@ -30,6 +31,9 @@ ACTION_SCALE: dict[Level, tuple[float, ...]] = {
     "rotor": (1.0, 1.0, 1.0, 1.0),
 }
 """What an action of 1 stands for at each level; rotors: from hover speed to the highest."""
+
+FPS = 50
+"""Pictures per second of flight in a window."""
 
 
 class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
@@ -98,7 +102,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | `level`       | "attitude" | where the action enters the controller                                 |
     | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
     | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
-    | `render_mode` | None       | "rgb_array" for pictures                                               |
+    | `render_mode` | None       | "rgb_array" for pictures, "human" for MuJoCo's viewer                  |
 
     `gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, ...)` makes the batched twin: sub-environment i
     is, number for number, this environment reset with `seed + i`. It restarts finished episodes in the next
@@ -110,7 +114,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     """
 
     # gymnasium declares this as a variable of instances
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012
 
     def __init__(
         self,
@@ -144,7 +148,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         return observation[0], reward.item(), cause != FLYING, over, info
 
     def render(self) -> Image | None:
-        """A picture of the vehicle, (540, 960, 3); None without a render mode."""
+        """A picture of the vehicle, (540, 960, 3); None without a render mode, or in a window."""
         return self._flights.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
@@ -156,8 +160,8 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     """n quadrotors stepped as one batch; spaces, reward and arguments are those of `QuadrotorEnv`."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array"],
-        "render_fps": 50,
+        "render_modes": ["rgb_array", "human"],
+        "render_fps": FPS,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -209,7 +213,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         return observation, reward, terminated, truncated, info
 
     def render(self) -> tuple[Image, ...] | None:
-        """A picture of every vehicle; None without a render mode."""
+        """A picture of every vehicle; None without a render mode, or in a window, which shows the first."""
         if self.render_mode != "rgb_array":
             return None
         return tuple(self._flights.picture(i) for i in range(self.num_envs))
@@ -234,8 +238,9 @@ class Flights:
     ) -> None:
         if level not in LEVELS:
             raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, or None')
+        if render_mode not in (None, "rgb_array", "human"):
+            raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, human, or None')
+        self._live, self._frame = render_mode == "human", max(round(rate_hz / FPS), 1)
         scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
         self.mission = Mission(scenario, estimator, n, rate_hz, duration_s)
         self._level: Level = level
@@ -245,6 +250,8 @@ class Flights:
         self._speeds = np.array([vehicle.hover_rotor_vel, vehicle.motor.omega_max - vehicle.hover_rotor_vel])
         self._scale = np.array(ACTION_SCALE[level])
         self._scene: Scene | None = None
+        self._window: Window | None = None
+        self._shown_at = 0.0
         self._begun = False
 
     def begin(self, seeds: list[np.random.SeedSequence], afresh: bool) -> None:
@@ -279,6 +286,8 @@ class Flights:
             *loop.seen, loop.attitude, loop.rate, loop.plant.velocity, OBSERVATION_LIMIT, observation, reward,
             *mission.arrays,
         )  # fmt: skip
+        if self._live:
+            self._show()
         return observation, reward
 
     def observe(self) -> tuple[NDArray[np.float32], Array]:
@@ -300,10 +309,22 @@ class Flights:
         return self._scene.draw(plant.position[index], plant.quat[index], View((x, y, z), distance=1.6))
 
     def close(self) -> None:
-        """Free the scene."""
-        if self._scene is not None:
-            self._scene.close()
-            self._scene = None
+        """Free the scene and shut the window."""
+        for each in (self._scene, self._window):
+            if each is not None:
+                each.close()
+        self._scene = self._window = None
+
+    def _show(self) -> None:
+        """Move the first vehicle in the window, and wait until real time has caught up."""
+        mission = self.mission
+        if mission.k[0] % self._frame:
+            return
+        if self._window is None:
+            self._window = Window(mission.vehicle)
+        self._window.show(mission.loop.plant.position[0], mission.loop.plant.quat[0])
+        time.sleep(max(self._shown_at + 1 / FPS - time.perf_counter(), 0.0))
+        self._shown_at = time.perf_counter()
 
 
 class OnePerVehicle:

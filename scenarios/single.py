@@ -7,7 +7,7 @@ import numpy as np
 
 import estimators
 from quadsim.mission import Mission
-from quadsim.render import film
+from quadsim.render import film, replay
 from quadsim.rotation import quat_from_euler
 from quadsim.scenario import load_scenario
 
@@ -39,6 +39,7 @@ def fly_scenario(
     duration_s: float | None = None,
     rate_hz: float = 200.0,
     video: bool = False,
+    view: bool = False,
 ) -> Flown:
     """Fly a scenario on an estimator and write what happened.
 
@@ -51,12 +52,13 @@ def fly_scenario(
         duration_s: Length, instead of the scenario's [s].
         rate_hz: Samples per second.
         video: Whether to make a video of the first flight.
+        view: Whether to show the first flight in MuJoCo's viewer, in real time, until it is closed.
 
     Raises:
         ValueError: For a bad argument or scenario file.
         OSError: If a file cannot be written.
-        RuntimeError: If a video is wanted and there is no headless OpenGL; the other files are written by
-        then.
+        RuntimeError: If a video is wanted and there is no headless OpenGL, or a view and no screen; the other
+        files are written by then.
     """
     if seeds < 1:
         raise ValueError(f"seeds is {seeds}; at least one flight is needed")
@@ -75,8 +77,9 @@ def fly_scenario(
     report = write_report(
         out / "report.html", results, title=f"{name} on {estimator}", csv=["flight.csv"], focus=estimator
     )
-    film_path = None
+    film_path, seen = None, (time, first[:, LAYOUT.position], quat_from_euler(*first[:, LAYOUT.euler].T))
     if video:
-        quat = quat_from_euler(*first[:, LAYOUT.euler].T)
-        film_path = film(out / "flight.mp4", mission.vehicle, time, first[:, LAYOUT.position], quat)
+        film_path = film(out / "flight.mp4", mission.vehicle, *seen)
+    if view:
+        replay(mission.vehicle, *seen)
     return Flown(results, report, out / "flight.csv", film_path)

@@ -44,6 +44,25 @@ def test_passes_the_checker_with_pictures():
     env.close()
 
 
+def test_a_window_without_a_screen_is_refused_in_words(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    env = gymnasium.make(ID, render_mode="human")
+    env.reset(seed=0)
+    with pytest.raises(RuntimeError, match="no screen"):
+        for _ in range(10):
+            env.step(np.zeros(4))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_passes_the_checker_of_stable_baselines3(level):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = gymnasium.make(ID, estimator=estimators.create("mahony"), scenario="hover", level=level)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(env.unwrapped)
+
+
 def test_zero_action_at_level_position_holds_the_set_point():
     env = gymnasium.make(ID, estimator=estimators.create("madgwick"), scenario="hover", level="position")
     observation, _ = env.reset(seed=5)
