@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .loihi import DECAY_ONE, STATE_ONE
-from .networks import INPUT_MAX, input_scaling
+from .networks import BIAS_CLIP, BIAS_MAX, BIAS_START, INPUT_MAX, input_scaling
 from .weights_file import NetworkConfig, Tensors
 
 
@@ -43,6 +43,10 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "input_max": INPUT_MAX,
         "offset": _braces(offset),
         "gain": _braces(gain),
+        "bias_samples": f"{config.inputs.bias_samples}.0",
+        "bias_start": f"{BIAS_START}.0",
+        "bias_clip": repr(BIAS_CLIP),
+        "bias_max": repr(BIAS_MAX),
         **arrays,
     }
     folder = files("assets") / "c99"

@@ -26,6 +26,12 @@ INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 GRAVITY = 9.81
+HELD = 10
+"""What the encoder keeps: 6 inputs, missing samples, samples in the mean rate, mean roll and pitch rate."""
+BIAS_START = 12
+"""At the start the mean is that of a bias of zero, seen for `bias_samples` over this."""
+BIAS_CLIP, BIAS_MAX = 0.6, 0.1
+"""Rate beyond which a manoeuvre counts no further in the mean; largest bias that is believed [rad/s]."""
 SETTLE_S, TURN_S = 3.0, 0.15
 """A network that is told its attitude first sees a level hover for this long, and then a turn into it [s]."""
 
@@ -129,6 +135,7 @@ class NetworkEstimator:
                 raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
+            states[0][:, 7:] = 0.0  # that turn says nothing of the gyroscope's bias
             self.core.place(states, known)
         return states
 
@@ -144,17 +151,17 @@ class Spiking:
         self._taus = np.concatenate(taus)
         self._sizes = (config.encoding, config.hidden, config.recurrent_delay, config.steps_per_sample)
         self._quantised, self._scale = config.quantised, config.output_scale / one
-        self._offset, self._gain = input_scaling(config.inputs)
+        self._inputs = encoder_of(config.inputs)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (np.zeros((n, 7)), *zero_state(n, *self._sizes[:2]))
+        return (np.zeros((n, HELD)), *zero_state(n, *self._sizes[:2]))
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, state, spikes = states
         x = np.empty((*gyro.shape[:2], 6))
-        encode(gyro, accel, self._offset, self._gain, held, x)
+        encode(gyro, accel, *self._inputs, held, x)
         x /= INPUT_ONE
         run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
         out *= self._scale
@@ -187,12 +194,12 @@ class OnLoihi:
         self.cores = partition(self.chip.layers)
         self._encoder = np.ascontiguousarray(w["w_in"].T), w["syn0"]
         self._steps, self._scale = config.steps_per_sample, config.output_scale / 2**14
-        self._offset, self._gain = input_scaling(config.inputs)
+        self._inputs = encoder_of(config.inputs)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
         return (
-            np.zeros((n, 7)),
+            np.zeros((n, HELD)),
             np.zeros((n, self._encoder[0].shape[1]), np.int64),
             *self.chip.zero_state(n),
         )
@@ -200,7 +207,7 @@ class OnLoihi:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         _run_on_loihi(
-            gyro, accel, self._offset, self._gain, *self._encoder, self._steps, self._scale,
+            gyro, accel, *self._inputs, *self._encoder, self._steps, self._scale,
             states, self.chip.parameters, out,
         )  # fmt: skip
 
@@ -225,17 +232,17 @@ class Recurrent:
             tensors["out.bias"].astype(np.float32),
         )
         self._sizes, self._steps, self._scale = (config.encoding, config.hidden), 1, config.output_scale
-        self._offset, self._gain = input_scaling(config.inputs)
+        self._inputs = encoder_of(config.inputs)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (np.zeros((n, 7)), *(np.zeros((n, units), np.float32) for units in self._sizes))
+        return (np.zeros((n, HELD)), *(np.zeros((n, units), np.float32) for units in self._sizes))
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, h0, h1 = states
         x = np.empty((*gyro.shape[:2], 6))
-        encode(gyro, accel, self._offset, self._gain, held, x)
+        encode(gyro, accel, *self._inputs, held, x)
         run_gru((x / INPUT_ONE).astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
 
@@ -249,12 +256,21 @@ def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
     return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
 
 
-def scaled_inputs(inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike) -> Array:
-    """Inputs of the network, in steps of 1/1024, for readings (n, T, 3) twice; shape (n, T, 6)."""
-    offset, gain = input_scaling(inputs)
+def encoder_of(inputs: InputScaling) -> tuple[Array, Array, float]:
+    """What `encode` needs: offset and gain, and the memory of the mean rate [samples]."""
+    return *input_scaling(inputs), float(inputs.bias_samples)
+
+
+def scaled_inputs(
+    inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike, held: Array | None = None
+) -> Array:
+    """Inputs of the network, in steps of 1/1024, for readings (n, T, 3) twice; shape (n, T, 6).
+
+    `held` (n, HELD), changed in place, goes on from the window before; None starts anew.
+    """
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
     x = np.empty((*gyro.shape[:2], 6))
-    encode(gyro, accel, offset, gain, np.zeros((len(gyro), 7)), x)
+    encode(gyro, accel, *encoder_of(inputs), np.zeros((len(gyro), HELD)) if held is None else held, x)
     return x / INPUT_ONE
 
 
@@ -282,14 +298,27 @@ def _turn_into(roll_pitch: Array, rate_hz: float) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _encode_sample(gyro, accel, offset, gain, held):
+def _follow_bias(gyro, memory, held):
+    """Running mean of the roll and the pitch rate: a vehicle that stays upright does not turn on average."""
+    step = 1.0 / min(held[7] + 1.0 + memory / BIAS_START, memory)
+    held[7] += 1.0
+    for k in range(2):
+        beyond = min(max(gyro[k] - held[8 + k], -BIAS_CLIP), BIAS_CLIP)
+        held[8 + k] = min(max(held[8 + k] + step * beyond, -BIAS_MAX), BIAS_MAX)
+
+
+@njit(cache=True)
+def _encode_sample(gyro, accel, offset, gain, memory, held):
     """Scale one sample into `held`: 6 inputs, which a missing reading leaves as they are, and a count."""
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
     force_found = np.isfinite(force) and force > 0.0
     if rate_found:
+        if memory > 0.0:
+            _follow_bias(gyro, memory, held)
         for k in range(3):
-            held[k] = min(max(np.rint((gyro[k] - offset[k]) * gain[k]), -INPUT_MAX), INPUT_MAX)
+            bias = held[8 + k] if k < 2 else 0.0
+            held[k] = min(max(np.rint((gyro[k] - bias - offset[k]) * gain[k]), -INPUT_MAX), INPUT_MAX)
     if force_found:
         for k in range(3):
             value = np.rint((accel[k] - offset[3 + k]) * gain[3 + k])
@@ -299,23 +328,23 @@ def _encode_sample(gyro, accel, offset, gain, held):
 
 
 @njit(cache=True)
-def encode(gyro, accel, offset, gain, held, x):
-    """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; `held` (n, 7) keeps the last ones."""
+def encode(gyro, accel, offset, gain, memory, held, x):
+    """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; `held` (n, HELD) is carried along."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, held[n])
             for k in range(6):
                 x[n, t, k] = held[n, k]
 
 
 @njit(cache=True)
-def _run_on_loihi(gyro, accel, offset, gain, w_in, du, steps, scale, states, parameters, out):
+def _run_on_loihi(gyro, accel, offset, gain, memory, w_in, du, steps, scale, states, parameters, out):
     held, current, before, after, u, v, bias = states
     n_outputs = out.shape[2]
     first_output = v.shape[1] - n_outputs
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, held[n])
         for _ in range(steps):
             for n in range(gyro.shape[0]):
                 _encoding_bias(held[n], w_in, du, current[n], bias[n])

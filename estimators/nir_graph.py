@@ -88,6 +88,7 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "steps_per_sample": config.steps_per_sample,
         "input_offset": offset,
         "input_gain_1024": gain,
+        "input_bias_samples": config.inputs.bias_samples,
         "output_scale": config.output_scale,
         **integers,
     }

@@ -27,6 +27,8 @@ class InputScaling(Strict):
     """Specific force, less the offset, of an input of 1.0 [m/s²]."""
     accel_offset: tuple[float, float, float] = (0.0, 0.0, 9.81)
     """Specific force of an input of 0 [m/s²]."""
+    bias_samples: int = Field(default=0, ge=0)
+    """Memory of the mean roll and pitch rate that is taken off as the gyro's bias [samples]; 0: none."""
 
 
 PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))

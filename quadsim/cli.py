@@ -15,7 +15,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from .cli_logs import app as logs_app
 from .console import Bar, executor_of, progress_bar
+from .console import output as console
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
@@ -31,7 +33,7 @@ app = typer.Typer(
 )
 dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
 app.add_typer(dataset_app, name="dataset")
-console = Console(width=None if sys.stdout.isatty() else 110)  # a file or a pipe has no width of its own
+app.add_typer(logs_app, name="logs")
 
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]

@@ -1,5 +1,6 @@
 """What long work shows on a terminal, and where it runs."""
 
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -14,6 +15,8 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+
+output = Console(width=None if sys.stdout.isatty() else 110)  # a file or a pipe has no width of its own
 
 
 class Bar(Protocol):

@@ -30,6 +30,7 @@ from zarr.errors import ZarrUserWarning
 
 from .config import Strict
 from .flight import FlightConfig, simulate_flights
+from .imu import ImuSpec
 
 FORMAT: Literal["quadsim flights"] = "quadsim flights"
 FORMAT_VERSION = 1
@@ -80,6 +81,31 @@ class Plan(Strict):
     config: FlightConfig
 
 
+class Recorded(Strict):
+    """Where flights come from that were recorded, not simulated."""
+
+    logs: tuple[str, ...]
+    """Names of the logs."""
+    piece_s: float
+    """Length of the pieces that they were cut into [s]."""
+    unknown: tuple[str, ...]
+    """Variables that no log holds: zeros."""
+    imu: ImuSpec = ImuSpec()
+    """Unknown: the readings are a real sensor's."""
+
+
+class RecordedPlan(Strict):
+    """What a dataset of recorded flights says of itself."""
+
+    format_version: int = FORMAT_VERSION
+    quadsim_version: str
+    seed: int = 0
+    flights: int
+    steps: int
+    rate_hz: float
+    config: Recorded
+
+
 class Attributes(BaseModel):
     """What a finished dataset says of itself, in the attributes of its Zarr group."""
 
@@ -114,7 +140,7 @@ def chunk_file(store: Path, variable: str, flight: int) -> Path:
     return store / variable / f"c.{flight}.0.0"
 
 
-def begin(folder: Path, plan: Plan) -> None:
+def begin(folder: Path, plan: Plan | RecordedPlan) -> None:
     """Lay out an empty store; an interrupted one that never got its plan is laid out again."""
     (folder / "flights").mkdir(parents=True, exist_ok=True)
     group = zarr.open_group(folder / "data", mode="w")
@@ -159,7 +185,7 @@ def fly_batch(plan: Plan, folder: Path, flights: Sequence[int]) -> Sequence[int]
     for row, flight in enumerate(flights):
         values = {name: np.asarray(log[name][row], dtype="<f4") for name in VARIABLES}
         end_step, end_reason = int(log["end_step"][row]), str(log["end_reason"][row])
-        _write_flight(folder, flight, values, end_step, end_reason)
+        write_flight(folder, flight, values, end_step, end_reason)
     return flights
 
 
@@ -178,7 +204,7 @@ def whole_flights(folder: Path) -> dict[int, Record]:
     return records
 
 
-def finish(folder: Path, plan: Plan, out: Path) -> None:
+def finish(folder: Path, plan: Plan | RecordedPlan, out: Path) -> None:
     """Add the coordinates, consolidate the metadata and move the store to its final place."""
     store = folder / "data"
     records = whole_flights(folder)
@@ -281,13 +307,14 @@ def _array(group: zarr.Group, name: str) -> zarr.Array:
     return found
 
 
-def _write_flight(
+def write_flight(
     folder: Path,
     flight: int,
     values: dict[str, NDArray[np.float32]],
     end_step: int,
     end_reason: str,
 ) -> None:
+    """Write the chunks of a flight, and then the record that makes it whole."""
     valid_steps, end_reason = _hold_after_end(values, end_step, end_reason)
     numcodecs.blosc.use_threads = False  # several threads would order the blocks of a chunk by chance
     for name, array in values.items():  # as Zarr would, without its event loop: a tenth of the time
@@ -314,7 +341,7 @@ def _hold_after_end(
     return end_step, end_reason
 
 
-def _write_coordinates(store: Path, plan: Plan, records: Sequence[Record]) -> None:
+def _write_coordinates(store: Path, plan: Plan | RecordedPlan, records: Sequence[Record]) -> None:
     group = zarr.open_group(store, mode="r+", zarr_format=3)
     attributes = Attributes(
         **plan.model_dump(exclude={"config"}),

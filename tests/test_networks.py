@@ -5,9 +5,24 @@ import numpy as np
 import pytest
 import torch
 
-from estimators.networks import create_network, scaled_inputs
+from estimators.networks import (
+    BIAS_MAX,
+    HELD,
+    NetworkEstimator,
+    OnLoihi,
+    Spiking,
+    create_network,
+    scaled_inputs,
+)
 from estimators.spiking import Weights, forward
-from estimators.weights_file import NetworkConfig, expected_shapes, load_network, save_network
+from estimators.weights_file import (
+    InputScaling,
+    NetworkConfig,
+    expected_shapes,
+    load_network,
+    save_network,
+    shipped_network,
+)
 
 
 def random_snn(config, seed=0):
@@ -151,7 +166,6 @@ def test_inference_does_not_import_torch(snn_file):
 
 
 def test_shipped_network_is_within_the_parameter_budget():
-    from estimators.weights_file import shipped_network
 
     _, tensors = shipped_network("att-snn")
     assert sum(t.size for t in tensors.values()) <= 21202
@@ -203,3 +217,45 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
     np.testing.assert_allclose(est.sequence(gyro, accel), expected, atol=1e-10)
     with pytest.raises(ValueError, match="needs quantised weights"):
         create_network("att-snn-loihi", weights=tmp_path / "w")
+
+
+def biased(config, tensors):
+    """The same network, taking the mean rate off its inputs."""
+    return config.model_copy(
+        update={"inputs": config.inputs.model_copy(update={"bias_samples": 2000})}
+    ), tensors
+
+
+def test_the_mean_rate_is_taken_off_as_the_bias_of_the_gyro():
+    inputs = InputScaling(bias_samples=2000)
+    accel = np.tile([0.0, 0.0, 9.81], (1, 6000, 1))
+    rate = 0.3 * np.sin(np.arange(6000) / 50)[None, :, None] * (1, 1, 1)
+    clean = scaled_inputs(InputScaling(), rate, accel)
+    bias = np.array([0.07, -0.05, 0.0])
+    found = scaled_inputs(inputs, rate + bias, accel)
+    np.testing.assert_allclose(found[:, 4000:], clean[:, 4000:], atol=0.01)
+    assert np.abs(found[:, 0] - clean[:, 0]).max() > 0.02  # the first sample knows nothing yet
+    tumbling = scaled_inputs(inputs, np.full_like(rate, 3.0), accel)
+    assert tumbling[..., :2].min() > (3.0 - BIAS_MAX - 0.01) / 2.5  # no manoeuvre is taken for a bias
+
+
+def test_the_mean_rate_is_the_same_streamed_carried_and_on_loihi():
+    config, tensors = biased(*shipped_network("att-snn"))
+    rng = np.random.default_rng(0)
+    gyro, accel = rng.normal(0.05, 0.3, (2, 400, 3)), rng.normal((0, 0, 9.81), 0.5, (2, 400, 3))
+    whole = scaled_inputs(config.inputs, gyro, accel)
+    held = np.zeros((2, HELD))
+    parts = [
+        scaled_inputs(config.inputs, gyro[:, k : k + 100], accel[:, k : k + 100], held) for k in (0, 100)
+    ]
+    np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole[:, :200])
+    outs = []
+    for core in (Spiking(config, tensors), OnLoihi(config, tensors)):
+        est = NetworkEstimator(core, 200.0)
+        est.reset(2)
+        outs.append(est.sequence(gyro, accel))
+        est.reset(2)
+        np.testing.assert_array_equal(
+            np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(50)], axis=1), outs[-1][:, :50]
+        )
+    np.testing.assert_array_equal(*outs)

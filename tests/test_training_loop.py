@@ -168,3 +168,53 @@ def test_frozen_time_constants_stay_as_they_were(dataset, tmp_path):
     before, after = weights_of(tmp_path / "first"), weights_of(tmp_path / "second")
     same(*({k: x for k, x in each.items() if k.startswith(("syn", "mem"))} for each in (before, after)))
     assert not np.array_equal(before["w_ff"], after["w_ff"])
+
+
+def test_rough_sensors_are_drawn_within_their_limits():
+    rng, n, steps = np.random.default_rng(0), 400, 400
+    still, force = np.zeros((n, steps, 3), np.float32), np.zeros((n, steps, 3), np.float32)
+    force[..., 2] = 9.81
+    up = force / np.float32(9.81)
+    gyro, accel, _ = augment(
+        still,
+        force,
+        up,
+        Augmentation(gyro_bias_max=0.1, accel_bias=0, accel_noise=0, gyro_noise=0),
+        200.0,
+        rng,
+    )
+    assert 0.08 < np.abs(gyro).max() <= 0.1
+    assert np.ptp(gyro, axis=1).max() == 0
+    np.testing.assert_array_equal(accel, force)
+    _, accel, _ = augment(
+        still, force, up, Augmentation(mounting_max_deg=5.0, accel_bias=0, accel_noise=0), 200.0, rng
+    )
+    tilt = np.degrees(np.arccos(accel[:, 0, 2] / 9.81))
+    assert 3.0 < tilt.max() < 7.1  # roll and pitch of at most 5° each
+    shaken = Augmentation(vibration=(1.0, 2.0), vibration_share=0.5, accel_bias=0, accel_noise=0)
+    _, accel, _ = augment(still, force, up, shaken, 200.0, rng)
+    spread = accel.std(axis=1).max(axis=1)
+    assert 0.4 < (spread > 0.05).mean() < 0.6
+    assert spread.max() < 2.0
+
+
+def test_late_readings_are_low_passed_and_held_back():
+    rng = np.random.default_rng(0)
+    step = np.zeros((200, 400, 3), np.float32)
+    step[:, 200:] = 1.0
+    plain = {"accel_bias": 0.0, "accel_noise": 0.0, "gyro_noise": 0.0}
+    gyro, _, _ = augment(step, step, step, Augmentation(delay_max_s=0.02, **plain), 200.0, rng)
+    assert set(np.argmax(gyro[..., 0] > 0.5, axis=1)) == {200, 201, 202, 203, 204}
+    gyro, _, _ = augment(step, step, step, Augmentation(low_pass_hz=(10.0, 10.0), **plain), 200.0, rng)
+    assert gyro[0, 200 + 3, 0] == pytest.approx(1 - np.exp(-2 * np.pi * 10 * 4 / 200), abs=1e-3)
+
+
+def test_carried_sensors_feel_gravity_along_the_true_vertical():
+    rng = np.random.default_rng(0)
+    roll = np.full((50, 2000), 0.5, np.float32)
+    up = np.stack([np.zeros_like(roll), np.sin(roll), np.cos(roll)], -1)
+    thrust = np.zeros_like(up)
+    thrust[..., 2] = 9.81
+    plain = Augmentation(carried=1.0, accel_bias=0.0, accel_noise=0.0)
+    _, accel, _ = augment(np.zeros_like(up), thrust, up, plain, 200.0, rng)
+    np.testing.assert_allclose(accel.mean(axis=(0, 1)), 9.81 * up[0, 0], atol=0.1)

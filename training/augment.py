@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from pydantic import Field
 
 from quadsim.config import Strict
 
 Array = NDArray[np.floating]
+
+GRAVITY = 9.81
+VIBRATION_HZ = (60.0, 250.0)
+"""Range of the frequency of a rotor, which the sampling folds."""
+WANDER_HZ = 3.0
+"""Standard deviation of that frequency within a stream."""
+CARRIED_HZ = 1.0
+"""Corner of the accelerations of a sensor that is carried by hand."""
 
 
 class Augmentation(Strict):
@@ -25,6 +35,29 @@ class Augmentation(Strict):
     """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
     mounting_deg: float = 0.0
     """Standard deviation of each angle of a small rotation of the IMU against the body [deg]."""
+
+    # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream,
+    # even from 0 to this, then each axis, even within ± that size, so that small errors are more frequent.
+    gyro_bias_max: float = Field(default=0.0, ge=0)
+    """Further bias of the gyroscope [rad/s]."""
+    accel_bias_max: float = Field(default=0.0, ge=0)
+    """Further bias of the accelerometer [m/s²]."""
+    scale_max: float = Field(default=0.0, ge=0, lt=1)
+    """Relative error of scale of each axis of both sensors."""
+    mounting_max_deg: float = Field(default=0.0, ge=0, le=45)
+    """Further rotation of the IMU against the body [deg]."""
+    noise_factor_max: float = Field(default=1.0, ge=1)
+    """White noise of a stream is multiplied by 1 to this, evenly in its logarithm."""
+    vibration: tuple[float, float] = (0.0, 0.0)
+    """Amplitude of the rotors' vibration in the accelerometer, least and largest [m/s²]."""
+    vibration_share: float = Field(default=0.0, ge=0, le=1)
+    """Share of the streams that vibrate."""
+    low_pass_hz: tuple[float, float] | None = None
+    """Corner of a first-order low-pass over both sensors, least and largest [Hz]."""
+    delay_max_s: float = Field(default=0.0, ge=0)
+    """Readings come late by 0 to this, in whole samples [s]."""
+    carried: float = Field(default=0.0, ge=0, le=1)
+    """Share of the streams that are carried by hand: the same attitudes, but no thrust in the force."""
 
 
 def augment(
@@ -58,18 +91,108 @@ def augment(
         ang_vel = _rotate(turn, ang_vel) * reflect * mirror
         specific_force = _rotate(turn, specific_force) * reflect
         up = _rotate(turn, up) * reflect
+    if augmentation.carried > 0:
+        specific_force = _carried(specific_force, up, augmentation.carried, rate_hz, rng)
     if augmentation.mounting_deg > 0:
         tilt = _small_rotations(rng.normal(0, np.radians(augmentation.mounting_deg), (n, 3))).astype(dtype)
         ang_vel, specific_force = _rotate(tilt, ang_vel), _rotate(tilt, specific_force)
+    if augmentation.mounting_max_deg > 0:
+        tilt = _small_rotations(_within(np.radians(augmentation.mounting_max_deg), n, rng)).astype(dtype)
+        ang_vel, specific_force = _rotate(tilt, ang_vel), _rotate(tilt, specific_force)
+    if augmentation.vibration_share > 0:
+        ang_vel, specific_force = _shaken(ang_vel, specific_force, augmentation, rate_hz, rng)
+    if augmentation.low_pass_hz is not None or augmentation.delay_max_s > 0:
+        ang_vel, specific_force = _late(ang_vel, specific_force, augmentation, rate_hz, rng)
     measured = []
-    for signal, bias, density in (
-        (ang_vel, augmentation.gyro_bias, augmentation.gyro_noise),
-        (specific_force, augmentation.accel_bias, augmentation.accel_noise),
+    for signal, bias, largest, density in (
+        (ang_vel, augmentation.gyro_bias, augmentation.gyro_bias_max, augmentation.gyro_noise),
+        (specific_force, augmentation.accel_bias, augmentation.accel_bias_max, augmentation.accel_noise),
     ):
         offset = rng.normal(0, bias, (n, 1, 3)).astype(dtype)
+        if largest > 0:
+            offset += _within(largest, n, rng)[:, None].astype(dtype)
+        if augmentation.scale_max > 0:
+            signal = signal * (1 + _within(augmentation.scale_max, n, rng))[:, None].astype(dtype)
         noise = rng.standard_normal(signal.shape, dtype=np.float32).astype(dtype, copy=False)
+        if augmentation.noise_factor_max > 1:
+            noise *= np.exp(rng.uniform(0, np.log(augmentation.noise_factor_max), (n, 1, 1))).astype(dtype)
         measured.append(signal + offset + noise * dtype.type(density * np.sqrt(rate_hz)))
     return measured[0], measured[1], up
+
+
+def _within(largest: float, n: int, rng: np.random.Generator) -> Array:
+    """Errors of three axes, (n, 3), of a size that is drawn for each stream."""
+    return largest * rng.uniform(0, 1, (n, 1)) * rng.uniform(-1, 1, (n, 3))
+
+
+def _carried(
+    specific_force: Array, up: Array, share: float, rate_hz: float, rng: np.random.Generator
+) -> Array:
+    """Let some streams feel gravity whole, and accelerations about zero in place of a rotor's thrust."""
+    rows = np.flatnonzero(rng.random(len(up)) < share)
+    moved = rng.standard_normal((rows.size, *up.shape[1:]), dtype=np.float32)
+    step = float(-np.expm1(-2 * np.pi * CARRIED_HZ / rate_hz))
+    _low_pass(moved, np.full(rows.size, step))
+    _low_pass(moved, np.full(rows.size, step))
+    moved /= max(float(moved.std()), 1e-9) if moved.size else 1.0
+    out = specific_force.copy()
+    out[rows] = GRAVITY * up[rows] + moved * rng.uniform(0, 2, (rows.size, 1, 1)).astype(np.float32)
+    return out
+
+
+def _shaken(
+    ang_vel: Array,
+    specific_force: Array,
+    augmentation: Augmentation,
+    rate_hz: float,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Add a tone of each of two rotors, folded by the sampling; the gyroscope sees a hundredth of it."""
+    n, steps, _ = ang_vel.shape
+    low, high = augmentation.vibration
+    size = rng.uniform(low, high, (n, 1)) * (rng.random((n, 1)) < augmentation.vibration_share)
+    out = []
+    tones = np.zeros((2, n, steps, 3), np.float32)
+    for _ in range(2):
+        wander = rng.standard_normal((n, -(-steps // 20)), dtype=np.float32).cumsum(axis=1)
+        wander = np.repeat(wander / np.sqrt(np.float32(wander.shape[1])), 20, axis=1)[:, :steps]
+        frequency = rng.uniform(*VIBRATION_HZ, (n, 1)).astype(np.float32) + np.float32(WANDER_HZ) * wander
+        phase = (np.cumsum(frequency / np.float32(rate_hz), axis=1) % 1.0) * np.float32(2 * np.pi)
+        sine, cosine = np.sin(phase)[..., None], np.cos(phase)[..., None]
+        for sensor, scale in enumerate((0.01, 1.0)):
+            a, b = (rng.uniform(-1, 1, (2, n, 1, 3)) * (scale * size)[None, ..., None] / 2).astype(np.float32)
+            tones[sensor] += a * sine + b * cosine
+    for signal, tone in zip((ang_vel, specific_force), tones, strict=True):
+        out.append(signal + tone.astype(signal.dtype))
+    return out[0], out[1]
+
+
+def _late(
+    ang_vel: Array,
+    specific_force: Array,
+    augmentation: Augmentation,
+    rate_hz: float,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Low-pass both sensors and hold them back; the first samples repeat."""
+    n, steps, _ = ang_vel.shape
+    both = np.concatenate([ang_vel, specific_force], axis=2)
+    if augmentation.low_pass_hz is not None:
+        low, high = np.log(augmentation.low_pass_hz)
+        corner = np.exp(rng.uniform(low, high, n))
+        _low_pass(both, -np.expm1(-2 * np.pi * corner / rate_hz))
+    delay = rng.integers(0, round(augmentation.delay_max_s * rate_hz) + 1, n)
+    both = both[np.arange(n)[:, None], np.maximum(np.arange(steps) - delay[:, None], 0)]
+    return both[..., :3], both[..., 3:]
+
+
+@njit(cache=True)
+def _low_pass(signal, step):
+    """First-order low-pass in place over (n, T, k), of the share `step` (n,) of each new sample."""
+    for i in range(signal.shape[0]):
+        for t in range(1, signal.shape[1]):
+            for k in range(signal.shape[2]):
+                signal[i, t, k] = signal[i, t - 1, k] + step[i] * (signal[i, t, k] - signal[i, t - 1, k])
 
 
 def roll_pitch_of_up(up: Array) -> Array:

@@ -25,7 +25,7 @@ class TrainConfig(Strict):
     """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
     seed: int = 0
     """Of the initial weights, the split, the windows and the sensor errors."""
-    preset: Literal["paper", "best"] = "paper"
+    preset: Literal["paper", "best", "robust"] = "paper"
     """What the other values started from."""
 
     encoding: int = Field(default=100, ge=1)
@@ -106,6 +106,33 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }
 """What each preset changes."""
+
+ROBUST = Augmentation(
+    gyro_bias=0.0044,
+    accel_bias=0.05,
+    yaw_symmetry=True,
+    gyro_bias_max=0.0873,
+    accel_bias_max=0.5,
+    scale_max=0.02,
+    mounting_max_deg=5.0,
+    noise_factor_max=6.0,
+    vibration=(0.5, 3.0),
+    vibration_share=0.6,
+    low_pass_hz=(15.0, 90.0),
+    delay_max_s=0.01,
+    carried=0.1,
+)
+"""Sensors that nobody has calibrated, on vehicles that shake."""
+
+PRESETS["robust"] = PRESETS["best"] | {
+    "inputs": InputScaling(bias_samples=12000),
+    "optimiser_lr": 0.01,
+    "epochs": 120,
+    "windows_per_stream": 6,
+    "rate_cost": 0.003,
+    "rate_targets": (0.2, 0.4),
+    "augmentation": ROBUST,
+}
 
 RNN_BEST = {"optimiser_lr": 0.003, "batches": 30, "epochs": 100}
 """What "best" changes further for att-rnn."""

@@ -23,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.networks import NetworkEstimator, Recurrent, Spiking, scaled_inputs
+from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scaled_inputs
 from estimators.weights_file import NetworkConfig, Tensors, save_network
 
 from .config import TrainConfig, make_config
@@ -88,6 +88,7 @@ class _Run:
         )
         self.optimiser = Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
         self.history: list[Epoch] = []
+        self._held = np.zeros((config.batch_size, HELD))
 
     def one_epoch(self) -> Epoch:
         """Train for an epoch and validate the slow weights."""
@@ -123,7 +124,9 @@ class _Run:
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
-        x = _inputs(config, batch.gyro, batch.accel)
+        if not batch.carry:
+            self._held[:] = 0.0
+        x = _inputs(config, batch.gyro, batch.accel, self._held)
         estimate, rates = self.model(x, batch.carry)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
         loss = attitude_loss(estimate, torch.from_numpy(batch.roll_pitch))
@@ -321,8 +324,13 @@ def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> N
     )
 
 
-def _inputs(config: TrainConfig, gyro: NDArray[np.floating], accel: NDArray[np.floating]) -> Tensor:
-    x = scaled_inputs(config.inputs, gyro, accel)
+def _inputs(
+    config: TrainConfig,
+    gyro: NDArray[np.floating],
+    accel: NDArray[np.floating],
+    held: NDArray[np.float64] | None = None,
+) -> Tensor:
+    x = scaled_inputs(config.inputs, gyro, accel, held)
     if config.model == "att-rnn":
         return torch.from_numpy(x.astype(np.float32))
     return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))

@@ -16,6 +16,7 @@ static const uint16_t KEEP_V_OUTPUT = $mem2;
 
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
+static const double BIAS_SAMPLES = $bias_samples; /* memory of the mean rate that is taken off; 0: none */
 
 enum {
     INPUT_MAX = $input_max,
@@ -83,16 +84,36 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0};
     *state = rest;
+}
+
+static double between(double value, double limit)
+{
+    return value < -limit ? -limit : value > limit ? limit : value;
+}
+
+/* Running mean of the roll and the pitch rate: a vehicle that stays upright does not turn on average. */
+static void follow_bias(att_snn_state *state, const double gyro[3])
+{
+    const double started = state->seen + 1.0 + BIAS_SAMPLES / $bias_start;
+    const double step = 1.0 / (started < BIAS_SAMPLES ? started : BIAS_SAMPLES);
+    state->seen += 1.0;
+    for (int k = 0; k < 2; ++k) {
+        const double beyond = between(gyro[k] - state->mean[k], $bias_clip);
+        state->mean[k] = between(state->mean[k] + step * beyond, $bias_max);
+    }
 }
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
     const double force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
-    if (finite(gyro[0] + gyro[1] + gyro[2]))
+    if (finite(gyro[0] + gyro[1] + gyro[2])) {
+        if (BIAS_SAMPLES > 0.0)
+            follow_bias(state, gyro);
         for (int k = 0; k < 3; ++k)
-            state->input[k] = nearest((gyro[k] - OFFSET[k]) * GAIN[k]);
+            state->input[k] = nearest((gyro[k] - (k < 2 ? state->mean[k] : 0.0) - OFFSET[k]) * GAIN[k]);
+    }
     if (finite(force) && force > 0.0)
         for (int k = 0; k < 3; ++k)
             state->input[3 + k] = nearest((accel[k] - OFFSET[3 + k]) * GAIN[3 + k]);

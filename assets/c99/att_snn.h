@@ -23,6 +23,8 @@ typedef struct {
     int32_t v_output[ATT_SNN_OUTPUTS];
     uint8_t s_encoding[ATT_SNN_ENCODING]; /* spikes of the last step, 0 or 1 */
     uint8_t s_hidden[ATT_SNN_HIDDEN];
+    double mean[2]; /* of the roll and the pitch rate, taken for the gyroscope's bias */
+    double seen;    /* samples in it */
 } att_snn_state;
 
 /* Start at rest, with an unknown attitude. */

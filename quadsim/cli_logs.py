@@ -1,0 +1,124 @@
+"""`quadsim logs`: look at real logs, make datasets of them, calibrate an IMU from still ones."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from .console import output
+
+app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
+
+Axes = Annotated[
+    str | None, typer.Option(help='Body x, y, z as the axes of the log, such as "z,-y,x"; else as they are.')
+]
+Truth = Annotated[
+    str | None, typer.Option(help="Topic or folder to take for the true attitude; else the best there is.")
+]
+Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="A log: see docs/logs.md for the formats.")],
+    axes: Axes = None,
+    truth: Truth = None,
+    imu: Imu = None,
+) -> None:
+    """Say what a log holds, what is odd about it, and what was taken for the truth.
+
+    Example: quadsim logs info flight.ulg
+    """
+    from .logs import read_log_and_report
+
+    _, report = read_log_and_report(file, axes=axes, truth=truth, imu=imu)
+    table = Table(show_header=False)
+    rows = {
+        "format": report.format,
+        "samples": f"{report.samples} in {report.duration_s:.2f} s",
+        "sample rate": f"{report.source_rate_hz:.2f} Hz, {report.jitter_ms:.3f} ms SD from step to step",
+        "brought to": "200 Hz"
+        + (f", low-pass at {report.filter_hz:g} Hz" if report.filter_hz else ", nothing to filter"),
+        "gaps": f"{report.gaps}, {report.gap_s:.3f} s in all, longest {report.longest_gap_s:.3f} s",
+        "stamps not after the last": str(report.stamps_back),
+        "repeated samples": str(report.repeated),
+        "saturated samples": str(report.saturated),
+        "samples not numbers": str(report.missing),
+        "truth": report.truth,
+        "truth known": f"{100 * report.truth_share:.1f} % of the time, at {report.truth_rate_hz:.1f} Hz",
+    }
+    if report.gravity is not None:
+        x, y, z = report.gravity
+        rows["mean force in the world"] = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s²"
+    for key, value in rows.items():
+        table.add_row(key, value)
+    for note in report.notes:
+        table.add_row("note", note)
+    output.print(table)
+    for warning in report.warnings:
+        output.print(f"! {warning}", soft_wrap=True, highlight=False)
+    verdict = "nothing odd" if not report.warnings else f"{len(report.warnings)} things to know"
+    output.print(f"{file}: {report.duration_s:.1f} s, {verdict}", soft_wrap=True)
+
+
+@app.command()
+def convert(
+    files: Annotated[list[Path], typer.Argument(help="Logs, one or several.")],
+    out: Annotated[Path, typer.Option(help="Where the dataset goes, for example data/mine.zarr.")],
+    piece: Annotated[float, typer.Option(min=1, help="Length of the pieces in seconds.")] = 20.0,
+    rate: Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")] = 200.0,
+    axes: Axes = None,
+    truth: Truth = None,
+    imu: Imu = None,
+) -> None:
+    """Make a dataset of logs: pieces of one length, without gaps and with a known attitude.
+
+    Example: quadsim logs convert flight.ulg --out data/mine.zarr
+    """
+    from .logs import read_log
+    from .logs.convert import convert as convert_logs
+
+    logs = [read_log(file, rate, axes=axes, truth=truth, imu=imu) for file in files]
+    path = convert_logs(logs, out, piece)
+    from .dataset import open_dataset
+
+    pieces = open_dataset(path).sizes["flight"]
+    total = sum(float(log.attrs["duration_s"]) for log in logs)
+    output.print(
+        f"{out}: {pieces} pieces of {piece:g} s, {100 * pieces * piece / total:.0f} % of {total:.0f} s",
+        soft_wrap=True,
+    )
+
+
+@app.command()
+def calibrate(
+    files: Annotated[list[Path], typer.Argument(help="Logs in which the sensor lies still.")],
+    out: Annotated[Path, typer.Option(help="IMU file to write, for example my-imu.toml.")],
+    plot: Annotated[Path | None, typer.Option(help="Picture of the Allan deviation and its fit.")] = None,
+    gravity: Annotated[float, typer.Option(help="Gravity where it was recorded, in m/s².")] = 9.81,
+    axes: Axes = None,
+    imu: Imu = None,
+) -> None:
+    """Measure an IMU's noise from still logs (Allan variance), as a file that `generate --imu` reads.
+
+    Example: quadsim logs calibrate still.ulg --out my-imu.toml
+    """
+    from .logs import read_recording
+    from .logs.allan import calibrate as calibrate_imu
+    from .logs.allan import draw, write_imu
+
+    found = calibrate_imu([read_recording(file, axes=axes, imu=imu) for file in files], gravity)
+    write_imu(found, out)
+    if plot is not None:
+        draw(found).savefig(plot, dpi=130)
+    table = Table("sensor", "noise density", "bias random walk", "time constant, s", "turn-on bias")
+    for name, sensor in (("gyro, rad/s", found.gyro), ("accel, m/s²", found.accel)):
+        tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"
+        table.add_row(
+            name, f"{sensor.noise:.4g}", f"{sensor.random_walk:.4g}", tau, f"{sensor.turn_on:.3g}"
+        )  # fmt: skip
+    output.print(table)
+    output.print(
+        f"{out}: an IMU from {found.still_s:.0f} s at rest; quadsim generate --imu {out}", soft_wrap=True
+    )

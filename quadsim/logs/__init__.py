@@ -1,0 +1,96 @@
+"""Flight logs of other tools, in the layout of the simulator's datasets."""
+
+from pathlib import Path
+
+import xarray as xr
+
+from .broad import read_broad
+from .euroc import euroc_folder, euroc_sequences, read_euroc
+from .recording import Recording, turned
+from .resample import LogReport, resample
+from .rosbag import read_rosbag
+from .table import read_table
+from .ulog import read_ulog
+
+__all__ = ["LogReport", "Recording", "euroc_sequences", "read_log", "read_log_and_report", "read_recording"]
+
+FORMATS = (
+    ".ulg (PX4), an EuRoC folder, .hdf5, .mat or .npz (BROAD), .bag, .db3, .mcap or a bag's folder (ROS), "
+    "or .toml (the column map of a CSV)"
+)
+
+
+def read_log(
+    path: str | Path,
+    rate_hz: float = 200.0,
+    *,
+    axes: str | None = None,
+    truth: str | None = None,
+    imu: str | None = None,
+) -> xr.Dataset:
+    """Read one log of any known format.
+
+    Args:
+        path: The log.
+        rate_hz: Samples per second of the result.
+        axes: Body x, y, z as the log's axes, such as "z,-y,x", for a sensor that is mounted otherwise.
+        truth: Topic or folder to take for the true attitude; None for the best that is there.
+        imu: Topic of the IMU in a ROS bag; None for the one with the most messages.
+
+    Returns:
+        One flight with gyro [rad/s] and accel [m/s²] in FLU body axes, NaN in the log's gaps; quat (body to
+        world, z up), NaN where it is not known; `scored`, where the log wants to be scored; and the report as
+        attribute `log`.
+
+    Raises:
+        FileNotFoundError: There is nothing at the path.
+        ValueError: One line: an unknown format, a damaged log, or a choice that the log does not offer.
+    """
+    return read_log_and_report(path, rate_hz, axes=axes, truth=truth, imu=imu)[0]
+
+
+def read_log_and_report(
+    path: str | Path,
+    rate_hz: float = 200.0,
+    *,
+    axes: str | None = None,
+    truth: str | None = None,
+    imu: str | None = None,
+) -> tuple[xr.Dataset, LogReport]:
+    """As `read_log`, and what was found."""
+    return resample(read_recording(path, axes=axes, truth=truth, imu=imu), rate_hz)
+
+
+def read_recording(
+    path: str | Path, *, axes: str | None = None, truth: str | None = None, imu: str | None = None
+) -> Recording:
+    """As `read_log`, on the log's own stamps."""
+    path = Path(path).expanduser()
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such log")
+    log = _read(path, truth, imu)
+    return log if axes is None else turned(log, axes)
+
+
+def _read(path: Path, truth: str | None, imu: str | None) -> Recording:
+    suffix = path.suffix.lower()
+    if imu is not None and not _is_bag(path):
+        raise ValueError(f"{path}: an IMU topic can be chosen in a ROS bag only")
+    if _is_bag(path):
+        return read_rosbag(path, imu, truth)
+    if suffix == ".ulg":
+        return read_ulog(path, truth)
+    if path.is_dir() and euroc_folder(path) is not None:
+        return read_euroc(path, truth)
+    if truth is not None:
+        raise ValueError(f"{path}: the truth can be chosen in ULog, EuRoC folders and ROS bags only")
+    if suffix in (".hdf5", ".h5", ".mat", ".npz"):
+        return read_broad(path)
+    if suffix == ".toml":
+        return read_table(path)
+    hint = "; write a column map for it, see docs/logs.md" if suffix == ".csv" else ""
+    raise ValueError(f"{path}: not a log that can be read{hint}; known: {FORMATS}")
+
+
+def _is_bag(path: Path) -> bool:
+    return path.suffix.lower() in (".bag", ".db3", ".mcap") or (path / "metadata.yaml").is_file()

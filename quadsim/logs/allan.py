@@ -1,0 +1,236 @@
+"""An IMU's noise from a log in which it lies still: Allan variance, with the simulator's model fitted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import median_filter
+from scipy.optimize import least_squares
+
+from ..vehicle import GRAVITY
+from .recording import Array, Recording
+
+LEAST_S = 60.0
+"""Shortest still stretch that is analysed [s]."""
+STILL_GYRO, STILL_ACCEL = 0.02, 0.15
+"""Means over a second at rest stay this close to the median of the minute [rad/s, m/s²],"""
+DRIFT = 5.0
+"""and as many times that to the median of the calmest seconds: further is another attitude."""
+POINTS = 60
+"""Averaging times of the curve."""
+LONGEST = 1 / 4
+"""Longest averaging time as a share of the log."""
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """One sensor's noise, all three axes pooled; unit: rad/s or m/s²."""
+
+    noise: float
+    """White noise density N [unit/√Hz]."""
+    random_walk: float
+    """Bias random walk σ_b [unit/√s]; 0 where the log shows none."""
+    time_constant: float
+    """Correlation time τ of that walk [s]."""
+    resolved: bool
+    """Whether the log is long enough to tell τ; if not, it is a lower bound."""
+    bias: tuple[float, float, float]
+    """Mean of each axis over the log; the accelerometer's along gravity alone."""
+    turn_on: float
+    """Standard deviation of the turn-on bias, from as many logs and axes as there are."""
+    times: Array
+    """Averaging times (k,) [s]."""
+    deviation: Array
+    """Allan deviation (k,), axes pooled."""
+
+    def model(self) -> Array:
+        """The fitted model's Allan deviation at `times`."""
+        return np.sqrt(model_variance(self.times, self.noise, self.random_walk, self.time_constant))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What still logs say of an IMU."""
+
+    gyro: SensorNoise
+    accel: SensorNoise
+    still_s: float
+    """Length of the stretches analysed, all logs together [s]."""
+    logs: tuple[str, ...]
+    rate_hz: float
+
+
+def model_variance(times: ArrayLike, noise: float, random_walk: float, time_constant: float) -> Array:
+    """Allan variance of white noise and a bias that is a first-order Gauss-Markov process.
+
+    N²/t + (σ_b² τ²/t) [1 − (τ/2t)(3 − 4 e^{−t/τ} + e^{−2t/τ})], the error model of `quadsim.imu`.
+    """
+    t = np.asarray(times, np.float64)
+    x = t / time_constant
+    # The bracket cancels for small x, where it is x²/3 − x³/4 + 7x⁴/60.
+    exact = 1 - (3 - 4 * np.exp(-x) + np.exp(-2 * x)) / (2 * np.maximum(x, 1e-9))
+    bracket = np.where(x < 1e-2, x**2 / 3 - x**3 / 4 + 7 * x**4 / 60, exact)
+    return noise**2 / t + random_walk**2 * time_constant**2 / t * bracket
+
+
+def allan_variance(signal: Array, rate_hz: float, sizes: NDArray[np.int64]) -> Array:
+    """Overlapping Allan variance over time, (T, k) -> (len(sizes), k), for averages over `sizes` samples."""
+    total = np.concatenate([np.zeros((1, signal.shape[1])), np.cumsum(signal - signal.mean(axis=0), axis=0)])
+    out = np.empty((sizes.size, signal.shape[1]))
+    for row, m in enumerate(sizes):
+        second = total[2 * m :] - 2 * total[m:-m] + total[: -2 * m]
+        out[row] = 0.5 * np.mean(second**2, axis=0) / m**2
+    return out
+
+
+def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY) -> Calibration:
+    """Noise densities, bias random walks and turn-on biases of the IMU that recorded still logs.
+
+    Args:
+        logs: From `read_recording`: the raw samples, which no filter has touched. Of each the longest stretch
+            is used in which the sensor lies still.
+        gravity: Where it was recorded [m/s²].
+
+    Raises:
+        ValueError: A log without a still stretch, or logs at different rates.
+    """
+    stretches = [still_stretch(log) for log in logs]
+    rates = [1.0 / float(np.median(np.diff(log.time))) for log in logs]
+    if max(rates) > 1.02 * min(rates):
+        raise ValueError(f"logs at {min(rates):.1f} to {max(rates):.1f} Hz; one rate is wanted")
+    rate = float(np.mean(rates))
+    gyros = [log.gyro[part] for log, part in zip(logs, stretches, strict=True)]
+    accels = [log.accel[part] for log, part in zip(logs, stretches, strict=True)]
+    means = np.stack([gyro.mean(axis=0) for gyro in gyros])
+    # A level is unknown to a sensor at rest: only the length of what it reads tells of its bias.
+    down = np.stack([accel.mean(axis=0) for accel in accels])
+    length = np.linalg.norm(down, axis=1, keepdims=True)
+    along = down / length * (length - gravity)
+    return Calibration(
+        gyro=_fitted(gyros, rate, means, float(np.sqrt(np.mean(means**2)))),
+        accel=_fitted(accels, rate, along, float(np.sqrt(np.mean((length - gravity) ** 2)))),
+        still_s=sum(len(gyro) for gyro in gyros) / rate,
+        logs=tuple(log.name for log in logs),
+        rate_hz=rate,
+    )
+
+
+def still_stretch(log: Recording) -> slice:
+    """The longest stretch of a log in which the sensor lies still and no sample is missing.
+
+    Raises:
+        ValueError: It is shorter than `LEAST_S`.
+    """
+    period = float(np.median(np.diff(log.time)))
+    second = max(1, round(1.0 / period))
+    count = len(log.time) // second
+    quiet = np.zeros(count, bool)
+    if count > 1:
+        whole = np.diff(log.time[: count * second : second], append=log.time[count * second - 1] + period)
+        means = [
+            values[: count * second].reshape(count, second, 3).mean(axis=1)
+            for values in (log.gyro, log.accel)
+        ]
+        centres = [np.median(each[_calmest(log, second, count)], axis=0) for each in means]
+        quiet = np.abs(whole - second * period) < 0.2 * second * period
+        for each, centre, limit in zip(means, centres, (STILL_GYRO, STILL_ACCEL), strict=True):
+            near = np.abs(each - median_filter(each, (61, 1), mode="nearest")) < limit
+            quiet &= (near & (np.abs(each - centre) < DRIFT * limit)).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
+    runs = edges.reshape(-1, 2)
+    longest = max(runs, key=lambda run: run[1] - run[0], default=np.array([0, 0]))
+    if (longest[1] - longest[0]) * second * period < LEAST_S:
+        found = (longest[1] - longest[0]) * second * period
+        raise ValueError(
+            f"{log.name}: at rest for {found:.0f} s at a stretch; at least {LEAST_S:g} s are wanted"
+        )
+    return slice(int(longest[0]) * second, int(longest[1]) * second)
+
+
+def write_imu(calibration: Calibration, out: Path) -> None:
+    """Write an IMU file that `quadsim generate --imu` reads."""
+    lines = [
+        f"# Calibrated by `quadsim logs calibrate` from {', '.join(calibration.logs)}:",
+        f"# {calibration.still_s:.0f} s at {calibration.rate_hz:.1f} Hz at rest. Scale,",
+        "# misalignment, low-pass and range do not show at rest: take them from the data sheet, and add",
+        "# scale_factor, misalignment, low_pass_hz and saturation here.",
+    ]
+    for name, unit, sensor in (("gyro", "rad/s", calibration.gyro), ("accel", "m/s²", calibration.accel)):
+        bias = ", ".join(f"{value:.5g}" for value in sensor.bias)
+        lines += ["", f"[{name}]", f"noise = {sensor.noise:.5g} # {unit}/√Hz"]
+        if sensor.random_walk > 0:
+            sure = "" if sensor.resolved else ": a lower bound, the log is too short to tell"
+            lines += [
+                f"random_walk = {sensor.random_walk:.5g} # {unit}/√s",
+                f"time_constant = {sensor.time_constant:.5g} # s{sure}",
+            ]
+        lines += [f"turn_on = {sensor.turn_on:.5g} # {unit}, from a mean of {bias}"]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _calmest(log: Recording, second: int, count: int) -> NDArray[np.int64]:
+    """The quarter of the seconds that vary least."""
+    spread = log.gyro[: count * second].reshape(count, second, 3).std(axis=1).sum(axis=1)
+    return np.argsort(spread)[: max(1, count // 4)]
+
+
+def _fitted(signals: Sequence[Array], rate_hz: float, bias: Array, turn_on: float) -> SensorNoise:
+    """The model with the Allan variance nearest to that of several stretches of three axes."""
+    longest = max(len(signal) for signal in signals)
+    sizes = np.unique(np.geomspace(1, max(2, int(longest * LONGEST)), POINTS).astype(np.int64))
+    times = sizes / rate_hz
+    total, weight = np.zeros(sizes.size), np.zeros(sizes.size)
+    for signal in signals:
+        fits = sizes <= len(signal) * LONGEST
+        freedom = 3 * np.maximum(len(signal) / sizes[fits] - 1, 1.0)
+        total[fits] += freedom * allan_variance(signal, rate_hz, sizes[fits]).mean(axis=1)
+        weight[fits] += freedom
+    variance = total / weight
+    x, y, z = bias.mean(axis=0)
+    noise, walk, tau, resolved = _fit(times, variance, weight)
+    return SensorNoise(
+        noise, walk, tau, resolved, (float(x), float(y), float(z)), turn_on,
+        times, np.sqrt(variance),
+    )  # fmt: skip
+
+
+def _fit(times: Array, variance: Array, freedom: Array) -> tuple[float, float, float, bool]:
+    """N, σ_b and τ by least squares on the logarithm, each point weighted by its degrees of freedom."""
+    # Neighbouring points are of the same samples, so that many short ones must not outweigh the rest.
+    sure = np.sqrt(np.minimum(freedom, 300.0) / 2)
+    longest = float(times[-1] / LONGEST)
+
+    def residual(p: Array) -> Array:
+        return sure * np.log(model_variance(times, *np.exp(p)) / variance)
+
+    white = np.sqrt(variance[0] * times[0])
+    best = None
+    for tau in (longest / 30, longest / 3, longest):
+        walk = np.sqrt(variance[-1] / times[-1])
+        start = np.log([white, walk, tau])
+        bounds = (np.log([white / 10, walk / 1e3, 10 * times[0]]), np.log([white * 10, walk * 1e3, longest]))
+        found = least_squares(residual, start, bounds=bounds)
+        best = found if best is None or found.cost < best.cost else best
+    assert best is not None
+    noise, walk, tau = np.exp(best.x)
+    flat = np.sum((sure * np.log(model_variance(times, noise, 0.0, 1.0) / variance)) ** 2) / 2
+    if flat < best.cost + 3.0:  # the walk explains no more than chance
+        return float(noise), 0.0, float(longest), False
+    return float(noise), float(walk), float(tau), bool(tau < 0.9 * longest)
+
+
+def draw(calibration: Calibration) -> Figure:
+    """Measured and fitted Allan deviation of both sensors."""
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    both = (("gyroscope", "rad/s", calibration.gyro), ("accelerometer", "m/s²", calibration.accel))
+    for axes, (name, unit, sensor) in zip(figure.subplots(1, 2), both, strict=True):
+        axes.loglog(sensor.times, sensor.deviation, "o", ms=3.5, label="log")
+        axes.loglog(sensor.times, sensor.model(), lw=1.5, label="fitted model")
+        axes.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}", title=name)
+        axes.grid(True, which="both", alpha=0.25)
+        axes.legend()
+    return figure

@@ -1,0 +1,59 @@
+"""Trials of the BROAD benchmark (Laidig et al. 2021): HDF5, MAT, or NumPy's npz with the same numbers."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .needs import needed
+from .recording import Array, Recording
+
+RATE_HZ = 2000.0 / 7.0
+"""Sample rate of the benchmark, where a file does not say."""
+
+
+def read_broad(path: Path) -> Recording:
+    """Read a trial: IMU in its own axes (FLU), optical attitude in a world with z up, and what is scored."""
+    content = {".hdf5": _hdf5, ".h5": _hdf5, ".mat": _mat, ".npz": _npz}[path.suffix.lower()](path)
+    names = {"gyro": "imu_gyr", "acc": "imu_acc", "quat": "opt_quat"}
+    found = {new: content.get(old, content.get(new)) for new, old in names.items()}
+    if any(values is None for values in found.values()):
+        raise ValueError(f"{path}: not a BROAD trial; it holds {', '.join(sorted(content))}")
+    gyro, acc, quat = (_rows(found[name], width) for name, width in (("gyro", 3), ("acc", 3), ("quat", 4)))
+    steps = len(gyro)
+    rate = float(np.ravel(content.get("sampling_rate", RATE_HZ))[0])
+    time = np.asarray(content.get("t", np.arange(steps) / rate), np.float64).ravel()
+    valid = np.asarray(content.get("valid", np.ones(steps)), bool).ravel()
+    return Recording(
+        path.stem, "BROAD trial", time, gyro, acc,
+        truth="opt_quat: OptiTrack", truth_time=time, quat=np.where(valid[:, None], quat, np.nan),
+        marked=np.asarray(content.get("movement", np.ones(steps)), bool).ravel(),
+        notes=("hand-moved, not flown",),
+    )  # fmt: skip
+
+
+def _rows(values: ArrayLike | None, width: int) -> Array:
+    array = np.asarray(values, np.float64)
+    return np.ascontiguousarray(array.T if array.shape[0] == width != array.shape[-1] else array)
+
+
+def _hdf5(path: Path) -> Mapping[str, ArrayLike]:
+    h5py = needed("h5py", "logs")
+    with h5py.File(path) as file:
+        arrays = {name: file[name][()] for name in file if isinstance(file[name], h5py.Dataset)}
+        return {**{name: file.attrs[name] for name in file.attrs}, **arrays}
+
+
+def _mat(path: Path) -> Mapping[str, ArrayLike]:
+    from scipy.io import loadmat
+
+    try:
+        return loadmat(path, squeeze_me=True)
+    except NotImplementedError:  # version 7.3 is HDF5
+        return _hdf5(path)
+
+
+def _npz(path: Path) -> Mapping[str, ArrayLike]:
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}

@@ -1,0 +1,87 @@
+"""Logs as a dataset, to train on, tune on and export as if it had been simulated."""
+
+import shutil
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from .. import dataset_store
+from ..dataset_store import LABELS, VARIABLES, Recorded, RecordedPlan, partial_folder
+from .recording import Array
+
+READ = {"gyro": "gyro", "accel": "accel", "ang_vel": "gyro", "specific_force": "accel", "quat": "quat"}
+"""Variable of a dataset to the one of a log that it repeats: nobody knows the true rate and force."""
+
+
+def convert(logs: Sequence[xr.Dataset], out: str | Path, piece_s: float = 20.0) -> Path:
+    """Cut logs into pieces of one length in which nothing is missing, and write them as flights.
+
+    Args:
+        logs: From `read_log`, all at one rate.
+        out: Path of the dataset; must not exist.
+        piece_s: Length of a piece [s].
+
+    Returns:
+        The path of the dataset.
+
+    Raises:
+        ValueError: No piece without a gap and with a known attitude, or `out` exists.
+    """
+    out = Path(out).expanduser().absolute()
+    if out.exists():
+        raise ValueError(f"{out} exists already: move it, or choose another --out")
+    rates = {float(log.attrs["rate_hz"]) for log in logs}
+    if len(rates) != 1:
+        raise ValueError(f"logs at {sorted(rates)} Hz; one rate is wanted")
+    rate_hz = rates.pop()
+    steps = round(piece_s * rate_hz)
+    pieces = [piece for log in logs for piece in _pieces(log, steps)]
+    if not pieces:
+        raise ValueError(
+            f"no piece of {piece_s:g} s without a gap and with a known attitude: choose a shorter --piece"
+        )
+    held = {*READ, *(["position"] if all("position" in log for log in logs) else [])}
+    plan = RecordedPlan(
+        quadsim_version=version("quadsim"),
+        flights=len(pieces),
+        steps=steps,
+        rate_hz=rate_hz,
+        config=Recorded(
+            logs=tuple(str(log.attrs["source"]) for log in logs),
+            piece_s=piece_s,
+            unknown=tuple(name for name in VARIABLES if name not in held),
+        ),
+    )
+    folder = partial_folder(out)
+    shutil.rmtree(folder, ignore_errors=True)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    dataset_store.begin(folder, plan)
+    for number, piece in enumerate(pieces):
+        dataset_store.write_flight(folder, number, _values(piece, steps, held), steps, "")
+    dataset_store.finish(folder, plan, out)
+    return out
+
+
+def _pieces(log: xr.Dataset, steps: int) -> list[xr.Dataset]:
+    """Pieces without anything missing, one after the other."""
+    one = log.isel(flight=0)
+    whole = np.logical_and.reduce([np.isfinite(one[name]).all(axis=-1) for name in ("gyro", "accel", "quat")])
+    pieces = []
+    for run in np.split(np.arange(whole.size), np.flatnonzero(np.diff(whole)) + 1):
+        if whole[run[0]]:
+            starts = range(run[0], run[-1] + 2 - steps, steps)
+            pieces += [one.isel(time=slice(start, start + steps)) for start in starts]
+    return pieces
+
+
+def _values(piece: xr.Dataset, steps: int, held: set[str]) -> dict[str, NDArray[np.float32]]:
+    def values(name: str) -> Array:
+        if name in held:
+            return piece[READ.get(name, name)].to_numpy()
+        return np.zeros((steps, len(LABELS[VARIABLES[name].dim])))
+
+    return {name: np.ascontiguousarray(values(name), "<f4") for name in VARIABLES}

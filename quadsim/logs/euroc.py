@@ -1,0 +1,82 @@
+"""EuRoC (ASL) folders of CSV: the EuRoC MAV and TUM-VI datasets, and `quadsim export --format csv`."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ..rotation import quat_conjugate, quat_from_matrix, quat_multiply
+from .recording import Array, Recording
+
+TRUTHS = {
+    "state_groundtruth_estimate0": "the dataset's ground truth",
+    "mocap0": "motion capture",
+    "vicon0": "Vicon poses",
+}
+"""Folders with stamp, position and quaternion, the best first."""
+
+
+def euroc_folder(path: Path) -> Path | None:
+    """The folder with imu0 of a sequence; None if this is no such folder."""
+    places = [path, path / "mav0", *sorted(path.glob("*/mav0"))]
+    return next((place for place in places if (place / "imu0" / "data.csv").is_file()), None)
+
+
+def euroc_sequences(path: Path) -> list[Path]:
+    """Sequences below a folder: itself, or each folder in it."""
+    return [path] if (path / "imu0").is_dir() or (path / "mav0").is_dir() else sorted(
+        each.parent for each in path.glob("*/mav0")
+    )  # fmt: skip
+
+
+def read_euroc(path: Path, truth: str | None = None) -> Recording:
+    """Read imu0, turned into body axes by its T_BS, and the ground truth.
+
+    Args:
+        path: A sequence, or its mav0.
+        truth: Folder to take for the true attitude; None for the first of TRUTHS that is there.
+    """
+    folder = euroc_folder(path)
+    if folder is None:
+        raise ValueError(f"{path}: no imu0/data.csv, not an EuRoC sequence")
+    if len(sequences := euroc_sequences(path)) > 1:
+        raise ValueError(f"{path} holds {len(sequences)} sequences: give one, such as {sequences[0]}")
+    imu = _numbers(folder / "imu0" / "data.csv", 7)
+    body_from_sensor = _rotation(folder / "imu0" / "sensor.yaml")
+    gyro, accel = (imu[:, part] @ body_from_sensor.T for part in (slice(1, 4), slice(4, 7)))
+    notes = [] if np.allclose(body_from_sensor, np.eye(3)) else ["IMU turned into body axes by its T_BS"]
+    name, time = path.name if path.name != "mav0" else path.parent.name, imu[:, 0] * 1e-9
+    chosen = truth or next((each for each in TRUTHS if (folder / each / "data.csv").is_file()), None)
+    if chosen is None:
+        return Recording(name, "EuRoC (ASL) CSV", time, gyro, accel, notes=tuple(notes))
+    poses = _numbers(folder / chosen / "data.csv", 8)
+    quat = poses[:, 4:8]
+    if chosen == "vicon0":  # q_RS of the marker frame; the others are of the body itself
+        turn = quat_from_matrix(_rotation(folder / chosen / "sensor.yaml"))
+        quat = quat_multiply(quat, quat_conjugate(turn))
+    return Recording(
+        name, "EuRoC (ASL) CSV", time, gyro, accel,
+        truth=f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}",
+        truth_time=poses[:, 0] * 1e-9, quat=quat, position=poses[:, 1:4], notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _numbers(file: Path, least: int) -> Array:
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: no such file")
+    try:
+        values = np.loadtxt(file, delimiter=",", ndmin=2, comments="#")
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+    if values.shape[1] < least or len(values) < 2:
+        raise ValueError(f"{file}: {values.shape} numbers, at least {least} columns and 2 rows are wanted")
+    return values
+
+
+def _rotation(file: Path) -> Array:
+    """Rotation of T_BS in a sensor.yaml; the identity where there is none."""
+    text = file.read_text(encoding="utf-8") if file.is_file() else ""
+    found = re.search(r"T_BS:.*?data:\s*\[([^\]]*)\]", text, re.DOTALL)
+    if found is None:
+        return np.eye(3)
+    return np.array([float(each) for each in found.group(1).split(",")]).reshape(4, 4)[:3, :3]

@@ -1,0 +1,17 @@
+"""Packages that only some formats need."""
+
+import importlib
+from typing import Any
+
+
+def needed(package: str, extra: str) -> Any:
+    """A package of an extra.
+
+    Raises:
+        ValueError: It is not installed; one line that says how to get it.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        name = package.split(".")[0]
+        raise ValueError(f'this log needs the package {name}: pip install "quadsim[{extra}]"') from error

@@ -1,0 +1,107 @@
+"""What a log holds before it is resampled, and how its frames become ours (body FLU, world z up)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..rotation import (
+    quat_conjugate,
+    quat_from_matrix,
+    quat_multiply,
+    swap_enu_flu_ned_frd,
+    swap_enu_ned,
+    swap_flu_frd,
+)
+
+Array = NDArray[np.float64]
+Frame = Literal["flu", "frd"]
+"""Body forward-left-up in a world with z up (ROS), or forward-right-down in north-east-down (PX4)."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One log as it was recorded, on its own stamps."""
+
+    name: str
+    format: str
+    time: Array
+    """Stamps of the IMU (T,) [s]."""
+    gyro: Array
+    """(T, 3) [rad/s]."""
+    accel: Array
+    """Specific force (T, 3) [m/s²]."""
+    truth: str = "none"
+    """What was taken for the true attitude."""
+    truth_time: Array | None = None
+    """Stamps of the attitude (M,) [s]."""
+    quat: Array | None = None
+    """quat_WB (M, 4); NaN where the recording says that it does not hold."""
+    position: Array | None = None
+    """In the world, on the stamps of the attitude (M, 3) [m]."""
+    marked: NDArray[np.bool_] | None = None
+    """Samples of the attitude (M,) that the recording marks for scoring; None: all."""
+    notes: tuple[str, ...] = ()
+    """What the reader decided, in sentences for people."""
+
+
+def from_frd(log: Recording) -> Recording:
+    """A log in FRD body axes and an NED world, in ours."""
+    return replace(
+        log,
+        gyro=swap_flu_frd(log.gyro),
+        accel=swap_flu_frd(log.accel),
+        quat=None if log.quat is None else swap_enu_flu_ned_frd(log.quat),
+        position=None if log.position is None else swap_enu_ned(log.position),
+        notes=(*log.notes, "FRD body axes in an NED world turned into FLU axes in a world with z up"),
+    )
+
+
+def turned(log: Recording, axes: str) -> Recording:
+    """A log whose IMU and attitude share sensor axes, in body axes that are given in terms of them.
+
+    Args:
+        log: In sensor axes.
+        axes: Body x, y, z as sensor axes, for example "z,-y,x" for a sensor with x up and z forward.
+
+    Raises:
+        ValueError: Not three different axes, or a mirror image.
+    """
+    body_from_sensor = axes_matrix(axes)
+    quat_BS = quat_from_matrix(body_from_sensor)
+    return replace(
+        log,
+        gyro=log.gyro @ body_from_sensor.T,
+        accel=log.accel @ body_from_sensor.T,
+        quat=None if log.quat is None else quat_multiply(log.quat, quat_conjugate(quat_BS)),
+        notes=(*log.notes, f"body x, y, z are the recorded {axes}"),
+    )
+
+
+def axes_matrix(axes: str) -> Array:
+    """Rotation from sensor to body axes, (3, 3), of a text such as "z,-y,x"."""
+    matrix = np.zeros((3, 3))
+    parts = [part.strip() for part in axes.split(",")]
+    for row, part in enumerate(parts[:3]):
+        letter = part.removeprefix("-").removeprefix("+")
+        if letter in ("x", "y", "z"):
+            matrix[row, "xyz".index(letter)] = -1.0 if part.startswith("-") else 1.0
+    if len(parts) != 3 or abs(np.linalg.det(matrix)) < 0.5:
+        raise ValueError(f'axes "{axes}": three different axes are wanted, for example "z,-y,x"')
+    if np.linalg.det(matrix) < 0:
+        raise ValueError(f'axes "{axes}" is a mirror image, not a rotation: turn one sign')
+    return matrix
+
+
+def table(name: str, columns: Sequence[ArrayLike], width: int) -> Array:
+    """Columns of a log as (T, width) numbers.
+
+    Raises:
+        ValueError: A column is missing or of another length.
+    """
+    values = [np.asarray(column, np.float64).ravel() for column in columns]
+    if len(values) != width or len({value.size for value in values}) != 1:
+        raise ValueError(f"{name}: {width} columns of one length are wanted")
+    return np.stack(values, axis=1)

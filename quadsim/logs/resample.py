@@ -1,0 +1,275 @@
+"""From a recording on its own stamps to even samples at the network's rate, with everything odd counted.
+
+Nothing is bridged in silence: where the log has a gap the samples are NaN, which every estimator counts as
+missing, and where the truth is not known it is NaN, which no score counts.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import firwin, oaconvolve
+from scipy.spatial.transform import Rotation, Slerp
+
+from ..dataset_store import LABELS, VARIABLES
+from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
+from .recording import Array, Recording
+
+PASS = 0.8
+"""Share of the new Nyquist frequency that the anti-alias filter lets through; −6 dB is midway to it."""
+GAP = 1.5
+"""A step of more than this many sample periods is a gap,"""
+BRIDGED = 2.5
+"""and up to this many (one lost sample) it is interpolated, and counted; longer ones become NaN."""
+TRUTH_GAP_S = 0.1
+"""Attitudes further apart than this are not interpolated."""
+STUCK = 3
+"""So many equal readings in a row at the end of an axis' range are a saturation."""
+RATES_HZ = (90.0, 2100.0)
+"""Sample rates that make sense to bring to the network's."""
+EXACT_S = 1e-7
+"""Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
+GRAVITY_TOLERANCE = 1.0
+"""Mean specific force in world axes may differ from gravity by this before it is reported [m/s²]."""
+
+
+@dataclass(frozen=True)
+class LogReport:
+    """What was found in a log."""
+
+    format: str
+    truth: str
+    samples: int
+    duration_s: float
+    source_rate_hz: float
+    jitter_ms: float
+    """Standard deviation of the time between samples, gaps left out."""
+    stamps_back: int
+    """Samples left out because their stamp is not after the one before."""
+    gaps: int
+    gap_s: float
+    """Total length of what is missing in them [s]."""
+    longest_gap_s: float
+    bridged: int
+    """Gaps of one lost sample, which were interpolated."""
+    repeated: int
+    """Samples equal to the one before on all six axes."""
+    saturated: int
+    """Samples with an axis stuck at the end of its range."""
+    missing: int
+    """Samples that are not finite numbers."""
+    truth_rate_hz: float
+    truth_share: float
+    """Share of the even samples at which the attitude is known."""
+    gravity: tuple[float, float, float] | None
+    """Mean specific force, turned to the world by the truth [m/s²]: (0, 0, 9.81) where frames agree."""
+    filter_hz: float | None
+    """−6 dB corner of the anti-alias filter; None where there was none to apply."""
+    notes: tuple[str, ...]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user ought to look into, in sentences."""
+        found = []
+        if self.stamps_back:
+            found.append(f"{self.stamps_back} samples do not follow the one before in time: left out")
+        if self.gaps:
+            found.append(
+                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: "
+                f"{self.bridged} of one sample were interpolated, the others are missing samples"
+            )
+        if self.repeated:
+            found.append(f"{self.repeated} samples repeat the one before")
+        if self.saturated:
+            found.append(f"{self.saturated} samples are stuck at the end of the sensor's range")
+        if self.missing:
+            found.append(f"{self.missing} samples are not numbers: left out")
+        if self.truth == "none":
+            found.append("no attitude in this log: it can be run, not scored")
+        if self.gravity is not None:
+            off = np.linalg.norm(np.array(self.gravity) - (0.0, 0.0, 9.81))
+            if off > GRAVITY_TOLERANCE:
+                x, y, z = self.gravity
+                found.append(
+                    f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, "
+                    f"{z:.1f}) m/s², not (0, 0, 9.8): look at frame and axes"
+                )
+        return found
+
+
+def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogReport]:
+    """Even samples of a log, in the layout of the simulator's datasets, one flight.
+
+    Above the new rate a zero-phase low-pass keeps what cannot be represented from folding down; below it the
+    samples are splined. Angular rate and force are never filtered across a gap.
+
+    Args:
+        log: A recording in our frames.
+        rate_hz: Samples per second.
+
+    Returns:
+        Variables gyro, accel, quat, scored and where known position, over (flight, time, …); and the report.
+
+    Raises:
+        ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
+    """
+    gyro, accel, time, counted = _cleaned(log)
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    source_rate = 1.0 / period
+    if not RATES_HZ[0] <= source_rate <= RATES_HZ[1]:
+        raise ValueError(
+            f"{log.name}: {source_rate:.1f} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are allowed"
+        )
+    gap = steps > GAP * period
+    grid = time[0] + np.arange(int((time[-1] - time[0]) * rate_hz * (1 + 1e-12) + 1e-6) + 1) / rate_hz
+    readings = np.concatenate([gyro, accel], axis=1)
+    even = np.full((grid.size, 6), np.nan)
+    corner = 0.5 * (1 + PASS) * rate_hz / 2 if source_rate > 1.01 * rate_hz else None
+    cuts = np.flatnonzero(steps > BRIDGED * period) + 1
+    for part in np.split(np.arange(time.size), cuts):
+        inside = (grid >= time[part[0]] - EXACT_S) & (grid <= time[part[-1]] + EXACT_S)
+        if part.size >= 4 and inside.any():
+            even[inside] = _even(time[part], readings[part], grid[inside], rate_hz, period, corner)
+    variables, truth_rate = _truth(log, grid)
+    dataset = _dataset(log, even, variables, rate_hz)
+    quat = variables["quat"]
+    known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
+    gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
+    report = LogReport(
+        format=log.format,
+        truth=log.truth,
+        samples=time.size,
+        duration_s=float(time[-1] - time[0]),
+        source_rate_hz=source_rate,
+        jitter_ms=float(np.std(steps[~gap])) * 1e3,
+        gaps=int(gap.sum()),
+        gap_s=float((steps[gap] - period).sum()),
+        longest_gap_s=float(steps[gap].max(initial=0.0)),
+        bridged=int((gap & (steps <= BRIDGED * period)).sum()),
+        truth_rate_hz=truth_rate,
+        truth_share=float(np.isfinite(quat).all(axis=1).mean()),
+        gravity=None if gravity is None else (float(gravity[0]), float(gravity[1]), float(gravity[2])),
+        filter_hz=corner,
+        notes=log.notes,
+        **counted,
+    )
+    dataset.attrs["log"] = {key: value for key, value in asdict(report).items()}
+    return dataset, report
+
+
+def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
+    """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
+    readings = np.concatenate([log.gyro, log.accel], axis=1)
+    finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
+    readings, time = readings[finite], log.time[finite]
+    if time.size < 8:
+        raise ValueError(f"{log.name}: {time.size} usable samples; at least 8 are wanted")
+    latest = np.maximum.accumulate(time)
+    forward = np.concatenate([[True], time[1:] > latest[:-1]])
+    readings, time = readings[forward], time[forward]
+    if time.size < 8:
+        raise ValueError(f"{log.name}: only {time.size} of its stamps go forward")
+    same = (readings[1:] == readings[:-1]).all(axis=1)
+    counted = {
+        "missing": int((~finite).sum()),
+        "stamps_back": int((~forward).sum()),
+        "repeated": int(same.sum()),
+        "saturated": int(_saturated(readings).sum()),
+    }
+    return readings[:, :3], readings[:, 3:], time, counted
+
+
+def _saturated(readings: Array) -> NDArray[np.bool_]:
+    """Samples within a run of equal readings at the least or largest value of an axis."""
+    stuck = np.zeros(len(readings), bool)
+    for values in readings.T:
+        for extreme in (values.min(), values.max()):
+            if extreme == np.median(values):
+                continue  # an axis that hardly moves
+            at = np.flatnonzero(values == extreme)
+            for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+                if run.size >= STUCK:
+                    stuck[run] = True
+    return stuck
+
+
+def _even(
+    time: Array, readings: Array, grid: Array, rate_hz: float, period: float, corner: float | None
+) -> Array:
+    """Readings without a gap, (m, 6), on a grid of times within them."""
+    if corner is None:
+        return CubicSpline(time, readings)(grid)
+    count = max(int((time[-1] - time[0]) / period) + 1, 4)
+    fine = np.linspace(time[0], time[-1], count)
+    values = CubicSpline(time, readings)(fine)
+    fine_rate = (count - 1) / (fine[-1] - fine[0])
+    width = (1 - PASS) * rate_hz / 2
+    taps = int(np.ceil(3.3 * fine_rate / width)) | 1  # Hamming: −53 dB beyond that width
+    kernel = np.asarray(firwin(taps, corner, fs=fine_rate), np.float64)
+    half = taps // 2
+    # Point reflection at the ends, so that no step is filtered there.
+    head = 2 * values[0] - values[min(half, count - 1) : 0 : -1]
+    tail = 2 * values[-1] - values[-2 : -2 - min(half, count - 1) : -1]
+    padded = np.concatenate([head, values, tail])
+    smooth = oaconvolve(padded, kernel[:, None], mode="same", axes=0)[len(head) : len(head) + count]
+    return CubicSpline(fine, smooth)(grid)
+
+
+def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
+    """Attitude, position and mark on the grid; NaN where not known. And the rate of the attitude."""
+    out = {"quat": np.full((grid.size, 4), np.nan), "scored": np.zeros((grid.size, 1))}
+    if log.quat is None or log.truth_time is None:
+        return out, 0.0
+    length = np.linalg.norm(log.quat, axis=1)
+    good = np.isfinite(length) & (length > 0.5) & np.isfinite(log.truth_time)
+    good[1:] &= np.diff(log.truth_time) > 0
+    time, quat = log.truth_time[good], log.quat[good]
+    forward = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
+    time, quat = time[forward], quat[forward]
+    if time.size < 2:
+        return out, 0.0
+    after = np.clip(np.searchsorted(time, grid), 1, time.size - 1)
+    apart = time[after] - time[after - 1]
+    known = (grid >= time[0] - EXACT_S) & (grid <= time[-1] + EXACT_S) & (apart <= TRUTH_GAP_S)
+    if known.any():
+        inside = grid[known].clip(time[0], time[-1])
+        found = Slerp(time, Rotation.from_quat(xyzw_from_wxyz(quat)))(inside).as_quat()
+        out["quat"][known] = wxyz_from_xyzw(found)
+    mark = np.ones(time.size) if log.marked is None else log.marked[good][forward].astype(float)
+    out["scored"][:, 0] = known & (np.minimum(mark[after], mark[after - 1]) > 0.5)
+    if log.position is not None:
+        place = log.position[good][forward]
+        columns = [np.interp(grid, time, column) for column in place.T]
+        out["position"] = np.where(known[:, None], np.stack(columns, axis=1), np.nan)
+    return out, float(1.0 / np.median(np.diff(time)))
+
+
+def _dataset(log: Recording, even: Array, truth: dict[str, Array], rate_hz: float) -> xr.Dataset:
+    arrays = {"gyro": even[:, :3], "accel": even[:, 3:], "quat": truth["quat"]}
+    if "position" in truth:
+        arrays["position"] = truth["position"]
+    variables = {
+        name: (
+            ("flight", "time", VARIABLES[name].dim),
+            values[None],
+            {"units": VARIABLES[name].units, "long_name": VARIABLES[name].long_name},
+        )
+        for name, values in arrays.items()
+    }
+    scored = truth["scored"][:, 0] > 0.5
+    steps = len(even)
+    return xr.Dataset(
+        {**variables, "scored": (("flight", "time"), scored[None], {"long_name": "marked for scoring"})},
+        coords={
+            "flight": [0],
+            "time": ("time", np.arange(steps) / rate_hz, {"units": "s"}),
+            "axis": LABELS["axis"],
+            "quat_axis": LABELS["quat_axis"],
+            "valid_steps": ("flight", [steps]),
+            "end_reason": ("flight", np.array([""], dtype=object)),
+        },
+        attrs={"rate_hz": rate_hz, "duration_s": steps / rate_hz, "source": log.name},
+    )

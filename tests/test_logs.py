@@ -1,0 +1,380 @@
+"""Logs of other tools: every format gives the same flight back, in our frames, with what is odd counted."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from quadsim.cli import app
+from quadsim.dataset import generate, open_dataset
+from quadsim.export import export
+from quadsim.flight import FlightConfig
+from quadsim.imu import load_imu, simulate_imu
+from quadsim.logs import read_log, read_log_and_report
+from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
+from quadsim.logs.convert import convert
+from quadsim.logs.recording import Recording, axes_matrix, turned
+from quadsim.logs.resample import resample
+from quadsim.rotation import (
+    canonical,
+    quat_from_euler,
+    quat_rotate,
+    quat_rotate_inverse,
+    roll_pitch_from_quat,
+    swap_enu_flu_ned_frd,
+    swap_flu_frd,
+)
+from quadsim.vehicle import load_vehicle
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+RATE = 200.0
+
+
+def turning(rate_hz: float = RATE, seconds: float = 4.0) -> tuple[np.ndarray, ...]:
+    """A sensor without errors that rolls, pitches and yaws by different amounts: time, gyro, accel, quat."""
+    time = np.arange(round(seconds * rate_hz)) / rate_hz
+    roll, pitch, yaw = 0.3 + 0.2 * np.sin(2 * time), -0.1 + 0.3 * np.sin(3 * time), 0.5 + 0.4 * time
+    d_roll, d_pitch, d_yaw = 0.4 * np.cos(2 * time), 0.9 * np.cos(3 * time), np.full_like(time, 0.4)
+    gyro = np.stack(
+        [
+            d_roll - d_yaw * np.sin(pitch),
+            d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
+            -d_pitch * np.sin(roll) + d_yaw * np.cos(pitch) * np.cos(roll),
+        ],
+        axis=1,
+    )
+    quat = quat_from_euler(roll, pitch, yaw)
+    return time, gyro, quat_rotate_inverse(quat, GRAVITY), quat
+
+
+def consistent(log) -> None:
+    """The gyro turns the attitude, and the attitude turns the specific force upright: all frames are ours."""
+    gyro, accel, quat = (log[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
+    np.testing.assert_allclose(quat_rotate(quat, accel), np.broadcast_to(GRAVITY, accel.shape), atol=2e-3)
+    up = quat_rotate_inverse(quat, GRAVITY / 9.81)
+    turn = np.gradient(up, 1 / log.attrs["rate_hz"], axis=0)
+    np.testing.assert_allclose(turn[2:-2], np.cross(up, gyro)[2:-2], atol=5e-3)
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """A flight of three seconds with a clean IMU, as a dataset."""
+    config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("perfect"), warmup_s=0.0)
+    return generate(config, 1, 3.0, tmp_path_factory.mktemp("logs") / "x.zarr", seed=5, workers=1)
+
+
+@pytest.mark.parametrize("format", ["csv", "rosbag2"])
+def test_an_exported_flight_is_read_back(flight, tmp_path, format):
+    if format == "rosbag2":
+        pytest.importorskip("rosbags")
+    log, report = read_log_and_report(export(flight, tmp_path / "out", format) / "flight_000")
+    found, wanted = log.isel(flight=0), open_dataset(flight).isel(flight=0)
+    assert (found.sizes["time"], report.gaps, report.truth_share) == (600, 0, 1.0)
+    for name in ("gyro", "accel", "position"):
+        np.testing.assert_allclose(found[name], wanted[name], atol=1e-5)
+    np.testing.assert_allclose(canonical(found["quat"]), canonical(wanted["quat"]), atol=1e-5)
+
+
+def test_the_mounting_in_an_exported_folder_is_undone(tmp_path):
+    imu = load_imu("perfect").model_copy(update={"mounting_deg": (0.0, 0.0, 90.0)})
+    config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=imu, warmup_s=0.0)
+    data = generate(config, 1, 1.0, tmp_path / "x.zarr", seed=5, workers=1)
+    log = read_log(export(data, tmp_path / "out", "csv"))
+    np.testing.assert_allclose(log["gyro"][0], open_dataset(data)["ang_vel"][0], atol=1e-5)
+
+
+def test_ros1_bags_are_read_too(tmp_path):
+    rosbag1, typesys = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    kinds = store.types
+    time, gyro, accel, quat = turning()
+    header, vector = kinds["std_msgs/msg/Header"], kinds["geometry_msgs/msg/Vector3"]
+    orientation, none = kinds["geometry_msgs/msg/Quaternion"], np.zeros(9)
+    with rosbag1.Writer(tmp_path / "x.bag") as bag:
+        imu = bag.add_connection("/imu0", "sensor_msgs/msg/Imu", typestore=store)
+        pose = bag.add_connection("/vicon", "geometry_msgs/msg/TransformStamped", typestore=store)
+        for k, each in enumerate(np.rint((time + 100.0) * 1e9).astype(int).tolist()):
+            head = header(k, kinds["builtin_interfaces/msg/Time"](*divmod(each, 10**9)), "imu")
+            w, x, y, z = map(float, quat[k])
+            message = kinds["sensor_msgs/msg/Imu"](
+                head, orientation(0.0, 0.0, 0.0, 0.0), none, vector(*gyro[k]), none, vector(*accel[k]), none
+            )
+            bag.write(imu, each, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
+            move = kinds["geometry_msgs/msg/Transform"](vector(0.0, 0.0, 0.0), orientation(x, y, z, w))
+            message = kinds["geometry_msgs/msg/TransformStamped"](head, "body", move)
+            bag.write(pose, each, store.serialize_ros1(message, "geometry_msgs/msg/TransformStamped"))
+    log, report = read_log_and_report(tmp_path / "x.bag")
+    consistent(log)
+    assert report.truth.startswith("/vicon")
+    with pytest.raises(ValueError, match=r'no topic "/imu1" of the right kind; topics: /imu0'):
+        read_log(tmp_path / "x.bag", imu="/imu1")
+
+
+def test_px4_logs_are_turned_from_frd_and_ned(tmp_path):
+    pytest.importorskip("pyulog")
+    time, gyro, accel, quat = turning()
+    stamps = (time * 1e6).astype(np.uint64) + 1_000_000
+    write_ulog(
+        tmp_path / "x.ulg",
+        {
+            "sensor_combined": (
+                "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;",
+                stamps,
+                np.concatenate([swap_flu_frd(gyro), swap_flu_frd(accel)], axis=1),
+            ),
+            "vehicle_attitude": (
+                "uint64_t timestamp;float[4] q;",
+                stamps,
+                swap_enu_flu_ned_frd(quat_from_euler(0.0, 0.0, 0.0) + np.zeros((time.size, 4))),
+            ),
+            "vehicle_mocap_odometry": ("uint64_t timestamp;float[4] q;", stamps, swap_enu_flu_ned_frd(quat)),
+        },
+    )
+    log, report = read_log_and_report(tmp_path / "x.ulg")
+    consistent(log)
+    np.testing.assert_allclose(roll_pitch_from_quat(log["quat"][0]), roll_pitch_from_quat(quat), atol=1e-5)
+    assert report.truth == "vehicle_mocap_odometry: motion capture"
+    own, report = read_log_and_report(tmp_path / "x.ulg", truth="vehicle_attitude")
+    assert np.abs(roll_pitch_from_quat(own["quat"][0])).max() < 1e-6
+    assert "no independent truth" in report.truth
+    assert "frames disagree" in report.warnings[0]
+
+
+def write_ulog(path: Path, topics: dict[str, tuple[str, np.ndarray, np.ndarray]]) -> None:
+    """A minimal ULog file: definitions, one subscription a topic, then all samples in order of time."""
+
+    def message(kind: str, content: bytes) -> bytes:
+        return len(content).to_bytes(2, "little") + kind.encode() + content
+
+    out = [b"ULog\x01\x12\x35\x01" + (0).to_bytes(8, "little"), message("B", bytes(40))]
+    out += [message("F", f"{name}:{fields}".encode()) for name, (fields, _, _) in topics.items()]
+    out += [message("A", bytes([0, k, 0]) + name.encode()) for k, name in enumerate(topics)]
+    samples = [
+        (int(stamp), k, values.astype("<f4").tobytes())
+        for k, (_, stamps, rows) in enumerate(topics.values())
+        for stamp, values in zip(stamps, rows, strict=True)
+    ]
+    out += [
+        message("D", bytes([k, 0]) + s.to_bytes(8, "little") + values) for s, k, values in sorted(samples)
+    ]
+    path.write_bytes(b"".join(out))
+
+
+def test_broad_trials_in_hdf5_and_mat_are_one_and_the_same(tmp_path):
+    h5py, io = pytest.importorskip("h5py"), pytest.importorskip("scipy.io")
+    time, gyro, accel, quat = turning(rate_hz=2000 / 7)
+    moving = (time > 1) & (time < 2)
+    trial = {
+        "imu_gyr": gyro,
+        "imu_acc": accel,
+        "opt_quat": quat,
+        "movement": moving,
+        "sampling_rate": 2000 / 7,
+    }
+    with h5py.File(tmp_path / "x.hdf5", "w") as file:
+        for name, values in trial.items():
+            file[name] = values
+    io.savemat(tmp_path / "x.mat", trial)
+    from_hdf5, from_mat = read_log(tmp_path / "x.hdf5"), read_log(tmp_path / "x.mat")
+    consistent(from_hdf5.isel(time=slice(20, -20)))
+    np.testing.assert_array_equal(from_hdf5["gyro"], from_mat["gyro"])
+    scored = from_hdf5["time"].to_numpy()[from_hdf5["scored"].to_numpy()[0]]
+    assert (scored.min(), scored.max()) == pytest.approx((1.0, 2.0), abs=0.01)
+
+
+COLUMNS = """
+file = "x.csv"
+frame = "frd"
+axes = "z,y,-x"
+[time]
+column = "t"
+unit = "us"
+[gyro]
+columns = ["wx", "wy", "wz"]
+unit = "deg/s"
+[accel]
+columns = ["ax", "ay", "az"]
+unit = "g"
+negate = true
+[quat]
+columns = ["qx", "qy", "qz", "qw"]
+order = "xyzw"
+direction = "world_to_body"
+"""
+
+
+def test_a_csv_is_read_by_its_column_map(tmp_path):
+    time, gyro, accel, quat = turning()
+    frame_to_imu = axes_matrix("z,y,-x").T
+    gyro, accel = (swap_flu_frd(each) @ frame_to_imu.T for each in (gyro, accel))
+    q = swap_enu_flu_ned_frd(quat) * (1, -1, -1, -1)
+    rows = np.column_stack([time * 1e6, np.degrees(gyro), -accel / 9.80665, np.roll(q, -1, axis=1)])
+    header = "t,wx,wy,wz,ax,ay,az,qx,qy,qz,qw"
+    np.savetxt(tmp_path / "x.csv", rows, "%.9g", delimiter=",", header=header, comments="")
+    (tmp_path / "x.toml").write_text(COLUMNS)
+    consistent(read_log(tmp_path / "x.toml"))
+    (tmp_path / "bad.toml").write_text(COLUMNS.replace('"wz"', '"gz"'))
+    with pytest.raises(ValueError, match=r'no column "gz"; '):
+        read_log(tmp_path / "bad.toml")
+    (tmp_path / "bad.toml").write_text(COLUMNS.replace("unit =", "units ="))
+    with pytest.raises(ValueError, match=r'unknown key "time\.units"'):
+        read_log(tmp_path / "bad.toml")
+
+
+def test_a_sensor_mounted_upright_is_turned_level():
+    time, gyro, accel, quat = turning()
+    sensor = axes_matrix("z,-y,x")  # sensor z is forward, x is up
+    log = Recording("x", "x", time, gyro @ sensor, accel @ sensor, "x", time, quat_of(quat, sensor))
+    consistent(resample(turned(log, "z,-y,x"))[0])
+    with pytest.raises(ValueError, match="mirror image"):
+        axes_matrix("z,y,x")
+
+
+def quat_of(quat: np.ndarray, body_from_sensor: np.ndarray) -> np.ndarray:
+    """Attitude of the sensor, of the body's."""
+    from quadsim.rotation import matrix_from_quat, quat_from_matrix
+
+    return quat_from_matrix(matrix_from_quat(quat) @ body_from_sensor)
+
+
+def tones(rate_hz: float, *hz: float) -> Recording:
+    time = np.arange(round(4 * rate_hz)) / rate_hz
+    wave = sum(np.sin(2 * np.pi * each * time) for each in hz)
+    signal = np.stack([wave, 0.5 * wave, -wave], axis=1)
+    return Recording("x", "x", time, signal, signal + GRAVITY)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0, 285.7, 500.0, 1000.0])
+def test_motion_passes_the_resampling_at_any_rate(rate_hz):
+    log, _ = resample(tones(rate_hz, 10.0))
+    time = log["time"].to_numpy()
+    error = log["gyro"].to_numpy()[0, :, 0] - np.sin(2 * np.pi * 10.0 * time)
+    assert np.abs(error[20:-20]).max() < 2e-3
+
+
+def test_vibration_above_the_new_nyquist_frequency_does_not_fold():
+    log, report = resample(tones(1000.0, 190.0))  # would fold to 10 Hz
+    assert np.abs(log["gyro"].to_numpy()[0, 50:-50]).max() < 5e-3
+    assert report.filter_hz == 90.0
+    aliased = tones(1000.0, 190.0).gyro[::5, 0]
+    assert np.abs(aliased).max() > 0.9
+
+
+def test_everything_odd_is_counted_and_no_gap_is_bridged():
+    log = tones(200.0, 1.0)
+    time, gyro = log.time.copy(), np.clip(log.gyro, -0.9, None)
+    gyro[100] = gyro[99]
+    accel = log.accel.copy()
+    accel[100] = accel[99]
+    time[140] = time[139]  # a stamp that stands still
+    accel[300, 1] = np.nan
+    kept = np.ones(time.size, bool)
+    kept[400:420] = kept[500:501] = False  # a gap, and a lost sample
+    odd = Recording("x", "x", time[kept], gyro[kept], accel[kept])
+    even, report = resample(odd)
+    assert (report.repeated, report.stamps_back, report.missing) == (1, 1, 1)
+    assert (report.gaps, report.bridged) == (4, 3)
+    assert report.longest_gap_s == pytest.approx(0.105)
+    assert report.saturated > 100
+    missing = np.flatnonzero(np.isnan(even["gyro"].to_numpy()[0]).any(axis=1))
+    assert missing.tolist() == list(range(400, 420))
+    assert len(report.warnings) == 6
+
+
+def test_irregular_stamps_are_evened_by_when_they_were_taken():
+    rng = np.random.default_rng(0)
+    time = np.sort(np.arange(2000) / 500 + rng.uniform(-0.0005, 0.0005, 2000))
+    signal = np.stack([np.sin(2 * np.pi * 5 * time)] * 3, axis=1)
+    log, report = resample(Recording("x", "x", time, signal, signal))
+    expected = np.sin(2 * np.pi * 5 * (log["time"].to_numpy() + time[0]))
+    assert np.abs(log["gyro"].to_numpy()[0, 20:-20, 0] - expected[20:-20]).max() < 2e-3
+    assert report.jitter_ms == pytest.approx(0.41, abs=0.05)
+
+
+def test_allan_variance_is_allantools():
+    allantools = pytest.importorskip("allantools")
+    signal = np.random.default_rng(0).normal(size=(20_000, 3)).cumsum(axis=0)
+    sizes = np.array([1, 10, 300])
+    found = allan_variance(signal, 100.0, sizes)
+    for axis in range(3):
+        _, deviation, *_ = allantools.oadev(signal[:, axis], 100.0, "freq", taus=sizes / 100.0)
+        np.testing.assert_allclose(np.sqrt(found[:, axis]), deviation, rtol=1e-9)
+
+
+def test_model_variance_is_smooth_where_it_is_expanded():
+    times = np.array([9.99, 10.01])
+    low, high = model_variance(times, 0.0, 1.0, 1000.0)
+    assert high / low == pytest.approx(10.01 / 9.99, rel=1e-4)
+    assert low == pytest.approx(9.99 / 3, rel=0.01)  # σ_b² t/3 of a pure random walk
+
+
+def test_an_hour_at_rest_calibrates_the_sensor_that_recorded_it(tmp_path):
+    imu = load_imu("adis16448")
+    steps = int(3600 * RATE)
+    gyro, accel = simulate_imu(imu, np.zeros((1, steps, 3)), np.tile(GRAVITY, (1, steps, 1)), RATE, seed=1)
+    found = calibrate([Recording("still", "x", np.arange(steps) / RATE, gyro[0], accel[0])])
+    for sensor, true in ((found.gyro, imu.gyro), (found.accel, imu.accel)):
+        assert sensor.noise == pytest.approx(true.noise, rel=0.02)
+        assert sensor.random_walk == pytest.approx(true.random_walk, rel=0.2)
+        assert true.time_constant is not None
+        assert 1 / 2.5 < sensor.time_constant / true.time_constant < 2.5
+    np.testing.assert_allclose(found.gyro.bias, gyro[0].mean(axis=0), atol=1e-12)
+    write_imu(found, tmp_path / "mine.toml")
+    written = load_imu(tmp_path / "mine.toml")
+    assert written.gyro.noise == pytest.approx(found.gyro.noise, rel=1e-4)
+    assert written.accel.turn_on == pytest.approx(found.accel.turn_on, rel=1e-4)
+
+
+def test_a_log_that_moves_is_no_calibration():
+    time, gyro, accel, _ = turning(seconds=100.0)
+    with pytest.raises(ValueError, match=r"x: at rest for \d+ s at a stretch; at least 60 s"):
+        calibrate([Recording("x", "x", time, gyro, accel)])
+
+
+def test_converted_logs_are_a_dataset_without_their_gaps(tmp_path):
+    time, gyro, accel, quat = turning(seconds=10.0)
+    kept = np.ones(time.size, bool)
+    kept[900:950] = False
+    log, _ = resample(Recording("x", "x", time[kept], gyro[kept], accel[kept], "x", time, quat))
+    data = open_dataset(convert([log], tmp_path / "x.zarr", piece_s=2.0))
+    assert data.sizes["flight"] == 4  # two before the gap, two after
+    np.testing.assert_allclose(data["gyro"][2], gyro[950:1350], atol=1e-4)
+    assert set(data["valid_steps"].to_numpy()) == {400}
+    with pytest.raises(ValueError, match="exists already"):
+        convert([log], tmp_path / "x.zarr")
+    with pytest.raises(ValueError, match="choose a shorter --piece"):
+        convert([log], tmp_path / "y.zarr", piece_s=8.0)
+
+
+def test_commands_say_what_they_found(tmp_path):
+    time, gyro, accel, quat = turning(seconds=5.0)
+    np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel, quat=quat)
+    run = CliRunner().invoke
+    shown = run(app, ["logs", "info", str(tmp_path / "x.npz")])
+    assert "OptiTrack" in shown.output
+    assert "nothing odd" in shown.output
+    made = run(
+        app, ["logs", "convert", str(tmp_path / "x.npz"), "--out", str(tmp_path / "x.zarr"), "--piece", "2"]
+    )
+    assert "2 pieces of 2 s, 80 % of 5 s" in made.output
+
+
+def test_unknown_files_are_one_clear_line(tmp_path):
+    (tmp_path / "x.csv").touch()
+    with pytest.raises(ValueError, match=r"x.csv: not a log that can be read; write a column map"):
+        read_log(tmp_path / "x.csv")
+    with pytest.raises(FileNotFoundError, match="no such log"):
+        read_log(tmp_path / "absent.ulg")
+
+
+def test_a_real_recording_agrees_with_its_optical_truth():
+    folder = Path(os.environ.get("QUADSIM_REALDATA", "realdata")) / "broad"
+    trials = sorted(folder.glob("*.npz"))
+    if not trials:
+        pytest.skip("no BROAD trials: set QUADSIM_REALDATA to the folder that holds broad/")
+    log, report = read_log_and_report(trials[0])
+    assert report.source_rate_hz == pytest.approx(285.7, abs=0.1)
+    assert np.linalg.norm(np.subtract(report.gravity or (0, 0, 0), GRAVITY)) < 0.1
+    assert log["scored"].any()
