@@ -192,29 +192,29 @@ class OnLoihi:
             ]
         )
         self.cores = partition(self.chip.layers)
-        self._encoder = np.ascontiguousarray(w["w_in"].T), w["syn0"]
-        self._steps, self._scale = config.steps_per_sample, config.output_scale / 2**14
-        self._inputs = encoder_of(config.inputs)
+        self.encoder = np.ascontiguousarray(w["w_in"].T), w["syn0"]
+        self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
+        self.inputs = encoder_of(config.inputs)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
         return (
             np.zeros((n, HELD)),
-            np.zeros((n, self._encoder[0].shape[1]), np.int64),
+            np.zeros((n, self.encoder[0].shape[1]), np.int64),
             *self.chip.zero_state(n),
         )
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         _run_on_loihi(
-            gyro, accel, *self._inputs, *self._encoder, self._steps, self._scale,
+            gyro, accel, *self.inputs, *self.encoder, self.steps, self.scale,
             states, self.chip.parameters, out,
         )  # fmt: skip
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Set the potentials of the outputs, which forget within a second or so."""
         v = states[5]
-        v[:, -2:] = np.rint(roll_pitch / self._scale)
+        v[:, -2:] = np.rint(roll_pitch / self.scale)
 
 
 class Recurrent:

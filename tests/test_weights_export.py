@@ -6,10 +6,16 @@ import subprocess
 import numpy as np
 import pytest
 
-from estimators.networks import OnLoihi, Recurrent, create_network, real_weights, scaled_inputs
+from estimators.networks import OnLoihi, Recurrent, real_weights, scaled_inputs
 from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
-from estimators.weights_file import NetworkConfig, expected_shapes, save_network, shipped_network
+from estimators.weights_file import (
+    InputScaling,
+    NetworkConfig,
+    expected_shapes,
+    save_network,
+    shipped_network,
+)
 
 
 def random_snn(config, seed=0):
@@ -45,7 +51,8 @@ def compiled(tmp_path, request):
         subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
         sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
         fields = [(name, np.int32, size) for name, size in sizes]
-        layout = np.dtype([*fields, ("s0", np.uint8, h0), ("s1", np.uint8, h1)], align=True)
+        fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1), ("mean", float, 2), ("seen", float)]
+        layout = np.dtype(fields, align=True)
 
         def run(samples):
             done = subprocess.run(
@@ -66,8 +73,9 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
     else:
         scale = 1 / 256 if seed else 1.0
         config = NetworkConfig(
-            model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale
-        )
+            model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale,
+            inputs=InputScaling(bias_samples=800 * seed),
+        )  # fmt: skip
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
         save_network(weights, config, tensors)
     h0, h1 = config.encoding, config.hidden
@@ -80,7 +88,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
         held, current, _, after, u, v, _ = mine
         expected = {
-            "input": held[0, :6], "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
+            "input": held[0, :6], "mean": held[0, 8:], "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
             "v1": v[0, h0:-2], "v2": v[0, -2:], "s0": after[0, :h0], "s1": after[0, h0:-2],
         }  # fmt: skip
         for name, value in expected.items():
@@ -171,5 +179,5 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
 def test_the_c_header_names_the_scale_of_its_output(tmp_path):
     export_weights("att-snn", tmp_path / "c", "c99")
     header = (tmp_path / "c" / "att_snn.h").read_text()
-    scale = create_network("att-snn-loihi").core._scale
+    scale = OnLoihi(*shipped_network("att-snn")).scale
     assert f"#define ATT_SNN_UNITS_PER_RADIAN {round(1 / scale)}\n" in header

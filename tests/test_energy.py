@@ -1,0 +1,104 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.activity import record
+from estimators.energy import PICOJOULES, costs, counts, gru_flops, snn_flops, synapses
+from estimators.networks import OnLoihi, create_network
+from estimators.weights_file import shipped_network
+
+
+@pytest.fixture(scope="module")
+def network():
+    return OnLoihi(*shipped_network("att-snn"))
+
+
+@pytest.fixture(scope="module")
+def activity(network, flights):
+    return record(network, flights["gyro"].to_numpy()[:2, :2000], flights["accel"].to_numpy()[:2, :2000])
+
+
+def test_what_is_recorded_is_what_flies(network, activity, flights):
+    est = create_network("att-snn-loihi")
+    est.reset(2)
+    gyro, accel = (flights[name].to_numpy()[:2, :2000] for name in ("gyro", "accel"))
+    np.testing.assert_array_equal(activity.estimate, est.sequence(gyro, accel))
+    assert activity.of_layer(activity.rates, 2).max() == 0.0
+    assert np.all(activity.potentials <= 1.0)
+
+
+def test_events_are_spikes_times_the_weights_that_they_meet(network, activity):
+    _, tensors = shipped_network("att-snn")
+    encoding, hidden = (activity.of_layer(activity.spikes, k).astype(int) for k in (0, 1))
+    events = (encoding @ (tensors["w_ff"] != 0).T.sum(1)).sum()
+    events += (hidden @ ((tensors["w_rec"] != 0).T.sum(1) + (tensors["w_out"] != 0).T.sum(1))).sum()
+    counted = counts(network, activity)
+    assert counted["synaptic event"] == pytest.approx(events / activity.steps)
+    assert counted["active neuron update"] + counted["inactive neuron update"] == pytest.approx(202)
+    stored = sum(np.count_nonzero(tensors[name]) for name in ("w_ff", "w_rec", "w_out"))
+    assert synapses(network.cores, 202).sum() == stored
+
+
+def test_shares_are_what_a_wrong_coefficient_does_to_the_sum(network, activity, monkeypatch):
+    counted = counts(network, activity)
+    before = costs(counted)
+    total = sum(line.nanojoules for line in before)
+    assert sum(line.share for line in before) == pytest.approx(1.0)
+    monkeypatch.setitem(PICOJOULES, "synaptic event", 1.2 * PICOJOULES["synaptic event"])
+    after = sum(line.nanojoules for line in costs(counted))
+    assert after / total - 1 == pytest.approx(0.2 * before[0].share)
+
+
+def test_flops_by_hand():
+    # One unit each: products 2 · 3 · (6 + 1) and 2 · 3 · 2, 16 besides in each layer, and 2 outputs of 2 + 1.
+    assert gru_flops(1, 1) == 42 + 16 + 12 + 16 + 6
+    # Encoder 12, neurons 5 + 5 + 8, one spike each: 1 synapse, and 1 + 2.
+    assert snn_flops(1, 1, (1.0, 1.0))["sparse"] == 12 + 18 + 1 + 3
+    assert snn_flops(1, 1, (0.5, 0.0))["dense"] == 12 + 18 + 2 * 4
+
+
+def test_neurobench_counts_the_same(network, activity):
+    """Its accumulates are our synaptic events, its sparsity our rates, where the words mean the same."""
+    pytest.importorskip("neurobench", reason="NeuroBench is not installed: pip install --no-deps neurobench")
+    torch = pytest.importorskip("torch")
+    from neurobench.hooks.layer import LayerHook
+    from neurobench.hooks.neuron import NeuronHook
+    from neurobench.metrics.static.connection_sparsity import ConnectionSparsity
+    from neurobench.metrics.workload import ActivationSparsity, SynapticOperations
+    from neurobench.models import TorchModel
+
+    _, tensors = shipped_network("att-snn")
+    names = ("w_ff", "w_rec", "w_out")
+
+    class Replay(torch.nn.Module):
+        """The recorded spikes, sent through the network's connections."""
+
+        def __init__(self):
+            super().__init__()
+            for name in names:
+                layer = torch.nn.Linear(*tensors[name].shape[::-1], bias=False)
+                layer.weight.data = torch.tensor(tensors[name], dtype=torch.float32)
+                setattr(self, name, layer)
+            self.encoding, self.hidden = torch.nn.Identity(), torch.nn.Identity()
+
+        def forward(self, spikes):
+            first, second = self.encoding(spikes[:, :100]), self.hidden(spikes[:, 100:200])
+            return self.w_ff(first).sum() + self.w_rec(second).sum() + self.w_out(second).sum()
+
+    net = Replay()
+    model = TorchModel(net)
+    model.connection_hooks = [LayerHook(getattr(net, name)) for name in names]
+    model.activation_hooks = [NeuronHook(layer) for layer in (net.encoding, net.hidden)]
+    steps = 300
+    spikes = torch.tensor(activity.spikes[0, :steps], dtype=torch.float32)
+    for step in spikes:
+        net(step[None])
+    found = SynapticOperations()(model, None, (torch.zeros(steps), None))
+    part = replace(activity, spikes=activity.spikes[:1, :steps], active=activity.active[:1])
+    assert found["Effective_ACs"] == pytest.approx(counts(network, part)["synaptic event"])
+    assert found["Effective_MACs"] == 0
+    rate = part.rates[:200].mean()
+    assert ActivationSparsity()(model, None, None) == pytest.approx(1 - rate)
+    stored = sum(np.count_nonzero(tensors[name]) for name in names)
+    assert ConnectionSparsity()(model) == pytest.approx(1 - stored / 20200, abs=1e-3)
