@@ -88,7 +88,8 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
         held, current, _, after, u, v, _ = mine
         expected = {
-            "input": held[0, :6], "mean": held[0, 8:], "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
+            "input": held[0, :6], "mean": held[0, 8:],
+            "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
             "v1": v[0, h0:-2], "v2": v[0, -2:], "s0": after[0, :h0], "s1": after[0, h0:-2],
         }  # fmt: skip
         for name, value in expected.items():
