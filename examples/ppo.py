@@ -1,8 +1,8 @@
 """Learn to hold a place with PPO from stable-baselines3: python examples/ppo.py [STEPS].
 
-The agent replaces the position and velocity loops: 20 times a second it chooses roll, pitch, yaw and thrust, and
-the loops below fly them on the attitude that Mahony's filter estimates. An episode starts 1.1 m off the set-point,
-at 1 m/s in any direction. Its minute on one core gave
+The agent replaces the position and velocity loops: 20 times a second it chooses roll, pitch, yaw and thrust,
+and the loops below fly them on the attitude that Mahony's filter estimates. An episode starts 1.1 m off the
+set-point, at 1 m/s in any direction. Its minute on one core gave
 
     steps  return  crashes of 20
      none    26.0  0

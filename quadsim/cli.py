@@ -135,10 +135,15 @@ def design(
     delay: Annotated[
         float, typer.Option(min=0, help="Delay of the attitude estimate in milliseconds.")
     ] = 15.0,
+    out: Annotated[
+        Path | None, typer.Option(help="Picture of what other delays would cost, for example loop.png.")
+    ] = None,
 ) -> None:
     """Design the controller's gains from phase margins, and print them with the margins they leave.
 
-    Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed.
+    Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed. With
+    --out, the attitude loop with these gains is shown at other delays of the estimator: margins, disturbance
+    rejection, and steps as flown.
     """
     from .design import design as design_gains
     from .design import loop_margins
@@ -156,6 +161,17 @@ def design(
     console.print("\\[controller]")
     for name, value in gains.model_dump().items():
         console.print(f"{name} = {value:.4g}", highlight=False)
+    if out:
+        from . import loops
+
+        found = loops.responses(airframe, gains, rate)
+        rows = loops.table(found)
+        costs = Table(*rows[0], title="The attitude loop with these gains at other delays of the estimator")
+        for row in rows:
+            costs.add_row(*row.values())
+        console.print(costs)
+        title = f"{vehicle}, gains designed for {delay:g} ms"
+        console.print(f"{loops.save(found, out, rate, title)}", soft_wrap=True)
 
 
 @app.command()
