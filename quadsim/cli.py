@@ -141,9 +141,9 @@ def design(
 ) -> None:
     """Design the controller's gains from phase margins, and print them with the margins they leave.
 
-    Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed. With
-    --out, the attitude loop with these gains is shown at other delays of the estimator: margins, disturbance
-    rejection, and steps as flown.
+    Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed.
+    With --out, the attitude loop with these gains is shown at other delays of the estimator: margins,
+    disturbance rejection, and steps as flown.
     """
     from .design import design as design_gains
     from .design import loop_margins

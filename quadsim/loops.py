@@ -1,11 +1,11 @@
-"""What a slow estimator costs the attitude loop: margins, disturbance rejection and flown steps against its delay.
+"""What a slow estimator costs the attitude loop: margins, disturbance rejection and steps at each delay.
 
 The linear loop is that of `quadsim.design`, an angular acceleration d added to what the rotors make:
 
     θ / d = S_rate / s² / (1 + L_att),   S_rate = 1 / (1 + L_rate)
 
-The steps are flown by the whole simulator, rotor limits and sampling included, on the true attitude of so long
-ago.
+The steps are flown by the whole simulator, rotor limits and sampling included, on the true attitude of so
+long ago.
 """
 
 from collections.abc import Sequence
