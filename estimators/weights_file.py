@@ -16,6 +16,7 @@ from safetensors.numpy import save_file
 from quadsim.config import Strict
 
 Tensors = dict[str, NDArray[Any]]
+END = ".safetensors"
 
 
 class InputScaling(Strict):
@@ -90,13 +91,18 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
 def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
     """Read a network that `save_network` wrote.
 
+    Args:
+        path: The file, or the name of weights that ship, such as "att-snn".
+
     Raises:
         FileNotFoundError: No such file.
         ValueError: One line: not such a file, or tensors of the wrong shape or type.
     """
+    if str(path) in shipped_names():
+        return shipped_network(str(path))
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such weights file")
+        raise FileNotFoundError(f"{path}: no such weights file; shipped: {', '.join(shipped_names())}")
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
@@ -115,8 +121,14 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
     return config, tensors
 
 
+def shipped_names() -> list[str]:
+    """Names of the weights that ship with the package."""
+    found = (files("assets") / "weights").iterdir()
+    return sorted(each.name.removesuffix(END) for each in found if each.name.endswith(END))
+
+
 def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
-    """The weights that ship with the package, for "att-snn" or "att-rnn"."""
+    """Weights that ship with the package, by one of `shipped_names()`."""
     with as_file(files("assets") / "weights" / f"{model}.safetensors") as path:
         return load_network(path)
 

@@ -209,10 +209,15 @@ def train(
     data: Annotated[list[Path], typer.Option(help="Dataset to train on; give it again to mix several.")],
     out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
     model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",
-    preset: Annotated[str, typer.Option(help="paper: its recipe to the letter; best: our own.")] = "best",
+    preset: Annotated[
+        str, typer.Option(help="paper, best (our own), robust (rough sensors) or tune (your logs).")
+    ] = "best",
     validation: Annotated[
         list[Path] | None,
         typer.Option(help="Dataset to choose the best epoch by; else part of --data."),
+    ] = None,
+    init: Annotated[
+        str | None, typer.Option(help="Weights to go on from: a shipped name, such as att-snn, or a file.")
     ] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads that share a batch.")] = 1,
@@ -235,6 +240,8 @@ def train(
     choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
     if epochs is not None:
         choices["epochs"] = epochs
+    if init is not None:
+        choices["init"] = init
     if validation:
         choices["validation"] = tuple(map(str, validation))
     with progress_bar(f"train {model}", "epochs") as bar:
@@ -263,6 +270,12 @@ def train(
         f"{result.reason}",
         soft_wrap=True,
     )
+    if result.before_deg is not None:
+        helped = "it helped" if result.helped else "it did not help, keep the weights you had"
+        console.print(
+            f"before {result.before_deg:.2f}°, after {result.best.val_error_deg:.2f}°: {helped}",
+            soft_wrap=True,
+        )
 
 
 @app.command()
@@ -319,9 +332,23 @@ def tune(
 
 @app.command()
 def evaluate(
-    data: Annotated[Path, typer.Option(help="Dataset of flights that were not tuned or trained on.")],
+    data: Annotated[
+        Path | None, typer.Option(help="Dataset of flights that were not tuned or trained on.")
+    ] = None,
+    logs: Annotated[
+        list[Path] | None, typer.Option(help="Real log in place of --data; give it again for more.")
+    ] = None,
     estimator: Annotated[
         list[str] | None, typer.Option(help="Estimator; give it again for more. All if left out.")
+    ] = None,
+    weights: Annotated[
+        list[str] | None, typer.Option(help="With --logs: weights file of an att-snn to score too.")
+    ] = None,
+    within: Annotated[
+        float, typer.Option(min=1, max=180, help="With --logs: largest true inclination scored, in °.")
+    ] = 45.0,
+    axes: Annotated[
+        str | None, typer.Option(help='With --logs: body x, y, z as its axes ("z,-y,x").')
     ] = None,
     tuning: Annotated[
         str | None, typer.Option(help="Tuned parameters: a shipped domain or a TOML file.")
@@ -333,10 +360,19 @@ def evaluate(
 ) -> None:
     """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
 
-    Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html.
+    Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html; of
+    real logs logs.csv and a picture each, with a row "level" that shows how hard the log is.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
     """
+    if (data is None) == (not logs):
+        raise ValueError("one of --data and --logs is wanted")
+    if logs:
+        from scenarios.recorded import evaluate_logs
+
+        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, out)
+        return
+    assert data is not None
     from dataclasses import asdict
 
     import estimators

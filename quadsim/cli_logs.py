@@ -1,4 +1,4 @@
-"""`quadsim logs`: look at real logs, make datasets of them, calibrate an IMU from still ones."""
+"""`quadsim logs`: look at real logs, make datasets of them, calibrate an IMU from them."""
 
 from pathlib import Path
 from typing import Annotated

@@ -218,3 +218,19 @@ def test_carried_sensors_feel_gravity_along_the_true_vertical():
     plain = Augmentation(carried=1.0, accel_bias=0.0, accel_noise=0.0)
     _, accel, _ = augment(np.zeros_like(up), thrust, up, plain, 200.0, rng)
     np.testing.assert_allclose(accel.mean(axis=(0, 1)), 9.81 * up[0, 0], atol=0.1)
+
+
+def test_tuning_goes_on_from_weights_and_says_whether_it_helped(dataset, tmp_path):
+    first = train(data=dataset, out=tmp_path / "first", **TINY)
+    assert first.before_deg is None
+    tuned = train(
+        data=dataset, out=tmp_path / "tuned", preset="tune", init=str(first.weights), epochs=2, batches=4,
+        batch_size=4, window_s=0.5,
+    )  # fmt: skip
+    config, _ = load_network(tuned.weights)
+    assert (config.encoding, config.hidden) == (20, 16)  # taken over
+    assert tuned.before_deg == pytest.approx(first.best.val_error_deg, rel=1e-3)
+    with pytest.raises(ValueError, match="preset tune goes on from weights"):
+        train(data=dataset, out=tmp_path / "none", preset="tune")
+    with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-snn"):
+        train(data=dataset, out=tmp_path / "none", init="att-ssn")

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
-from estimators.weights_file import PAPER_SCALING, InputScaling
+from estimators.weights_file import PAPER_SCALING, InputScaling, load_network
 from quadsim.config import Strict
 
 from .augment import Augmentation
@@ -25,7 +25,7 @@ class TrainConfig(Strict):
     """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
     seed: int = 0
     """Of the initial weights, the split, the windows and the sensor errors."""
-    preset: Literal["paper", "best", "robust"] = "paper"
+    preset: Literal["paper", "best", "robust", "tune"] = "paper"
     """What the other values started from."""
 
     encoding: int = Field(default=100, ge=1)
@@ -46,7 +46,7 @@ class TrainConfig(Strict):
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
 
     init: str = ""
-    """Weights file of the same model and size to start from, in place of `start`."""
+    """Weights to go on from, in place of `start`: a file or a shipped name; shape and scaling are theirs."""
     train_decays: bool = True
     """Whether the time constants are trained too (att-snn)."""
 
@@ -134,8 +134,24 @@ PRESETS["robust"] = PRESETS["best"] | {
     "augmentation": ROBUST,
 }
 
+PRESETS["tune"] = PRESETS["best"] | {
+    "optimiser_lr": 0.002,
+    "epochs": 15,
+    "batches": 20,
+    "window_s": 2.5,
+    "windows_per_stream": 4,
+    "rate_cost": 0.003,
+    "rate_targets": (0.2, 0.4),
+    "augmentation": Augmentation(gyro_noise=0.0, accel_noise=0.0, accel_bias=0.0),
+}
+"""Go on from weights on a user's own logs, whose errors are real: nothing is added."""
+
 RNN_BEST = {"optimiser_lr": 0.003, "batches": 30, "epochs": 100}
 """What "best" changes further for att-rnn."""
+
+
+KEPT = ("encoding", "hidden", "quantised", "recurrent_delay", "steps_per_sample", "output_scale")
+"""What a run that goes on from weights takes over from them."""
 
 
 def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
@@ -156,9 +172,23 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
             choices[name] = (str(choices[name]),)
         elif name in choices:
             choices[name] = tuple(str(path) for path in choices[name])
+    if choices.get("init"):
+        values = values | _of_weights(str(choices["init"]), values)
+    elif preset == "tune":
+        raise ValueError("preset tune goes on from weights: give init, a shipped name or a file")
     try:
         return TrainConfig.model_validate(values | choices | {"preset": preset})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise ValueError(f"training: {where} = {first['input']!r}: {first['msg']}") from error
+
+
+def _of_weights(init: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Shape and scaling of the weights a run goes on from; the memory of the mean may be the preset's."""
+    network, _ = load_network(init)
+    wanted = values.get("inputs", network.inputs).bias_samples or network.inputs.bias_samples
+    return {
+        "inputs": network.inputs.model_copy(update={"bias_samples": wanted}),
+        **{name: getattr(network, name) for name in KEPT},
+    }

@@ -68,6 +68,10 @@ class Result:
     best: Epoch
     reason: str
     """Why it ended."""
+    before_deg: float | None = None
+    """Validation error of the weights that it went on from."""
+    helped: bool = True
+    """Whether the validation loss is below that of those weights."""
 
 
 Progress = Callable[[Epoch, TrainConfig], None]
@@ -108,7 +112,7 @@ class _Run:
                 raise FloatingPointError(f"the loss is {square} at epoch {number}, update {k}")
             squares.append(square)
             rates.append(spikes)
-        mse, error, settled = self._validate()
+        mse, error, settled = self.validate()
         return Epoch(
             epoch=number,
             updates=(number + 1) * config.batches,
@@ -139,7 +143,8 @@ class _Run:
         self.model.constrain()
         return float(loss.detach()), rates.tolist()
 
-    def _validate(self) -> tuple[float, float, float]:
+    def validate(self) -> tuple[float, float, float]:
+        """Mean square error [rad²], mean absolute error and the same once settled [deg]."""
         estimate = self.estimator().sequence(self.validation.gyro, self.validation.accel)
         error = estimate - self.validation.roll_pitch
         late = round(5.0 * self.validation.rate_hz)
@@ -196,6 +201,7 @@ def train(
     flights, validation = _flights(config)
     _claim(out, config)
     run = _Run(config, flights, validation)
+    before = run.validate() if config.init else None
     if (out / "checkpoint.pt").is_file():
         run.restore(torch.load(out / "checkpoint.pt", weights_only=True))
     reason = _go_on(run, out, progress)
@@ -203,7 +209,10 @@ def train(
         raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
     _plot(out, run.history)
     best = min(run.history, key=lambda epoch: epoch.val_mse)
-    return Result(weights=out / "best.safetensors", best=best, reason=reason)
+    weights = out / "best.safetensors"
+    if before is None:
+        return Result(weights, best, reason)
+    return Result(weights, best, reason, before_deg=before[1], helped=best.val_mse < before[0])
 
 
 def exported(

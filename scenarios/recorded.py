@@ -1,0 +1,48 @@
+"""Estimators scored on real logs, from files to a table, a CSV and pictures: `quadsim evaluate --logs`."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from estimators import create
+from estimators.recorded import KNOWN, RAW, default_names, draw_log, score_logs
+from quadsim.console import output, progress_bar
+from quadsim.logs import read_log
+
+
+def evaluate_logs(
+    paths: Sequence[Path],
+    estimators: Sequence[str] | None,
+    weights: Sequence[str],
+    within_deg: float,
+    axes: str | None,
+    tuning: str | None,
+    out: Path,
+) -> None:
+    """Score estimators on logs: `quadsim evaluate --logs`."""
+    logs = [read_log(path, axes=axes) for path in paths]
+    rate = float(logs[0].attrs["rate_hz"])
+    made = {name: create(name, rate, tuning=tuning) for name in estimators or default_names()}
+    made |= {Path(each).stem: create("att-snn", rate, weights=each) for each in weights}
+    with progress_bar("evaluate", "runs") as bar:
+        scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
+    scores.write_csv(out / "logs.csv")
+    for log in scores.truth:
+        draw_log(scores, log).savefig(out / f"{log}.png", dpi=110)
+    table = Table("estimator", "raw, °", "bias removed, °", title=f"Inclination RMSE within ±{within_deg:g}°")
+    for name in scores.estimators:
+        table.add_row(name, f"{scores.mean(name, RAW):.2f}", f"{scores.mean(name, KNOWN):.2f}")
+    output.print(table)
+    for log, bias in scores.gyro_bias.items():
+        found = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
+        seconds = scores.counted[log].sum() / rate
+        output.print(
+            f"{log}: {seconds:.0f} s scored, gyro bias ({found}) °/s", soft_wrap=True, highlight=False
+        )
+    best = scores.estimators[0]
+    output.print(
+        f"{out / 'logs.csv'}: the smallest raw error is {best}'s, {scores.mean(best, RAW):.2f}°",
+        soft_wrap=True,
+    )

@@ -1,0 +1,88 @@
+"""Scores on recorded logs: what counts, what a level guess makes, and what a known bias is worth."""
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimators import create
+from estimators.recorded import KNOWN, LEVEL, RAW, draw_log, gyro_bias, score_logs
+from quadsim.logs import read_log
+from quadsim.logs.recording import Recording
+from quadsim.logs.resample import resample
+from quadsim.rotation import quat_from_euler, roll_pitch_from_quat
+
+BIAS = np.array([0.06, -0.02, 0.01])
+
+
+@pytest.fixture(scope="module")
+def log(make_flights):
+    """A log of twenty seconds with a biased gyroscope, in which one second is lost."""
+    flight = make_flights(flights=1, seed=3, noise=0.0)
+    gyro, accel, quat = (flight[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
+    time = np.arange(len(gyro)) / 200.0
+    kept = np.abs(time - 10.0) > 0.5
+    recorded = Recording("mine", "x", time[kept], gyro[kept] + BIAS, accel[kept], "x", time, quat)
+    return resample(recorded)[0]
+
+
+def test_level_is_the_root_mean_square_of_the_tilt(log):
+    rows = score_logs([log], ["mahony"], within_deg=180.0).rows
+    tilt = np.degrees(np.arccos(np.cos(roll_pitch_from_quat(log["quat"][0])).prod(axis=1)))[600:]
+    for row in rows[:2]:
+        assert (row.estimator, row.scored_s) == (LEVEL, 17.0)
+        assert row.inclination_rmse_deg == pytest.approx(np.sqrt(np.mean(tilt**2)), rel=1e-9)
+
+
+def test_only_known_upright_and_marked_samples_count(log):
+    half = log.copy(deep=True)
+    half["scored"][0, 2000:] = False
+    rows = score_logs([half], ["mahony"], within_deg=15.0).rows
+    tilt = np.degrees(np.arccos(np.cos(roll_pitch_from_quat(log["quat"][0])).prod(axis=1)))
+    assert rows[0].scored_s == pytest.approx((tilt[600:2000] <= 15).sum() / 200)
+
+
+def test_the_bias_is_read_off_the_truth_and_taking_it_off_helps(log):
+    scores = score_logs([log], {"mahony": create("mahony", k_p=0.5, k_i=0.0)})
+    np.testing.assert_allclose(scores.gyro_bias["mine"], BIAS, atol=2e-3)
+    assert scores.mean("mahony", KNOWN) < 0.7 * scores.mean("mahony", RAW)
+    assert scores.estimators == ["mahony", LEVEL]
+
+
+def test_a_fast_turn_has_the_bias_of_a_slow_one():
+    time = np.arange(2000) / 200.0
+    quat = quat_from_euler(0.0 * time, 0.0 * time, 0.4 * time)
+    gyro = np.tile([0.0, 0.0, 0.4], (2000, 1)) + BIAS
+    np.testing.assert_allclose(gyro_bias(gyro, quat, 200.0), BIAS, atol=1e-6)
+    assert np.isnan(gyro_bias(gyro[:100], quat[:100], 200.0)).all()
+
+
+def test_rows_and_pictures_are_written(log, tmp_path):
+    scores = score_logs([log], ["mahony", "vqf"])
+    scores.write_csv(tmp_path / "logs.csv")
+    with (tmp_path / "logs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 6
+    assert float(rows[0]["inclination_rmse_deg"]) == scores.rows[0].inclination_rmse_deg
+    figure = draw_log(scores, "mine")
+    lines = {line.get_label() for line in figure.axes[0].get_lines()}
+    assert lines == {"truth", "mahony", "vqf"}
+
+
+def test_a_log_without_truth_is_refused():
+    time = np.arange(400) / 200.0
+    still = np.tile([0.0, 0.0, 9.81], (400, 1))
+    with pytest.raises(ValueError, match="no attitude in x: nothing to score against"):
+        score_logs([resample(Recording("x", "x", time, 0 * still, still))[0]], ["mahony"])
+
+
+def test_vqf_has_its_published_error_on_a_real_recording():
+    folder = Path(os.environ.get("QUADSIM_REALDATA", "realdata")) / "broad"
+    trials = sorted(folder.glob("10_*.npz"))
+    if not trials:
+        pytest.skip("no BROAD trials: set QUADSIM_REALDATA to the folder that holds broad/")
+    scores = score_logs([read_log(trials[0])], ["vqf"])
+    assert scores.mean("vqf", RAW) < 0.5
+    assert scores.mean(LEVEL, RAW) > 5.0
