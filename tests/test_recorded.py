@@ -12,7 +12,7 @@ from estimators.recorded import KNOWN, LEVEL, RAW, draw_log, gyro_bias, score_lo
 from quadsim.logs import read_log
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
-from quadsim.rotation import quat_from_euler, roll_pitch_from_quat
+from quadsim.rotation import quat_from_euler, quat_rotate_inverse, roll_pitch_from_quat
 
 BIAS = np.array([0.06, -0.02, 0.01])
 
@@ -44,10 +44,18 @@ def test_only_known_upright_and_marked_samples_count(log):
     assert rows[0].scored_s == pytest.approx((tilt[600:2000] <= 15).sum() / 200)
 
 
-def test_the_bias_is_read_off_the_truth_and_taking_it_off_helps(log):
-    scores = score_logs([log], {"mahony": create("mahony", k_p=0.5, k_i=0.0)})
-    np.testing.assert_allclose(scores.gyro_bias["mine"], BIAS, atol=2e-3)
-    assert scores.mean("mahony", KNOWN) < 0.7 * scores.mean("mahony", RAW)
+def test_the_bias_is_read_off_the_truth_and_taking_it_off_helps():
+    time = np.arange(4000) / 200.0
+    angle = 0.3 * np.sin(time)
+    quat = quat_from_euler(angle, 0.0, 0.0)
+    gyro = np.stack([0.3 * np.cos(time), 0.0 * time, 0.0 * time], axis=1) + BIAS
+    gravity = quat_rotate_inverse(quat, np.array([0.0, 0.0, 9.81]))
+    held = resample(Recording("held", "x", time, gyro, gravity, "x", time, quat))[0]
+    scores = score_logs([held], {"mahony": create("mahony", k_p=1.0, k_i=0.0)})
+    np.testing.assert_allclose(scores.gyro_bias["held"], BIAS, atol=1e-4)
+    # a proportional filter follows a bias of b to b / k_p
+    assert scores.mean("mahony", RAW) == pytest.approx(np.degrees(np.hypot(0.06, 0.02)), rel=0.1)
+    assert scores.mean("mahony", KNOWN) < 0.1
     assert scores.estimators == ["mahony", LEVEL]
 
 
