@@ -427,6 +427,9 @@ def fly(
     seeds: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 1,
     rate: Rate = 200.0,
     seed: Seed = 0,
+    flight: Annotated[
+        int, typer.Option(min=0, help="Number of the first flight, as in the flights.csv of quadsim bench.")
+    ] = 0,
     video: Annotated[bool, typer.Option("--video", help="Make an MP4 of the first flight.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the first flight in MuJoCo's viewer.")] = False,
 ) -> None:
@@ -444,6 +447,7 @@ def fly(
             folder,
             seeds=seeds,
             seed=seed,
+            flight=flight,
             duration_s=duration,
             rate_hz=rate,
             video=video,

@@ -103,9 +103,12 @@ def make_cell(
     return Cell(name, estimator, fingerprint, "", flights, error_histogram(log, end).tolist(), series)
 
 
-def fly(mission: Mission, seed: int) -> tuple[Array, NDArray[np.int64]]:
-    """Fly a mission to its end: its log (n, T, WIDTH) and how many samples each flight lasted (n,)."""
-    mission.begin(vehicle_seeds(seed, mission.n))
+def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Array, NDArray[np.int64]]:
+    """Fly a mission to its end: its log (n, T, WIDTH) and how many samples each flight lasted (n,).
+
+    Its flights are those with the numbers `first`, `first` + 1, ... of the seed.
+    """
+    mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
     loop, plant, controller = mission.loop, mission.loop.plant, mission.loop.controller
     log = np.zeros((mission.steps, mission.n, WIDTH))
     end = np.full(mission.n, mission.steps)

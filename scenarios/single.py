@@ -36,6 +36,7 @@ def fly_scenario(
     *,
     seeds: int = 1,
     seed: int = 0,
+    flight: int = 0,
     duration_s: float | None = None,
     rate_hz: float = 200.0,
     video: bool = False,
@@ -49,6 +50,7 @@ def fly_scenario(
         out: Folder for `report.html`, `flight.csv` and `flight.mp4`.
         seeds: Number of flights; the files show the first.
         seed: Seed of everything random.
+        flight: Number of the first flight, as in the flights.csv of a benchmark of the same seed.
         duration_s: Length, instead of the scenario's [s].
         rate_hz: Samples per second.
         video: Whether to make a video of the first flight.
@@ -62,9 +64,11 @@ def fly_scenario(
     """
     if seeds < 1:
         raise ValueError(f"seeds is {seeds}; at least one flight is needed")
+    if flight < 0:
+        raise ValueError(f"flight is {flight}; flights count from 0")
     scenario, name = load_scenario(source), Path(source).name.removesuffix(".toml")
     mission = Mission(scenario, estimators.create(estimator, rate_hz), seeds, rate_hz, duration_s)
-    log, end = fly(mission, seed)
+    log, end = fly(mission, seed, flight)
     cell = make_cell(name, estimator, "", mission, log, end)
     results = Results(Settings({name: scenario}, [estimator], seeds, seed, rate_hz), [cell])
     out = Path(out).expanduser()

@@ -324,3 +324,9 @@ def test_one_scenario_looked_at_closely(tmp_path):
     assert float(rows[-1]["z"]) == pytest.approx(2.0, abs=0.02)
     assert "mahony" in flown.report.read_text()
     assert flown.video is None
+
+
+def test_any_flight_of_a_benchmark_can_be_looked_at(tmp_path):
+    benchmark = small(tmp_path / "bench", names=["mahony"], scenarios=["hover"], seeds=3)
+    alone = fly_scenario("hover", "mahony", tmp_path, flight=2, duration_s=SHORT)
+    assert alone.results.flights[0] | {"seed": 2} == benchmark.flights[2]
