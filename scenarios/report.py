@@ -102,8 +102,8 @@ def _footer(results: Results | None) -> str:
     s = results.settings
     return (
         f"{s.seeds} flight{'s' if s.seeds > 1 else ''} in each cell, seeds 0 to {s.seeds - 1} of {s.seed}, "
-        f"at {s.rate_hz:g} Hz. Flight i of every estimator has the same wind, sensor noise and start. Roll and "
-        "pitch come from the estimator, position, velocity and yaw from an external sensor: "
+        f"at {s.rate_hz:g} Hz. Flight i of every estimator has the same wind, sensor noise and start. Roll "
+        "and pitch come from the estimator, position, velocity and yaw from an external sensor: "
         f"{', '.join(sorted({scenario.external for scenario in s.scenarios.values()}))}."
     )
 
