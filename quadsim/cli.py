@@ -498,7 +498,7 @@ def bench(
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
     """
     import estimators
-    from scenarios.breaking import DISTURBANCES, breaking_points
+    from scenarios.breaking import breaking_points, chosen
     from scenarios.publish import publish
     from scenarios.runner import bench as run_bench
     from scenarios.runner import code_digest
@@ -507,7 +507,7 @@ def bench(
     from .scenario import scenario_names
 
     names = estimator or estimators.names()
-    searched = list(DISTURBANCES) if "all" in (breaking_point or []) else list(breaking_point or [])
+    searched = chosen(breaking_point or [])
     with executor_of(cluster) as executor:
         with progress_bar("fly", "cells") as progress:
             results = run_bench(

@@ -91,6 +91,18 @@ class Breaking:
         return f"{self.crashes_at:.3g}"
 
 
+def chosen(names: Sequence[str]) -> list[str]:
+    """Names of disturbances, "all" for every one of them.
+
+    Raises:
+        ValueError: For a disturbance that there is not.
+    """
+    for name in names:
+        if name not in (*DISTURBANCES, "all"):
+            raise ValueError(f'unknown breaking point "{name}"; valid: {", ".join(DISTURBANCES)}, all')
+    return list(DISTURBANCES) if "all" in names else list(dict.fromkeys(names))
+
+
 def breaking_points(
     disturbances: Sequence[str],
     names: Sequence[str],
@@ -109,7 +121,7 @@ def breaking_points(
     """Find the breaking point of every estimator under every disturbance; finished ones are kept.
 
     Args:
-        disturbances: Keys of `DISTURBANCES`.
+        disturbances: Keys of `DISTURBANCES`, or "all".
         names: Names of estimators.
         seeds: Flights at each level; those of all estimators and levels have the same seeds.
         out: Folder of the results; files go to `out/breaking`.
@@ -126,9 +138,7 @@ def breaking_points(
         ValueError: For a disturbance that there is not.
         OSError: If the results cannot be written.
     """
-    for name in disturbances:
-        if name not in DISTURBANCES:
-            raise ValueError(f'unknown breaking point "{name}"; valid: {", ".join(DISTURBANCES)}')
+    disturbances = chosen(disturbances)
     changes = {"external": external, "duration_s": duration_s}
     changes = {key: value for key, value in changes.items() if value is not None}
     jobs = [(d, e, seeds, seed, rate_hz, changes) for d in disturbances for e in names]

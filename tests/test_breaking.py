@@ -71,7 +71,7 @@ def test_points_are_found_kept_and_loaded(tmp_path, brittle):
 
 
 def test_unknown_disturbance_is_named(tmp_path):
-    with pytest.raises(ValueError, match='unknown breaking point "rain"; valid: wind, bias, dropout'):
+    with pytest.raises(ValueError, match='unknown breaking point "rain"; valid: wind, bias, dropout, all'):
         breaking_points(["rain"], ["truth"], 1, tmp_path, code="")
 
 

@@ -80,6 +80,8 @@ def test_every_verb_has_help_of_its_own():
         (["fly", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "missing.toml"], "missing.toml"),
+        (["bench", "--scenario", "hover", "--breaking-point", "rain"], "rain"),
+        (["bench", "--scenario", "hover", "--external", "vicon"], "vicon"),
         (["report", "missing"], "missing"),
         (["inspect", "--weights", "missing.safetensors"], "missing.safetensors"),
     ],
@@ -154,3 +156,15 @@ def test_design_prints_gains_and_margins(quadsim):
 )
 def test_a_setting_is_read_as_toml_or_as_it_stands(text, pair):
     assert pair_of(text) == pair
+
+
+def test_bench_finds_breaking_points_and_reports_them_again(quadsim, tmp_path):
+    flown = ["--scenario", "hover", "--estimator", "truth", "--seeds", 1, "--duration", 0.5, "--workers", 1]
+    code, out, _ = quadsim("bench", *flown, "--breaking-point", "bias", "--out", tmp_path)
+    assert code == 0
+    assert "> 64" in out
+    assert {path.name for path in tmp_path.glob("*.csv")} == {"results.csv", "flights.csv", "breaking.csv"}
+    assert "Where they break" in (tmp_path / "report.html").read_text()
+    (tmp_path / "report.html").unlink()
+    assert quadsim("report", tmp_path)[0] == 0
+    assert "Where they break" in (tmp_path / "report.html").read_text()
