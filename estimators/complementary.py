@@ -11,33 +11,39 @@ from numba import njit
 from quadsim.rotation import roll_pitch_from_quat
 
 from .filters import Algorithm, Array, Parameter
-from .sample import COMMON, record, tilt_of_force_core, usable, wrap_core
+from .sample import LANES, by_lanes, by_rows, tilt_of_force_core, wrap_core
 
 CALM_RATE = 0.1
 """Body rate below which the adaptive filter leans on the accelerometer [rad/s]."""
 
-ROLL, PITCH, SIZE = COMMON, COMMON + 1, 2
+SIZE = 2
+
+
+@njit(forceinline=True, error_model="numpy")
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
+    """State: roll, pitch. Params: γ, and k_a for the adaptive one. See `filters` for the arguments."""
+    gamma, k_a = p[0, k], p[1, k] if p.shape[0] > 1 else 0.0
+    roll, pitch = s[0, k] + gx * dt, s[1, k] + gy * dt
+    acc_roll, acc_pitch = tilt_of_force_core(ax, ay, az)
+    d_roll, d_pitch = wrap_core(acc_roll - roll), acc_pitch - pitch
+    calm = k_a if gx * gx + gy * gy + gz * gz < CALM_RATE * CALM_RATE else 0.0
+    found = 1.0 if ax != 0.0 or ay != 0.0 or az != 0.0 else 0.0
+    roll += found * min(1.0 - gamma + calm * abs(d_roll), 1.0) * d_roll
+    pitch += found * min(1.0 - gamma + calm * abs(d_pitch), 1.0) * d_pitch
+    s[0, k], s[1, k] = wrap_core(roll), pitch
+    return s[0, k], pitch
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out, target, squared_error):
-    """Both filters; params: γ, and k_a for the adaptive one. See `filters` for the arguments."""
-    n, steps = gyro.shape[:2]
-    for row in range(states.shape[0]):
-        gamma = params[row // n, 0]
-        k_a = params[row // n, 1] if params.shape[1] > 1 else 0.0
-        s, i = states[row], row % n
-        for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable(s, dt, gyro, accel, i, t)
-            roll, pitch = s[ROLL] + gx * dt, s[PITCH] + gy * dt
-            if ax != 0.0 or ay != 0.0 or az != 0.0:
-                acc_roll, acc_pitch = tilt_of_force_core(ax, ay, az)
-                d_roll, d_pitch = wrap_core(acc_roll - roll), acc_pitch - pitch
-                calm = k_a if gx * gx + gy * gy + gz * gz < CALM_RATE * CALM_RATE else 0.0
-                roll += min(1.0 - gamma + calm * abs(d_roll), 1.0) * d_roll
-                pitch += min(1.0 - gamma + calm * abs(d_pitch), 1.0) * d_pitch
-            s[ROLL], s[PITCH] = wrap_core(roll), pitch
-            record(row, i, t, s[ROLL], pitch, out, target, squared_error)
+def sequence(states, params, dt, gyro, accel, out):
+    """See `filters`."""
+    by_rows(advance, False, states, params, dt, gyro, accel, out)
+
+
+@njit(cache=True, nogil=True)
+def score(states, params, dt, gyro, accel, target, squared_error):
+    """See `filters`."""
+    by_lanes(advance, LANES, False, states, params, dt, gyro, accel, target, squared_error)
 
 
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
@@ -47,11 +53,12 @@ def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
 _GAMMA = Parameter(0.998, 0.9, 1.0 - 1e-6, "one-minus-log", maximum=1.0, per_sample="memory")
 
 
-COMPLEMENTARY = Algorithm("complementary", {"gamma": _GAMMA}, sequence, SIZE, _start)
+COMPLEMENTARY = Algorithm("complementary", {"gamma": _GAMMA}, sequence, score, SIZE, _start)
 ADAPTIVE = Algorithm(
     "complementary-adaptive",
     {"gamma": _GAMMA, "k_a": Parameter(0.01, 1e-5, 1.0, per_sample="weight")},
     sequence,
+    score,
     SIZE,
     _start,
 )

@@ -9,93 +9,132 @@ covariance σ² / dt I. Noises are densities, so that the filter acts alike at a
 of the last two samples. `filterpy_filters` holds the same filter on filterpy's classes.
 """
 
-import numpy as np
 from numba import njit
 
-from quadsim.rotation import from_rotvec_core, normalize_core
+from quadsim.rotation import multiply_core, normalize_core
 
 from .filters import Algorithm, Array, Parameter
-from .sample import COMMON, record, roll_pitch_core, usable_between
+from .sample import LANES, by_lanes, by_rows, direction_core, exp_core, roll_pitch_core
 
 SIGMA_KNOWN = 0.01
 """Standard deviation of a known initial attitude [rad]."""
 SIGMA_UNKNOWN = 0.5
 """The same of one that is not known and taken as level [rad]."""
+NOTHING_KNOWN = 1e300
+"""Variance of a measurement that is missing."""
 
-QUAT, COVARIANCE, SIZE = COMMON, COMMON + 4, 20
-
-
-@njit
-def predict(q, P, F, FP, gx, gy, gz, dt, noise):
-    """Advance quaternion q (4,) and covariance P (4, 4) by one sample; F and FP are scratch (4, 4)."""
-    c, x, y, z = from_rotvec_core(gx * dt, gy * dt, gz * dt)
-    F[0, 0], F[0, 1], F[0, 2], F[0, 3] = c, -x, -y, -z
-    F[1, 0], F[1, 1], F[1, 2], F[1, 3] = x, c, z, -y
-    F[2, 0], F[2, 1], F[2, 2], F[2, 3] = y, -z, c, x
-    F[3, 0], F[3, 1], F[3, 2], F[3, 3] = z, y, -x, c
-    qw, qx, qy, qz = q[0], q[1], q[2], q[3]
-    for i in range(4):
-        q[i] = F[i, 0] * qw + F[i, 1] * qx + F[i, 2] * qy + F[i, 3] * qz
-        for j in range(4):
-            FP[i, j] = F[i, 0] * P[0, j] + F[i, 1] * P[1, j] + F[i, 2] * P[2, j] + F[i, 3] * P[3, j]
-    for i in range(4):
-        for j in range(i + 1):
-            P[i, j] = FP[i, 0] * F[j, 0] + FP[i, 1] * F[j, 1] + FP[i, 2] * F[j, 2] + FP[i, 3] * F[j, 3]
-            P[j, i] = P[i, j]
-        P[i, i] += noise
+SIZE = 20
 
 
 @njit
-def correct(q, P, H, dx, ax, ay, az, variance):
-    """Correct q (4,) and P (4, 4) by a specific force, axis by axis; H (3, 4) and dx (4,) are scratch.
+def four(s, first, k):
+    """Four columns of the state."""
+    return s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k]
 
-    The axes' noises are independent, so this equals the correction by all three at once.
+
+@njit
+def put_four(s, first, k, row):
+    """Write them."""
+    s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k] = row
+
+
+@njit
+def times(a, b):
+    """Product a ⊗ b of two tuples."""
+    return multiply_core(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
+
+
+@njit
+def dot(a, b):
+    """Inner product of two tuples."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+
+
+@njit
+def plus(a, scale, b):
+    """Sum a + scale b of two tuples."""
+    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2], a[3] + scale * b[3]
+
+
+@njit
+def predicted(P0, P1, P2, P3, step, noise):
+    """F P Fᵀ + noise I, from and to rows of P. F x = x ⊗ step, and P is symmetric: F (F P)ᵀ."""
+    A0, A1, A2, A3 = times(P0, step), times(P1, step), times(P2, step), times(P3, step)
+    w, x, y, z = (
+        times((A0[0], A1[0], A2[0], A3[0]), step),
+        times((A0[1], A1[1], A2[1], A3[1]), step),
+        times((A0[2], A1[2], A2[2], A3[2]), step),
+        times((A0[3], A1[3], A2[3], A3[3]), step),
+    )
+    return (
+        (w[0] + noise, w[1], w[2], w[3]),
+        (x[0], x[1] + noise, x[2], x[3]),
+        (y[0], y[1], y[2] + noise, y[3]),
+        (z[0], z[1], z[2], z[3] + noise),
+    )
+
+
+@njit(error_model="numpy")
+def corrected(P0, P1, P2, P3, dx, h, residual, variance):
+    """One scalar measurement of row h: the rows of P, and the error dx found so far, after it."""
+    column = (dot(P0, h), dot(P1, h), dot(P2, h), dot(P3, h))
+    gain = 1.0 / (dot(h, column) + variance)
+    dx = plus(dx, gain * (residual - dot(h, dx)), column)
+    return (
+        plus(P0, -gain * column[0], column),
+        plus(P1, -gain * column[1], column),
+        plus(P2, -gain * column[2], column),
+        plus(P3, -gain * column[3], column),
+        dx,
+    )
+
+
+@njit(forceinline=True, error_model="numpy")
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
+    """State: q, P by rows. Params: noise densities N of the rate [rad/√s], σ of the measured direction [√s].
+
+    The noises of the measurement's axes are independent, so that correcting by one after the other equals
+    correcting by all at once. A missing force has the variance of nothing known: a branch would keep the
+    compiler from vectors. See `filters` for the arguments.
     """
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    H[0, 0], H[0, 1], H[0, 2], H[0, 3] = -2.0 * y, 2.0 * z, -2.0 * w, 2.0 * x
-    H[1, 0], H[1, 1], H[1, 2], H[1, 3] = 2.0 * x, 2.0 * w, 2.0 * z, 2.0 * y
-    H[2, 0], H[2, 1], H[2, 2], H[2, 3] = 2.0 * w, -2.0 * x, -2.0 * y, 2.0 * z
-    scale = 1.0 / np.sqrt(ax * ax + ay * ay + az * az)
-    dx[:] = 0.0
-    for k in range(3):
-        if k == 0:
-            residual = ax * scale - 2.0 * (x * z - w * y)
-        elif k == 1:
-            residual = ay * scale - 2.0 * (y * z + w * x)
-        else:
-            residual = az * scale - (w * w - x * x - y * y + z * z)
-        residual -= H[k, 0] * dx[0] + H[k, 1] * dx[1] + H[k, 2] * dx[2] + H[k, 3] * dx[3]
-        p0 = P[0, 0] * H[k, 0] + P[0, 1] * H[k, 1] + P[0, 2] * H[k, 2] + P[0, 3] * H[k, 3]
-        p1 = P[1, 0] * H[k, 0] + P[1, 1] * H[k, 1] + P[1, 2] * H[k, 2] + P[1, 3] * H[k, 3]
-        p2 = P[2, 0] * H[k, 0] + P[2, 1] * H[k, 1] + P[2, 2] * H[k, 2] + P[2, 3] * H[k, 3]
-        p3 = P[3, 0] * H[k, 0] + P[3, 1] * H[k, 1] + P[3, 2] * H[k, 2] + P[3, 3] * H[k, 3]
-        total = H[k, 0] * p0 + H[k, 1] * p1 + H[k, 2] * p2 + H[k, 3] * p3 + variance
-        column = (p0, p1, p2, p3)
-        for i in range(4):
-            gain = column[i] / total
-            dx[i] += gain * residual
-            for j in range(4):
-                P[i, j] -= gain * column[j]
-    q[0], q[1], q[2], q[3] = normalize_core(w + dx[0], x + dx[1], y + dx[2], z + dx[3])
+    step = exp_core(gx * dt, gy * dt, gz * dt)
+    q = times(four(s, 0, k), step)
+    noise, found = 0.25 * p[0, k] * p[0, k] * dt, ax != 0.0 or ay != 0.0 or az != 0.0
+    variance = p[1, k] * p[1, k] / dt + (0.0 if found else NOTHING_KNOWN)
+    P0, P1, P2, P3 = predicted(four(s, 4, k), four(s, 8, k), four(s, 12, k), four(s, 16, k), step, noise)
+    ax, ay, az = direction_core(ax, ay, az)
+    w, x, y, z = q
+    dx, residual = (0.0, 0.0, 0.0, 0.0), ax - 2.0 * (x * z - w * y)
+    P0, P1, P2, P3, dx = corrected(
+        P0, P1, P2, P3, dx, (-2.0 * y, 2.0 * z, -2.0 * w, 2.0 * x), residual, variance
+    )
+    residual = ay - 2.0 * (y * z + w * x)
+    P0, P1, P2, P3, dx = corrected(
+        P0, P1, P2, P3, dx, (2.0 * x, 2.0 * w, 2.0 * z, 2.0 * y), residual, variance
+    )
+    residual = az - (w * w - x * x - y * y + z * z)
+    P0, P1, P2, P3, dx = corrected(
+        P0, P1, P2, P3, dx, (2.0 * w, -2.0 * x, -2.0 * y, 2.0 * z), residual, variance
+    )
+    q = normalize_core(w + dx[0], x + dx[1], y + dx[2], z + dx[3])
+    put_four(s, 0, k, q)
+    put_four(s, 4, k, P0)
+    put_four(s, 8, k, P1)
+    put_four(s, 12, k, P2)
+    put_four(s, 16, k, P3)
+    return roll_pitch_core(q[0], q[1], q[2], q[3])
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out, target, squared_error):
-    """Params: noise densities N of the rate [rad/√s], σ of the measured direction [√s]. See `filters`."""
-    n, steps = gyro.shape[:2]
-    F, FP, H, dx = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 4)), np.empty(4)
-    for row in range(states.shape[0]):
-        gyro_noise, accel_noise = params[row // n, 0], params[row // n, 1]
-        walk, variance = 0.25 * gyro_noise * gyro_noise * dt, accel_noise * accel_noise / dt
-        s, i = states[row], row % n
-        q, P = s[QUAT : QUAT + 4], s[COVARIANCE : COVARIANCE + 16].reshape(4, 4)
-        for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
-            predict(q, P, F, FP, gx, gy, gz, dt, walk)
-            if ax != 0.0 or ay != 0.0 or az != 0.0:
-                correct(q, P, H, dx, ax, ay, az, variance)
-            roll, pitch = roll_pitch_core(q[0], q[1], q[2], q[3])
-            record(row, i, t, roll, pitch, out, target, squared_error)
+def sequence(states, params, dt, gyro, accel, out):
+    """See `filters`."""
+    by_rows(advance, True, states, params, dt, gyro, accel, out)
+
+
+@njit(cache=True, nogil=True)
+def score(states, params, dt, gyro, accel, target, squared_error):
+    """See `filters`."""
+    by_lanes(advance, LANES, True, states, params, dt, gyro, accel, target, squared_error)
 
 
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
@@ -107,4 +146,4 @@ PARAMETERS = {
     "gyro_noise": Parameter(0.005, 1e-5, 0.3),
     "accel_noise": Parameter(0.05, 1e-3, 10.0, minimum=1e-9),
 }
-EKF = Algorithm("ekf", PARAMETERS, sequence, SIZE, _start, quat=slice(0, 4))
+EKF = Algorithm("ekf", PARAMETERS, sequence, score, SIZE, _start, quat=slice(0, 4))

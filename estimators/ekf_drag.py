@@ -30,7 +30,7 @@ from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 from .ekf import SIGMA_KNOWN, SIGMA_UNKNOWN
 from .eskf import turned
 from .filters import Algorithm, Array, Parameter
-from .sample import COMMON, record, roll_pitch_core, usable_between
+from .sample import COMMON, roll_pitch_core, usable_between, wrap_core
 
 ERRORS = 13
 QUAT, VELOCITY, WIND, BIAS, ACCEL_BIAS = COMMON, COMMON + 4, COMMON + 7, COMMON + 9, COMMON + 12
@@ -129,54 +129,76 @@ def correct_by_rest(P, dx, column, v, speed_variance, climb_variance):
         correct(P, dx, column, total + (climb_variance if k == 2 else speed_variance), -v[k] - found)
 
 
+@njit
+def advance(s, p, dt, gx, gy, gz, ax, ay, az, T, dx, column, walks):
+    """Take one sample; s is a vehicle's row, p its parameters, the last four are scratch."""
+    walks[0:2] = p[0] * p[0] * dt
+    walks[2:5] = ACCEL_NOISE * ACCEL_NOISE * dt
+    walks[5:7] = p[1] * p[1] * dt
+    walks[7:10] = p[6] * p[6] * dt
+    walks[10:13] = ACCEL_BIAS_WALK * ACCEL_BIAS_WALK * dt
+    v, w = s[VELOCITY : VELOCITY + 3], s[WIND : WIND + 2]
+    bias, c = s[BIAS : BIAS + 3], s[ACCEL_BIAS : ACCEL_BIAS + 3]
+    P = s[COVARIANCE : COVARIANCE + ERRORS * ERRORS].reshape(ERRORS, ERRORS)
+    dw, dqx, dqy, dqz = from_rotvec_core((gx - bias[0]) * dt, (gy - bias[1]) * dt, (gz - bias[2]) * dt)
+    qw, qx, qy, qz = multiply_core(s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3], dw, dqx, dqy, dqz)
+    matrix = matrix_core(qw, qx, qy, qz)
+    propagate(P, T, matrix, v, w, dt, walks)
+    dx[:] = 0.0
+    if ax != 0.0 or ay != 0.0 or az != 0.0:
+        fx, fy, fz = rotate_core(qw, qx, qy, qz, ax - c[0], ay - c[1], az - c[2])
+        v[0] += fx * dt
+        v[1] += fy * dt
+        v[2] += (fz - GRAVITY) * dt
+        speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
+        drag = math.sqrt(max(az, 0.0) / GRAVITY) / p[7] + p[8] * speed
+        correct_by_drag(P, dx, column, matrix, v, w, c, ax, ay, drag, p[2] * p[2] / dt)
+        correct_by_rest(P, dx, column, v, p[3] * p[3] / dt, p[4] * p[4] / dt)
+    qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
+    s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3] = qw, qx, qy, qz
+    rw, rx, ry, rz = from_rotvec_core(dx[0], dx[1], 0.0)
+    vx, vy, vz = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
+    wx, wy, _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
+    v[0], v[1], v[2] = vx + dx[2], vy + dx[3], vz + dx[4]
+    w[0], w[1] = wx + dx[5], wy + dx[6]
+    for k in range(3):
+        bias[k] += dx[7 + k]
+        c[k] += dx[10 + k]
+    return roll_pitch_core(qw, qx, qy, qz)
+
+
+@njit
+def scratch():
+    """Arrays for `advance`."""
+    return np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS)
+
+
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out, target, squared_error):
-    """Params as in `PARAMETERS`. See `filters` for the arguments."""
+def sequence(states, params, dt, gyro, accel, out):
+    """See `filters`."""
     n, steps = gyro.shape[:2]
-    dx, column, walks = np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS)
-    T = np.empty((ERRORS, ERRORS))
+    T, dx, column, walks = scratch()
     for row in range(states.shape[0]):
-        p = params[row // n]
-        walks[0:2] = p[0] * p[0] * dt
-        walks[2:5] = ACCEL_NOISE * ACCEL_NOISE * dt
-        walks[5:7] = p[1] * p[1] * dt
-        walks[7:10] = p[6] * p[6] * dt
-        walks[10:13] = ACCEL_BIAS_WALK * ACCEL_BIAS_WALK * dt
-        drag_variance, speed_variance, climb_variance = p[2] * p[2] / dt, p[3] * p[3] / dt, p[4] * p[4] / dt
-        drag_time, frame_drag = p[7], p[8]
-        s, i = states[row], row % n
-        v, w = s[VELOCITY : VELOCITY + 3], s[WIND : WIND + 2]
-        bias, c = s[BIAS : BIAS + 3], s[ACCEL_BIAS : ACCEL_BIAS + 3]
-        P = s[COVARIANCE : COVARIANCE + ERRORS * ERRORS].reshape(ERRORS, ERRORS)
+        s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
             gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
-            gx, gy, gz = (gx - bias[0]) * dt, (gy - bias[1]) * dt, (gz - bias[2]) * dt
-            dw, dqx, dqy, dqz = from_rotvec_core(gx, gy, gz)
-            qw, qx, qy, qz = multiply_core(s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3], dw, dqx, dqy, dqz)
-            matrix = matrix_core(qw, qx, qy, qz)
-            propagate(P, T, matrix, v, w, dt, walks)
-            dx[:] = 0.0
-            if ax != 0.0 or ay != 0.0 or az != 0.0:
-                fx, fy, fz = rotate_core(qw, qx, qy, qz, ax - c[0], ay - c[1], az - c[2])
-                v[0] += fx * dt
-                v[1] += fy * dt
-                v[2] += (fz - GRAVITY) * dt
-                speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
-                drag = math.sqrt(max(az, 0.0) / GRAVITY) / drag_time + frame_drag * speed
-                correct_by_drag(P, dx, column, matrix, v, w, c, ax, ay, drag, drag_variance)
-                correct_by_rest(P, dx, column, v, speed_variance, climb_variance)
-            qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
-            s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3] = qw, qx, qy, qz
-            rw, rx, ry, rz = from_rotvec_core(dx[0], dx[1], 0.0)
-            vx, vy, vz = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
-            wx, wy, _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
-            v[0], v[1], v[2] = vx + dx[2], vy + dx[3], vz + dx[4]
-            w[0], w[1] = wx + dx[5], wy + dx[6]
-            for k in range(3):
-                bias[k] += dx[7 + k]
-                c[k] += dx[10 + k]
-            roll, pitch = roll_pitch_core(qw, qx, qy, qz)
-            record(row, i, t, roll, pitch, out, target, squared_error)
+            out[row, t, 0], out[row, t, 1] = advance(s, p, dt, gx, gy, gz, ax, ay, az, T, dx, column, walks)
+
+
+@njit(cache=True, nogil=True)
+def score(states, params, dt, gyro, accel, target, squared_error):
+    """See `filters`; one set after the other: its covariance is too large to lie side by side."""
+    n, steps = gyro.shape[:2]
+    T, dx, column, walks = scratch()
+    for row in range(states.shape[0]):
+        s, p, i = states[row], params[row // n], row % n
+        total = 0.0
+        for t in range(steps):
+            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
+            roll, pitch = advance(s, p, dt, gx, gy, gz, ax, ay, az, T, dx, column, walks)
+            error = wrap_core(roll - target[i, t, 0]) ** 2 + (pitch - target[i, t, 1]) ** 2
+            total += error if math.isfinite(target[i, t, 0] + target[i, t, 1]) else 0.0
+        squared_error[row // n, i] = total
 
 
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
@@ -213,6 +235,7 @@ EKF_DRAG = Algorithm(
     "ekf-drag",
     PARAMETERS,
     sequence,
+    score,
     SIZE,
     _start,
     quat=slice(0, 4),

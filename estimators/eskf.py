@@ -14,91 +14,160 @@ magnitude is from gravity: σ² / dt (1 + (κ (|a| / g − 1))²).
 
 import math
 
-import numpy as np
 from numba import njit
 
-from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, normalize_core, rotate_core
+from quadsim.rotation import matrix_core, multiply_core, normalize_core, rotate_core
 from quadsim.vehicle import GRAVITY
 
-from .ekf import SIGMA_KNOWN, SIGMA_UNKNOWN
+from .ekf import NOTHING_KNOWN, SIGMA_KNOWN, SIGMA_UNKNOWN
 from .filters import Algorithm, Array, Parameter
-from .sample import COMMON, record, roll_pitch_core, usable_between
+from .sample import LANES, atan2_core, by_lanes, by_rows, exp_core, roll_pitch_core
 
-QUAT, BIAS, COVARIANCE, SIZE = COMMON, COMMON + 4, COMMON + 7, 32
+SIZE = 32
 
 
-@njit
+@njit(error_model="numpy")
 def tilt_core(x, y, z):
     """Rotation vector x, y [rad] that takes a world vector to the z axis the short way; any length."""
     across = math.sqrt(x * x + y * y)
-    scale = math.atan2(across, z) / across if across > 0.0 else 0.0
+    scale = atan2_core(across, z) / (across if across > 0.0 else 1.0)
     return y * scale, -x * scale
 
 
 @njit
 def turned(qw, qx, qy, qz, x, y):
     """The quaternion after a small rotation (x, y, 0) [rad] about world axes."""
-    rw, rx, ry, rz = from_rotvec_core(x, y, 0.0)
+    rw, rx, ry, rz = exp_core(x, y, 0.0)
     w, x, y, z = multiply_core(rw, rx, ry, rz, qw, qx, qy, qz)
     return normalize_core(w, x, y, z)
 
 
 @njit
-def propagate(P, qw, qx, qy, qz, dt, attitude_walk, bias_walk):
-    """P ← F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]], the rows and columns of θ one after the other."""
-    r00, r01, r02, r10, r11, r12, _, _, _ = matrix_core(qw, qx, qy, qz)
-    for j in range(5):
-        P[0, j] -= dt * (r00 * P[2, j] + r01 * P[3, j] + r02 * P[4, j])
-        P[1, j] -= dt * (r10 * P[2, j] + r11 * P[3, j] + r12 * P[4, j])
-    for i in range(5):
-        P[i, 0] -= dt * (r00 * P[i, 2] + r01 * P[i, 3] + r02 * P[i, 4])
-        P[i, 1] -= dt * (r10 * P[i, 2] + r11 * P[i, 3] + r12 * P[i, 4])
-    P[0, 0] += attitude_walk
-    P[1, 1] += attitude_walk
-    for i in range(2, 5):
-        P[i, i] += bias_walk
+def five(s, first, k):
+    """Five columns of the state."""
+    return s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k], s[first + 4, k]
+
+
+@njit
+def put_five(s, first, k, row):
+    """Write them."""
+    s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k], s[first + 4, k] = row
+
+
+@njit
+def plus(a, scale, b):
+    """Sum a + scale b of two tuples."""
+    return (
+        a[0] + scale * b[0],
+        a[1] + scale * b[1],
+        a[2] + scale * b[2],
+        a[3] + scale * b[3],
+        a[4] + scale * b[4],
+    )
+
+
+@njit
+def turned_by_bias(row, r, dt):
+    """One row of P Fᵀ from one of P: its θ less dt R̂ times its δb."""
+    return (
+        row[0] - dt * (r[0] * row[2] + r[1] * row[3] + r[2] * row[4]),
+        row[1] - dt * (r[3] * row[2] + r[4] * row[3] + r[5] * row[4]),
+        row[2], row[3], row[4],
+    )  # fmt: skip
+
+
+@njit
+def propagated(P0, P1, P2, P3, P4, r, dt, attitude_walk, bias_walk):
+    """F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]], from and to rows of P; r is R̂ by rows."""
+    P0 = plus(plus(plus(P0, -dt * r[0], P2), -dt * r[1], P3), -dt * r[2], P4)
+    P1 = plus(plus(plus(P1, -dt * r[3], P2), -dt * r[4], P3), -dt * r[5], P4)
+    P0, P1, P2, P3, P4 = (
+        turned_by_bias(P0, r, dt),
+        turned_by_bias(P1, r, dt),
+        turned_by_bias(P2, r, dt),
+        turned_by_bias(P3, r, dt),
+        turned_by_bias(P4, r, dt),
+    )
+    return (
+        (P0[0] + attitude_walk, P0[1], P0[2], P0[3], P0[4]),
+        (P1[0], P1[1] + attitude_walk, P1[2], P1[3], P1[4]),
+        (P2[0], P2[1], P2[2] + bias_walk, P2[3], P2[4]),
+        (P3[0], P3[1], P3[2], P3[3] + bias_walk, P3[4]),
+        (P4[0], P4[1], P4[2], P4[3], P4[4] + bias_walk),
+    )
+
+
+@njit(error_model="numpy")
+def corrected(P0, P1, P2, P3, P4, dx, column, residual, total):
+    """One measurement of an error of the state: the rows of P, and the error dx found so far, after it.
+
+    Args:
+        P0: Rows of P, like the next four.
+        P1: ...
+        P2: ...
+        P3: ...
+        P4: ...
+        dx: Error found so far.
+        column: Column of P that belongs to the error measured.
+        residual: Measured less dx.
+        total: Variance of the error and the measurement.
+    """
+    gain = 1.0 / total
+    return (
+        plus(P0, -gain * column[0], column),
+        plus(P1, -gain * column[1], column),
+        plus(P2, -gain * column[2], column),
+        plus(P3, -gain * column[3], column),
+        plus(P4, -gain * column[4], column),
+        plus(dx, gain * residual, column),
+    )
+
+
+@njit(forceinline=True, error_model="numpy")
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
+    """State: q, bias, P by rows. Params as in `PARAMETERS`. See `filters` for the arguments.
+
+    A missing specific force has the variance of nothing known: a branch would keep the compiler from vectors.
+    """
+    walk, bias_walk = p[0, k] * p[0, k] * dt, p[3, k] * p[3, k] * dt
+    bx, by, bz = s[4, k], s[5, k], s[6, k]
+    ew, ex, ey, ez = exp_core((gx - bx) * dt, (gy - by) * dt, (gz - bz) * dt)
+    qw, qx, qy, qz = multiply_core(s[0, k], s[1, k], s[2, k], s[3, k], ew, ex, ey, ez)
+    P0, P1, P2, P3, P4 = propagated(
+        five(s, 7, k), five(s, 12, k), five(s, 17, k), five(s, 22, k), five(s, 27, k),
+        matrix_core(qw, qx, qy, qz), dt, walk, bias_walk,
+    )  # fmt: skip
+    force = math.sqrt(ax * ax + ay * ay + az * az)
+    wx, wy, wz = rotate_core(qw, qx, qy, qz, ax, ay, az)
+    tilt_x, tilt_y = tilt_core(wx, wy, wz)
+    excess = p[2, k] * (force / GRAVITY - 1.0)
+    variance = p[1, k] * p[1, k] / dt * (1.0 + excess * excess) + (0.0 if force > 0.0 else NOTHING_KNOWN)
+    dx = (0.0, 0.0, 0.0, 0.0, 0.0)
+    column = (P0[0], P1[0], P2[0], P3[0], P4[0])
+    P0, P1, P2, P3, P4, dx = corrected(P0, P1, P2, P3, P4, dx, column, tilt_x, P0[0] + variance)
+    column = (P0[1], P1[1], P2[1], P3[1], P4[1])
+    P0, P1, P2, P3, P4, dx = corrected(P0, P1, P2, P3, P4, dx, column, tilt_y - dx[1], P1[1] + variance)
+    qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
+    bx, by, bz = bx + dx[2], by + dx[3], bz + dx[4]
+    s[0, k], s[1, k], s[2, k], s[3, k], s[4, k], s[5, k], s[6, k] = qw, qx, qy, qz, bx, by, bz
+    put_five(s, 7, k, P0)
+    put_five(s, 12, k, P1)
+    put_five(s, 17, k, P2)
+    put_five(s, 22, k, P3)
+    put_five(s, 27, k, P4)
+    return roll_pitch_core(qw, qx, qy, qz)
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out, target, squared_error):
-    """Params as in `PARAMETERS`. See `filters` for the arguments."""
-    n, steps = gyro.shape[:2]
-    dx, column = np.empty(5), np.empty(5)
-    for row in range(states.shape[0]):
-        gyro_noise, accel_noise, force_weight, bias_noise = params[row // n, :4]
-        walk, bias_walk = gyro_noise * gyro_noise * dt, bias_noise * bias_noise * dt
-        s, i = states[row], row % n
-        P = s[COVARIANCE : COVARIANCE + 25].reshape(5, 5)
-        for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
-            dw, dqx, dqy, dqz = from_rotvec_core(
-                (gx - s[BIAS]) * dt, (gy - s[BIAS + 1]) * dt, (gz - s[BIAS + 2]) * dt
-            )
-            qw, qx, qy, qz = multiply_core(s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3], dw, dqx, dqy, dqz)
-            propagate(P, qw, qx, qy, qz, dt, walk, bias_walk)
-            force = math.sqrt(ax * ax + ay * ay + az * az)
-            dx[:] = 0.0
-            if force > 0.0:
-                wx, wy, wz = rotate_core(qw, qx, qy, qz, ax, ay, az)
-                tilt = tilt_core(wx, wy, wz)
-                excess = force_weight * (force / GRAVITY - 1.0)
-                variance = accel_noise * accel_noise / dt * (1.0 + excess * excess)
-                for k in range(2):
-                    residual = tilt[k] - dx[k]
-                    total = P[k, k] + variance
-                    for j in range(5):
-                        column[j] = P[j, k]
-                    for a in range(5):
-                        gain = column[a] / total
-                        dx[a] += gain * residual
-                        for b in range(5):
-                            P[a, b] -= gain * column[b]
-            qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
-            s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3] = qw, qx, qy, qz
-            for k in range(3):
-                s[BIAS + k] += dx[2 + k]
-            roll, pitch = roll_pitch_core(qw, qx, qy, qz)
-            record(row, i, t, roll, pitch, out, target, squared_error)
+def sequence(states, params, dt, gyro, accel, out):
+    """See `filters`."""
+    by_rows(advance, True, states, params, dt, gyro, accel, out)
+
+
+@njit(cache=True, nogil=True)
+def score(states, params, dt, gyro, accel, target, squared_error):
+    """See `filters`."""
+    by_lanes(advance, LANES, True, states, params, dt, gyro, accel, target, squared_error)
 
 
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
@@ -118,4 +187,4 @@ PARAMETERS = {
 """Noise densities of the rate [rad/√s] and of the measured tilt [rad √s]; κ; noise density of the bias's walk
 [rad/s/√s] and standard deviation of the initial bias [rad/s]."""
 
-ESKF = Algorithm("eskf", PARAMETERS, sequence, SIZE, _start, quat=slice(0, 4), gyro_bias=slice(4, 7))
+ESKF = Algorithm("eskf", PARAMETERS, sequence, score, SIZE, _start, quat=slice(0, 4), gyro_bias=slice(4, 7))

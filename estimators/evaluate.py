@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,7 +15,7 @@ from quadsim.estimator import AttitudeEstimator
 
 from .flights import Flights, Initial, load_flights
 from .metrics import Summary, absolute_error, attitude_error, inclination_error, inclination_rmse
-from .protocol import create, run
+from .protocol import FILTERPY, create, missing_samples, run_quietly
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -28,6 +29,10 @@ SETTLED_DEG = 2.0
 """Inclination error below which an estimator counts as converged."""
 BLOCK_S = 0.5
 """Error over time is averaged over blocks of this length."""
+
+
+SLOW = FILTERPY
+"""Estimators that are hundreds of times as slow as the others, a Python object a vehicle."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,11 @@ class Row:
     mean_low_deg: float
     """Ends of the bootstrap 95 % confidence interval of the mean."""
     mean_high_deg: float
+    behind_deg: float
+    """Mean over sequences of the error less that of the best estimator with the same start."""
+    behind_low_deg: float
+    """Ends of the bootstrap interval of that: paired, so it is narrower than the means' own suggest."""
+    behind_high_deg: float
     inclination_rmse_deg: float
     """Mean over sequences of the inclination error's RMS."""
     settle_20_s: float
@@ -52,6 +62,15 @@ class Row:
     """The same from 45°."""
     runtime_ns: float
     """Run time per sample of `run` over all flights."""
+    flights: int
+    """Flights it was run on."""
+    missing: int
+    """Samples of these that were missing in part or whole, and bridged."""
+
+    @property
+    def tied(self) -> bool:
+        """Whether these flights cannot tell it from the best."""
+        return self.behind_low_deg <= 0.0
 
 
 @dataclass
@@ -85,13 +104,14 @@ def evaluate(
     initial: Sequence[Initial] = ("unknown", "known"),
     tuning: str | Path | None = None,
     settle_s: float = 40.0,
+    slow_flights: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Run estimators over the flights of a dataset and compare them with the truth.
 
     With a known start the estimator is told the attitude at the first sample and scored from the second on.
-    A network has no attitude to start from: its two rows differ by that one sample.
+    An estimator is compared with the best flight by flight: that difference tells more than two means.
 
     Args:
         dataset: Flights with gyro, accel, quat and the attribute rate_hz.
@@ -99,6 +119,7 @@ def evaluate(
         initial: Which rows to make.
         tuning: Parameters of the estimators given by name, as in `create`.
         settle_s: Time that an estimator started in a tilt is given to recover [s].
+        slow_flights: Flights that those in `SLOW` are run on; None for all.
         seed: Of the bootstrap and of the choice of those starts.
         progress: Called before every run.
 
@@ -110,24 +131,46 @@ def evaluate(
     made = estimators if isinstance(estimators, Mapping) else _made(estimators, rate_hz, tuning)
     result = Evaluation(time_s=_block_times(flights.gyro.shape[1], rate_hz), rate_hz=rate_hz)
     steps = min(round(settle_s * rate_hz), flights.gyro.shape[1])
-    pieces = {tilt: tilted_starts(flights, tilt, steps, seed) for tilt in TILTS_DEG}
-    for index, (name, est) in enumerate(made.items()):
-        if progress is not None:
-            progress(index, len(made), name)
-        run(est, flights.gyro[:, :2], flights.accel[:, :2], quat=flights.quat[:, :2])  # compiles
-        settle = {tilt: _settling(est, pieces[tilt]) for tilt in TILTS_DEG}
-        result.settling |= {(name, tilt): curve for tilt, curve in settle.items()}
-        times = [_time_below(curve) for curve in settle.values()]
+    measured: list[dict[str, Any]] = []
+    runs, done = len(made) * (len(TILTS_DEG) + len(initial)), 0
+    for name, est in made.items():
+        flown = flights.first(slow_flights) if slow_flights and name in SLOW else flights
+        run_quietly(est, flown.gyro[:, :2], flown.accel[:, :2], quat=flown.quat[:, :2])  # compiles
+        times = []
+        for tilt in TILTS_DEG:
+            if progress is not None:
+                progress(done, runs, name)
+            done += 1
+            result.settling[name, tilt] = _settling(est, tilted_starts(flown, tilt, steps, seed))
+            times.append(_time_below(result.settling[name, tilt]))
         for start in initial:
-            chosen = flights.known() if start == "known" else flights
+            if progress is not None:
+                progress(done, runs, name)
+            done += 1
+            chosen = flown.known() if start == "known" else flown
             begin = time.perf_counter()
             estimate = _run(est, chosen)
             runtime = (time.perf_counter() - begin) / chosen.truth[..., 0].size * 1e9
             error = attitude_error(estimate, chosen.truth)
-            rmse = inclination_rmse(estimate, chosen.truth).mean
-            result.rows.append(_row(name, start, error, rmse, times, runtime, seed))
             result.sequences[name, start] = error.sequences
             result.over_time[name, start] = _blocks(estimate, chosen.truth, result.time_s.size)
+            measured.append(
+                _errors(name, start, error, seed)
+                | {
+                    "inclination_rmse_deg": inclination_rmse(estimate, chosen.truth).mean,
+                    "settle_20_s": times[0],
+                    "settle_45_s": times[1],
+                    "runtime_ns": runtime,
+                    "flights": len(chosen.gyro),
+                    "missing": missing_samples(est),
+                }
+            )
+    if progress is not None:
+        progress(runs, runs, "")
+    for each in measured:
+        behind, low, high = _behind(result.sequences, each["estimator"], each["initial"], seed)
+        row = Row(**each, behind_deg=behind, behind_low_deg=low, behind_high_deg=high)
+        result.rows.append(row)
     return result
 
 
@@ -166,7 +209,7 @@ def _made(
 
 
 def _run(est: AttitudeEstimator, flights: Flights) -> Array:
-    return run(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)
+    return run_quietly(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)
 
 
 def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:
@@ -203,8 +246,28 @@ def _blocks(estimate: Array, truth: Array, blocks: int) -> Array:
     return np.stack([np.asarray(np.nanmean(part, axis=1), np.float64) for part in parts], axis=1)
 
 
-def _row(
-    name: str, start: str, error: Summary, rmse: float, times: list[float], runtime: float, seed: int
-) -> Row:
+def _errors(name: str, start: str, error: Summary, seed: int) -> dict[str, Any]:
     low, high = error.mean_interval(seed=seed)
-    return Row(name, start, error.median, error.mean, error.sd, low, high, rmse, times[0], times[1], runtime)
+    return {
+        "estimator": name,
+        "initial": start,
+        "median_deg": error.median,
+        "mean_deg": error.mean,
+        "sd_deg": error.sd,
+        "mean_low_deg": low,
+        "mean_high_deg": high,
+    }
+
+
+def _behind(
+    sequences: Mapping[tuple[str, str], Array], name: str, start: str, seed: int
+) -> tuple[float, float, float]:
+    """How far an estimator is behind the best of its start on the flights of both, with the interval."""
+    own = sequences[name, start]
+    rivals = {other: error for (other, at), error in sequences.items() if at == start and other != "truth"}
+    most = max((error.size for error in rivals.values()), default=0)
+    whole = [other for other, error in rivals.items() if error.size == most]
+    best = min(whole, key=lambda other: rivals[other].mean(), default=name)
+    common = min(own.size, sequences[best, start].size)
+    behind = Summary(own[:common] - sequences[best, start][:common])
+    return behind.mean, *behind.mean_interval(seed=seed)

@@ -1,17 +1,24 @@
 """Figures of the offline comparison. Each function returns a matplotlib figure that the caller saves."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from .evaluate import BLOCK_S, SETTLED_DEG, TILTS_DEG, Evaluation
 
 COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
+PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
+STYLES = ("-", "--", ":")
+"""The colours of a line come again after ten, with the next style."""
 
 
 def violins(evaluation: Evaluation) -> Figure:
     """Distribution over sequences of the mean absolute error, one violin an estimator and start."""
-    names = list(dict.fromkeys(row.estimator for row in evaluation.rows))
+    names = _shown(row.estimator for row in evaluation.rows)
     starts = list(dict.fromkeys(row.initial for row in evaluation.rows))
     figure = Figure(figsize=(1.5 + 0.9 * len(names), 4.2), layout="constrained")
     axes = figure.subplots()
@@ -27,6 +34,8 @@ def violins(evaluation: Evaluation) -> Figure:
         axes.plot([], [], color=COLOURS[start], linewidth=6.0, alpha=0.5, label=f"{start} start")
     axes.set_xticks(np.arange(len(names)), names, rotation=35, ha="right")
     axes.set(ylabel="mean absolute error of roll and pitch [°]", yscale="log")
+    axes.yaxis.set_major_formatter(PLAIN)
+    axes.yaxis.set_minor_formatter(PLAIN_FEW)
     axes.grid(axis="y", which="both", alpha=0.3)
     axes.legend(frameon=False)
     return figure
@@ -36,11 +45,12 @@ def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
     """Absolute error of roll and pitch over time: the median flight, and the middle half of the flights."""
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    for k, ((name, start), error) in enumerate(evaluation.over_time.items()):
-        if start != initial:
-            continue
+    for k, name in enumerate(_shown(name for name, start in evaluation.over_time if start == initial)):
+        error = evaluation.over_time[name, initial]
         low, middle, high = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
-        (line,) = axes.plot(evaluation.time_s, middle, label=name, linestyle="-" if k < 20 else "--")
+        (line,) = axes.plot(
+            evaluation.time_s, middle, label=name, color=f"C{k % 10}", linestyle=STYLES[k // 10]
+        )
         axes.fill_between(evaluation.time_s, low, high, color=line.get_color(), alpha=0.12, linewidth=0.0)
     _finish(axes, f"absolute error, {initial} start [°]")
     return figure
@@ -51,17 +61,24 @@ def settling(evaluation: Evaluation) -> Figure:
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     panels = figure.subplots(1, len(TILTS_DEG), sharey=True)
     for axes, tilt in zip(panels, TILTS_DEG, strict=True):
-        for (name, start), curve in evaluation.settling.items():
-            if start == tilt and curve.size > 0:
-                axes.plot((np.arange(curve.size) + 0.5) * BLOCK_S, curve, label=name, linewidth=1.0)
+        for k, name in enumerate(_shown(name for name, start in evaluation.settling if start == tilt)):
+            curve = evaluation.settling[name, tilt]
+            style = {"color": f"C{k % 10}", "linestyle": STYLES[k // 10], "linewidth": 1.0}
+            axes.plot((np.arange(curve.size) + 0.5) * BLOCK_S, curve, label=name, **style)
         axes.axhline(SETTLED_DEG, color="black", linewidth=0.8, linestyle=":")
         axes.set_title(f"started in a tilt of {tilt:.0f}°")
-        _finish(axes, "inclination error [°]")
+        _finish(axes, "inclination error [°]", legend=tilt == TILTS_DEG[-1])
     return figure
 
 
-def _finish(axes: Axes, label: str) -> None:
+def _shown(names: Iterable[str]) -> list[str]:
+    """Each name once, without the truth, whose error of nothing has no place on a logarithmic axis."""
+    return [name for name in dict.fromkeys(names) if name != "truth"]
+
+
+def _finish(axes: Axes, label: str, legend: bool = True) -> None:
     axes.set(xlabel="time [s]", ylabel=label, yscale="log")
+    axes.yaxis.set_major_formatter(PLAIN)
     axes.grid(which="both", alpha=0.3)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, ncols=2, fontsize="small")
+    if legend and axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))

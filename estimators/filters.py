@@ -1,12 +1,16 @@
 """Compiled filters: what an algorithm is, and the estimator that runs one on n vehicles.
 
-Every algorithm is one numba function that takes whole sequences, and a streaming `update` is a sequence of
-length 1, so both give the same numbers. Its arguments:
+An algorithm is one compiled step, `advance`, and two functions that loop over it, both of numba:
 
-    sequence(states, params, dt, gyro, accel, out, target, squared_error)
-
-    states (p·n, COMMON + size) and params (p, k): parameter set i flies flight j in row i·n + j; params in
-    the order of `Algorithm.parameters`. gyro, accel (n, T, 3). The last three are those of `sample.record`.
+    advance(s, p, k, dt, gx, gy, gz, ax, ay, az) -> roll, pitch
+        Takes one sample: body rate [rad/s], and specific force [m/s²], zero if it is missing. The state, size
+        numbers, is column k of s, and is updated; the parameters are column k of p.
+    sequence(states, params, dt, gyro, accel, out)
+        Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. states
+        (p·n, COMMON + size) and params (p, k): parameter set i flies flight j in row i·n + j; params in the
+        order of `Algorithm.parameters`. gyro, accel (n, T, 3); out (p·n, T, 2).
+    score(states, params, dt, gyro, accel, target, squared_error)
+        Only the sums of squared errors (p, n) [rad²] against target (n, T, 2), parameter sets side by side.
 """
 
 import math
@@ -24,9 +28,6 @@ from .sample import COMMON, SKIPPED, fresh
 
 Array = NDArray[np.float64]
 Scale = Literal["linear", "log", "one-minus-log"]
-
-NOT_STORED = np.empty((0, 0, 2))
-NOT_SUMMED = np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ class Algorithm:
     name: str
     parameters: Mapping[str, Parameter]
     sequence: Callable[..., None]
+    score: Callable[..., None]
     size: int
     """Columns of state after the common ones."""
     start: Callable[[Array, Array, bool, Array], None]
@@ -136,8 +138,7 @@ class Filter:
             )
         out = np.empty((self._shape[0], 1, 2))
         self._sequence(
-            self._states, self._params, self._dt, gyro.reshape(self._sample), accel.reshape(self._sample),
-            out, NOT_STORED, NOT_SUMMED,
+            self._states, self._params, self._dt, gyro.reshape(self._sample), accel.reshape(self._sample), out
         )  # fmt: skip
         return out[:, 0]
 
@@ -147,7 +148,7 @@ class Filter:
         if len(gyro) != self._shape[0]:
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {self._shape[0]}")
         out = np.empty((*gyro.shape[:2], 2))
-        self._sequence(self._states, self._params, self._dt, gyro, accel, out, NOT_STORED, NOT_SUMMED)
+        self._sequence(self._states, self._params, self._dt, gyro, accel, out)
         return out
 
     @property

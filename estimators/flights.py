@@ -38,6 +38,12 @@ class Flights:
         )
         return Flights(gyro, accel, quat, truth, self.rate_hz, self.truth[:, 0])
 
+    def first(self, count: int) -> "Flights":
+        """The first `count` flights."""
+        gyro, accel, quat, truth = (each[:count] for each in (self.gyro, self.accel, self.quat, self.truth))
+        start = None if self.start is None else self.start[:count]
+        return Flights(gyro, accel, quat, truth, self.rate_hz, start)
+
 
 def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Flights:
     """The first `count` flights of each dataset, or all, in double precision and with an unknown start.
@@ -51,10 +57,13 @@ def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Fl
         found = ", ".join(f"{steps} samples at {rate:g} Hz" for steps, rate in sorted(shapes))
         raise ValueError(f"datasets must agree in length and sample rate: {found}")
     gyro, accel, quat = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    return Flights(gyro, accel, quat, roll_pitch_from_quat(quat), parts[0][3])
+    truth = roll_pitch_from_quat(quat)
+    truth[~np.concatenate([part[4] for part in parts])] = np.nan
+    return Flights(gyro, accel, quat, truth, parts[0][3])
 
 
-def _arrays(dataset: xr.Dataset) -> tuple[Array, Array, Array, float]:
+def _arrays(dataset: xr.Dataset) -> tuple[Array, Array, Array, float, NDArray[np.bool_]]:
+    """Gyro, accel, quat, rate_hz, and which samples (n, T) were flown before the flight ended."""
     missing = [name for name in ("gyro", "accel", "quat") if name not in dataset]
     if "rate_hz" not in dataset.attrs:
         missing.append("rate_hz (an attribute)")
@@ -64,4 +73,7 @@ def _arrays(dataset: xr.Dataset) -> tuple[Array, Array, Array, float]:
         np.ascontiguousarray(dataset[name].transpose("flight", "time", ...).values, np.float64)
         for name in ("gyro", "accel", "quat")
     )
-    return gyro, accel, quat, float(dataset.attrs["rate_hz"])
+    flown = np.ones(gyro.shape[:2], np.bool_)
+    if "valid_steps" in dataset:
+        flown = np.arange(gyro.shape[1]) < dataset["valid_steps"].to_numpy()[:, None]
+    return gyro, accel, quat, float(dataset.attrs["rate_hz"]), flown

@@ -7,47 +7,45 @@ the specific force in body axes, and e = a × v̂:
     ḃ = −k_I e,    q̇ = ½ q ⊗ (0, ω − b̂ + k_P e)
 """
 
-import math
-
 from numba import njit
 
 from quadsim.rotation import multiply_core, normalize_core, rotate_inverse_core
 
 from .filters import Algorithm, Array, Parameter
-from .sample import COMMON, record, roll_pitch_core, usable
+from .sample import LANES, by_lanes, by_rows, direction_core, roll_pitch_core
 
-QUAT, BIAS, SIZE = COMMON, COMMON + 4, 7
+SIZE = 7
+
+
+@njit(forceinline=True, error_model="numpy")
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
+    """State: quaternion, bias. Params: k_P [rad/s], k_I [rad/s²]. See `filters` for the arguments."""
+    k_p, k_i = p[0, k], p[1, k]
+    qw, qx, qy, qz = s[0, k], s[1, k], s[2, k], s[3, k]
+    ax, ay, az = direction_core(ax, ay, az)
+    vx, vy, vz = rotate_inverse_core(qw, qx, qy, qz, 0.0, 0.0, 1.0)
+    ex, ey, ez = ay * vz - az * vy, az * vx - ax * vz, ax * vy - ay * vx
+    bx, by, bz = s[4, k] - k_i * ex * dt, s[5, k] - k_i * ey * dt, s[6, k] - k_i * ez * dt
+    dw, dx, dy, dz = multiply_core(
+        qw, qx, qy, qz, 0.0, gx - bx + k_p * ex, gy - by + k_p * ey, gz - bz + k_p * ez
+    )
+    h = 0.5 * dt
+    qw, qx, qy, qz = normalize_core(qw + h * dw, qx + h * dx, qy + h * dy, qz + h * dz)
+    s[0, k], s[1, k], s[2, k], s[3, k] = qw, qx, qy, qz
+    s[4, k], s[5, k], s[6, k] = bx, by, bz
+    return roll_pitch_core(qw, qx, qy, qz)
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out, target, squared_error):
-    """Params: k_P [rad/s], k_I [rad/s²]. See `filters` for the arguments."""
-    n, steps = gyro.shape[:2]
-    for row in range(states.shape[0]):
-        k_p, k_i = params[row // n, 0], params[row // n, 1]
-        s, i = states[row], row % n
-        for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable(s, dt, gyro, accel, i, t)
-            qw, qx, qy, qz = s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3]
-            ex = ey = ez = 0.0
-            force = math.sqrt(ax * ax + ay * ay + az * az)
-            if force > 0.0:
-                vx, vy, vz = rotate_inverse_core(qw, qx, qy, qz, 0.0, 0.0, 1.0)
-                ex = (ay * vz - az * vy) / force
-                ey = (az * vx - ax * vz) / force
-                ez = (ax * vy - ay * vx) / force
-            s[BIAS] -= k_i * ex * dt
-            s[BIAS + 1] -= k_i * ey * dt
-            s[BIAS + 2] -= k_i * ez * dt
-            dw, dx, dy, dz = multiply_core(
-                qw, qx, qy, qz,
-                0.0, gx - s[BIAS] + k_p * ex, gy - s[BIAS + 1] + k_p * ey, gz - s[BIAS + 2] + k_p * ez,
-            )  # fmt: skip
-            h = 0.5 * dt
-            qw, qx, qy, qz = normalize_core(qw + h * dw, qx + h * dx, qy + h * dy, qz + h * dz)
-            s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3] = qw, qx, qy, qz
-            roll, pitch = roll_pitch_core(qw, qx, qy, qz)
-            record(row, i, t, roll, pitch, out, target, squared_error)
+def sequence(states, params, dt, gyro, accel, out):
+    """See `filters`."""
+    by_rows(advance, False, states, params, dt, gyro, accel, out)
+
+
+@njit(cache=True, nogil=True)
+def score(states, params, dt, gyro, accel, target, squared_error):
+    """See `filters`."""
+    by_lanes(advance, LANES, False, states, params, dt, gyro, accel, target, squared_error)
 
 
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
@@ -58,6 +56,7 @@ MAHONY = Algorithm(
     "mahony",
     {"k_p": Parameter(1.0, 1e-3, 10.0), "k_i": Parameter(0.3, 1e-6, 1.0)},
     sequence,
+    score,
     SIZE,
     _start,
     quat=slice(0, 4),

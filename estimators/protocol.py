@@ -16,7 +16,7 @@ from .complementary import ADAPTIVE, COMPLEMENTARY
 from .ekf import EKF
 from .ekf_drag import EKF_DRAG, drag_of
 from .eskf import ESKF
-from .filters import NOT_SUMMED, Algorithm, Filter, Parameter, checked, paired, start
+from .filters import Algorithm, Filter, Parameter, checked, paired, start
 from .madgwick import MADGWICK
 from .mahony import MAHONY
 from .truth import Truth
@@ -120,18 +120,39 @@ def run(
     Raises:
         ValueError: For shapes that do not fit, or an estimator that observes the truth and is given none.
     """
+    out = run_quietly(est, gyro, accel, roll_pitch, quat)
+    skipped = missing_samples(est)
+    if skipped > 0:
+        logger.warning(
+            "%d of %d samples were missing; the estimator went on from its prediction",
+            skipped,
+            out[..., 0].size,
+        )
+    return out
+
+
+def run_quietly(
+    est: AttitudeEstimator,
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    roll_pitch: ArrayLike | None = None,
+    quat: ArrayLike | None = None,
+) -> Array:
+    """`run`, for a caller that reports `missing_samples` itself."""
     gyro, accel = paired(gyro, accel)
     est.reset(len(gyro), roll_pitch=roll_pitch)
     observe = getattr(est, "observe", None)
     sequence = getattr(est, "sequence", None)
     if observe is not None:
-        out = _run_observing(est, observe, gyro, accel, quat)
-    elif sequence is not None:
-        out = sequence(gyro, accel)
-    else:
-        out = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(gyro.shape[1])], axis=1)
-    _report_skipped(est, gyro.shape[1])
-    return out
+        return _run_observing(est, observe, gyro, accel, quat)
+    if sequence is not None:
+        return sequence(gyro, accel)
+    return np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(gyro.shape[1])], axis=1)
+
+
+def missing_samples(est: AttitudeEstimator) -> int:
+    """Samples of all vehicles since `reset` that were missing in part or whole."""
+    return int(np.sum(getattr(est, "skipped", 0)))
 
 
 def run_batch(
@@ -162,8 +183,7 @@ def run_batch(
     matrix = parameter_matrix(name, params, rate_hz)
     states = start(COMPILED[name], matrix, len(gyro), roll_pitch)
     out = np.empty((len(states), gyro.shape[1], 2))
-    none = np.empty((len(gyro), 0, 2))
-    COMPILED[name].sequence(states, matrix, 1.0 / rate_hz, gyro, accel, out, none, NOT_SUMMED)
+    COMPILED[name].sequence(states, matrix, 1.0 / rate_hz, gyro, accel, out)
     return out.reshape(len(matrix), *gyro.shape[:2], 2)
 
 
@@ -241,11 +261,3 @@ def _run_observing(
         observe(truth[:, t])
         out[:, t] = est.update(gyro[:, t], accel[:, t])
     return out
-
-
-def _report_skipped(est: AttitudeEstimator, steps: int) -> None:
-    skipped = np.asarray(getattr(est, "skipped", 0))
-    if skipped.sum() > 0:
-        total = int(skipped.sum())
-        logger.warning("%d of %d samples were missing; the estimator went on from its prediction", total,
-                       steps * skipped.size)  # fmt: skip

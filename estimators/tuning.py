@@ -24,7 +24,8 @@ from .ekf_drag import drag_of
 from .filters import start
 from .flights import Flights, Initial, load_flights
 from .metrics import absolute_error
-from .protocol import COMPILED, parameter_matrix, parameters, run_batch
+from .protocol import COMPILED, FILTERPY, names, parameter_matrix, parameters, run_batch
+from .sample import LANES
 from .tuned import Tuned, load_tuning, to_toml
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ Progress = Callable[[int, int, float], None]
 
 PENALTY = 10.0
 """Added to the cost of a position outside the unit cube."""
+CHUNK = 2 * LANES
+"""Parameter sets that a thread takes at a time: few, so that all threads end together."""
 FIRST_SPEED = 0.1
 """Initial velocities of the swarm are even in ± this."""
 
@@ -63,21 +66,21 @@ def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flight
     if name not in COMPILED:
         return np.concatenate([_error_of_run(name, sets, flights, k) for k in range(p)])
     matrix = parameter_matrix(name, sets, flights.rate_hz)
-    chunks = np.array_split(matrix, min(workers, p))
-    with ThreadPoolExecutor(len(chunks)) as pool:
+    chunks = np.split(matrix, range(CHUNK, p, CHUNK))
+    with ThreadPoolExecutor(workers) as pool:
         return np.concatenate(list(pool.map(lambda chunk: _error_of_sets(name, chunk, flights), chunks)))
 
 
 def _error_of_sets(name: str, matrix: Array, flights: Flights) -> Array:
-    """All parameter sets × flights in one compiled call that keeps only sums and no interpreter lock."""
+    """Parameter sets × flights in one compiled call that keeps only sums and no interpreter lock."""
     n = len(flights.gyro)
     states = start(COMPILED[name], matrix, n, flights.start)
-    total, nothing = np.zeros(len(states)), np.empty((len(states), 0, 2))
-    COMPILED[name].sequence(
-        states, matrix, 1.0 / flights.rate_hz, flights.gyro, flights.accel, nothing, flights.truth, total
+    total = np.empty((len(matrix), n))
+    COMPILED[name].score(
+        states, matrix, 1.0 / flights.rate_hz, flights.gyro, flights.accel, flights.truth, total
     )
-    scored = np.isfinite(flights.truth).sum(axis=(1, 2))
-    return (total.reshape(-1, n) / scored).mean(axis=1)
+    scored = np.isfinite(flights.truth).all(axis=-1).sum(axis=1) * 2
+    return (total / scored).mean(axis=1)
 
 
 def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k: int) -> Array:
@@ -228,6 +231,15 @@ def tune(
     )
 
 
+def tunable() -> list[str]:
+    """Every estimator worth tuning; filterpy's are left to `write_tuning`."""
+    return [
+        name
+        for name in names()
+        if name not in FILTERPY and any(each.searched for each in parameters(name).values())
+    ]
+
+
 def known_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
     """Parameters known of the vehicle and its IMU rather than searched, from the dataset's configuration."""
     if name != "ekf-drag" or "config" not in dataset.attrs:
@@ -243,6 +255,8 @@ def known_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
 def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
     """Put one estimator's table into a tuning file; the other tables of the file stay.
 
+    The table of ekf is also that of filterpy's filters, whose model it has and which are far slower.
+
     Args:
         path: TOML file, made if it is not there.
         name: Estimator.
@@ -250,5 +264,9 @@ def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
         comment: Text for the top of the file.
     """
     tables = load_tuning(path) if path.exists() else {}
+    tables |= {name: tuned}
+    if name == "ekf":
+        shared = tuned.model_copy(update={"command": f"the values of ekf: {tuned.command}"})
+        tables |= dict.fromkeys(FILTERPY, shared)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(to_toml(tables | {name: tuned}, comment), encoding="utf-8")
+    path.write_text(to_toml(tables, comment), encoding="utf-8")

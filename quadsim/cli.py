@@ -5,11 +5,12 @@ fast.
 """
 
 import logging
+import math
 import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -35,6 +36,8 @@ dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_
 app.add_typer(dataset_app, name="dataset")
 app.add_typer(logs_app, name="logs")
 
+Initial = Literal["unknown", "known"]
+Search = Literal["swarm", "evolution"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
@@ -285,34 +288,40 @@ def tune(
     out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it are kept.")],
     particles: Annotated[int, typer.Option(min=2, help="Parameter sets tried at once.")] = 100,
     iterations: Annotated[int, typer.Option(min=1, help="How often.")] = 50,
-    flights: Annotated[int | None, typer.Option(min=1, help="Flights to use; all when left out.")] = None,
+    flights: Annotated[
+        int | None, typer.Option(min=1, help="Flights of each dataset to use; all when left out.")
+    ] = None,
+    initial: Annotated[
+        Initial, typer.Option(help="Whether the filter is told the attitude it starts at.")
+    ] = "unknown",
     search: Annotated[
-        str, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
+        Search, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
     ] = "swarm",
     threads: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
     seed: Seed = 0,
 ) -> None:
     """Tune a filter on recorded flights with the paper's particle swarm.
 
+    The command is written beside the parameters. With all, filterpy's two filters take the parameters of ekf,
+    whose model they have.
+
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """
-    from estimators import names, parameters
+    from estimators.tuning import tunable, write_tuning
     from estimators.tuning import tune as tune_filter
-    from estimators.tuning import write_tuning
 
     from .dataset import open_dataset
 
-    if search not in ("swarm", "evolution"):
-        raise ValueError(f"search is {search!r}; choose swarm or evolution")
     flown = [open_dataset(path) for path in data]
-    shown = " ".join(f"--data {path}" for path in data)
-    tunable = [name for name in names() if any(each.searched for each in parameters(name).values())]
-    for name in tunable if estimator == "all" else [estimator]:
-        command = f"quadsim tune --estimator {name} {shown} --particles {particles} --iterations {iterations}"
+    options = [f"--data {path}" for path in data]
+    options += [f"--particles {particles} --iterations {iterations}"]
+    options += [f"--flights {flights}"] * (flights is not None)
+    options += [f"--initial {initial} --search {search} --seed {seed} --out {out}"]
+    for name in tunable() if estimator == "all" else [estimator]:
         with progress_bar(f"tune {name}", "iterations") as bar:
 
             def progress(iteration: int, total: int, cost: float, bar: Bar = bar) -> None:
-                bar(iteration, total, f"best {cost:.3g} rad²")
+                bar(iteration, total, f"best {math.degrees(math.sqrt(cost)):.3f}° RMSE ({cost:.3g} rad²)")
 
             tuned = tune_filter(
                 name,
@@ -320,14 +329,16 @@ def tune(
                 particles=particles,
                 iterations=iterations,
                 seed=seed,
+                initial=initial,
                 flights=flights,
                 search=search,
                 workers=threads,
-                command=command,
+                command=f"quadsim tune --estimator {name} {' '.join(options)}",
                 progress=progress,
             )
         write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")
-        console.print(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {tuned.values}", soft_wrap=True)
+        values = ", ".join(f"{key} {value:.4g}" for key, value in tuned.values.items())
+        console.print(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {values}", soft_wrap=True)
 
 
 @app.command()
@@ -353,6 +364,9 @@ def evaluate(
     tuning: Annotated[
         str | None, typer.Option(help="Tuned parameters: a shipped domain or a TOML file.")
     ] = None,
+    slow_flights: Annotated[
+        int, typer.Option(min=1, help="Flights for filterpy's filters, hundreds of times as slow as others.")
+    ] = 4,
     out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the report.")] = Path(
         "reports/evaluate"
     ),
@@ -360,7 +374,8 @@ def evaluate(
 ) -> None:
     """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
 
-    Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html; of
+    Each is also compared with the best one flight by flight; those that the flights cannot tell from it are
+    tied. Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html; of
     real logs logs.csv and a picture each, with a row "level" that shows how hard the log is.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
@@ -373,42 +388,57 @@ def evaluate(
         evaluate_logs(logs, estimator, weights or [], within, axes, tuning, out)
         return
     assert data is not None
-    from dataclasses import asdict
-
     import estimators
     from estimators import figures
     from estimators.evaluate import evaluate as evaluate_estimators
     from scenarios.report import write_report
-    from scenarios.summary import evaluation_table
+    from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
 
     from .dataset import open_dataset
 
     flown = open_dataset(data)
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate_estimators(
-            flown, estimator or estimators.names(), tuning=tuning, seed=seed, progress=bar
+            flown,
+            estimator or estimators.names(),
+            tuning=tuning,
+            slow_flights=slow_flights,
+            seed=seed,
+            progress=bar,
         )
     done.write_csv(out / "evaluation.csv")
+    pictures = {}
     for name, draw in (
         ("violins", figures.violins),
         ("error-over-time", figures.error_over_time),
         ("convergence", figures.settling),
     ):
-        draw(done).savefig(out / f"{name}.png", dpi=130)
-    rows = [asdict(row) for row in done.rows]
+        pictures[name] = out / f"{name}.png"
+        draw(done).savefig(pictures[name], dpi=130)
     caption = f"{flown.sizes['flight']} flights of {data}, without a loop."
+    notes = evaluation_notes(done.rows)
     page = write_report(
         out / "report.html",
         title="Attitude estimators on recorded flights",
-        offline=rows,
-        offline_caption=caption,
+        offline=evaluation_columns(done.rows),
+        offline_caption=" ".join([caption, *notes]),
+        footer=EVALUATION_METHOD,
+        pictures=pictures,
         csv=["evaluation.csv"],
     )
     console.print(evaluation_table(done.rows, caption))
+    for note in notes:
+        console.print(note, soft_wrap=True)
     flying = [row for row in done.rows if row.initial == "unknown" and row.estimator != "truth"]
-    best = min(flying, key=lambda row: row.mean_deg)
+    if not flying:
+        console.print(f"{page}", soft_wrap=True)
+        return
+    best = min(flying, key=lambda row: row.behind_deg)
+    tied = [row.estimator for row in flying if row.tied and row is not best and row.flights == best.flights]
     console.print(
         f"{page}: the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
+        + (f", not told apart from {', '.join(tied)}" if tied else ""),
+        soft_wrap=True,
     )
 
 

@@ -52,7 +52,7 @@ def rotate_inverse_core(qw, qx, qy, qz, x, y, z):
     return rotate_core(qw, -qx, -qy, -qz, x, y, z)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def normalize_core(qw, qx, qy, qz):
     """Scale a quaternion that is not zero to length 1."""
     scale = 1.0 / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
@@ -103,7 +103,7 @@ def from_euler_core(roll, pitch, yaw):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def from_rotvec_core(x, y, z):
     """Exponential map: the rotation by the angle |v| [rad] about v."""
     angle = math.sqrt(x * x + y * y + z * z)

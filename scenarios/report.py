@@ -32,6 +32,7 @@ def write_report(
     title: str = "Which attitude estimator to fly",
     offline: Sequence[Mapping[str, object]] = (),
     offline_caption: str = "Estimators run over recorded flights, without a loop.",
+    pictures: Mapping[str, Path] | None = None,
     still: Picture | None = None,
     csv: Sequence[str] = (),
     pairs: Sequence[Row] = (),
@@ -47,6 +48,7 @@ def write_report(
         title: Heading.
         offline: Rows of the table of recorded flights, with the key "estimator"; other keys become columns.
         offline_caption: What those flights are.
+        pictures: PNG files to show below that table, by title.
         still: Picture for the top.
         csv: Files beside the report to link to.
         pairs: Paired differences, as in `pairs.paired_differences`.
@@ -73,6 +75,10 @@ def write_report(
         "breaking": _breaking(points),
         "offline": _offline_table(offline),
         "offline_caption": offline_caption,
+        "pictures": {
+            name.replace("-", " "): base64.b64encode(each.read_bytes()).decode()
+            for name, each in (pictures or {}).items()
+        },
         "still": still
         and base64.b64encode(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)).decode(),
         "still_caption": still.caption if still else "",

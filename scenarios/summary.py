@@ -13,7 +13,7 @@ from estimators.evaluate import Row as Evaluated
 from .breaking import DISTURBANCES, Breaking
 from .offline import Row
 from .runner import Results
-from .verdict import verdict
+from .verdict import TRUTH, verdict
 
 
 def closed_loop_table(results: Results) -> Table:
@@ -48,10 +48,10 @@ def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
     table.add_column("estimator", no_wrap=True)
     table.add_column("start", no_wrap=True)
-    for heading in ("median °", "mean ° (95 %)", "SD °", "20°→2° s", "45°→2° s", "ns"):
+    for heading in ("median°", "mean° (95 %)", "SD°", "behind the best°", "20→2° s", "45→2° s", "ns"):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        settling = ["never" if math.isnan(s) else f"{s:.2f}" for s in (row.settle_20_s, row.settle_45_s)]
+        settling = ["never" if math.isnan(s) else f"{s:.1f}" for s in (row.settle_20_s, row.settle_45_s)]
         mean = f"{row.mean_deg:.2f} ({row.mean_low_deg:.2f}–{row.mean_high_deg:.2f})"
         table.add_row(
             row.estimator,
@@ -59,10 +59,63 @@ def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
             f"{row.median_deg:.2f}",
             mean,
             f"{row.sd_deg:.2f}",
+            behind(row),
             *settling,
             f"{row.runtime_ns:.0f}",
         )
     return table
+
+
+def behind(row: Evaluated) -> str:
+    """The paired difference to the best estimator, with its interval."""
+    if row.estimator == TRUTH:
+        return "–"
+    if row.behind_low_deg == row.behind_high_deg == 0.0:
+        return "the best"
+    text = f"{row.behind_deg:.2f} ({row.behind_low_deg:.2f}–{row.behind_high_deg:.2f})"
+    return f"tied {text}" if row.tied else text
+
+
+def evaluation_columns(rows: Sequence[Evaluated]) -> list[dict[str, object]]:
+    """The rows as a page shows them."""
+    return [
+        {
+            "estimator": row.estimator,
+            "start": row.initial,
+            "median_deg": row.median_deg,
+            "mean_deg": row.mean_deg,
+            "95 % interval": f"{row.mean_low_deg:.2f}–{row.mean_high_deg:.2f}",
+            "sd_deg": row.sd_deg,
+            "behind the best": behind(row),
+            "inclination_rmse_deg": row.inclination_rmse_deg,
+            "20° to 2° [s]": None if math.isnan(row.settle_20_s) else row.settle_20_s,
+            "45° to 2° [s]": None if math.isnan(row.settle_45_s) else row.settle_45_s,
+            "runtime_us": row.runtime_ns / 1e3,
+        }
+        for row in rows
+    ]
+
+
+EVALUATION_METHOD = (
+    "Errors are the mean absolute error of roll and pitch of each flight; median, mean and SD are over "
+    "flights, the interval of the mean is a bootstrap's, 95 %. Behind the best: the paired difference of each"
+    " flight to the best estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
+    "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never."
+)
+
+
+def evaluation_notes(rows: Sequence[Evaluated]) -> list[str]:
+    """What the table does not say by itself."""
+    notes = []
+    most = max(row.flights for row in rows)
+    fewer = {row.estimator: row.flights for row in rows if row.flights < most}
+    if fewer:
+        flights = ", ".join(f"{name} on the first {count}" for name, count in fewer.items())
+        notes.append(f"Slow ones were run on fewer flights: {flights}; --slow-flights changes that.")
+    missing = max(row.missing for row in rows)
+    if missing > 0:
+        notes.append(f"{missing} samples were missing; estimators went on from their predictions there.")
+    return notes
 
 
 def offline_table(rows: Sequence[Row]) -> Table:

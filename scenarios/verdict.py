@@ -56,7 +56,8 @@ def verdict(rows: Sequence[Row], focus: str = "") -> Verdict:
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
-    """The same for recorded flights alone: the smallest error."""
+    """The same for recorded flights alone: the smallest error from a start that is not known."""
+    rows = [row for row in rows if row.get("start") != "known"] or rows
     for key in ("mean_deg", "median_deg"):
         rated = {
             str(row["estimator"]): value for row in rows if isinstance(value := row.get(key), int | float)

@@ -13,6 +13,7 @@ from estimators.figures import error_over_time, settling, violins
 from estimators.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
 from quadsim.rotation import roll_pitch_from_quat
+from scenarios.summary import evaluation_notes
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +40,28 @@ def test_rows_hold_what_the_metrics_say(evaluation, flights):
         assert row.mean_low_deg <= row.mean_deg <= row.mean_high_deg
         np.testing.assert_array_equal(evaluation.sequences["mahony", start], error.sequences)
     assert rows["mahony", "known"].runtime_ns > 0.0
+
+
+def test_an_estimator_is_compared_with_the_best_flight_by_flight(evaluation):
+    rows = {(row.estimator, row.initial): row for row in evaluation.rows}
+    for start in ("unknown", "known"):
+        means = {name: rows[name, start].mean_deg for name in ("mahony", "eskf")}
+        best, other = sorted(means, key=lambda name: means[name])
+        assert (rows[best, start].behind_low_deg, rows[best, start].behind_high_deg) == (0.0, 0.0)
+        assert rows[other, start].behind_deg == pytest.approx(means[other] - means[best])
+        assert rows[other, start].behind_low_deg <= rows[other, start].behind_deg
+
+
+def test_slow_estimators_are_run_on_fewer_flights_and_missing_samples_are_counted(flights, caplog):
+    gyro = flights.gyro.values.copy()
+    gyro[0, 100:103] = np.nan
+    part = flights.assign(gyro=(flights.gyro.dims, gyro)).isel(time=slice(400))
+    done = evaluate(part, ["mahony", "ekf-filterpy"], initial=("unknown",), settle_s=0.5, slow_flights=1)
+    assert [(row.flights, row.missing) for row in done.rows] == [(4, 3), (1, 3)]
+    assert done.sequences["ekf-filterpy", "unknown"].shape == (1,)
+    assert not caplog.records  # the table says it once
+    assert any("3 samples were missing" in note for note in evaluation_notes(done.rows))
+    assert any("ekf-filterpy on the first 1" in note for note in evaluation_notes(done.rows))
 
 
 def test_error_over_time_averages_to_the_sequence_error(evaluation):

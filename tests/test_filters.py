@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from estimators import create, names, parameters, run, run_batch
 from estimators.metrics import attitude_error, inclination_error
+from estimators.sample import atan2_core, exp_core, sincos_core
 from quadsim.rotation import (
     quat_from_euler,
     quat_from_rotvec,
@@ -108,6 +109,16 @@ def test_vqf_runs_as_its_authors_package(flights):
     theirs = VQF(1.0 / 200.0).updateBatch(gyro[0], accel[0])["quat6D"]
     ours = run(create("vqf", 200.0, **VQF_DEFAULTS), gyro, accel)
     np.testing.assert_array_equal(ours[0], roll_pitch_from_quat(theirs))
+
+
+def test_inline_functions_of_angles_equal_the_library_s():
+    angles = np.concatenate([np.linspace(-20.0, 20.0, 4001), [0.0, -0.0, 1e-9, np.pi, -np.pi, np.pi / 2]])
+    for x in angles:
+        np.testing.assert_allclose(sincos_core(x), (np.sin(x), np.cos(x)), rtol=0.0, atol=3e-16)
+        rotation = x * np.array([0.6, 0.0, -0.8])
+        np.testing.assert_allclose(exp_core(*rotation), quat_from_rotvec(rotation), rtol=0.0, atol=3e-16)
+        y, z = np.sin(x), np.cos(x)
+        np.testing.assert_allclose(atan2_core(y, z), np.arctan2(y, z), rtol=4e-16)
 
 
 # --- every filter -----------------------------------------------------------------------------------

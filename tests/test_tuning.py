@@ -6,8 +6,9 @@ import pytest
 from estimators import create, parameters, run_batch
 from estimators.flights import load_flights
 from estimators.metrics import absolute_error
+from estimators.protocol import COMPILED
 from estimators.tuned import load_tuning
-from estimators.tuning import PENALTY, evolution, mean_squared_error, swarm, tune, write_tuning
+from estimators.tuning import PENALTY, evolution, mean_squared_error, swarm, tunable, tune, write_tuning
 
 
 def bowl(x):
@@ -60,6 +61,29 @@ def test_cost_is_the_mean_squared_error_averaged_over_flights(flights):
     np.testing.assert_allclose(cost, np.nanmean(error**2, axis=(2, 3)).mean(axis=1), rtol=1e-12)
 
 
+@pytest.mark.parametrize("name", list(COMPILED))
+def test_sets_scored_side_by_side_are_those_run_one_by_one(flights, name):
+    """18 sets leave lanes empty; samples are missing in every way; both starts."""
+    data = load_flights([flights.isel(time=slice(400))], 2)
+    data.gyro[0, 100:103], data.accel[0, 150], data.accel[1, 200:210] = np.nan, np.nan, 0.0
+    searched = {key: each for key, each in parameters(name).items() if each.searched}
+    rng = np.random.default_rng(0)
+    sets = {key: each.at(rng.uniform(0.2, 0.8, 18)) for key, each in searched.items()}
+    for start in (data, data.known()):
+        cost = mean_squared_error(name, sets, start, workers=2)
+        estimate = run_batch(name, sets, start.gyro, start.accel, start.rate_hz, start.start)
+        error = np.radians(absolute_error(estimate, start.truth[None].repeat(18, 0)))
+        np.testing.assert_allclose(cost, (error**2).mean(axis=(1, 2, 3)), rtol=1e-9)
+
+
+def test_samples_after_the_end_of_a_flight_are_not_scored(flights):
+    ended = flights.assign(valid_steps=("flight", np.array([4000, 1000, 4000, 4000])))
+    data = load_flights([ended])
+    assert np.isnan(data.truth[1, 1000:]).all()
+    assert np.isfinite(data.truth[1, :1000]).all()
+    assert np.isfinite(mean_squared_error("mahony", {"k_p": [0.3]}, data)).all()
+
+
 def test_cost_does_not_depend_on_the_number_of_workers(flights):
     data = load_flights([flights], 2).known()
     gains = {"beta": np.geomspace(1e-3, 1.0, 5)}
@@ -97,6 +121,16 @@ def test_tuned_file_is_what_create_reads(flights, tmp_path):
     assert create("mahony", tuning=path, k_p=0.5).values["k_p"] == 0.5
     with pytest.raises(ValueError, match=r"no table \[ekf\]; it has mahony, madgwick"):
         create("ekf", tuning=path)
+
+
+def test_filterpys_filters_take_the_values_of_ekf(flights, tmp_path):
+    path = tmp_path / "mine.toml"
+    write_tuning(path, "ekf", tune("ekf", [flights], particles=4, iterations=1, flights=1), "")
+    tables = load_tuning(path)
+    assert set(tables) == {"ekf", "ekf-filterpy", "ukf-filterpy"}
+    assert tables["ukf-filterpy"].values == tables["ekf"].values
+    assert "ekf" in tunable()
+    assert "ukf-filterpy" not in tunable()
 
 
 def test_gain_of_a_sample_is_carried_over_to_another_rate(tmp_path, flights):
