@@ -317,7 +317,7 @@ def _fly(
             yield dataset_store.fly_batch(plan, folder, batch)
     else:
         context = multiprocessing.get_context("spawn")  # no threads or locks are inherited half way
-        with ProcessPoolExecutor(min(workers, len(batches)), context, _end_with_parent) as pool:
+        with ProcessPoolExecutor(min(workers, len(batches)), context, end_with_parent) as pool:
             yield from _completed(pool, plan, folder, batches)
 
 
@@ -333,7 +333,7 @@ def _completed(
             future.cancel()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Let a worker die with its parent, and quietly at Ctrl-C; half a flight leaves nothing behind."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()

@@ -11,6 +11,7 @@ from quadsim.cli import app, main, pair_of
 VERBS = [
     "generate",
     "train",
+    "kfold",
     "tune",
     "evaluate",
     "fly",
@@ -74,6 +75,8 @@ def test_every_verb_has_help_of_its_own():
         (["train", "--data", "missing.zarr", "--out", "run"], "missing.zarr"),
         (["train", "--data", "missing.zarr", "--out", "run", "--preset", "wurst"], "wurst"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epochs"], "name=value"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--set", "epoch=1"], "there are model, data"),
+        (["kfold", "--domain", "missing.zarr", "--out", "run"], "missing.zarr"),
         (["tune", "--estimator", "mahony", "--data", "missing.zarr", "--out", "x.toml"], "missing.zarr"),
         (["evaluate", "--data", "missing.zarr"], "missing.zarr"),
         (["fly", "hoover"], "hover"),

@@ -234,3 +234,30 @@ def test_tuning_goes_on_from_weights_and_says_whether_it_helped(dataset, tmp_pat
         train(data=dataset, out=tmp_path / "none", preset="tune")
     with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-snn"):
         train(data=dataset, out=tmp_path / "none", init="att-ssn")
+
+
+def test_a_run_that_stopped_early_has_nothing_left_to_do(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "finished", lambda losses: "enough" if len(losses) >= 2 else None)
+    choices = TINY | {"stop_early": True}
+    first = train(data=dataset, out=tmp_path / "run", **choices)
+    log = (tmp_path / "run" / "log.csv").read_text()
+    again = train(data=dataset, out=tmp_path / "run", **choices)
+    assert first == again
+    assert again.reason == "enough"
+    assert (tmp_path / "run" / "log.csv").read_text() == log
+
+
+def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tmp_path, monkeypatch):
+    def spoil(self):
+        self.w_out.data[:] = float("nan")
+
+    rows = []
+
+    def after_one(epoch, config):
+        rows.append(epoch)
+        monkeypatch.setattr(loop.AttSNN, "constrain", spoil)
+
+    result = train(data=dataset, out=tmp_path / "run", progress=after_one, **TINY | {"batches": 1})
+    assert result.reason == "the weights are not finite after epoch 1"
+    assert (result.best.epoch, len(rows)) == (0, 1)
+    load_network(result.weights)

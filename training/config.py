@@ -23,6 +23,10 @@ class TrainConfig(Strict):
     """Datasets to train on."""
     validation: tuple[str, ...] = ()
     """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
+    folds: int = Field(default=0, ge=0)
+    """Parts into which the flights of `data` are dealt, one of them held out as a test; 0: none is."""
+    fold: int = Field(default=0, ge=0)
+    """The part that is held out, counted from 0."""
     seed: int = 0
     """Of the initial weights, the split, the windows and the sensor errors."""
     preset: Literal["paper", "best", "robust", "tune"] = "paper"
@@ -165,7 +169,10 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
     for name in choices:
         if name not in TrainConfig.model_fields:
             near = difflib.get_close_matches(name, TrainConfig.model_fields, 1, 0.0)
-            raise ValueError(f"training has no field {name!r}, the nearest is {near[0]!r}")
+            raise ValueError(
+                f"training has no field {name!r}, the nearest is {near[0]!r}; "
+                f"there are {', '.join(TrainConfig.model_fields)}"
+            )
     values = PRESETS[preset] | (RNN_BEST if preset == "best" and choices.get("model") == "att-rnn" else {})
     for name in ("data", "validation"):
         if isinstance(choices.get(name), str | Path):

@@ -112,6 +112,24 @@ def split(flights: int, seed: int, shares: tuple[float, float, float] = (0.7, 0.
     return [np.sort(order[: -last - middle]), np.sort(order[-last - middle : -last]), np.sort(order[-last:])]
 
 
+def fold_split(flights: int, folds: int, fold: int, seed: int) -> list[NDArray]:
+    """Ids of the training, validation and test flights of one fold: the test flights are its part of all.
+
+    Two ninths of the others choose the epoch, as in the 70/20/10 of `split`.
+
+    Raises:
+        ValueError: Fewer than two folds, no such fold, or too few flights for as many.
+    """
+    if folds < 2 or not 0 <= fold < folds:
+        raise ValueError(f"fold {fold} of {folds}: there must be at least 2, counted from 0")
+    if flights < max(folds, 3):
+        raise ValueError(f"{folds} folds need at least {max(folds, 3)} flights, got {flights}")
+    parts = np.array_split(np.random.default_rng(np.random.SeedSequence(seed)).permutation(flights), folds)
+    others = np.concatenate(parts[:fold] + parts[fold + 1 :])
+    chosen = max(1, round(len(others) * 2 / 9))
+    return [np.sort(others[chosen:]), np.sort(others[:chosen]), np.sort(parts[fold])]
+
+
 @dataclass(frozen=True)
 class Batch:
     """One window of every stream: measurements (n, T, 3) and roll, pitch (n, T, 2), float32."""

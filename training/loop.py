@@ -27,7 +27,7 @@ from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scal
 from estimators.weights_file import NetworkConfig, Tensors, save_network
 
 from .config import TrainConfig, make_config
-from .data import Batch, Flights, load_flights, split, windows
+from .data import Batch, Flights, fold_split, load_flights, split, windows
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, start_from_data, start_from_weights, start_like_the_paper
 from .optim import Lookahead
@@ -112,6 +112,8 @@ class _Run:
                 raise FloatingPointError(f"the loss is {square} at epoch {number}, update {k}")
             squares.append(square)
             rates.append(spikes)
+        if not all(bool(p.isfinite().all()) for p in self.model.parameters()):
+            raise FloatingPointError(f"the weights are not finite after epoch {number}")
         mse, error, settled = self.validate()
         return Epoch(
             epoch=number,
@@ -196,19 +198,27 @@ def train(
         ValueError: A bad choice or dataset, or another run's folder.
         FileNotFoundError: A dataset is not there.
     """
-    config = make_config(preset, model=model, data=data, **choices)
-    out = Path(out)
-    flights, validation = _flights(config)
-    _claim(out, config)
-    run = _Run(config, flights, validation)
-    before = run.validate() if config.init else None
-    if (out / "checkpoint.pt").is_file():
-        run.restore(torch.load(out / "checkpoint.pt", weights_only=True))
-    reason = _go_on(run, out, progress)
-    if not run.history:
+    return run(make_config(preset, model=model, data=data, **choices), Path(out), progress)
+
+
+def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Result:
+    """As `train`, from a whole configuration."""
+    flights, validation, _ = flights_of(config)
+    claim(out, config)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(config.threads)  # the result must not depend on the machine's number of cores
+    try:
+        state = _Run(config, flights, validation)
+        before = state.validate() if config.init else None
+        if (out / "checkpoint.pt").is_file():
+            state.restore(torch.load(out / "checkpoint.pt", weights_only=True))
+        reason = _go_on(state, out, progress)
+    finally:
+        torch.set_num_threads(threads)
+    if not state.history:
         raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
-    _plot(out, run.history)
-    best = min(run.history, key=lambda epoch: epoch.val_mse)
+    _plot(out, state.history)
+    best = min(state.history, key=lambda epoch: epoch.val_mse)
     weights = out / "best.safetensors"
     if before is None:
         return Result(weights, best, reason)
@@ -251,17 +261,17 @@ def _go_on(run: _Run, out: Path, progress: Progress | None) -> str:
     config = run.config
     try:
         while len(run.history) < config.epochs:
+            losses = [e.val_mse for e in run.history]
+            if config.stop_early and (reason := finished(losses)):
+                return reason
             epoch = run.one_epoch()
             run.history.append(epoch)
             if epoch.val_mse <= min(e.val_mse for e in run.history):
                 _save_best(run, out, epoch)
-            _replace(out / "checkpoint.pt", lambda path: torch.save(run.checkpoint(), path))
+            replace(out / "checkpoint.pt", lambda path: torch.save(run.checkpoint(), path))
             _write_log(out, run.history)
             if progress:
                 progress(epoch, config)
-            losses = [e.val_mse for e in run.history]
-            if config.stop_early and (reason := finished(losses)):
-                return reason
     except KeyboardInterrupt:
         return "interrupted"
     except FloatingPointError as error:
@@ -283,15 +293,24 @@ def _save_best(run: _Run, out: Path, epoch: Epoch) -> None:
     }
     with run.optimiser.evaluated():
         network, tensors = exported(run.model, run.config, run.flights.rate_hz, note)
-    _replace(out / "best.safetensors", lambda path: save_network(path, network, tensors))
+    replace(out / "best.safetensors", lambda path: save_network(path, network, tensors))
 
 
-def _flights(config: TrainConfig) -> tuple[Flights, Flights]:
+def flights_of(config: TrainConfig) -> tuple[Flights, Flights, Flights]:
+    """The flights to train on, to choose the best epoch by, and to test on (of `data`; none held out: empty).
+
+    Raises:
+        ValueError: Too few flights, or datasets that do not go together.
+    """
     flights = load_flights(config.data)
-    if config.validation:
-        return flights, load_flights(config.validation)
-    train_ids, val_ids, _ = split(len(flights), config.seed)
-    return flights.select(train_ids), flights.select(val_ids)
+    if config.folds:
+        parts = fold_split(len(flights), config.folds, config.fold, config.seed)
+    elif config.validation:
+        return flights, load_flights(config.validation), flights.select([])
+    else:
+        parts = split(len(flights), config.seed)
+    train, validation, test = (flights.select(ids) for ids in parts)
+    return train, load_flights(config.validation) if config.validation else validation, test
 
 
 def _new_model(config: TrainConfig) -> Model:
@@ -352,13 +371,17 @@ def _learning_rate(config: TrainConfig, update: int) -> float:
     return config.optimiser_lr * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
 
 
-def _claim(out: Path, config: TrainConfig) -> None:
-    """Make the folder this run's; refuse one of a run with another configuration."""
+def claim(out: Path, config: TrainConfig) -> None:
+    """Make the folder this run's.
+
+    Raises:
+        ValueError: It holds a run with another configuration.
+    """
     out.mkdir(parents=True, exist_ok=True)
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file() and TrainConfig.model_validate_json(file.read_text()) != config:
         raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
-    _replace(file, lambda path: path.write_text(text))
+    replace(file, lambda path: path.write_text(text))
 
 
 def _write_log(out: Path, history: list[Epoch]) -> None:
@@ -368,7 +391,7 @@ def _write_log(out: Path, history: list[Epoch]) -> None:
             writer.writeheader()
             writer.writerows(asdict(epoch) for epoch in history)
 
-    _replace(out / "log.csv", write)
+    replace(out / "log.csv", write)
 
 
 def _plot(out: Path, history: list[Epoch]) -> None:
@@ -385,7 +408,7 @@ def _plot(out: Path, history: list[Epoch]) -> None:
     figure.savefig(out / "curve.png", dpi=150, bbox_inches="tight")
 
 
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
+def replace(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file so that it is either the old one or whole."""
     part = path.with_name(path.name + ".part")
     write(part)
