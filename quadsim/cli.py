@@ -41,7 +41,10 @@ Search = Literal["swarm", "evolution"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
 Preset = Annotated[
-    str, typer.Option(help="paper: its recipe to the letter; best: ours, the one to use; robust: rough sensors; tune: your logs.")
+    str,
+    typer.Option(
+        help="paper: its recipe to the letter; best: ours, the one to use; robust: rough sensors; tune: your logs."
+    ),
 ]
 Fields = Annotated[
     list[str] | None,
