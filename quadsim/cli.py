@@ -43,7 +43,7 @@ Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one 
 Preset = Annotated[
     str,
     typer.Option(
-        help="paper: its recipe to the letter; best: ours, the one to use; robust: rough sensors; tune: your logs."
+        help="paper: its recipe to the letter; best: the one to use; robust: rough sensors; tune: logs."
     ),
 ]
 Fields = Annotated[
