@@ -646,23 +646,74 @@ def inspect(
     weights: Annotated[
         Path | None, typer.Option(help="Weights of an Att-SNN; the ones that ship when left out.")
     ] = None,
+    data: Annotated[
+        list[Path] | None, typer.Option(help="Dataset to watch the neurons on; give it again for more.")
+    ] = None,
     profiles: Annotated[
         int | None, typer.Option(min=3, help="Share this many decay profiles among all neurons first.")
     ] = None,
+    prune: Annotated[
+        float | None, typer.Option(min=0.01, max=0.95, help="Remove this share of the neurons, training on.")
+    ] = None,
+    train_data: Annotated[
+        list[Path] | None, typer.Option("--train", help="With --prune: dataset to train on; --data chooses.")
+    ] = None,
+    criterion: Annotated[
+        str, typer.Option(help="With --prune: activity, magnitude, contribution or random.")
+    ] = "activity",
+    stages: Annotated[int, typer.Option(min=1, help="With --prune: steps to get there.")] = 3,
+    epochs: Annotated[int, typer.Option(min=1, help="With --prune: epochs of training after each.")] = 10,
+    out: Annotated[Path, typer.Option(help="Folder for figures, page and pruned weights.")] = Path(
+        "reports/inspect"
+    ),
+    seed: Seed = 0,
 ) -> None:
-    """Look inside a spiking network: where its neurons go on the chip, and what they take there.
+    """Look inside a spiking network: its place on the chip, its spikes, what they encode and cost.
 
-    Example: quadsim inspect --profiles 32
+    Without --data: the chip's cores alone. With it: rates, raster, membranes, ablation, manipulated inputs,
+    tuning curves and energy, as pictures and a page. With --prune also a smaller network, trained on.
+
+    Example: quadsim inspect --data data/val.zarr
     """
-    from estimators.inspection import load_spiking
-    from scenarios.summary import cores_table
+    from estimators.flights import load_flights
+    from estimators.inspection import inspect as look_inside
+    from estimators.inspection import load_spiking, write_page
+    from estimators.networks import OnLoihi
+    from scenarios.summary import cores_table, plain_table, stages_table
 
-    name, network = load_spiking(weights, profiles)
-    console.print(cores_table(network.cores))
-    console.print(
-        f"{name}: {sum(network.chip.sizes)} neurons on {len(network.cores)} of a chip's 128 cores",
-        soft_wrap=True,
-    )
+    from .dataset import open_dataset
+
+    name, config, tensors = load_spiking(weights, profiles)
+    core = OnLoihi(config, tensors)
+    console.print(cores_table(core.cores))
+    last = f"{name}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
+    if data:
+        flights = load_flights([open_dataset(path) for path in data])
+        with progress_bar("inspect", "parts") as bar:
+            found = look_inside(name, config, tensors, flights, bar)
+        console.print(plain_table(found.summary()))
+        last = f"{write_page(out, found)}: {last}, error {found.responses['intact'].error_deg:.2f}°"
+    if prune is not None:
+        from training.pruning import prune as prune_network
+
+        if not data or not train_data:
+            raise ValueError("--prune needs --train, datasets to train on, and --data, datasets to choose by")
+        with progress_bar("prune", "epochs") as bar:
+            done = prune_network(
+                tuple(map(str, train_data)),
+                tuple(map(str, data)),
+                out / "prune",
+                prune,
+                stages,
+                criterion,
+                weights,
+                lambda epoch, run: bar(epoch.epoch + 1, run.epochs, f"{epoch.val_error_deg:.2f}°"),
+                epochs=epochs,
+                seed=seed,
+            )
+        console.print(stages_table(done))
+        last = f"{done[-1].weights}: {100 * done[-1].removed:.0f} % removed, {done[-1].tuned_deg:.2f}°"
+    console.print(last, soft_wrap=True)
 
 
 @app.command()

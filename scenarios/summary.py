@@ -9,6 +9,7 @@ from rich.text import Text
 
 from estimators.chip import LIMITS, Core
 from estimators.evaluate import Row as Evaluated
+from estimators.pruning import Pruned
 
 from .breaking import DISTURBANCES, Breaking
 from .offline import Row
@@ -145,6 +146,25 @@ def cores_table(cores: Sequence[Core]) -> Table:
     for number, core in enumerate(cores):
         layers = ", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items())
         table.add_row(str(number), layers, *map(str, core.used().values()))
+    return table
+
+
+def plain_table(rows: Sequence[tuple[str, str]]) -> Table:
+    """What and how much, a line each."""
+    table = Table(show_header=False, box=SIMPLE)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def stages_table(stages: Sequence[Pruned]) -> Table:
+    """A network pruned step by step: its size, and its error after the cut and after training on."""
+    table = Table("removed", "neurons", title="Pruned: error of roll and pitch from an unknown start, °")
+    for heading in ("parameters", "after the cut", "trained on"):
+        table.add_column(heading, justify="right")
+    for each in stages:
+        sizes = f"{100 * each.removed:.0f} %", f"{each.encoding} + {each.hidden}", f"{each.parameters}"
+        table.add_row(*sizes, f"{each.cut_deg:.2f}", f"{each.tuned_deg:.2f}")
     return table
 
 

@@ -146,6 +146,18 @@ def test_inspect_shows_where_the_neurons_go(quadsim):
     assert "202 neurons on 1 of a chip's 128 cores" in out
 
 
+def test_inspect_leaves_pictures_and_a_page(quadsim, dataset, tmp_path):
+    code, out, _ = quadsim("inspect", "--data", dataset, "--out", "inside")
+    assert code == 0
+    assert "gyro removed" in out
+    found = {path.name for path in (tmp_path / "inside").iterdir()}
+    pictures = {f"{name}.png" for name in ("rates", "raster", "membranes", "ablation", "inputs", "tuning")}
+    assert found == pictures | {"inspection.html"}
+    code, _, err = quadsim("inspect", "--prune", 0.4)
+    assert code == 2
+    assert "--train" in err
+
+
 def test_design_prints_gains_and_margins(quadsim):
     code, out, _ = quadsim("design", "--vehicle", "px4-quad")
     assert code == 0

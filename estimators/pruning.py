@@ -1,0 +1,113 @@
+"""Networks without some of their neurons: which to leave out, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .activity import Activity
+from .flights import Flights
+from .metrics import attitude_error
+from .networks import NetworkEstimator, Spiking
+from .weights_file import NetworkConfig, Tensors
+
+Array = NDArray[np.float64]
+CRITERIA = ("activity", "magnitude", "contribution", "random")
+
+
+@dataclass(frozen=True)
+class Pruned:
+    """A network on the way, errors on the validation flights from an unknown start."""
+
+    removed: float
+    """Share of the neurons of encoding and hidden layer that are gone."""
+    encoding: int
+    hidden: int
+    parameters: int
+    cut_deg: float
+    """Error right after the cut."""
+    tuned_deg: float
+    """Error after training on."""
+    weights: Path
+
+
+def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> tuple[Array, Array]:
+    """How much each neuron of the encoding and of the hidden layer matters; the least goes first.
+
+    activity: its spike rate. magnitude: the root sum of squares of the weights it sends out. contribution:
+    that times the standard deviation of its spikes, √(r (1 − r)), for a neuron that is always silent or
+    always on says nothing. random: drawn, to compare with.
+
+    Raises:
+        ValueError: No such criterion.
+    """
+    rates = activity.of_layer(activity.rates, 0), activity.of_layer(activity.rates, 1)
+    outgoing = (["w_ff"], ["w_rec", "w_out"])
+    sizes = [
+        np.sqrt(sum((tensors[name].astype(np.float64) ** 2).sum(axis=0) for name in names))
+        for names in outgoing
+    ]
+    rng = np.random.default_rng(seed)
+    values = {
+        "activity": rates,
+        "magnitude": sizes,
+        "contribution": [size * np.sqrt(rate * (1 - rate)) for size, rate in zip(sizes, rates, strict=True)],
+        "random": [rng.permutation(rate.size).astype(np.float64) for rate in rates],
+    }
+    if by not in values:
+        raise ValueError(f"criterion is {by!r}; choose {', '.join(CRITERIA)}")
+    first, second = values[by]
+    return first, second
+
+
+def without(
+    config: NetworkConfig, tensors: Tensors, keep: Sequence[NDArray[np.int64]]
+) -> tuple[NetworkConfig, Tensors]:
+    """The network of the neurons that are kept, indices of the encoding and of the hidden layer."""
+    encoding, hidden = (np.sort(np.asarray(ids, dtype=np.int64)) for ids in keep)
+    smaller = {
+        "w_in": tensors["w_in"][encoding],
+        "w_ff": tensors["w_ff"][np.ix_(hidden, encoding)],
+        "w_rec": tensors["w_rec"][np.ix_(hidden, hidden)],
+        "w_out": tensors["w_out"][:, hidden],
+        **{name: tensors[name][encoding] for name in ("syn0", "mem0")},
+        **{name: tensors[name][hidden] for name in ("syn1", "mem1")},
+        **{name: tensors[name] for name in ("syn2", "mem2")},
+    }
+    return config.model_copy(update={"encoding": encoding.size, "hidden": hidden.size}), smaller
+
+
+def pruned(
+    config: NetworkConfig, tensors: Tensors, values: Sequence[Array], fraction: float
+) -> tuple[NetworkConfig, Tensors]:
+    """The network without the least important fraction of both layers; at least one neuron stays in each.
+
+    Raises:
+        ValueError: A fraction outside [0, 1).
+    """
+    if not 0.0 <= fraction < 1.0:
+        raise ValueError(f"fraction: {fraction}, should be in [0, 1)")
+    keep = [np.argsort(-each, kind="stable")[: max(1, round(each.size * (1 - fraction)))] for each in values]
+    return without(config, tensors, keep)
+
+
+def ablation(
+    config: NetworkConfig,
+    tensors: Tensors,
+    values: Sequence[Array],
+    fractions: Sequence[float],
+    flights: Flights,
+) -> Array:
+    """Mean error [deg] with each fraction of the neurons removed, nothing trained again, (fractions,)."""
+    return np.array([error_deg(*pruned(config, tensors, values, each), flights) for each in fractions])
+
+
+def error_deg(config: NetworkConfig, tensors: Tensors, flights: Flights) -> float:
+    """Mean absolute error of roll and pitch from an unknown start [deg]."""
+    est = NetworkEstimator(Spiking(config, tensors), config.rate_hz)
+    est.reset(len(flights.gyro))
+    return attitude_error(est.sequence(flights.gyro, flights.accel), flights.truth).mean

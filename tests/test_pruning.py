@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from estimators.activity import record
+from estimators.encoding_study import manipulations, preferred, responses, tuning_curves
+from estimators.flights import load_flights
+from estimators.networks import NetworkEstimator, OnLoihi, Spiking
+from estimators.pruning import CRITERIA, ablation, error_deg, importance, pruned, without
+from estimators.weights_file import shipped_network
+from quadsim.dataset import generate
+from quadsim.recipe import flight_config, load_recipe
+from training.pruning import prune
+
+
+@pytest.fixture(scope="module")
+def network():
+    return shipped_network("att-snn")
+
+
+@pytest.fixture(scope="module")
+def seen(flights):
+    return load_flights([flights], 2)
+
+
+@pytest.fixture(scope="module")
+def activity(network, seen):
+    return record(OnLoihi(*network), seen.gyro, seen.accel)
+
+
+def test_neurons_that_never_spike_can_go_without_a_trace(network, seen, activity):
+    rates = [activity.of_layer(activity.rates, k) for k in (0, 1)]
+    smaller = without(*network, [np.flatnonzero(rate) for rate in rates])
+    assert smaller[0].hidden < 100
+    again = record(OnLoihi(*smaller), seen.gyro, seen.accel)
+    np.testing.assert_array_equal(again.estimate, activity.estimate)
+
+
+def test_the_least_important_go_first_and_the_curve_starts_at_the_whole(network, seen, activity):
+    for by in CRITERIA:
+        values = importance(network[1], activity, by)
+        config, tensors = pruned(*network, values, 0.3)
+        assert (config.encoding, config.hidden) == (70, 70)
+        assert tensors["w_rec"].shape == (70, 70)
+        curve = ablation(*network, values, (0.0, 0.9), seen)
+        assert curve[0] == error_deg(*network, seen)
+        assert curve[1] > 1.5 * curve[0]
+    kept = np.sort(importance(network[1], activity, "activity")[1])[30:]
+    config, tensors = pruned(*network, importance(network[1], activity, "activity"), 0.3)
+    rates = activity.of_layer(activity.rates, 1)
+    np.testing.assert_array_equal(np.sort(rates[np.argsort(-rates, kind="stable")[:70]]), kept)
+
+
+def test_bad_choices_are_refused(network, activity):
+    with pytest.raises(ValueError, match="criterion is 'luck'; choose activity, magnitude"):
+        importance(network[1], activity, "luck")
+    with pytest.raises(ValueError, match=r"fraction: 1.0, should be in \[0, 1\)"):
+        pruned(*network, importance(network[1], activity, "activity"), 1.0)
+
+
+def test_without_its_gyroscope_a_network_does_not_follow(network, seen):
+    est = NetworkEstimator(Spiking(*network), 200.0)
+    found = responses(est, seen)
+    assert found["gyro removed"].gain < 0.3 < 0.7 < found["intact"].gain
+    level = manipulations(seen)["accel = gravity"][1]
+    np.testing.assert_allclose(np.linalg.norm(level, axis=2), 9.81)
+
+
+def test_tuning_curves_find_what_a_neuron_follows(seen, activity):
+    """Spikes are replaced by ones that depend on one quantity alone."""
+    rng = np.random.default_rng(0)
+    spikes = activity.spikes.copy()
+    for k, signal in enumerate(
+        (seen.truth[..., 0], seen.truth[..., 1], seen.gyro[..., 0], seen.gyro[..., 1])
+    ):
+        spikes[..., k] = rng.random(signal.shape) < 1 / (1 + np.exp(-3 * signal / signal.std()))
+    curves = tuning_curves(type(activity)(**{**vars(activity), "spikes": spikes}), seen)
+    np.testing.assert_array_equal(preferred(curves)[:4], [0, 1, 2, 3])
+    assert np.all(np.diff(curves["roll"].rates[0]) > -0.1)
+
+
+@pytest.mark.slow
+def test_pruning_trains_on_and_counts_what_is_gone(tmp_path):
+    path = generate(
+        flight_config(load_recipe("hummingbird")), 4, 4.0, tmp_path / "tiny.zarr", seed=3, workers=1
+    )
+    stages = prune(
+        (str(path),), (str(path),), tmp_path / "out", 0.5, 2,
+        epochs=1, batches=2, batch_size=4, window_s=0.5, windows_per_stream=2,
+    )  # fmt: skip
+    assert [(s.encoding, s.hidden) for s in stages] == [(100, 100), (75, 75), (50, 50)]
+    assert stages[-1].removed == 0.5
+    config, tensors = pruned(*shipped_network("att-snn"), [np.arange(100)] * 2, 0.5)
+    assert stages[-1].parameters == sum(value.size for value in tensors.values())
+    assert stages[-1].tuned_deg < stages[-1].cut_deg * 1.5
+    assert config.hidden == 50

@@ -1,0 +1,100 @@
+"""Pruning with fine-tuning: leave neurons out, train on, and again, until the network is small enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from estimators.activity import record
+from estimators.flights import Flights, load_flights
+from estimators.networks import OnLoihi
+from estimators.pruning import Pruned, error_deg, importance, pruned
+from estimators.weights_file import load_network, save_network, shipped_network
+from quadsim.dataset import open_dataset
+
+from .loop import Progress, train
+
+RANKED_ON = 4
+"""Flights on which spikes are counted."""
+
+
+def prune(
+    data: tuple[str, ...],
+    validation: tuple[str, ...],
+    out: str | Path,
+    fraction: float = 0.4,
+    stages: int = 2,
+    by: str = "activity",
+    weights: str | Path | None = None,
+    progress: Progress | None = None,
+    stage_done: Callable[[Pruned], object] | None = None,
+    **choices: Any,
+) -> list[Pruned]:
+    """Remove the least important neurons of both layers in equal steps, and train on after each.
+
+    Neurons are ranked on training flights; the epochs are chosen by the validation flights.
+
+    Args:
+        data: Datasets to rank and to train on.
+        validation: Datasets to choose epochs and to score by.
+        out: Folder; a run in it for each stage, which goes on where it was stopped.
+        fraction: Share of the neurons to remove in the end.
+        stages: Steps to get there.
+        by: How neurons are ranked, see `estimators.pruning.importance`.
+        weights: Of an Att-SNN for the chip; None: the ones that ship.
+        progress: Called after every epoch.
+        stage_done: Called after every stage.
+        choices: Fields of the training configuration that differ from the preset "best".
+
+    Returns:
+        The network as it was, then one entry a stage.
+
+    Raises:
+        ValueError: A bad fraction, number of stages or choice.
+    """
+    if stages < 1:
+        raise ValueError(f"stages: {stages}, should be at least 1")
+    config, tensors = shipped_network("att-snn") if weights is None else load_network(weights)
+    flights, scored = _flights(data, RANKED_ON), _flights(validation)
+    full = config.encoding, config.hidden
+    start = Path(out) / "whole.safetensors"
+    start.parent.mkdir(parents=True, exist_ok=True)
+    save_network(start, config, tensors)
+    error = error_deg(config, tensors, scored)
+    size = sum(value.size for value in tensors.values())
+    done = [Pruned(0.0, *full, size, error, error, start)]
+    for stage in range(1, stages + 1):
+        goal = 1 - fraction * stage / stages
+        share = 1 - goal * sum(full) / (config.encoding + config.hidden)
+        activity = record(OnLoihi(config, tensors), flights.gyro, flights.accel)
+        cut, fewer = pruned(config, tensors, importance(tensors, activity, by), max(share, 0.0))
+        before = Path(out) / f"cut-{stage}.safetensors"
+        save_network(before, cut, fewer)
+        result = train(
+            data=data,
+            out=Path(out) / f"stage-{stage}",
+            preset="best",
+            progress=progress,
+            validation=validation,
+            init=str(before),
+            encoding=cut.encoding,
+            hidden=cut.hidden,
+            inputs=cut.inputs,
+            output_scale=cut.output_scale,
+            steps_per_sample=cut.steps_per_sample,
+            **choices,
+        )
+        config, tensors = load_network(result.weights)
+        tuned = error_deg(config, tensors, scored)
+        removed = 1 - (cut.encoding + cut.hidden) / sum(full)
+        size = sum(value.size for value in tensors.values())
+        cut_error = error_deg(cut, fewer, scored)
+        done.append(Pruned(removed, cut.encoding, cut.hidden, size, cut_error, tuned, result.weights))
+        if stage_done:
+            stage_done(done[-1])
+    return done
+
+
+def _flights(paths: tuple[str, ...], count: int | None = None) -> Flights:
+    return load_flights([open_dataset(path) for path in paths], count)
