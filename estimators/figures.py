@@ -12,6 +12,8 @@ from .evaluate import BLOCK_S, SETTLED_DEG, TILTS_DEG, Evaluation
 COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
+MOST_BANDS = 6
+"""Lines that may have a band; more bands hide the lines."""
 STYLES = ("-", "--", ":")
 """The colours of a line come again after ten, with the next style."""
 
@@ -42,16 +44,18 @@ def violins(evaluation: Evaluation) -> Figure:
 
 
 def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
-    """Absolute error of roll and pitch over time: the median flight, and the middle half of the flights."""
+    """Absolute error of roll and pitch over time: the median flight, and the middle half if lines are few."""
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    for k, name in enumerate(_shown(name for name, start in evaluation.over_time if start == initial)):
+    names = _shown(name for name, start in evaluation.over_time if start == initial)
+    for k, name in enumerate(names):
         error = evaluation.over_time[name, initial]
         low, middle, high = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
         (line,) = axes.plot(
             evaluation.time_s, middle, label=name, color=f"C{k % 10}", linestyle=STYLES[k // 10]
         )
-        axes.fill_between(evaluation.time_s, low, high, color=line.get_color(), alpha=0.12, linewidth=0.0)
+        if len(names) <= MOST_BANDS:
+            axes.fill_between(evaluation.time_s, low, high, color=line.get_color(), alpha=0.12, linewidth=0.0)
     _finish(axes, f"absolute error, {initial} start [°]")
     return figure
 

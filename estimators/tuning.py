@@ -6,6 +6,7 @@ squared error of roll and pitch per sample [rad²], averaged over flights, and 1
 the cube, which is scored at the nearest point inside.
 """
 
+import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -261,9 +262,12 @@ def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
         path: TOML file, made if it is not there.
         name: Estimator.
         tuned: Its parameters.
-        comment: Text for the top of the file.
+        comment: Text for the top of a new file; an old one keeps its own.
     """
     tables = load_tuning(path) if path.exists() else {}
+    if path.exists():
+        top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
+        comment = "\n".join(line[1:].removeprefix(" ") for line in top) or comment
     tables |= {name: tuned}
     if name == "ekf":
         shared = tuned.model_copy(update={"command": f"the values of ekf: {tuned.command}"})

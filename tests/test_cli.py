@@ -123,6 +123,29 @@ def test_weights_of_the_wrong_shape_are_refused(quadsim, tmp_path):
         create("att-snn", weights=path)
 
 
+def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(quadsim, dataset, tmp_path):
+    options = ["--particles", 3, "--iterations", 2, "--flights", 1, "--initial", "known", "--seed", 5]
+    code, out, _ = quadsim(
+        "tune", "--estimator", "madgwick", "--data", dataset, *options, "--out", tmp_path / "mine.toml"
+    )
+    assert code == 0
+    assert "madgwick" in out
+    text = (tmp_path / "mine.toml").read_text()
+    assert "--particles 3 --iterations 2 --flights 1 --initial known --search swarm --seed 5" in text
+    assert quadsim("tune", "--estimator", "truth", "--data", dataset, "--out", "x.toml")[0] == 2
+    given = ["--data", dataset, "--estimator", "madgwick", "--tuning", tmp_path / "mine.toml"]
+    code, out, _ = quadsim("evaluate", *given, "--out", tmp_path / "scores")
+    assert code == 0
+    assert "the smallest error from an unknown start is madgwick's" in out
+    assert {each.name for each in (tmp_path / "scores").iterdir()} == {
+        "evaluation.csv",
+        "violins.png",
+        "error-over-time.png",
+        "convergence.png",
+        "report.html",
+    }
+
+
 def test_a_dataset_is_described_verified_drawn_and_exported(quadsim, dataset, tmp_path):
     assert "flights" in quadsim("dataset", "info", dataset)[1]
     assert "2 flights are whole" in quadsim("dataset", "verify", dataset)[1]

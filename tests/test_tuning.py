@@ -112,8 +112,9 @@ def test_tuned_file_is_what_create_reads(flights, tmp_path):
     path = tmp_path / "sub" / "mine.toml"
     for name in ("mahony", "madgwick"):
         tuned = tune(name, [flights], particles=6, iterations=2, flights=1, command=f'tune "{name}"')
-        write_tuning(path, name, tuned, "Found in a test.")
+        write_tuning(path, name, tuned, "Found in a test." if name == "mahony" else "Found again.")
     tables = load_tuning(path)
+    assert path.read_text().startswith("# Found in a test.\n")
     assert list(tables) == ["mahony", "madgwick"]
     assert tables["mahony"].command == 'tune "mahony"'
     est = create("mahony", tuning=path)
