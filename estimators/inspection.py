@@ -69,6 +69,8 @@ class Inspection:
             said = ", ".join(f"{name} {count}" for name, count in zip(self.tuning, found, strict=True))
             parts.append((f"{layer} neurons follow most", said))
         for by, errors in self.ablation.items():
+            if by == "random":
+                continue
             within = [f for f, error in zip(FRACTIONS, errors, strict=True) if error < 1.02 * errors[0]]
             parts.append(
                 (f"removed by {by} for < 2 %", f"{100 * max(within):.0f} % of the neurons, untrained")
