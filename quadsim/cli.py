@@ -314,7 +314,7 @@ def kfold(
     Example: quadsim kfold --domain data/train.zarr --domain data/train-px4.zarr --out runs/kfold
     """
     from training.kfold import kfold as run_folds
-    from training.table1 import table, terminal_table
+    from training.table1 import TEST, table, terminal_table
 
     choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
     if epochs is not None:
@@ -334,7 +334,7 @@ def kfold(
         )
     cells = table(scores)
     console.print(terminal_table(cells))
-    held_out = [cell for cell in cells if cell.tested_on == "test"]
+    held_out = [cell for cell in cells if cell.tested_on == TEST]
     best = min(held_out, key=lambda cell: cell.mean_deg)
     console.print(
         f"{out / 'table1.csv'}: {best.model} on unseen flights of {best.trained_on}: "

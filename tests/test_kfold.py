@@ -16,7 +16,7 @@ from training.data import fold_split, load_flights
 from training.kfold import kfold
 from training.loop import flights_of
 from training.loop import run as run_training
-from training.table1 import Score, table
+from training.table1 import TEST, TRAIN, Score, table
 
 TINY = {
     "epochs": 2, "batches": 2, "batch_size": 2, "window_s": 0.5, "encoding": 12, "hidden": 10, "folds": 3,
@@ -27,8 +27,8 @@ TINY = {
 def domains(tmp_path_factory):
     folder = tmp_path_factory.mktemp("domains")
     return [
-        generate(flight_config(load_recipe(name)), 4, 3.0, folder / f"{name}.zarr", seed=5, workers=1)
-        for name in ("hummingbird", "px4")
+        generate(flight_config(load_recipe(name)), 4, 3.0, folder / f"{file}.zarr", seed=5, workers=1)
+        for name, file in (("hummingbird", "train"), ("px4", "px4"))
     ]
 
 
@@ -45,7 +45,7 @@ def test_folds_test_every_flight_once_and_never_one_they_train_on():
 
 
 def test_table_holds_mean_and_deviation_over_the_folds():
-    scores = [Score("att-snn", "a", fold, "test", 7, 2.0 + fold, 0.5, 1) for fold in range(3)]
+    scores = [Score("att-snn", "a", fold, TEST, 7, 2.0 + fold, 0.5, 1) for fold in range(3)]
     (cell,) = table(scores)
     assert (cell.folds, cell.mean_deg, cell.sd_deg) == (3, 3.0, 1.0)
 
@@ -57,11 +57,11 @@ def test_every_fold_of_every_domain_is_trained_scored_and_kept(domains, tmp_path
     )
     assert [(s.trained_on, s.fold, s.tested_on) for s in scores] == [
         (here, fold, on)
-        for here, there in (("hummingbird", "px4"), ("px4", "hummingbird"))
+        for here, there in (("px4", "train"), ("train", "px4"))
         for fold in range(3)
-        for on in ("train", "test", there)
+        for on in (TRAIN, TEST, there)
     ]
-    assert {s.flights for s in scores if s.tested_on in ("hummingbird", "px4")} == {4}
+    assert {s.flights for s in scores if s.tested_on in ("train", "px4")} == {4}
     assert said[0][:2] == (0, 12)
     assert said[-1] == (12, 12, "6 of 6 folds done")
     with (tmp_path / "table1.csv").open() as file:

@@ -118,8 +118,6 @@ def _jobs(
     paths = {Path(path).name.removesuffix(".zarr"): str(path) for path in domains}
     if not paths or len(paths) != len(domains):
         raise ValueError(f"domains: {', '.join(map(str, domains)) or 'none'}; each needs a name of its own")
-    if {TRAIN, TEST} & paths.keys() and len(paths) > 1:
-        raise ValueError(f'a domain cannot be called "{TRAIN}" or "{TEST}" beside others: rename its dataset')
     for name in ("folds", "fold", "data", "validation"):
         if name in choices:
             raise ValueError(f"{name} follows from the folds; it cannot be set")

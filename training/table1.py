@@ -14,7 +14,7 @@ from rich.table import Table
 
 from quadsim.figures import LINES, STYLE
 
-TRAIN, TEST = "train", "test"
+TRAIN, TEST = "(train)", "(test)"
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Score:
     trained_on: str
     fold: int
     tested_on: str
-    """Its own training flights (train), its held-out flights (test), or the name of another domain."""
+    """Its own training flights, "(train)", its held-out flights, "(test)", or the name of another domain."""
     flights: int
     error_deg: float
     """Mean absolute error of roll and pitch over whole flights, unknown initial attitude."""

@@ -1,0 +1,74 @@
+"""Take the choices of the `best` preset away one at a time: writes docs/training/ablation.csv.
+
+Every row is a whole training of the same short length on the same flights, judged on validation flights
+alone; finished rows are kept in `--runs` and taken from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any
+
+from estimators.weights_file import PAPER_SCALING
+from training.augment import Augmentation
+from training.config import PRESETS
+from training.loop import train
+
+HERE = Path(__file__).parent
+BEST: dict[str, Any] = PRESETS["best"]
+
+ROWS: dict[str, dict[str, Any]] = {
+    "best": {},
+    "best, another seed": {"seed": 1},
+    "inputs scaled as in the paper": {"inputs": PAPER_SCALING},
+    "random start": {"start": "random"},
+    "outputs of 1 rad per unit": {"output_scale": 1.0},
+    "constant learning rate": {"decay": "none"},
+    "learning rate of 0.005": {"optimiser_lr": 0.005},
+    "no limit on the gradient": {"clip": 0.0},
+    "no state carried over": {"windows_per_stream": 1},
+    "no symmetry": {"augmentation": BEST["augmentation"].model_copy(update={"yaw_symmetry": False})},
+    "sensor errors as in the paper": {"augmentation": Augmentation(yaw_symmetry=True)},
+    "no cost of spikes": {"rate_cost": 0.0},
+    "not quantised": {"quantised": False},
+    "two network steps a sample": {"steps_per_sample": 2},
+    "paper": {"preset": "paper", "window_s": 10.0, "stop_early": False},
+}
+"""What differs from the `best` preset in each row."""
+
+
+def main() -> None:
+    """Train every row and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--batches", type=int, default=30, help="updates in an epoch")
+    parser.add_argument("--data", default="data/train.zarr")
+    parser.add_argument("--validation", default="data/val.zarr")
+    parser.add_argument("--runs", type=Path, default=Path("runs/ablation"))
+    args = parser.parse_args()
+    rows = []
+    for name, changes in ROWS.items():
+        choices: dict[str, Any] = {"preset": "best", "epochs": args.epochs, "batches": args.batches} | changes
+        folder = args.runs / f"{name.replace(' ', '-').replace(',', '')}-{args.epochs}x{args.batches}"
+        result = train(data=args.data, validation=args.validation, out=folder, **choices)
+        rows.append(
+            {
+                "row": name,
+                "updates": args.epochs * args.batches,
+                "val_error_deg": round(result.best.val_error_deg, 3),
+                "val_settled_deg": round(result.best.val_settled_deg, 3),
+                "rate_encoding": round(result.best.rate_encoding, 3),
+                "rate_hidden": round(result.best.rate_hidden, 3),
+            }
+        )
+        print(rows[-1], flush=True)
+        with (HERE / "training" / "ablation.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,252 @@
+"""Evaluate the shipped weights: `python docs/training_page.py` writes training.md and needs data/test.zarr.
+
+The tables that other commands made are taken from docs/training; the page says which commands.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+from itertools import pairwise
+from pathlib import Path
+from textwrap import fill
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimators import create, names, run
+from estimators.activity import record
+from estimators.evaluate import tilted_starts
+from estimators.flights import Flights, load_flights
+from estimators.metrics import attitude_error, inclination_error
+from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
+from estimators.weights_file import load_network, shipped_names
+from quadsim.dataset import open_dataset
+from quadsim.estimator import AttitudeEstimator
+from training.config import TrainConfig, make_config
+
+HERE = Path(__file__).parent
+KEPT = HERE / "training"
+FILTERS = ("complementary", "madgwick", "ekf", "mahony", "vqf", "eskf", "ekf-drag")
+LINEAR = "best linear filter"
+BANDS_HZ = (0.1, 1.0)
+KFOLD = "--preset best --epochs 3 --set batches=10"
+"""What Table 1 was made with."""
+
+Array = NDArray[np.float64]
+
+
+def without_rounding(name: str) -> NetworkEstimator:
+    """A spiking network with its quantised weights, but real-valued states."""
+    config, tensors = load_network(name)
+    weights, taus = real_weights(config, tensors)
+    real = dict(zip(tensors_of_spiking(), [*weights, *taus], strict=True))
+    return NetworkEstimator(Spiking(config.model_copy(update={"quantised": False}), real), config.rate_hz)
+
+
+def tensors_of_spiking() -> tuple[str, ...]:
+    """Names of a spiking network's tensors, in the order of `real_weights`."""
+    return ("w_in", "w_ff", "w_rec", "w_out", "syn0", "mem0", "syn1", "mem1", "syn2", "mem2")
+
+
+def made() -> dict[str, AttitudeEstimator]:
+    """Every estimator of the table."""
+    found: dict[str, AttitudeEstimator] = {
+        "att-snn-loihi": create("att-snn-loihi"),
+        "att-snn": create("att-snn"),
+        "att-snn without rounding": without_rounding("att-snn"),
+        "att-rnn": create("att-rnn"),
+    }
+    for name in shipped_names():
+        if name not in found:
+            config, _ = load_network(name)
+            found[name] = create(config.model, weights=name)
+    return found | {name: create(name) for name in FILTERS if name in names()}
+
+
+def within(est: AttitudeEstimator, pieces: Flights) -> Array:
+    """Time of each start until the inclination error is first below 2° [s]; infinite if it never is."""
+    below = inclination_error(estimate_of(est, pieces), pieces.truth) < 2.0
+    return np.where(below.any(axis=1), below.argmax(axis=1) / pieces.rate_hz, np.inf)
+
+
+def estimate_of(est: AttitudeEstimator, flights: Flights) -> Array:
+    """Roll and pitch from an unknown start."""
+    return run(est, flights.gyro, flights.accel, quat=flights.quat)
+
+
+def accuracy_rows(estimators: dict[str, AttitudeEstimator], flights: Flights, pieces: Flights) -> list[str]:
+    """Errors with their confidence, in the order of the means."""
+    rows = []
+    for name, est in estimators.items():
+        error = attitude_error(estimate_of(est, flights), flights.truth)
+        low, high = error.mean_interval()
+        time = float(np.median(within(est, pieces)))
+        shown = "never" if np.isinf(time) else f"{time:.2f}"
+        spread = f"{error.median:.2f} | {error.sd:.2f}"
+        rows.append(
+            (error.mean, f"| {name} | {error.mean:.3f} | {low:.2f}–{high:.2f} | {spread} | {shown} |")
+        )
+    return [row for _, row in sorted(rows)]
+
+
+def weight_rows(flights: Flights) -> list[str]:
+    """Spike rates of the spiking networks that ship, and how long each took."""
+    rows = []
+    for name in shipped_names():
+        config, tensors = load_network(name)
+        size = sum(t.size for t in tensors.values())
+        rates = "– | – | –"
+        if config.model == "att-snn":
+            activity = record(OnLoihi(config, tensors), flights.gyro[:, :10000], flights.accel[:, :10000])
+            first, second = (float(activity.of_layer(activity.rates, k).mean()) for k in (0, 1))
+            both = (first * config.encoding + second * config.hidden) / (config.encoding + config.hidden)
+            rates = f"{first:.3f} | {second:.3f} | {both:.3f}"
+        card = (HERE.parent / "assets" / "weights" / f"{name}.md").read_text()
+        found = re.search(r"^\| best epoch \| (.*) \|$", card, re.MULTILINE)
+        rows.append(f"| {name} | {size} | {rates} | {found[1] if found else 'see its card'} |")
+    return rows
+
+
+def linear_features(gyro: Array, accel: Array, rate_hz: float) -> Array:
+    """The six readings through first-order low-passes of ten time constants, 20 ms to 10 s, (n, T, 61)."""
+    readings = np.concatenate([gyro, accel - np.array([0.0, 0.0, 9.81])], axis=-1)
+    poles = np.exp(-1 / (rate_hz * np.geomspace(0.02, 10.0, 10)))
+    filtered = [lfilter([1 - pole], [1, -pole], readings, axis=1) for pole in poles]
+    return np.concatenate([*filtered, np.ones((*readings.shape[:2], 1))], axis=-1)
+
+
+def best_linear(train: Flights, flights: Flights) -> Array:
+    """Roll and pitch by ridge regression on `linear_features` of the training flights."""
+    x = linear_features(train.gyro, train.accel, train.rate_hz)[:, 1000::20].reshape(-1, 61)
+    y = train.truth[:, 1000::20].reshape(-1, 2)
+    weights = np.linalg.solve(x.T @ x + 1e-6 * len(x) * np.eye(61), x.T @ y)
+    return linear_features(flights.gyro, flights.accel, flights.rate_hz) @ weights
+
+
+def parts_of(error: Array, rate_hz: float) -> list[float]:
+    """RMS of the constant of each flight, and of each band of frequency; errors (n, T, 2)."""
+    constant = error.mean(axis=1, keepdims=True)
+    spectrum = np.fft.rfft(error - constant, axis=1)
+    hz = np.fft.rfftfreq(error.shape[1], 1 / rate_hz)
+    parts = [constant]
+    for low, high in pairwise((0.0, *BANDS_HZ, np.inf)):
+        parts.append(np.fft.irfft(spectrum * ((hz >= low) & (hz < high))[:, None], error.shape[1], axis=1))
+    return [float(np.sqrt(np.mean(part**2))) for part in parts]
+
+
+def limits(
+    estimators: dict[str, AttitudeEstimator], flights: Flights, perfect: Flights, train: Flights
+) -> tuple[list[str], str]:
+    """The error in bands of frequency, and what they say about the spiking network."""
+    rows, found, skip = [], {}, round(5 * flights.rate_hz)
+    for name in ("att-snn-loihi", "att-rnn", LINEAR, "mahony", "vqf", "ekf-drag"):
+        estimates = [
+            best_linear(train, each) if name == LINEAR else estimate_of(estimators[name], each)
+            for each in (flights, perfect)
+        ]
+        error, clean = (np.degrees(e - flights.truth)[:, skip:] for e in estimates)
+        found[name] = parts_of(error, flights.rate_hz)
+        found[name] += [float(np.sqrt(np.mean(each**2))) for each in (error, clean)]
+        rows.append(f"| {name} | {' | '.join(f'{part:.2f}' for part in found[name])} |")
+    constant, _, middle, fast, everything, clean_all = found["att-snn-loihi"]
+    shares = [100 * (part / everything) ** 2 for part in (middle, fast, constant)]
+    sensors = 100 * (1 - (clean_all / everything) ** 2)
+    text = (
+        f"Of the spiking network's mean square, {shares[0]:.0f} % lies at 0.1–1 Hz, where the attitude has "
+        f"to come from the integrated rates, {shares[1]:.0f} % above 1 Hz (spikes), and {shares[2]:.0f} % is "
+        f"constant (the accelerometer's bias); sensor errors of all kinds make {sensors:.0f} % of it. In "
+        f"that band the best linear filter of the same readings leaves {found[LINEAR][2]:.2f}°, the GRU "
+        f"{found['att-rnn'][2]:.2f}°, and VQF, which turns the vertical by the rates exactly, "
+        f"{found['vqf'][2]:.2f}°."
+    )
+    return rows, fill(text, 125)
+
+
+def kept(name: str) -> list[dict[str, str]]:
+    """A table in docs/training; empty if its command has not been run."""
+    path = KEPT / f"{name}.csv"
+    return list(csv.DictReader(path.open())) if path.is_file() else []
+
+
+def field_rows() -> list[str]:
+    """Every field of a training run, with both presets' values."""
+    paper, best = (make_config(preset, data="x") for preset in ("paper", "best"))
+    rows = []
+    for name, field in TrainConfig.model_fields.items():
+        if name in ("model", "data", "validation", "preset"):
+            continue
+        values = [shown(getattr(config, name)) for config in (paper, best)]
+        rows.append(
+            f"| `{name}` | {values[0]} | {values[1]} | {' '.join((field.description or '').split())} |"
+        )
+    return rows
+
+
+def shown(value: object) -> str:
+    """A value as a table shows it; of a nested one what is set."""
+    if hasattr(value, "model_dump"):
+        fields = value.model_dump(exclude_defaults=True)  # type: ignore[attr-defined]
+        return ", ".join(f"{k} {shown(v)}" for k, v in fields.items()) or "its defaults"
+    if isinstance(value, tuple):
+        return " ".join(shown(v) for v in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def main() -> None:
+    """Measure and write the page."""
+    data = open_dataset(HERE.parent / "data" / "test.zarr")
+    flights = load_flights([data])
+    perfect = Flights(
+        data["ang_vel"].to_numpy().astype(float), data["specific_force"].to_numpy().astype(float),
+        flights.quat, flights.truth, flights.rate_hz,
+    )  # fmt: skip
+    pieces = tilted_starts(flights, 20.0, round(10 * flights.rate_hz))
+    assert pieces is not None
+    estimators = made()
+    train = load_flights([open_dataset(HERE.parent / "data" / "train.zarr")], 24)
+    rows, finding = limits(estimators, flights, perfect, train)
+    table1, ablation = kept("table1"), kept("ablation")
+    means = [
+        attitude_error(estimate_of(estimators[name], flights), flights.truth).mean
+        for name in ("att-snn", "att-snn without rounding")
+    ]
+    runs = HERE.parent / "runs" / "kfold"
+    if (runs / "table1.csv").is_file():
+        shutil.copy(runs / "table1.csv", KEPT / "table1.csv")
+        shutil.copy(runs / "kfold.png", HERE / "img" / "kfold.png")
+        table1 = kept("table1")
+    parts: dict[str, str | list[str]] = {
+        "kfold_options": KFOLD,
+        "flights": str(len(flights.gyro)),
+        "duration": f"{flights.gyro.shape[1] / flights.rate_hz:g}",
+        "starts": str(len(pieces.gyro)),
+        "accuracy": accuracy_rows(estimators, flights, pieces),
+        "rounding": f"{abs(means[0] - means[1]):.3f}",
+        "weights": weight_rows(flights),
+        "limits": rows,
+        "finding": finding,
+        "speed": [f"| {' | '.join(row.values())} |" for row in kept("speed")],
+        "table1": [
+            f"| {r['model']} | {r['trained_on']} | {r['tested_on']} | {r['folds']} | "
+            f"{float(r['mean_deg']):.2f} ± {float(r['sd_deg']):.2f} |"
+            for r in table1
+        ],
+        "updates": ablation[0]["updates"] if ablation else "?",
+        "ablation": [
+            f"| {r['row']} | {float(r['val_error_deg']):.2f} | {float(r['val_settled_deg']):.2f} | "
+            f"{float(r['rate_encoding']):.3f} | {float(r['rate_hidden']):.3f} |"
+            for r in ablation
+        ],
+        "fields": field_rows(),
+    }
+    page = (HERE / "training.template.md").read_text()
+    for name, text in parts.items():
+        page = page.replace(f"{{{name}}}", text if isinstance(text, str) else "\n".join(text))
+    (HERE / "training.md").write_text(page)
+
+
+if __name__ == "__main__":
+    main()
