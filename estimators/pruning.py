@@ -24,7 +24,7 @@ class Pruned:
     """A network on the way, errors on the validation flights from an unknown start."""
 
     removed: float
-    """Share of the neurons of encoding and hidden layer that are gone."""
+    """Share of all encoding and hidden neurons that are gone."""
     encoding: int
     hidden: int
     parameters: int
@@ -84,15 +84,20 @@ def without(
 def pruned(
     config: NetworkConfig, tensors: Tensors, values: Sequence[Array], fraction: float
 ) -> tuple[NetworkConfig, Tensors]:
-    """The network without the least important fraction of both layers; at least one neuron stays in each.
+    """The network without the least important fraction of all neurons; at least one stays in each layer.
 
     Raises:
         ValueError: A fraction outside [0, 1).
     """
     if not 0.0 <= fraction < 1.0:
         raise ValueError(f"fraction: {fraction}, should be in [0, 1)")
-    keep = [np.argsort(-each, kind="stable")[: max(1, round(each.size * (1 - fraction)))] for each in values]
-    return without(config, tensors, keep)
+    whole = np.concatenate(list(values))
+    best = [int(np.argmax(each)) + offset for each, offset in zip(values, (0, values[0].size), strict=True)]
+    whole[best] = np.inf
+    kept = np.argsort(-whole, kind="stable")[: max(2, round(whole.size * (1 - fraction)))]
+    return without(
+        config, tensors, [kept[kept < values[0].size], kept[kept >= values[0].size] - values[0].size]
+    )
 
 
 def ablation(

@@ -650,7 +650,8 @@ def inspect(
         list[Path] | None, typer.Option(help="Dataset to watch the neurons on; give it again for more.")
     ] = None,
     profiles: Annotated[
-        int | None, typer.Option(min=3, help="Share this many decay profiles among all neurons first.")
+        int | None,
+        typer.Option(min=3, help="Share this many decay profiles among all neurons; written to --out."),
     ] = None,
     prune: Annotated[
         float | None, typer.Option(min=0.01, max=0.95, help="Remove this share of the neurons, training on.")
@@ -679,6 +680,7 @@ def inspect(
     from estimators.inspection import inspect as look_inside
     from estimators.inspection import load_spiking, write_page
     from estimators.networks import OnLoihi
+    from estimators.weights_file import save_network
     from scenarios.summary import cores_table, plain_table, stages_table
 
     from .dataset import open_dataset
@@ -687,6 +689,10 @@ def inspect(
     core = OnLoihi(config, tensors)
     console.print(cores_table(core.cores))
     last = f"{name}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
+    if profiles is not None:
+        weights = out / f"profiles-{profiles}.safetensors"
+        out.mkdir(parents=True, exist_ok=True)
+        save_network(weights, config, tensors)
     if data:
         flights = load_flights([open_dataset(path) for path in data])
         with progress_bar("inspect", "parts") as bar:

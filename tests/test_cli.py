@@ -162,9 +162,10 @@ def test_the_same_command_again_finds_its_work_done(quadsim, dataset):
     assert "--overwrite" in other[2]
 
 
-def test_inspect_shows_where_the_neurons_go(quadsim):
-    code, out, _ = quadsim("inspect", "--profiles", 32)
+def test_inspect_shows_where_the_neurons_go(quadsim, tmp_path):
+    code, out, _ = quadsim("inspect", "--profiles", 32, "--out", "inside")
     assert code == 0
+    assert (tmp_path / "inside" / "profiles-32.safetensors").is_file()
     assert "fan-in axons" in out
     assert "202 neurons on 1 of a chip's 128 cores" in out
 

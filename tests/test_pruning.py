@@ -6,7 +6,7 @@ from estimators.encoding_study import manipulations, preferred, responses, tunin
 from estimators.flights import load_flights
 from estimators.networks import NetworkEstimator, OnLoihi, Spiking
 from estimators.pruning import CRITERIA, ablation, error_deg, importance, pruned, without
-from estimators.weights_file import shipped_network
+from estimators.weights_file import load_network, shipped_network
 from quadsim.dataset import generate
 from quadsim.recipe import flight_config, load_recipe
 from training.pruning import prune
@@ -39,15 +39,15 @@ def test_the_least_important_go_first_and_the_curve_starts_at_the_whole(network,
     for by in CRITERIA:
         values = importance(network[1], activity, by)
         config, tensors = pruned(*network, values, 0.3)
-        assert (config.encoding, config.hidden) == (70, 70)
-        assert tensors["w_rec"].shape == (70, 70)
+        assert config.encoding + config.hidden == 140
+        assert tensors["w_ff"].shape == (config.hidden, config.encoding)
         curve = ablation(*network, values, (0.0, 0.9), seen)
         assert curve[0] == error_deg(*network, seen)
         assert curve[1] > 1.5 * curve[0]
-    kept = np.sort(importance(network[1], activity, "activity")[1])[30:]
-    config, tensors = pruned(*network, importance(network[1], activity, "activity"), 0.3)
-    rates = activity.of_layer(activity.rates, 1)
-    np.testing.assert_array_equal(np.sort(rates[np.argsort(-rates, kind="stable")[:70]]), kept)
+    rates = activity.rates[:200]
+    config, tensors = pruned(*network, [rates[:100], rates[100:]], 0.3)
+    kept = np.argsort(-rates, kind="stable")[:140]
+    np.testing.assert_array_equal(tensors["mem1"], network[1]["mem1"][np.sort(kept[kept >= 100]) - 100])
 
 
 def test_bad_choices_are_refused(network, activity):
@@ -87,9 +87,9 @@ def test_pruning_trains_on_and_counts_what_is_gone(tmp_path):
         (str(path),), (str(path),), tmp_path / "out", 0.5, 2,
         epochs=1, batches=2, batch_size=4, window_s=0.5, windows_per_stream=2,
     )  # fmt: skip
-    assert [(s.encoding, s.hidden) for s in stages] == [(100, 100), (75, 75), (50, 50)]
-    assert stages[-1].removed == 0.5
-    config, tensors = pruned(*shipped_network("att-snn"), [np.arange(100)] * 2, 0.5)
+    assert [s.encoding + s.hidden for s in stages] == [200, 150, 100]
+    assert [s.removed for s in stages] == [0.0, 0.25, 0.5]
+    config, tensors = load_network(stages[-1].weights)
+    assert (config.encoding, config.hidden) == (stages[-1].encoding, stages[-1].hidden)
     assert stages[-1].parameters == sum(value.size for value in tensors.values())
     assert stages[-1].tuned_deg < stages[-1].cut_deg * 1.5
-    assert config.hidden == 50

@@ -31,7 +31,7 @@ def prune(
     stage_done: Callable[[Pruned], object] | None = None,
     **choices: Any,
 ) -> list[Pruned]:
-    """Remove the least important neurons of both layers in equal steps, and train on after each.
+    """Remove the least important neurons in equal steps, and train on after each.
 
     Neurons are ranked on training flights; the epochs are chosen by the validation flights.
 
