@@ -98,8 +98,11 @@ def plot(path: Path, scores: Sequence[Score]) -> None:
             axes.plot([], [], "s", color=LINES[1 + models.index(model) % 2][0], label=model)
         labels = [f"{cell.trained_on}\n{cell.tested_on}" for cell in cells]
         axes.set_xticks(range(len(cells)), labels, rotation=0 if len(cells) < 9 else 45)
+        top = max(s.error_deg for s in scores)
         axes.set(
-            ylabel="mean absolute error [°]", xlabel="trained on, and below it tested on", ylim=(0, None)
+            ylabel="mean absolute error [°]",
+            xlabel="trained on, and below it tested on",
+            ylim=(0, 1.15 * top),
         )
         axes.set_xlim(-0.6, len(cells) - 0.4)
         axes.grid(axis="x", visible=False)
