@@ -44,7 +44,7 @@ HERE = Path(__file__).parent
 ROOT, IMAGES = HERE.parent, HERE / "img"
 TRAIN = tuple(f"data/{name}.zarr" for name in ("train", "train-windy", "train-varied"))
 VALIDATION = tuple(f"data/{name}.zarr" for name in ("val", "val-windy", "val-varied"))
-SIZES, SIZE_EPOCHS, ON_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (10, 20, 30, 46), 60, 100, 8, 2
+SIZES, SIZE_EPOCHS, ON_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (10, 20, 30, 46), 60, 45, 8, 2
 RATES = {"rate_cost": 0.003, "rate_targets": (0.2, 0.4)}
 BEST_OF_PAPER = 2.79
 
