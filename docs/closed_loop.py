@@ -1,0 +1,241 @@
+"""Fly the whole suite and write the page: `python docs/closed_loop.py` makes closed-loop.md and its figures.
+
+A run that is cut short goes on where it stopped, as `quadsim bench` does.
+"""
+
+import json
+import resource
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+import estimators
+from quadsim import loops
+from quadsim.console import progress_bar
+from quadsim.figures import STYLE
+from quadsim.imu import load_imu
+from quadsim.mission import Mission
+from quadsim.rotation import roll_pitch_from_quat
+from quadsim.scenario import scenario_names
+from quadsim.vehicle import GRAVITY, load_vehicle
+from scenarios.breaking import DISTURBANCES, Breaking, breaking_points
+from scenarios.cell import fly as fly_mission
+from scenarios.demo import SLOW
+from scenarios.metrics import flight_metrics
+from scenarios.pairs import ALL, paired_differences
+from scenarios.publish import publish
+from scenarios.runner import Results, bench, code_digest
+from scenarios.verdict import TRUTH, total, verdict
+
+HERE = Path(__file__).parent
+IMAGES = HERE / "img"
+OUT = HERE.parent / "reports" / "closed-loop"
+SEEDS, BREAKING_SEEDS = 20, 10
+LONG = ("hover", "figure-8", "dryden-moderate", "wind-8")
+LONG_S = 100.0
+LONG_NAMES = (TRUTH, "att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "mahony", "vqf")
+
+
+@contextmanager
+def timed(note: Path) -> Iterator[None]:
+    """Add the time of this process and of its workers to a file, finished or not."""
+    clock, before = time.perf_counter(), _cpu_seconds()
+    try:
+        yield
+    finally:
+        spent = json.loads(note.read_text()) if note.exists() else {"cpu_s": 0.0, "wall_s": 0.0}
+        spent["cpu_s"] += _cpu_seconds() - before
+        spent["wall_s"] += time.perf_counter() - clock
+        note.write_text(json.dumps(spent))
+
+
+def _cpu_seconds() -> float:
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+
+
+def fly(name: str, **arguments: object) -> tuple[Results, float]:
+    """A benchmark in a folder of its own, and the minutes of processor time that all its cells took."""
+    folder = OUT / name
+    folder.mkdir(parents=True, exist_ok=True)
+    note = folder / f"time-{code_digest()[:12]}.json"
+    with timed(note), progress_bar(name, "cells") as progress:
+        results = bench(seeds=SEEDS, out=folder, progress=progress, **arguments)
+    return results, json.loads(note.read_text())["cpu_s"] / 60
+
+
+def suite_text(results: Results, minutes: float) -> str:
+    """What was flown, and what it cost."""
+    s = results.settings
+    flights = len(results.cells) * SEEDS
+    hours = SEEDS * len(s.estimators) * sum(each.duration_s for each in s.scenarios.values()) / 3600
+    return (
+        f"{len(s.scenarios)} scenarios × {len(s.estimators)} estimators × {SEEDS} seeds: {flights} flights, "
+        f"{hours:.0f} hours\nin the air, in {minutes:.1f} minutes of processor time, half that on two cores."
+    )
+
+
+def heat_map(results: Results) -> None:
+    """Mean error of every estimator in every scenario, best estimators first; crashes in red."""
+    names = [s["estimator"] for s in verdict(results.rows).standings if s["estimator"] != TRUTH]
+    scenarios = list(results.settings.scenarios)
+    rows = {(row["estimator"], row["scenario"]): row for row in results.rows}
+    error = np.array([[rows[e, s].get("error_deg") or np.nan for e in names] for s in scenarios], dtype=float)
+    figure = Figure(figsize=(9.6, 0.27 * len(scenarios) + 1.6), layout="constrained")
+    axes = figure.subplots()
+    axes.grid(visible=False)
+    colours = matplotlib.colormaps["YlOrRd"].copy()
+    colours.set_bad("#f2f2f2")
+    picture = axes.imshow(error, norm=LogNorm(0.3, 30.0), cmap=colours, aspect="auto", alpha=0.8)
+    for i, scenario in enumerate(scenarios):
+        for j, name in enumerate(names):
+            row = rows[name, scenario]
+            text = "–" if not np.isfinite(error[i, j]) else f"{error[i, j]:.1f}"
+            crashes = f" ✕{row['crashes']}" if row.get("crashes") else ""
+            weight = "bold" if crashes else "normal"
+            axes.text(j, i, text + crashes, ha="center", va="center", fontsize=7, fontweight=weight)
+    axes.set_xticks(range(len(names)), names, rotation=35, ha="left", fontsize=8)
+    axes.set_yticks(range(len(scenarios)), scenarios, fontsize=8)
+    axes.tick_params(top=True, labeltop=True, bottom=False, labelbottom=False, length=0)
+    axes.spines[:].set_visible(False)
+    bar = figure.colorbar(picture, label="error of roll and pitch [°]", fraction=0.02, pad=0.01)
+    bar.set_ticks([0.3, 1, 3, 10, 30], labels=["0.3", "1", "3", "10", "30"])
+    bar.ax.minorticks_off()
+    save(figure, "heat-map.png")
+
+
+def standing_rows(results: Results) -> list[str]:
+    """Estimators from best to worst over the whole suite, paired with the best on the same seeds."""
+    standings = [s["estimator"] for s in verdict(results.rows).standings]
+    best = standings[0]
+    pairs = {
+        (row["estimator"], row["versus"]): row
+        for row in paired_differences(results.flights)
+        if (row["scenario"], row["metric"]) == (ALL, "error_deg")
+    }
+    rows = []
+    for name in standings:
+        sums = total([row for row in results.rows if row["estimator"] == name])
+        pair, sign = (pairs[name, best], 1) if (name, best) in pairs else (pairs.get((best, name)), -1)
+        difference = "–"
+        if pair and isinstance(pair["difference"], float):
+            middle, half = sign * pair["difference"], (_float(pair["high"]) - _float(pair["low"])) / 2
+            difference = f"{middle:+.2f} ± {half:.2f}"
+        crashed = f"{sums.crashes} of {sums.flights}"
+        rows.append(f"| {name} | {crashed} | {sums.error:.2f} | {difference} | {sums.attitude:.2f} |")
+    return rows
+
+
+def _float(value: object) -> float:
+    return value if isinstance(value, float) else np.nan
+
+
+def breaking_rows(points: list[Breaking]) -> list[str]:
+    """The least level of each disturbance at which an estimator crashed."""
+    names = list(dict.fromkeys(point.estimator for point in points))
+    text = {(p.estimator, p.disturbance): p.text + (f", {p.cause}" if p.cause else "") for p in points}
+    return [f"| {name} | " + " | ".join(text[name, kind] for kind in DISTURBANCES) + " |" for name in names]
+
+
+class TruthButBias:
+    """The true roll and pitch, off by what the accelerometer's turn-on bias feigns in hover."""
+
+    rate_hz = 200.0
+
+    def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
+        """Draw the bias of n vehicles."""
+        spread = load_imu("adis16448").accel.turn_on / GRAVITY
+        self._off = np.random.default_rng(0).normal(0.0, spread, (n, 2))
+
+    def observe(self, quat: NDArray[np.float64]) -> None:
+        """Take the truth."""
+        self._true = roll_pitch_from_quat(quat)
+
+    def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give it, off by the bias."""
+        return self._true + self._off
+
+
+def bias_rows(results: Results) -> list[str]:
+    """The row of `TruthButBias`, in the form of `long_rows`."""
+    truth = {row["scenario"]: row for row in results.rows if row["estimator"] == TRUTH}
+    entries = []
+    for name, scenario in results.settings.scenarios.items():
+        mission = Mission(scenario, TruthButBias(), SEEDS)
+        log, end = fly_mission(mission, 0)
+        found = {key: each.mean() for key, each in flight_metrics(log, end, 200.0, mission.vehicle).items()}
+        ratio, place = (found[key] / _float(truth[name][key]) for key in ("attitude_deg", "position_m"))
+        entries.append(f"{ratio:.2f} ({found['error_deg']:.2f}°, {place:.2f})")
+    return ["| *truth, but for the accelerometer's bias* | " + " | ".join(entries) + " |"]
+
+
+def long_rows(results: Results) -> list[str]:
+    """Crashes and attitude tracking over that of the truth, in the long flights."""
+    rows = {(row["estimator"], row["scenario"]): row for row in results.rows}
+
+    def entry(name: str, scenario: str) -> str:
+        row, truth = rows[name, scenario], rows[TRUTH, scenario]
+        crashes = f", ✕ {row['crashes']}" if row["crashes"] else ""
+        if name == TRUTH:
+            return f"{_float(truth['attitude_deg']):.2f}°{crashes}"
+        ratio = _float(row["attitude_deg"]) / _float(truth["attitude_deg"])
+        place = _float(row["position_m"]) / _float(truth["position_m"])
+        return f"{ratio:.2f} ({_float(row['error_deg']):.2f}°, {place:.2f}){crashes}"
+
+    return [f"| {n} | " + " | ".join(entry(n, s) for s in LONG) + " |" for n in results.settings.estimators]
+
+
+def loop_rows() -> list[str]:
+    """The attitude loop of the hummingbird at several delays, with its picture."""
+    vehicle = load_vehicle("hummingbird")
+    assert vehicle.controller is not None
+    found = loops.responses(vehicle, vehicle.controller)
+    save(loops.draw(found, title="hummingbird, gains designed for 15 ms"), "attitude-loop.png")
+    return ["| " + " | ".join(row.values()) + " |" for row in loops.table(found)]
+
+
+def save(figure: Figure, name: str) -> None:
+    """Write a figure, with few colours: line drawings need no more."""
+    IMAGES.mkdir(exist_ok=True)
+    figure.savefig(IMAGES / name, dpi=130)
+    Image.open(IMAGES / name).convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(
+        IMAGES / name, optimize=True
+    )
+
+
+def main() -> None:
+    """Fly everything and write the page."""
+    names = [name for name in estimators.names() if name not in SLOW]
+    results, minutes = fly("suite", scenarios=scenario_names(), names=names)
+    long, _ = fly("long", scenarios=LONG, names=LONG_NAMES, duration_s=LONG_S)
+    with progress_bar("break", "points") as progress:
+        points = breaking_points(
+            list(DISTURBANCES), names, BREAKING_SEEDS, OUT / "suite", code=code_digest(), progress=progress
+        )
+    publish(OUT / "suite", results, points)
+    with matplotlib.rc_context(STYLE):
+        heat_map(results)
+    parts: dict[str, Callable[[], list[str]]] = {
+        "verdict": lambda: [verdict(results.rows).headline],
+        "suite": lambda: [suite_text(results, minutes)],
+        "standings": lambda: standing_rows(results),
+        "breaking": lambda: breaking_rows(points),
+        "long": lambda: [*long_rows(long), *bias_rows(long)],
+        "loop": loop_rows,
+    }
+    page = (HERE / "closed-loop.template.md").read_text()
+    for name, rows in parts.items():
+        page = page.replace(f"{{{name}}}", "\n".join(rows()))
+    (HERE / "closed-loop.md").write_text(page)
+
+
+if __name__ == "__main__":
+    main()
