@@ -40,7 +40,8 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
     """Make a network estimator.
 
     Args:
-        name: "att-snn" (float64), "att-snn-loihi" (the same network in integers) or "att-rnn".
+        name: "att-snn" (float64), "att-snn-loihi" (the same network in integers), "att-snn-robust" (in
+            integers, trained for sensors that nobody has calibrated) or "att-rnn".
         rate_hz: Samples per second; the one that the weights were trained for.
         weights: Weights file; None: the ones that ship.
 
@@ -48,10 +49,11 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
         FileNotFoundError: No such file.
         ValueError: Unknown name, a file of another kind of network, or another sample rate.
     """
-    if name not in ("att-snn", "att-snn-loihi", "att-rnn"):
-        raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
-    model = name.removesuffix("-loihi")
-    config, tensors = shipped_network(model) if weights is None else load_network(weights)
+    if name not in ("att-snn", "att-snn-loihi", "att-snn-robust", "att-rnn"):
+        raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi, att-snn-robust and att-rnn")
+    model = name.removesuffix("-loihi").removesuffix("-robust")
+    shipped = name.removesuffix("-loihi")
+    config, tensors = shipped_network(shipped) if weights is None else load_network(weights)
     if config.model != model:
         raise ValueError(f"{weights}: weights of {config.model}, {name} needs {model}")
     if not np.isclose(rate_hz, config.rate_hz):

@@ -193,8 +193,9 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
         error.plot(time[part], off[part], lw=1.0, label=name)
     error.set(ylabel="inclination error, °\nwhere it counts", xlabel="time, s")
     error.set_ylim(bottom=0)
-    roll.set_title(f"{log}, raw readings: truth and the {len(shown)} best of the estimators")
-    roll.legend(ncols=len(shown) + 1, fontsize="small", loc="upper right")
+    figure.suptitle(f"{log}, raw readings: truth and the best of the estimators", fontsize="medium")
+    handles, labels = roll.get_legend_handles_labels()
+    figure.legend(handles, labels, ncols=len(labels), fontsize="small", loc="outside lower center")
     for axes in (roll, pitch, error):
         axes.grid(alpha=0.3)
         axes.margins(x=0)

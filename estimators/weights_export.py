@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .weights_file import load_network, shipped_network
+from .weights_file import load_network
 
-SHIPPED = ("att-snn", "att-rnn")
 FORMATS = ("nir", "c99", "onnx")
 
 
@@ -14,7 +13,7 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
     """Write a network in another format.
 
     Args:
-        weights: A weights file, or "att-snn" or "att-rnn" for the ones that ship.
+        weights: A weights file, or the name of weights that ship, such as "att-snn".
         out: The file (nir, onnx) or folder (c99) to write; must not exist.
         format: "nir" (spiking, HDF5), "c99" (spiking, header and source) or "onnx" (att-rnn).
 
@@ -27,7 +26,7 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
     out = Path(out)
     if out.exists():
         raise ValueError(f"{out}: exists already, choose another name")
-    config, tensors = shipped_network(str(weights)) if str(weights) in SHIPPED else load_network(weights)
+    config, tensors = load_network(weights)
     try:
         if format == "nir":
             from .nir_graph import write_nir as write

@@ -58,7 +58,8 @@ def info(
     output.print(table)
     for warning in report.warnings:
         output.print(f"! {warning}", soft_wrap=True, highlight=False)
-    verdict = "nothing odd" if not report.warnings else f"{len(report.warnings)} things to know"
+    count = len(report.warnings)
+    verdict = "nothing odd" if not count else f"{count} {'thing' if count == 1 else 'things'} to know"
     output.print(f"{file}: {report.duration_s:.1f} s, {verdict}", soft_wrap=True)
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from estimators.metrics import inclination_rmse
 from estimators.networks import (
     BIAS_MAX,
     HELD,
@@ -23,6 +24,9 @@ from estimators.weights_file import (
     save_network,
     shipped_network,
 )
+from quadsim.dataset import generate, open_dataset
+from quadsim.recipe import flight_config, load_recipe
+from quadsim.rotation import roll_pitch_from_quat
 
 
 def random_snn(config, seed=0):
@@ -259,3 +263,16 @@ def test_the_mean_rate_is_the_same_streamed_carried_and_on_loihi():
             np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(50)], axis=1), outs[-1][:, :50]
         )
     np.testing.assert_array_equal(*outs)
+
+
+def test_robust_weights_suffer_less_from_a_bias_of_four_degrees_a_second(tmp_path):
+    config = flight_config(load_recipe("gentle"))
+    flown = open_dataset(generate(config, 2, 60.0, tmp_path / "x.zarr", seed=9, workers=1))
+    gyro, accel, quat = (flown[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
+    truth, bias = roll_pitch_from_quat(quat), np.radians([4.1, -1.2, -1.6])
+    errors = {}
+    for name in ("att-snn-robust", "att-snn-loihi"):
+        est = create_network(name)
+        est.reset(2)
+        errors[name] = inclination_rmse(est.sequence(gyro + bias, accel), truth).mean
+    assert errors["att-snn-robust"] < 0.9 * errors["att-snn-loihi"], errors

@@ -124,14 +124,14 @@ ROBUST = Augmentation(
     vibration_share=0.6,
     low_pass_hz=(15.0, 90.0),
     delay_max_s=0.01,
-    carried=0.1,
+    carried=0.05,
 )
 """Sensors that nobody has calibrated, on vehicles that shake."""
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=12000),
-    "optimiser_lr": 0.01,
-    "epochs": 120,
+    "optimiser_lr": 0.006,
+    "epochs": 70,
     "windows_per_stream": 6,
     "rate_cost": 0.003,
     "rate_targets": (0.2, 0.4),

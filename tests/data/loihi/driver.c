@@ -1,0 +1,16 @@
+/* Reads samples of six doubles, runs the exported network, writes its whole state after each sample. */
+#include <stdio.h>
+#include "att_snn.h"
+
+int main(void)
+{
+    static att_snn_state state;
+    double sample[6];
+    att_snn_reset(&state);
+    while (fread(sample, sizeof sample, 1, stdin) == 1) {
+        att_snn_encode(&state, sample, sample + 3);
+        att_snn_step(&state);
+        fwrite(&state, sizeof state, 1, stdout);
+    }
+    return 0;
+}
