@@ -20,6 +20,7 @@ import numpy as np
 import onnxruntime
 import torch
 from matplotlib.figure import Figure
+from norse.torch.utils import import_nir
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -185,6 +186,9 @@ def _nir_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]
     nodes = {name: node for name, node in graph.nodes.items() if name not in ("w_out", "output", "finish")}
     nodes["finish"] = nir.Output({"output": np.array([config.hidden])})
     edges = [edge for edge in graph.edges if set(edge) <= set(nodes)] + [("hidden", "finish")]
+    for name in ("encoding", "hidden"):  # a potential at the threshold is not left to rounding errors
+        nodes[name].v_threshold += 1e-11
+    import_nir._to_tensor = lambda x: torch.as_tensor(x, dtype=torch.float64)
     net = norse.torch.from_nir(nir.NIRGraph(nodes, edges), dt=float(graph.metadata["dt"])).double()
     x = torch.tensor(scaled_inputs(config.inputs, gyro, accel))
     weights, taus = real_weights(config, tensors)
