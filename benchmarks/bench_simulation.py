@@ -30,7 +30,7 @@ from quadsim.plant import Plant
 from quadsim.vehicle import load_vehicle
 
 RATE = 200.0
-ROUNDS = 25
+ROUNDS = 15
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -73,10 +73,10 @@ def rotorpy_flight(duration: float) -> Callable[[], object] | None:
 
 def main() -> None:
     config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.0)
-    seeds = np.random.SeedSequence(0).spawn(16)
+    seeds = np.random.SeedSequence(0).spawn(64)
     plant = Plant(config.vehicle)
     data = mujoco.MjData(plant.model)
-    steps, flights, flight_steps, env_steps, rotor_s = 20000, 16, 2000, 4000, 0.5
+    steps, flights, flight_steps, env_steps, rotor_s = 20000, 64, 2000, 4000, 0.5
     env = gymnasium.make("quadsim/Quadrotor-v0", disable_env_checker=True).unwrapped
     env.reset(seed=0)
     action = env.action_space.sample() * 0
