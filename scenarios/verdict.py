@@ -31,8 +31,8 @@ class Total(NamedTuple):
 
     @property
     def rank(self) -> tuple[bool, float, float]:
-        """What to sort by: fewest crashes first, then the smallest error."""
-        return (not self.flights, self.crashes / max(self.flights, 1), self.error)
+        """What to sort by: fewest crashes first, then the smallest error in thousandths of a degree."""
+        return (not self.flights, self.crashes / max(self.flights, 1), round(self.error, 3))
 
 
 def verdict(rows: Sequence[Row], focus: str = "") -> Verdict:
