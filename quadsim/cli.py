@@ -787,7 +787,7 @@ def main() -> None:
     """Run the command line: a user's mistake is one line and exit code 2."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     try:
-        app()
+        app(prog_name="quadsim")
     except (ValueError, OSError) as error:
         message = str(error) or type(error).__name__
         Console(stderr=True).print(
