@@ -378,3 +378,13 @@ def test_a_real_recording_agrees_with_its_optical_truth():
     assert report.source_rate_hz == pytest.approx(285.7, abs=0.1)
     assert np.linalg.norm(np.subtract(report.gravity or (0, 0, 0), GRAVITY)) < 0.1
     assert log["scored"].any()
+
+
+@pytest.mark.parametrize("kind", ["ulg", "bag", "db3", "mcap", "hdf5", "mat", "npz"])
+def test_a_damaged_log_is_one_line_that_names_it(tmp_path, kind):
+    path = tmp_path / f"x.{kind}"
+    path.write_bytes(b"no log")
+    with pytest.raises(ValueError, match=f"x.{kind}") as refused:
+        read_log(path)
+    assert "\n" not in str(refused.value)
+    assert "pickle" not in str(refused.value)  # never advise to load one

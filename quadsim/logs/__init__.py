@@ -68,7 +68,12 @@ def read_recording(
     path = Path(path).expanduser()
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such log")
-    log = _read(path, truth, imu)
+    try:
+        log = _read(path, truth, imu)
+    except Exception as error:  # each library has errors of its own for a damaged file
+        if isinstance(error, ValueError | OSError) and str(path) in str(error):
+            raise
+        raise ValueError(f"{path}: cannot be read: {error}") from error
     return log if axes is None else turned(log, axes)
 
 

@@ -1,5 +1,6 @@
 """Trials of the BROAD benchmark (Laidig et al. 2021): HDF5, MAT, or NumPy's npz with the same numbers."""
 
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -55,5 +56,7 @@ def _mat(path: Path) -> Mapping[str, ArrayLike]:
 
 
 def _npz(path: Path) -> Mapping[str, ArrayLike]:
+    if not zipfile.is_zipfile(path):
+        raise ValueError(f"{path}: not a whole npz file")
     with np.load(path) as file:
         return {name: file[name] for name in file.files}
