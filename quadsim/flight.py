@@ -5,6 +5,7 @@ the state at k + 1. `FlightLoop` is that loop, whoever drives it; `simulate_flig
 attitude and records.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
+from scipy.signal import lfilter
 
 from .config import Strict
 from .controller import LEVELS, Controller, Level, control
@@ -232,6 +234,23 @@ def read_attitude(quat, roll_pitch, yaw):
         )
 
 
+class AttitudeError(Strict):
+    """Errors in the roll and pitch that a flight is flown on, as an estimator in the loop would make them.
+
+    First-order Gauss-Markov on each angle. The vehicle then swings as it does on a real estimator.
+    """
+
+    sd_deg: float = Field(default=0.0, ge=0, le=15, description="Standard deviation [deg].")
+    time_s: float = Field(default=0.3, gt=0, le=60, description="Correlation time [s].")
+
+    def series(self, n_steps: int, rate_hz: float, seeds: Sequence[np.random.SeedSequence]) -> Array:
+        """Errors of roll and pitch of one flight per seed, (n, steps, 2) [rad], stationary from the start."""
+        white = np.stack([np.random.default_rng(seed).normal(size=(n_steps, 2)) for seed in seeds])
+        kept = math.exp(-1.0 / (rate_hz * self.time_s))
+        white[:, 1:] *= math.sqrt(1.0 - kept**2)
+        return math.radians(self.sd_deg) * np.asarray(lfilter([1.0], [1.0, -kept], white, axis=1))
+
+
 class FlightConfig(Strict):
     """What a recorded flight is made of; stored whole in every dataset."""
 
@@ -241,6 +260,9 @@ class FlightConfig(Strict):
     wind: tuple[WindSpec, ...] = Field(default=(), description="Winds, added up.")
     randomisation: Randomisation = Field(
         default=Randomisation(), description="Spread of the vehicle's numbers."
+    )
+    attitude_error: AttitudeError = Field(
+        default=AttitudeError(), description="What the controller is told wrongly; nothing by default."
     )
     warmup_s: float = Field(
         default=4.0,
@@ -302,7 +324,7 @@ def record(
 def simulate_flights(
     config: FlightConfig, seeds: Sequence[np.random.SeedSequence], steps: int, rate_hz: float = 200.0
 ) -> dict[str, Array | list[str]]:
-    """Fly one flight per seed on true attitude and record it.
+    """Fly one flight per seed on true attitude, but for the configured error, and record it.
 
     Args:
         config: What to fly.
@@ -316,10 +338,13 @@ def simulate_flights(
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
     n, warmup = len(seeds), round(config.warmup_s * rate_hz)
-    path, body, air, imu = ([child(seed, part) for seed in seeds] for part in range(4))
+    path, body, air, imu, sight = ([child(seed, part) for seed in seeds] for part in range(5))
     vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
     target = reference(config.trajectory, warmup + steps, rate_hz, path)
     wind = wind_series(config.wind, n, warmup + steps, rate_hz, air) if config.wind else None
+    wrong = (
+        config.attitude_error.series(warmup + steps, rate_hz, sight) if config.attitude_error.sd_deg else None
+    )
     loop = FlightLoop(vehicles, n, rate_hz=rate_hz, nominal=config.vehicle)
     loop.reset(position=target[:, 0, :3], velocity=target[:, 0, 3:6])
     log, end = np.zeros((n, steps, WIDTH)), np.full(n, steps)
@@ -327,6 +352,8 @@ def simulate_flights(
     for k in range(warmup + steps):
         air_now = calm if wind is None else wind[:, k]
         if k:
+            if wrong is not None:
+                loop.attitude = loop.true_attitude + wrong[:, k - 1]
             loop.step("position", target[:, k - 1], air_now)
         if k >= warmup:
             record(

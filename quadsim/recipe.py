@@ -5,7 +5,7 @@ from pathlib import Path
 from pydantic import Field
 
 from .config import Strict, load_toml
-from .flight import FlightConfig
+from .flight import AttitudeError, FlightConfig
 from .imu import load_imu
 from .trajectory import Mix, Trajectory
 from .vehicle import Randomisation, load_vehicle
@@ -23,6 +23,9 @@ class Recipe(Strict):
     randomisation: Randomisation = Field(
         default=Randomisation(), description="Spread of the vehicle's numbers."
     )
+    attitude_error: AttitudeError = Field(
+        default=AttitudeError(), description="What the controller is told wrongly."
+    )
     warmup_s: float = Field(default=4.0, ge=0, le=60, description="Flown before recording [s].")
 
 
@@ -39,5 +42,6 @@ def flight_config(recipe: Recipe) -> FlightConfig:
         trajectory=recipe.trajectory,
         wind=recipe.wind,
         randomisation=recipe.randomisation,
+        attitude_error=recipe.attitude_error,
         warmup_s=recipe.warmup_s,
     )

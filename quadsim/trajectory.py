@@ -106,12 +106,10 @@ class Mix(Strict):
     circle_s: tuple[Positive, Positive] = Field(
         default=(1.6, 3.5), description="Range of the period of a circle [s]."
     )
-    jump_share: float = Field(
-        default=0.0, ge=0, le=1, description="Share of jumps of the set-point, by 0.5 to 2.5 m."
-    )
-    pause_share: float = Field(
-        default=0.1, ge=0, le=1, description="Share of hovering pauses, of 0.2 to 1.5 s."
-    )
+    jump_share: float = Field(default=0.0, ge=0, le=1, description="Share of jumps of the set-point.")
+    jump_m: tuple[Positive, Positive] = Field(default=(0.5, 2.5), description="Range of their size [m].")
+    pause_share: float = Field(default=0.1, ge=0, le=1, description="Share of hovering pauses.")
+    pause_s: tuple[Positive, Positive] = Field(default=(0.2, 1.5), description="Range of their length [s].")
     max_yaw_rate: float = Field(default=1.5, ge=0, description="Largest yaw rate of a turn [rad/s].")
     radius: Positive = Field(
         default=15.0, description="Beyond this distance from the centre, dashes lead back [m]."
@@ -290,7 +288,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
         climb = np.clip(rng.normal(0.0, 0.1), -0.25, 0.25) * GRAVITY  # peak vertical acceleration
         lateral = (GRAVITY - abs(climb)) * math.tan(rng.uniform(low, high))
         if draw < spec.pause_share:
-            length = rng.uniform(0.2, 1.5)
+            length = rng.uniform(*spec.pause_s)
             row = [clock, length, _PAUSE]
         elif draw < spec.pause_share + spec.circle_share:
             turns, period = int(rng.integers(1, 4)), rng.uniform(*spec.circle_s)
@@ -302,7 +300,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
             flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
             row = [clock, length, _CIRCLE, *axes[0], bob, *(flat * axes[1]), -bob, omega]
         elif draw < spec.pause_share + spec.circle_share + spec.jump_share:
-            length, reach = rng.uniform(2.0, 4.0), rng.uniform(0.5, 2.5)
+            length, reach = rng.uniform(2.0, 4.0), rng.uniform(*spec.jump_m)
             move = reach * np.array([math.cos(heading), math.sin(heading), rng.uniform(-0.3, 0.3)])
             where = where + move
             row = [clock, length, _JUMP, *move]

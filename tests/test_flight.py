@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from quadsim.controller import LEVELS, Controller
 from quadsim.design import loop_margins
-from quadsim.flight import FlightConfig, FlightLoop, simulate_flights
+from quadsim.flight import AttitudeError, FlightConfig, FlightLoop, simulate_flights
 from quadsim.imu import load_imu
 from quadsim.rotation import quat_conjugate, quat_from_euler, quat_multiply, roll_pitch_from_quat
 from quadsim.trajectory import Hover, Mix
@@ -168,3 +168,24 @@ def test_an_estimator_of_another_rate_is_refused():
 
     with pytest.raises(ValueError, match="100 Hz"):
         FlightLoop(HUMMINGBIRD, 1, estimator=Slow())
+
+
+def test_attitude_error_is_stationary_with_the_given_spread_and_correlation():
+    error = np.degrees(AttitudeError(sd_deg=3.0, time_s=0.3).series(4000, 200.0, seeds(60)))
+    assert error.std((0, 2))[[0, 100, -1]] == pytest.approx([3.0] * 3, rel=0.25)
+    later = (error[:, 60:] * error[:, :-60]).mean() / (error**2).mean()  # 0.3 s apart
+    assert later == pytest.approx(np.exp(-1), abs=0.05)
+
+
+def test_flights_flown_on_a_wrong_attitude_swing_and_are_otherwise_recorded_truly():
+    still = config(trajectory=Hover(position=(0.0, 0.0, 5.0)))
+    right, wrong = (
+        simulate_flights(still.model_copy(update={"attitude_error": error}), seeds(2), 1000)
+        for error in (AttitudeError(), AttitudeError(sd_deg=3.0))
+    )
+    tilt = [np.degrees(np.abs(roll_pitch_from_quat(f["quat"]))).max() for f in (right, wrong)]
+    assert tilt[0] < 0.01
+    assert 1.0 < tilt[1] < 20.0
+    assert wrong["end_reason"] == ["", ""]
+    bias = right["gyro"] - right["ang_vel"], wrong["gyro"] - wrong["ang_vel"]
+    assert bias[0] == pytest.approx(bias[1], abs=1e-9)  # the sensor errors are the same

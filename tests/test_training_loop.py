@@ -14,6 +14,7 @@ from training.config import TrainConfig, make_config
 from training.data import load_flights, split, windows
 from training.loop import train
 from training.loss import finished
+from training.models import IDLE, AttSNN, _spikes, revive, start_from_data
 
 TINY = {
     "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
@@ -261,3 +262,23 @@ def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tm
     assert result.reason == "the weights are not finite after epoch 1"
     assert (result.best.epoch, len(rows)) == (0, 1)
     load_network(result.weights)
+
+
+def test_revived_neurons_spike_and_leave_the_estimate_as_it_was():
+    rng = np.random.default_rng(0)
+    x = np.round(rng.normal(size=(4, 600, 6)).cumsum(1) * 20) / 1024
+    model = AttSNN(30, 40)
+    start_from_data(model, x, 0.1 * x[:, :, :2], seed=0)
+    with torch.no_grad():  # five say nothing, and four say always the same
+        model.w_ff[:5] = model.w_rec[:5] = model.w_rec[:, :9] = 0.0
+        model.w_ff[5:9] = 1.0 / model.w_ff_scale[5:9]
+        model.w_rec[5:9] = 0.0
+        before = model(torch.from_numpy(x))[0].clone()
+    idle = ((rate := _spikes(model, x)[1].mean((0, 1))) < IDLE[0]) | (rate > IDLE[1])
+    count = revive(model, x, seed=1)
+    assert count == idle.sum() - (rate > IDLE[1]).any()
+    with torch.no_grad():
+        after = model(torch.from_numpy(x))[0]
+    assert after.numpy() == pytest.approx(before.numpy(), abs=0.02 * float(before.std()))
+    still = _spikes(model, x)[1].mean((0, 1))
+    assert np.mean((still[idle] > IDLE[0]) & (still[idle] < IDLE[1])) > 0.7

@@ -51,6 +51,8 @@ class TrainConfig(Strict):
 
     init: str = ""
     """Weights to go on from, in place of `start`: a file or a shipped name; shape and scaling are theirs."""
+    revive: bool = False
+    """Whether hidden neurons of `init` that never or always spike get new random inputs (att-snn)."""
     train_decays: bool = True
     """Whether the time constants are trained too (att-snn)."""
 

@@ -29,7 +29,7 @@ from estimators.weights_file import NetworkConfig, Tensors, save_network
 from .config import TrainConfig, make_config
 from .data import Batch, Flights, fold_split, load_flights, split, windows
 from .loss import attitude_loss, finished, rate_cost
-from .models import AttRNN, AttSNN, start_from_data, start_from_weights, start_like_the_paper
+from .models import AttRNN, AttSNN, revive, start_from_data, start_from_weights, start_like_the_paper
 from .optim import Lookahead
 
 log = logging.getLogger(__name__)
@@ -334,15 +334,19 @@ def _new_model(config: TrainConfig) -> Model:
 def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> None:
     if config.init:
         start_from_weights(model, config.init)
+        if not config.revive or isinstance(model, AttRNN):
+            return
+    elif isinstance(model, AttRNN):
         return
-    if isinstance(model, AttRNN):
-        return
-    if config.start == "random":
+    elif config.start == "random":
         start_like_the_paper(model, config.seed)
         return
     several = min(3, flights.gyro.shape[1] // steps)
     batch = next(windows(flights, config.augmentation, 1, 32, several * steps, 1, (config.seed, 0)))
     x = _inputs(config, batch.gyro, batch.accel).numpy()
+    if config.init:
+        log.info("%d idle neurons revived", revive(model, x, config.seed))
+        return
     start_from_data(
         model,
         x,

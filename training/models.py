@@ -20,6 +20,10 @@ from .kernels import Workspace, attsnn
 OUTPUTS = 2
 
 
+IDLE = (1e-3, 0.999)
+"""Spikes per step below and above which a hidden neuron says nothing."""
+
+
 @dataclass(frozen=True)
 class Ranges:
     """Time constants at the start, log-uniform between two values each [network steps]."""
@@ -201,6 +205,57 @@ def start_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
         inside = np.clip(tau, 1 / 1024, 4095 / 4096)
         with torch.no_grad():
             getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
+
+
+def revive(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -> int:
+    """Give hidden neurons that never or always spike something new to say, and nobody that listens yet.
+
+    The estimate stays as it is: what neurons that always spike contribute goes to the first of them. A
+    revived neuron reads a few encoders and a few live hidden neurons, at a rate that its drive spreads over.
+
+    Args:
+        model: To change.
+        x: Scaled inputs, shape (n, T, 6).
+        seed: Of the new weights.
+        fan_in: Neurons that each revived one reads, half of either layer.
+
+    Returns:
+        How many neurons were revived.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    first, second = _spikes(model, x)
+    rate = second.mean((0, 1))
+    always, never = np.flatnonzero(rate > IDLE[1]), np.flatnonzero(rate < IDLE[0])
+    idle = np.concatenate([never, always[1:]])
+    alive = np.setdiff1d(np.arange(rate.size), idle)
+    if not idle.size or not alive.size:
+        return 0
+    with torch.no_grad():
+        w = {name: value.numpy().astype(np.float64) for name, value in model.weights()._asdict().items()}
+        for name in ("w_rec", "w_out"):
+            if always.size:
+                w[name][:, always[0]] = w[name][:, always].sum(1)
+            w[name][:, idle] = 0.0
+        tau = np.exp(-1.0 / np.exp(rng.uniform(0.0, math.log(100.0), (2, idle.size))))
+        for name, values in zip(("syn1", "mem1"), tau, strict=True):
+            getattr(model, name)[idle] = torch.tensor(np.log(values / (1 - values)), dtype=torch.float32)
+    for row in idle:
+        for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", alive)):
+            w[name][row] = 0.0
+            chosen = rng.choice(sources, min(fan_in // 2, sources.size), replace=False)
+            w[name][row, chosen] = rng.normal(size=chosen.size)
+    drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[idle].T
+    current = _filtered(drive, tau[0])
+    wanted = np.exp(rng.uniform(math.log(0.1), math.log(0.5), idle.size))
+    scale = (
+        0.5 * wanted / np.maximum(current.std((0, 1)), 1e-6) * np.where(current.mean((0, 1)) < 0, -1.0, 1.0)
+    )
+    for name in ("w_ff", "w_rec"):
+        w[name][idle] *= scale[:, None]
+        model.set_weights(name, w[name])
+    model.set_weights("w_out", w["w_out"])
+    model.constrain()
+    return int(idle.size)
 
 
 def _start_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch: int = 1) -> None:
