@@ -17,6 +17,8 @@ from .networks import GRAVITY, NetworkEstimator
 Array = NDArray[np.float64]
 BINS = 15
 QUANTITIES = ("roll", "pitch", "roll rate", "pitch rate")
+SLOW_HZ, FAST_HZ = 0.2, 1.0
+"""Attitude below the first is of the long time, above the second of the short."""
 
 
 def manipulations(flights: Flights) -> dict[str, tuple[Array, Array]]:
@@ -43,6 +45,10 @@ class Response:
     """Mean absolute error of roll and pitch."""
     gain: float
     """Slope of the estimate over the truth: 1 follows, 0 does not."""
+    slow_gain: float
+    """The same of the parts of both below `SLOW_HZ`."""
+    fast_gain: float
+    """The same above `FAST_HZ`."""
     estimate: Array
     """Roll and pitch of the first flight, (T, 2) [rad]."""
 
@@ -53,9 +59,21 @@ def responses(est: NetworkEstimator, flights: Flights) -> dict[str, Response]:
     for name, (gyro, accel) in manipulations(flights).items():
         est.reset(len(gyro))
         estimate = est.sequence(gyro, accel)
-        gain = float(np.sum(estimate * flights.truth) / np.sum(flights.truth**2))
-        found[name] = Response(attitude_error(estimate, flights.truth).mean, gain, estimate[0])
+        whole, slow, fast = (
+            _gain(estimate, flights.truth, flights.rate_hz, low, high)
+            for low, high in ((0.0, np.inf), (0.0, SLOW_HZ), (FAST_HZ, np.inf))
+        )
+        found[name] = Response(attitude_error(estimate, flights.truth).mean, whole, slow, fast, estimate[0])
     return found
+
+
+def _gain(estimate: Array, truth: Array, rate_hz: float, low: float, high: float) -> float:
+    """Slope of the estimate over the truth (n, T, 2), of frequencies from `low` to below `high` [Hz]."""
+    hz = np.fft.rfftfreq(truth.shape[1], 1 / rate_hz)
+    inside = (hz >= low) & (hz < high)
+    ours, theirs = (np.fft.rfft(each, axis=1)[:, inside] for each in (estimate, truth))
+    weights = np.where((hz[inside] == 0) | (hz[inside] == rate_hz / 2), 1.0, 2.0)[:, None]
+    return float(np.sum(weights * (ours * theirs.conj()).real) / np.sum(weights * np.abs(theirs) ** 2))
 
 
 @dataclass(frozen=True)

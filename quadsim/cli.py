@@ -757,6 +757,43 @@ def demo(
     console.print(headline(done.report, done.results.rows), soft_wrap=True)
 
 
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option(help="Folder for the pages and for all that they come from.")],
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="Some of it, such as table1,fig5: table1 table2 fig3 to fig9 flops loop rate size minutes."
+        ),
+    ] = None,
+    preset: Annotated[
+        str, typer.Option(help="quick: short flights and trainings; full: the paper's sizes.")
+    ] = "quick",
+    seed: Seed = 0,
+    workers: Workers = None,
+) -> None:
+    """Make every table and figure of the paper from nothing, and judge which of its claims hold here.
+
+    Stroobants, Dupeyroux and de Croon (2022), without a Loihi, a quadrotor or a motion-capture hall: flights
+    are generated, filters tuned, networks trained and flown. Writes paper.md with its figures, and a page
+    each on sample rates, network sizes and minutes of flight.
+
+    quick takes some minutes on two cores, full about an hour or two. Every part is kept in the folder: the
+    same command goes on where a killed one stopped, and makes nothing twice.
+
+    Example: quadsim paper --out reports/paper --only table2,fig6
+    """
+    from paper.run import paper as make_paper
+    from scenarios.summary import plain_table
+
+    with progress_bar("paper", "s of work") as bar:
+        done = make_paper(out, only, preset, seed, workers, bar)
+    rows = [(each.claim, each.verdict) for each in done.judged if each.verdict != "not judged"]
+    if rows:
+        console.print(plain_table(rows))
+    console.print(f"{done.page}: {done.headline}", soft_wrap=True)
+
+
 def headline(path: Path, rows: Sequence[dict[str, Any]]) -> str:
     """Where the report is, and what its verdict says."""
     from scenarios.verdict import verdict

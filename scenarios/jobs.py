@@ -34,7 +34,7 @@ def spread(
         for i, job in enumerate(jobs):
             yield i, function(*job)
     else:
-        with _one_thread_each(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        with one_thread_each(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
             yield from _submit(pool, function, jobs)
 
 
@@ -52,7 +52,7 @@ def _submit(
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Processes started inside use one thread for linear algebra: they share the cores among themselves."""
     before = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = "1"

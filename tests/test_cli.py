@@ -21,6 +21,7 @@ VERBS = [
     "design",
     "demo",
     "inspect",
+    "paper",
 ]
 
 
@@ -86,6 +87,8 @@ def test_every_verb_has_help_of_its_own():
         (["bench", "--scenario", "hover", "--breaking-point", "rain"], "rain"),
         (["bench", "--scenario", "hover", "--external", "vicon"], "vicon"),
         (["report", "missing"], "missing"),
+        (["paper", "--out", "x", "--only", "fig12"], "fig"),
+        (["paper", "--out", "x", "--preset", "fast"], "quick and full"),
         (["inspect", "--weights", "missing.safetensors"], "missing.safetensors"),
     ],
 )

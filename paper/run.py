@@ -1,0 +1,122 @@
+"""The whole of it: plan, make what is missing, judge, write the pages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from .claims import Judgement, Numbers, judge
+from .pages import write_pages
+from .plan import chosen, stages_of
+from .settings import Settings, settings_of
+from .stages import Progress, Stage, fingerprints, is_finished, record_of, run_stages, with_inputs
+from .work import NUMBERS
+
+SETTINGS = "settings.json"
+
+
+class Paper(NamedTuple):
+    """What came of it."""
+
+    page: Path
+    judged: list[Judgement]
+    made: list[str]
+    """Stages that were made now; the others had been."""
+
+    @property
+    def headline(self) -> str:
+        """How many of the claims hold."""
+        words = [each.verdict for each in self.judged]
+        said = {
+            "holds": "hold",
+            "partly": "hold partly",
+            "does not hold": "do not",
+            "not judged": "not judged",
+        }
+        counts = [f"{words.count(word)} {short}" for word, short in said.items() if word in words]
+        return f"of the paper's {len(words)} claims {', '.join(counts)}"
+
+
+def paper(
+    out: str | Path,
+    only: str | None = None,
+    preset: str = "quick",
+    seed: int = 0,
+    workers: int | None = None,
+    progress: Progress = lambda done, total, note: None,
+    settings: Settings | None = None,
+) -> Paper:
+    """Make the paper's tables and figures, and the pages around them.
+
+    What an earlier run with the same settings left in the folder is taken from there.
+
+    Args:
+        out: Folder for everything.
+        only: Some of `plan.ITEMS`, as "table1,fig5"; None for all.
+        preset: "quick" or "full".
+        seed: Of everything random.
+        workers: Processes, by default one for each CPU; 1 stays in this process.
+        progress: Called now and then.
+        settings: Sizes, in place of the preset's.
+
+    Raises:
+        ValueError: An unknown item or preset.
+        OSError: The folder cannot be written, or workers died.
+    """
+    settings = settings or settings_of(preset, seed)
+    items, out = chosen(only), Path(out).expanduser().absolute()
+    parts = out / settings.preset  # so that a quick run does not replace a full one
+    parts.mkdir(parents=True, exist_ok=True)
+    stages, shows = stages_of(settings)
+    wanted = with_inputs(stages, [name for item in items for name in shows[item]])
+    (parts / SETTINGS).write_text(settings.model_dump_json(indent=1))
+    made = run_stages(wanted, parts, workers, progress)
+    page, judged = write_results(parts, out, settings)
+    return Paper(page, judged, made)
+
+
+def write_results(
+    parts: Path, folder: Path, settings: Settings, prefix: str = "", images: str = ".",
+    kinds: Sequence[str] = ("png", "svg"), then: str = "",
+) -> tuple[Path, list[Judgement]]:  # fmt: skip
+    """Write the pages of everything that is finished; the arguments are those of `pages.write_pages`.
+
+    Args:
+        parts: Folder of the stages' folders.
+        folder: Where the pages go.
+        settings: Of the run.
+        prefix: Begins names.
+        images: Folder of the figures.
+        kinds: Their formats.
+        then: A further command that the pages name.
+    """
+    stages, shows = stages_of(settings)
+    every = with_inputs(stages, stages)
+    prints = fingerprints(every)
+    there = [stage for stage in every if is_finished(parts / stage.name, prints[stage.name])]
+    found = numbers_of(parts, there)
+    shown = [item for item, names in shows.items() if all(name in found for name in names)]
+    seconds = sum(record_of(parts / stage.name)["seconds"] for stage in there)
+    numbers = {name: found[name] for item in shown for name in shows[item]}
+    page = write_pages(folder, numbers, shown, settings, seconds, prefix, images, kinds, then)
+    return page, judge(numbers)
+
+
+def load_settings(parts: Path) -> Settings:
+    """The sizes of a run, from the folder of its stages.
+
+    Raises:
+        ValueError: There is no run in the folder.
+    """
+    try:
+        return Settings.model_validate_json((parts / SETTINGS).read_text())
+    except FileNotFoundError:
+        raise ValueError(f"{parts}: no run of quadsim paper (there is no {SETTINGS})") from None
+
+
+def numbers_of(parts: Path, stages: Sequence[Stage]) -> Numbers:
+    """What finished stages found, where they found numbers."""
+    files = {stage.name: parts / stage.name / NUMBERS for stage in stages}
+    return {name: json.loads(file.read_text()) for name, file in files.items() if file.is_file()}

@@ -1,0 +1,134 @@
+"""How large everything is: flights, updates, swarms. The two presets, in one typed place."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from quadsim.config import Strict
+
+
+class Budget(Strict):
+    """Length of a training."""
+
+    epochs: int = Field(ge=1)
+    batches: int = Field(ge=1)
+    """Updates in an epoch."""
+    window_s: float = 5.0
+    """Length of a window [s]."""
+    windows_per_stream: int = 3
+    """Windows that follow one another with the state carried over."""
+    batch_size: int = 40
+    """Windows in a batch."""
+
+    @property
+    def updates(self) -> int:
+        """In all."""
+        return self.epochs * self.batches
+
+    def choices(self) -> dict[str, float | int]:
+        """Fields of the training configuration."""
+        return self.model_dump()
+
+
+class Settings(Strict):
+    """Sizes of everything that `quadsim paper` does."""
+
+    preset: str
+    seed: int = Field(default=0, ge=0)
+    sim_flights: int = 35
+    """Training flights of the Hummingbird, as many as the paper simulated."""
+    real_flights: int = 11
+    """Training flights of the second airframe, as many as the paper flew."""
+    validation_flights: tuple[int, int] = (4, 2)
+    """Further flights of both, which choose epochs."""
+    test_flights: tuple[int, int] = (12, 12)
+    """Further flights of both, for scoring alone."""
+    flight_s: float = 100.0
+    folds: int = 5
+    particles: int = 100
+    """Parameter sets that a filter's tuning tries at once."""
+    iterations: int = 20
+    """How often."""
+    main: Budget
+    """Att-SNN of Table 2 and of everything after it, and its twin in floats."""
+    paper: Budget
+    """Att-SNN by the paper's recipe."""
+    rnn: Budget
+    """Att-RNN."""
+    fold_snn: Budget
+    fold_rnn: Budget
+    study: Budget
+    """Each network of the pages on size and on minutes of flight."""
+    rates_hz: tuple[float, ...] = (100.0, 200.0, 500.0, 1000.0)
+    rate_flights: tuple[int, int, int] = (16, 3, 8)
+    """Flights at each rate: training, validation, test."""
+    rate: Budget
+    """Training on, at each rate."""
+    sizes: tuple[int, ...] = (20, 40, 80, 120, 160, 200)
+    """Neurons of both layers together; the last is the whole network."""
+    minutes_flights: tuple[int, ...] = (1, 2, 5, 10, 20, 35)
+    """Training flights; the last is all of the Hummingbird's."""
+    latency_rounds: int = 40
+    """Turns of a hundred calls."""
+    loop_seeds: int = 8
+    loop_s: float = 100.0
+    """Length of the closed-loop flights [s]."""
+
+
+def full(seed: int = 0) -> Settings:
+    """The paper's sizes."""
+    return Settings(
+        preset="full",
+        seed=seed,
+        main=Budget(epochs=150, batches=30),
+        paper=Budget(epochs=60, batches=15, window_s=10.0, windows_per_stream=1),
+        rnn=Budget(epochs=36, batches=24, window_s=2.5, windows_per_stream=6),
+        fold_snn=Budget(epochs=16, batches=45),
+        fold_rnn=Budget(epochs=5, batches=24, window_s=2.5, windows_per_stream=6),
+        study=Budget(epochs=16, batches=45),
+        rate=Budget(epochs=10, batches=24),
+    )
+
+
+def quick(seed: int = 0) -> Settings:
+    """All of it in minutes: short flights and trainings, to see that it works and roughly what comes out."""
+    return Settings(
+        preset="quick",
+        seed=seed,
+        sim_flights=12,
+        real_flights=6,
+        validation_flights=(2, 1),
+        test_flights=(4, 4),
+        flight_s=50.0,
+        folds=3,
+        particles=16,
+        iterations=12,
+        main=Budget(epochs=24, batches=24, window_s=2.5, windows_per_stream=6),
+        paper=Budget(epochs=16, batches=15, window_s=2.5, windows_per_stream=1),
+        rnn=Budget(epochs=12, batches=12, window_s=1.25, windows_per_stream=12),
+        fold_snn=Budget(epochs=5, batches=36, window_s=2.5, windows_per_stream=6),
+        fold_rnn=Budget(epochs=4, batches=12, window_s=1.25, windows_per_stream=12),
+        study=Budget(epochs=5, batches=36, window_s=2.5, windows_per_stream=6),
+        rates_hz=(100.0, 200.0, 500.0),
+        rate_flights=(6, 2, 4),
+        rate=Budget(epochs=3, batches=18, window_s=2.5, windows_per_stream=6),
+        sizes=(20, 80, 200),
+        minutes_flights=(1, 4, 12),
+        latency_rounds=5,
+        loop_seeds=3,
+        loop_s=30.0,
+    )
+
+
+PRESETS = {"quick": quick, "full": full}
+
+
+def settings_of(preset: str, seed: int = 0) -> Settings:
+    """The sizes of a preset.
+
+    Raises:
+        ValueError: There is no such preset.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"no preset {preset!r}, there are {' and '.join(PRESETS)}")
+    return PRESETS[preset](seed)

@@ -1,0 +1,51 @@
+"""A spiking network for another sample rate: the same neurons in continuous time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.networks import real_weights
+from estimators.spiking import Weights
+from estimators.weights_file import NetworkConfig, Tensors
+
+
+def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[NetworkConfig, Tensors]:
+    """The network with its time constants and weights carried to another sample rate, in floats.
+
+    With k steps where there was one, every decay becomes τ^(1/k). A spike is to leave the same charge in
+    the membrane it reaches, and its current sums to w / (1 − τ_syn): weights are multiplied by
+    (1 − τ_syn^(1/k)) / (1 − τ_syn). The inputs drive in every step, so theirs are divided by k too.
+
+    The step that a connection takes is then shorter, and so is the reset: the network is the same only as far
+    as spikes are rare.
+
+    Raises:
+        ValueError: Not a spiking network, or a bad rate.
+    """
+    if config.model != "att-snn":
+        raise ValueError(f"{config.model} has no time constants to rescale, att-snn has")
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise ValueError(f"rate_hz = {rate_hz}: more than 0 is allowed")
+    k = rate_hz / config.rate_hz
+    weights, taus = real_weights(config, tensors)
+    clipped = [np.clip(tau, 0.0, 4095 / 4096) for tau in taus]
+    old = dict(zip(Weights._fields, [*weights, *clipped], strict=True))
+    new = {name: old[name] ** (1 / k) for name in Weights._fields[4:]}
+
+    def area(name: str) -> NDArray[np.float64]:
+        return ((1 - new[name]) / (1 - old[name]))[:, None]
+
+    new["w_in"] = old["w_in"] * area("syn0") / k
+    new["w_ff"] = old["w_ff"] * area("syn1")
+    new["w_rec"] = old["w_rec"] * area("syn1")
+    new["w_out"] = old["w_out"] * area("syn2")
+    memory = round(config.inputs.bias_samples * k)
+    changed = config.model_copy(
+        update={
+            "rate_hz": rate_hz,
+            "quantised": False,
+            "inputs": config.inputs.model_copy(update={"bias_samples": memory}),
+        }
+    )
+    return changed, {name: value.astype(np.float32) for name, value in new.items()}
