@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
+from importlib.resources import files
 from typing import Any
 
 from quadsim.config import nearest
@@ -21,7 +23,16 @@ SNN, FLOAT, PAPER, RNN = "net-snn", "net-snn-float", "net-snn-paper", "net-rnn"
 WHOLE = "net-sim"
 """The whole network on all of the Hummingbird's flights: the end of both curves, of size and of minutes."""
 NETWORKS = {"att-rnn": ["att-rnn", RNN], "att-snn": ["att-snn-loihi", SNN]}
-SHIPPED_NETWORKS = {label: [model, ""] for label, model in SHIPPED.items()}
+
+
+def shipped_networks() -> dict[str, list[str]]:
+    """Networks with the weights that ship; a digest of these, so that new ones are scored anew."""
+    found = {}
+    for label, model in SHIPPED.items():
+        weights = files("assets") / "weights" / f"{model.removesuffix('-loihi')}.safetensors"
+        found[label] = [model, "", hashlib.sha256(weights.read_bytes()).hexdigest()[:8]]
+    return found
+
 
 ITEMS = (
     "table1", "table2", "fig3", "fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "flops", "loop",
@@ -185,7 +196,8 @@ def _folds(s: Settings) -> list[Stage]:
 
 def _scores(s: Settings) -> list[Stage]:
     tuned = tuple(f"tune-{name}" for name in FILTERS)
-    every = NETWORKS | SHIPPED_NETWORKS
+    shipped = shipped_networks()
+    every = NETWORKS | shipped
     found = [
         Stage(
             f"score-{name.removeprefix('fly-')}",
@@ -217,7 +229,7 @@ def _scores(s: Settings) -> list[Stage]:
         seconds=1.0 * s.latency_rounds,
         alone=True,
     )
-    networks = {"att-snn": NETWORKS["att-snn"], "att-snn, shipped": SHIPPED_NETWORKS["att-snn, shipped"]}
+    networks = {"att-snn": NETWORKS["att-snn"], "att-snn, shipped": shipped["att-snn, shipped"]}
     loop = Stage(
         "loop",
         scores.close_loop,

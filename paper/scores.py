@@ -45,9 +45,9 @@ PARTS = 3
 def estimators_of(
     inputs: Inputs, filters: Sequence[str], networks: Mapping[str, Sequence[str]], rate_hz: float = 200.0
 ) -> dict[str, AttitudeEstimator]:
-    """Filters as tuned by their stages, networks (model, stage) with the weights of theirs; "" is shipped."""
+    """Filters as tuned by their stages; networks (model, stage) with its weights, "" for those that ship."""
     made = {name: create(name, rate_hz, tuning=inputs[f"tune-{name}"] / TUNING) for name in filters}
-    for label, (model, stage) in networks.items():
+    for label, (model, stage, *_) in networks.items():
         made[label] = create(model, rate_hz, weights=inputs[stage] / WEIGHTS if stage else None)
     return made
 
@@ -132,7 +132,7 @@ def compare(
         for name, est in made.items()
     }
     sizes = {}
-    for label, (_, stage) in networks.items():
+    for label, (_, stage, *_) in networks.items():
         if stage:
             config, tensors = load_network(inputs[stage] / WEIGHTS)
             sizes[label] = [
