@@ -148,7 +148,7 @@ def _of_shipped(numbers: Numbers) -> str:
             np.mean(numbers[f"score-test-{domain}"]["sequences"][name]["unknown"])
             for domain in ("sim", "real")
         )
-        found.append(f"{name}: {home:.2f}° there and {away:.2f}° on the second domain")
+        found.append(f"{name} makes {home:.2f}° on the Hummingbird, {away:.2f}° on the second domain")
     return f"; trained far longer, and not on the second domain, {', '.join(found)}"
 
 

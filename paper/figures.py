@@ -20,7 +20,7 @@ from .quoted import CHIP, CONVERGE_S, PYTORCH_US, REMOVABLE, TEST_DEG
 from .scores import BELOW_DEG, SHOWN_HZ, SIX
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
-GREYS = ("#111111", "#0072b2", "#e08a00", "#7a5195", "#6b6b6b", "#c0563b", "#2f8f6b", "#a05a2c")
+COLOURS = ("#111111", "#0072b2", "#e08a00", "#7a5195", "#6b6b6b", "#c0563b", "#2f8f6b", "#a05a2c")
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1)))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DOMAIN_TITLES = {"sim": "Hummingbird, ADIS16448", "real": "px4-quad, Pixhawk 4 Mini"}
@@ -34,7 +34,7 @@ CURVES = {
 
 def look(k: int) -> dict[str, Any]:
     """Colour and dash of the k-th line."""
-    return {"color": GREYS[k % len(GREYS)], "ls": DASHES[k % len(DASHES)]}
+    return {"color": COLOURS[k % len(COLOURS)], "ls": DASHES[k % len(DASHES)]}
 
 
 def distributions(numbers: Numbers) -> Figure:
