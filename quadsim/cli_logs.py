@@ -51,6 +51,8 @@ def info(
     if report.gravity is not None:
         x, y, z = report.gravity
         rows["mean force in the world"] = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s²"
+    if report.truth_delay_s is not None:
+        rows["truth late by"] = f"{1e3 * report.truth_delay_s:.1f} ms, correlation {report.agreement:.3f}"
     for key, value in rows.items():
         table.add_row(key, value)
     for note in report.notes:

@@ -20,6 +20,8 @@ from quadsim.logs.resample import resample
 from quadsim.rotation import (
     canonical,
     quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
     roll_pitch_from_quat,
@@ -388,3 +390,22 @@ def test_a_damaged_log_is_one_line_that_names_it(tmp_path, kind):
         read_log(path)
     assert "\n" not in str(refused.value)
     assert "pickle" not in str(refused.value)  # never advise to load one
+
+
+@pytest.mark.parametrize("late_s", [-0.033, 0.0, 0.06])
+def test_a_late_truth_is_found_to_a_millisecond_and_said(late_s):
+    time, gyro, accel, quat = turning(seconds=20.0)
+    gyro = gyro + np.random.default_rng(0).normal(0.01, 0.05, gyro.shape)
+    seen = quat_multiply(quat, quat_from_rotvec(np.random.default_rng(1).normal(0, 0.002, gyro.shape)))
+    _, report = resample(Recording("x", "test", time, gyro, accel, "mocap", time + late_s, seen))
+    assert report.truth_delay_s == pytest.approx(late_s, abs=1e-3)
+    assert any("the truth is" in warning for warning in report.warnings) == (late_s != 0.0)
+
+
+def test_a_truth_in_swapped_axes_is_doubted_and_one_at_rest_is_not_judged():
+    time, gyro, accel, quat = turning(seconds=20.0)
+    _, swapped = resample(Recording("x", "test", time, gyro[:, [1, 0, 2]], accel, "mocap", time, quat))
+    assert any("does not turn as the gyroscope does" in warning for warning in swapped.warnings)
+    still = np.broadcast_to(quat[:1], quat.shape)
+    _, calm = resample(Recording("x", "test", time, 0 * gyro, accel, "mocap", time, still))
+    assert calm.truth_delay_s is None

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..dataset_store import LABELS, VARIABLES
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
+from .alignment import truth_delay
 from .recording import Array, Recording
 
 PASS = 0.8
@@ -33,6 +34,10 @@ EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
 GRAVITY_TOLERANCE = 1.0
 """Mean specific force in world axes may differ from gravity by this before it is reported [m/s²]."""
+DELAY_TOLERANCE_S = 0.01
+"""The truth may be this late or early before it is reported: two samples of the network's."""
+AGREEMENT = 0.7
+"""Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,10 @@ class LogReport:
     """Share of the even samples at which the attitude is known."""
     gravity: tuple[float, float, float] | None
     """Mean specific force, turned to the world by the truth [m/s²]: (0, 0, 9.81) where frames agree."""
+    truth_delay_s: float | None
+    """How late the truth is, by its body rates [s]; None where there is too little motion to tell."""
+    agreement: float | None
+    """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
     filter_hz: float | None
     """−6 dB corner of the anti-alias filter; None where there was none to apply."""
     notes: tuple[str, ...]
@@ -96,6 +105,14 @@ class LogReport:
                     f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, "
                     f"{z:.1f}) m/s², not (0, 0, 9.8): look at frame and axes"
                 )
+        if self.agreement is not None and self.agreement < AGREEMENT:
+            found.append(
+                f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
+                "look at frame and axes"
+            )
+        elif self.truth_delay_s is not None and abs(self.truth_delay_s) > DELAY_TOLERANCE_S:
+            ms, which = abs(self.truth_delay_s) * 1e3, "late" if self.truth_delay_s > 0 else "early"
+            found.append(f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators")
         return found
 
 
@@ -138,6 +155,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     quat = variables["quat"]
     known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
     gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
+    found = truth_delay(even[:, :3], quat, rate_hz)
     report = LogReport(
         format=log.format,
         truth=log.truth,
@@ -152,6 +170,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         truth_rate_hz=truth_rate,
         truth_share=float(np.isfinite(quat).all(axis=1).mean()),
         gravity=None if gravity is None else (float(gravity[0]), float(gravity[1]), float(gravity[2])),
+        truth_delay_s=None if found is None else found[0],
+        agreement=None if found is None else found[1],
         filter_hz=corner,
         notes=log.notes,
         **counted,

@@ -1,0 +1,58 @@
+"""How late the truth of a log is: its body rates beside those of the gyroscope."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..rotation import xyzw_from_wxyz
+from .recording import Array
+
+SEARCH_S = 0.5
+"""Delays of more than this are not looked for."""
+SPAN_S = 0.1
+"""Turns over this time are compared, so that the truth's noise does not count."""
+MOVING = 0.05
+"""Rates that spread by less say nothing about a delay [rad/s]."""
+
+
+def truth_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[float, float] | None:
+    """Delay at which the truth turns most as the gyroscope says, by correlation over all three axes.
+
+    Args:
+        gyro: Body rates (T, 3) [rad/s], NaN where missing.
+        quat: quat_WB (T, 4), NaN where not known.
+        rate_hz: Samples per second.
+
+    Returns:
+        How late the truth is [s] (negative: early), to a fraction of a sample, and the correlation there,
+        1.0 where both turn alike; None where there is too little motion to tell.
+    """
+    known = np.asarray(np.isfinite(quat).all(axis=1))
+    span = max(round(SPAN_S * rate_hz), 1)
+    if known.size < 4 * span + 2 * SEARCH_S * rate_hz:
+        return None
+    xyzw = xyzw_from_wxyz(np.where(known[:, None], quat, (1.0, 0.0, 0.0, 0.0)))
+    before, after = Rotation.from_quat(xyzw[:-span]), Rotation.from_quat(xyzw[span:])
+    turn = (before.inv() * after).as_rotvec() * rate_hz / span
+    between = 0.5 * (gyro[:-1] + gyro[1:])
+    measured = np.stack([np.convolve(axis, np.full(span, 1 / span), "valid") for axis in between.T], axis=1)
+    both = known[:-span] & known[span:] & np.isfinite(measured).all(axis=1)
+    if both.sum() < 4 * SEARCH_S * rate_hz:
+        return None
+    a, b = (np.where(both[:, None], x, np.nan) for x in (measured, turn))
+    if min(np.nanstd(a, axis=0).max(), np.nanstd(b, axis=0).max()) < MOVING:
+        return None
+    most = round(SEARCH_S * rate_hz)
+    fit = np.array([_correlation(a, b, lag) for lag in range(-most, most + 1)])
+    peak = int(np.clip(np.argmax(fit), 1, fit.size - 2))
+    left, top, right = fit[peak - 1 : peak + 2]
+    bend = left - 2 * top + right
+    beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    return float((peak - most + beside) / rate_hz), float(top)
+
+
+def _correlation(a: Array, b: Array, lag: int) -> float:
+    """Correlation of a[k] with b[k + lag], all axes together, over the samples where both are known."""
+    a, b = (a[: a.shape[0] - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
+    both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+    a, b = (x[both] - x[both].mean(axis=0) for x in (a, b))
+    return float((a * b).sum() / np.sqrt(max((a**2).sum() * (b**2).sum(), 1e-30)))
