@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from quadsim.cli import app, main, pair_of
+from quadsim.cli import app, main
+from quadsim.cli.options import pair_of
 
 VERBS = [
     "generate",

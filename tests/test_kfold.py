@@ -7,7 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from quadsim.cli import main, time_left
+from quadsim.cli import main
+from quadsim.cli.options import time_left
 from quadsim.dataset import generate
 from quadsim.recipe import flight_config, load_recipe
 from training import kfold as kfold_module

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from .console import output
+from ..console import output
 
 app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
 
@@ -30,7 +30,7 @@ def info(
 
     Example: quadsim logs info flight.ulg
     """
-    from .logs import read_log_and_report
+    from ..logs import read_log_and_report
 
     _, report = read_log_and_report(file, axes=axes, truth=truth, imu=imu)
     table = Table(show_header=False)
@@ -79,12 +79,12 @@ def convert(
 
     Example: quadsim logs convert flight.ulg --out data/mine.zarr
     """
-    from .logs import read_log
-    from .logs.convert import convert as convert_logs
+    from ..logs import read_log
+    from ..logs.convert import convert as convert_logs
 
     logs = [read_log(file, rate, axes=axes, truth=truth, imu=imu) for file in files]
     path = convert_logs(logs, out, piece)
-    from .dataset import open_dataset
+    from ..dataset import open_dataset
 
     pieces = open_dataset(path).sizes["flight"]
     total = sum(float(log.attrs["duration_s"]) for log in logs)
@@ -107,9 +107,9 @@ def calibrate(
 
     Example: quadsim logs calibrate still.ulg --out my-imu.toml
     """
-    from .logs import read_recording
-    from .logs.allan import calibrate as calibrate_imu
-    from .logs.allan import draw, write_imu
+    from ..logs import read_recording
+    from ..logs.allan import calibrate as calibrate_imu
+    from ..logs.allan import draw, write_imu
 
     found = calibrate_imu([read_recording(file, axes=axes, imu=imu) for file in files], gravity)
     write_imu(found, out)

@@ -1,0 +1,58 @@
+"""The command line. Each verb is thin: it parses, calls one function of the library, and says what came out.
+
+This is the only part of `quadsim` that imports the packages above it: inside each verb, so that `--help` is
+fast.
+"""
+
+import logging
+import sys
+
+import typer
+from rich.console import Console
+
+from . import data, flights, logs, networks, studies
+
+app = typer.Typer(
+    name="quadsim",
+    help="Fly a MuJoCo quadrotor on spiking, learned and classical attitude estimators: see which to trust.",
+    epilog="Start here: quadsim demo --out reports/demo",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+app.add_typer(data.dataset_app, name="dataset")
+app.add_typer(logs.app, name="logs")
+
+for verb in (
+    data.generate,
+    flights.design,
+    data.export,
+    networks.train,
+    networks.kfold,
+    networks.tune,
+    studies.evaluate,
+    flights.fly,
+    flights.bench,
+    networks.inspect,
+    flights.report,
+    flights.demo,
+    studies.paper,
+):
+    app.command()(verb)
+
+
+def main() -> None:
+    """Run the command line: a user's mistake is one line and exit code 2."""
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    try:
+        app(prog_name="quadsim")
+    except (ValueError, OSError) as error:
+        message = str(error) or type(error).__name__
+        Console(stderr=True).print(
+            f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
+        )
+        sys.exit(2)
+    except KeyboardInterrupt:
+        Console(stderr=True).print("quadsim: interrupted; the same command goes on where this one stopped")
+        sys.exit(130)

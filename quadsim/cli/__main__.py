@@ -1,0 +1,5 @@
+"""`python -m quadsim.cli` is `quadsim`."""
+
+from . import main
+
+main()

@@ -1,0 +1,132 @@
+"""Verbs that make data and take it elsewhere: `generate`, `dataset`, `export`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from ..console import executor_of, progress_bar
+from ..console import output as console
+from .options import Rate, Seed, Workers
+
+if TYPE_CHECKING:
+    pass
+
+dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
+
+
+def generate(
+    out: Annotated[Path, typer.Option(help="Where the dataset goes, for example data/train.zarr.")],
+    flights: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 35,
+    duration: Annotated[float, typer.Option(min=0.1, help="Length of each flight in seconds.")] = 100.0,
+    recipe: Annotated[
+        str, typer.Option(help="What is flown: a shipped recipe or a TOML file.")
+    ] = "hummingbird",
+    vehicle: Annotated[
+        str | None, typer.Option(help="Another vehicle: a shipped name or a TOML file.")
+    ] = None,
+    imu: Annotated[str | None, typer.Option(help="Another IMU: a shipped name or a TOML file.")] = None,
+    rate: Rate = 200.0,
+    seed: Seed = 0,
+    workers: Workers = None,
+    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is at --out.")] = False,
+) -> None:
+    """Generate labelled synthetic flights: IMU samples and everything that was true.
+
+    The defaults are the paper's size, 35 flights of 100 s at 200 Hz, and take some ten seconds. A killed run
+    goes on where it stopped when the same command is given again; the number of workers changes nothing.
+
+    Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
+    """
+    from ..dataset import dataset_info
+    from ..dataset import generate as generate_dataset
+    from ..recipe import flight_config, load_recipe
+
+    changes = {name: value for name, value in {"vehicle": vehicle, "imu": imu}.items() if value is not None}
+    config = flight_config(load_recipe(recipe).model_copy(update=changes))
+    with executor_of(cluster) as executor, progress_bar("generate", "flights") as progress:
+        path = generate_dataset(
+            config,
+            flights,
+            duration,
+            out,
+            seed=seed,
+            rate_hz=rate,
+            workers=workers,
+            executor=executor,
+            progress=progress,
+            overwrite=overwrite,
+        )
+    info = dataset_info(path)
+    console.print(
+        f"{path}: {info['flights']} flights of {info['duration_s']:g} s at {info['rate_hz']:g} Hz, "
+        f"roll SD {info['roll_sd_deg']:.1f}°, pitch SD {info['pitch_sd_deg']:.1f}°, "
+        f"largest tilt {info['max_tilt_deg']:.0f}°, {info['size_MB']:.1f} MB",
+        soft_wrap=True,
+    )
+
+
+@dataset_app.command("info")
+def dataset_info_verb(path: Annotated[Path, typer.Argument(help="A dataset.")]) -> None:
+    """Say what a dataset holds."""
+    from ..dataset import dataset_info
+
+    info = dataset_info(path)
+    table = Table(show_header=False)
+    for key, value in info.items():
+        if key != "config":
+            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
+    console.print(table)
+
+
+@dataset_app.command("verify")
+def dataset_verify(path: Annotated[Path, typer.Argument(help="A dataset.")]) -> None:
+    """Recompute the checksums and look for numbers that are not finite."""
+    from ..dataset import verify
+
+    with progress_bar("verify", "flights") as progress:
+        total = verify(path, progress)
+    console.print(f"{path}: all {total} flights are whole", soft_wrap=True)
+
+
+@dataset_app.command("plot")
+def dataset_plot(
+    path: Annotated[Path, typer.Argument(help="A dataset.")],
+    out: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("dataset.png"),
+) -> None:
+    """Draw the distributions of sensors and attitude (the paper's Fig. 3) and one flight."""
+    from ..figures import plot
+
+    plot(path, out)
+    console.print(f"{out}", soft_wrap=True)
+
+
+def export(
+    source: Annotated[
+        Path, typer.Argument(help="A dataset; or weights: a file of them, or att-snn or att-rnn, which ship.")
+    ],
+    out: Annotated[Path, typer.Option(help="What to write; it must not exist yet.")],
+    format: Annotated[
+        str,
+        typer.Option(
+            help="Of a dataset: netcdf, parquet, csv (EuRoC folders) or rosbag2. "
+            "Of weights: nir, c99 (header and source) or onnx (att-rnn)."
+        ),
+    ],
+) -> None:
+    """Write a dataset or a trained network in a format of other tools.
+
+    Example: quadsim export att-snn --format c99 --out firmware/att_snn
+    """
+    from estimators.weights_export import FORMATS, export_weights
+
+    from ..export import export as export_dataset
+
+    if format in FORMATS:
+        export_weights(source, out, format)
+    else:
+        with progress_bar("export", "flights") as progress:
+            export_dataset(source, out, format, progress)
+    console.print(f"{out}: {source} as {format}", soft_wrap=True)

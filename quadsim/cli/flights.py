@@ -1,0 +1,227 @@
+"""Verbs that close the loop: `design`, `fly`, `bench`, `report`, `demo`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from ..console import executor_of, progress_bar
+from ..console import output as console
+from .options import Rate, Seed, Workers, headline
+
+if TYPE_CHECKING:
+    pass
+
+
+def design(
+    vehicle: Annotated[str, typer.Option(help="A shipped vehicle or a TOML file.")] = "hummingbird",
+    rate: Rate = 200.0,
+    delay: Annotated[
+        float, typer.Option(min=0, help="Delay of the attitude estimate in milliseconds.")
+    ] = 15.0,
+    out: Annotated[
+        Path | None, typer.Option(help="Picture of what other delays would cost, for example loop.png.")
+    ] = None,
+) -> None:
+    """Design the controller's gains from phase margins, and print them with the margins they leave.
+
+    Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed.
+    With --out, the attitude loop with these gains is shown at other delays of the estimator: margins,
+    disturbance rejection, and steps as flown.
+    """
+    from ..design import design as design_gains
+    from ..design import loop_margins
+    from ..vehicle import load_vehicle
+
+    airframe = load_vehicle(vehicle)
+    gains = design_gains(airframe, rate, delay / 1e3)
+    table = Table("loop", "crossover, rad/s", "phase margin, °", "gain margin, dB", "delay margin, ms")
+    for name, m in loop_margins(airframe, gains, rate, delay / 1e3).items():
+        table.add_row(
+            name, f"{m.crossover:.2f}", f"{m.phase_deg:.1f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}"
+        )
+    console.print(f"{vehicle}, {rate:g} Hz, estimator delay {delay:g} ms, rotor lag included")
+    console.print(table)
+    console.print("\\[controller]")
+    for name, value in gains.model_dump().items():
+        console.print(f"{name} = {value:.4g}", highlight=False)
+    if out:
+        from .. import loops
+
+        found = loops.responses(airframe, gains, rate)
+        rows = loops.table(found)
+        costs = Table(*rows[0], title="The attitude loop with these gains at other delays of the estimator")
+        for row in rows:
+            costs.add_row(*row.values())
+        console.print(costs)
+        title = f"{vehicle}, gains designed for {delay:g} ms"
+        console.print(f"{loops.save(found, out, rate, title)}", soft_wrap=True)
+
+
+def fly(
+    scenario: Annotated[
+        str, typer.Argument(help="A shipped scenario, for example wind-gust, or a TOML file.")
+    ],
+    estimator: Annotated[str, typer.Option(help="Estimator to fly on.")] = "att-snn-loihi",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.1, help="Length in seconds, not the scenario's.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 1,
+    rate: Rate = 200.0,
+    seed: Seed = 0,
+    flight: Annotated[
+        int, typer.Option(min=0, help="Number of the first flight, as in the flights.csv of quadsim bench.")
+    ] = 0,
+    video: Annotated[bool, typer.Option("--video", help="Make an MP4 of the first flight.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show the first flight in MuJoCo's viewer.")] = False,
+) -> None:
+    """Fly one scenario on one estimator and look at it closely: report, every sample as CSV, video.
+
+    Example: quadsim fly wind-gust --estimator att-snn-loihi --video
+    """
+    from scenarios.single import fly_scenario
+
+    folder = out or Path("reports") / f"fly-{Path(scenario).stem}-{estimator}"
+    try:
+        flown = fly_scenario(
+            scenario,
+            estimator,
+            folder,
+            seeds=seeds,
+            seed=seed,
+            flight=flight,
+            duration_s=duration,
+            rate_hz=rate,
+            video=video,
+            view=view,
+        )
+    except RuntimeError as error:  # no OpenGL for the video, no screen for the view
+        raise ValueError(str(error)) from error
+    row = flown.results.rows[0]
+    if row["reason"]:
+        raise ValueError(f"{estimator} did not fly {scenario}: {row['reason']}")
+    error = "no error to speak of" if row["error_deg"] is None else f"error {row['error_deg']:.2f}°"
+    console.print(f"{flown.report}: {row['crashes']} of {row['flights']} crashed, {error}", soft_wrap=True)
+
+
+def bench(
+    out: Annotated[Path, typer.Option(help="Folder for report.html, results.csv and flights.csv.")] = Path(
+        "reports/bench"
+    ),
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Scenario; give it again for more. All if left out.")
+    ] = None,
+    estimator: Annotated[list[str] | None, typer.Option(help="Estimator; likewise.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Flights in each cell.")] = 10,
+    duration: Annotated[
+        float | None, typer.Option(min=0.1, help="Length in seconds, not the scenarios'.")
+    ] = None,
+    external: Annotated[
+        str | None,
+        typer.Option(help="External sensor instead of the scenarios': ideal, motion-capture or a TOML file."),
+    ] = None,
+    breaking_point: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Find also where each estimator breaks: wind, bias, dropout; again for more, or all."
+        ),
+    ] = None,
+    rate: Rate = 200.0,
+    seed: Seed = 0,
+    workers: Workers = None,
+    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
+) -> None:
+    """Fly scenarios × estimators × seeds in closed loop, and report which estimator to fly.
+
+    Finished cells are kept: the same command goes on where a killed run stopped. Breaking points are found by
+    bisection, on the same estimators and seeds, and join the report.
+
+    Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
+    """
+    import estimators
+    from scenarios.breaking import breaking_points, chosen
+    from scenarios.publish import publish
+    from scenarios.runner import bench as run_bench
+    from scenarios.runner import code_digest
+    from scenarios.summary import breaking_table, closed_loop_table
+
+    from ..scenario import scenario_names
+
+    names = estimator or estimators.names()
+    searched = chosen(breaking_point or [])
+    with executor_of(cluster) as executor:
+        with progress_bar("fly", "cells") as progress:
+            results = run_bench(
+                scenario or scenario_names(),
+                names,
+                seeds,
+                out,
+                seed=seed,
+                duration_s=duration,
+                external=external,
+                rate_hz=rate,
+                workers=workers,
+                executor=executor,
+                progress=progress,
+            )
+        points = []
+        if searched:
+            with progress_bar("break", "points") as progress:
+                points = breaking_points(
+                    searched,
+                    names,
+                    seeds,
+                    out,
+                    code=code_digest(),
+                    seed=seed,
+                    duration_s=duration,
+                    external=external,
+                    rate_hz=rate,
+                    workers=workers,
+                    executor=executor,
+                    progress=progress,
+                )
+    page, note = publish(out, results, points)
+    console.print(closed_loop_table(results))
+    if points:
+        console.print(breaking_table(points))
+    if note:
+        console.print(note, soft_wrap=True)
+    console.print(headline(page, results.rows), soft_wrap=True)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder that quadsim bench wrote.")],
+    out: Annotated[Path | None, typer.Option(help="HTML file; FOLDER/report.html when left out.")] = None,
+) -> None:
+    """Write the report of finished closed-loop flights again."""
+    from scenarios.breaking import load_points
+    from scenarios.publish import publish
+    from scenarios.runner import load_results
+
+    results = load_results(folder)
+    points = [each for each in load_points(folder) if each.estimator in results.settings.estimators]
+    console.print(headline(publish(folder, results, points, out).report, results.rows), soft_wrap=True)
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything.")] = Path("reports/demo"),
+    flights: Annotated[int, typer.Option(min=1, help="Flights to generate.")] = 6,
+    seeds: Annotated[int, typer.Option(min=1, help="Flights of each estimator in each scenario.")] = 5,
+    seed: Seed = 0,
+    workers: Workers = None,
+) -> None:
+    """Do all of it in small: generate flights, score the estimators on them, fly them, write the report."""
+    from scenarios.demo import demo as run_demo
+    from scenarios.summary import closed_loop_table, offline_table
+
+    done = run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers, stage=progress_bar)
+    console.print(offline_table(done.offline))
+    console.print(closed_loop_table(done.results))
+    if done.note:
+        console.print(done.note, soft_wrap=True)
+    console.print(headline(done.report, done.results.rows), soft_wrap=True)

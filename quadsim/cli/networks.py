@@ -1,0 +1,277 @@
+"""Verbs that make weights and parameters, and look inside: `train`, `kfold`, `tune`, `inspect`."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..console import Bar, executor_of, progress_bar
+from ..console import output as console
+from .options import Fields, Initial, Preset, Search, Seed, Workers, pair_of, time_left
+
+if TYPE_CHECKING:
+    from training.config import TrainConfig
+
+
+def train(
+    data: Annotated[
+        list[Path],
+        typer.Option(
+            "--data", "--domain", help="Dataset to train on; again for another domain, to mix them."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
+    model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",
+    preset: Preset = "paper",
+    validation: Annotated[
+        list[Path] | None,
+        typer.Option(help="Dataset to choose the best epoch by; else part of --data."),
+    ] = None,
+    init: Annotated[
+        str | None, typer.Option(help="Weights to go on from: a shipped name, such as att-snn, or a file.")
+    ] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Threads that share a batch.")] = 1,
+    set_: Fields = None,
+    seed: Seed = 0,
+) -> None:
+    """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
+
+    Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the
+    same command goes on where a run stopped. The paper's recipe hardly learns; use --preset best.
+
+    Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
+    """
+    from training.loop import Epoch
+    from training.loop import train as train_network
+
+    choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
+    if epochs is not None:
+        choices["epochs"] = epochs
+    if init is not None:
+        choices["init"] = init
+    if validation:
+        choices["validation"] = tuple(map(str, validation))
+    with progress_bar(f"train {model}", "epochs") as bar:
+
+        def progress(epoch: Epoch, config: "TrainConfig") -> None:
+            bar(epoch.epoch + 1, config.epochs)
+            console.print(
+                f"epoch {epoch.epoch}: training RMSE {epoch.train_rmse_deg:.2f}°, "
+                f"validation {epoch.val_error_deg:.2f}°, spike rates {epoch.rate_encoding:.3f} "
+                f"{epoch.rate_hidden:.3f}, {time_left(epoch.seconds, epoch.epoch + 1, config.epochs)} left",
+                highlight=False,
+            )
+
+        result = train_network(
+            model,
+            tuple(map(str, data)),
+            out,
+            preset,
+            progress,
+            seed=seed,
+            threads=threads,
+            **choices,
+        )
+    console.print(
+        f"{result.weights}: validation error {result.best.val_error_deg:.2f}° at epoch {result.best.epoch}; "
+        f"{result.reason}",
+        soft_wrap=True,
+    )
+    if result.before_deg is not None:
+        helped = "it helped" if result.helped else "it did not help, keep the weights you had"
+        console.print(
+            f"before {result.before_deg:.2f}°, after {result.best.val_error_deg:.2f}°: {helped}",
+            soft_wrap=True,
+        )
+
+
+def kfold(
+    data: Annotated[
+        list[Path], typer.Option("--data", "--domain", help="Dataset of a domain; again for another domain.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the runs and the results.")],
+    model: Annotated[list[str] | None, typer.Option(help="att-snn or att-rnn; again for both.")] = None,
+    preset: Preset = "paper",
+    folds: Annotated[int, typer.Option(min=2, help="Parts that each domain's flights are dealt into.")] = 5,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
+    set_: Fields = None,
+    seed: Seed = 0,
+    workers: Workers = None,
+    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
+) -> None:
+    """Cross-validate the training: k folds in each domain, each also tested on the other domains.
+
+    Writes the paper's Table 1 (table1.csv), every fold (kfold.csv, kfold.png), and a run folder for each.
+    Folds run side by side; the same command goes on where a killed one stopped.
+
+    Example: quadsim kfold --domain data/train.zarr --domain data/train-px4.zarr --out runs/kfold
+    """
+    from training.kfold import kfold as run_folds
+    from training.table1 import TEST, table, terminal_table
+
+    choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
+    if epochs is not None:
+        choices["epochs"] = epochs
+    with executor_of(cluster) as executor, progress_bar("folds", "epochs") as progress:
+        scores = run_folds(
+            data,
+            out,
+            model or ["att-snn"],
+            preset,
+            folds,
+            workers,
+            executor,
+            progress,
+            seed=seed,
+            **choices,
+        )
+    cells = table(scores)
+    console.print(terminal_table(cells))
+    held_out = [cell for cell in cells if cell.tested_on == TEST]
+    best = min(held_out, key=lambda cell: cell.mean_deg)
+    console.print(
+        f"{out / 'table1.csv'}: {best.model} on unseen flights of {best.trained_on}: "
+        f"{best.mean_deg:.2f} ± {best.sd_deg:.2f}° over {best.folds} folds",
+        soft_wrap=True,
+    )
+
+
+def tune(
+    estimator: Annotated[str, typer.Option(help="A filter with parameters, for example mahony; or all.")],
+    data: Annotated[list[Path], typer.Option(help="Dataset to tune on; give it again to mix several.")],
+    out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it are kept.")],
+    particles: Annotated[int, typer.Option(min=2, help="Parameter sets tried at once.")] = 100,
+    iterations: Annotated[int, typer.Option(min=1, help="How often.")] = 50,
+    flights: Annotated[
+        int | None, typer.Option(min=1, help="Flights of each dataset to use; all when left out.")
+    ] = None,
+    initial: Annotated[
+        Initial, typer.Option(help="Whether the filter is told the attitude it starts at.")
+    ] = "unknown",
+    search: Annotated[
+        Search, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
+    ] = "swarm",
+    threads: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
+    seed: Seed = 0,
+) -> None:
+    """Tune a filter on recorded flights with the paper's particle swarm.
+
+    The command is written beside the parameters. With all, filterpy's two filters take the parameters of ekf,
+    whose model they have.
+
+    Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
+    """
+    from estimators.tuning import tunable, write_tuning
+    from estimators.tuning import tune as tune_filter
+
+    from ..dataset import open_dataset
+
+    flown = [open_dataset(path) for path in data]
+    options = [f"--data {path}" for path in data]
+    options += [f"--particles {particles} --iterations {iterations}"]
+    options += [f"--flights {flights}"] * (flights is not None)
+    options += [f"--initial {initial} --search {search} --seed {seed} --out {out}"]
+    for name in tunable() if estimator == "all" else [estimator]:
+        with progress_bar(f"tune {name}", "iterations") as bar:
+
+            def progress(iteration: int, total: int, cost: float, bar: Bar = bar) -> None:
+                bar(iteration, total, f"best {math.degrees(math.sqrt(cost)):.3f}° RMSE ({cost:.3g} rad²)")
+
+            tuned = tune_filter(
+                name,
+                flown,
+                particles=particles,
+                iterations=iterations,
+                seed=seed,
+                initial=initial,
+                flights=flights,
+                search=search,
+                workers=threads,
+                command=f"quadsim tune --estimator {name} {' '.join(options)}",
+                progress=progress,
+            )
+        write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")
+        values = ", ".join(f"{key} {value:.4g}" for key, value in tuned.values.items())
+        console.print(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {values}", soft_wrap=True)
+
+
+def inspect(
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights of an Att-SNN; the ones that ship when left out.")
+    ] = None,
+    data: Annotated[
+        list[Path] | None, typer.Option(help="Dataset to watch the neurons on; give it again for more.")
+    ] = None,
+    profiles: Annotated[
+        int | None,
+        typer.Option(min=3, help="Share this many decay profiles among all neurons; written to --out."),
+    ] = None,
+    prune: Annotated[
+        float | None, typer.Option(min=0.01, max=0.95, help="Remove this share of the neurons, training on.")
+    ] = None,
+    train_data: Annotated[
+        list[Path] | None, typer.Option("--train", help="With --prune: dataset to train on; --data chooses.")
+    ] = None,
+    criterion: Annotated[
+        str, typer.Option(help="With --prune: activity, magnitude, contribution or random.")
+    ] = "activity",
+    stages: Annotated[int, typer.Option(min=1, help="With --prune: steps to get there.")] = 3,
+    epochs: Annotated[int, typer.Option(min=1, help="With --prune: epochs of training after each.")] = 10,
+    out: Annotated[Path, typer.Option(help="Folder for figures, page and pruned weights.")] = Path(
+        "reports/inspect"
+    ),
+    seed: Seed = 0,
+) -> None:
+    """Look inside a spiking network: its place on the chip, its spikes, what they encode and cost.
+
+    Without --data: the chip's cores alone. With it: rates, raster, membranes, ablation, manipulated inputs,
+    tuning curves and energy, as pictures and a page. With --prune also a smaller network, trained on.
+
+    Example: quadsim inspect --data data/val.zarr
+    """
+    from estimators.flights import load_flights
+    from estimators.inspection import inspect as look_inside
+    from estimators.inspection import load_spiking, write_page
+    from estimators.networks import OnLoihi
+    from estimators.weights_file import save_network
+    from scenarios.summary import cores_table, plain_table, stages_table
+
+    from ..dataset import open_dataset
+
+    name, config, tensors = load_spiking(weights, profiles)
+    core = OnLoihi(config, tensors)
+    console.print(cores_table(core.cores))
+    last = f"{name}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
+    if profiles is not None:
+        weights = out / f"profiles-{profiles}.safetensors"
+        out.mkdir(parents=True, exist_ok=True)
+        save_network(weights, config, tensors)
+    if data:
+        flights = load_flights([open_dataset(path) for path in data])
+        with progress_bar("inspect", "parts") as bar:
+            found = look_inside(name, config, tensors, flights, bar)
+        console.print(plain_table(found.summary()))
+        last = f"{write_page(out, found)}: {last}, error {found.responses['intact'].error_deg:.2f}°"
+    if prune is not None:
+        from training.pruning import prune as prune_network
+
+        if not data or not train_data:
+            raise ValueError("--prune needs --train, datasets to train on, and --data, datasets to choose by")
+        with progress_bar("prune", "epochs") as bar:
+            done = prune_network(
+                tuple(map(str, train_data)),
+                tuple(map(str, data)),
+                out / "prune",
+                prune,
+                stages,
+                criterion,
+                weights,
+                lambda epoch, run: bar(epoch.epoch + 1, run.epochs, f"{epoch.val_error_deg:.2f}°"),
+                epochs=epochs,
+                seed=seed,
+            )
+        console.print(stages_table(done))
+        last = f"{done[-1].weights}: {100 * done[-1].removed:.0f} % removed, {done[-1].tuned_deg:.2f}°"
+    console.print(last, soft_wrap=True)

@@ -1,0 +1,50 @@
+"""Options that several verbs share, and how their values are read and said."""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+Initial = Literal["unknown", "known"]
+Search = Literal["swarm", "evolution"]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
+Preset = Annotated[
+    str,
+    typer.Option(
+        help="paper: its recipe to the letter; best: the one to use; robust: rough sensors; tune: logs."
+    ),
+]
+Fields = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Any other field of the training, as name=value; an unknown one lists them."),
+]
+Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
+
+
+def headline(path: Path, rows: Sequence[dict[str, Any]]) -> str:
+    """Where the report is, and what its verdict says."""
+    from scenarios.verdict import verdict
+
+    return f"{path}: {verdict(rows).headline}"
+
+
+def time_left(seconds: float, done: int, total: int) -> str:
+    """How long the rest takes at the pace so far, at most: "12 min"."""
+    left = seconds / done * (total - done)
+    if left < 100:
+        return f"{left:.0f} s"
+    return f"{left / 60:.0f} min" if left < 6000 else f"{left / 3600:.1f} h"
+
+
+def pair_of(text: str) -> tuple[str, object]:
+    """A setting given as name=value; the value is read as TOML, or as it stands."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"--set takes name=value, not {text!r}")
+    try:
+        return name, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return name, value

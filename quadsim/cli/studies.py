@@ -1,0 +1,149 @@
+"""Verbs that compare: `evaluate` on recorded flights and logs, `paper` for all of the paper's results."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..console import output as console
+from ..console import progress_bar
+from .options import Seed, Workers
+
+if TYPE_CHECKING:
+    pass
+
+
+def evaluate(
+    data: Annotated[
+        Path | None, typer.Option(help="Dataset of flights that were not tuned or trained on.")
+    ] = None,
+    logs: Annotated[
+        list[Path] | None, typer.Option(help="Real log in place of --data; give it again for more.")
+    ] = None,
+    estimator: Annotated[
+        list[str] | None, typer.Option(help="Estimator; give it again for more. All if left out.")
+    ] = None,
+    weights: Annotated[
+        list[str] | None, typer.Option(help="With --logs: weights file of an att-snn to score too.")
+    ] = None,
+    within: Annotated[
+        float, typer.Option(min=1, max=180, help="With --logs: largest true inclination scored, in °.")
+    ] = 45.0,
+    axes: Annotated[
+        str | None, typer.Option(help='With --logs: body x, y, z as its axes ("z,-y,x").')
+    ] = None,
+    tuning: Annotated[
+        str | None, typer.Option(help="Tuned parameters: a shipped domain or a TOML file.")
+    ] = None,
+    slow_flights: Annotated[
+        int, typer.Option(min=1, help="Flights for filterpy's filters, hundreds of times as slow as others.")
+    ] = 4,
+    out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the report.")] = Path(
+        "reports/evaluate"
+    ),
+    seed: Seed = 0,
+) -> None:
+    """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
+
+    Each is also compared with the best one flight by flight; those that the flights cannot tell from it are
+    tied. Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html;
+    of real logs logs.csv and a picture each, with a row "level" that shows how hard the log is.
+
+    Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
+    """
+    if (data is None) == (not logs):
+        raise ValueError("one of --data and --logs is wanted")
+    if logs:
+        from scenarios.recorded import evaluate_logs
+
+        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, out)
+        return
+    assert data is not None
+    import estimators
+    from estimators import figures
+    from estimators.evaluate import evaluate as evaluate_estimators
+    from scenarios.report import write_report
+    from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
+
+    from ..dataset import open_dataset
+
+    flown = open_dataset(data)
+    with progress_bar("evaluate", "runs") as bar:
+        done = evaluate_estimators(
+            flown,
+            estimator or estimators.names(),
+            tuning=tuning,
+            slow_flights=slow_flights,
+            seed=seed,
+            progress=bar,
+        )
+    done.write_csv(out / "evaluation.csv")
+    pictures = {}
+    for name, draw in (
+        ("violins", figures.violins),
+        ("error-over-time", figures.error_over_time),
+        ("convergence", figures.settling),
+    ):
+        pictures[name] = out / f"{name}.png"
+        draw(done).savefig(pictures[name], dpi=130)
+    caption = f"{flown.sizes['flight']} flights of {data}, without a loop."
+    notes = evaluation_notes(done.rows)
+    page = write_report(
+        out / "report.html",
+        title="Attitude estimators on recorded flights",
+        offline=evaluation_columns(done.rows),
+        offline_caption=" ".join([caption, *notes]),
+        footer=EVALUATION_METHOD,
+        pictures=pictures,
+        csv=["evaluation.csv"],
+    )
+    console.print(evaluation_table(done.rows, caption))
+    for note in notes:
+        console.print(note, soft_wrap=True)
+    flying = [row for row in done.rows if row.initial == "unknown" and row.estimator != "truth"]
+    if not flying:
+        console.print(f"{page}", soft_wrap=True)
+        return
+    best = min(flying, key=lambda row: row.behind_deg)
+    tied = [row.estimator for row in flying if row.tied and row is not best and row.flights == best.flights]
+    console.print(
+        f"{page}: the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
+        + (f", not told apart from {', '.join(tied)}" if tied else ""),
+        soft_wrap=True,
+    )
+
+
+def paper(
+    out: Annotated[Path, typer.Option(help="Folder for the pages and for all that they come from.")],
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="Some of it, such as table1,fig5: table1 table2 fig3 to fig9 flops loop rate size minutes."
+        ),
+    ] = None,
+    preset: Annotated[
+        str, typer.Option(help="quick: short flights and trainings; full: the paper's sizes.")
+    ] = "quick",
+    seed: Seed = 0,
+    workers: Workers = None,
+) -> None:
+    """Make every table and figure of the paper from nothing, and judge which of its claims hold here.
+
+    Stroobants, Dupeyroux and de Croon (2022), without a Loihi, a quadrotor or a motion-capture hall: flights
+    are generated, filters tuned, networks trained and flown. Writes paper.md with its figures, and a page
+    each on sample rates, network sizes and minutes of flight.
+
+    quick takes some minutes on two cores, full about an hour or two. Every part is kept in the folder: the
+    same command goes on where a killed one stopped, and makes nothing twice.
+
+    Example: quadsim paper --out reports/paper --only table2,fig6
+    """
+    from paper.run import paper as make_paper
+    from scenarios.summary import plain_table
+
+    with progress_bar("paper", "s of work") as bar:
+        done = make_paper(out, only, preset, seed, workers, bar)
+    rows = [(each.claim, each.verdict) for each in done.judged if each.verdict != "not judged"]
+    if rows:
+        console.print(plain_table(rows))
+    console.print(f"{done.page}: {done.headline}", soft_wrap=True)
