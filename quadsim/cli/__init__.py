@@ -54,5 +54,7 @@ def main() -> None:
         )
         sys.exit(2)
     except KeyboardInterrupt:
-        Console(stderr=True).print("quadsim: interrupted; the same command goes on where this one stopped")
+        Console(stderr=True).print(
+            "quadsim: interrupted; what was finished is kept: give the same command again"
+        )
         sys.exit(130)
