@@ -84,13 +84,14 @@ def _competitive(numbers: Numbers) -> Verdict:
 def scatter(losses: Sequence[float]) -> float:
     """How far a validation loss jumps from epoch to epoch, as a share of it, beside its trend.
 
-    The standard deviation of log L[i] − (log L[i−1] + log L[i+1]) / 2 over the middle half of a training,
-    times √(2/3), which makes it that of the noise if this is white.
+    The spread of log L[i] − (log L[i−1] + log L[i+1]) / 2 over the middle half of a training, times √(2/3),
+    which makes it that of the noise if this is white. Spread: 1.4826 times the median of the sizes, for the
+    few steps in which a loss falls by much are not noise, and would lead a root mean square.
     """
     log = np.log(np.asarray(losses, dtype=np.float64))
     beside = log[1:-1] - 0.5 * (log[:-2] + log[2:])
     quarter = len(beside) // 4
-    return float(np.sqrt(np.mean(beside[quarter : len(beside) - quarter] ** 2) * 2 / 3))
+    return float(1.4826 * np.median(np.abs(beside[quarter : len(beside) - quarter])) * np.sqrt(2 / 3))
 
 
 def _noisy(numbers: Numbers) -> Verdict:
@@ -101,7 +102,7 @@ def _noisy(numbers: Numbers) -> Verdict:
         "a spike is there or not: a small step of the weights moves many of them at once; the learning rates "
         "are each network's own, and the spiking one's is the larger"
         if verdict != "does not hold"
-        else "with Lookahead's slow weights and a decaying learning rate little of the noise is left"
+        else "with Lookahead's slow weights and a decaying learning rate little of the spikes' noise is left"
     )
     return verdict, f"validation loss scatters from epoch to epoch by {shown}", why
 
