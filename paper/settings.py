@@ -84,7 +84,7 @@ def full(seed: int = 0) -> Settings:
         paper=Budget(epochs=60, batches=15, window_s=10.0, windows_per_stream=1),
         rnn=Budget(epochs=36, batches=24, window_s=2.5, windows_per_stream=6),
         fold_snn=Budget(epochs=16, batches=45),
-        fold_rnn=Budget(epochs=4, batches=48, window_s=2.5, windows_per_stream=6),
+        fold_rnn=Budget(epochs=5, batches=24, window_s=2.5, windows_per_stream=6),
         study=Budget(epochs=16, batches=45),
         rate=Budget(epochs=10, batches=24),
     )
