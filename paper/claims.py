@@ -264,11 +264,13 @@ def _rates(numbers: Numbers) -> Verdict:
     why = (
         "more steps in a second carry finer rates of spikes and shorter delays"
         if lower
-        else "the network comes from 200 Hz and is trained on briefly, over the more steps the higher the rate"
+        else "the network comes from 200 Hz, and is trained on briefly over more steps the higher the rate"
     )
     if "mahony" in found[rates[0]]:
         first, last = (found[rate]["mahony"] for rate in (rates[0], rates[-1]))
-        why += f"; Mahony, which needs no training, goes from {first:.2f}° to {last:.2f}°: all that is in the rate"
+        why += (
+            f"; Mahony, which is not trained, goes from {first:.2f}° to {last:.2f}°: so much is in the rate"
+        )
     return verdict, f"trained on at each rate: {shown}", why
 
 
