@@ -67,6 +67,8 @@ def paper(
     """
     settings = settings or settings_of(preset, seed)
     items, out = chosen(only), Path(out).expanduser().absolute()
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"{out} is a file; give a folder for the pages and for all that they come from")
     parts = out / settings.preset  # so that a quick run does not replace a full one
     parts.mkdir(parents=True, exist_ok=True)
     stages, shows = stages_of(settings)

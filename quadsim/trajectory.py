@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from .config import Strict
@@ -25,6 +25,15 @@ COLUMNS = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "yaw", "yaw_rate")
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 TiltDeg = Annotated[float, Field(gt=0, le=55)]
+
+
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError("should be the least and then the largest")
+    return ends
+
+
+Range = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
 
 
 class Hover(Strict):
@@ -97,19 +106,15 @@ class Mix(Strict):
     )
     max_tilt_deg: TiltDeg = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
     min_tilt_deg: float = Field(default=25.0, ge=0, description="Smallest peak tilt of a dash [deg].")
-    dash_s: tuple[Positive, Positive] = Field(
-        default=(1.0, 2.6), description="Range of the length of a dash [s]."
-    )
+    dash_s: Range = Field(default=(1.0, 2.6), description="Range of the length of a dash [s].")
     circle_share: float = Field(
         default=0.25, ge=0, le=1, description="Share of circles among the manoeuvres."
     )
-    circle_s: tuple[Positive, Positive] = Field(
-        default=(1.6, 3.5), description="Range of the period of a circle [s]."
-    )
+    circle_s: Range = Field(default=(1.6, 3.5), description="Range of the period of a circle [s].")
     jump_share: float = Field(default=0.0, ge=0, le=1, description="Share of jumps of the set-point.")
-    jump_m: tuple[Positive, Positive] = Field(default=(0.5, 2.5), description="Range of their size [m].")
+    jump_m: Range = Field(default=(0.5, 2.5), description="Range of their size [m].")
     pause_share: float = Field(default=0.1, ge=0, le=1, description="Share of hovering pauses.")
-    pause_s: tuple[Positive, Positive] = Field(default=(0.2, 1.5), description="Range of their length [s].")
+    pause_s: Range = Field(default=(0.2, 1.5), description="Range of their length [s].")
     max_yaw_rate: float = Field(default=1.5, ge=0, description="Largest yaw rate of a turn [rad/s].")
     radius: Positive = Field(
         default=15.0, description="Beyond this distance from the centre, dashes lead back [m]."

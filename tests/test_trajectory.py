@@ -150,3 +150,9 @@ def test_move_goes_from_rest_to_rest_and_stays():
     np.testing.assert_array_equal(path[:200, :3], [[1.0, 0.0, 0.0]] * 200)
     np.testing.assert_allclose(path[600:, :3], [[1.0, 2.0, 3.0]] * 400)
     np.testing.assert_allclose(path[[200, 600], 3:9], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["dash_s", "circle_s", "jump_m", "pause_s"])
+def test_a_range_that_runs_backwards_is_refused(name):
+    with pytest.raises(ValueError, match="least and then the largest"):
+        Mix(**{name: (3.0, 1.0)})
