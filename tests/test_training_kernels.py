@@ -59,12 +59,19 @@ def test_fused_network_equals_the_pytorch_loop(quantised, delay, n, steps, h0, h
 
 @pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("delay", [1, 2])
-def test_carried_windows_are_one_long_window(quantised, delay):
+def test_carried_windows_are_one_long_window_but_for_sequences_that_start_anew(quantised, delay):
     weights, x = random_weights(12, 10, quantised=quantised), random_input(3, 120)
     whole = attsnn(x, weights, Workspace(120, 3, weights, quantised, delay))[0].detach()
     space = Workspace(40, 3, weights, quantised, delay)
-    parts = [attsnn(x[:, 40 * k : 40 * k + 40], weights, space, carry=k > 0)[0].detach() for k in range(3)]
-    np.testing.assert_allclose(torch.cat(parts, 1), whole, rtol=0, atol=0 if quantised else 1e-11)
+    fresh = [np.array(rows) for rows in ([True] * 3, [False] * 3, [False, True, False])]
+    parts = [
+        attsnn(x[:, 40 * k : 40 * k + 40], weights, space, fresh[k])[0].detach().clone() for k in range(3)
+    ]
+    joined, atol = torch.cat(parts, 1), 0 if quantised else 1e-11
+    np.testing.assert_allclose(joined[::2], whole[::2], rtol=0, atol=atol)
+    anew = attsnn(x[:, 80:], weights, Workspace(40, 3, weights, quantised, delay))[0].detach()
+    np.testing.assert_allclose(joined[1, :80], whole[1, :80], rtol=0, atol=atol)
+    np.testing.assert_allclose(joined[1, 80:], anew[1], rtol=0, atol=atol)
 
 
 def test_quantised_float32_window_equals_the_float64_one():

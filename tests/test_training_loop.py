@@ -1,4 +1,5 @@
 import csv
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
     rows = []
     result = train(
         data=dataset, out=tmp_path / "run", progress=lambda epoch, config: rows.append(epoch),
-        **TINY | {"epochs": 8, "batches": 10},
+        **TINY | {"epochs": 8, "batches": 20, "windows_per_stream": 6},
     )  # fmt: skip
     assert rows[-1].train_rmse_deg < 0.9 * rows[0].train_rmse_deg
     assert result.best.val_mse == min(row.val_mse for row in rows)
@@ -113,12 +114,26 @@ def test_every_field_is_documented():
 def test_windows_of_a_stream_follow_one_another(dataset):
     flights = load_flights([dataset])
     quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0)
-    batches = list(windows(flights, quiet, 4, 3, 100, 2, (0, 1)))
-    assert [batch.carry for batch in batches] == [False, True, False, True]
-    long = next(windows(flights, quiet, 1, 3, 200, 1, (0, 1)))
-    np.testing.assert_array_equal(np.concatenate([b.gyro for b in batches[:2]], 1), long.gyro)
-    again = list(windows(flights, quiet, 4, 3, 100, 2, (0, 1)))
-    np.testing.assert_array_equal(batches[3].accel, again[3].accel)
+    batches = list(windows(flights, quiet, 12, 20, 100, 4, (0, 1)))
+    assert batches[0].fresh.all()
+    fresh = np.array([batch.fresh for batch in batches[1:]])
+    assert 0 < fresh.mean() < 1
+    flown = [flight.tobytes() for flight in flights.ang_vel]
+    for before, after in pairwise(batches):
+        for row in np.flatnonzero(~after.fresh):
+            joined = np.concatenate([before.gyro[row], after.gyro[row]]).tobytes()
+            assert any(joined in flight for flight in flown)
+    again = list(windows(flights, quiet, 12, 20, 100, 4, (0, 1)))
+    np.testing.assert_array_equal(batches[7].accel, again[7].accel)
+
+
+def test_a_stream_lasts_from_one_window_to_the_most(dataset):
+    flights = load_flights([dataset])
+    starts = np.array([b.fresh for b in windows(flights, Augmentation(), 300, 8, 20, 4, (3, 1))])
+    lengths = np.concatenate([np.diff(np.flatnonzero(column)) for column in starts.T])
+    assert set(lengths) == {1, 2, 3, 4}
+    shares = np.bincount(lengths)[1:] / lengths.size  # evenly in the logarithm, up to 5
+    np.testing.assert_allclose(shares, np.diff(np.log([1, 2, 3, 4, 5])) / np.log(5), atol=0.06)
 
 
 def test_split_has_every_flight_once():
@@ -165,7 +180,7 @@ def test_stopping_rules_of_the_paper():
 def test_frozen_time_constants_stay_as_they_were(dataset, tmp_path):
     first = train(data=dataset, out=tmp_path / "first", **TINY)
     choices = TINY | {"init": str(first.weights), "train_decays": False, "rate_cost": 0.0}
-    train(data=dataset, out=tmp_path / "second", **choices)
+    train(data=dataset, out=tmp_path / "second", **choices | {"epochs": 1, "batches": 12})
     before, after = weights_of(tmp_path / "first"), weights_of(tmp_path / "second")
     same(*({k: x for k, x in each.items() if k.startswith(("syn", "mem"))} for each in (before, after)))
     assert not np.array_equal(before["w_ff"], after["w_ff"])

@@ -78,7 +78,7 @@ class TrainConfig(Strict):
     window_s: float = Field(default=10.0, gt=0)
     """Length of a window [s]."""
     windows_per_stream: int = Field(default=1, ge=1)
-    """Windows that follow one another with the state carried over (truncated backpropagation)."""
+    """Most windows that follow one another with the state carried over (truncated backpropagation)."""
     stop_early: bool = True
     """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
     augmentation: Augmentation = Augmentation()

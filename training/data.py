@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +130,10 @@ def fold_split(flights: int, folds: int, fold: int, seed: int) -> list[NDArray]:
     return [np.sort(others[chosen:]), np.sort(others[:chosen]), np.sort(parts[fold])]
 
 
+COHORTS = 8
+"""Parts of a batch whose streams begin and end together."""
+
+
 @dataclass(frozen=True)
 class Batch:
     """One window of every stream: measurements (n, T, 3) and roll, pitch (n, T, 2), float32."""
@@ -137,8 +141,8 @@ class Batch:
     gyro: Float32
     accel: Float32
     roll_pitch: Float32
-    carry: bool
-    """The window goes on where the last one ended (the network keeps its state)."""
+    fresh: NDArray[np.bool_]
+    """Streams (n,) that begin here; the others go on where the last window ended."""
 
 
 def windows(
@@ -152,25 +156,45 @@ def windows(
 ) -> Iterator[Batch]:
     """The windows of an epoch: streams start anywhere in any flight, and each is cut into successive windows.
 
+    Streams differ in length, from one window to `windows_per_stream`, evenly in the logarithm: every batch
+    has some that have just begun and some that have long settled.
+
     Args:
         flights: To draw from.
         augmentation: What the sensors add; drawn once per stream (noise per sample).
         batches: Windows in the epoch.
         batch_size: Streams side by side.
         steps: Samples in a window.
-        windows_per_stream: Windows before new streams are drawn.
+        windows_per_stream: Most windows in a stream.
         seed: Of this epoch.
     """
-    length = steps * windows_per_stream
-    available = flights.gyro.shape[1]
-    if length > available:
-        raise ValueError(f"streams of {length} samples, but the flights have {available}")
-    rng = np.random.default_rng(np.random.SeedSequence(list(seed)))
-    for first in range(0, batches, windows_per_stream):
-        which = rng.integers(len(flights), size=batch_size)
-        start = rng.integers(available - length + 1, size=batch_size)
-        index = start[:, None] + np.arange(length)
-        rows = which[:, None]
+    if steps * windows_per_stream > flights.gyro.shape[1]:
+        raise ValueError(
+            f"streams of {steps * windows_per_stream} samples, but the flights have {flights.gyro.shape[1]}"
+        )
+    sizes = [len(part) for part in np.array_split(np.arange(batch_size), COHORTS) if len(part)]
+    seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))
+    cohorts = [
+        _streams(flights, augmentation, n, steps, windows_per_stream, np.random.default_rng(each))
+        for n, each in zip(sizes, seeds, strict=True)
+    ]
+    for _ in range(batches):
+        parts = [next(cohort) for cohort in cohorts]
+        yield Batch(*(np.concatenate([getattr(part, name) for part in parts]) for name in BATCH))
+
+
+BATCH = tuple(each.name for each in fields(Batch))
+
+
+def _streams(
+    flights: Flights, augmentation: Augmentation, n: int, steps: int, most: int, rng: np.random.Generator
+) -> Iterator[Batch]:
+    """Windows of `n` streams of one length, then of `n` others, without end."""
+    while True:
+        length = int(np.exp(rng.uniform(0, np.log(most + 1)))) * steps
+        rows = rng.integers(len(flights), size=n)[:, None]
+        first = rng.integers(flights.gyro.shape[1] - length + 1, size=n)
+        index = first[:, None] + np.arange(length)
         gyro, accel, up = augment(
             flights.ang_vel[rows, index],
             flights.specific_force[rows, index],
@@ -180,6 +204,6 @@ def windows(
             rng,
         )
         roll_pitch = roll_pitch_of_up(up)
-        for k in range(min(windows_per_stream, batches - first)):
-            part = slice(k * steps, (k + 1) * steps)
-            yield Batch(gyro[:, part], accel[:, part], roll_pitch[:, part], carry=k > 0)
+        for k in range(0, length, steps):
+            part = slice(k, k + steps)
+            yield Batch(gyro[:, part], accel[:, part], roll_pitch[:, part], np.full(n, k == 0))

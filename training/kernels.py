@@ -54,17 +54,13 @@ class Trace:
             s1=np.zeros((steps + 2, n, h1 + 1), np.uint16),
         )
 
-    def rewind(self) -> None:
-        """Start from rest: clear the rows before the window."""
-        for rows in (self.v0, self.v1, self.vo, self.s0, self.s1):
-            rows[:2] = 0
-        self.u0[0] = 0
-
-    def carry(self) -> None:
-        """Start where the last window ended."""
+    def begin(self, fresh: NDArray[np.bool_]) -> None:
+        """Start where the last window ended, the sequences in `fresh` (n,) from rest."""
         for rows in (self.v0, self.v1, self.vo, self.s0, self.s1):
             rows[:2] = rows[-2:]
+            rows[:2, fresh] = 0
         self.u0[0] = self.u0[-1]
+        self.u0[0, fresh] = 0
 
 
 @njit(cache=True, nogil=True)
@@ -321,7 +317,9 @@ class Workspace:
 
 class _Fused(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, space: Workspace, carry: bool, x: Tensor, *weights: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        ctx, space: Workspace, fresh: NDArray[np.bool_], x: Tensor, *weights: Tensor
+    ) -> tuple[Tensor, Tensor]:
         arrays = [w.detach().numpy() for w in weights]
         one = STATE_ONE if space.quantised else 1.0
         w_in, w_ff, w_rec, w_out = (np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[:4])
@@ -330,7 +328,7 @@ class _Fused(torch.autograd.Function):
         samples = x.detach().numpy()
 
         def run(part: slice, trace: Trace) -> None:
-            trace.carry() if carry else trace.rewind()
+            trace.begin(fresh[part])
             forward_window(
                 np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64),
                 w_in.astype(np.float64), w_ff, w_rec, w_out, taus, out_taus,
@@ -383,14 +381,16 @@ class _Fused(torch.autograd.Function):
         return None, None, None, *(torch.from_numpy(np.ascontiguousarray(t)) for t in totals)
 
 
-def attsnn(x: Tensor, weights: Weights, space: Workspace, carry: bool = False) -> tuple[Tensor, Tensor]:
+def attsnn(
+    x: Tensor, weights: Weights, space: Workspace, fresh: NDArray[np.bool_] | None = None
+) -> tuple[Tensor, Tensor]:
     """Run the network over a window, differentiable with respect to its weights (on the CPU).
 
     Args:
         x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
         weights: Parameters (for the quantised network already on the chip's grid).
         space: Buffers; its trace belongs to this window until the next call.
-        carry: Go on from the state at the end of the last window instead of from rest.
+        fresh: Sequences (n,) that start from rest; the others go on from the end of the last window. None: all.
 
     Returns:
         Output potentials in units of 1.0, shape (n, T, outputs), and the mean spikes per neuron and step of
@@ -403,4 +403,5 @@ def attsnn(x: Tensor, weights: Weights, space: Workspace, carry: bool = False) -
         raise ValueError(
             f"batch: {tuple(x.shape[:2])} (n, steps), the workspace is for {(space.n, space.steps)}"
         )
-    return _Fused.apply(space, carry, x, *weights)  # pyright: ignore[reportReturnType]
+    fresh = np.ones(space.n, bool) if fresh is None else fresh
+    return _Fused.apply(space, fresh, x, *weights)  # pyright: ignore[reportReturnType]

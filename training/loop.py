@@ -130,10 +130,9 @@ class _Run:
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
-        if not batch.carry:
-            self._held[:] = 0.0
+        self._held[batch.fresh] = 0.0
         x = _inputs(config, batch.gyro, batch.accel, self._held)
-        estimate, rates = self.model(x, batch.carry)
+        estimate, rates = self.model(x, batch.fresh)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
         loss = attitude_loss(estimate, torch.from_numpy(batch.roll_pitch))
         cost = loss + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))

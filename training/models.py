@@ -96,13 +96,13 @@ class AttSNN(nn.Module):
             return Weights(*w, *tau)
         return Weights(*(quantise_weights(x) for x in w), *(quantise_decay(x) for x in tau))
 
-    def forward(self, x: Tensor, carry: bool = False) -> tuple[Tensor, Tensor]:
+    def forward(self, x: Tensor, fresh: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
 
-        `carry` goes on from the last window of this shape.
+        Sequences that are not `fresh` (n,) go on from the last window of this shape; None: all start from rest.
         """
         weights = self.weights()
-        out, rates = attsnn(x, weights, self.space(x, weights), carry)
+        out, rates = attsnn(x, weights, self.space(x, weights), fresh)
         return out * self.output_scale, rates
 
     def space(self, x: Tensor, weights: Weights) -> Workspace:
@@ -331,12 +331,17 @@ class AttRNN(nn.Module):
         self.out = nn.Linear(hidden, OUTPUTS)
         self._state: Tensor | None = None
 
-    def forward(self, x: Tensor, carry: bool = False) -> tuple[Tensor, Tensor]:
+    def forward(self, x: Tensor, fresh: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and no spikes (2,).
 
-        `carry` goes on from the last window.
+        Sequences that are not `fresh` (n,) go on from the last window; None: all start from rest.
         """
-        y, state = self.gru(x, self._state if carry else None)
+        before = self._state
+        if fresh is None or fresh.all():
+            before = None
+        elif before is not None:
+            before = before * torch.from_numpy(~fresh)[:, None]
+        y, state = self.gru(x, before)
         self._state = state.detach()
         return self.out(y), torch.zeros(2)
 
