@@ -45,7 +45,9 @@ HERE = Path(__file__).parent
 ROOT, IMAGES = HERE.parent, HERE / "img"
 TRAIN = tuple(f"data/{name}.zarr" for name in ("train", "train-windy", "train-varied"))
 VALIDATION = tuple(f"data/{name}.zarr" for name in ("val", "val-windy", "val-varied"))
-SIZES, SIZE_EPOCHS, ON_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (10, 20, 30, 46), 60, 45, 8, 2
+SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (10, 20, 30, 46), 60, 8, 2
+LONGER = (("on", 45), ("more", 250))
+"""Epochs that the largest of the small networks is trained further, one run after another."""
 RATES = {"rate_cost": 0.003, "rate_targets": (0.2, 0.4)}
 BEST_OF_PAPER = 2.79
 
@@ -232,11 +234,12 @@ def train_sizes() -> None:
             "att-snn", out=f"runs/size-{2 * size}", encoding=size, hidden=size, epochs=SIZE_EPOCHS, **common
         )
         rows.append((f"{SIZE_EPOCHS} epochs", result.weights))
-    result = train(
-        "att-snn", out=f"runs/size-{2 * SIZES[-1]}-on", encoding=SIZES[-1], hidden=SIZES[-1],
-        epochs=ON_EPOCHS, init=str(rows[-1][1]), optimiser_lr=0.015, windows_per_stream=6, seed=1, **common,
-    )  # fmt: skip
-    rows.append((f"{ON_EPOCHS} epochs more", result.weights))
+    for seed, (name, epochs) in enumerate(LONGER, 1):
+        result = train(
+            "att-snn", out=f"runs/size-{2 * SIZES[-1]}-{name}", encoding=SIZES[-1], hidden=SIZES[-1],
+            epochs=epochs, init=str(rows[-1][1]), optimiser_lr=0.015, windows_per_stream=6, seed=seed, **common,
+        )  # fmt: skip
+        rows.append((f"{epochs} epochs more", result.weights))
     alone, every = flights_of(VALIDATION[:1]), flights_of(VALIDATION)
     with (HERE / "loihi-size.csv").open("w", newline="") as file:
         writer = csv.writer(file)

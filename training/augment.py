@@ -36,8 +36,9 @@ class Augmentation(Strict):
     mounting_deg: float = 0.0
     """Standard deviation of each angle of a small rotation of the IMU against the body [deg]."""
 
-    # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream,
-    # even from 0 to this, then each axis, even within ± that size, so that small errors are more frequent.
+    # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream, this
+    # times the square of an even share (of a gyro bias: times the share), then each axis, even within ± that
+    # size, so that small errors are more frequent.
     gyro_bias_max: float = Field(default=0.0, ge=0)
     """Further bias of the gyroscope [rad/s]."""
     accel_bias_max: float = Field(default=0.0, ge=0)
@@ -104,13 +105,13 @@ def augment(
     if augmentation.low_pass_hz is not None or augmentation.delay_max_s > 0:
         ang_vel, specific_force = _late(ang_vel, specific_force, augmentation, rate_hz, rng)
     measured = []
-    for signal, bias, largest, density in (
-        (ang_vel, augmentation.gyro_bias, augmentation.gyro_bias_max, augmentation.gyro_noise),
-        (specific_force, augmentation.accel_bias, augmentation.accel_bias_max, augmentation.accel_noise),
+    for signal, bias, largest, power, density in (
+        (ang_vel, augmentation.gyro_bias, augmentation.gyro_bias_max, 1, augmentation.gyro_noise),
+        (specific_force, augmentation.accel_bias, augmentation.accel_bias_max, 2, augmentation.accel_noise),
     ):
         offset = rng.normal(0, bias, (n, 1, 3)).astype(dtype)
         if largest > 0:
-            offset += _within(largest, n, rng)[:, None].astype(dtype)
+            offset += _within(largest, n, rng, power)[:, None].astype(dtype)
         if augmentation.scale_max > 0:
             signal = signal * (1 + _within(augmentation.scale_max, n, rng))[:, None].astype(dtype)
         noise = rng.standard_normal(signal.shape, dtype=np.float32).astype(dtype, copy=False)
@@ -120,9 +121,9 @@ def augment(
     return measured[0], measured[1], up
 
 
-def _within(largest: float, n: int, rng: np.random.Generator) -> Array:
+def _within(largest: float, n: int, rng: np.random.Generator, power: int = 2) -> Array:
     """Errors of three axes, (n, 3), of a size that is drawn for each stream."""
-    return largest * rng.uniform(0, 1, (n, 1)) * rng.uniform(-1, 1, (n, 3))
+    return largest * rng.uniform(0, 1, (n, 1)) ** power * rng.uniform(-1, 1, (n, 3))
 
 
 def _carried(

@@ -390,7 +390,7 @@ def attsnn(
         x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
         weights: Parameters (for the quantised network already on the chip's grid).
         space: Buffers; its trace belongs to this window until the next call.
-        fresh: Sequences (n,) that start from rest; the others go on from the end of the last window. None: all.
+        fresh: Sequences (n,) that start from rest, the others where the last window ended. None: all.
 
     Returns:
         Output potentials in units of 1.0, shape (n, T, outputs), and the mean spikes per neuron and step of

@@ -99,7 +99,7 @@ class AttSNN(nn.Module):
     def forward(self, x: Tensor, fresh: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
 
-        Sequences that are not `fresh` (n,) go on from the last window of this shape; None: all start from rest.
+        Sequences that are not `fresh` (n,) go on from the last window of this shape; None: all are fresh.
         """
         weights = self.weights()
         out, rates = attsnn(x, weights, self.space(x, weights), fresh)
