@@ -36,9 +36,9 @@ class Augmentation(Strict):
     mounting_deg: float = 0.0
     """Standard deviation of each angle of a small rotation of the IMU against the body [deg]."""
 
-    # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream, this
-    # times the square of an even share (of a gyro bias: times the share), then each axis, even within ± that
-    # size, so that small errors are more frequent.
+    # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream,
+    # this times the square of an even share (of a gyro bias: times the share), then each axis, even within
+    # ± that size, so that small errors are more frequent.
     gyro_bias_max: float = Field(default=0.0, ge=0)
     """Further bias of the gyroscope [rad/s]."""
     accel_bias_max: float = Field(default=0.0, ge=0)
