@@ -236,8 +236,9 @@ def train_sizes() -> None:
         rows.append((f"{SIZE_EPOCHS} epochs", result.weights))
     for seed, (name, epochs) in enumerate(LONGER, 1):
         result = train(
-            "att-snn", out=f"runs/size-{2 * SIZES[-1]}-{name}", encoding=SIZES[-1], hidden=SIZES[-1], seed=seed,
-            epochs=epochs, init=str(rows[-1][1]), optimiser_lr=0.015, windows_per_stream=6, **common,
+            "att-snn", out=f"runs/size-{2 * SIZES[-1]}-{name}", seed=seed, encoding=SIZES[-1],
+            hidden=SIZES[-1], epochs=epochs, init=str(rows[-1][1]), optimiser_lr=0.015, windows_per_stream=6,
+            **common,
         )  # fmt: skip
         rows.append((f"{epochs} epochs more", result.weights))
     alone, every = flights_of(VALIDATION[:1]), flights_of(VALIDATION)
