@@ -211,3 +211,18 @@ def test_bench_finds_breaking_points_and_reports_them_again(quadsim, tmp_path):
     (tmp_path / "report.html").unlink()
     assert quadsim("report", tmp_path)[0] == 0
     assert "Where they break" in (tmp_path / "report.html").read_text()
+
+
+def test_ctrl_c_in_a_training_keeps_its_weights_and_exits_as_interrupted(quadsim, tmp_path, monkeypatch):
+    quadsim("generate", "--flights", 4, "--duration", 2, "--workers", 1, "--out", "data.zarr")
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("quadsim.cli.networks.time_left", interrupt)
+    settings = [f"--set={pair}" for pair in ("batches=1", "batch_size=2", "window_s=0.5")]
+    code, out, err = quadsim("train", "--data", "data.zarr", "--out", "run", *settings)
+    assert code == 130
+    assert "interrupted; what was finished is kept" in err
+    assert "best.safetensors" in out
+    assert (tmp_path / "run" / "best.safetensors").is_file()

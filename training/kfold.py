@@ -22,7 +22,7 @@ from quadsim.dataset import end_with_parent
 
 from .config import TrainConfig, make_config
 from .data import Flights, load_flights
-from .loop import claim, flights_of, replace, run
+from .loop import INTERRUPTED, claim, flights_of, replace, run
 from .table1 import TEST, TRAIN, Score, plot, table, write_rows
 
 log = logging.getLogger(__name__)
@@ -94,7 +94,7 @@ def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[Score
     if (done := _finished(job)) is not None:
         return done
     result = run(job.config, job.out, lambda epoch, config: progress() if progress else None)
-    if result.reason == "interrupted":
+    if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
     learned, _, test = flights_of(job.config)
     sets = {TRAIN: learned, TEST: test} | {name: load_flights([path]) for name, path in job.others.items()}

@@ -36,6 +36,9 @@ log = logging.getLogger(__name__)
 
 Model = AttSNN | AttRNN
 
+INTERRUPTED = "interrupted"
+"""Why a run ended that Ctrl-C stopped; it goes on where it was."""
+
 
 @dataclass(frozen=True)
 class Epoch:
@@ -272,7 +275,7 @@ def _go_on(run: _Run, out: Path, progress: Progress | None) -> str:
             if progress:
                 progress(epoch, config)
     except KeyboardInterrupt:
-        return "interrupted"
+        return INTERRUPTED
     except FloatingPointError as error:
         log.error("%s: training stopped, the best weights so far are kept", error)
         return str(error)

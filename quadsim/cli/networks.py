@@ -43,7 +43,7 @@ def train(
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
     """
-    from training.loop import Epoch
+    from training.loop import INTERRUPTED, Epoch
     from training.loop import train as train_network
 
     choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
@@ -85,6 +85,8 @@ def train(
             f"before {result.before_deg:.2f}°, after {result.best.val_error_deg:.2f}°: {helped}",
             soft_wrap=True,
         )
+    if result.reason == INTERRUPTED:
+        raise KeyboardInterrupt
 
 
 def kfold(
