@@ -53,8 +53,9 @@ def main() -> None:
             f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
         )
         sys.exit(2)
-    except KeyboardInterrupt:
-        Console(stderr=True).print(
-            "quadsim: interrupted; what was finished is kept: give the same command again"
-        )
-        sys.exit(130)
+    except SystemExit as end:
+        if end.code == 130:  # typer's for Ctrl-C, and it says nothing
+            Console(stderr=True).print(
+                "quadsim: interrupted; what was finished is kept: give the same command again"
+            )
+        raise
