@@ -97,7 +97,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "inputs": InputScaling(),
         "output_scale": 1 / 256,
         "start": "solved",
-        "optimiser_lr": 0.02,
+        "optimiser_lr": 0.05,
         "adam_beta2": 0.99,
         "decay": "cosine",
         "clip": 1.0,
@@ -132,7 +132,7 @@ ROBUST = Augmentation(
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=12000),
-    "optimiser_lr": 0.006,
+    "optimiser_lr": 0.015,
     "epochs": 70,
     "windows_per_stream": 6,
     "rate_cost": 0.003,
@@ -141,7 +141,7 @@ PRESETS["robust"] = PRESETS["best"] | {
 }
 
 PRESETS["tune"] = PRESETS["best"] | {
-    "optimiser_lr": 0.002,
+    "optimiser_lr": 0.005,
     "epochs": 15,
     "batches": 20,
     "window_s": 2.5,
