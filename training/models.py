@@ -25,8 +25,8 @@ IDLE = (1e-3, 0.999)
 
 
 STEP = {"w_in": 1.0, "w_ff": 0.3, "w_rec": 0.3, "w_out": 0.1}
-"""How far the optimiser goes in a layer for the same learning rate. A common change of many weights adds up over
-the neurons that spike, most of all at the outputs: there, steps as large as those of the inputs only make noise."""
+"""How far the optimiser goes in a layer for the same learning rate. A common change of many weights adds up
+over the neurons that spike; in the outputs, steps as large as those of the inputs would be noise."""
 
 
 @dataclass(frozen=True)
