@@ -237,7 +237,7 @@ def train_sizes() -> None:
     for seed, (name, epochs) in enumerate(LONGER, 1):
         result = train(
             "att-snn", out=f"runs/size-{2 * SIZES[-1]}-{name}", seed=seed, encoding=SIZES[-1],
-            hidden=SIZES[-1], epochs=epochs, init=str(rows[-1][1]), optimiser_lr=0.015, windows_per_stream=6,
+            hidden=SIZES[-1], epochs=epochs, init=str(rows[-1][1]), optimiser_lr=0.04, windows_per_stream=6,
             **common,
         )  # fmt: skip
         rows.append((f"{epochs} epochs more", result.weights))
@@ -256,7 +256,7 @@ def train_pruned() -> None:
     """Prune the shipped network step by step."""
     stages = prune(
         TRAIN, VALIDATION, "runs/prune", fraction=0.4, stages=PRUNE_STAGES, epochs=PRUNE_EPOCHS,
-        optimiser_lr=0.006, seed=1, **RATES,
+        optimiser_lr=0.015, seed=1, **RATES,
     )  # fmt: skip
     with (HERE / "loihi-pruning.csv").open("w", newline="") as file:
         names = [*(name for name in asdict(stages[0]) if name != "weights"), "epochs"]

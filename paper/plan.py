@@ -250,7 +250,7 @@ def _rates(s: Settings) -> list[Stage]:
             Stage(moved, work.rescale, {"rate_hz": rate}, (FLOAT,), seconds=1),
             _net(
                 trained, s, s.rate, (train,), (validation,), rate, model="att-snn", init=moved,
-                quantised=False, optimiser_lr=0.006,
+                quantised=False, optimiser_lr=0.015,
             ),
             Stage(
                 f"compare-rate-{rate:g}",

@@ -58,6 +58,8 @@ class TrainConfig(Strict):
 
     optimiser_lr: float = Field(default=0.005, gt=0)
     """Learning rate of Adam."""
+    layer_steps: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Its factors for the encoding, the hidden and the output weights (att-snn)."""
     adam_beta2: float = Field(default=0.999, gt=0, lt=1)
     """Decay of Adam's second moment."""
     decay: Literal["none", "cosine"] = "none"
@@ -97,7 +99,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "inputs": InputScaling(),
         "output_scale": 1 / 256,
         "start": "solved",
-        "optimiser_lr": 0.05,
+        "optimiser_lr": 0.1,
+        "layer_steps": (1.0, 0.3, 0.1),
         "adam_beta2": 0.99,
         "decay": "cosine",
         "clip": 1.0,
@@ -152,8 +155,11 @@ PRESETS["tune"] = PRESETS["best"] | {
 }
 """Go on from weights on a user's own logs, whose errors are real: nothing is added."""
 
-RNN_BEST = {"optimiser_lr": 0.003, "batches": 30, "epochs": 100}
-"""What "best" changes further for att-rnn."""
+RNN: dict[str, dict[str, Any]] = {
+    "best": {"optimiser_lr": 0.003, "batches": 30, "epochs": 100},
+    "tune": {"optimiser_lr": 0.002},
+}
+"""What the presets change further for att-rnn."""
 
 
 KEPT = ("encoding", "hidden", "quantised", "recurrent_delay", "steps_per_sample", "output_scale")
@@ -175,7 +181,7 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
                 f"training has no field {name!r}, the nearest is {near[0]!r}; "
                 f"there are {', '.join(TrainConfig.model_fields)}"
             )
-    values = PRESETS[preset] | (RNN_BEST if preset == "best" and choices.get("model") == "att-rnn" else {})
+    values = PRESETS[preset] | (RNN.get(preset, {}) if choices.get("model") == "att-rnn" else {})
     for name in ("data", "validation"):
         if isinstance(choices.get(name), str | Path):
             choices[name] = (str(choices[name]),)

@@ -90,9 +90,11 @@ class _Run:
         _start(self.model, config, flights, self.steps)
         for name, parameter in self.model.named_parameters():
             parameter.requires_grad_(config.train_decays or not name.startswith(("syn", "mem")))
-        adam = torch.optim.Adam(
-            self.model.parameters(), lr=config.optimiser_lr, betas=(0.9, config.adam_beta2)
-        )
+        groups = [
+            {"params": [parameter], "step": _step(config, name)}
+            for name, parameter in self.model.named_parameters()
+        ]
+        adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
         self.optimiser = Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
         self.history: list[Epoch] = []
         self._held = np.zeros((config.batch_size, HELD))
@@ -109,7 +111,7 @@ class _Run:
         for k, batch in enumerate(batches):
             rate = _learning_rate(config, number * config.batches + k)
             for group in self.optimiser.param_groups:
-                group["lr"] = rate
+                group["lr"] = rate * group["step"]
             square, spikes = self._update(batch)
             if not math.isfinite(square):
                 raise FloatingPointError(f"the loss is {square} at epoch {number}, update {k}")
@@ -368,6 +370,12 @@ def _inputs(
     if config.model == "att-rnn":
         return torch.from_numpy(x.astype(np.float32))
     return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
+
+
+def _step(config: TrainConfig, name: str) -> float:
+    """Factor of the learning rate for a parameter: one common change of many weights adds up over neurons."""
+    encoding, hidden, output = config.layer_steps
+    return {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_out": output}.get(name, 1.0)
 
 
 def _learning_rate(config: TrainConfig, update: int) -> float:

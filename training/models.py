@@ -24,11 +24,6 @@ IDLE = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron says nothing."""
 
 
-STEP = {"w_in": 1.0, "w_ff": 0.3, "w_rec": 0.3, "w_out": 0.1}
-"""How far the optimiser goes in a layer for the same learning rate. A common change of many weights adds up
-over the neurons that spike; in the outputs, steps as large as those of the inputs would be noise."""
-
-
 @dataclass(frozen=True)
 class Ranges:
     """Time constants at the start, log-uniform between two values each [network steps]."""
@@ -85,10 +80,10 @@ class AttSNN(nn.Module):
         self._spaces: dict[tuple[int, int], Workspace] = {}
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
-        """Set one of the four weight matrices, and its rows' scales to a part of their root mean square."""
+        """Set one of the four weight matrices, and its rows' scales to their root mean square."""
         w = torch.tensor(values, dtype=torch.float32)
         used = (w != 0).sum(1, keepdim=True).clamp(min=1)
-        scale = STEP[name] * (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
+        scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
         with torch.no_grad():
             getattr(self, f"{name}_scale").copy_(scale)
             getattr(self, name).copy_(w / scale)
