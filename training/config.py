@@ -107,7 +107,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "epochs": 160,
         "batches": 60,
         "window_s": 5.0,
-        "windows_per_stream": 3,
+        "windows_per_stream": 20,
         "stop_early": False,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
         "rate_cost": 0.01,
@@ -135,9 +135,8 @@ ROBUST = Augmentation(
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=12000),
-    "optimiser_lr": 0.015,
+    "optimiser_lr": 0.006,
     "epochs": 70,
-    "windows_per_stream": 6,
     "rate_cost": 0.003,
     "rate_targets": (0.2, 0.4),
     "augmentation": ROBUST,

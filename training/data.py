@@ -165,17 +165,17 @@ def windows(
         batches: Windows in the epoch.
         batch_size: Streams side by side.
         steps: Samples in a window.
-        windows_per_stream: Most windows in a stream.
+        windows_per_stream: Most windows in a stream; fewer where the flights end before.
         seed: Of this epoch.
     """
-    if steps * windows_per_stream > flights.gyro.shape[1]:
-        raise ValueError(
-            f"streams of {steps * windows_per_stream} samples, but the flights have {flights.gyro.shape[1]}"
-        )
+    available = flights.gyro.shape[1]
+    if steps > available:
+        raise ValueError(f"windows of {steps} samples, but the flights have {available}")
+    most = min(windows_per_stream, available // steps)
     sizes = [len(part) for part in np.array_split(np.arange(batch_size), COHORTS) if len(part)]
     seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))
     cohorts = [
-        _streams(flights, augmentation, n, steps, windows_per_stream, np.random.default_rng(each))
+        _streams(flights, augmentation, n, steps, most, np.random.default_rng(each))
         for n, each in zip(sizes, seeds, strict=True)
     ]
     for _ in range(batches):
