@@ -248,7 +248,7 @@ def test_tuning_goes_on_from_weights_and_says_whether_it_helped(dataset, tmp_pat
     assert tuned.before_deg == pytest.approx(first.best.val_error_deg, rel=1e-3)
     with pytest.raises(ValueError, match="preset tune goes on from weights"):
         train(data=dataset, out=tmp_path / "none", preset="tune")
-    with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-paper, att-snn, "):
+    with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-paper, "):
         train(data=dataset, out=tmp_path / "none", init="att-ssn")
 
 
