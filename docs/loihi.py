@@ -49,6 +49,8 @@ SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (10, 20, 30, 46), 60, 8, 2
 LONGER = (("on", 45), ("more", 250))
 """Epochs that the largest of the small networks is trained further, one run after another."""
 RATES = {"rate_cost": 0.003, "rate_targets": (0.2, 0.4)}
+STEPS = {"optimiser_lr": 0.02, "layer_steps": (1.0, 1.0, 1.0), "windows_per_stream": 3}
+"""Of the small networks' first training: steps as large in every layer, streams of 15 s at most."""
 BEST_OF_PAPER = 2.79
 
 
@@ -227,7 +229,7 @@ def _onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64
 
 def train_sizes() -> None:
     """Train the small networks, and score them."""
-    common = {"preset": "best", "data": TRAIN, "validation": VALIDATION, **RATES}
+    common = {"preset": "best", "data": TRAIN, "validation": VALIDATION, **RATES, **STEPS}
     rows = []
     for size in SIZES:
         result = train(
@@ -237,8 +239,8 @@ def train_sizes() -> None:
     for seed, (name, epochs) in enumerate(LONGER, 1):
         result = train(
             "att-snn", out=f"runs/size-{2 * SIZES[-1]}-{name}", seed=seed, encoding=SIZES[-1],
-            hidden=SIZES[-1], epochs=epochs, init=str(rows[-1][1]), optimiser_lr=0.04, windows_per_stream=6,
-            **common,
+            hidden=SIZES[-1], epochs=epochs, init=str(rows[-1][1]),
+            **common | {"optimiser_lr": 0.015, "windows_per_stream": 6},
         )  # fmt: skip
         rows.append((f"{epochs} epochs more", result.weights))
     alone, every = flights_of(VALIDATION[:1]), flights_of(VALIDATION)
@@ -256,7 +258,7 @@ def train_pruned() -> None:
     """Prune the shipped network step by step."""
     stages = prune(
         TRAIN, VALIDATION, "runs/prune", fraction=0.4, stages=PRUNE_STAGES, epochs=PRUNE_EPOCHS,
-        optimiser_lr=0.015, seed=1, **RATES,
+        seed=1, **RATES, **STEPS | {"optimiser_lr": 0.006},
     )  # fmt: skip
     with (HERE / "loihi-pruning.csv").open("w", newline="") as file:
         names = [*(name for name in asdict(stages[0]) if name != "weights"), "epochs"]
