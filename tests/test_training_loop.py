@@ -103,8 +103,16 @@ def test_bad_choices_give_one_clear_line(tmp_path):
         make_config(data="x.zarr", epoch=3)
     with pytest.raises(ValueError, match=r"training: batch_size = 0: .*greater than or equal to 1"):
         make_config(data="x.zarr", batch_size=0)
+    with pytest.raises(ValueError, match=r"training: layer_steps\.1 = -1: .*greater than 0"):
+        make_config(data="x.zarr", layer_steps=[1, -1, 1])
     with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
         train(data=tmp_path / "none.zarr", out=tmp_path / "run")
+
+
+@pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
+def test_a_window_longer_than_the_flights_is_refused(dataset, tmp_path, model):
+    with pytest.raises(ValueError, match="windows of 1000 samples, but the flights have 800: give a smaller"):
+        train(data=dataset, out=tmp_path / "run", **TINY | {"model": model, "hidden": 20, "window_s": 5.0})
 
 
 def test_every_field_is_documented():

@@ -6,7 +6,7 @@ import difflib
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, PositiveFloat, ValidationError
 
 from estimators.weights_file import PAPER_SCALING, InputScaling, load_network
 from quadsim.config import Strict
@@ -58,7 +58,7 @@ class TrainConfig(Strict):
 
     optimiser_lr: float = Field(default=0.005, gt=0)
     """Learning rate of Adam."""
-    layer_steps: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    layer_steps: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (1.0, 1.0, 1.0)
     """Its factors for the encoding, the hidden and the output weights (att-snn)."""
     adam_beta2: float = Field(default=0.999, gt=0, lt=1)
     """Decay of Adam's second moment."""

@@ -170,7 +170,9 @@ def windows(
     """
     available = flights.gyro.shape[1]
     if steps > available:
-        raise ValueError(f"windows of {steps} samples, but the flights have {available}")
+        raise ValueError(
+            f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"
+        )
     most = min(windows_per_stream, available // steps)
     sizes = [len(part) for part in np.array_split(np.arange(batch_size), COHORTS) if len(part)]
     seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))

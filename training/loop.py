@@ -345,7 +345,7 @@ def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> N
     elif config.start == "random":
         start_like_the_paper(model, config.seed)
         return
-    several = min(3, flights.gyro.shape[1] // steps)
+    several = max(1, min(3, flights.gyro.shape[1] // steps))
     batch = next(windows(flights, config.augmentation, 1, 32, several * steps, 1, (config.seed, 0)))
     x = _inputs(config, batch.gyro, batch.accel).numpy()
     if config.init:

@@ -39,7 +39,8 @@ def train(
     """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
 
     Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the
-    same command goes on where a run stopped. The paper's recipe hardly learns; use --preset best.
+    same command goes on where a run stopped. For att-snn, use --preset best: the paper's
+    recipe hardly learns on the chip's grid.
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
     """
