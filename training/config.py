@@ -12,6 +12,7 @@ from estimators.weights_file import PAPER_SCALING, InputScaling, load_network
 from quadsim.config import Strict
 
 from .augment import Augmentation
+from .symmetry import is_symmetric
 
 
 class TrainConfig(Strict):
@@ -38,6 +39,8 @@ class TrainConfig(Strict):
     """Neurons of the recurrent layer."""
     quantised: bool = True
     """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
+    symmetric: bool = False
+    """Share the weights that quarter turns and mirror images of the body map onto each other (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
     steps_per_sample: int = Field(default=1, ge=1, le=16)
@@ -97,6 +100,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "best": {
         "inputs": InputScaling(),
+        "symmetric": True,
         "output_scale": 1 / 256,
         "start": "solved",
         "optimiser_lr": 0.1,
@@ -151,6 +155,7 @@ PRESETS["tune"] = PRESETS["best"] | {
     "rate_cost": 0.003,
     "rate_targets": (0.2, 0.4),
     "augmentation": Augmentation(gyro_noise=0.0, accel_noise=0.0, accel_bias=0.0),
+    "symmetric": False,  # a user's own sensor is never mounted quite straight
 }
 """Go on from weights on a user's own logs, whose errors are real: nothing is added."""
 
@@ -199,10 +204,11 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
 
 
 def _of_weights(init: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Shape and scaling of the weights a run goes on from; the memory of the mean may be the preset's."""
-    network, _ = load_network(init)
+    """What a run takes over from the weights it goes on from; the memory of the mean may be the preset's."""
+    network, tensors = load_network(init)
     wanted = values.get("inputs", network.inputs).bias_samples or network.inputs.bias_samples
     return {
         "inputs": network.inputs.model_copy(update={"bias_samples": wanted}),
+        "symmetric": network.model == "att-snn" and values.get("symmetric", False) and is_symmetric(tensors),
         **{name: getattr(network, name) for name in KEPT},
     }

@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scaled_inputs
-from estimators.weights_file import NetworkConfig, Tensors, save_network
+from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
 
 from .config import TrainConfig, make_config
 from .data import Batch, Flights, fold_split, load_flights, split, windows
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, revive, start_from_data, start_from_weights, start_like_the_paper
 from .optim import Lookahead
+from .symmetry import is_symmetric
 
 log = logging.getLogger(__name__)
 
@@ -332,11 +333,14 @@ def _new_model(config: TrainConfig) -> Model:
         config.recurrent_delay,
         config.output_scale,
         config.threads,
+        config.symmetric,
     )
 
 
 def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> None:
     if config.init:
+        if config.symmetric and config.model == "att-snn":
+            _check_symmetric(config)
         start_from_weights(model, config.init)
         if not config.revive or isinstance(model, AttRNN):
             return
@@ -358,6 +362,13 @@ def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> N
         config.seed,
         config.steps_per_sample,
     )
+
+
+def _check_symmetric(config: TrainConfig) -> None:
+    if config.revive:
+        raise ValueError("revive: neurons that are new share no weights, give symmetric=false with it")
+    if not is_symmetric(load_network(config.init)[1]):
+        raise ValueError(f"symmetric: {config.init} does not share its weights, give symmetric=false")
 
 
 def _inputs(

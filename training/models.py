@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -16,10 +18,14 @@ from estimators.spiking import Weights, quantise_decay, quantise_weights
 from estimators.weights_file import load_network
 
 from .kernels import Workspace, attsnn
+from .symmetry import Ties, ties
 
 OUTPUTS = 2
+Values = TypeVar("Values", Tensor, NDArray[np.floating])
 
 
+WEIGHT_MAX = 127 / 128
+"""Largest weight of either sign on the chip."""
 IDLE = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron says nothing."""
 
@@ -50,6 +56,7 @@ class AttSNN(nn.Module):
         recurrent_delay: 1 (the chip) or 2 (the paper's equations).
         output_scale: Radians for an output potential of 1.0.
         threads: Parts of a batch that run side by side.
+        symmetric: Whether weights are shared as `training.symmetry` says.
     """
 
     def __init__(
@@ -60,6 +67,7 @@ class AttSNN(nn.Module):
         recurrent_delay: int = 1,
         output_scale: float = 1.0,
         threads: int = 1,
+        symmetric: bool = False,
     ) -> None:
         """Allocate the parameters; `start_like_the_paper` or `start_from_data` fills them."""
         super().__init__()
@@ -77,6 +85,9 @@ class AttSNN(nn.Module):
         self.mem2 = nn.Parameter(torch.zeros(1))
         for name in Weights._fields[:4]:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
+        self.ties = ties(encoding, hidden) if symmetric else {}
+        for name, tied in self.ties.items():
+            getattr(self, name).register_hook(partial(_mean, tied))
         self._spaces: dict[tuple[int, int], Workspace] = {}
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
@@ -84,9 +95,20 @@ class AttSNN(nn.Module):
         w = torch.tensor(values, dtype=torch.float32)
         used = (w != 0).sum(1, keepdim=True).clamp(min=1)
         scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
+        if self.ties:  # rows that share their weights share their scale
+            layer = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1"}.get(name)
+            scale = self.shared(layer, scale) if layer else scale.mean()
         with torch.no_grad():
             getattr(self, f"{name}_scale").copy_(scale)
             getattr(self, name).copy_(w / scale)
+
+    def shared(self, name: str, values: Values) -> Values:
+        """What a parameter would be if its entries that share a weight took that of their first."""
+        if not self.ties:
+            return values
+        if isinstance(values, Tensor):
+            return torch.from_numpy(self.ties[name].copied(values.detach().numpy()))
+        return self.ties[name].copied(values)
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
@@ -116,14 +138,20 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Keep weights in the chip's range and time constants where their gradient lives."""
+        """Keep shared weights equal, all in range, and time constants where their gradient lives."""
+        for name in self.ties:
+            getattr(self, name).copy_(self.shared(name, getattr(self, name)))
         if self.quantised:
             for name in Weights._fields[:4]:
-                limit = 1.0 / getattr(self, f"{name}_scale")
+                limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
                 w = getattr(self, name)
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
         for name in Weights._fields[4:]:
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
+
+
+def _mean(tied: Ties, gradient: Tensor) -> Tensor:
+    return torch.from_numpy(tied.mean(gradient.numpy()))
 
 
 def start_like_the_paper(model: AttSNN, seed: int) -> None:
@@ -134,6 +162,7 @@ def start_like_the_paper(model: AttSNN, seed: int) -> None:
         w = getattr(model, name)
         with torch.no_grad():
             w.copy_(torch.tensor(rng.normal(0, 1 / math.sqrt(w.shape[1]), w.shape)))
+    model.constrain()
 
 
 def start_from_data(
@@ -174,10 +203,13 @@ def start_from_data(
         row[chosen] = rng.normal(size=chosen.size)
     w_rec = rng.normal(size=(h1, h1)) * (rng.random((h1, h1)) < 0.1) * 0.02
     model.set_weights("w_in", w_in)
-    model.set_weights("w_ff", w_ff * _current_scale(model, x, w_ff, rng))
+    model.constrain()
+    w_ff = model.shared("w_ff", w_ff)
+    model.set_weights("w_ff", w_ff * model.shared("mem1", _current_scale(model, x, w_ff, rng)))
     model.set_weights("w_rec", w_rec)
     model.constrain()
-    model.set_weights("w_out", _solve_outputs(model, x, roll_pitch))
+    w_out = _solve_outputs(model, x, roll_pitch)
+    model.set_weights("w_out", model.ties["w_out"].mean(w_out) if model.ties else w_out)
     model.constrain()
 
 
