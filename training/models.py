@@ -349,7 +349,7 @@ def _solve_outputs(model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np
     a = features[:, skip:].reshape(-1, features.shape[2]).astype(np.float64)
     b = roll_pitch[:, skip:].reshape(-1, 2) / model.output_scale
     gram = a.T @ a
-    ridge = 1e-3 * np.trace(gram) / len(gram)
+    ridge = max(1e-3 * np.trace(gram) / len(gram), 1e-9)  # neurons may all be silent
     return np.linalg.solve(gram + ridge * np.eye(len(gram)), a.T @ b).T
 
 

@@ -1,0 +1,99 @@
+"""Weights that the symmetry of a quadrotor shares."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimators.networks import OnLoihi
+from estimators.weights_file import NetworkConfig, save_network, shipped_network
+from training.config import make_config
+from training.loop import exported
+from training.models import AttSNN, start_from_data
+from training.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
+
+G = 9.81
+
+
+def network(encoding, hidden, seed=0):
+    """A symmetric network with a solved start, and its files' contents."""
+    rng = np.random.default_rng(seed)
+    model = AttSNN(encoding, hidden, symmetric=True, output_scale=1 / 256)
+    x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
+    start_from_data(model, x, 0.1 * x[:, :, :2], seed=seed, fan_in=8)
+    config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
+    return model, *exported(model, config, 200.0, {})
+
+
+def rolled_and_pitched(operation, roll_pitch):
+    """Small roll and pitch in the new body axes, from the horizontal part (y, -x) of the world's up."""
+    up = np.stack([-roll_pitch[..., 1], roll_pitch[..., 0]], -1) @ operation[:2, :2].T
+    return np.stack([up[..., 1], -up[..., 0]], -1)
+
+
+def test_the_operations_are_a_group_of_eight():
+    known = {each.tobytes() for each in OPERATIONS}
+    assert len(known) == 8
+    assert all((a @ b).tobytes() in known for a in OPERATIONS for b in OPERATIONS)
+    assert {TURN.tobytes(), MIRROR.tobytes()} < known
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 100))
+@settings(max_examples=25, deadline=None)
+def test_turned_and_mirrored_readings_give_the_turned_attitude_to_the_last_bit(encoding, hidden, seed):
+    _, config, tensors = network(encoding, hidden, seed)
+    core = OnLoihi(config, tensors)
+    rng = np.random.default_rng(seed)
+    gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
+    accel = rng.normal(size=(1, 200, 3)) + [0, 0, G]
+    estimate = np.empty((9, 200, 2))
+    core.run(core.zero(1), gyro, accel, estimate[:1])
+    for operation in OPERATIONS:
+        turned = np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T
+        core.run(core.zero(1), *map(np.ascontiguousarray, turned), estimate[1:2])
+        np.testing.assert_array_equal(estimate[1], rolled_and_pitched(operation, estimate[0]))
+
+
+@given(st.integers(1, 50), st.integers(1, 50))
+@settings(max_examples=25, deadline=None)
+def test_copies_and_means_are_fixed_by_the_symmetry(encoding, hidden):
+    shapes = {"w_in": (encoding, 6), "w_ff": (hidden, encoding), "w_out": (2, hidden), "mem1": (hidden,)}
+    for name, tied in ties(encoding, hidden).items():
+        if name in shapes:
+            values = np.random.default_rng(0).normal(size=shapes[name])
+            copied, mean = tied.copied(values), tied.mean(values)
+            np.testing.assert_array_equal(tied.copied(copied), copied)
+            np.testing.assert_array_equal(tied.copied(mean), mean)
+            np.testing.assert_allclose(tied.mean(copied), copied, atol=1e-12)
+            assert np.linalg.norm(mean) <= np.linalg.norm(values)  # a projection
+
+
+def test_a_hundred_neurons_a_layer_share_a_few_weights():
+    shared = ties(100, 100)
+    different = {name: len(np.unique(tied.first[tied.sign != 0])) for name, tied in shared.items()}
+    assert different["w_rec"] == different["w_ff"] == 1251  # of 10000
+    assert different["mem0"] == different["mem1"] == 13
+
+
+def test_gradients_are_shared_as_the_weights_are():
+    model, _, _ = network(20, 24)
+    x = torch.from_numpy(np.round(np.random.default_rng(1).normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024)
+    out, _ = model(x)
+    out.square().mean().backward()
+    for name, tied in model.ties.items():
+        gradient = getattr(model, name).grad.numpy()
+        np.testing.assert_array_equal(tied.copied(gradient), gradient)
+        assert np.abs(gradient).max() > 0
+
+
+def test_a_run_goes_on_symmetric_where_its_weights_are(tmp_path):
+    _, config, tensors = network(16, 20)
+    assert is_symmetric(tensors)
+    save_network(tmp_path / "even.safetensors", config, tensors)
+    tensors["w_rec"][3, 4] += 2
+    assert not is_symmetric(tensors)
+    save_network(tmp_path / "odd.safetensors", config, tensors)
+    for name, expected in (("even", True), ("odd", False)):
+        on = make_config("best", data="none.zarr", init=str(tmp_path / f"{name}.safetensors"))
+        assert on.symmetric is expected
