@@ -109,7 +109,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "decay": "cosine",
         "clip": 1.0,
         "epochs": 160,
-        "batches": 60,
+        "batches": 600,
+        "batch_size": 4,
         "window_s": 5.0,
         "windows_per_stream": 20,
         "stop_early": False,
@@ -160,7 +161,7 @@ PRESETS["tune"] = PRESETS["best"] | {
 """Go on from weights on a user's own logs, whose errors are real: nothing is added."""
 
 RNN: dict[str, dict[str, Any]] = {
-    "best": {"optimiser_lr": 0.003, "batches": 30, "epochs": 100},
+    "best": {"optimiser_lr": 0.003, "batches": 30, "batch_size": 40, "epochs": 100},
     "tune": {"optimiser_lr": 0.002},
 }
 """What the presets change further for att-rnn."""
