@@ -151,6 +151,7 @@ PRESETS["tune"] = PRESETS["best"] | {
     "optimiser_lr": 0.005,
     "epochs": 15,
     "batches": 20,
+    "batch_size": 40,
     "window_s": 2.5,
     "windows_per_stream": 4,
     "rate_cost": 0.003,
