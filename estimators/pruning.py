@@ -13,6 +13,7 @@ from .activity import Activity
 from .flights import Flights
 from .metrics import attitude_error
 from .networks import NetworkEstimator, Spiking
+from .symmetry import is_symmetric, ties
 from .weights_file import NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
@@ -86,18 +87,35 @@ def pruned(
 ) -> tuple[NetworkConfig, Tensors]:
     """The network without the least important fraction of all neurons; at least one stays in each layer.
 
+    Where weights are shared (`estimators.symmetry`) so is the importance, and neurons go by whole groups: the
+    fraction is the least that goes, and what stays is symmetric.
+
     Raises:
         ValueError: A fraction outside [0, 1).
     """
     if not 0.0 <= fraction < 1.0:
         raise ValueError(f"fraction: {fraction}, should be in [0, 1)")
-    whole = np.concatenate(list(values))
-    best = [int(np.argmax(each)) + offset for each, offset in zip(values, (0, values[0].size), strict=True)]
-    whole[best] = np.inf
-    kept = np.argsort(-whole, kind="stable")[: max(2, round(whole.size * (1 - fraction)))]
-    return without(
-        config, tensors, [kept[kept < values[0].size], kept[kept >= values[0].size] - values[0].size]
-    )
+    encoding = values[0].size
+    first, second = _groups(tensors)
+    group = np.concatenate([first, second + encoding])
+    sizes = np.bincount(group)
+    sums = np.bincount(group, np.concatenate(list(values)))
+    whole = np.where(sizes > 0, sums / np.maximum(sizes, 1), -np.inf)
+    whole[[int(np.argmax(whole[:encoding])), encoding + int(np.argmax(whole[encoding:]))]] = np.inf
+    order = np.argsort(-whole, kind="stable")[: np.count_nonzero(sizes)]
+    stay = np.cumsum(sizes[order]) <= round(group.size * (1 - fraction))
+    stay[:2] = True
+    kept = np.flatnonzero(np.isin(group, order[stay]))
+    return without(config, tensors, [kept[kept < encoding], kept[kept >= encoding] - encoding])
+
+
+def _groups(tensors: Tensors) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """For each neuron of both layers the first of those that share its weights."""
+    encoding, hidden = len(tensors["mem0"]), len(tensors["mem1"])
+    if not is_symmetric(tensors):
+        return np.arange(encoding), np.arange(hidden)
+    shared = ties(encoding, hidden)
+    return shared["mem0"].first, shared["mem1"].first
 
 
 def ablation(

@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 from pydantic import Field, PositiveFloat, ValidationError
 
+from estimators.symmetry import is_symmetric
 from estimators.weights_file import PAPER_SCALING, InputScaling, load_network
 from quadsim.config import Strict
 
 from .augment import Augmentation
-from .symmetry import is_symmetric
 
 
 class TrainConfig(Strict):

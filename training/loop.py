@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scaled_inputs
+from estimators.symmetry import is_symmetric
 from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
 
 from .config import TrainConfig, make_config
@@ -31,7 +32,6 @@ from .data import Batch, Flights, fold_split, load_flights, split, windows
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, revive, start_from_data, start_from_weights, start_like_the_paper
 from .optim import Lookahead
-from .symmetry import is_symmetric
 
 log = logging.getLogger(__name__)
 

@@ -15,10 +15,10 @@ from torch import Tensor, nn
 
 from estimators.networks import real_weights
 from estimators.spiking import Weights, quantise_decay, quantise_weights
+from estimators.symmetry import Ties, ties
 from estimators.weights_file import load_network
 
 from .kernels import Workspace, attsnn
-from .symmetry import Ties, ties
 
 OUTPUTS = 2
 Values = TypeVar("Values", Tensor, NDArray[np.floating])
@@ -56,7 +56,7 @@ class AttSNN(nn.Module):
         recurrent_delay: 1 (the chip) or 2 (the paper's equations).
         output_scale: Radians for an output potential of 1.0.
         threads: Parts of a batch that run side by side.
-        symmetric: Whether weights are shared as `training.symmetry` says.
+        symmetric: Whether weights are shared as `estimators.symmetry` says.
     """
 
     def __init__(

@@ -1,17 +1,16 @@
 """Weights that the symmetry of a quadrotor shares."""
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators.networks import OnLoihi
-from estimators.weights_file import NetworkConfig, save_network, shipped_network
+from estimators.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
+from estimators.weights_file import save_network
 from training.config import make_config
 from training.loop import exported
 from training.models import AttSNN, start_from_data
-from training.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
 
 G = 9.81
 
@@ -46,7 +45,7 @@ def test_turned_and_mirrored_readings_give_the_turned_attitude_to_the_last_bit(e
     core = OnLoihi(config, tensors)
     rng = np.random.default_rng(seed)
     gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
-    accel = rng.normal(size=(1, 200, 3)) + [0, 0, G]
+    accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
     estimate = np.empty((9, 200, 2))
     core.run(core.zero(1), gyro, accel, estimate[:1])
     for operation in OPERATIONS:
