@@ -45,12 +45,8 @@ HERE = Path(__file__).parent
 ROOT, IMAGES = HERE.parent, HERE / "img"
 TRAIN = tuple(f"data/{name}.zarr" for name in ("train", "train-windy", "train-varied"))
 VALIDATION = tuple(f"data/{name}.zarr" for name in ("val", "val-windy", "val-varied"))
-SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (10, 20, 30, 46), 60, 8, 2
-LONGER = (("on", 45), ("more", 250))
-"""Epochs that the largest of the small networks is trained further, one run after another."""
-RATES = {"rate_cost": 0.003, "rate_targets": (0.2, 0.4)}
-STEPS = {"optimiser_lr": 0.02, "layer_steps": (1.0, 1.0, 1.0), "windows_per_stream": 3}
-"""Of the small networks' first training: steps as large in every layer, streams of 15 s at most."""
+SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (12, 20, 28, 44), 60, 30, 2
+PRUNE_LR = 0.03
 BEST_OF_PAPER = 2.79
 
 
@@ -229,36 +225,29 @@ def _onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64
 
 def train_sizes() -> None:
     """Train the small networks, and score them."""
-    common = {"preset": "best", "data": TRAIN, "validation": VALIDATION, **RATES, **STEPS}
+    common = {"preset": "best", "data": TRAIN, "validation": VALIDATION}
     rows = []
     for size in SIZES:
         result = train(
             "att-snn", out=f"runs/size-{2 * size}", encoding=size, hidden=size, epochs=SIZE_EPOCHS, **common
         )
-        rows.append((f"{SIZE_EPOCHS} epochs", result.weights))
-    for seed, (name, epochs) in enumerate(LONGER, 1):
-        result = train(
-            "att-snn", out=f"runs/size-{2 * SIZES[-1]}-{name}", seed=seed, encoding=SIZES[-1],
-            hidden=SIZES[-1], epochs=epochs, init=str(rows[-1][1]),
-            **common | {"optimiser_lr": 0.015, "windows_per_stream": 6},
-        )  # fmt: skip
-        rows.append((f"{epochs} epochs more", result.weights))
+        rows.append(result.weights)
     alone, every = flights_of(VALIDATION[:1]), flights_of(VALIDATION)
     with (HERE / "loihi-size.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["neurons", "parameters", "training", "val_deg", "all_deg"])
-        for said, path in rows:
+        writer.writerow(["neurons", "parameters", "val_deg", "all_deg"])
+        for path in rows:
             config, tensors = load_network(path)
             size = sum(each.size for each in tensors.values())
             errors = [f"{error_deg(config, tensors, flights):.3f}" for flights in (alone, every)]
-            writer.writerow([config.encoding + config.hidden, size, said, *errors])
+            writer.writerow([config.encoding + config.hidden, size, *errors])
 
 
 def train_pruned() -> None:
     """Prune the shipped network step by step."""
     stages = prune(
         TRAIN, VALIDATION, "runs/prune", fraction=0.4, stages=PRUNE_STAGES, epochs=PRUNE_EPOCHS,
-        seed=1, **RATES, **STEPS | {"optimiser_lr": 0.006},
+        seed=1, optimiser_lr=PRUNE_LR,
     )  # fmt: skip
     with (HERE / "loihi-pruning.csv").open("w", newline="") as file:
         names = [*(name for name in asdict(stages[0]) if name != "weights"), "epochs"]
@@ -310,11 +299,8 @@ def size_rows(shipped: Sequence[float]) -> list[str]:
         axes.set(xscale="log", xlabel="parameters", ylabel="mean absolute error [°]")
         axes.legend(fontsize=8)
     save(figure, "size")
-    rows = [
-        row(*(each[name] for name in ("neurons", "parameters", "training")), *_degrees(each))
-        for each in found
-    ]
-    return [*rows, row(*whole, "shipped", *(f"{error:.2f}" for error in shipped))]
+    rows = [row(*(each[name] for name in ("neurons", "parameters")), *_degrees(each)) for each in found]
+    return [*rows, row(f"{whole[0]}, shipped", whole[1], *(f"{error:.2f}" for error in shipped))]
 
 
 def _degrees(each: dict[str, str]) -> list[str]:
