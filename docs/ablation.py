@@ -18,6 +18,7 @@ from training.loop import train
 
 HERE = Path(__file__).parent
 BEST: dict[str, Any] = PRESETS["best"]
+ERRORS: Augmentation = BEST["augmentation"]
 
 ROWS: dict[str, dict[str, Any]] = {
     "best": {},
@@ -32,9 +33,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "no state carried over": {"windows_per_stream": 1},
     "no weights shared by symmetry": {"symmetric": False},
     "batches of 40 windows": {"batch_size": 40, "batches": 60},
-    "no symmetry in the data": {
-        "augmentation": BEST["augmentation"].model_copy(update={"yaw_symmetry": False})
-    },
+    "no symmetry in the data": {"augmentation": ERRORS.model_copy(update={"yaw_symmetry": False})},
     "sensor errors as in the paper": {"augmentation": Augmentation(yaw_symmetry=True)},
     "no cost of spikes": {"rate_cost": 0.0},
     "spikes at 5 %": {"rate_cost": 0.03, "rate_targets": (0.05, 0.05)},

@@ -196,7 +196,7 @@ def field_rows() -> list[str]:
 def shown(value: object) -> str:
     """A value as a table shows it; of a nested one what is set."""
     if hasattr(value, "model_dump"):
-        fields = value.model_dump(exclude_defaults=True)  # type: ignore[attr-defined]
+        fields = value.model_dump(exclude_defaults=True)  # type: ignore[attr-defined]  # hasattr narrows nothing
         return ", ".join(f"{k} {shown(v)}" for k, v in fields.items()) or "its defaults"
     if isinstance(value, tuple):
         return " ".join(shown(v) for v in value)

@@ -114,7 +114,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     """
 
     # gymnasium declares this as a variable of instances
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium's own attribute)
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     """n quadrotors stepped as one batch; spaces, reward and arguments are those of `QuadrotorEnv`."""
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's own attribute)
         "render_modes": ["rgb_array", "human"],
         "render_fps": FPS,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
