@@ -88,7 +88,7 @@ def pruned(
     """The network without the least important fraction of all neurons; at least one stays in each layer.
 
     Where weights are shared (`estimators.symmetry`) so is the importance, and neurons go by whole groups: the
-    fraction is the least that goes, and what stays is symmetric.
+    fraction is the least that goes, unless the last group of a layer would, and what stays is symmetric.
 
     Raises:
         ValueError: A fraction outside [0, 1).

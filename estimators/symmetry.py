@@ -3,8 +3,11 @@
 Neither gravity, drag nor thrust changes when the body axes turn by a quarter about z or when y is reflected.
 These eight operations, the dihedral group D4, permute the six inputs and the two outputs up to their signs. A
 network in which they permute the neurons as well, with equal weights wherever they map one connection onto
-another, is equivariant: the turned readings give the turned attitude, to the last bit (Cohen & Welling 2016,
+another, is equivariant: turned readings give the turned outputs, to the last bit (Cohen & Welling 2016,
 "Group equivariant convolutional networks"). Each of its weights learns from eight times the data.
+
+Roll and pitch turn like that for small tilts; at (30°, 30°) a quarter turn gives (33.7°, -25.7°), where the
+network answers (30°, -30°). docs/training.md says how much no such network can know.
 
 Neurons stand in groups of eight, each group permuted by the operations as they permute themselves; four of
 the rest stand for the four axes ±x, ±y; what then remains answers to all operations alike.
@@ -32,10 +35,12 @@ OPERATIONS = np.array(
 
 
 class Ties(NamedTuple):
-    """Entries of an array that are one weight: each is `sign` times the entry `first`, flat indices."""
+    """Entries of an array that are one weight: each is `sign` times the entry `first`."""
 
     first: Ints
+    """Flat index of the first entry of the same weight, one for each entry."""
     sign: Signs
+    """Its sign, one for each entry; 0 where an operation maps the weight onto minus itself: it must be 0."""
 
     def copied(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """The array with each weight as its first entry has it."""
@@ -55,6 +60,9 @@ def ties(encoding: int, hidden: int) -> dict[str, Ties]:
     Args:
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the hidden layer.
+
+    Returns:
+        By the names of the tensors, for arrays of their shapes.
     """
     rates_forces = [_on_inputs(m) for m in OPERATIONS]
     angles = [_on_outputs(m) for m in OPERATIONS]
@@ -67,7 +75,9 @@ def ties(encoding: int, hidden: int) -> dict[str, Ties]:
 
 
 def is_symmetric(tensors: Mapping[str, NDArray]) -> bool:
-    """Whether a network's tensors share their weights as D4 asks."""
+    """Whether a network's tensors share their weights as D4 asks; those of a GRU do not."""
+    if "w_in" not in tensors:
+        return False
     shared = ties(len(tensors["w_in"]), len(tensors["w_ff"]))
     return all(np.array_equal(tied.copied(tensors[name]), tensors[name]) for name, tied in shared.items())
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, ValidationError
+from pydantic import Field, JsonValue, PositiveFloat, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
@@ -24,7 +24,7 @@ class InputScaling(Strict):
 
     gyro: float = Field(default=2.5, gt=0)
     """Body rate of an input of 1.0 [rad/s]."""
-    accel: tuple[float, float, float] = (1.0, 1.0, 4.0)
+    accel: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (1.0, 1.0, 4.0)
     """Specific force, less the offset, of an input of 1.0 [m/s²]."""
     accel_offset: tuple[float, float, float] = (0.0, 0.0, 9.81)
     """Specific force of an input of 0 [m/s²]."""

@@ -8,8 +8,26 @@ from rich.table import Table
 
 from estimators import create
 from estimators.recorded import KNOWN, RAW, default_names, draw_log, score_logs
+from estimators.weights_file import load_network
 from quadsim.console import output, progress_bar
+from quadsim.estimator import AttitudeEstimator
 from quadsim.logs import read_log
+
+
+def made_of(
+    names: Sequence[str], weights: Sequence[str], rate_hz: float, tuning: str | None
+) -> dict[str, AttitudeEstimator]:
+    """Estimators by name, and spiking networks by the paths of their weights.
+
+    Raises:
+        ValueError: Weights of another kind of network, or given twice.
+    """
+    made = {name: create(name, rate_hz, tuning=tuning) for name in names}
+    for path in weights:
+        if path in made:
+            raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
+        made[path] = create(load_network(path)[0].model, rate_hz, weights=path)
+    return made
 
 
 def evaluate_logs(
@@ -24,8 +42,7 @@ def evaluate_logs(
     """Score estimators on logs: `quadsim evaluate --logs`."""
     logs = [read_log(path, axes=axes) for path in paths]
     rate = float(logs[0].attrs["rate_hz"])
-    made = {name: create(name, rate, tuning=tuning) for name in estimators or default_names()}
-    made |= {Path(each).stem: create("att-snn", rate, weights=each) for each in weights}
+    made = made_of(estimators or default_names(), weights, rate, tuning)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
     scores.write_csv(out / "logs.csv")

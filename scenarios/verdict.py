@@ -44,7 +44,8 @@ def verdict(rows: Sequence[Row], focus: str = "") -> Verdict:
     standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
     flown = [name for name in ranked if totals[name].flights]
     if not flown:
-        return Verdict("No estimator flew.", [], standings)
+        only = "Only the truth flew." if TRUTH in names and totals[TRUTH].flights else "No estimator flew."
+        return Verdict(only, [], standings)
     best, truth = totals[flown[0]], totals.get(TRUTH)
     lines = []
     if truth and truth.attitude > 0:

@@ -1,5 +1,8 @@
 """Small synthetic flights for the tests of estimators: cheap, seeded, and of a known physics."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,6 +10,16 @@ import xarray as xr
 from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
+RECORDINGS = Path(os.environ.get("QUADSIM_REALDATA", Path(__file__).parents[2] / "shared" / "realdata"))
+
+
+@pytest.fixture(scope="session")
+def broad() -> list[Path]:
+    """BROAD trials, hand-moved with optical truth."""
+    trials = sorted((RECORDINGS / "broad").glob("*.npz"))
+    if not trials:
+        pytest.skip("no BROAD trials: set QUADSIM_REALDATA to the folder that holds broad/")
+    return trials
 
 
 def fly(

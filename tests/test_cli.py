@@ -78,9 +78,13 @@ def test_every_verb_has_help_of_its_own():
         (["train", "--data", "missing.zarr", "--out", "run", "--preset", "wurst"], "wurst"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epochs"], "name=value"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epoch=1"], "there are model, data"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--set", "seed=3"], "option of its own"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--set", "validation=3"], "option of its own"),
         (["kfold", "--domain", "missing.zarr", "--out", "run"], "missing.zarr"),
+        (["kfold", "--domain", "missing.zarr", "--out", "run", "--set", "model=1"], "option of its own"),
         (["tune", "--estimator", "mahony", "--data", "missing.zarr", "--out", "x.toml"], "missing.zarr"),
         (["evaluate", "--data", "missing.zarr"], "missing.zarr"),
+        (["evaluate", "--logs", "missing.csv", "--weights", "missing.safetensors"], "missing"),
         (["fly", "hoover"], "hover"),
         (["fly", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "hover", "--estimator", "mahoni"], "mahony"),
@@ -91,6 +95,11 @@ def test_every_verb_has_help_of_its_own():
         (["paper", "--out", "x", "--only", "fig12"], "fig"),
         (["paper", "--out", "x", "--preset", "fast"], "quick and full"),
         (["inspect", "--weights", "missing.safetensors"], "missing.safetensors"),
+        (["inspect", "--train", "missing.zarr"], "needs --prune"),
+        (
+            ["bench", "--scenario", "hover", "--estimator", "att-snn", "--rate", "100", "--seeds", "1"],
+            "200 Hz",
+        ),
     ],
 )
 def test_a_mistake_is_one_clear_line_and_exit_code_2(quadsim, arguments, said):

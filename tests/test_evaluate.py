@@ -1,8 +1,6 @@
 """The offline comparison: its table, its curves and its figures."""
 
 import csv
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,20 +117,15 @@ def test_a_dataset_that_is_not_one_is_named(flights):
 
 # --- real recordings --------------------------------------------------------------------------------
 
-RECORDINGS = Path(os.environ.get("QUADSIM_REALDATA", Path(__file__).parents[2] / "shared" / "realdata"))
 
-
-def test_filters_on_real_recordings_with_optical_truth():
+def test_filters_on_real_recordings_with_optical_truth(broad):
     """BROAD trials, hand-moved: package defaults; scored where the benchmark marks movement."""
-    files = sorted((RECORDINGS / "broad").glob("*.npz"))
-    if not files:
-        pytest.skip("no recordings: set QUADSIM_REALDATA to a folder that has broad/*.npz")
     errors = {name: [] for name in ("vqf", "madgwick", "ekf")}
     vqf = dict(
         tauAcc=3.0, biasForgettingTime=100.0, biasSigmaInit=0.5, biasSigmaMotion=0.1, biasSigmaRest=0.03
     )
     given = {"vqf": vqf, "madgwick": {"beta": 0.033}, "ekf": {"gyro_noise": 0.003, "accel_noise": 0.01}}
-    for file in files:
+    for file in broad:
         data = np.load(file)
         rate = 1.0 / np.median(np.diff(data["t"]))
         truth = roll_pitch_from_quat(data["quat"])

@@ -1,6 +1,5 @@
 """Logs of other tools: every format gives the same flight back, in our frames, with what is odd counted."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -371,12 +370,8 @@ def test_unknown_files_are_one_clear_line(tmp_path):
         read_log(tmp_path / "absent.ulg")
 
 
-def test_a_real_recording_agrees_with_its_optical_truth():
-    folder = Path(os.environ.get("QUADSIM_REALDATA", "realdata")) / "broad"
-    trials = sorted(folder.glob("*.npz"))
-    if not trials:
-        pytest.skip("no BROAD trials: set QUADSIM_REALDATA to the folder that holds broad/")
-    log, report = read_log_and_report(trials[0])
+def test_a_real_recording_agrees_with_its_optical_truth(broad):
+    log, report = read_log_and_report(broad[0])
     assert report.source_rate_hz == pytest.approx(285.7, abs=0.1)
     assert np.linalg.norm(np.subtract(report.gravity or (0, 0, 0), GRAVITY)) < 0.1
     assert log["scored"].any()

@@ -80,11 +80,12 @@ def test_tuning_curves_find_what_a_neuron_follows(seen, activity):
 
 @pytest.mark.slow
 def test_pruning_trains_on_and_counts_what_is_gone(tmp_path):
-    path = generate(
-        flight_config(load_recipe("hummingbird")), 4, 4.0, tmp_path / "tiny.zarr", seed=3, workers=1
+    config = flight_config(load_recipe("hummingbird"))
+    data, check = (
+        (str(generate(config, 4, 4.0, tmp_path / f"{seed}.zarr", seed=seed, workers=1)),) for seed in (3, 4)
     )
     stages = prune(
-        (str(path),), (str(path),), tmp_path / "out", 0.5, 2,
+        data, check, tmp_path / "out", 0.5, 2,
         epochs=1, batches=2, batch_size=4, window_s=0.5, windows_per_stream=2,
     )  # fmt: skip
     assert [s.encoding + s.hidden for s in stages] == [200, 150, 100]

@@ -1,8 +1,6 @@
 """Scores on recorded logs: what counts, what a level guess makes, and what a known bias is worth."""
 
 import csv
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,11 +84,8 @@ def test_a_log_without_truth_is_refused():
         score_logs([resample(Recording("x", "x", time, 0 * still, still))[0]], ["mahony"])
 
 
-def test_vqf_has_its_published_error_on_a_real_recording():
-    folder = Path(os.environ.get("QUADSIM_REALDATA", "realdata")) / "broad"
-    trials = sorted(folder.glob("10_*.npz"))
-    if not trials:
-        pytest.skip("no BROAD trials: set QUADSIM_REALDATA to the folder that holds broad/")
-    scores = score_logs([read_log(trials[0])], ["vqf"])
+def test_vqf_has_its_published_error_on_a_real_recording(broad):
+    tenth = next(path for path in broad if path.name.startswith("10_"))
+    scores = score_logs([read_log(tenth)], ["vqf"])
     assert scores.mean("vqf", RAW) < 0.5
     assert scores.mean(LEVEL, RAW) > 5.0

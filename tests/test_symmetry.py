@@ -1,13 +1,16 @@
 """Weights that the symmetry of a quadrotor shares."""
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators.networks import OnLoihi
+from estimators.pruning import pruned
 from estimators.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
 from estimators.weights_file import save_network
+from training.augment import roll_pitch_of_up
 from training.config import make_config
 from training.loop import exported
 from training.models import AttSNN, start_from_data
@@ -38,9 +41,16 @@ def test_the_operations_are_a_group_of_eight():
     assert {TURN.tobytes(), MIRROR.tobytes()} < known
 
 
-@given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 100))
+def test_small_roll_and_pitch_turn_as_the_outputs_do():
+    up = np.array([0.01, -0.02, 0.99975])
+    for operation in OPERATIONS:
+        turned = roll_pitch_of_up(operation @ up)
+        np.testing.assert_allclose(turned, rolled_and_pitched(operation, roll_pitch_of_up(up)), atol=1e-5)
+
+
+@given(st.integers(8, 40), st.integers(8, 40), st.integers(0, 100))
 @settings(max_examples=25, deadline=None)
-def test_turned_and_mirrored_readings_give_the_turned_attitude_to_the_last_bit(encoding, hidden, seed):
+def test_turned_and_mirrored_readings_give_the_turned_outputs_to_the_last_bit(encoding, hidden, seed):
     _, config, tensors = network(encoding, hidden, seed)
     core = OnLoihi(config, tensors)
     rng = np.random.default_rng(seed)
@@ -48,6 +58,7 @@ def test_turned_and_mirrored_readings_give_the_turned_attitude_to_the_last_bit(e
     accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
     estimate = np.empty((9, 200, 2))
     core.run(core.zero(1), gyro, accel, estimate[:1])
+    assert np.abs(estimate[0]).max(0).min() > 0
     for operation in OPERATIONS:
         turned = np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T
         core.run(core.zero(1), *map(np.ascontiguousarray, turned), estimate[1:2])
@@ -96,3 +107,17 @@ def test_a_run_goes_on_symmetric_where_its_weights_are(tmp_path):
     for name, expected in (("even", True), ("odd", False)):
         on = make_config("best", data="none.zarr", init=str(tmp_path / f"{name}.safetensors"))
         assert on.symmetric is expected
+    with pytest.raises(ValueError, match="revive: neurons that are new share no weights"):
+        make_config("best", data="none.zarr", init=str(tmp_path / "even.safetensors"), revive=True)
+
+
+@pytest.mark.parametrize("fraction", [0.1, 0.4, 0.7, 0.95])
+def test_pruning_by_groups_leaves_a_symmetric_network(fraction):
+    _, config, tensors = network(28, 20)
+    values = [np.random.default_rng(0).random(n) for n in (28, 20)]
+    smaller, fewer = pruned(config, tensors, values, fraction)
+    assert is_symmetric(fewer)
+    assert smaller.encoding % 4 == smaller.hidden % 4 == 0
+    least = 48 * (1 - fraction)
+    assert smaller.encoding + smaller.hidden <= max(least, 16)
+    assert smaller.encoding + smaller.hidden > least - 8

@@ -107,6 +107,64 @@ def test_bad_choices_give_one_clear_line(tmp_path):
         make_config(data="x.zarr", layer_steps=[1, -1, 1])
     with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
         train(data=tmp_path / "none.zarr", out=tmp_path / "run")
+    with pytest.raises(ValueError, match="a dataset is given twice"):
+        make_config(data=("x.zarr", "./x.zarr"))
+    with pytest.raises(ValueError, match=r"augmentation\.vibration = .*the least comes first"):
+        make_config(data="x.zarr", augmentation={"vibration": (3.0, 1.0)})
+    with pytest.raises(ValueError, match=r"augmentation\.accel_noise = -1"):
+        make_config(data="x.zarr", augmentation={"accel_noise": -1})
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        ({"output_scale": 1.0}, "output_scale: the weights of init have 0.00390625, it cannot be 1.0"),
+        ({"hidden": 20}, "hidden: the weights of init have 100, it cannot be 20"),
+        ({"init": "att-snn-paper", "symmetric": True}, "symmetric: att-snn-paper does not share its weights"),
+        ({"init": "att-rnn", "model": "att-snn", "symmetric": True}, "att-rnn does not share its weights"),
+    ],
+)
+def test_what_the_weights_have_cannot_be_chosen_again(choices, message):
+    with pytest.raises(ValueError, match=message):
+        make_config("best", **{"data": "x.zarr", "init": "att-snn"} | choices)
+
+
+def test_a_run_does_not_go_on_with_other_flights_or_weights(dataset, tmp_path):
+    config = flight_config(load_recipe("hummingbird"))
+    path = generate(config, 5, 4.0, tmp_path / "other.zarr", seed=9, workers=1)
+    for name in ("data", "init"):
+        here, out = tmp_path / f"{name}.zarr", tmp_path / name
+        choices = TINY | {"epochs": 1, "out": out, "data": dataset}
+        if name == "data":
+            here.symlink_to(dataset)
+            choices["data"] = here
+        else:
+            first = train(data=dataset, out=tmp_path / "first", **TINY | {"epochs": 1})
+            choices["init"] = str(first.weights)
+        train(**choices)
+        if name == "data":
+            here.unlink()
+            here.symlink_to(path)
+        else:
+            train(data=path, out=tmp_path / "second", **TINY | {"epochs": 1})
+            (tmp_path / "second" / "best.safetensors").replace(first.weights)
+        with pytest.raises(ValueError, match=rf"holds a run on other files \({name}.* changed\)"):
+            train(**choices)
+
+
+def test_rates_that_differ_are_refused(dataset, tmp_path):
+    config = flight_config(load_recipe("hummingbird"))
+    slow = generate(config, 3, 4.0, tmp_path / "slow.zarr", rate_hz=100.0, seed=9, workers=1)
+    with pytest.raises(ValueError, match="validation at 100 Hz, but the data are at 200 Hz"):
+        train(data=dataset, validation=slow, out=tmp_path / "run", **TINY)
+    with pytest.raises(ValueError, match="data at 100 Hz, but the weights of init are for 200 Hz"):
+        train(data=slow, out=tmp_path / "run", preset="tune", init="att-snn")
+
+
+def test_a_run_without_git_names_no_commit(monkeypatch):
+    assert loop._commit()
+    monkeypatch.setenv("PATH", "")
+    assert loop._commit() == ""
 
 
 @pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
@@ -246,14 +304,15 @@ def test_carried_sensors_feel_gravity_along_the_true_vertical():
 
 def test_tuning_goes_on_from_weights_and_says_whether_it_helped(dataset, tmp_path):
     first = train(data=dataset, out=tmp_path / "first", **TINY)
-    assert first.before_deg is None
+    assert first.before is None
     tuned = train(
         data=dataset, out=tmp_path / "tuned", preset="tune", init=str(first.weights), epochs=2, batches=4,
         batch_size=4, window_s=0.5,
     )  # fmt: skip
     config, _ = load_network(tuned.weights)
     assert (config.encoding, config.hidden) == (20, 16)  # taken over
-    assert tuned.before_deg == pytest.approx(first.best.val_error_deg, rel=1e-3)
+    assert tuned.before == pytest.approx(first.best.val_mse, rel=1e-3)
+    assert tuned.helped == (tuned.best.val_mse < first.best.val_mse)
     with pytest.raises(ValueError, match="preset tune goes on from weights"):
         train(data=dataset, out=tmp_path / "none", preset="tune")
     with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-paper, "):

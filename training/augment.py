@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat
 
 from quadsim.config import Strict
 
@@ -20,20 +22,26 @@ CARRIED_HZ = 1.0
 """Corner of the accelerations of a sensor that is carried by hand."""
 
 
+def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] > limits[1]:
+        raise ValueError("the least comes first")
+    return limits
+
+
 class Augmentation(Strict):
     """Errors that are added to the true signals, one draw for each stream; defaults: RotorS' ADIS16448."""
 
-    gyro_noise: float = 3.394e-4
+    gyro_noise: float = Field(default=3.394e-4, ge=0)
     """Noise density of the gyroscope [rad/s/√Hz]."""
-    accel_noise: float = 0.004
+    accel_noise: float = Field(default=0.004, ge=0)
     """Noise density of the accelerometer [m/s²/√Hz]."""
-    gyro_bias: float = 0.0
+    gyro_bias: float = Field(default=0.0, ge=0)
     """Standard deviation of the gyroscope's constant bias [rad/s]."""
-    accel_bias: float = 0.196
+    accel_bias: float = Field(default=0.196, ge=0)
     """Standard deviation of the accelerometer's turn-on bias [m/s²]."""
     yaw_symmetry: bool = False
     """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
-    mounting_deg: float = 0.0
+    mounting_deg: float = Field(default=0.0, ge=0, le=45)
     """Standard deviation of each angle of a small rotation of the IMU against the body [deg]."""
 
     # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream,
@@ -49,11 +57,11 @@ class Augmentation(Strict):
     """Further rotation of the IMU against the body [deg]."""
     noise_factor_max: float = Field(default=1.0, ge=1)
     """White noise of a stream is multiplied by 1 to this, evenly in its logarithm."""
-    vibration: tuple[float, float] = (0.0, 0.0)
+    vibration: Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_ascending)] = (0.0, 0.0)
     """Amplitude of the rotors' vibration in the accelerometer, least and largest [m/s²]."""
     vibration_share: float = Field(default=0.0, ge=0, le=1)
     """Share of the streams that vibrate."""
-    low_pass_hz: tuple[float, float] | None = None
+    low_pass_hz: Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ascending)] | None = None
     """Corner of a first-order low-pass over both sensors, least and largest [Hz]."""
     delay_max_s: float = Field(default=0.0, ge=0)
     """Readings come late by 0 to this, in whole samples [s]."""

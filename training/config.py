@@ -1,4 +1,4 @@
-"""Everything that can be chosen about a training run, and the two presets."""
+"""Everything that can be chosen about a training run, and the presets."""
 
 from __future__ import annotations
 
@@ -187,26 +187,40 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
     for name in ("data", "validation"):
         if isinstance(choices.get(name), str | Path):
             choices[name] = (str(choices[name]),)
-        elif name in choices:
+        elif isinstance(choices.get(name), list | tuple):
             choices[name] = tuple(str(path) for path in choices[name])
     if choices.get("init"):
-        values = values | _of_weights(str(choices["init"]), values)
+        values = values | _of_weights(choices, values)
     elif preset == "tune":
         raise ValueError("preset tune goes on from weights: give init, a shipped name or a file")
     try:
-        return TrainConfig.model_validate(values | choices | {"preset": preset})
+        config = TrainConfig.model_validate(values | choices | {"preset": preset})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise ValueError(f"training: {where} = {first['input']!r}: {first['msg']}") from error
+    paths = [Path(path).resolve() for path in (*config.data, *config.validation)]
+    if len(set(paths)) < len(paths):
+        raise ValueError("data and validation: a dataset is given twice, its flights would count twice")
+    return config
 
 
-def _of_weights(init: str, values: dict[str, Any]) -> dict[str, Any]:
+def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
     """What a run takes over from the weights it goes on from; the memory of the mean may be the preset's."""
+    init = choices["init"] = str(choices["init"])
     network, tensors = load_network(init)
     wanted = values.get("inputs", network.inputs).bias_samples or network.inputs.bias_samples
+    kept = {name: getattr(network, name) for name in KEPT}
+    for name, value in kept.items():
+        if choices.get(name, value) != value:
+            raise ValueError(f"{name}: the weights of init have {value}, it cannot be {choices[name]}")
+    shared = is_symmetric(tensors)
+    if choices.get("symmetric") and not shared:
+        raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
+    if choices.get("revive") and choices.get("symmetric", shared and values.get("symmetric")):
+        raise ValueError("revive: neurons that are new share no weights, give symmetric=false with it")
     return {
         "inputs": network.inputs.model_copy(update={"bias_samples": wanted}),
-        "symmetric": network.model == "att-snn" and values.get("symmetric", False) and is_symmetric(tensors),
-        **{name: getattr(network, name) for name in KEPT},
+        "symmetric": values.get("symmetric", False) and shared,
+        **kept,
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -47,6 +48,13 @@ class Flights:
     def roll_pitch(self) -> NDArray[np.float64]:
         """True roll and pitch, shape (n, T, 2) [rad]."""
         return roll_pitch_of_up(self.up).astype(np.float64)
+
+    def digest(self) -> str:
+        """A fingerprint of all samples."""
+        found = hashlib.blake2b(f"{self.rate_hz}".encode(), digest_size=16)
+        for name in ("ang_vel", "specific_force", "gyro", "accel", "up"):
+            found.update(np.ascontiguousarray(getattr(self, name)).data)
+        return found.hexdigest()
 
     def select(self, ids: Sequence[int] | NDArray[np.int64]) -> Flights:
         """Some of the flights."""
@@ -169,6 +177,8 @@ def windows(
         seed: Of this epoch.
     """
     available = flights.gyro.shape[1]
+    if steps < 1:
+        raise ValueError("windows of no sample: give a larger window_s")
     if steps > available:
         raise ValueError(
             f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"

@@ -22,7 +22,7 @@ from quadsim.dataset import end_with_parent
 
 from .config import TrainConfig, make_config
 from .data import Flights, load_flights
-from .loop import INTERRUPTED, claim, flights_of, replace, run
+from .loop import INTERRUPTED, claim, contents_of, flights_of, replace, run
 from .table1 import TEST, TRAIN, Score, plot, table, write_rows
 
 log = logging.getLogger(__name__)
@@ -44,6 +44,22 @@ class Job:
     out: Path
 
 
+FOLDED = (
+    "model",
+    "preset",
+    "data",
+    "validation",
+    "folds",
+    "fold",
+    "seed",
+    "out",
+    "workers",
+    "executor",
+    "progress",
+)
+"""Names that are no free choice of a cross-validation."""
+
+
 def kfold(
     domains: Sequence[str | Path],
     out: str | Path,
@@ -63,7 +79,7 @@ def kfold(
         domains: Datasets; with more than one, each fold is also tested on all the others.
         out: Folder of the runs and the results.
         models: "att-snn", "att-rnn".
-        preset: "paper" or "best".
+        preset: One of `training.config.PRESETS`.
         folds: Parts into which the flights of each domain are dealt.
         workers: Processes, by default one for each CPU; 1 stays in this process.
         executor: Where to run in place of processes of our own, for instance a Dask client's
@@ -90,13 +106,13 @@ def kfold(
 
 def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[Score]:
     """Train one fold, or go on with it, and score its best weights; a finished fold is read back."""
-    claim(job.out, job.config)
+    learned, validation, test = flights_of(job.config)
+    claim(job.out, job.config, contents_of(job.config, learned, validation))
     if (done := _finished(job)) is not None:
         return done
     result = run(job.config, job.out, lambda epoch, config: progress() if progress else None)
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
-    learned, _, test = flights_of(job.config)
     sets = {TRAIN: learned, TEST: test} | {name: load_flights([path]) for name, path in job.others.items()}
     scores = [
         Score(

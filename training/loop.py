@@ -7,6 +7,7 @@ A run's folder holds `config.json`, `log.csv` (a row per epoch), `checkpoint.pt`
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import logging
 import math
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scaled_inputs
-from estimators.symmetry import is_symmetric
+from estimators.symmetry import OPERATIONS
 from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
 
 from .config import TrainConfig, make_config
@@ -72,10 +73,13 @@ class Result:
     best: Epoch
     reason: str
     """Why it ended."""
-    before_deg: float | None = None
-    """Validation error of the weights that it went on from."""
-    helped: bool = True
-    """Whether the validation loss is below that of those weights."""
+    before: float | None = None
+    """Mean square error on the validation flights of the weights that it went on from [rad²]."""
+
+    @property
+    def helped(self) -> bool:
+        """Whether the validation loss is below that of those weights."""
+        return self.before is None or self.best.val_mse < self.before
 
 
 Progress = Callable[[Epoch, TrainConfig], None]
@@ -195,7 +199,7 @@ def train(
         model: "att-snn" or "att-rnn".
         data: One dataset or several.
         out: Folder of the run.
-        preset: "paper" or "best".
+        preset: One of `training.config.PRESETS`.
         progress: Called after every epoch.
         choices: Fields of `TrainConfig` that differ from the preset.
 
@@ -209,11 +213,11 @@ def train(
 def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Result:
     """As `train`, from a whole configuration."""
     flights, validation, _ = flights_of(config)
-    claim(out, config)
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads)  # the result must not depend on the machine's number of cores
     try:
         state = _Run(config, flights, validation)
+        claim(out, config, contents_of(config, flights, validation))
         before = state.validate() if config.init else None
         if (out / "checkpoint.pt").is_file():
             state.restore(torch.load(out / "checkpoint.pt", weights_only=True))
@@ -225,9 +229,7 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
     _plot(out, state.history)
     best = min(state.history, key=lambda epoch: epoch.val_mse)
     weights = out / "best.safetensors"
-    if before is None:
-        return Result(weights, best, reason)
-    return Result(weights, best, reason, before_deg=before[1], helped=best.val_mse < before[0])
+    return Result(weights, best, reason, None if before is None else before[0])
 
 
 def exported(
@@ -308,14 +310,23 @@ def flights_of(config: TrainConfig) -> tuple[Flights, Flights, Flights]:
         ValueError: Too few flights, or datasets that do not go together.
     """
     flights = load_flights(config.data)
+    if config.init and not math.isclose(flights.rate_hz, rate := load_network(config.init)[0].rate_hz):
+        raise ValueError(f"data at {flights.rate_hz:g} Hz, but the weights of init are for {rate:g} Hz")
     if config.folds:
         parts = fold_split(len(flights), config.folds, config.fold, config.seed)
     elif config.validation:
-        return flights, load_flights(config.validation), flights.select([])
+        return flights, _validation(config, flights), flights.select([])
     else:
         parts = split(len(flights), config.seed)
     train, validation, test = (flights.select(ids) for ids in parts)
-    return train, load_flights(config.validation) if config.validation else validation, test
+    return train, _validation(config, flights) if config.validation else validation, test
+
+
+def _validation(config: TrainConfig, flights: Flights) -> Flights:
+    found = load_flights(config.validation)
+    if found.rate_hz != flights.rate_hz:
+        raise ValueError(f"validation at {found.rate_hz:g} Hz, but the data are at {flights.rate_hz:g} Hz")
+    return found
 
 
 def _new_model(config: TrainConfig) -> Model:
@@ -326,6 +337,11 @@ def _new_model(config: TrainConfig) -> Model:
                 f"att-rnn: layers of {config.encoding} and {config.hidden} units, should be equal"
             )
         return AttRNN(config.hidden)
+    if config.symmetric and not config.init and min(config.encoding, config.hidden) < len(OPERATIONS):
+        raise ValueError(
+            f"symmetric: layers of {config.encoding} and {config.hidden} neurons, at least {len(OPERATIONS)} "
+            "of each share weights; give more, or symmetric=false"
+        )
     return AttSNN(
         config.encoding,
         config.hidden,
@@ -339,8 +355,6 @@ def _new_model(config: TrainConfig) -> Model:
 
 def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> None:
     if config.init:
-        if config.symmetric and config.model == "att-snn":
-            _check_symmetric(config)
         start_from_weights(model, config.init)
         if not config.revive or isinstance(model, AttRNN):
             return
@@ -362,13 +376,6 @@ def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> N
         config.seed,
         config.steps_per_sample,
     )
-
-
-def _check_symmetric(config: TrainConfig) -> None:
-    if config.revive:
-        raise ValueError("revive: neurons that are new share no weights, give symmetric=false with it")
-    if not is_symmetric(load_network(config.init)[1]):
-        raise ValueError(f"symmetric: {config.init} does not share its weights, give symmetric=false")
 
 
 def _inputs(
@@ -396,17 +403,40 @@ def _learning_rate(config: TrainConfig, update: int) -> float:
     return config.optimiser_lr * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
 
 
-def claim(out: Path, config: TrainConfig) -> None:
+def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None) -> None:
     """Make the folder this run's.
 
+    Args:
+        out: The folder.
+        config: Of the run.
+        contents: What `contents_of` says of its files; None: they are not compared.
+
     Raises:
-        ValueError: It holds a run with another configuration.
+        ValueError: It holds a run with another configuration, or on files that have changed.
     """
     out.mkdir(parents=True, exist_ok=True)
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file() and TrainConfig.model_validate_json(file.read_text()) != config:
         raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     replace(file, lambda path: path.write_text(text))
+    if contents is None:
+        return
+    kept = out / "contents.json"
+    if kept.is_file() and (old := json.loads(kept.read_text())) != contents:
+        changed = ", ".join(name for name in contents if old.get(name) != contents[name])
+        raise ValueError(f"{out}: holds a run on other files ({changed} changed), choose another folder")
+    replace(kept, lambda path: path.write_text(json.dumps(contents, indent=2)))
+
+
+def contents_of(config: TrainConfig, flights: Flights, validation: Flights) -> dict[str, str]:
+    """Digests of what a run reads, so that going on with it on other files is noticed."""
+    found = {"data": flights.digest(), "validation": validation.digest()}
+    if config.init:
+        digest = hashlib.blake2b(digest_size=16)
+        for name, tensor in sorted(load_network(config.init)[1].items()):
+            digest.update(name.encode() + tensor.tobytes())
+        found["init"] = digest.hexdigest()
+    return found
 
 
 def _write_log(out: Path, history: list[Epoch]) -> None:
@@ -441,9 +471,16 @@ def replace(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def _commit() -> str:
-    """The commit of the code, where it runs from a repository."""
-    here = Path(__file__).parent
-    found = subprocess.run(
-        ["git", "-C", str(here), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    )
-    return found.stdout.strip()
+    """The commit of the code, where it runs from its own repository; "-dirty" where that has changes."""
+    root = Path(__file__).parents[1]
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=False
+        ).stdout.strip()
+
+    try:
+        ours = Path(git("rev-parse", "--show-toplevel") or "/").samefile(root)
+        return git("describe", "--always", "--dirty", "--exclude=*") if ours else ""
+    except OSError:  # no git
+        return ""

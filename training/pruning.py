@@ -78,11 +78,6 @@ def prune(
             progress=progress,
             validation=validation,
             init=str(before),
-            encoding=cut.encoding,
-            hidden=cut.hidden,
-            inputs=cut.inputs,
-            output_scale=cut.output_scale,
-            steps_per_sample=cut.steps_per_sample,
             **choices,
         )
         config, tensors = load_network(result.weights)

@@ -1,7 +1,7 @@
 """Verbs that make data and take it elsewhere: `generate`, `dataset`, `export`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -9,9 +9,6 @@ from rich.table import Table
 from ..console import executor_of, progress_bar
 from ..console import output as console
 from .options import Rate, Seed, Workers
-
-if TYPE_CHECKING:
-    pass
 
 dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
 

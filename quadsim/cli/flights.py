@@ -1,7 +1,7 @@
 """Verbs that close the loop: `design`, `fly`, `bench`, `report`, `demo`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -10,15 +10,12 @@ from ..console import executor_of, progress_bar
 from ..console import output as console
 from .options import Rate, Seed, Workers, headline
 
-if TYPE_CHECKING:
-    pass
-
 
 def design(
     vehicle: Annotated[str, typer.Option(help="A shipped vehicle or a TOML file.")] = "hummingbird",
     rate: Rate = 200.0,
     delay: Annotated[
-        float, typer.Option(min=0, help="Delay of the attitude estimate in milliseconds.")
+        float, typer.Option(min=0, max=1000, help="Delay of the attitude estimate in milliseconds.")
     ] = 15.0,
     out: Annotated[
         Path | None, typer.Option(help="Picture of what other delays would cost, for example loop.png.")
@@ -74,7 +71,10 @@ def fly(
     rate: Rate = 200.0,
     seed: Seed = 0,
     flight: Annotated[
-        int, typer.Option(min=0, help="Number of the first flight, as in the flights.csv of quadsim bench.")
+        int,
+        typer.Option(
+            min=0, max=9999, help="Number of the first flight, as in the flights.csv of quadsim bench."
+        ),
     ] = 0,
     video: Annotated[bool, typer.Option("--video", help="Make an MP4 of the first flight.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the first flight in MuJoCo's viewer.")] = False,
@@ -192,6 +192,8 @@ def bench(
     if note:
         console.print(note, soft_wrap=True)
     console.print(headline(page, results.rows), soft_wrap=True)
+    if all(cell.reason for cell in results.cells):
+        raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
 
 
 def report(

@@ -8,7 +8,7 @@ import typer
 
 from ..console import Bar, executor_of, progress_bar
 from ..console import output as console
-from .options import Fields, Initial, Preset, Search, Seed, Workers, pair_of, time_left
+from .options import Fields, Initial, Preset, Search, Seed, Workers, fields_of, time_left
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
@@ -47,7 +47,7 @@ def train(
     from training.loop import INTERRUPTED, Epoch
     from training.loop import train as train_network
 
-    choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
+    choices = fields_of(set_, "model", "preset", "data", "validation", "seed", "threads", "out", "progress")
     if epochs is not None:
         choices["epochs"] = epochs
     if init is not None:
@@ -59,7 +59,7 @@ def train(
         def progress(epoch: Epoch, config: "TrainConfig") -> None:
             bar(epoch.epoch + 1, config.epochs)
             console.print(
-                f"epoch {epoch.epoch}: training RMSE {epoch.train_rmse_deg:.2f}°, "
+                f"epoch {epoch.epoch + 1}: training RMSE {epoch.train_rmse_deg:.2f}°, "
                 f"validation {epoch.val_error_deg:.2f}°, spike rates {epoch.rate_encoding:.3f} "
                 f"{epoch.rate_hidden:.3f}, {time_left(epoch.seconds, epoch.epoch + 1, config.epochs)} left",
                 highlight=False,
@@ -76,16 +76,14 @@ def train(
             **choices,
         )
     console.print(
-        f"{result.weights}: validation error {result.best.val_error_deg:.2f}° at epoch {result.best.epoch}; "
-        f"{result.reason}",
+        f"{result.weights}: validation error {result.best.val_error_deg:.2f}° "
+        f"at epoch {result.best.epoch + 1}; {result.reason}",
         soft_wrap=True,
     )
-    if result.before_deg is not None:
+    if result.before is not None:
         helped = "it helped" if result.helped else "it did not help, keep the weights you had"
-        console.print(
-            f"before {result.before_deg:.2f}°, after {result.best.val_error_deg:.2f}°: {helped}",
-            soft_wrap=True,
-        )
+        before, after = (math.degrees(math.sqrt(mse)) for mse in (result.before, result.best.val_mse))
+        console.print(f"RMSE before {before:.2f}°, after {after:.2f}°: {helped}", soft_wrap=True)
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
 
@@ -111,10 +109,11 @@ def kfold(
 
     Example: quadsim kfold --domain data/train.zarr --domain data/train-px4.zarr --out runs/kfold
     """
+    from training.kfold import FOLDED
     from training.kfold import kfold as run_folds
     from training.table1 import TEST, table, terminal_table
 
-    choices: dict[str, object] = dict(pair_of(text) for text in set_ or [])
+    choices = fields_of(set_, *FOLDED)
     if epochs is not None:
         choices["epochs"] = epochs
     with executor_of(cluster) as executor, progress_bar("folds", "epochs") as progress:
@@ -243,6 +242,8 @@ def inspect(
 
     from ..dataset import open_dataset
 
+    if prune is None and train_data:
+        raise ValueError("--train trains on after a cut: it needs --prune")
     name, config, tensors = load_spiking(weights, profiles)
     core = OnLoihi(config, tensors)
     console.print(cores_table(core.cores))
@@ -251,6 +252,7 @@ def inspect(
         weights = out / f"profiles-{profiles}.safetensors"
         out.mkdir(parents=True, exist_ok=True)
         save_network(weights, config, tensors)
+        last = f"{weights}: {last}"
     if data:
         flights = load_flights([open_dataset(path) for path in data])
         with progress_bar("inspect", "parts") as bar:

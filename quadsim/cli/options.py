@@ -13,9 +13,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
 Preset = Annotated[
     str,
-    typer.Option(
-        help="paper: its recipe to the letter; best: the one to use; robust: rough sensors; tune: logs."
-    ),
+    typer.Option(help="paper: its recipe; best: the one to use; robust: rough sensors; tune: logs."),
 ]
 Fields = Annotated[
     list[str] | None,
@@ -37,6 +35,15 @@ def time_left(seconds: float, done: int, total: int) -> str:
     if left < 100:
         return f"{left:.0f} s"
     return f"{left / 60:.0f} min" if left < 6000 else f"{left / 3600:.1f} h"
+
+
+def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
+    """The settings given by --set; what has an option of its own, or follows from others, is refused."""
+    fields = dict(map(pair_of, texts or []))
+    for name in options:
+        if name in fields:
+            raise ValueError(f"--set {name}: it has an option of its own, or follows from the others")
+    return fields
 
 
 def pair_of(text: str) -> tuple[str, object]:

@@ -1,16 +1,13 @@
 """Verbs that compare: `evaluate` on recorded flights and logs, `paper` for all of the paper's results."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ..console import output as console
 from ..console import progress_bar
 from .options import Seed, Workers
-
-if TYPE_CHECKING:
-    pass
 
 
 def evaluate(
@@ -24,7 +21,7 @@ def evaluate(
         list[str] | None, typer.Option(help="Estimator; give it again for more. All if left out.")
     ] = None,
     weights: Annotated[
-        list[str] | None, typer.Option(help="With --logs: weights file of an att-snn to score too.")
+        list[str] | None, typer.Option(help="Weights file to score too, named by its path; again for more.")
     ] = None,
     within: Annotated[
         float, typer.Option(min=1, max=180, help="With --logs: largest true inclination scored, in °.")
@@ -58,21 +55,24 @@ def evaluate(
 
         evaluate_logs(logs, estimator, weights or [], within, axes, tuning, out)
         return
+    if axes is not None:
+        raise ValueError("--axes turns the sensors of --logs; a dataset has body axes")
     assert data is not None
     import estimators
     from estimators import figures
     from estimators.evaluate import evaluate as evaluate_estimators
+    from scenarios.recorded import made_of
     from scenarios.report import write_report
     from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
 
     from ..dataset import open_dataset
 
     flown = open_dataset(data)
+    made = made_of(estimator or estimators.names(), weights or [], float(flown.attrs["rate_hz"]), tuning)
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate_estimators(
             flown,
-            estimator or estimators.names(),
-            tuning=tuning,
+            made,
             slow_flights=slow_flights,
             seed=seed,
             progress=bar,

@@ -95,8 +95,10 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY) -> Calibratio
         gravity: Where it was recorded [m/s²].
 
     Raises:
-        ValueError: A log without a still stretch, or logs at different rates.
+        ValueError: A log without a still stretch, logs at different rates, or no gravity of this planet.
     """
+    if not 9.7 <= gravity <= 9.9:
+        raise ValueError(f"gravity: {gravity} m/s², on Earth it is 9.76 to 9.84")
     stretches = [still_stretch(log) for log in logs]
     rates = [1.0 / float(np.median(np.diff(log.time))) for log in logs]
     if max(rates) > 1.02 * min(rates):
