@@ -22,10 +22,11 @@ from estimators.evaluate import tilted_starts
 from estimators.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
-from estimators.symmetry import ties
+from estimators.symmetry import OPERATIONS, is_symmetric, ties
 from estimators.weights_file import load_network, shipped_names
 from quadsim.dataset import open_dataset
 from quadsim.estimator import AttitudeEstimator
+from training.augment import roll_pitch_of_up
 from training.config import TrainConfig, make_config
 
 HERE = Path(__file__).parent
@@ -113,9 +114,22 @@ def weight_rows(flights: Flights) -> list[str]:
 
 def free_parameters(name: str) -> int:
     """Different numbers among a symmetric network's parameters, those that are zero by symmetry left out."""
-    config, _ = load_network(name)
+    config, tensors = load_network(name)
+    assert is_symmetric(tensors)
     shared = ties(config.encoding, config.hidden).values()
     return 2 + sum(np.unique(tied.first[tied.sign != 0]).size for tied in shared)
+
+
+def untold_deg(flights: Flights) -> float:
+    """Mean absolute difference of roll and pitch from the nearest outputs that turn with the body [deg]."""
+    roll, pitch = flights.truth[..., 0], flights.truth[..., 1]
+    up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], -1)
+    to_roll_pitch = np.array([[0, 1], [-1, 0]])
+    nearest = np.zeros_like(flights.truth)
+    for operation in OPERATIONS:
+        back = to_roll_pitch @ operation[:2, :2].T @ to_roll_pitch.T
+        nearest += roll_pitch_of_up(up @ operation.T) @ back.T / len(OPERATIONS)
+    return float(np.degrees(np.abs(nearest - flights.truth).mean()))
 
 
 def linear_features(gyro: Array, accel: Array, rate_hz: float) -> Array:
@@ -244,6 +258,7 @@ def main() -> None:
         ],
         "parameters": str(sum(t.size for t in load_network("att-snn")[1].values())),
         "free": str(free_parameters("att-snn")),
+        "untold": f"{untold_deg(flights):.2f}",
         "updates": ablation[0]["updates"] if ablation else "?",
         "ablation": [
             f"| {r['row']} | {float(r['val_error_deg']):.2f} | {float(r['val_settled_deg']):.2f} | "
