@@ -346,21 +346,29 @@ def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tm
     load_network(result.weights)
 
 
-def test_revived_neurons_spike_and_leave_the_estimate_as_it_was():
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_revived_neurons_spike_and_leave_the_estimate_as_it_was(symmetric):
     rng = np.random.default_rng(0)
     x = np.round(rng.normal(size=(4, 600, 6)).cumsum(1) * 20) / 1024
-    model = AttSNN(30, 40)
+    model = AttSNN(32, 40, symmetric=symmetric)
     start_from_data(model, x, 0.1 * x[:, :, :2], seed=0)
-    with torch.no_grad():  # five say nothing, and four say always the same
-        model.w_ff[:5] = model.w_rec[:5] = model.w_rec[:, :9] = 0.0
-        model.w_ff[5:9] = 1.0 / model.w_ff_scale[5:9]
-        model.w_rec[5:9] = 0.0
+    with torch.no_grad():  # eight say nothing, and sixteen often the same
+        model.w_ff[:8] = model.w_rec[:8] = model.w_rec[:, :24] = 0.0
+        model.w_ff[8:24] = 1.0 / model.w_ff_scale[8:24]
+        model.w_rec[8:24] = 0.0
         before = model(torch.from_numpy(x))[0].clone()
-    idle = ((rate := _spikes(model, x)[1].mean((0, 1))) < IDLE[0]) | (rate > IDLE[1])
+    rate = _spikes(model, x)[1].mean((0, 1))
+    if symmetric:
+        rate = model.ties["mem1"].mean(rate)
+    idle = (rate < IDLE[0]) | (rate > IDLE[1])
+    assert idle[:8].all()
     count = revive(model, x, seed=1)
-    assert count == idle.sum() - (rate > IDLE[1]).any()
+    assert count == idle.sum() - (rate > IDLE[1]).any() * (8 if symmetric else 1)
     with torch.no_grad():
         after = model(torch.from_numpy(x))[0]
     assert after.numpy() == pytest.approx(before.numpy(), abs=0.02 * float(before.std()))
     still = _spikes(model, x)[1].mean((0, 1))
-    assert np.mean((still[idle] > IDLE[0]) & (still[idle] < IDLE[1])) > 0.7
+    assert np.mean((still[idle] > IDLE[0]) & (still[idle] < IDLE[1])) > 0.6
+    for name in model.ties:
+        values = getattr(model, name)
+        assert torch.equal(model.shared(name, values), values)

@@ -54,8 +54,9 @@ class TrainConfig(Strict):
 
     init: str = ""
     """Weights to go on from, in place of `start`: a file or a shipped name; shape and scaling are theirs."""
-    revive: bool = False
-    """Whether hidden neurons of `init` that never or always spike get new random inputs (att-snn)."""
+    revive: float = Field(default=0.0, ge=0, le=1)
+    """Share of the epochs, from the first, that begin with new inputs for hidden neurons that never or always
+    spike (att-snn)."""
     train_decays: bool = True
     """Whether the time constants are trained too (att-snn)."""
 
@@ -101,6 +102,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "best": {
         "inputs": InputScaling(),
         "symmetric": True,
+        "revive": 0.6,
         "output_scale": 1 / 256,
         "start": "solved",
         "optimiser_lr": 0.1,
@@ -217,8 +219,6 @@ def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, An
     shared = is_symmetric(tensors)
     if choices.get("symmetric") and not shared:
         raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
-    if choices.get("revive") and choices.get("symmetric", shared and values.get("symmetric")):
-        raise ValueError("revive: neurons that are new share no weights, give symmetric=false with it")
     return {
         "inputs": network.inputs.model_copy(update={"bias_samples": wanted}),
         "symmetric": values.get("symmetric", False) and shared,

@@ -107,6 +107,8 @@ class _Run:
     def one_epoch(self) -> Epoch:
         """Train for an epoch and validate the slow weights."""
         began, config, number = time.monotonic(), self.config, len(self.history)
+        if isinstance(self.model, AttSNN) and number < config.revive * config.epochs:
+            self._revive(number)
         squares, rates = [], []
         rate = _learning_rate(config, number * config.batches)
         batches = windows(
@@ -137,6 +139,13 @@ class _Run:
             learning_rate=rate,
             seconds=(self.history[-1].seconds if self.history else 0.0) + time.monotonic() - began,
         )
+
+    def _revive(self, number: int) -> None:
+        x, _ = _sample(self.config, self.flights, self.steps, (self.config.seed, 2, number))
+        assert isinstance(self.model, AttSNN)
+        if found := revive(self.model, x, self.config.seed + number):
+            self.optimiser.restart()
+            log.info("epoch %d begins with %d hidden neurons that were idle", number + 1, found)
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
@@ -356,26 +365,24 @@ def _new_model(config: TrainConfig) -> Model:
 def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> None:
     if config.init:
         start_from_weights(model, config.init)
-        if not config.revive or isinstance(model, AttRNN):
-            return
+        return
     elif isinstance(model, AttRNN):
         return
     elif config.start == "random":
         start_like_the_paper(model, config.seed)
         return
+    x, roll_pitch = _sample(config, flights, steps, (config.seed, 0))
+    start_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample)
+
+
+def _sample(
+    config: TrainConfig, flights: Flights, steps: int, seed: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
+    """Scaled inputs and targets of a few long windows, one entry for each network step."""
     several = max(1, min(3, flights.gyro.shape[1] // steps))
-    batch = next(windows(flights, config.augmentation, 1, 32, several * steps, 1, (config.seed, 0)))
+    batch = next(windows(flights, config.augmentation, 1, 32, several * steps, 1, seed))
     x = _inputs(config, batch.gyro, batch.accel).numpy()
-    if config.init:
-        log.info("%d idle neurons revived", revive(model, x, config.seed))
-        return
-    start_from_data(
-        model,
-        x,
-        np.repeat(batch.roll_pitch, config.steps_per_sample, 1),
-        config.seed,
-        config.steps_per_sample,
-    )
+    return x, np.repeat(batch.roll_pitch, config.steps_per_sample, 1)
 
 
 def _inputs(

@@ -242,8 +242,9 @@ def start_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
 def revive(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -> int:
     """Give hidden neurons that never or always spike something new to say, and nobody that listens yet.
 
-    The estimate stays as it is: what neurons that always spike contribute goes to the first of them. A
-    revived neuron reads a few encoders and a few live hidden neurons, at a rate that its drive spreads over.
+    The estimate stays as it is: what neurons that always spike contribute goes to those of them that stay,
+    the first or, where weights are shared, the first group. A revived neuron reads a few encoders and a few
+    live hidden neurons, at a rate that its drive spreads over.
 
     Args:
         model: To change.
@@ -256,35 +257,38 @@ def revive(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     first, second = _spikes(model, x)
-    rate = second.mean((0, 1))
-    always, never = np.flatnonzero(rate > IDLE[1]), np.flatnonzero(rate < IDLE[0])
-    idle = np.concatenate([never, always[1:]])
+    group = model.ties["mem1"].first if model.ties else np.arange(second.shape[2])
+    rate = (np.bincount(group, second.mean((0, 1))) / np.maximum(np.bincount(group), 1))[group]
+    always = rate > IDLE[1]
+    stays = always & (group == group[always.argmax()])
+    idle = np.flatnonzero((rate < IDLE[0]) | (always & ~stays))
     alive = np.setdiff1d(np.arange(rate.size), idle)
     if not idle.size or not alive.size:
         return 0
     with torch.no_grad():
         w = {name: value.numpy().astype(np.float64) for name, value in model.weights()._asdict().items()}
         for name in ("w_rec", "w_out"):
-            if always.size:
-                w[name][:, always[0]] = w[name][:, always].sum(1)
+            if always.any():
+                w[name][:, stays] = w[name][:, always].sum(1, keepdims=True) / stays.sum()
             w[name][:, idle] = 0.0
-        tau = np.exp(-1.0 / np.exp(rng.uniform(0.0, math.log(100.0), (2, idle.size))))
-        for name, values in zip(("syn1", "mem1"), tau, strict=True):
-            getattr(model, name)[idle] = torch.tensor(np.log(values / (1 - values)), dtype=torch.float32)
+        tau = model.shared("mem1", np.exp(-1.0 / np.exp(rng.uniform(0.0, math.log(100.0), rate.size))))
+        for name in ("syn1", "mem1"):
+            getattr(model, name)[idle] = torch.from_numpy(np.log(tau / (1 - tau)))[idle].float()
     for row in idle:
         for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", alive)):
             w[name][row] = 0.0
             chosen = rng.choice(sources, min(fan_in // 2, sources.size), replace=False)
             w[name][row, chosen] = rng.normal(size=chosen.size)
-    drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[idle].T
-    current = _filtered(drive, tau[0])
-    wanted = np.exp(rng.uniform(math.log(0.1), math.log(0.5), idle.size))
-    scale = (
-        0.5 * wanted / np.maximum(current.std((0, 1)), 1e-6) * np.where(current.mean((0, 1)) < 0, -1.0, 1.0)
-    )
     for name in ("w_ff", "w_rec"):
-        w[name][idle] *= scale[:, None]
-        model.set_weights(name, w[name])
+        w[name] = model.shared(name, w[name])
+    drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[idle].T
+    current = _filtered(drive, tau[idle])
+    scale = np.ones(rate.size)
+    wanted = np.exp(rng.uniform(math.log(0.1), math.log(0.5), idle.size))
+    towards = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)
+    scale[idle] = 0.5 * wanted / np.maximum(current.std((0, 1)), 1e-6) * towards
+    for name in ("w_ff", "w_rec"):
+        model.set_weights(name, w[name] * model.shared("mem1", scale)[:, None])
     model.set_weights("w_out", w["w_out"])
     model.constrain()
     return int(idle.size)

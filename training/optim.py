@@ -54,6 +54,12 @@ class Lookahead:
                 slow += self.alpha * (fast - slow)
                 fast.copy_(slow)
 
+    @torch.no_grad()
+    def restart(self) -> None:
+        """Let the slow weights be where the fast ones are, after these were changed by hand."""
+        for slow, fast in zip(self.slow, self._fast(), strict=True):
+            slow.copy_(fast)
+
     @contextmanager
     def evaluated(self) -> Iterator[None]:
         """Within this context the parameters are the slow weights, the ones to evaluate and to keep."""
