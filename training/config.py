@@ -161,6 +161,7 @@ PRESETS["tune"] = PRESETS["best"] | {
 
 RNN: dict[str, dict[str, Any]] = {
     "best": {"optimiser_lr": 0.003, "batches": 30, "batch_size": 40, "epochs": 100},
+    "robust": {"batches": 30, "batch_size": 40},
     "tune": {"optimiser_lr": 0.002},
 }
 """What the presets change further for att-rnn."""
@@ -222,5 +223,6 @@ def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, An
     return {
         "inputs": network.inputs.model_copy(update={"bias_samples": wanted}),
         "symmetric": values.get("symmetric", False) and shared,
+        "revive": 0.0,
         **kept,
     }
