@@ -46,7 +46,7 @@ ROOT, IMAGES = HERE.parent, HERE / "img"
 TRAIN = tuple(f"data/{name}.zarr" for name in ("train", "train-windy", "train-varied"))
 VALIDATION = tuple(f"data/{name}.zarr" for name in ("val", "val-windy", "val-varied"))
 SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (12, 20, 28, 44), 60, 30, 2
-PRUNE_LR = 0.03
+PRUNE_LR = 0.015
 BEST_OF_PAPER = 2.79
 
 
