@@ -45,7 +45,7 @@ HERE = Path(__file__).parent
 ROOT, IMAGES = HERE.parent, HERE / "img"
 TRAIN = tuple(f"data/{name}.zarr" for name in ("train", "train-windy", "train-varied"))
 VALIDATION = tuple(f"data/{name}.zarr" for name in ("val", "val-windy", "val-varied"))
-SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (12, 20, 28, 44), 60, 30, 2
+SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (12, 20, 28, 44), 40, 15, 2
 PRUNE_LR = 0.015
 BEST_OF_PAPER = 2.79
 

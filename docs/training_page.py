@@ -34,7 +34,7 @@ KEPT = HERE / "training"
 FILTERS = ("complementary", "madgwick", "ekf", "mahony", "vqf", "eskf", "ekf-drag")
 LINEAR = "best linear filter"
 BANDS_HZ = (0.1, 1.0)
-KFOLD = "--preset best --epochs 5"
+KFOLD = "--preset best --epochs 2"
 """What Table 1 was made with."""
 
 Array = NDArray[np.float64]

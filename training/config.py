@@ -117,8 +117,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "windows_per_stream": 20,
         "stop_early": False,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
-        "rate_cost": 0.003,
-        "rate_targets": (0.2, 0.4),
+        "rate_cost": 0.03,
+        "rate_targets": (0.05, 0.05),
     },
 }
 """What each preset changes."""
@@ -144,6 +144,8 @@ PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=12000),
     "optimiser_lr": 0.0015,  # of going on from att-snn: larger steps take from it what it knows
     "epochs": 70,
+    "rate_cost": 0.003,
+    "rate_targets": (0.2, 0.4),
     "augmentation": ROBUST,
 }
 
@@ -154,6 +156,8 @@ PRESETS["tune"] = PRESETS["best"] | {
     "batch_size": 40,
     "window_s": 2.5,
     "windows_per_stream": 4,
+    "rate_cost": 0.003,
+    "rate_targets": (0.2, 0.4),
     "augmentation": Augmentation(gyro_noise=0.0, accel_noise=0.0, accel_bias=0.0),
     "symmetric": False,  # a user's own sensor is never mounted quite straight
 }
