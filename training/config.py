@@ -6,7 +6,7 @@ import difflib
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, PositiveFloat, ValidationError
+from pydantic import Field, PositiveFloat, ValidationError, model_validator
 
 from estimators.symmetry import is_symmetric
 from estimators.weights_file import PAPER_SCALING, InputScaling, load_network
@@ -57,6 +57,11 @@ class TrainConfig(Strict):
     revive: float = Field(default=0.0, ge=0, le=1)
     """Share of the epochs, from the first, that begin with new inputs for hidden neurons that never or always
     spike (att-snn)."""
+    parameters: int = Field(default=0, ge=0)
+    """Most connections and time constants in the end: training begins with every connection and takes away
+    those that matter least (att-snn); 0: all stay."""
+    thinning: tuple[float, float] = (0.25, 0.7)
+    """Shares of the epochs between which connections are taken away."""
     train_decays: bool = True
     """Whether the time constants are trained too (att-snn)."""
 
@@ -96,13 +101,36 @@ class TrainConfig(Strict):
     threads: int = Field(default=1, ge=1)
     """Threads that share a batch; the result depends on their number in the last digits only."""
 
+    @model_validator(mode="after")
+    def _fits(self) -> TrainConfig:
+        constants = 2 * (self.encoding + self.hidden) + 2
+        if self.model == "att-snn" and 0 < self.parameters <= constants:
+            raise ValueError(f"parameters: {self.parameters}, but time constants alone are {constants}")
+        if not 0 <= self.thinning[0] < self.thinning[1] <= 1:
+            raise ValueError(f"thinning: {self.thinning}, should be two rising shares in 0...1")
+        if self.thinned and self.revive > self.thinning[0]:
+            raise ValueError(
+                f"revive: {self.revive}, but connections are taken away from {self.thinning[0]} of the epochs on"
+            )
+        return self
+
+    @property
+    def thinned(self) -> bool:
+        """Whether the network begins with more parameters than it may keep."""
+        h0, h1 = self.encoding, self.hidden
+        whole = 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2
+        return self.model == "att-snn" and 0 < self.parameters < whole
+
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "best": {
         "inputs": InputScaling(),
+        "encoding": 300,
+        "hidden": 300,
+        "parameters": 21202,
         "symmetric": True,
-        "revive": 0.6,
+        "revive": 0.25,
         "output_scale": 1 / 256,
         "start": "solved",
         "optimiser_lr": 0.1,
@@ -205,7 +233,8 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"training: {where} = {first['input']!r}: {first['msg']}") from error
+        text = f"{where} = {first['input']!r}: {first['msg']}" if where else first["msg"]
+        raise ValueError(f"training: {text.removeprefix('Value error, ')}") from error
     paths = [Path(path).resolve() for path in (*config.data, *config.validation)]
     if len(set(paths)) < len(paths):
         raise ValueError("data and validation: a dataset is given twice, its flights would count twice")

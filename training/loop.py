@@ -16,6 +16,7 @@ import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from estimators.weights_file import NetworkConfig, Tensors, load_network, save_n
 from .config import TrainConfig, make_config
 from .data import Batch, Flights, fold_split, load_flights, split, windows
 from .loss import attitude_loss, finished, rate_cost
-from .models import AttRNN, AttSNN, revive, start_from_data, start_from_weights, start_like_the_paper
+from .models import AttRNN, AttSNN, revive, start_from_data, start_from_weights, start_like_the_paper, thin
 from .optim import Lookahead
 
 log = logging.getLogger(__name__)
@@ -60,6 +61,8 @@ class Epoch:
     """Spikes per neuron and step while training."""
     rate_hidden: float
     learning_rate: float
+    parameters: int
+    """Connections that are left, and time constants (att-rnn: weights and biases)."""
     seconds: float
     """Time that training has taken so far."""
 
@@ -103,6 +106,7 @@ class _Run:
         self.optimiser = Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
         self.history: list[Epoch] = []
         self._held = np.zeros((config.batch_size, HELD))
+        self._whole = _size(self.model)
 
     def one_epoch(self) -> Epoch:
         """Train for an epoch and validate the slow weights."""
@@ -126,6 +130,8 @@ class _Run:
             rates.append(spikes)
         if not all(bool(p.isfinite().all()) for p in self.model.parameters()):
             raise FloatingPointError(f"the weights are not finite after epoch {number}")
+        if isinstance(self.model, AttSNN) and config.thinned:
+            self._thin(number)
         mse, error, settled = self.validate()
         return Epoch(
             epoch=number,
@@ -137,6 +143,7 @@ class _Run:
             rate_encoding=float(np.mean([r[0] for r in rates])),
             rate_hidden=float(np.mean([r[1] for r in rates])),
             learning_rate=rate,
+            parameters=_size(self.model),
             seconds=(self.history[-1].seconds if self.history else 0.0) + time.monotonic() - began,
         )
 
@@ -146,6 +153,18 @@ class _Run:
         if found := revive(self.model, x, self.config.seed + number):
             self.optimiser.restart()
             log.info("epoch %d begins with %d hidden neurons that were idle", number + 1, found)
+
+    def _thin(self, number: int) -> None:
+        """Take away this epoch's share of the connections: fewer the fewer are left."""
+        assert isinstance(self.model, AttSNN)
+        start, end = self.config.thinning
+        done = np.clip(((number + 1) / self.config.epochs - start) / (end - start), 0.0, 1.0)
+        wanted = self.config.parameters
+        most = wanted + round((self._whole - wanted) * (1 - done) ** 3)
+        if self.model.parameters_kept > most:
+            state = self.optimiser.optimizer.state
+            thin(self.model, {n: state[p]["exp_avg_sq"] for n, p in self.model.named_parameters()}, most)
+            self.optimiser.restart()
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
@@ -236,7 +255,7 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
     if not state.history:
         raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
     _plot(out, state.history)
-    best = min(state.history, key=lambda epoch: epoch.val_mse)
+    best = min(state.history, key=partial(_rank, config))
     weights = out / "best.safetensors"
     return Result(weights, best, reason, None if before is None else before[0])
 
@@ -282,7 +301,7 @@ def _go_on(run: _Run, out: Path, progress: Progress | None) -> str:
                 return reason
             epoch = run.one_epoch()
             run.history.append(epoch)
-            if epoch.val_mse <= min(e.val_mse for e in run.history):
+            if _rank(config, epoch) <= min(_rank(config, e) for e in run.history):
                 _save_best(run, out, epoch)
             replace(out / "checkpoint.pt", lambda path: torch.save(run.checkpoint(), path))
             _write_log(out, run.history)
@@ -365,6 +384,8 @@ def _new_model(config: TrainConfig) -> Model:
 def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> None:
     if config.init:
         start_from_weights(model, config.init)
+        if isinstance(model, AttSNN) and config.thinned:
+            model.keep_what_is_there()
         return
     elif isinstance(model, AttRNN):
         return
@@ -395,6 +416,17 @@ def _inputs(
     if config.model == "att-rnn":
         return torch.from_numpy(x.astype(np.float32))
     return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
+
+
+def _size(model: Model) -> int:
+    if isinstance(model, AttSNN):
+        return model.parameters_kept
+    return sum(p.numel() for p in model.parameters())
+
+
+def _rank(config: TrainConfig, epoch: Epoch) -> tuple[int, float]:
+    """What the best epoch has the least of: parameters that it may not keep, then validation loss."""
+    return (max(epoch.parameters, config.parameters) if config.thinned else 0, epoch.val_mse)
 
 
 def _step(config: TrainConfig, name: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -88,6 +89,11 @@ class AttSNN(nn.Module):
         self.ties = ties(encoding, hidden) if symmetric else {}
         for name, tied in self.ties.items():
             getattr(self, name).register_hook(partial(_mean, tied))
+        for name in Weights._fields[:4]:
+            kept = torch.ones(getattr(self, name).shape, dtype=torch.bool)
+            if self.ties:
+                kept &= torch.from_numpy(self.ties[name].sign != 0).reshape(kept.shape)
+            self.register_buffer(f"{name}_kept", kept)
         self._spaces: dict[tuple[int, int], Workspace] = {}
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
@@ -138,9 +144,11 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Keep shared weights equal, all in range, and time constants where their gradient lives."""
+        """Keep shared weights equal, removed ones 0, all in range; time constants where a gradient lives."""
         for name in self.ties:
             getattr(self, name).copy_(self.shared(name, getattr(self, name)))
+        for name in Weights._fields[:4]:
+            getattr(self, name).mul_(getattr(self, f"{name}_kept"))
         if self.quantised:
             for name in Weights._fields[:4]:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
@@ -148,6 +156,55 @@ class AttSNN(nn.Module):
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
         for name in Weights._fields[4:]:
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
+
+    @torch.no_grad()
+    def keep_what_is_there(self) -> None:
+        """Take away every connection whose weight is 0."""
+        for name in Weights._fields[:4]:
+            getattr(self, f"{name}_kept").copy_(getattr(self.weights(), name) != 0)
+
+    @property
+    def parameters_kept(self) -> int:
+        """Connections that were not taken away, and time constants."""
+        h0, h1 = self.w_in.shape[0], self.w_ff.shape[0]
+        connections = sum(int(getattr(self, f"{name}_kept").sum()) for name in Weights._fields[:4])
+        return connections + 2 * (h0 + h1) + 2
+
+
+def thin(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:
+    """Take connections away until at most `most` parameters are left, those that matter least first.
+
+    What a weight matters is what the loss would rise without it, to second order and with the mean square of
+    its gradient in place of the curvature, w² E[g²] / 2 ("optimal brain damage", LeCun, Denker & Solla 1990,
+    with the empirical Fisher information). Weights that are shared go together.
+
+    Args:
+        model: To change.
+        squared_gradients: Mean square of the gradient of each entry of the four matrices.
+        most: Connections and time constants.
+    """
+    names = Weights._fields[:4]
+    costs, sizes = [], []
+    firsts = {n: model.ties[n].first if model.ties else np.arange(getattr(model, n).numel()) for n in names}
+    for name, first in firsts.items():
+        kept = getattr(model, f"{name}_kept").numpy().ravel()
+        w, g2 = (
+            t.detach().numpy().ravel().astype(np.float64)
+            for t in (getattr(model, name), squared_gradients[name])
+        )
+        costs.append(np.bincount(first, w * w * g2 * kept, kept.size))
+        sizes.append(np.bincount(first, kept, kept.size))
+    cost, size = np.concatenate(costs), np.concatenate(sizes)
+    order = np.argsort(-cost, kind="stable")
+    room = most - 2 * (model.mem0.numel() + model.mem1.numel()) - 2
+    stays = np.zeros(cost.size, bool)
+    stays[order] = np.cumsum(size[order]) <= room
+    for (name, first), part in zip(
+        firsts.items(), np.split(stays, np.cumsum([c.size for c in costs])[:-1]), strict=True
+    ):
+        kept = getattr(model, f"{name}_kept")
+        kept &= torch.from_numpy(part[first]).reshape(kept.shape)
+    model.constrain()
 
 
 def _mean(tied: Ties, gradient: Tensor) -> Tensor:
