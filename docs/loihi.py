@@ -35,7 +35,7 @@ from estimators.profiles import share_profiles
 from estimators.pruning import CRITERIA, ablation, error_deg, importance
 from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
-from estimators.weights_file import Tensors, load_network, shipped_network
+from estimators.weights_file import Tensors, load_network, parameters, shipped_network
 from quadsim.dataset import open_dataset
 from quadsim.figures import STYLE
 from training.loop import train
@@ -240,7 +240,7 @@ def train_sizes() -> None:
         writer.writerow(["neurons", "parameters", "val_deg", "all_deg"])
         for path in rows:
             config, tensors = load_network(path)
-            size = sum(each.size for each in tensors.values())
+            size = parameters(tensors)
             errors = [f"{error_deg(config, tensors, flights):.3f}" for flights in (alone, every)]
             writer.writerow([config.encoding + config.hidden, size, *errors])
 
@@ -268,7 +268,7 @@ def size_rows(shipped: Sequence[float]) -> list[str]:
     """The front of error against size, and its figure."""
     found = table_of("loihi-size")
     config, tensors = shipped_network("att-snn")
-    whole = (config.encoding + config.hidden, sum(each.size for each in tensors.values()))
+    whole = (config.encoding + config.hidden, parameters(tensors))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.0, 3.0), layout="constrained")
         axes = figure.subplots()

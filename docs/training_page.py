@@ -23,7 +23,7 @@ from estimators.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
 from estimators.symmetry import OPERATIONS, ties
-from estimators.weights_file import load_network, shipped_names
+from estimators.weights_file import load_network, parameters, shipped_names
 from quadsim.dataset import open_dataset
 from quadsim.estimator import AttitudeEstimator
 from training.augment import roll_pitch_of_up
@@ -99,7 +99,7 @@ def weight_rows(flights: Flights) -> list[str]:
     rows = []
     for name in shipped_names():
         config, tensors = load_network(name)
-        size = sum(t.size for t in tensors.values())
+        size = parameters(tensors)
         rates = "– | – | –"
         if config.model == "att-snn":
             activity = record(OnLoihi(config, tensors), flights.gyro[:, :10000], flights.accel[:, :10000])
@@ -254,7 +254,7 @@ def main() -> None:
             f"{float(r['mean_deg']):.2f} ± {float(r['sd_deg']):.2f} |"
             for r in table1
         ],
-        "parameters": str(sum(t.size for t in load_network("att-snn")[1].values())),
+        "parameters": str(parameters(load_network("att-snn")[1])),
         "free": str(free_parameters(make_config("best", data="x"))),
         "untold": f"{untold_deg(flights):.2f}",
         "updates": ablation[0]["updates"] if ablation else "?",

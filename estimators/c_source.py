@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .loihi import DECAY_ONE, STATE_ONE
 from .networks import BIAS_CLIP, BIAS_MAX, BIAS_START, INPUT_MAX, input_scaling
-from .weights_file import NetworkConfig, Tensors
+from .weights_file import NetworkConfig, Tensors, parameters
 
 
 def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
@@ -36,7 +36,7 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
     values = {
         "encoding": config.encoding,
         "hidden": config.hidden,
-        "parameters": sum(value.size for value in tensors.values()),
+        "parameters": parameters(tensors),
         "rate": f"{config.rate_hz:g}",
         "units": round(STATE_ONE / config.output_scale),
         "steps": config.steps_per_sample,

@@ -82,6 +82,30 @@ def without(
     return config.model_copy(update={"encoding": encoding.size, "hidden": hidden.size}), smaller
 
 
+def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, Tensors]:
+    """The network without neurons that no input reaches, which never spike, or that reach no output.
+
+    Its outputs are the same to the last bit. At least one neuron, or where weights are shared one group,
+    stays in each layer.
+    """
+    w_in, w_ff, w_rec, w_out = (tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out"))
+    first, second = w_in.any(1), np.ones(len(w_ff), bool)
+    while True:
+        driven = w_ff[:, first].any(1) | w_rec[:, second].any(1)
+        heard = w_out.any(0) | w_rec[second].any(0)
+        stay = second & driven & heard
+        if (stay == second).all():
+            break
+        second = stay
+    first &= w_ff[second].any(0)
+    groups = _groups(tensors)
+    keep = [
+        np.flatnonzero(alive if alive.any() else group == group[0])
+        for alive, group in zip((first, second), groups, strict=True)
+    ]
+    return without(config, tensors, keep)
+
+
 def pruned(
     config: NetworkConfig, tensors: Tensors, values: Sequence[Array], fraction: float
 ) -> tuple[NetworkConfig, Tensors]:

@@ -71,6 +71,14 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
+def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
+    """Numbers that a network is made of: connections (weights other than 0), time constants and biases."""
+    return sum(
+        int(np.count_nonzero(value)) if name.startswith("w_") else value.size
+        for name, value in tensors.items()
+    )
+
+
 def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
     """Write a network.
 

@@ -6,7 +6,7 @@ from estimators.encoding_study import manipulations, preferred, responses, tunin
 from estimators.flights import load_flights
 from estimators.networks import NetworkEstimator, OnLoihi, Spiking
 from estimators.pruning import CRITERIA, ablation, error_deg, importance, pruned, without
-from estimators.weights_file import load_network, shipped_network
+from estimators.weights_file import load_network, parameters, shipped_network
 from quadsim.dataset import generate
 from quadsim.recipe import flight_config, load_recipe
 from training.pruning import prune
@@ -92,5 +92,5 @@ def test_pruning_trains_on_and_counts_what_is_gone(tmp_path):
     assert [s.removed for s in stages] == [0.0, 0.25, 0.5]
     config, tensors = load_network(stages[-1].weights)
     assert (config.encoding, config.hidden) == (stages[-1].encoding, stages[-1].hidden)
-    assert stages[-1].parameters == sum(value.size for value in tensors.values())
+    assert stages[-1].parameters == parameters(tensors)
     assert stages[-1].tuned_deg < stages[-1].cut_deg * 1.5

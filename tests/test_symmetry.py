@@ -7,13 +7,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from estimators.networks import OnLoihi
-from estimators.pruning import pruned
+from estimators.pruning import connected, pruned
 from estimators.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
 from estimators.weights_file import save_network
 from training.augment import roll_pitch_of_up
 from training.config import make_config
 from training.loop import exported
-from training.models import AttSNN, start_from_data
+from training.models import AttSNN, start_from_data, thin
 
 G = 9.81
 
@@ -26,6 +26,33 @@ def network(encoding, hidden, seed=0):
     start_from_data(model, x, 0.1 * x[:, :, :2], seed=seed, fan_in=8)
     config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
     return model, *exported(model, config, 200.0, {})
+
+
+@given(st.integers(8, 40), st.integers(8, 40), st.floats(0.01, 0.5), st.integers(0, 100))
+@settings(max_examples=25, deadline=None)
+def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, share, seed):
+    """The estimate of a network with few connections is the same to the last bit, and stays symmetric."""
+    model, _, _ = network(encoding, hidden, seed)
+    rng = np.random.default_rng(seed)
+    squares = {
+        name: torch.from_numpy(model.shared(name, rng.random(tuple(getattr(model, name).shape)) ** 20))
+        for name in ("w_in", "w_ff", "w_rec", "w_out")
+    }
+    constants = 2 * (encoding + hidden) + 2
+    thin(model, squares, constants + int(share * (model.parameters_kept - constants)))
+    config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
+    whole = exported(model, config, 200.0, {})
+    fewer = connected(*whole)
+    assert fewer[0].encoding <= encoding
+    assert fewer[0].hidden <= hidden
+    assert is_symmetric(fewer[1])
+    gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
+    accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
+    estimates = np.empty((2, 1, 200, 2))
+    for out, (config, tensors) in zip(estimates, (whole, fewer), strict=True):
+        core = OnLoihi(config, tensors)
+        core.run(core.zero(1), gyro, accel, out)
+    np.testing.assert_array_equal(*estimates)
 
 
 def rolled_and_pitched(operation, roll_pitch):

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from estimators.networks import create_network
-from estimators.weights_file import load_network
+from estimators.symmetry import is_symmetric
+from estimators.weights_file import load_network, parameters
 from quadsim.dataset import generate
 from quadsim.recipe import flight_config, load_recipe
 from training import loop
@@ -15,7 +16,7 @@ from training.config import TrainConfig, make_config
 from training.data import load_flights, split, windows
 from training.loop import train
 from training.loss import finished
-from training.models import IDLE, AttSNN, _spikes, revive, start_from_data
+from training.models import IDLE, AttSNN, _spikes, revive, start_from_data, thin
 
 TINY = {
     "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
@@ -75,6 +76,62 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
 
 
+THINNED = TINY | {"parameters": 300, "revive": 0.25, "epochs": 4}
+
+
+def test_a_thinned_run_keeps_within_its_parameters_and_resumes_to_the_same_weights(dataset, tmp_path):
+    rows = []
+    whole = train(
+        data=dataset, out=tmp_path / "whole", progress=lambda epoch, config: rows.append(epoch), **THINNED
+    )
+    counts = [row.parameters for row in rows]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > 700
+    assert counts[-2] <= 300
+    assert whole.best.parameters <= 300  # whatever the loss of an earlier, larger network was
+    config, tensors = load_network(whole.weights)
+    assert parameters(tensors) <= 300
+    assert (config.encoding, config.hidden) == (len(tensors["w_in"]), len(tensors["w_ff"]))
+    assert is_symmetric(tensors)
+
+    def die(epoch, config):
+        if epoch.epoch == 1:
+            raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        train(data=dataset, out=tmp_path / "cut", progress=die, **THINNED)
+    train(data=dataset, out=tmp_path / "cut", **THINNED)
+    same(tensors, weights_of(tmp_path / "cut"))
+
+
+def test_going_on_from_a_thinned_network_leaves_its_connections_away(dataset, tmp_path):
+    first = train(data=dataset, out=tmp_path / "first", **THINNED)
+    before = weights_of(tmp_path / "first")
+    on = {k: v for k, v in TINY.items() if k not in ("encoding", "hidden")} | {"parameters": 300}
+    train(data=dataset, out=tmp_path / "on", init=str(first.weights), optimiser_lr=0.3, **on)
+    state = torch.load(tmp_path / "on" / "checkpoint.pt", weights_only=True)["model"]
+    assert state["w_in"].any()
+    for name in ("w_in", "w_ff", "w_rec", "w_out"):
+        assert not (state[name].numpy()[before[name] == 0]).any()
+
+
+def test_connections_that_matter_least_go_first():
+    model = AttSNN(6, 5)
+    rng = np.random.default_rng(0)
+    names = ("w_in", "w_ff", "w_rec", "w_out")
+    for name in names:
+        model.set_weights(name, rng.normal(size=getattr(model, name).shape))
+    squares = {name: torch.tensor(rng.random(getattr(model, name).shape)) for name in names}
+    cost = {name: getattr(model, name).detach().double() ** 2 * squares[name] for name in names}
+    thin(model, squares, 24 + 40)
+    assert model.parameters_kept == 24 + 40
+    kept = torch.cat([getattr(model, f"{name}_kept").ravel() for name in names])
+    every = torch.cat([cost[name].ravel() for name in names])
+    assert every[kept].min() > every[~kept].max()
+    for name in names:
+        assert ((getattr(model, name) != 0) == getattr(model, f"{name}_kept")).all()
+
+
 def test_ctrl_c_keeps_the_best_weights(dataset, tmp_path):
     def interrupt(epoch, config):
         raise KeyboardInterrupt
@@ -105,6 +162,12 @@ def test_bad_choices_give_one_clear_line(tmp_path):
         make_config(data="x.zarr", batch_size=0)
     with pytest.raises(ValueError, match=r"training: layer_steps\.1 = -1: .*greater than 0"):
         make_config(data="x.zarr", layer_steps=[1, -1, 1])
+    with pytest.raises(ValueError, match="training: parameters: 800, but time constants alone are 1202"):
+        make_config("best", data="x.zarr", parameters=800)
+    with pytest.raises(ValueError, match=r"revive: 0\.6, but connections are taken away from 0\.25 on"):
+        make_config("best", data="x.zarr", revive=0.6)
+    with pytest.raises(ValueError, match=r"training: thinning: .*should be two rising shares"):
+        make_config("best", data="x.zarr", thinning=(0.7, 0.2))
     with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
         train(data=tmp_path / "none.zarr", out=tmp_path / "run")
     with pytest.raises(ValueError, match="a dataset is given twice"):

@@ -110,7 +110,7 @@ class TrainConfig(Strict):
             raise ValueError(f"thinning: {self.thinning}, should be two rising shares in 0...1")
         if self.thinned and self.revive > self.thinning[0]:
             raise ValueError(
-                f"revive: {self.revive}, but connections are taken away from {self.thinning[0]} of the epochs on"
+                f"revive: {self.revive}, but connections are taken away from {self.thinning[0]} on"
             )
         return self
 
@@ -191,10 +191,12 @@ PRESETS["tune"] = PRESETS["best"] | {
 }
 """Go on from weights on a user's own logs, whose errors are real: nothing is added."""
 
+LIKE_THE_PAPER = {"encoding": 100, "hidden": 100, "parameters": 0, "batches": 30, "batch_size": 40}
+
 RNN: dict[str, dict[str, Any]] = {
-    "best": {"optimiser_lr": 0.003, "batches": 30, "batch_size": 40, "epochs": 100},
-    "robust": {"batches": 30, "batch_size": 40},
-    "tune": {"optimiser_lr": 0.002},
+    "best": LIKE_THE_PAPER | {"optimiser_lr": 0.003, "epochs": 100},
+    "robust": LIKE_THE_PAPER,
+    "tune": LIKE_THE_PAPER | {"optimiser_lr": 0.002, "batches": 20},
 }
 """What the presets change further for att-rnn."""
 

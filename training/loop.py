@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scaled_inputs
+from estimators.pruning import connected
 from estimators.symmetry import OPERATIONS
 from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
 
@@ -328,6 +329,8 @@ def _save_best(run: _Run, out: Path, epoch: Epoch) -> None:
     }
     with run.optimiser.evaluated():
         network, tensors = exported(run.model, run.config, run.flights.rate_hz, note)
+    if run.config.thinned:
+        network, tensors = connected(network, tensors)
     replace(out / "best.safetensors", lambda path: save_network(path, network, tensors))
 
 

@@ -10,7 +10,7 @@ from estimators.activity import record
 from estimators.flights import Flights, load_flights
 from estimators.networks import OnLoihi
 from estimators.pruning import Pruned, error_deg, importance, pruned
-from estimators.weights_file import load_network, save_network, shipped_network
+from estimators.weights_file import load_network, parameters, save_network, shipped_network
 from quadsim.dataset import open_dataset
 
 from .loop import Progress, train
@@ -62,8 +62,7 @@ def prune(
     start.parent.mkdir(parents=True, exist_ok=True)
     save_network(start, config, tensors)
     error = error_deg(config, tensors, scored)
-    size = sum(value.size for value in tensors.values())
-    done = [Pruned(0.0, *full, size, error, error, start)]
+    done = [Pruned(0.0, *full, parameters(tensors), error, error, start)]
     for stage in range(1, stages + 1):
         goal = 1 - fraction * stage / stages
         share = 1 - goal * sum(full) / (config.encoding + config.hidden)
@@ -83,9 +82,10 @@ def prune(
         config, tensors = load_network(result.weights)
         tuned = error_deg(config, tensors, scored)
         removed = 1 - (cut.encoding + cut.hidden) / sum(full)
-        size = sum(value.size for value in tensors.values())
         cut_error = error_deg(cut, fewer, scored)
-        done.append(Pruned(removed, cut.encoding, cut.hidden, size, cut_error, tuned, result.weights))
+        done.append(
+            Pruned(removed, cut.encoding, cut.hidden, parameters(tensors), cut_error, tuned, result.weights)
+        )
         if stage_done:
             stage_done(done[-1])
     return done
