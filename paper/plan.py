@@ -40,8 +40,8 @@ ITEMS = (
 )  # fmt: skip
 """What `--only` chooses from."""
 
-SPIKES = {"rate_cost": 0.003, "rate_targets": [0.2, 0.4]}
-"""Price of spikes, as for the weights that ship."""
+NETWORK = {"encoding": 100, "hidden": 100, "rate_cost": 0.003, "rate_targets": [0.2, 0.4]}
+"""The paper's size of network, and as many spikes as it likes."""
 
 
 SNN_STEP_S, RNN_STEP_S = 2.3e-8, 3.5e-5
@@ -150,7 +150,7 @@ def _net(
 ) -> Stage:  # fmt: skip
     """A training."""
     if choices.get("model") != "att-rnn" and preset == "best":
-        choices = SPIKES | choices
+        choices = NETWORK | choices
     settings = {
         "data": list(data), "validation": list(validation), "preset": preset, "seed": s.seed + seed,
         **budget.choices(), **choices,
@@ -181,7 +181,7 @@ def _networks(s: Settings) -> list[Stage]:
 def _folds(s: Settings) -> list[Stage]:
     found = []
     for model, budget in (("att-snn", s.fold_snn), ("att-rnn", s.fold_rnn)):
-        spikes = SPIKES if model == "att-snn" else {}
+        spikes = NETWORK if model == "att-snn" else {}
         for domain, other in (("sim", "real"), ("real", "sim")):
             for k in range(s.folds):
                 settings = {

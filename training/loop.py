@@ -40,6 +40,8 @@ log = logging.getLogger(__name__)
 
 Model = AttSNN | AttRNN
 
+THIN_EVERY = 60
+"""Updates between two times that connections are taken away, an epoch's end apart."""
 INTERRUPTED = "interrupted"
 """Why a run ended that Ctrl-C stopped; it goes on where it was."""
 
@@ -129,10 +131,10 @@ class _Run:
                 raise FloatingPointError(f"the loss is {square} at epoch {number}, update {k}")
             squares.append(square)
             rates.append(spikes)
+            if config.thinned and (k % THIN_EVERY == THIN_EVERY - 1 or k == config.batches - 1):
+                self._thin(number * config.batches + k + 1)
         if not all(bool(p.isfinite().all()) for p in self.model.parameters()):
             raise FloatingPointError(f"the weights are not finite after epoch {number}")
-        if isinstance(self.model, AttSNN) and config.thinned:
-            self._thin(number)
         mse, error, settled = self.validate()
         return Epoch(
             epoch=number,
@@ -155,17 +157,17 @@ class _Run:
             self.optimiser.restart()
             log.info("epoch %d begins with %d hidden neurons that were idle", number + 1, found)
 
-    def _thin(self, number: int) -> None:
-        """Take away this epoch's share of the connections: fewer the fewer are left."""
+    def _thin(self, updates: int) -> None:
+        """Take away connections, fewer the fewer are left: what is over goes with the cube of the time left."""
         assert isinstance(self.model, AttSNN)
-        start, end = self.config.thinning
-        done = np.clip(((number + 1) / self.config.epochs - start) / (end - start), 0.0, 1.0)
-        wanted = self.config.parameters
+        config, (start, end) = self.config, self.config.thinning
+        done = np.clip((updates / (config.epochs * config.batches) - start) / (end - start), 0.0, 1.0)
+        wanted = config.parameters
         most = wanted + round((self._whole - wanted) * (1 - done) ** 3)
         if self.model.parameters_kept > most:
             state = self.optimiser.optimizer.state
             thin(self.model, {n: state[p]["exp_avg_sq"] for n, p in self.model.named_parameters()}, most)
-            self.optimiser.restart()
+            self.optimiser.keep(self.model.kept)
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config

@@ -147,8 +147,8 @@ class AttSNN(nn.Module):
         """Keep shared weights equal, removed ones 0, all in range; time constants where a gradient lives."""
         for name in self.ties:
             getattr(self, name).copy_(self.shared(name, getattr(self, name)))
-        for name in Weights._fields[:4]:
-            getattr(self, name).mul_(getattr(self, f"{name}_kept"))
+        for weight, kept in self.kept.items():
+            weight.mul_(kept)
         if self.quantised:
             for name in Weights._fields[:4]:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
@@ -164,10 +164,15 @@ class AttSNN(nn.Module):
             getattr(self, f"{name}_kept").copy_(getattr(self.weights(), name) != 0)
 
     @property
+    def kept(self) -> dict[Tensor, Tensor]:
+        """By weight matrix, which of its entries are connections."""
+        return {getattr(self, name): getattr(self, f"{name}_kept") for name in Weights._fields[:4]}
+
+    @property
     def parameters_kept(self) -> int:
         """Connections that were not taken away, and time constants."""
         h0, h1 = self.w_in.shape[0], self.w_ff.shape[0]
-        connections = sum(int(getattr(self, f"{name}_kept").sum()) for name in Weights._fields[:4])
+        connections = sum(int(kept.sum()) for kept in self.kept.values())
         return connections + 2 * (h0 + h1) + 2
 
 

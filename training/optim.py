@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -53,6 +53,13 @@ class Lookahead:
             for slow, fast in zip(self.slow, self._fast(), strict=True):
                 slow += self.alpha * (fast - slow)
                 fast.copy_(slow)
+
+    @torch.no_grad()
+    def keep(self, kept: Mapping[torch.Tensor, torch.Tensor]) -> None:
+        """Make slow weights 0 where they were taken away; by parameter, which of its entries are kept."""
+        for slow, fast in zip(self.slow, self._fast(), strict=True):
+            if fast in kept:
+                slow.mul_(kept[fast])
 
     @torch.no_grad()
     def restart(self) -> None:
