@@ -158,7 +158,7 @@ class _Run:
             log.info("epoch %d begins with %d hidden neurons that were idle", number + 1, found)
 
     def _thin(self, updates: int) -> None:
-        """Take away connections, fewer the fewer are left: what is over goes with the cube of the time left."""
+        """Take away connections, fewer the fewer are left: the excess falls as the cube of the time left."""
         assert isinstance(self.model, AttSNN)
         config, (start, end) = self.config, self.config.thinning
         done = np.clip((updates / (config.epochs * config.batches) - start) / (end - start), 0.0, 1.0)
