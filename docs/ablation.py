@@ -11,7 +11,7 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from estimators.weights_file import PAPER_SCALING
+from estimators.weights_file import PAPER_SCALING, load_network, parameters
 from training.augment import Augmentation
 from training.config import PRESETS, make_config
 from training.loop import train
@@ -20,9 +20,17 @@ HERE = Path(__file__).parent
 BEST: dict[str, Any] = PRESETS["best"]
 ERRORS: Augmentation = BEST["augmentation"]
 
+SIZES: tuple[tuple[int, int, int], ...] = (
+    (100, 100, 0), (200, 200, 0), (200, 200, 21202), (300, 300, 0), (300, 300, 21202), (300, 300, 12000),
+)  # fmt: skip
+"""Neurons of both layers at the start, and the parameters that may stay (0: all)."""
+SIZE_EPOCHS = 16
+
 ROWS: dict[str, dict[str, Any]] = {
     "best": {},
     "best, another seed": {"seed": 1},
+    "100 + 100 neurons, every connection": {"encoding": 100, "hidden": 100},
+    "300 + 300 neurons, every connection": {"parameters": 0},
     "inputs scaled as in the paper": {"inputs": PAPER_SCALING},
     "random start": {"start": "random"},
     "outputs of 1 rad per unit": {"output_scale": 1.0},
@@ -51,7 +59,11 @@ def main() -> None:
     parser.add_argument("--data", default="data/train.zarr")
     parser.add_argument("--validation", default="data/val.zarr")
     parser.add_argument("--runs", type=Path, default=Path("runs/ablation"))
+    parser.add_argument("--thinning", action="store_true", help="The table of sizes instead.")
     args = parser.parse_args()
+    if args.thinning:
+        thinning(args.runs)
+        return
     rows = []
     for name, changes in ROWS.items():
         choices: dict[str, Any] = {"preset": "best", "epochs": args.epochs} | changes
@@ -67,11 +79,43 @@ def main() -> None:
                 "rate_hidden": round(result.best.rate_hidden, 3),
             }
         )
-        print(rows[-1], flush=True)
-        with (HERE / "training" / "ablation.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        write("ablation", rows)
+
+
+def thinning(runs: Path) -> None:
+    """Train networks of several sizes, thinned and not: writes docs/training/thinning.csv."""
+    data, validation = (
+        tuple(f"data/{name}{kind}.zarr" for kind in ("", "-windy")) for name in ("train", "val")
+    )
+    rows = []
+    for encoding, hidden, most in SIZES:
+        result = train(
+            data=data, validation=validation, out=runs / f"from-{encoding}-{hidden}-to-{most}", preset="best",
+            epochs=SIZE_EPOCHS, encoding=encoding, hidden=hidden, parameters=most,
+        )  # fmt: skip
+        config, tensors = load_network(result.weights)
+        rows.append(
+            {
+                "begins": f"{encoding} + {hidden}",
+                "keeps": most or "all",
+                "parameters": parameters(tensors),
+                "neurons": f"{config.encoding} + {config.hidden}",
+                "val_error_deg": round(result.best.val_error_deg, 3),
+                "rate_encoding": round(result.best.rate_encoding, 3),
+                "rate_hidden": round(result.best.rate_hidden, 3),
+                "epochs": SIZE_EPOCHS,
+            }
+        )
+        write("thinning", rows)
+
+
+def write(name: str, rows: list[dict[str, Any]]) -> None:
+    """Say the last row, and write all of them."""
+    print(rows[-1], flush=True)
+    with (HERE / "training" / f"{name}.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from estimators.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
 from estimators.symmetry import OPERATIONS, ties
-from estimators.weights_file import load_network, parameters, shipped_names
+from estimators.weights_file import Tensors, load_network, parameters, shipped_names
 from quadsim.dataset import open_dataset
 from quadsim.estimator import AttitudeEstimator
 from training.augment import roll_pitch_of_up
@@ -112,10 +112,11 @@ def weight_rows(flights: Flights) -> list[str]:
     return rows
 
 
-def free_parameters(config: TrainConfig) -> int:
-    """Different numbers among a symmetric network's parameters, those that are zero by symmetry left out."""
-    shared = ties(config.encoding, config.hidden).values()
-    return 2 + sum(np.unique(tied.first[tied.sign != 0]).size for tied in shared)
+def free_parameters(tensors: Tensors) -> int:
+    """Different numbers among a symmetric network's parameters: shared ones count once."""
+    shared = ties(len(tensors["w_in"]), len(tensors["w_ff"]))
+    there = {name: tensors[name].ravel() != 0 for name in shared}
+    return 2 + sum(np.unique(tied.first[there[name]]).size for name, tied in shared.items())
 
 
 def untold_deg(flights: Flights) -> float:
@@ -228,7 +229,8 @@ def main() -> None:
     estimators = made()
     train = load_flights([open_dataset(HERE.parent / "data" / "train.zarr")], 24)
     rows, finding = limits(estimators, flights, perfect, train)
-    table1, ablation = kept("table1"), kept("ablation")
+    table1, ablation, sizes = kept("table1"), kept("ablation"), kept("thinning")
+    _, tensors = load_network("att-snn")
     means = [
         attitude_error(estimate_of(estimators[name], flights), flights.truth).mean
         for name in ("att-snn", "att-snn without rounding")
@@ -254,8 +256,19 @@ def main() -> None:
             f"{float(r['mean_deg']):.2f} ± {float(r['sd_deg']):.2f} |"
             for r in table1
         ],
-        "parameters": str(parameters(load_network("att-snn")[1])),
-        "free": str(free_parameters(make_config("best", data="x"))),
+        "parameters": str(parameters(tensors)),
+        "free": str(free_parameters(tensors)),
+        "whole": str(make_config("best", data="x").whole),
+        "most": str(make_config("best", data="x").parameters),
+        "encoding": str(len(tensors["w_in"])),
+        "hidden": str(len(tensors["w_ff"])),
+        "seed_epochs": sizes[0]["epochs"] if sizes else "?",
+        "thinning": [
+            f"| {r['begins']} | {r['keeps']} | {r['parameters']} | {r['neurons']} | "
+            f"{float(r['val_error_deg']):.2f} | "
+            f"{float(r['rate_encoding']):.3f} | {float(r['rate_hidden']):.3f} |"
+            for r in sizes
+        ],
         "untold": f"{untold_deg(flights):.2f}",
         "updates": ablation[0]["updates"] if ablation else "?",
         "ablation": [

@@ -115,11 +115,15 @@ class TrainConfig(Strict):
         return self
 
     @property
+    def whole(self) -> int:
+        """Parameters of Att-SNN with every connection."""
+        h0, h1 = self.encoding, self.hidden
+        return 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2
+
+    @property
     def thinned(self) -> bool:
         """Whether the network begins with more parameters than it may keep."""
-        h0, h1 = self.encoding, self.hidden
-        whole = 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2
-        return self.model == "att-snn" and 0 < self.parameters < whole
+        return self.model == "att-snn" and 0 < self.parameters < self.whole
 
 
 PRESETS: dict[str, dict[str, Any]] = {
