@@ -13,9 +13,10 @@ def ones(out, inputs):
 
 
 def test_every_neuron_has_one_place_and_every_core_fits():
-    chip = OnLoihi(*shipped_network("att-snn"))
+    config, tensors = shipped_network("att-snn")
+    chip, sizes = OnLoihi(config, tensors), (config.encoding, config.hidden, 2)
     placed = [(k, i) for core in chip.cores for k, ids in core.neurons.items() for i in ids]
-    assert sorted(placed) == [(k, i) for k, size in enumerate((100, 100, 2)) for i in range(size)]
+    assert sorted(placed) == [(k, i) for k, size in enumerate(sizes) for i in range(size)]
     assert all(core.used()[name] <= LIMITS[name] for core in chip.cores for name in LIMITS)
 
 

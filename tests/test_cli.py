@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from estimators.weights_file import shipped_network
 from quadsim.cli import app, main
 from quadsim.cli.options import pair_of
 
@@ -180,7 +181,8 @@ def test_inspect_shows_where_the_neurons_go(quadsim, tmp_path):
     assert code == 0
     assert (tmp_path / "inside" / "profiles-32.safetensors").is_file()
     assert "fan-in axons" in out
-    assert "202 neurons on 1 of a chip's 128 cores" in out
+    config, _ = shipped_network("att-snn")
+    assert f"{config.encoding + config.hidden + 2} neurons on 1 of a chip's 128 cores" in out
 
 
 def test_inspect_leaves_pictures_and_a_page(quadsim, dataset, tmp_path):

