@@ -158,7 +158,13 @@ class LoihiNetwork:
 @njit(cache=True, inline="always")
 def decay(x: int, d: int) -> int:
     """D(x, d): the part of x that a decay d leaves, rounded toward zero."""
-    return (x * (DECAY_ONE - d)) >> 12 if x >= 0 else -((-x * (DECAY_ONE - d)) >> 12)
+    return shift(x * (DECAY_ONE - d), 12)
+
+
+@njit(cache=True, inline="always")
+def shift(x: int, bits: int) -> int:
+    """x / 2^bits rounded toward zero, without a branch: the signs of currents are hard to predict."""
+    return (x + ((x >> 63) & ((1 << bits) - 1))) >> bits
 
 
 @njit(cache=True, inline="always")
@@ -186,31 +192,33 @@ def step_arrays(before, after, u, v, bias, bias_exp, weights, rows, start, du, d
         vth: Threshold mantissas, shape (neurons,).
     """
     n_in = start[0]
-    before[:, n_in:] = after[:, n_in:]
     dendrite = np.empty(u.shape[1], np.int32)
     for b in range(u.shape[0]):
+        sent, arrive, currents, potentials = before[b], after[b], u[b], v[b]
+        sent[n_in:] = arrive[n_in:]
+        dendrite[:] = 0
         offset = 0
         for k in range(rows.shape[0]):
-            lo, hi = start[k] - n_in, start[k + 1] - n_in
-            size = hi - lo
-            dendrite[:size] = 0
+            into = dendrite[start[k] - n_in : start[k + 1] - n_in]
             below = 0 if k == 0 else start[k - 1]
             for row in range(rows[k, 1]):
                 source = below + row if row < rows[k, 0] else start[k] + row - rows[k, 0]
-                if before[b, source] != 0:
-                    for i in range(size):
-                        dendrite[i] += weights[offset + row * size + i]
-            offset += rows[k, 1] * size
-            for i in range(size):
-                j = lo + i
-                current = wrap(decay(u[b, j], du[j]) + wrap(int(dendrite[i]) << 6, 21), 23)
-                potential = decay(v[b, j], dv[j]) + current + (bias[b, j] << bias_exp[j])
-                potential = min(max(potential, -STATE_MAX), STATE_MAX)
-                fires = potential > vth[j] << 6
-                u[b, j] = current
-                v[b, j] = 0 if fires else potential
-                after[b, n_in + j] = fires
-    before[:, :n_in] = after[:, :n_in]
+                if sent[source] != 0:
+                    begin = offset + row * into.size
+                    weight = weights[begin : begin + into.size]
+                    for i in range(into.size):
+                        into[i] += weight[i]
+            offset += rows[k, 1] * into.size
+        for j in range(currents.size):  # short loops without branches, for the vector unit
+            currents[j] = wrap(decay(currents[j], du[j]) + wrap(np.int64(dendrite[j]) << 6, 21), 23)
+        for j in range(currents.size):
+            driven = decay(potentials[j], dv[j]) + currents[j] + (bias[b, j] << bias_exp[j])
+            potentials[j] = min(max(driven, -STATE_MAX), STATE_MAX)
+        for j in range(currents.size):
+            fires = potentials[j] > vth[j] << 6
+            arrive[n_in + j] = fires
+            potentials[j] = 0 if fires else potentials[j]
+        sent[:n_in] = arrive[:n_in]
 
 
 def _layer_size(layer: LoihiLayer) -> int:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .chip import partition
 from .dynamics import BIAS_EXP, run_network, zero_state
 from .gru import run_gru
-from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, step_arrays, wrap
+from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
 from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
@@ -194,7 +194,7 @@ class OnLoihi:
             ]
         )
         self.cores = partition(self.chip.layers)
-        self.encoder = np.ascontiguousarray(w["w_in"].T), w["syn0"]
+        self.encoder = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"]
         self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
         self.inputs = encoder_of(config.inputs)
 
@@ -359,13 +359,12 @@ def _run_on_loihi(gyro, accel, offset, gain, memory, w_in, du, steps, scale, sta
 @njit(cache=True)
 def _encoding_bias(x, w_in, du, current, bias):
     """Advance the host's currents of the encoding layer and write them as bias mantissas, toward zero."""
-    for i in range(current.shape[0]):
-        drive = 0
-        for k in range(w_in.shape[0]):
-            drive += w_in[k, i] * np.int64(x[k])
+    drive = np.zeros(current.size, np.int32)
+    for k in range(w_in.shape[0]):
+        value, row = np.int32(x[k]), w_in[k]
+        for i in range(drive.size):
+            drive[i] += value * row[i]
+    for i in range(current.size):
         # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
-        drive = drive >> 4 if drive >= 0 else -(-drive >> 4)
-        u = wrap(decay(current[i], du[i]) + drive, 23)
-        current[i] = u
-        mantissa = u >> BIAS_EXP if u >= 0 else -(-u >> BIAS_EXP)
-        bias[i] = min(max(mantissa, -BIAS_MANT_MAX), BIAS_MANT_MAX)
+        current[i] = wrap(decay(current[i], du[i]) + shift(np.int64(drive[i]), 4), 23)
+        bias[i] = min(max(shift(current[i], BIAS_EXP), -BIAS_MANT_MAX), BIAS_MANT_MAX)
