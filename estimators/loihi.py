@@ -163,7 +163,7 @@ def decay(x: int, d: int) -> int:
 
 @njit(cache=True, inline="always")
 def shift(x: int, bits: int) -> int:
-    """x / 2^bits rounded toward zero, without a branch: the signs of currents are hard to predict."""
+    """Divide by 2^bits, rounding toward zero, without a branch: signs of currents are hard to predict."""
     return (x + ((x >> 63) & ((1 << bits) - 1))) >> bits
 
 
