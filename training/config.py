@@ -142,7 +142,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "adam_beta2": 0.99,
         "decay": "cosine",
         "clip": 1.0,
-        "epochs": 160,
+        "epochs": 100,
         "batches": 600,
         "batch_size": 4,
         "window_s": 5.0,
