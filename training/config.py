@@ -175,7 +175,7 @@ ROBUST = Augmentation(
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=12000),
     "optimiser_lr": 0.0015,  # of going on from att-snn: larger steps take from it what it knows
-    "epochs": 70,
+    "epochs": 10,
     "rate_cost": 0.003,
     "rate_targets": (0.2, 0.4),
     "augmentation": ROBUST,
