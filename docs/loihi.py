@@ -371,6 +371,7 @@ def main() -> None:
         "sizes": size_rows([error_deg(config, tensors, flights) for flights in (alone, every)]),
         "exports": export_rows(alone),
     }
+    smallest = table_of("training/thinning")[-1]
     words = {key: "\n".join(rows) for key, rows in texts.items()} | {
         "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),
         "limit_lines": "|".join("---" for _ in LIMITS),
@@ -378,6 +379,11 @@ def main() -> None:
         "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " a step",
         "prune_epochs": table_of("loihi-pruning")[-1]["epochs"],
         "size_epochs": str(SIZE_EPOCHS),
+        "thin_parameters": smallest["parameters"],
+        "thin_neurons": smallest["neurons"],
+        "thin_deg": f"{float(smallest['val_error_deg']):.2f}",
+        "thin_epochs": smallest["epochs"],
+        "thin_most": smallest["keeps"],
     }
     page = (HERE / "loihi.template.md").read_text()
     for key, text in words.items():

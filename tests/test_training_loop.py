@@ -102,6 +102,8 @@ def test_a_thinned_run_keeps_within_its_parameters_and_resumes_to_the_same_weigh
         train(data=dataset, out=tmp_path / "cut", progress=die, **THINNED)
     train(data=dataset, out=tmp_path / "cut", **THINNED)
     same(tensors, weights_of(tmp_path / "cut"))
+    train(data=dataset, out=tmp_path / "frozen", train_decays=False, **THINNED)
+    assert parameters(weights_of(tmp_path / "frozen")) <= 300
 
 
 def test_going_on_from_a_thinned_network_leaves_its_connections_away(dataset, tmp_path):

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scaled_inputs
 from estimators.pruning import connected
+from estimators.spiking import Weights
 from estimators.symmetry import OPERATIONS
 from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
 
@@ -41,7 +42,7 @@ log = logging.getLogger(__name__)
 Model = AttSNN | AttRNN
 
 THIN_EVERY = 60
-"""Updates between two times that connections are taken away, an epoch's end apart."""
+"""Updates between two times that connections are taken away; they are also at an epoch's end."""
 INTERRUPTED = "interrupted"
 """Why a run ended that Ctrl-C stopped; it goes on where it was."""
 
@@ -166,7 +167,8 @@ class _Run:
         most = wanted + round((self._whole - wanted) * (1 - done) ** 3)
         if self.model.parameters_kept > most:
             state = self.optimiser.optimizer.state
-            thin(self.model, {n: state[p]["exp_avg_sq"] for n, p in self.model.named_parameters()}, most)
+            squares = {name: state[getattr(self.model, name)]["exp_avg_sq"] for name in Weights._fields[:4]}
+            thin(self.model, squares, most)
             self.optimiser.keep(self.model.kept)
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
