@@ -8,10 +8,16 @@ from __future__ import annotations
 
 import argparse
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from estimators.activity import record
+from estimators.flights import load_flights
+from estimators.networks import OnLoihi
+from estimators.pruning import error_deg, importance, pruned
 from estimators.weights_file import PAPER_SCALING, load_network, parameters
+from quadsim.dataset import open_dataset
 from training.augment import Augmentation
 from training.config import PRESETS, make_config
 from training.loop import train
@@ -25,6 +31,8 @@ SIZES: tuple[tuple[int, int, int], ...] = (
     (300, 300, 18500), (300, 300, 16000), (300, 300, 5000),
 )  # fmt: skip
 """Neurons of both layers at the start, and the parameters that may stay (0: all)."""
+FEWER = 4
+"""The one of them that neurons are taken out of."""
 SIZE_EPOCHS = 16
 
 ROWS: dict[str, dict[str, Any]] = {
@@ -108,6 +116,32 @@ def thinning(runs: Path) -> None:
             }
         )
         write("thinning", rows)
+    encoding, hidden, most = SIZES[FEWER]
+    path = runs / f"from-{encoding}-{hidden}-to-{most}" / "best.safetensors"
+    fewer_neurons(path, encoding + hidden, data, validation)
+
+
+def fewer_neurons(path: Path, whole: int, data: Sequence[str], validation: Sequence[str]) -> None:
+    """Take neurons out of a thinned network, nothing trained again: writes docs/training/neurons.csv."""
+    config, tensors = load_network(path)
+    seen, scored = (
+        load_flights([open_dataset(each) for each in paths], count)
+        for paths, count in ((data[:1], 4), (validation, None))
+    )
+    activity = record(OnLoihi(config, tensors), seen.gyro, seen.accel)
+    ranks = importance(tensors, activity, "contribution")
+    rows = []
+    for share in (0.0, 0.1, 0.2, 0.3, 0.4):
+        left = pruned(config, tensors, ranks, share)
+        rows.append(
+            {
+                "neurons": f"{left[0].encoding} + {left[0].hidden}",
+                "removed": round(1 - (left[0].encoding + left[0].hidden) / whole, 3),
+                "parameters": parameters(left[1]),
+                "val_error_deg": round(error_deg(*left, scored), 3),
+            }
+        )
+        write("neurons", rows)
 
 
 def write(name: str, rows: list[dict[str, Any]]) -> None:

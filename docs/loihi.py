@@ -45,8 +45,8 @@ HERE = Path(__file__).parent
 ROOT, IMAGES = HERE.parent, HERE / "img"
 TRAIN = tuple(f"data/{name}.zarr" for name in ("train", "train-windy", "train-varied"))
 VALIDATION = tuple(f"data/{name}.zarr" for name in ("val", "val-windy", "val-varied"))
-SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (12, 20, 28, 44), 40, 15, 2
-PRUNE_LR = 0.015
+SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (12, 20, 28, 44), 40, 8, 2
+PRUNE_LR = 0.005
 RATES = {"rate_cost": 0.003, "rate_targets": (0.2, 0.4)}
 """Of small and of pruned networks: few neurons say less where they hardly spike."""
 BEST_OF_PAPER = 2.79
@@ -250,7 +250,7 @@ def train_pruned() -> None:
     """Prune the shipped network step by step."""
     stages = prune(
         TRAIN, VALIDATION, "runs/prune", fraction=0.4, stages=PRUNE_STAGES, epochs=PRUNE_EPOCHS,
-        seed=1, optimiser_lr=PRUNE_LR, **RATES,
+        seed=1, optimiser_lr=PRUNE_LR,
     )  # fmt: skip
     with (HERE / "loihi-pruning.csv").open("w", newline="") as file:
         names = [*(name for name in asdict(stages[0]) if name != "weights"), "epochs"]

@@ -262,10 +262,15 @@ def main() -> None:
         "most": str(make_config("best", data="x").parameters),
         "encoding": str(len(tensors["w_in"])),
         "hidden": str(len(tensors["w_ff"])),
+        "neurons": [
+            f"| {float(r['removed']):.0%} | {r['neurons']} | {r['parameters']} | "
+            f"{float(r['val_error_deg']):.3f} |"
+            for r in kept("neurons")
+        ],
         "seed_epochs": sizes[0]["epochs"] if sizes else "?",
         "thinning": [
             f"| {r['begins']} | {r['keeps']} | {r['parameters']} | {r['neurons']} | "
-            f"{float(r['val_error_deg']):.2f} | "
+            f"{float(r['val_error_deg']):.3f} | "
             f"{float(r['rate_encoding']):.3f} | {float(r['rate_hidden']):.3f} |"
             for r in sizes
         ],

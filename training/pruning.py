@@ -25,7 +25,7 @@ def prune(
     out: str | Path,
     fraction: float = 0.4,
     stages: int = 2,
-    by: str = "activity",
+    by: str = "contribution",
     weights: str | Path | None = None,
     progress: Progress | None = None,
     stage_done: Callable[[Pruned], object] | None = None,
@@ -79,12 +79,14 @@ def prune(
             init=str(before),
             **choices,
         )
-        config, tensors = load_network(result.weights)
+        weights, cut_error = result.weights, error_deg(cut, fewer, scored)
+        config, tensors = load_network(weights)
         tuned = error_deg(config, tensors, scored)
-        removed = 1 - (cut.encoding + cut.hidden) / sum(full)
-        cut_error = error_deg(cut, fewer, scored)
+        if tuned > cut_error:  # training on did not help
+            weights, config, tensors, tuned = before, cut, fewer, cut_error
+        removed = 1 - (config.encoding + config.hidden) / sum(full)
         done.append(
-            Pruned(removed, cut.encoding, cut.hidden, parameters(tensors), cut_error, tuned, result.weights)
+            Pruned(removed, config.encoding, config.hidden, parameters(tensors), cut_error, tuned, weights)
         )
         if stage_done:
             stage_done(done[-1])

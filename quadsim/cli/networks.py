@@ -218,7 +218,7 @@ def inspect(
     ] = None,
     criterion: Annotated[
         str, typer.Option(help="With --prune: activity, magnitude, contribution or random.")
-    ] = "activity",
+    ] = "contribution",
     stages: Annotated[int, typer.Option(min=1, help="With --prune: steps to get there.")] = 3,
     epochs: Annotated[int, typer.Option(min=1, help="With --prune: epochs of training after each.")] = 10,
     out: Annotated[Path, typer.Option(help="Folder for figures, page and pruned weights.")] = Path(
