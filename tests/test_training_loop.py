@@ -134,6 +134,17 @@ def test_connections_that_matter_least_go_first():
         assert ((getattr(model, name) != 0) == getattr(model, f"{name}_kept")).all()
 
 
+def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_path):
+    train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
+    state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
+    del state["model"]["w_in_kept"]
+    torch.save(state, tmp_path / "run" / "checkpoint.pt")
+    with pytest.raises(
+        ValueError, match="checkpoint is of another version of quadsim"
+    ):
+        train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
+
+
 def test_ctrl_c_keeps_the_best_weights(dataset, tmp_path):
     def interrupt(epoch, config):
         raise KeyboardInterrupt

@@ -253,7 +253,12 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
         claim(out, config, contents_of(config, flights, validation))
         before = state.validate() if config.init else None
         if (out / "checkpoint.pt").is_file():
-            state.restore(torch.load(out / "checkpoint.pt", weights_only=True))
+            try:
+                state.restore(torch.load(out / "checkpoint.pt", weights_only=True))
+            except (RuntimeError, KeyError, TypeError) as error:
+                raise ValueError(
+                    f"{out}: its checkpoint is of another version of quadsim, choose another folder"
+                ) from error
         reason = _go_on(state, out, progress)
     finally:
         torch.set_num_threads(threads)
