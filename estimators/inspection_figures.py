@@ -104,7 +104,7 @@ def ablation_curve(
             )
         if tuned:
             x, y = np.transpose(tuned)
-            axes.plot(100 * x, y, "o-", color="#111111", label="by activity, trained on")
+            axes.plot(100 * x, y, "o-", color="#111111", label="trained on after each cut")
         whole = next(iter(curves.values()))[0]
         axes.axhline(1.02 * whole, color="#111111", lw=0.8, ls=":")
         axes.annotate(
