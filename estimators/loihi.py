@@ -210,7 +210,7 @@ def step_arrays(before, after, u, v, bias, bias_exp, weights, rows, start, du, d
                         into[i] += weight[i]
             offset += rows[k, 1] * into.size
         for j in range(currents.size):  # short loops without branches, for the vector unit
-            currents[j] = wrap(decay(currents[j], du[j]) + wrap(np.int64(dendrite[j]) << 6, 21), 23)
+            currents[j] = wrap(decay(currents[j], du[j]) + wrap(int(dendrite[j]) << 6, 21), 23)
         for j in range(currents.size):
             driven = decay(potentials[j], dv[j]) + currents[j] + (bias[b, j] << bias_exp[j])
             potentials[j] = min(max(driven, -STATE_MAX), STATE_MAX)

@@ -366,5 +366,5 @@ def _encoding_bias(x, w_in, du, current, bias):
             drive[i] += value * row[i]
     for i in range(current.size):
         # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
-        current[i] = wrap(decay(current[i], du[i]) + shift(np.int64(drive[i]), 4), 23)
+        current[i] = wrap(decay(current[i], du[i]) + shift(int(drive[i]), 4), 23)
         bias[i] = min(max(shift(current[i], BIAS_EXP), -BIAS_MANT_MAX), BIAS_MANT_MAX)
