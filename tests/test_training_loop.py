@@ -139,9 +139,7 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_pat
     state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
     del state["model"]["w_in_kept"]
     torch.save(state, tmp_path / "run" / "checkpoint.pt")
-    with pytest.raises(
-        ValueError, match="checkpoint is of another version of quadsim"
-    ):
+    with pytest.raises(ValueError, match="checkpoint is of another version of quadsim"):
         train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
 
 
