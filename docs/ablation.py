@@ -27,8 +27,8 @@ BEST: dict[str, Any] = PRESETS["best"]
 ERRORS: Augmentation = BEST["augmentation"]
 
 SIZES: tuple[tuple[int, int, int], ...] = (
-    (100, 100, 0), (200, 200, 0), (200, 200, 21202), (300, 300, 0), (300, 300, 21202), (300, 300, 12000),
-    (300, 300, 18500), (300, 300, 16000), (300, 300, 5000),
+    (100, 100, 0), (200, 200, 0), (200, 200, 21202), (300, 300, 0), (300, 300, 21202), (300, 300, 18500),
+    (300, 300, 16000), (300, 300, 12000), (300, 300, 5000),
 )  # fmt: skip
 """Neurons of both layers at the start, and the parameters that may stay (0: all)."""
 FEWER = 4
