@@ -41,6 +41,18 @@ def same(a, b):
         np.testing.assert_array_equal(a[name], b[name])
 
 
+def killed_and_resumed(dataset, out, **choices):
+    """A run that is killed in its second epoch and goes on."""
+
+    def die(epoch, config):
+        if epoch.epoch == 1:
+            raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        train(data=dataset, out=out, progress=die, **choices)
+    train(data=dataset, out=out, **choices)
+
+
 def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
     rows = []
     result = train(
@@ -63,13 +75,7 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     choices = TINY | {"model": model, "hidden": 20}
     train(data=dataset, out=tmp_path / "whole", **choices)
 
-    def die(epoch, config):
-        if epoch.epoch == 1:
-            raise RuntimeError("killed")
-
-    with pytest.raises(RuntimeError, match="killed"):
-        train(data=dataset, out=tmp_path / "cut", progress=die, **choices)
-    train(data=dataset, out=tmp_path / "cut", **choices)
+    killed_and_resumed(dataset, tmp_path / "cut", **choices)
     whole, cut = (torch.load(tmp_path / run / "checkpoint.pt", weights_only=True) for run in ("whole", "cut"))
     for name in whole["model"]:
         np.testing.assert_array_equal(whole["model"][name], cut["model"][name])
@@ -94,16 +100,17 @@ def test_a_thinned_run_keeps_within_its_parameters_and_resumes_to_the_same_weigh
     assert (config.encoding, config.hidden) == (len(tensors["w_in"]), len(tensors["w_ff"]))
     assert is_symmetric(tensors)
 
-    def die(epoch, config):
-        if epoch.epoch == 1:
-            raise RuntimeError("killed")
-
-    with pytest.raises(RuntimeError, match="killed"):
-        train(data=dataset, out=tmp_path / "cut", progress=die, **THINNED)
-    train(data=dataset, out=tmp_path / "cut", **THINNED)
+    killed_and_resumed(dataset, tmp_path / "cut", **THINNED)
     same(tensors, weights_of(tmp_path / "cut"))
     train(data=dataset, out=tmp_path / "frozen", train_decays=False, **THINNED)
     assert parameters(weights_of(tmp_path / "frozen")) <= 300
+
+
+def test_a_run_does_not_stop_early_before_it_is_thin_enough(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "finished", lambda losses: "enough" if losses else None)
+    result = train(data=dataset, out=tmp_path / "run", **THINNED | {"stop_early": True})
+    assert result.reason == "enough"
+    assert result.best.parameters <= 300
 
 
 def test_going_on_from_a_thinned_network_leaves_its_connections_away(dataset, tmp_path):

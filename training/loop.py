@@ -307,7 +307,8 @@ def _go_on(run: _Run, out: Path, progress: Progress | None) -> str:
     try:
         while len(run.history) < config.epochs:
             losses = [e.val_mse for e in run.history]
-            if config.stop_early and (reason := finished(losses)):
+            thin_enough = not config.thinned or _size(run.model) <= config.parameters
+            if config.stop_early and thin_enough and (reason := finished(losses)):
                 return reason
             epoch = run.one_epoch()
             run.history.append(epoch)
