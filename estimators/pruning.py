@@ -17,6 +17,7 @@ from .symmetry import is_symmetric, ties
 from .weights_file import NetworkConfig, Tensors
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 CRITERIA = ("activity", "magnitude", "contribution", "random")
 
 
@@ -88,7 +89,23 @@ def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, T
     Its outputs are the same to the last bit. At least one neuron, or where weights are shared one group,
     stays in each layer.
     """
-    w_in, w_ff, w_rec, w_out = (tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out"))
+    keep = living(*(tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out")), _groups(tensors))
+    return without(config, tensors, keep)
+
+
+def living(
+    w_in: Bools, w_ff: Bools, w_rec: Bools, w_out: Bools, groups: Sequence[NDArray[np.int64]]
+) -> list[NDArray[np.int64]]:
+    """Neurons of the encoding and of the hidden layer that an input reaches and that reach an output.
+
+    Args:
+        w_in: Which encoding weights there are, shape (h0, inputs).
+        w_ff: Encoding to hidden layer, shape (h1, h0).
+        w_rec: Recurrent, shape (h1, h1).
+        w_out: Hidden layer to outputs, shape (outputs, h1).
+        groups: For each neuron of both layers the first of those that share its weights; where a layer has
+            no such neuron, its first group stays.
+    """
     first, second = w_in.any(1), np.ones(len(w_ff), bool)
     while True:
         driven = w_ff[:, first].any(1) | w_rec[:, second].any(1)
@@ -98,12 +115,10 @@ def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, T
             break
         second = stay
     first &= w_ff[second].any(0)
-    groups = _groups(tensors)
-    keep = [
+    return [
         np.flatnonzero(alive if alive.any() else group == group[0])
         for alive, group in zip((first, second), groups, strict=True)
     ]
-    return without(config, tensors, keep)
 
 
 def pruned(

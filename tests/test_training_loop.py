@@ -141,6 +141,28 @@ def test_connections_that_matter_least_go_first():
         assert ((getattr(model, name) != 0) == getattr(model, f"{name}_kept")).all()
 
 
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_neurons_that_nothing_joins_to_the_outputs_leave_in_mid_stream_and_nothing_changes(symmetric):
+    model = AttSNN(24, 20, output_scale=0.1, symmetric=symmetric)
+    rng = np.random.default_rng(1)
+    x = torch.from_numpy(np.round(rng.normal(size=(3, 100, 6)) * 1024) / 1024)
+    start_from_data(model, x.numpy(), rng.normal(size=(3, 100, 2)), seed=0)
+    model.w_in_kept[:8] = False  # never spike
+    model.w_rec_kept[:, 8:16] = model.w_out_kept[:, 8:16] = False  # nobody hears
+    model.constrain()
+    both = model, model.without(model.living)
+    assert [w.shape[0] for w in both[1].weights()[:2]] == [16, 12]
+    model(x)
+    both = model, model.without(model.living)
+    (out, _), (left, _) = (net(x, np.array([False, True, False])) for net in both)
+    assert out.abs().max() > 0
+    np.testing.assert_array_equal(out.detach(), left.detach())
+    (out.square().mean() + left.square().mean()).backward()
+    for name, parameter in both[1].named_parameters():
+        of_all = model.part(name, getattr(model, name).grad, model.living)
+        torch.testing.assert_close(parameter.grad, of_all, rtol=1e-3, atol=1e-3 * float(of_all.abs().max()))
+
+
 def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_path):
     train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
     state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)

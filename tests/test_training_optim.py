@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from training.optim import Lookahead
+from training.optim import Lookahead, changed
 
 
 def start():
@@ -52,6 +52,17 @@ def test_resumed_run_is_the_same_bit_for_bit(saved_after, tmp_path):
     resumed.load_state_dict(state["o"])
     descend(again, resumed, 7)
     np.testing.assert_array_equal(again.detach(), weights.detach())
+
+
+def test_what_is_left_of_the_parameters_goes_on_as_among_all():
+    weights, optimiser = start()
+    descend(weights, optimiser, 4)
+    part = torch.nn.Parameter(weights.detach()[1:4].clone())
+    smaller = Lookahead(torch.optim.Adam([part], lr=0.1), k=3, alpha=0.5)
+    smaller.load_state_dict(changed(optimiser.state_dict(), lambda k, value: value[1:4].clone()))
+    descend(weights, optimiser, 5)
+    descend(part, smaller, 5)
+    np.testing.assert_array_equal(part.detach(), weights.detach()[1:4])
 
 
 @pytest.mark.parametrize(("k", "alpha"), [(0, 0.5), (6, 0.0), (6, 1.5)])

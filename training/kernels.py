@@ -10,6 +10,7 @@ buffers are reused. The batch is split over threads; sums are added in the order
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -309,6 +310,25 @@ class Workspace:
         h0, outputs, h1 = weights.w_in.shape[0], *weights.w_out.shape
         self.traces = [Trace.empty(steps, p.stop - p.start, h0, h1, outputs, self.dtype) for p in self.parts]
         self.runs = 0
+
+    def without(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Workspace:
+        """A workspace of these neurons alone, where the next window goes on from the last one here."""
+        smaller = copy(self)
+        smaller.traces = [
+            Trace.empty(
+                self.steps, trace.v0.shape[1], encoding.size, hidden.size, trace.vo.shape[2], self.dtype
+            )
+            for trace in self.traces
+        ]
+        for old, new in zip(self.traces, smaller.traces, strict=True):
+            new.vo[-2:], new.u0[-1] = old.vo[-2:], old.u0[-1][:, encoding]
+            for name, neurons in (("0", encoding), ("1", hidden)):
+                v, spikes = getattr(new, f"v{name}")[-2:], getattr(new, f"s{name}")[-2:]
+                v[:] = getattr(old, f"v{name}")[-2:][..., neurons]
+                for index in np.ndindex(v.shape[:2]):
+                    found = np.flatnonzero(v[index] > THRESHOLD)
+                    spikes[index][0], spikes[index][1 : 1 + found.size] = found.size, found
+        return smaller
 
     def each(self, function) -> list:
         """Call `function(part, trace)` for every part of the batch, in threads where there are several."""

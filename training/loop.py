@@ -35,7 +35,7 @@ from .config import TrainConfig, make_config
 from .data import Batch, Flights, fold_split, load_flights, split, windows
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, revive, start_from_data, start_from_weights, start_like_the_paper, thin
-from .optim import Lookahead
+from .optim import Lookahead, changed
 
 log = logging.getLogger(__name__)
 
@@ -97,20 +97,27 @@ class _Run:
 
     def __init__(self, config: TrainConfig, flights: Flights, validation: Flights) -> None:
         self.config, self.flights, self.validation = config, flights, validation
-        self.model = _new_model(config)
         self.steps = round(config.window_s * flights.rate_hz)
-        _start(self.model, config, flights, self.steps)
-        for name, parameter in self.model.named_parameters():
-            parameter.requires_grad_(config.train_decays or not name.startswith(("syn", "mem")))
-        groups = [
-            {"params": [parameter], "step": _step(config, name)}
-            for name, parameter in self.model.named_parameters()
-        ]
-        adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
-        self.optimiser = Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
+        model = _new_model(config)
+        _start(model, config, flights, self.steps)
+        self._take(model)
         self.history: list[Epoch] = []
         self._held = np.zeros((config.batch_size, HELD))
         self._whole = _size(self.model)
+
+    def _take(self, model: Model, state: dict[str, Any] | None = None) -> None:
+        """Train this model, its optimiser in this state or at rest."""
+        config, self.model = self.config, model
+        for name, parameter in model.named_parameters():
+            parameter.requires_grad_(config.train_decays or not name.startswith(("syn", "mem")))
+        groups = [
+            {"params": [parameter], "step": _step(config, name)}
+            for name, parameter in model.named_parameters()
+        ]
+        adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
+        self.optimiser = Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
+        if state:
+            self.optimiser.load_state_dict(state)
 
     def one_epoch(self) -> Epoch:
         """Train for an epoch and validate the slow weights."""
@@ -169,7 +176,19 @@ class _Run:
             state = self.optimiser.optimizer.state
             squares = {name: state[getattr(self.model, name)]["exp_avg_sq"] for name in Weights._fields[:4]}
             thin(self.model, squares, most)
-            self.optimiser.keep(self.model.kept)
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Forget connections that were taken away, and neurons that nothing joins to inputs and outputs."""
+        assert isinstance(self.model, AttSNN)
+        model, neurons = self.model, self.model.living
+        names = [name for name, _ in model.named_parameters()]
+
+        def change(k: int, value: Tensor) -> Tensor:
+            kept = model.kept.get(getattr(model, names[k]))
+            return model.part(names[k], value if kept is None else value * kept, neurons)
+
+        self._take(model.without(neurons), changed(self.optimiser.state_dict(), change))
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
@@ -213,8 +232,11 @@ class _Run:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        self.model.load_state_dict(state["model"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        model = self.model
+        if isinstance(model, AttSNN):  # neurons may have left
+            model = model.without([np.arange(n) for n in state["model"]["w_ff"].shape[::-1]])
+        model.load_state_dict(state["model"])
+        self._take(model, state["optimiser"])
         self.history = [Epoch(**row) for row in state["history"]]
 
 
@@ -278,8 +300,8 @@ def exported(
     network = NetworkConfig(
         model=config.model,
         rate_hz=rate_hz,
-        encoding=config.encoding,
-        hidden=config.hidden,
+        encoding=config.encoding if isinstance(model, AttRNN) else model.w_in.shape[0],
+        hidden=config.hidden if isinstance(model, AttRNN) else model.w_ff.shape[0],
         inputs=config.inputs,
         quantised=config.quantised and spiking,
         recurrent_delay=config.recurrent_delay,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from estimators.networks import real_weights
+from estimators.pruning import living
 from estimators.spiking import Weights, quantise_decay, quantise_weights
 from estimators.symmetry import Ties, ties
 from estimators.weights_file import load_network
@@ -29,6 +30,13 @@ WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
 IDLE = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron says nothing."""
+
+
+LAYERS = {
+    "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1), "syn0": (0,), "mem0": (0,),
+    "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
+}  # fmt: skip
+"""For each axis of a parameter the layer whose neurons it counts: 0 encoding, 1 hidden."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +164,37 @@ class AttSNN(nn.Module):
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
         for name in Weights._fields[4:]:
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
+
+    def part(self, name: str, values: Tensor, neurons: Sequence[NDArray[np.int64]]) -> Tensor:
+        """`values`, of the shape of a parameter or of its scale, for some neurons of both layers alone."""
+        for axis, layer in enumerate(LAYERS[name]):
+            if layer is not None and values.shape[axis] > 1:
+                values = values.index_select(axis, torch.from_numpy(neurons[layer]))
+        return values
+
+    @torch.no_grad()
+    def without(self, neurons: Sequence[NDArray[np.int64]]) -> AttSNN:
+        """The network of these neurons of both layers alone; its windows go on from the last ones here."""
+        smaller = AttSNN(
+            *(ids.size for ids in neurons), self.quantised, self.recurrent_delay, self.output_scale,
+            self.threads, bool(self.ties),
+        )  # fmt: skip
+        smaller.load_state_dict(
+            {
+                name: self.part(name.removesuffix("_kept").removesuffix("_scale"), value, neurons)
+                for name, value in self.state_dict().items()
+            }
+        )
+        smaller._spaces = {key: space.without(*neurons) for key, space in self._spaces.items()}
+        return smaller
+
+    @property
+    def living(self) -> list[NDArray[np.int64]]:
+        """Neurons of both layers that connections join to the inputs and to the outputs."""
+        kept = (getattr(self, f"{name}_kept").numpy() for name in Weights._fields[:4])
+        layers = (("mem0", self.w_in.shape[0]), ("mem1", self.w_ff.shape[0]))
+        groups = [self.ties[name].first if self.ties else np.arange(size) for name, size in layers]
+        return living(*kept, groups)
 
     @torch.no_grad()
     def keep_what_is_there(self) -> None:

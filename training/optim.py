@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -55,13 +55,6 @@ class Lookahead:
                 fast.copy_(slow)
 
     @torch.no_grad()
-    def keep(self, kept: Mapping[torch.Tensor, torch.Tensor]) -> None:
-        """Make slow weights 0 where they were taken away; by parameter, which of its entries are kept."""
-        for slow, fast in zip(self.slow, self._fast(), strict=True):
-            if fast in kept:
-                slow.mul_(kept[fast])
-
-    @torch.no_grad()
     def restart(self) -> None:
         """Let the slow weights be where the fast ones are, after these were changed by hand."""
         for slow, fast in zip(self.slow, self._fast(), strict=True):
@@ -96,3 +89,19 @@ class Lookahead:
         self.optimizer.load_state_dict(state["optimizer"])
         self.slow = [p.clone() for p in state["slow"]]
         self.steps, self.k, self.alpha = state["steps"], state["k"], state["alpha"]
+
+
+def changed(state: dict[str, Any], change: Callable[[int, torch.Tensor], torch.Tensor]) -> dict[str, Any]:
+    """A state of Lookahead around Adam for parameters of other shapes.
+
+    Args:
+        state: What `Lookahead.state_dict` gave.
+        change: From the number of a parameter and something of its shape to the same of its new shape.
+    """
+    inner = state["optimizer"]
+    moments = {
+        k: {name: v.clone() if name == "step" else change(k, v) for name, v in of_parameter.items()}
+        for k, of_parameter in inner["state"].items()
+    }
+    slow = [change(k, value) for k, value in enumerate(state["slow"])]
+    return state | {"optimizer": inner | {"state": moments}, "slow": slow}
