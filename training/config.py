@@ -134,7 +134,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "hidden": 300,
         "parameters": 21202,
         "symmetric": True,
-        "revive": 0.25,
+        "revive": 0.2,
+        "thinning": (0.2, 0.6),
         "output_scale": 1 / 256,
         "start": "solved",
         "optimiser_lr": 0.1,
@@ -142,15 +143,15 @@ PRESETS: dict[str, dict[str, Any]] = {
         "adam_beta2": 0.99,
         "decay": "cosine",
         "clip": 1.0,
-        "epochs": 100,
+        "epochs": 160,
         "batches": 600,
         "batch_size": 4,
         "window_s": 5.0,
-        "windows_per_stream": 20,
+        "windows_per_stream": 6,
         "stop_early": False,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
         "rate_cost": 0.03,
-        "rate_targets": (0.05, 0.05),
+        "rate_targets": (0.06, 0.13),
     },
 }
 """What each preset changes."""
@@ -174,6 +175,7 @@ ROBUST = Augmentation(
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=12000),
+    "windows_per_stream": 20,
     "optimiser_lr": 0.0015,  # of going on from att-snn: larger steps take from it what it knows
     "epochs": 10,
     "rate_cost": 0.003,
@@ -198,7 +200,7 @@ PRESETS["tune"] = PRESETS["best"] | {
 LIKE_THE_PAPER = {"encoding": 100, "hidden": 100, "parameters": 0, "batches": 30, "batch_size": 40}
 
 RNN: dict[str, dict[str, Any]] = {
-    "best": LIKE_THE_PAPER | {"optimiser_lr": 0.003, "epochs": 100},
+    "best": LIKE_THE_PAPER | {"optimiser_lr": 0.003, "epochs": 100, "windows_per_stream": 20},
     "robust": LIKE_THE_PAPER,
     "tune": LIKE_THE_PAPER | {"optimiser_lr": 0.002, "batches": 20},
 }
