@@ -13,7 +13,8 @@ from estimators.weights_file import save_network
 from training.augment import roll_pitch_of_up
 from training.config import make_config
 from training.loop import exported
-from training.models import AttSNN, start_from_data, thin
+from training.models import AttSNN, thin
+from training.starts import start_from_data
 
 G = 9.81
 

@@ -14,9 +14,11 @@ from training import loop
 from training.augment import Augmentation, augment, roll_pitch_of_up
 from training.config import TrainConfig, make_config
 from training.data import load_flights, split, windows
+from training.folder import commit
 from training.loop import train
 from training.loss import finished
-from training.models import IDLE, AttSNN, _spikes, revive, start_from_data, thin
+from training.models import AttSNN, thin
+from training.starts import IDLE, _spikes, revive, start_from_data
 
 TINY = {
     "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
@@ -265,9 +267,9 @@ def test_rates_that_differ_are_refused(dataset, tmp_path):
 
 
 def test_a_run_without_git_names_no_commit(monkeypatch):
-    assert loop._commit()
+    assert commit()
     monkeypatch.setenv("PATH", "")
-    assert loop._commit() == ""
+    assert commit() == ""
 
 
 @pytest.mark.parametrize("model", ["att-snn", "att-rnn"])

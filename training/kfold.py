@@ -22,7 +22,8 @@ from quadsim.dataset import end_with_parent
 
 from .config import TrainConfig, make_config
 from .data import Flights, load_flights
-from .loop import INTERRUPTED, claim, contents_of, flights_of, replace, run
+from .folder import claim, contents_of, replace
+from .loop import INTERRUPTED, flights_of, run
 from .table1 import TEST, TRAIN, Score, plot, table, write_rows
 
 log = logging.getLogger(__name__)

@@ -44,7 +44,8 @@ def train(
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
     """
-    from training.loop import INTERRUPTED, Epoch
+    from training.folder import Epoch
+    from training.loop import INTERRUPTED
     from training.loop import train as train_network
 
     choices = fields_of(set_, "model", "preset", "data", "validation", "seed", "threads", "out", "progress")
