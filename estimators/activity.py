@@ -79,6 +79,7 @@ def _record(
     offset,
     gain,
     memory,
+    lead,
     w_in,
     du,
     steps,
@@ -94,7 +95,7 @@ def _record(
     first_output = v.shape[1] - out.shape[2]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, held[n])
         for k in range(steps):
             for n in range(gyro.shape[0]):
                 _encoding_bias(held[n], w_in, du, current[n], bias[n])

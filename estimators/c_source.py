@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .loihi import DECAY_ONE, STATE_ONE
-from .networks import BIAS_CLIP, BIAS_MAX, BIAS_START, INPUT_MAX, input_scaling
+from .networks import BIAS_CLIP, BIAS_MAX, BIAS_START, INPUT_MAX, LEAD_CLIP, input_scaling
 from .weights_file import NetworkConfig, Tensors, parameters
 
 
@@ -44,6 +44,9 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "offset": _braces(offset),
         "gain": _braces(gain),
         "bias_samples": f"{config.inputs.bias_samples}.0",
+        "lead": repr(config.inputs.lead),
+        "lead_samples": f"{config.inputs.lead_samples}.0",
+        "lead_clip": repr(LEAD_CLIP),
         "bias_start": f"{BIAS_START}.0",
         "bias_clip": repr(BIAS_CLIP),
         "bias_max": repr(BIAS_MAX),

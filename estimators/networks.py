@@ -26,12 +26,15 @@ INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 GRAVITY = 9.81
-HELD = 10
-"""What the encoder keeps: 6 inputs, missing samples, samples in the mean rate, mean roll and pitch rate."""
+HELD = 13
+"""What the encoder keeps: 6 inputs, missing samples, samples in the mean rate, mean roll and pitch rate,
+samples in the low-pass of the lateral force, and that low-pass."""
 BIAS_START = 12
 """At the start the mean is that of a bias of zero, seen for `bias_samples` over this."""
 BIAS_CLIP, BIAS_MAX = 0.6, 0.1
 """Rate beyond which a manoeuvre counts no further in the mean; largest bias that is believed [rad/s]."""
+LEAD_CLIP = 5.0
+"""How far a lateral force counts as above its low-pass, so that a bad reading does no lasting harm [m/s²]."""
 SETTLE_S, TURN_S = 3.0, 0.15
 """A network that is told its attitude first sees a level hover for this long, and then a turn into it [s]."""
 
@@ -258,9 +261,9 @@ def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
     return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
 
 
-def encoder_of(inputs: InputScaling) -> tuple[Array, Array, float]:
-    """What `encode` needs: offset and gain, and the memory of the mean rate [samples]."""
-    return *input_scaling(inputs), float(inputs.bias_samples)
+def encoder_of(inputs: InputScaling) -> tuple[Array, Array, float, tuple[float, float]]:
+    """What `encode` needs: offset and gain, the memory of the mean rate, the lead and its memory."""
+    return *input_scaling(inputs), float(inputs.bias_samples), (inputs.lead, float(inputs.lead_samples))
 
 
 def scaled_inputs(
@@ -310,7 +313,17 @@ def _follow_bias(gyro, memory, held):
 
 
 @njit(cache=True)
-def _encode_sample(gyro, accel, offset, gain, memory, held):
+def _led(k, force, lead, held):
+    """A lateral force with its change brought out: plus `lead` times what it lies above its own low-pass."""
+    if held[10] == 0.0:
+        held[11 + k] = force
+    above = min(max(force - held[11 + k], -LEAD_CLIP), LEAD_CLIP)
+    held[11 + k] += above / lead[1]
+    return force + lead[0] * above
+
+
+@njit(cache=True)
+def _encode_sample(gyro, accel, offset, gain, memory, lead, held):
     """Scale one sample into `held`: 6 inputs, which a missing reading leaves as they are, and a count."""
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
@@ -323,30 +336,32 @@ def _encode_sample(gyro, accel, offset, gain, memory, held):
             held[k] = min(max(np.rint((gyro[k] - bias - offset[k]) * gain[k]), -INPUT_MAX), INPUT_MAX)
     if force_found:
         for k in range(3):
-            value = np.rint((accel[k] - offset[3 + k]) * gain[3 + k])
+            value = _led(k, accel[k], lead, held) if k < 2 and lead[0] > 0.0 else accel[k]
+            value = np.rint((value - offset[3 + k]) * gain[3 + k])
             held[3 + k] = min(max(value, -INPUT_MAX), INPUT_MAX)
+        held[10] += 1.0
     if not (rate_found and force_found):
         held[6] += 1.0
 
 
 @njit(cache=True)
-def encode(gyro, accel, offset, gain, memory, held, x):
+def encode(gyro, accel, offset, gain, memory, lead, held, x):
     """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; `held` (n, HELD) is carried along."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, held[n])
             for k in range(6):
                 x[n, t, k] = held[n, k]
 
 
 @njit(cache=True)
-def _run_on_loihi(gyro, accel, offset, gain, memory, w_in, du, steps, scale, states, parameters, out):
+def _run_on_loihi(gyro, accel, offset, gain, memory, lead, w_in, du, steps, scale, states, parameters, out):
     held, current, before, after, u, v, bias = states
     n_outputs = out.shape[2]
     first_output = v.shape[1] - n_outputs
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, held[n])
         for _ in range(steps):
             for n in range(gyro.shape[0]):
                 _encoding_bias(held[n], w_in, du, current[n], bias[n])

@@ -28,6 +28,8 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
         raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
     if config.inputs.bias_samples:
         raise ValueError("ONNX has no mean rate: these weights take it off their inputs (bias_samples)")
+    if config.inputs.lead:
+        raise ValueError("ONNX has no low-pass: these weights need that of the lateral force (lead)")
     offset, gain = input_scaling(config.inputs)
     constants = {
         "offset": offset, "gain": gain, "limit": np.array(INPUT_MAX), "floor": np.array(-INPUT_MAX),

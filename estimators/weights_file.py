@@ -30,6 +30,10 @@ class InputScaling(Strict):
     """Specific force of an input of 0 [m/s²]."""
     bias_samples: int = Field(default=0, ge=0)
     """Memory of the mean roll and pitch rate that is taken off as the gyro's bias [samples]; 0: none."""
+    lead: float = Field(default=0.0, ge=0)
+    """Factor of what a lateral force lies above its low-pass, added to it: a tilt shows there first."""
+    lead_samples: int = Field(default=100, ge=1)
+    """Memory of that low-pass [samples]."""
 
 
 PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))

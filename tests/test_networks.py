@@ -9,6 +9,7 @@ from estimators.metrics import inclination_rmse
 from estimators.networks import (
     BIAS_MAX,
     HELD,
+    LEAD_CLIP,
     NetworkEstimator,
     OnLoihi,
     Spiking,
@@ -225,13 +226,6 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
         create_network("att-snn-loihi", weights=tmp_path / "w")
 
 
-def biased(config, tensors):
-    """The same network, taking the mean rate off its inputs."""
-    return config.model_copy(
-        update={"inputs": config.inputs.model_copy(update={"bias_samples": 2000})}
-    ), tensors
-
-
 def test_the_mean_rate_is_taken_off_as_the_bias_of_the_gyro():
     inputs = InputScaling(bias_samples=2000)
     accel = np.tile([0.0, 0.0, 9.81], (1, 6000, 1))
@@ -245,8 +239,26 @@ def test_the_mean_rate_is_taken_off_as_the_bias_of_the_gyro():
     assert tumbling[..., :2].min() > (3.0 - BIAS_MAX - 0.01) / 2.5  # no manoeuvre is taken for a bias
 
 
-def test_the_mean_rate_is_the_same_streamed_carried_and_on_loihi():
-    config, tensors = biased(*shipped_network("att-snn"))
+def test_a_lateral_force_leads_by_what_it_lies_above_its_low_pass():
+    inputs = InputScaling(accel=(1.0, 1.0, 4.0), lead=4.0, lead_samples=100)
+    steps = np.arange(1000)
+    accel = np.zeros((1, 1000, 3))
+    accel[0, :, 0] = 0.5 + (steps >= 200)  # m/s²
+    accel[0, :, 2] = 9.81 + (steps >= 200)
+    x = scaled_inputs(inputs, np.zeros_like(accel), accel)
+    after = steps[200:] - 200
+    np.testing.assert_allclose(x[0, :200, 3], 0.5, atol=1e-3)  # from the first sample on
+    np.testing.assert_allclose(x[0, 200:, 3], 1.5 + 4.0 * 0.99**after, atol=1e-3)
+    np.testing.assert_allclose(x[0, 200:, 5], 0.25, atol=1e-3)
+    accel[0, 500, 0] = 1000.0  # one bad reading
+    bad = scaled_inputs(inputs, np.zeros_like(accel), accel)
+    assert np.abs(bad - x)[0, 501:].max() <= 4.0 * LEAD_CLIP / 100 + 1e-3
+
+
+@pytest.mark.parametrize("inputs", [{"bias_samples": 2000}, {"lead": 4.0}])
+def test_what_the_encoder_keeps_is_the_same_streamed_carried_and_on_loihi(inputs):
+    config, tensors = shipped_network("att-snn")
+    config = config.model_copy(update={"inputs": config.inputs.model_copy(update=inputs)})
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0.05, 0.3, (2, 400, 3)), rng.normal((0, 0, 9.81), 0.5, (2, 400, 3))
     whole = scaled_inputs(config.inputs, gyro, accel)

@@ -40,12 +40,15 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     new["w_ff"] = old["w_ff"] * area("syn1")
     new["w_rec"] = old["w_rec"] * area("syn1")
     new["w_out"] = old["w_out"] * area("syn2")
-    memory = round(config.inputs.bias_samples * k)
+    memories = {
+        "bias_samples": round(config.inputs.bias_samples * k),
+        "lead_samples": max(1, round(config.inputs.lead_samples * k)),
+    }
     changed = config.model_copy(
         update={
             "rate_hz": rate_hz,
             "quantised": False,
-            "inputs": config.inputs.model_copy(update={"bias_samples": memory}),
+            "inputs": config.inputs.model_copy(update=memories),
         }
     )
     return changed, {name: value.astype(np.float32) for name, value in new.items()}

@@ -16,6 +16,8 @@ static const uint16_t KEEP_V_OUTPUT = $mem2;
 
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
+static const double LEAD = $lead; /* what a lateral force lies above its low-pass, times this, is added */
+static const double LEAD_SAMPLES = $lead_samples;
 static const double BIAS_SAMPLES = $bias_samples; /* memory of the mean rate that is taken off; 0: none */
 
 enum {
@@ -84,7 +86,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, 0};
     *state = rest;
 }
 
@@ -105,6 +107,16 @@ static void follow_bias(att_snn_state *state, const double gyro[3])
     }
 }
 
+/* A lateral force with its change brought out. */
+static double led(att_snn_state *state, int k, double force)
+{
+    if (!(state->forces > 0.0))
+        state->low[k] = force;
+    const double above = between(force - state->low[k], $lead_clip);
+    state->low[k] += above / LEAD_SAMPLES;
+    return force + LEAD * above;
+}
+
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
     const double force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
@@ -114,9 +126,13 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
         for (int k = 0; k < 3; ++k)
             state->input[k] = nearest((gyro[k] - (k < 2 ? state->mean[k] : 0.0) - OFFSET[k]) * GAIN[k]);
     }
-    if (finite(force) && force > 0.0)
-        for (int k = 0; k < 3; ++k)
-            state->input[3 + k] = nearest((accel[k] - OFFSET[3 + k]) * GAIN[3 + k]);
+    if (finite(force) && force > 0.0) {
+        for (int k = 0; k < 3; ++k) {
+            const double value = k < 2 && LEAD > 0.0 ? led(state, k, accel[k]) : accel[k];
+            state->input[3 + k] = nearest((value - OFFSET[3 + k]) * GAIN[3 + k]);
+        }
+        state->forces += 1.0;
+    }
 }
 
 /* One step: every layer reads the spikes of the step before, so the last layer goes first. */
