@@ -12,11 +12,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from training_page import within
+
+from estimators import create
 from estimators.activity import record
+from estimators.evaluate import tilted_starts
 from estimators.flights import load_flights
 from estimators.networks import OnLoihi
 from estimators.pruning import error_deg, importance, pruned
-from estimators.weights_file import PAPER_SCALING, load_network, parameters
+from estimators.weights_file import PAPER_SCALING, InputScaling, load_network, parameters
 from quadsim.dataset import open_dataset
 from training.augment import Augmentation
 from training.config import PRESETS, make_config
@@ -41,6 +46,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "100 + 100 neurons, every connection": {"encoding": 100, "hidden": 100},
     "300 + 300 neurons, every connection": {"parameters": 0},
     "inputs scaled as in the paper": {"inputs": PAPER_SCALING},
+    "no lead on the lateral forces": {"inputs": InputScaling()},
     "random start": {"start": "random"},
     "outputs of 1 rad per unit": {"output_scale": 1.0},
     "constant learning rate": {"decay": "none"},
@@ -48,6 +54,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "steps as large in every layer": {"optimiser_lr": 0.02, "layer_steps": (1.0, 1.0, 1.0)},
     "no limit on the gradient": {"clip": 0.0},
     "no state carried over": {"windows_per_stream": 1},
+    "streams of up to 100 s": {"windows_per_stream": 20},
     "no weights shared by symmetry": {"symmetric": False},
     "batches of 40 windows": {"batch_size": 40, "batches": 60},
     "no symmetry in the data": {"augmentation": ERRORS.model_copy(update={"yaw_symmetry": False})},
@@ -74,16 +81,21 @@ def main() -> None:
         thinning(args.runs)
         return
     rows = []
+    flights = load_flights([open_dataset(args.validation)])
+    pieces = tilted_starts(flights, 20.0, round(10 * flights.rate_hz))
+    assert pieces is not None
     for name, changes in ROWS.items():
         choices: dict[str, Any] = {"preset": "best", "epochs": args.epochs} | changes
         folder = args.runs / f"{name.replace(' ', '-').replace(',', '')}-{args.epochs}"
         result = train(data=args.data, validation=args.validation, out=folder, **choices)
+        times = within(create("att-snn", weights=result.weights), pieces)
         rows.append(
             {
                 "row": name,
                 "updates": args.epochs * make_config(**choices, data=args.data).batches,
                 "val_error_deg": round(result.best.val_error_deg, 3),
                 "val_settled_deg": round(result.best.val_settled_deg, 3),
+                "within_s": round(float(np.median(times)), 2),
                 "rate_encoding": round(result.best.rate_encoding, 3),
                 "rate_hidden": round(result.best.rate_hidden, 3),
             }

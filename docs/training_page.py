@@ -6,6 +6,7 @@ The tables that other commands made are taken from docs/training; the page says 
 from __future__ import annotations
 
 import csv
+import math
 import re
 import shutil
 from itertools import pairwise
@@ -260,6 +261,8 @@ def main() -> None:
         "free": str(free_parameters(tensors)),
         "whole": str(make_config("best", data="x").whole),
         "most": str(make_config("best", data="x").parameters),
+        "thin_from": f"{100 * make_config('best', data='x').thinning[0]:.0f}",
+        "thin_to": f"{100 * make_config('best', data='x').thinning[1]:.0f}",
         "encoding": str(len(tensors["w_in"])),
         "hidden": str(len(tensors["w_ff"])),
         "neurons": [
@@ -278,6 +281,7 @@ def main() -> None:
         "updates": ablation[0]["updates"] if ablation else "?",
         "ablation": [
             f"| {r['row']} | {float(r['val_error_deg']):.2f} | {float(r['val_settled_deg']):.2f} | "
+            f"{'never' if math.isinf(float(r['within_s'])) else r['within_s']} | "
             f"{float(r['rate_encoding']):.3f} | {float(r['rate_hidden']):.3f} |"
             for r in ablation
         ],

@@ -26,15 +26,15 @@ INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 GRAVITY = 9.81
-HELD = 13
+HELD = 15
 """What the encoder keeps: 6 inputs, missing samples, samples in the mean rate, mean roll and pitch rate,
-samples in the low-pass of the lateral force, and that low-pass."""
+samples in the low-passes of the lateral forces, the fast one and the slow one of both."""
 BIAS_START = 12
 """At the start the mean is that of a bias of zero, seen for `bias_samples` over this."""
 BIAS_CLIP, BIAS_MAX = 0.6, 0.1
 """Rate beyond which a manoeuvre counts no further in the mean; largest bias that is believed [rad/s]."""
 LEAD_CLIP = 5.0
-"""How far a lateral force counts as above its low-pass, so that a bad reading does no lasting harm [m/s²]."""
+"""How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 SETTLE_S, TURN_S = 3.0, 0.15
 """A network that is told its attitude first sees a level hover for this long, and then a turn into it [s]."""
 
@@ -261,9 +261,10 @@ def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
     return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
 
 
-def encoder_of(inputs: InputScaling) -> tuple[Array, Array, float, tuple[float, float]]:
-    """What `encode` needs: offset and gain, the memory of the mean rate, the lead and its memory."""
-    return *input_scaling(inputs), float(inputs.bias_samples), (inputs.lead, float(inputs.lead_samples))
+def encoder_of(inputs: InputScaling) -> tuple[Array, Array, float, tuple[float, float, float]]:
+    """What `encode` needs: offset and gain, the memory of the mean rate, the lead and its two memories."""
+    fast, slow = inputs.lead_samples
+    return *input_scaling(inputs), float(inputs.bias_samples), (inputs.lead, float(fast), float(slow))
 
 
 def scaled_inputs(
@@ -314,12 +315,12 @@ def _follow_bias(gyro, memory, held):
 
 @njit(cache=True)
 def _led(k, force, lead, held):
-    """A lateral force with its change brought out: plus `lead` times what it lies above its own low-pass."""
+    """A lateral force with its change brought out, in the band between two low-passes."""
     if held[10] == 0.0:
-        held[11 + k] = force
-    above = min(max(force - held[11 + k], -LEAD_CLIP), LEAD_CLIP)
-    held[11 + k] += above / lead[1]
-    return force + lead[0] * above
+        held[11 + k] = held[13 + k] = force
+    held[11 + k] += min(max(force - held[11 + k], -LEAD_CLIP), LEAD_CLIP) / lead[1]
+    held[13 + k] += (held[11 + k] - held[13 + k]) / lead[2]
+    return force + lead[0] * (held[11 + k] - held[13 + k])
 
 
 @njit(cache=True)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, PositiveFloat, ValidationError
+from pydantic import Field, JsonValue, PositiveFloat, PositiveInt, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
@@ -31,9 +31,9 @@ class InputScaling(Strict):
     bias_samples: int = Field(default=0, ge=0)
     """Memory of the mean roll and pitch rate that is taken off as the gyro's bias [samples]; 0: none."""
     lead: float = Field(default=0.0, ge=0)
-    """Factor of what a lateral force lies above its low-pass, added to it: a tilt shows there first."""
-    lead_samples: int = Field(default=100, ge=1)
-    """Memory of that low-pass [samples]."""
+    """Times that the change of a lateral force, its fast low-pass less its slow one, is added to it."""
+    lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)
+    """Memories of those two [samples]."""
 
 
 PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))

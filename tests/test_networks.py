@@ -4,6 +4,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from scipy.signal import lfilter
 
 from estimators.metrics import inclination_rmse
 from estimators.networks import (
@@ -239,20 +240,23 @@ def test_the_mean_rate_is_taken_off_as_the_bias_of_the_gyro():
     assert tumbling[..., :2].min() > (3.0 - BIAS_MAX - 0.01) / 2.5  # no manoeuvre is taken for a bias
 
 
-def test_a_lateral_force_leads_by_what_it_lies_above_its_low_pass():
-    inputs = InputScaling(accel=(1.0, 1.0, 4.0), lead=4.0, lead_samples=100)
+def test_the_change_of_a_lateral_force_is_brought_out():
+    inputs = InputScaling(accel=(1.0, 1.0, 4.0), lead=4.0, lead_samples=(5, 100))
     steps = np.arange(1000)
     accel = np.zeros((1, 1000, 3))
     accel[0, :, 0] = 0.5 + (steps >= 200)  # m/s²
     accel[0, :, 2] = 9.81 + (steps >= 200)
     x = scaled_inputs(inputs, np.zeros_like(accel), accel)
-    after = steps[200:] - 200
-    np.testing.assert_allclose(x[0, :200, 3], 0.5, atol=1e-3)  # from the first sample on
-    np.testing.assert_allclose(x[0, 200:, 3], 1.5 + 4.0 * 0.99**after, atol=1e-3)
+    fast = lfilter([1 / 5], [1, -4 / 5], accel[0, :, 0] - 0.5)
+    slow = lfilter([1 / 100], [1, -99 / 100], fast)
+    np.testing.assert_allclose(x[0, :, 3], accel[0, :, 0] + 4.0 * (fast - slow), atol=1e-3)
     np.testing.assert_allclose(x[0, 200:, 5], 0.25, atol=1e-3)
     accel[0, 500, 0] = 1000.0  # one bad reading
     bad = scaled_inputs(inputs, np.zeros_like(accel), accel)
-    assert np.abs(bad - x)[0, 501:].max() <= 4.0 * LEAD_CLIP / 100 + 1e-3
+    assert np.abs(bad - x)[0, 501:].max() <= 4.0 * LEAD_CLIP / 5 + 1e-3
+    accel[0, :, 0] = np.sin(2 * np.pi * 73.0 * steps / 200)  # the rotors' vibration is not
+    shaken = scaled_inputs(inputs, np.zeros_like(accel), accel)
+    assert np.abs(shaken[0, 100:, 3]).max() < 1.6
 
 
 @pytest.mark.parametrize("inputs", [{"bias_samples": 2000}, {"lead": 4.0}])

@@ -53,7 +53,7 @@ def compiled(tmp_path, request):
         sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
         fields = [(name, np.int32, size) for name, size in sizes]
         fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1), ("mean", float, 2), ("seen", float)]
-        fields += [("low", float, 2), ("forces", float)]
+        fields += [("fast", float, 2), ("slow", float, 2), ("forces", float)]
         layout = np.dtype(fields, align=True)
 
         def run(samples):
@@ -76,7 +76,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         scale = 1 / 256 if seed else 1.0
         config = NetworkConfig(
             model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale,
-            inputs=InputScaling(bias_samples=800 * seed, lead=3.0 * seed, lead_samples=40),
+            inputs=InputScaling(bias_samples=800 * seed, lead=3.0 * seed, lead_samples=(3, 40)),
         )  # fmt: skip
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
         save_network(weights, config, tensors)
@@ -90,7 +90,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
         held, current, _, after, u, v, _ = mine
         expected = {
-            "input": held[0, :6], "mean": held[0, 8:10], "low": held[0, 11:],
+            "input": held[0, :6], "mean": held[0, 8:10], "fast": held[0, 11:13], "slow": held[0, 13:],
             "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
             "v1": v[0, h0:-2], "v2": v[0, -2:], "s0": after[0, :h0], "s1": after[0, h0:-2],
         }  # fmt: skip

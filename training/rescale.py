@@ -42,7 +42,7 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     new["w_out"] = old["w_out"] * area("syn2")
     memories = {
         "bias_samples": round(config.inputs.bias_samples * k),
-        "lead_samples": max(1, round(config.inputs.lead_samples * k)),
+        "lead_samples": tuple(max(1, round(each * k)) for each in config.inputs.lead_samples),
     }
     changed = config.model_copy(
         update={

@@ -16,8 +16,7 @@ static const uint16_t KEEP_V_OUTPUT = $mem2;
 
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
-static const double LEAD = $lead; /* what a lateral force lies above its low-pass, times this, is added */
-static const double LEAD_SAMPLES = $lead_samples;
+static const double LEAD = $lead; /* times that the change of a lateral force is added to it */
 static const double BIAS_SAMPLES = $bias_samples; /* memory of the mean rate that is taken off; 0: none */
 
 enum {
@@ -86,7 +85,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, 0};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, 0};
     *state = rest;
 }
 
@@ -107,14 +106,14 @@ static void follow_bias(att_snn_state *state, const double gyro[3])
     }
 }
 
-/* A lateral force with its change brought out. */
+/* A lateral force with its change brought out, in the band between two low-passes. */
 static double led(att_snn_state *state, int k, double force)
 {
     if (!(state->forces > 0.0))
-        state->low[k] = force;
-    const double above = between(force - state->low[k], $lead_clip);
-    state->low[k] += above / LEAD_SAMPLES;
-    return force + LEAD * above;
+        state->fast[k] = state->slow[k] = force;
+    state->fast[k] += between(force - state->fast[k], $lead_clip) / $lead_fast;
+    state->slow[k] += (state->fast[k] - state->slow[k]) / $lead_slow;
+    return force + LEAD * (state->fast[k] - state->slow[k]);
 }
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])

@@ -25,8 +25,9 @@ typedef struct {
     uint8_t s_hidden[ATT_SNN_HIDDEN];
     double mean[2]; /* of the roll and the pitch rate, taken for the gyroscope's bias */
     double seen;    /* samples in it */
-    double low[2];  /* low-pass of the lateral forces */
-    double forces;  /* samples in it */
+    double fast[2]; /* low-passes of the lateral forces */
+    double slow[2];
+    double forces;  /* samples in them */
 } att_snn_state;
 
 /* Start at rest, with an unknown attitude. */
