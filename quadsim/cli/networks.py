@@ -8,7 +8,7 @@ import typer
 
 from ..console import Bar, executor_of, progress_bar
 from ..console import output as console
-from .options import Fields, Initial, Preset, Search, Seed, Workers, fields_of, time_left
+from .options import Criterion, Fields, Initial, Preset, Search, Seed, Workers, fields_of, time_left
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
@@ -218,7 +218,7 @@ def inspect(
         list[Path] | None, typer.Option("--train", help="With --prune: dataset to train on; --data chooses.")
     ] = None,
     criterion: Annotated[
-        str, typer.Option(help="With --prune: activity, magnitude, contribution or random.")
+        Criterion, typer.Option(help="With --prune: how neurons are ranked; the last go first.")
     ] = "contribution",
     stages: Annotated[int, typer.Option(min=1, help="With --prune: steps to get there.")] = 3,
     epochs: Annotated[int, typer.Option(min=1, help="With --prune: epochs of training after each.")] = 10,
@@ -245,6 +245,8 @@ def inspect(
 
     if prune is None and train_data:
         raise ValueError("--train trains on after a cut: it needs --prune")
+    if prune is not None and not (data and train_data):
+        raise ValueError("--prune needs --train, datasets to train on, and --data, datasets to choose by")
     name, config, tensors = load_spiking(weights, profiles)
     core = OnLoihi(config, tensors)
     console.print(cores_table(core.cores))
@@ -260,11 +262,9 @@ def inspect(
             found = look_inside(name, config, tensors, flights, bar)
         console.print(plain_table(found.summary()))
         last = f"{write_page(out, found)}: {last}, error {found.responses['intact'].error_deg:.2f}°"
-    if prune is not None:
+    if prune is not None and data and train_data:
         from training.pruning import prune as prune_network
 
-        if not data or not train_data:
-            raise ValueError("--prune needs --train, datasets to train on, and --data, datasets to choose by")
         with progress_bar("prune", "epochs") as bar:
             done = prune_network(
                 tuple(map(str, train_data)),

@@ -9,6 +9,7 @@ import typer
 
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
+Criterion = Literal["contribution", "activity", "magnitude", "random"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
 Preset = Annotated[
