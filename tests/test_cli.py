@@ -98,7 +98,6 @@ def test_every_verb_has_help_of_its_own():
         (["inspect", "--weights", "missing.safetensors"], "missing.safetensors"),
         (["inspect", "--train", "missing.zarr"], "needs --prune"),
         (["inspect", "--prune", "0.4"], "--train"),
-        (["inspect", "--prune", "0.4", "--criterion", "size"], "magnitude"),
         (
             ["bench", "--scenario", "hover", "--estimator", "att-snn", "--rate", "100", "--seeds", "1"],
             "200 Hz",
