@@ -54,7 +54,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "steps as large in every layer": {"optimiser_lr": 0.02, "layer_steps": (1.0, 1.0, 1.0)},
     "no limit on the gradient": {"clip": 0.0},
     "no state carried over": {"windows_per_stream": 1},
-    "streams of up to 100 s": {"windows_per_stream": 20},
+    "streams of up to 30 s": {"windows_per_stream": 6},
     "no weights shared by symmetry": {"symmetric": False},
     "batches of 40 windows": {"batch_size": 40, "batches": 60},
     "no symmetry in the data": {"augmentation": ERRORS.model_copy(update={"yaw_symmetry": False})},

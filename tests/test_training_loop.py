@@ -84,7 +84,7 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
 
 
-THINNED = TINY | {"parameters": 300, "thinning": (0.25, 0.7), "revive": 0.25, "epochs": 4}
+THINNED = TINY | {"parameters": 300, "revive": 0.25, "epochs": 4}
 
 
 def test_a_thinned_run_keeps_within_its_parameters_and_resumes_to_the_same_weights(dataset, tmp_path):
@@ -206,7 +206,7 @@ def test_bad_choices_give_one_clear_line(tmp_path):
         make_config(data="x.zarr", layer_steps=[1, -1, 1])
     with pytest.raises(ValueError, match="training: parameters: 800, but time constants alone are 1202"):
         make_config("best", data="x.zarr", parameters=800)
-    with pytest.raises(ValueError, match=r"revive: 0\.6, but connections are taken away from 0\.2 on"):
+    with pytest.raises(ValueError, match=r"revive: 0\.6, but connections are taken away from 0\.25 on"):
         make_config("best", data="x.zarr", revive=0.6)
     with pytest.raises(ValueError, match=r"training: thinning: .*should be two rising shares"):
         make_config("best", data="x.zarr", thinning=(0.7, 0.2))

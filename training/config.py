@@ -134,8 +134,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "hidden": 300,
         "parameters": 21202,
         "symmetric": True,
-        "revive": 0.2,
-        "thinning": (0.2, 0.6),
+        "revive": 0.25,
         "output_scale": 1 / 256,
         "start": "solved",
         "optimiser_lr": 0.1,
@@ -143,11 +142,11 @@ PRESETS: dict[str, dict[str, Any]] = {
         "adam_beta2": 0.99,
         "decay": "cosine",
         "clip": 1.0,
-        "epochs": 110,
+        "epochs": 100,
         "batches": 600,
         "batch_size": 4,
         "window_s": 5.0,
-        "windows_per_stream": 6,
+        "windows_per_stream": 20,
         "stop_early": False,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
         "rate_cost": 0.03,
@@ -175,7 +174,6 @@ ROBUST = Augmentation(
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=12000, lead=4.0),
-    "windows_per_stream": 20,
     "optimiser_lr": 0.0015,  # of going on from att-snn: larger steps take from it what it knows
     "epochs": 10,
     "rate_cost": 0.003,
@@ -200,13 +198,7 @@ PRESETS["tune"] = PRESETS["best"] | {
 LIKE_THE_PAPER = {"encoding": 100, "hidden": 100, "parameters": 0, "batches": 30, "batch_size": 40}
 
 RNN: dict[str, dict[str, Any]] = {
-    "best": LIKE_THE_PAPER
-    | {
-        "inputs": InputScaling(),
-        "optimiser_lr": 0.003,
-        "epochs": 100,
-        "windows_per_stream": 20,
-    },
+    "best": LIKE_THE_PAPER | {"inputs": InputScaling(), "optimiser_lr": 0.003, "epochs": 100},
     "robust": LIKE_THE_PAPER | {"inputs": InputScaling(bias_samples=12000)},
     "tune": LIKE_THE_PAPER | {"optimiser_lr": 0.002, "batches": 20},
 }
