@@ -89,23 +89,20 @@ def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, T
     Its outputs are the same to the last bit. At least one neuron, or where weights are shared one group,
     stays in each layer.
     """
-    keep = living(*(tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out")), _groups(tensors))
+    keep = living([tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out")], _groups(tensors))
     return without(config, tensors, keep)
 
 
-def living(
-    w_in: Bools, w_ff: Bools, w_rec: Bools, w_out: Bools, groups: Sequence[NDArray[np.int64]]
-) -> list[NDArray[np.int64]]:
+def living(connections: Sequence[Bools], groups: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
     """Neurons of the encoding and of the hidden layer that an input reaches and that reach an output.
 
     Args:
-        w_in: Which encoding weights there are, shape (h0, inputs).
-        w_ff: Encoding to hidden layer, shape (h1, h0).
-        w_rec: Recurrent, shape (h1, h1).
-        w_out: Hidden layer to outputs, shape (outputs, h1).
+        connections: Which weights there are of w_in (h0, inputs), w_ff (h1, h0), w_rec (h1, h1) and w_out
+            (outputs, h1).
         groups: For each neuron of both layers the first of those that share its weights; where a layer has
             no such neuron, its first group stays.
     """
+    w_in, w_ff, w_rec, w_out = connections
     first, second = w_in.any(1), np.ones(len(w_ff), bool)
     while True:
         driven = w_ff[:, first].any(1) | w_rec[:, second].any(1)

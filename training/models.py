@@ -151,9 +151,10 @@ class AttSNN(nn.Module):
     @torch.no_grad()
     def without(self, neurons: Sequence[NDArray[np.int64]]) -> AttSNN:
         """The network of these neurons of both layers alone; its windows go on from the last ones here."""
+        encoding, hidden = neurons
         smaller = AttSNN(
-            *(ids.size for ids in neurons), self.quantised, self.recurrent_delay, self.output_scale,
-            self.threads, bool(self.ties),
+            encoding.size, hidden.size, self.quantised, self.recurrent_delay, self.output_scale, self.threads,
+            bool(self.ties),
         )  # fmt: skip
         smaller.load_state_dict(
             {
@@ -161,16 +162,16 @@ class AttSNN(nn.Module):
                 for name, value in self.state_dict().items()
             }
         )
-        smaller._spaces = {key: space.without(*neurons) for key, space in self._spaces.items()}
+        smaller._spaces = {key: space.without(encoding, hidden) for key, space in self._spaces.items()}
         return smaller
 
     @property
     def living(self) -> list[NDArray[np.int64]]:
         """Neurons of both layers that connections join to the inputs and to the outputs."""
-        kept = (getattr(self, f"{name}_kept").numpy() for name in Weights._fields[:4])
+        kept = [getattr(self, f"{name}_kept").numpy() for name in Weights._fields[:4]]
         layers = (("mem0", self.w_in.shape[0]), ("mem1", self.w_ff.shape[0]))
         groups = [self.ties[name].first if self.ties else np.arange(size) for name, size in layers]
-        return living(*kept, groups)
+        return living(kept, groups)
 
     @torch.no_grad()
     def keep_what_is_there(self) -> None:
