@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .loihi import step_arrays
 from .networks import OnLoihi, _encode_sample, _encoding_bias
+from .tilt import to_roll_pitch
 
 Array = NDArray[np.float64]
 
@@ -63,10 +64,13 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     potentials = np.zeros((steps, neurons), np.int32)
     out = np.empty((n, samples, 2))
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
+    heading = np.empty_like(out)
     _record(
-        gyro, accel, *core.inputs, *core.encoder, core.steps, core.scale, core.zero(n),
-        core.chip.parameters, spikes, active, potentials, out,
+        gyro, accel, *core.encoding, *core.fan_out, core.steps, core.scale, core.zero(n),
+        core.chip.parameters, spikes, active, potentials, heading, out,
     )  # fmt: skip
+    if core.inputs.yaw_free:
+        to_roll_pitch(out, heading)
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
     return Activity((first, second, third), spikes, active, potentials / threshold, out)
@@ -80,6 +84,7 @@ def _record(
     gain,
     memory,
     lead,
+    yaw_step,
     w_in,
     du,
     steps,
@@ -89,13 +94,15 @@ def _record(
     spikes,
     active,
     potentials,
+    heading,
     out,
 ):
     held, current, before, after, u, v, bias = states
     first_output = v.shape[1] - out.shape[2]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, yaw_step, held[n])
+            heading[n, t, 0], heading[n, t, 1] = held[n, 15], held[n, 16]
         for k in range(steps):
             for n in range(gyro.shape[0]):
                 _encoding_bias(held[n], w_in, du, current[n], bias[n])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .loihi import DECAY_ONE, STATE_ONE
 from .networks import BIAS_CLIP, BIAS_MAX, BIAS_START, INPUT_MAX, LEAD_CLIP, input_scaling
+from .tilt import YAW_MAX
 from .weights_file import NetworkConfig, Tensors, parameters
 
 
@@ -48,6 +49,8 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "lead_fast": f"{config.inputs.lead_samples[0]}.0",
         "lead_slow": f"{config.inputs.lead_samples[1]}.0",
         "lead_clip": repr(LEAD_CLIP),
+        "yaw_step": repr(config.inputs.yaw_free / config.rate_hz),
+        "yaw_max": repr(YAW_MAX),
         "bias_start": f"{BIAS_START}.0",
         "bias_clip": repr(BIAS_CLIP),
         "bias_max": repr(BIAS_MAX),

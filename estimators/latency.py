@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .networks import real_weights, scaled_inputs
+from .networks import HELD, real_weights, scaled_inputs
 from .protocol import create, names
+from .tilt import to_roll_pitch
 from .weights_file import shipped_network
 
 RATE_HZ = 200.0
@@ -37,14 +38,16 @@ class TorchSNN:
         )
         self.taus = [torch.tensor(tau, dtype=torch.float32) for tau in taus]
         sizes = [self.config.encoding, self.config.hidden, 2]
+        self.held = np.zeros((1, HELD))
         self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
-        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None])[:, 0]
+        inputs, rate_hz = self.config.inputs, self.config.rate_hz
+        x, heading = scaled_inputs(inputs, rate_hz, gyro[:, None], accel[:, None], self.held)
         drives = [
-            torch.from_numpy(x.astype(np.float32)) @ self.w_in,
+            torch.from_numpy(x[:, 0].astype(np.float32)) @ self.w_in,
             self.s[0] @ self.w_ff + self.s[1] @ self.w_rec,
             self.s[1] @ self.w_out,
         ]
@@ -54,7 +57,10 @@ class TorchSNN:
             if k < 2:
                 self.s[k] = (self.v[k] > 0.5).float()
                 self.v[k] = self.v[k] * (1 - self.s[k])
-        return self.v[2].numpy() * self.config.output_scale
+        out = self.v[2].numpy()[:, None] * self.config.output_scale
+        if inputs.yaw_free:
+            to_roll_pitch(out, heading)
+        return out[:, 0]
 
 
 class TorchGRU:
@@ -71,7 +77,7 @@ class TorchGRU:
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
-        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None])
+        x, _ = scaled_inputs(self.config.inputs, self.config.rate_hz, gyro[:, None], accel[:, None])
         y, self.state = self.gru(torch.from_numpy(x.astype(np.float32)), self.state)
         return (y[:, 0] @ self.weight.T + self.bias).numpy()
 

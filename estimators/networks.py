@@ -17,6 +17,7 @@ from .chip import partition
 from .dynamics import BIAS_EXP, run_network, zero_state
 from .gru import run_gru
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
+from .tilt import tilt_of, to_roll_pitch, yawed
 from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
@@ -26,9 +27,10 @@ INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 GRAVITY = 9.81
-HELD = 15
+HELD = 17
 """What the encoder keeps: 6 inputs, missing samples, samples in the mean rate, mean roll and pitch rate,
-samples in the low-passes of the lateral forces, the fast one and the slow one of both."""
+samples in the low-passes of the lateral forces, the fast one and the slow one of both, cosine and sine of the
+heading."""
 BIAS_START = 12
 """At the start the mean is that of a bias of zero, seen for `bias_samples` over this."""
 BIAS_CLIP, BIAS_MAX = 0.6, 0.1
@@ -156,7 +158,7 @@ class Spiking:
         self._taus = np.concatenate(taus)
         self._sizes = (config.encoding, config.hidden, config.recurrent_delay, config.steps_per_sample)
         self._quantised, self._scale = config.quantised, config.output_scale / one
-        self._inputs = encoder_of(config.inputs)
+        self._inputs, self._rate = config.inputs, config.rate_hz
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
@@ -165,15 +167,15 @@ class Spiking:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, state, spikes = states
-        x = np.empty((*gyro.shape[:2], 6))
-        encode(gyro, accel, *self._inputs, held, x)
-        x /= INPUT_ONE
+        x, heading = scaled_inputs(self._inputs, self._rate, gyro, accel, held)
         run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
         out *= self._scale
+        if self._inputs.yaw_free:
+            to_roll_pitch(out, heading)
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Set the potentials of the outputs, which forget within a second or so."""
-        potential = roll_pitch / self._scale
+        potential = outputs_at(self._inputs, roll_pitch) / self._scale
         states[1][:, -2:] = np.rint(potential) if self._quantised else potential
 
 
@@ -197,29 +199,33 @@ class OnLoihi:
             ]
         )
         self.cores = partition(self.chip.layers)
-        self.encoder = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"]
+        self.fan_out = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"]
         self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
-        self.inputs = encoder_of(config.inputs)
+        self.inputs = config.inputs
+        self.encoding = encoder_of(config.inputs, config.rate_hz)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
         return (
             np.zeros((n, HELD)),
-            np.zeros((n, self.encoder[0].shape[1]), np.int64),
+            np.zeros((n, self.fan_out[0].shape[1]), np.int64),
             *self.chip.zero_state(n),
         )
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        heading = np.empty_like(out)
         _run_on_loihi(
-            gyro, accel, *self.inputs, *self.encoder, self.steps, self.scale,
-            states, self.chip.parameters, out,
+            gyro, accel, *self.encoding, *self.fan_out, self.steps, self.scale,
+            states, self.chip.parameters, heading, out,
         )  # fmt: skip
+        if self.inputs.yaw_free:
+            to_roll_pitch(out, heading)
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Set the potentials of the outputs, which forget within a second or so."""
         v = states[5]
-        v[:, -2:] = np.rint(roll_pitch / self.scale)
+        v[:, -2:] = np.rint(outputs_at(self.inputs, roll_pitch) / self.scale)
 
 
 class Recurrent:
@@ -237,7 +243,7 @@ class Recurrent:
             tensors["out.bias"].astype(np.float32),
         )
         self._sizes, self._steps, self._scale = (config.encoding, config.hidden), 1, config.output_scale
-        self._inputs = encoder_of(config.inputs)
+        self._inputs, self._rate = config.inputs, config.rate_hz
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
@@ -246,10 +252,11 @@ class Recurrent:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, h0, h1 = states
-        x = np.empty((*gyro.shape[:2], 6))
-        encode(gyro, accel, *self._inputs, held, x)
-        run_gru((x / INPUT_ONE).astype(np.float32), self._weights, self._out, h0, h1, out)
+        x, heading = scaled_inputs(self._inputs, self._rate, gyro, accel, held)
+        run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
+        if self._inputs.yaw_free:
+            to_roll_pitch(out, heading)
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Nothing to do: the output is a function of the units alone."""
@@ -261,23 +268,49 @@ def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
     return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
 
 
-def encoder_of(inputs: InputScaling) -> tuple[Array, Array, float, tuple[float, float, float]]:
-    """What `encode` needs: offset and gain, the memory of the mean rate, the lead and its two memories."""
+def encoder_of(
+    inputs: InputScaling, rate_hz: float
+) -> tuple[Array, Array, float, tuple[float, float, float], float]:
+    """What `encode` needs.
+
+    Returns:
+        Offset and gain, the memory of the mean rate, the lead and its two memories, and the seconds by which
+        a yaw rate turns the axes in each sample.
+    """
     fast, slow = inputs.lead_samples
-    return *input_scaling(inputs), float(inputs.bias_samples), (inputs.lead, float(fast), float(slow))
+    lead = inputs.lead, float(fast), float(slow)
+    return *input_scaling(inputs), float(inputs.bias_samples), lead, inputs.yaw_free / rate_hz
 
 
 def scaled_inputs(
-    inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike, held: Array | None = None
-) -> Array:
-    """Inputs of the network, in steps of 1/1024, for readings (n, T, 3) twice; shape (n, T, 6).
+    inputs: InputScaling, rate_hz: float, gyro: ArrayLike, accel: ArrayLike, held: Array | None = None
+) -> tuple[Array, Array]:
+    """Inputs of the network.
 
-    `held` (n, HELD), changed in place, goes on from the window before; None starts anew.
+    Args:
+        inputs: How they are scaled.
+        rate_hz: Samples per second.
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force (n, T, 3) [m/s²].
+        held: What the encoder keeps (n, HELD), changed in place, to go on from the window before; None: anew.
+
+    Returns:
+        The inputs (n, T, 6) in steps of 1/1024, and the heading's cosine and sine (n, T, 2); in
+        body axes they are 1 and 0.
     """
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-    x = np.empty((*gyro.shape[:2], 6))
-    encode(gyro, accel, *encoder_of(inputs), np.zeros((len(gyro), HELD)) if held is None else held, x)
-    return x / INPUT_ONE
+    x, heading = np.empty((*gyro.shape[:2], 6)), np.empty((*gyro.shape[:2], 2))
+    held = np.zeros((len(gyro), HELD)) if held is None else held
+    encode(gyro, accel, *encoder_of(inputs, rate_hz), held, x, heading)
+    x /= INPUT_ONE
+    return x, heading
+
+
+def outputs_at(inputs: InputScaling, roll_pitch: Array, heading: Array | None = None) -> Array:
+    """What the outputs should say at roll and pitch (..., 2) [rad]; the heading (..., 2) of None is zero."""
+    if not inputs.yaw_free:
+        return roll_pitch
+    return tilt_of(roll_pitch, np.array([1.0, 0.0]) if heading is None else heading)
 
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], list[Array]]:
@@ -316,6 +349,8 @@ def _follow_bias(gyro, memory, held):
 @njit(cache=True)
 def _led(k, force, lead, held):
     """A lateral force with its change brought out, in the band between two low-passes."""
+    if lead[0] == 0.0:
+        return force
     if held[10] == 0.0:
         held[11 + k] = held[13 + k] = force
     held[11 + k] += min(max(force - held[11 + k], -LEAD_CLIP), LEAD_CLIP) / lead[1]
@@ -324,45 +359,59 @@ def _led(k, force, lead, held):
 
 
 @njit(cache=True)
-def _encode_sample(gyro, accel, offset, gain, memory, lead, held):
+def _scaled(value, gain):
+    return min(max(np.rint(value * gain), -INPUT_MAX), INPUT_MAX)
+
+
+@njit(cache=True)
+def _encode_sample(gyro, accel, offset, gain, memory, lead, yaw_step, held):
     """Scale one sample into `held`: 6 inputs, which a missing reading leaves as they are, and a count."""
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
     force_found = np.isfinite(force) and force > 0.0
+    if held[15] == 0.0 and held[16] == 0.0:  # nothing has been seen yet
+        held[15] = 1.0
     if rate_found:
         if memory > 0.0:
             _follow_bias(gyro, memory, held)
-        for k in range(3):
-            bias = held[8 + k] if k < 2 else 0.0
-            held[k] = min(max(np.rint((gyro[k] - bias - offset[k]) * gain[k]), -INPUT_MAX), INPUT_MAX)
+        held[15], held[16] = yawed(held[15], held[16], gyro[2], yaw_step)
+        x, y = gyro[0] - held[8] - offset[0], gyro[1] - held[9] - offset[1]
+        held[0] = _scaled(held[15] * x - held[16] * y, gain[0])
+        held[1] = _scaled(held[15] * y + held[16] * x, gain[1])
+        held[2] = _scaled(gyro[2] - offset[2], gain[2])
     if force_found:
-        for k in range(3):
-            value = _led(k, accel[k], lead, held) if k < 2 and lead[0] > 0.0 else accel[k]
-            value = np.rint((value - offset[3 + k]) * gain[3 + k])
-            held[3 + k] = min(max(value, -INPUT_MAX), INPUT_MAX)
+        x, y = accel[0] - offset[3], accel[1] - offset[4]
+        held[3] = _scaled(_led(0, held[15] * x - held[16] * y, lead, held), gain[3])
+        held[4] = _scaled(_led(1, held[15] * y + held[16] * x, lead, held), gain[4])
+        held[5] = _scaled(accel[2] - offset[5], gain[5])
         held[10] += 1.0
     if not (rate_found and force_found):
         held[6] += 1.0
 
 
 @njit(cache=True)
-def encode(gyro, accel, offset, gain, memory, lead, held, x):
-    """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; `held` (n, HELD) is carried along."""
+def encode(gyro, accel, offset, gain, memory, lead, yaw_step, held, x, heading):
+    """Integer inputs x (n, T, 6), heading (n, T, 2) of readings (n, T, 3) twice; `held` (n, HELD) goes on."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, yaw_step, held[n])
             for k in range(6):
                 x[n, t, k] = held[n, k]
+            heading[n, t, 0], heading[n, t, 1] = held[n, 15], held[n, 16]
 
 
 @njit(cache=True)
-def _run_on_loihi(gyro, accel, offset, gain, memory, lead, w_in, du, steps, scale, states, parameters, out):
+def _run_on_loihi(
+    gyro, accel, offset, gain, memory, lead, yaw_step, w_in, du, steps, scale, states, parameters,
+    heading, out,
+):  # fmt: skip
     held, current, before, after, u, v, bias = states
     n_outputs = out.shape[2]
     first_output = v.shape[1] - n_outputs
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, held[n])
+            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, yaw_step, held[n])
+            heading[n, t, 0], heading[n, t, 1] = held[n, 15], held[n, 16]
         for _ in range(steps):
             for n in range(gyro.shape[0]):
                 _encoding_bias(held[n], w_in, du, current[n], bias[n])

@@ -91,6 +91,7 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "input_bias_samples": config.inputs.bias_samples,
         "input_lead": config.inputs.lead,
         "input_lead_samples": config.inputs.lead_samples,
+        "yaw_free": config.inputs.yaw_free,
         "output_scale": config.output_scale,
         **integers,
     }

@@ -30,6 +30,8 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
         raise ValueError("ONNX has no mean rate: these weights take it off their inputs (bias_samples)")
     if config.inputs.lead:
         raise ValueError("ONNX has no low-pass: these weights need that of the lateral force (lead)")
+    if config.inputs.yaw_free:
+        raise ValueError("ONNX has no integral of the yaw rate: these weights need it (yaw_free)")
     offset, gain = input_scaling(config.inputs)
     constants = {
         "offset": offset, "gain": gain, "limit": np.array(INPUT_MAX), "floor": np.array(-INPUT_MAX),

@@ -6,8 +6,8 @@ network in which they permute the neurons as well, with equal weights wherever t
 another, is equivariant: turned readings give the turned outputs, to the last bit (Cohen & Welling 2016,
 "Group equivariant convolutional networks"). Each of its weights learns from eight times the data.
 
-Roll and pitch turn like that for small tilts; at (30°, 30°) a quarter turn gives (33.7°, -25.7°), where the
-network answers (30°, -30°). docs/training.md says how much no such network can know.
+Roll and pitch turn like that for small tilts only: at (30°, 30°) a quarter turn gives (33.7°, -25.7°), where
+the network answers (30°, -30°). A tilt (`estimators.tilt`) turns like that always.
 
 Neurons stand in groups of eight, each group permuted by the operations as they permute themselves; four of
 the rest stand for the four axes ±x, ±y; what then remains answers to all operations alike.

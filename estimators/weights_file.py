@@ -34,6 +34,9 @@ class InputScaling(Strict):
     """Times that the change of a lateral force, its fast low-pass less its slow one, is added to it."""
     lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)
     """Memories of those two [samples]."""
+    yaw_free: bool = False
+    """Whether lateral readings are turned into axes that do not yaw with the body, where the outputs are a
+    tilt (`estimators.tilt`); otherwise all are of the body, and the outputs are roll and pitch."""
 
 
 PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))

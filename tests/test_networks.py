@@ -156,7 +156,7 @@ def test_gru_equals_torch(rnn_file):
     gru = torch.nn.GRU(6, 100, 2, batch_first=True)
     gru.load_state_dict({k.removeprefix("gru."): torch.tensor(v) for k, v in tensors.items() if "gru" in k})
     gyro, accel = samples(2, 50)
-    x = torch.tensor(scaled_inputs(config.inputs, gyro, accel), dtype=torch.float32)
+    x = torch.tensor(scaled_inputs(config.inputs, config.rate_hz, gyro, accel)[0], dtype=torch.float32)
     expected = gru(x)[0].detach().numpy() @ tensors["out.weight"].T + tensors["out.bias"]
     est = create_network("att-rnn", weights=rnn_file)
     est.reset(2)
@@ -217,7 +217,7 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
     save_network(tmp_path / "w", config, tensors)
     gyro, accel = samples(2, 100)
     weights = Weights(*(torch.tensor(tensors[name]) for name in Weights._fields))
-    x = torch.tensor(scaled_inputs(config.inputs, gyro, accel))
+    x = torch.tensor(scaled_inputs(config.inputs, config.rate_hz, gyro, accel)[0])
     expected, _, hidden = forward(x, weights, recurrent_delay=delay)
     assert hidden.mean() > 0.05
     est = create_network("att-snn", weights=tmp_path / "w")
@@ -231,12 +231,12 @@ def test_the_mean_rate_is_taken_off_as_the_bias_of_the_gyro():
     inputs = InputScaling(bias_samples=2000)
     accel = np.tile([0.0, 0.0, 9.81], (1, 6000, 1))
     rate = 0.3 * np.sin(np.arange(6000) / 50)[None, :, None] * (1, 1, 1)
-    clean = scaled_inputs(InputScaling(), rate, accel)
+    clean = scaled_inputs(InputScaling(), 200.0, rate, accel)[0]
     bias = np.array([0.07, -0.05, 0.0])
-    found = scaled_inputs(inputs, rate + bias, accel)
+    found = scaled_inputs(inputs, 200.0, rate + bias, accel)[0]
     np.testing.assert_allclose(found[:, 4000:], clean[:, 4000:], atol=0.01)
     assert np.abs(found[:, 0] - clean[:, 0]).max() > 0.02  # the first sample knows nothing yet
-    tumbling = scaled_inputs(inputs, np.full_like(rate, 3.0), accel)
+    tumbling = scaled_inputs(inputs, 200.0, np.full_like(rate, 3.0), accel)[0]
     assert tumbling[..., :2].min() > (3.0 - BIAS_MAX - 0.01) / 2.5  # no manoeuvre is taken for a bias
 
 
@@ -246,31 +246,33 @@ def test_the_change_of_a_lateral_force_is_brought_out():
     accel = np.zeros((1, 1000, 3))
     accel[0, :, 0] = 0.5 + (steps >= 200)  # m/s²
     accel[0, :, 2] = 9.81 + (steps >= 200)
-    x = scaled_inputs(inputs, np.zeros_like(accel), accel)
+    x = scaled_inputs(inputs, 200.0, np.zeros_like(accel), accel)[0]
     fast = lfilter([1 / 5], [1, -4 / 5], accel[0, :, 0] - 0.5)
     slow = lfilter([1 / 100], [1, -99 / 100], fast)
     np.testing.assert_allclose(x[0, :, 3], accel[0, :, 0] + 4.0 * (fast - slow), atol=1e-3)
     np.testing.assert_allclose(x[0, 200:, 5], 0.25, atol=1e-3)
     accel[0, 500, 0] = 1000.0  # one bad reading
-    bad = scaled_inputs(inputs, np.zeros_like(accel), accel)
+    bad = scaled_inputs(inputs, 200.0, np.zeros_like(accel), accel)[0]
     assert np.abs(bad - x)[0, 501:].max() <= 4.0 * LEAD_CLIP / 5 + 1e-3
     accel[0, :, 0] = np.sin(2 * np.pi * 73.0 * steps / 200)  # the rotors' vibration is not
-    shaken = scaled_inputs(inputs, np.zeros_like(accel), accel)
+    shaken = scaled_inputs(inputs, 200.0, np.zeros_like(accel), accel)[0]
     assert np.abs(shaken[0, 100:, 3]).max() < 1.6
 
 
-@pytest.mark.parametrize("inputs", [{"bias_samples": 2000}, {"lead": 4.0}])
+@pytest.mark.parametrize("inputs", [{"bias_samples": 2000}, {"lead": 4.0}, {"yaw_free": True}])
 def test_what_the_encoder_keeps_is_the_same_streamed_carried_and_on_loihi(inputs):
     config, tensors = shipped_network("att-snn")
     config = config.model_copy(update={"inputs": config.inputs.model_copy(update=inputs)})
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0.05, 0.3, (2, 400, 3)), rng.normal((0, 0, 9.81), 0.5, (2, 400, 3))
-    whole = scaled_inputs(config.inputs, gyro, accel)
+    whole, headings = scaled_inputs(config.inputs, 200.0, gyro, accel)
     held = np.zeros((2, HELD))
     parts = [
-        scaled_inputs(config.inputs, gyro[:, k : k + 100], accel[:, k : k + 100], held) for k in (0, 100)
+        scaled_inputs(config.inputs, 200.0, gyro[:, k : k + 100], accel[:, k : k + 100], held)
+        for k in (0, 100)
     ]
-    np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole[:, :200])
+    for several, one in zip(zip(*parts, strict=True), (whole, headings), strict=True):
+        np.testing.assert_array_equal(np.concatenate(several, axis=1), one[:, :200])
     outs = []
     for core in (Spiking(config, tensors), OnLoihi(config, tensors)):
         est = NetworkEstimator(core, 200.0)

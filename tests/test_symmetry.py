@@ -6,6 +6,7 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from estimators.activity import record
 from estimators.networks import OnLoihi
 from estimators.pruning import connected, pruned
 from estimators.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
@@ -62,6 +63,12 @@ def rolled_and_pitched(operation, roll_pitch):
     return np.stack([up[..., 1], -up[..., 0]], -1)
 
 
+def up(roll_pitch):
+    """The world's up in body axes."""
+    roll, pitch = np.moveaxis(roll_pitch, -1, 0)
+    return np.stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], -1)
+
+
 def test_the_operations_are_a_group_of_eight():
     known = {each.tobytes() for each in OPERATIONS}
     assert len(known) == 8
@@ -84,13 +91,13 @@ def test_turned_and_mirrored_readings_give_the_turned_outputs_to_the_last_bit(en
     rng = np.random.default_rng(seed)
     gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
     accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
-    estimate = np.empty((9, 200, 2))
-    core.run(core.zero(1), gyro, accel, estimate[:1])
-    assume(np.abs(estimate[0]).max() > 0)  # a single group of neurons may start silent
+    straight = record(core, gyro, accel)
+    outputs = straight.potentials[:, -2:]
+    assume(np.abs(outputs).max() > 0)  # a single group of neurons may start silent
     for operation in OPERATIONS:
-        turned = np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T
-        core.run(core.zero(1), *map(np.ascontiguousarray, turned), estimate[1:2])
-        np.testing.assert_array_equal(estimate[1], rolled_and_pitched(operation, estimate[0]))
+        turned = record(core, np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T)
+        np.testing.assert_array_equal(turned.potentials[:, -2:], rolled_and_pitched(operation, outputs))
+        np.testing.assert_allclose(up(turned.estimate), up(straight.estimate) @ operation.T, atol=1e-9)
 
 
 @given(st.integers(1, 50), st.integers(1, 50))

@@ -49,11 +49,12 @@ def compiled(tmp_path, request):
         driver = request.path.parent / "data" / "loihi" / "driver.c"
         flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
         sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
-        subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
+        subprocess.run(["cc", *flags, *sources, "-lm", "-o", str(tmp_path / "run")], check=True)
         sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
         fields = [(name, np.int32, size) for name, size in sizes]
         fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1), ("mean", float, 2), ("seen", float)]
         fields += [("fast", float, 2), ("slow", float, 2), ("forces", float)]
+        fields += [("heading", float, 2), ("roll_pitch", float, 2)]
         layout = np.dtype(fields, align=True)
 
         def run(samples):
@@ -76,7 +77,9 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         scale = 1 / 256 if seed else 1.0
         config = NetworkConfig(
             model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale,
-            inputs=InputScaling(bias_samples=800 * seed, lead=3.0 * seed, lead_samples=(3, 40)),
+            inputs=InputScaling(
+                bias_samples=800 * seed, lead=3.0 * seed, lead_samples=(3, 40), yaw_free=bool(seed)
+            ),
         )  # fmt: skip
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
         save_network(weights, config, tensors)
@@ -90,12 +93,14 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
         held, current, _, after, u, v, _ = mine
         expected = {
-            "input": held[0, :6], "mean": held[0, 8:10], "fast": held[0, 11:13], "slow": held[0, 13:],
+            "input": held[0, :6], "mean": held[0, 8:10], "fast": held[0, 11:13], "slow": held[0, 13:15],
+            "heading": held[0, 15:],
             "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
             "v1": v[0, h0:-2], "v2": v[0, -2:], "s0": after[0, :h0], "s1": after[0, h0:-2],
         }  # fmt: skip
         for name, value in expected.items():
             np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
+        np.testing.assert_allclose(theirs["roll_pitch"], out[0, 0], atol=1e-12)  # sines are the C library's
     assert states["s0"].mean() > 0.01
     assert states["s1"].mean() > 0.01
 
@@ -122,7 +127,7 @@ def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path, monkeypatch):
     monkeypatch.setattr(reader, "_to_tensor", lambda x: torch.as_tensor(x, dtype=torch.float64))
     net = norse.from_nir(nir.NIRGraph(nodes, edges), dt=float(graph.metadata["dt"])).double()
     gyro, accel = readings(600)
-    x = torch.tensor(scaled_inputs(config.inputs, gyro[None], accel[None]))
+    x = torch.tensor(scaled_inputs(config.inputs, config.rate_hz, gyro[None], accel[None])[0])
     weights, taus = real_weights(config, tensors)
     _, _, hidden = forward(x, Weights(*map(torch.tensor, (*weights, *taus))))
     state, spikes = None, []

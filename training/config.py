@@ -129,7 +129,7 @@ class TrainConfig(Strict):
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "best": {
-        "inputs": InputScaling(lead=4.0),
+        "inputs": InputScaling(lead=4.0, yaw_free=True),
         "encoding": 300,
         "hidden": 300,
         "parameters": 21202,
@@ -173,7 +173,7 @@ ROBUST = Augmentation(
 """Sensors that nobody has calibrated, on vehicles that shake."""
 
 PRESETS["robust"] = PRESETS["best"] | {
-    "inputs": InputScaling(bias_samples=12000, lead=4.0),
+    "inputs": InputScaling(bias_samples=12000, lead=4.0, yaw_free=True),
     "optimiser_lr": 0.0015,  # of going on from att-snn: larger steps take from it what it knows
     "epochs": 10,
     "rate_cost": 0.003,

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, scaled_inputs
+from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, outputs_at, scaled_inputs
 from estimators.pruning import connected
 from estimators.spiking import Weights
 from estimators.symmetry import OPERATIONS
@@ -167,10 +167,10 @@ class _Run:
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
         self._held[batch.fresh] = 0.0
-        x = _inputs(config, batch.gyro, batch.accel, self._held)
+        x, wanted = _inputs_and_targets(config, batch, self.flights.rate_hz, self._held)
         estimate, rates = self.model(x, batch.fresh)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
-        loss = attitude_loss(estimate, torch.from_numpy(batch.roll_pitch))
+        loss = attitude_loss(estimate, torch.from_numpy(wanted))
         cost = loss + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))
         self.optimiser.zero_grad()
         cost.backward()
@@ -411,20 +411,19 @@ def _sample(
     """Scaled inputs and targets of a few long windows, one entry for each network step."""
     several = max(1, min(3, flights.gyro.shape[1] // steps))
     batch = next(windows(flights, config.augmentation, 1, 32, several * steps, 1, seed))
-    x = _inputs(config, batch.gyro, batch.accel).numpy()
-    return x, np.repeat(batch.roll_pitch, config.steps_per_sample, 1)
+    x, wanted = _inputs_and_targets(config, batch, flights.rate_hz)
+    return x.numpy(), np.repeat(wanted, config.steps_per_sample, 1)
 
 
-def _inputs(
-    config: TrainConfig,
-    gyro: NDArray[np.floating],
-    accel: NDArray[np.floating],
-    held: NDArray[np.float64] | None = None,
-) -> Tensor:
-    x = scaled_inputs(config.inputs, gyro, accel, held)
+def _inputs_and_targets(
+    config: TrainConfig, batch: Batch, rate_hz: float, held: NDArray[np.float64] | None = None
+) -> tuple[Tensor, NDArray[np.float32]]:
+    """What the network is given in each step, and what it should say to each sample (n, T, 2) [rad]."""
+    x, heading = scaled_inputs(config.inputs, rate_hz, batch.gyro, batch.accel, held)
+    wanted = outputs_at(config.inputs, batch.roll_pitch, heading).astype(np.float32)
     if config.model == "att-rnn":
-        return torch.from_numpy(x.astype(np.float32))
-    return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
+        return torch.from_numpy(x.astype(np.float32)), wanted
+    return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1)), wanted
 
 
 def _size(model: Model) -> int:

@@ -8,9 +8,9 @@ import numpy as np
 from torch import Tensor
 
 
-def attitude_loss(estimate: Tensor, roll_pitch: Tensor) -> Tensor:
-    """Mean square error over roll and pitch [rad²]; both (n, T, 2)."""
-    return (estimate - roll_pitch).square().mean()
+def attitude_loss(estimate: Tensor, wanted: Tensor) -> Tensor:
+    """Mean square error over roll and pitch, or the two components of the tilt [rad²]; both (n, T, 2)."""
+    return (estimate - wanted).square().mean()
 
 
 def rate_cost(rates: Tensor, targets: Tensor) -> Tensor:

@@ -1,5 +1,7 @@
 #include "att_snn.h"
 
+#include <math.h>
+
 /* Weights by source; half the chip's mantissas, which are even. */
 static const int8_t W_IN[ATT_SNN_INPUTS][ATT_SNN_ENCODING] = $w_in;
 static const int8_t W_FF[ATT_SNN_ENCODING][ATT_SNN_HIDDEN] = $w_ff;
@@ -17,6 +19,8 @@ static const uint16_t KEEP_V_OUTPUT = $mem2;
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
 static const double LEAD = $lead; /* times that the change of a lateral force is added to it */
+static const double SCALE = 1.0 / ATT_SNN_UNITS_PER_RADIAN;
+static const double YAW_STEP = $yaw_step; /* seconds by which a yaw rate turns the axes in a sample; 0: body axes */
 static const double BIAS_SAMPLES = $bias_samples; /* memory of the mean rate that is taken off; 0: none */
 
 enum {
@@ -85,7 +89,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, 0};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, 0, {1.0, 0.0}};
     *state = rest;
 }
 
@@ -109,6 +113,8 @@ static void follow_bias(att_snn_state *state, const double gyro[3])
 /* A lateral force with its change brought out, in the band between two low-passes. */
 static double led(att_snn_state *state, int k, double force)
 {
+    if (!(LEAD > 0.0))
+        return force;
     if (!(state->forces > 0.0))
         state->fast[k] = state->slow[k] = force;
     state->fast[k] += between(force - state->fast[k], $lead_clip) / $lead_fast;
@@ -116,20 +122,39 @@ static double led(att_snn_state *state, int k, double force)
     return force + LEAD * (state->fast[k] - state->slow[k]);
 }
 
+/* Turn the heading by the yaw rate over one sample. */
+static void yaw(att_snn_state *state, double rate)
+{
+    const double half = 0.5 * YAW_STEP * between(rate, $yaw_max);
+    double cosine = state->heading[0], sine = state->heading[1];
+    for (int k = 0; k < 2; ++k) {
+        const double before = cosine;
+        cosine = before - half * sine;
+        sine = sine + half * before;
+    }
+    const double size = sqrt(cosine * cosine + sine * sine);
+    state->heading[0] = cosine / size;
+    state->heading[1] = sine / size;
+}
+
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
+    const double *heading = state->heading;
     const double force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
     if (finite(gyro[0] + gyro[1] + gyro[2])) {
         if (BIAS_SAMPLES > 0.0)
             follow_bias(state, gyro);
-        for (int k = 0; k < 3; ++k)
-            state->input[k] = nearest((gyro[k] - (k < 2 ? state->mean[k] : 0.0) - OFFSET[k]) * GAIN[k]);
+        yaw(state, gyro[2]);
+        const double x = gyro[0] - state->mean[0] - OFFSET[0], y = gyro[1] - state->mean[1] - OFFSET[1];
+        state->input[0] = nearest((heading[0] * x - heading[1] * y) * GAIN[0]);
+        state->input[1] = nearest((heading[0] * y + heading[1] * x) * GAIN[1]);
+        state->input[2] = nearest((gyro[2] - OFFSET[2]) * GAIN[2]);
     }
     if (finite(force) && force > 0.0) {
-        for (int k = 0; k < 3; ++k) {
-            const double value = k < 2 && LEAD > 0.0 ? led(state, k, accel[k]) : accel[k];
-            state->input[3 + k] = nearest((value - OFFSET[3 + k]) * GAIN[3 + k]);
-        }
+        const double x = accel[0] - OFFSET[3], y = accel[1] - OFFSET[4];
+        state->input[3] = nearest(led(state, 0, heading[0] * x - heading[1] * y) * GAIN[3]);
+        state->input[4] = nearest(led(state, 1, heading[0] * y + heading[1] * x) * GAIN[4]);
+        state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
         state->forces += 1.0;
     }
 }
@@ -165,4 +190,20 @@ void att_snn_step(att_snn_state *state)
 {
     for (int k = 0; k < STEPS_PER_SAMPLE; ++k)
         step(state);
+}
+
+void att_snn_attitude(const att_snn_state *state, double roll_pitch[2])
+{
+    const double *heading = state->heading;
+    const double a = state->v_output[0] * SCALE, b = state->v_output[1] * SCALE;
+    roll_pitch[0] = a;
+    roll_pitch[1] = b;
+    if (YAW_STEP > 0.0) { /* a tilt, in axes that do not yaw: turned into those of the body, and up from it */
+        const double first = heading[0] * a + heading[1] * b, second = heading[0] * b - heading[1] * a;
+        const double angle = sqrt(first * first + second * second);
+        const double factor = angle > 0.0 ? sin(angle) / angle : 1.0;
+        const double x = -second * factor, y = first * factor, z = cos(angle);
+        roll_pitch[0] = atan2(y, z);
+        roll_pitch[1] = atan2(-x, sqrt(y * y + z * z));
+    }
 }

@@ -1,5 +1,6 @@
 /* Att-SNN, a spiking network that estimates roll and pitch from an IMU, as on Loihi: $encoding + $hidden
- * neurons, $parameters parameters. Written by quadsim; integers only behind att_snn_encode, no heap, no library. */
+ * neurons, $parameters parameters. Written by quadsim; integers only between att_snn_encode and att_snn_attitude, no
+ * heap, no library but that of <math.h>. */
 #ifndef ATT_SNN_H
 #define ATT_SNN_H
 
@@ -10,7 +11,7 @@
 #define ATT_SNN_ENCODING $encoding
 #define ATT_SNN_HIDDEN $hidden
 #define ATT_SNN_OUTPUTS 2
-/* Output potentials divided by this are radians. */
+/* Output potentials divided by this are radians, of roll and pitch or of a tilt that att_snn_attitude reads. */
 #define ATT_SNN_UNITS_PER_RADIAN $units
 
 typedef struct {
@@ -28,6 +29,7 @@ typedef struct {
     double fast[2]; /* low-passes of the lateral forces */
     double slow[2];
     double forces;  /* samples in them */
+    double heading[2]; /* cosine and sine of the angle by which the body has yawed since the reset */
 } att_snn_state;
 
 /* Start at rest, with an unknown attitude. */
@@ -37,7 +39,10 @@ void att_snn_reset(att_snn_state *state);
  * is not finite, or a force of exactly zero, is missing and leaves the last good one. */
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3]);
 
-/* Run the network for one sample. Roll and pitch are state->v_output over ATT_SNN_UNITS_PER_RADIAN. */
+/* Run the network for one sample. */
 void att_snn_step(att_snn_state *state);
+
+/* Roll and pitch [rad] now. */
+void att_snn_attitude(const att_snn_state *state, double roll_pitch[2]);
 
 #endif

@@ -1,16 +1,18 @@
-/* Reads samples of six doubles, runs the exported network, writes its whole state after each sample. */
+/* Reads samples of six doubles, runs the exported network, writes its whole state and the attitude after each sample. */
 #include <stdio.h>
 #include "att_snn.h"
 
 int main(void)
 {
     static att_snn_state state;
-    double sample[6];
+    double sample[6], roll_pitch[2];
     att_snn_reset(&state);
     while (fread(sample, sizeof sample, 1, stdin) == 1) {
         att_snn_encode(&state, sample, sample + 3);
         att_snn_step(&state);
+        att_snn_attitude(&state, roll_pitch);
         fwrite(&state, sizeof state, 1, stdout);
+        fwrite(roll_pitch, sizeof roll_pitch, 1, stdout);
     }
     return 0;
 }
