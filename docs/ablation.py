@@ -30,6 +30,7 @@ from training.loop import train
 HERE = Path(__file__).parent
 BEST: dict[str, Any] = PRESETS["best"]
 ERRORS: Augmentation = BEST["augmentation"]
+INPUTS: InputScaling = BEST["inputs"]
 
 SIZES: tuple[tuple[int, int, int], ...] = (
     (100, 100, 0), (200, 200, 0), (200, 200, 21202), (300, 300, 0), (300, 300, 21202), (300, 300, 18500),
@@ -45,8 +46,9 @@ ROWS: dict[str, dict[str, Any]] = {
     "best, another seed": {"seed": 1},
     "100 + 100 neurons, every connection": {"encoding": 100, "hidden": 100},
     "300 + 300 neurons, every connection": {"parameters": 0},
-    "inputs scaled as in the paper": {"inputs": PAPER_SCALING},
-    "no lead on the lateral forces": {"inputs": InputScaling()},
+    "inputs as in the paper": {"inputs": PAPER_SCALING},
+    "body axes, roll and pitch from the outputs": {"inputs": INPUTS.model_copy(update={"yaw_free": False})},
+    "no lead on the lateral forces": {"inputs": INPUTS.model_copy(update={"lead": 0.0})},
     "random start": {"start": "random"},
     "outputs of 1 rad per unit": {"output_scale": 1.0},
     "constant learning rate": {"decay": "none"},
