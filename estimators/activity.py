@@ -32,6 +32,8 @@ class Activity:
     """Membranes of the first flight after each step [threshold = 1], (steps, neurons)."""
     estimate: Array
     """Roll and pitch after each sample, (n, T, 2) [rad]."""
+    heading: Array
+    """Cosine and sine of the angle by which the body has yawed from the network's axes, (n, T, 2)."""
 
     @property
     def rates(self) -> Array:
@@ -73,7 +75,7 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
         to_roll_pitch(out, heading)
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
-    return Activity((first, second, third), spikes, active, potentials / threshold, out)
+    return Activity((first, second, third), spikes, active, potentials / threshold, out, heading)
 
 
 @njit(cache=True)

@@ -31,7 +31,7 @@ CONNECTIONS = {
 
 
 def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) -> nir.NIRGraph:
-    """The network between its scaled inputs (6) and its output potentials (2).
+    """The network between its scaled inputs (6) and its output potentials (2); scales are in its metadata.
 
     Args:
         config: How the network is run.
