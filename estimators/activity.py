@@ -84,9 +84,9 @@ def _record(
     accel,
     offset,
     gain,
-    memory,
+    bias_of_gyro,
     lead,
-    yaw_step,
+    axes,
     w_in,
     du,
     steps,
@@ -103,8 +103,9 @@ def _record(
     first_output = v.shape[1] - out.shape[2]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, yaw_step, held[n])
-            heading[n, t, 0], heading[n, t, 1] = held[n, 15], held[n, 16]
+            heading[n, t] = _encode_sample(
+                gyro[n, t], accel[n, t], offset, gain, bias_of_gyro, lead, axes, held[n]
+            )
         for k in range(steps):
             for n in range(gyro.shape[0]):
                 _encoding_bias(held[n], w_in, du, current[n], bias[n])

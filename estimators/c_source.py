@@ -9,9 +9,9 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
+from . import gyro_bias
 from .loihi import DECAY_ONE, STATE_ONE
-from .networks import BIAS_CLIP, BIAS_MAX, BIAS_START, INPUT_MAX, LEAD_CLIP, input_scaling
-from .tilt import YAW_MAX
+from .networks import INPUT_MAX, LEAD_CLIP, input_scaling
 from .weights_file import NetworkConfig, Tensors, parameters
 
 
@@ -45,15 +45,19 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "offset": _braces(offset),
         "gain": _braces(gain),
         "bias_samples": f"{config.inputs.bias_samples}.0",
+        "bias_sd": repr(config.inputs.bias_sd),
         "lead": repr(config.inputs.lead),
         "lead_fast": f"{config.inputs.lead_samples[0]}.0",
         "lead_slow": f"{config.inputs.lead_samples[1]}.0",
         "lead_clip": repr(LEAD_CLIP),
-        "yaw_step": repr(config.inputs.yaw_free / config.rate_hz),
-        "yaw_max": repr(YAW_MAX),
-        "bias_start": f"{BIAS_START}.0",
-        "bias_clip": repr(BIAS_CLIP),
-        "bias_max": repr(BIAS_MAX),
+        "step": repr(1.0 / config.rate_hz),
+        "yaw_free": int(config.inputs.yaw_free),
+        "kept": gyro_bias.KEPT,
+        "rate_max": repr(gyro_bias.RATE_MAX),
+        "bias_max": repr(gyro_bias.BIAS_MAX),
+        "correlated_s": repr(gyro_bias.CORRELATED_S),
+        "expected_s": repr(gyro_bias.EXPECTED_S),
+        "tilt_variance": repr(gyro_bias.TILT_VARIANCE),
         **arrays,
     }
     folder = files("assets") / "c99"

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .chip import partition
 from .dynamics import BIAS_EXP, run_network, zero_state
 from .gru import run_gru
+from .gyro_bias import KEPT, follow_bias
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
 from .tilt import tilt_of, to_roll_pitch, yawed
 from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, shipped_network
@@ -27,14 +28,10 @@ INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 GRAVITY = 9.81
-HELD = 17
-"""What the encoder keeps: 6 inputs, missing samples, samples in the mean rate, mean roll and pitch rate,
-samples in the low-passes of the lateral forces, the fast one and the slow one of both, cosine and sine of the
-heading."""
-BIAS_START = 12
-"""At the start the mean is that of a bias of zero, seen for `bias_samples` over this."""
-BIAS_CLIP, BIAS_MAX = 0.6, 0.1
-"""Rate beyond which a manoeuvre counts no further in the mean; largest bias that is believed [rad/s]."""
+HEADING, BIAS = 12, 14
+HELD = BIAS + KEPT
+"""What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
+fast one and the slow one of both; at `HEADING` its cosine and sine; at `BIAS` what `follow_bias` keeps."""
 LEAD_CLIP = 5.0
 """How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 SETTLE_S, TURN_S = 3.0, 0.15
@@ -142,7 +139,7 @@ class NetworkEstimator:
                 raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
-            states[0][:, 7:] = 0.0  # that turn says nothing of the gyroscope's bias
+            states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept
             self.core.place(states, known)
         return states
 
@@ -270,16 +267,16 @@ def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
 
 def encoder_of(
     inputs: InputScaling, rate_hz: float
-) -> tuple[Array, Array, float, tuple[float, float, float], float]:
+) -> tuple[Array, Array, tuple[float, float], tuple[float, float, float], tuple[float, bool]]:
     """What `encode` needs.
 
     Returns:
-        Offset and gain, the memory of the mean rate, the lead and its two memories, and the seconds by which
-        a yaw rate turns the axes in each sample.
+        Offset and gain, memory and spread of the gyroscope's bias, the lead and its two memories, and the
+        time between samples with whether axes do not yaw.
     """
     fast, slow = inputs.lead_samples
-    lead = inputs.lead, float(fast), float(slow)
-    return *input_scaling(inputs), float(inputs.bias_samples), lead, inputs.yaw_free / rate_hz
+    bias, lead = (float(inputs.bias_samples), inputs.bias_sd), (inputs.lead, float(fast), float(slow))
+    return *input_scaling(inputs), bias, lead, (1.0 / rate_hz, inputs.yaw_free)
 
 
 def scaled_inputs(
@@ -337,25 +334,15 @@ def _turn_into(roll_pitch: Array, rate_hz: float) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _follow_bias(gyro, memory, held):
-    """Running mean of the roll and the pitch rate: a vehicle that stays upright does not turn on average."""
-    step = 1.0 / min(held[7] + 1.0 + memory / BIAS_START, memory)
-    held[7] += 1.0
-    for k in range(2):
-        beyond = min(max(gyro[k] - held[8 + k], -BIAS_CLIP), BIAS_CLIP)
-        held[8 + k] = min(max(held[8 + k] + step * beyond, -BIAS_MAX), BIAS_MAX)
-
-
-@njit(cache=True)
 def _led(k, force, lead, held):
     """A lateral force with its change brought out, in the band between two low-passes."""
     if lead[0] == 0.0:
         return force
-    if held[10] == 0.0:
-        held[11 + k] = held[13 + k] = force
-    held[11 + k] += min(max(force - held[11 + k], -LEAD_CLIP), LEAD_CLIP) / lead[1]
-    held[13 + k] += (held[11 + k] - held[13 + k]) / lead[2]
-    return force + lead[0] * (held[11 + k] - held[13 + k])
+    if held[7] == 0.0:
+        held[8 + k] = held[10 + k] = force
+    held[8 + k] += min(max(force - held[8 + k], -LEAD_CLIP), LEAD_CLIP) / lead[1]
+    held[10 + k] += (held[8 + k] - held[10 + k]) / lead[2]
+    return force + lead[0] * (held[8 + k] - held[10 + k])
 
 
 @njit(cache=True)
@@ -364,45 +351,49 @@ def _scaled(value, gain):
 
 
 @njit(cache=True)
-def _encode_sample(gyro, accel, offset, gain, memory, lead, yaw_step, held):
-    """Scale one sample into `held`: 6 inputs, which a missing reading leaves as they are, and a count."""
+def _encode_sample(gyro, accel, offset, gain, bias, lead, axes, held):
+    """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
+    memory, spread = bias
+    step, yaw_free = axes
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
     force_found = np.isfinite(force) and force > 0.0
-    if held[15] == 0.0 and held[16] == 0.0:  # nothing has been seen yet
-        held[15] = 1.0
+    if held[HEADING] == 0.0 and held[HEADING + 1] == 0.0:  # nothing has been seen yet
+        held[HEADING] = 1.0
+    if rate_found and (yaw_free or memory > 0.0):
+        held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], gyro[2], step)
+    cosine, sine = (held[HEADING], held[HEADING + 1]) if yaw_free else (1.0, 0.0)
     if rate_found:
         if memory > 0.0:
-            _follow_bias(gyro, memory, held)
-        held[15], held[16] = yawed(held[15], held[16], gyro[2], yaw_step)
-        x, y = gyro[0] - held[8] - offset[0], gyro[1] - held[9] - offset[1]
-        held[0] = _scaled(held[15] * x - held[16] * y, gain[0])
-        held[1] = _scaled(held[15] * y + held[16] * x, gain[1])
+            follow_bias(gyro, held[HEADING], held[HEADING + 1], step, memory, spread, held[BIAS:])
+        x, y = gyro[0] - held[HELD - 2] - offset[0], gyro[1] - held[HELD - 1] - offset[1]
+        held[0] = _scaled(cosine * x - sine * y, gain[0])
+        held[1] = _scaled(cosine * y + sine * x, gain[1])
         held[2] = _scaled(gyro[2] - offset[2], gain[2])
     if force_found:
         x, y = accel[0] - offset[3], accel[1] - offset[4]
-        held[3] = _scaled(_led(0, held[15] * x - held[16] * y, lead, held), gain[3])
-        held[4] = _scaled(_led(1, held[15] * y + held[16] * x, lead, held), gain[4])
+        held[3] = _scaled(_led(0, cosine * x - sine * y, lead, held), gain[3])
+        held[4] = _scaled(_led(1, cosine * y + sine * x, lead, held), gain[4])
         held[5] = _scaled(accel[2] - offset[5], gain[5])
-        held[10] += 1.0
+        held[7] += 1.0
     if not (rate_found and force_found):
         held[6] += 1.0
+    return cosine, sine
 
 
 @njit(cache=True)
-def encode(gyro, accel, offset, gain, memory, lead, yaw_step, held, x, heading):
+def encode(gyro, accel, offset, gain, bias, lead, axes, held, x, heading):
     """Integer inputs x (n, T, 6), heading (n, T, 2) of readings (n, T, 3) twice; `held` (n, HELD) goes on."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, yaw_step, held[n])
+            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], offset, gain, bias, lead, axes, held[n])
             for k in range(6):
                 x[n, t, k] = held[n, k]
-            heading[n, t, 0], heading[n, t, 1] = held[n, 15], held[n, 16]
 
 
 @njit(cache=True)
 def _run_on_loihi(
-    gyro, accel, offset, gain, memory, lead, yaw_step, w_in, du, steps, scale, states, parameters,
+    gyro, accel, offset, gain, bias_of_gyro, lead, axes, w_in, du, steps, scale, states, parameters,
     heading, out,
 ):  # fmt: skip
     held, current, before, after, u, v, bias = states
@@ -410,8 +401,9 @@ def _run_on_loihi(
     first_output = v.shape[1] - n_outputs
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            _encode_sample(gyro[n, t], accel[n, t], offset, gain, memory, lead, yaw_step, held[n])
-            heading[n, t, 0], heading[n, t, 1] = held[n, 15], held[n, 16]
+            heading[n, t] = _encode_sample(
+                gyro[n, t], accel[n, t], offset, gain, bias_of_gyro, lead, axes, held[n]
+            )
         for _ in range(steps):
             for n in range(gyro.shape[0]):
                 _encoding_bias(held[n], w_in, du, current[n], bias[n])

@@ -89,6 +89,7 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "input_offset": offset,
         "input_gain_1024": gain,
         "input_bias_samples": config.inputs.bias_samples,
+        "input_bias_sd": config.inputs.bias_sd,
         "input_lead": config.inputs.lead,
         "input_lead_samples": config.inputs.lead_samples,
         "yaw_free": config.inputs.yaw_free,

@@ -27,7 +27,7 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
     if config.model != "att-rnn":
         raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
     if config.inputs.bias_samples:
-        raise ValueError("ONNX has no mean rate: these weights take it off their inputs (bias_samples)")
+        raise ValueError("ONNX does not estimate the gyroscope's bias: these weights need it (bias_samples)")
     if config.inputs.lead:
         raise ValueError("ONNX has no low-pass: these weights need that of the lateral force (lead)")
     if config.inputs.yaw_free:

@@ -18,16 +18,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from .gyro_bias import RATE_MAX
 
-YAW_MAX = 40.0
-"""Yaw rate beyond which a reading turns the axes no faster [rad/s]."""
+Array = NDArray[np.float64]
 
 
 @njit(cache=True)
 def yawed(cosine, sine, rate, step):
     """Cosine and sine of the heading after a yaw rate [rad/s] over `step` [s]: 2 atan(rate step / 2) more."""
-    half = 0.5 * step * min(max(rate, -YAW_MAX), YAW_MAX)
+    half = 0.5 * step * min(max(rate, -RATE_MAX), RATE_MAX)
     for _ in range(2):
         cosine, sine = cosine - half * sine, sine + half * cosine
     size = math.sqrt(cosine * cosine + sine * sine)

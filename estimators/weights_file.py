@@ -29,7 +29,9 @@ class InputScaling(Strict):
     accel_offset: tuple[float, float, float] = (0.0, 0.0, 9.81)
     """Specific force of an input of 0 [m/s²]."""
     bias_samples: int = Field(default=0, ge=0)
-    """Memory of the mean roll and pitch rate that is taken off as the gyro's bias [samples]; 0: none."""
+    """Memory of the gyroscope's bias, found by `estimators.gyro_bias` and taken off [samples]; 0: none is."""
+    bias_sd: float = Field(default=0.0088, gt=0)
+    """Spread of that bias, of each axis [rad/s]."""
     lead: float = Field(default=0.0, ge=0)
     """Times that the change of a lateral force, its fast low-pass less its slow one, is added to it."""
     lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)

@@ -228,7 +228,7 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
 
 
 def test_the_mean_rate_is_taken_off_as_the_bias_of_the_gyro():
-    inputs = InputScaling(bias_samples=2000)
+    inputs = InputScaling(bias_samples=20000, bias_sd=0.05)
     accel = np.tile([0.0, 0.0, 9.81], (1, 6000, 1))
     rate = 0.3 * np.sin(np.arange(6000) / 50)[None, :, None] * (1, 1, 1)
     clean = scaled_inputs(InputScaling(), 200.0, rate, accel)[0]

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from estimators.gyro_bias import RATE_MAX
 from estimators.networks import HELD, NetworkEstimator, OnLoihi, Recurrent, Spiking, scaled_inputs
-from estimators.tilt import YAW_MAX, tilt_of, to_roll_pitch, yawed
+from estimators.tilt import tilt_of, to_roll_pitch, yawed
 from estimators.weights_file import InputScaling, shipped_network
 
 ANGLE = st.floats(-1.5, 1.5)
@@ -43,7 +44,7 @@ def test_heading_is_the_integral_of_the_yaw_rate_on_the_unit_circle():
         angle += 2 * np.arctan(rate * 0.005 / 2)
     np.testing.assert_allclose([cosine, sine], [np.cos(angle), np.sin(angle)], atol=1e-9)
     assert abs(np.hypot(cosine, sine) - 1.0) < 1e-15
-    assert yawed(1.0, 0.0, 1e30, 0.005) == yawed(1.0, 0.0, YAW_MAX, 0.005)
+    assert yawed(1.0, 0.0, 1e30, 0.005) == yawed(1.0, 0.0, RATE_MAX, 0.005)
 
 
 def turning(rate_hz=200.0):

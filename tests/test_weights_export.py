@@ -7,7 +7,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from estimators.networks import OnLoihi, Recurrent, real_weights, scaled_inputs
+from estimators.gyro_bias import KEPT
+from estimators.networks import BIAS, HEADING, OnLoihi, Recurrent, real_weights, scaled_inputs
 from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
 from estimators.weights_file import (
@@ -52,9 +53,9 @@ def compiled(tmp_path, request):
         subprocess.run(["cc", *flags, *sources, "-lm", "-o", str(tmp_path / "run")], check=True)
         sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
         fields = [(name, np.int32, size) for name, size in sizes]
-        fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1), ("mean", float, 2), ("seen", float)]
-        fields += [("fast", float, 2), ("slow", float, 2), ("forces", float)]
-        fields += [("heading", float, 2), ("roll_pitch", float, 2)]
+        fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
+        fields += [("forces", float), ("fast", float, 2), ("slow", float, 2), ("heading", float, 2)]
+        fields += [("kept", float, KEPT), ("roll_pitch", float, 2)]
         layout = np.dtype(fields, align=True)
 
         def run(samples):
@@ -93,8 +94,8 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
         held, current, _, after, u, v, _ = mine
         expected = {
-            "input": held[0, :6], "mean": held[0, 8:10], "fast": held[0, 11:13], "slow": held[0, 13:15],
-            "heading": held[0, 15:],
+            "input": held[0, :6], "forces": held[0, 7], "fast": held[0, 8:10], "slow": held[0, 10:12],
+            "heading": held[0, HEADING : HEADING + 2], "kept": held[0, BIAS:],
             "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
             "v1": v[0, h0:-2], "v2": v[0, -2:], "s0": after[0, :h0], "s1": after[0, h0:-2],
         }  # fmt: skip

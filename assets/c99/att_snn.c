@@ -20,10 +20,13 @@ static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
 static const double LEAD = $lead; /* times that the change of a lateral force is added to it */
 static const double SCALE = 1.0 / ATT_SNN_UNITS_PER_RADIAN;
-static const double YAW_STEP = $yaw_step; /* seconds by which a yaw rate turns the axes in a sample; 0: body axes */
-static const double BIAS_SAMPLES = $bias_samples; /* memory of the mean rate that is taken off; 0: none */
+static const double STEP = $step; /* seconds between samples */
+static const double BIAS_SAMPLES = $bias_samples; /* memory of the gyroscope's bias that is taken off; 0: none */
+static const double BIAS_SD = $bias_sd;
 
 enum {
+    YAW_FREE = $yaw_free, /* whether lateral readings are turned into axes that do not yaw; the outputs are a tilt */
+    KEPT = $kept,
     INPUT_MAX = $input_max,
     BIAS_STEP = 16,
     BIAS_MANT_MAX = 4095,
@@ -89,7 +92,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, 0, {1.0, 0.0}};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}};
     *state = rest;
 }
 
@@ -98,16 +101,50 @@ static double between(double value, double limit)
     return value < -limit ? -limit : value > limit ? limit : value;
 }
 
-/* Running mean of the roll and the pitch rate: a vehicle that stays upright does not turn on average. */
+/* Turn the heading by the yaw rate over one sample. */
+static void yaw(double heading[2], double rate)
+{
+    const double half = 0.5 * STEP * between(rate, $rate_max);
+    double cosine = heading[0], sine = heading[1];
+    for (int k = 0; k < 2; ++k) {
+        const double before = cosine;
+        cosine = before - half * sine;
+        sine = sine + half * before;
+    }
+    const double size = sqrt(cosine * cosine + sine * sine);
+    heading[0] = cosine / size;
+    heading[1] = sine / size;
+}
+
+/* The integral of the rates is a line in that of the heading, about which the tilt scatters; its slope is the bias. */
 static void follow_bias(att_snn_state *state, const double gyro[3])
 {
-    const double started = state->seen + 1.0 + BIAS_SAMPLES / $bias_start;
-    const double step = 1.0 / (started < BIAS_SAMPLES ? started : BIAS_SAMPLES);
-    state->seen += 1.0;
-    for (int k = 0; k < 2; ++k) {
-        const double beyond = between(gyro[k] - state->mean[k], $bias_clip);
-        state->mean[k] = between(state->mean[k] + step * beyond, $bias_max);
-    }
+    const double x = between(gyro[0], $rate_max), y = between(gyro[1], $rate_max);
+    const double cosine = state->heading[0], sine = state->heading[1], expected = $expected_s / STEP;
+    double *kept = state->kept;
+    kept[0] = kept[0] + 1.0 < BIAS_SAMPLES ? kept[0] + 1.0 : BIAS_SAMPLES;
+    kept[1] += STEP * cosine;
+    kept[2] += STEP * sine;
+    kept[3] += STEP * (cosine * x - sine * y);
+    kept[4] += STEP * (cosine * y + sine * x);
+    const double new = 1.0 / kept[0], old = 1.0 - new;
+    const double sx = kept[1] - kept[5], sy = kept[2] - kept[6], ix = kept[3] - kept[7], iy = kept[4] - kept[8];
+    kept[5] += new * sx;
+    kept[6] += new * sy;
+    kept[7] += new * ix;
+    kept[8] += new * iy;
+    kept[9] = old * (kept[9] + new * (sx * sx + sy * sy));
+    kept[10] = old * (kept[10] + new * (sx * ix + sy * iy));
+    kept[11] = old * (kept[11] + new * (sx * iy - sy * ix));
+    kept[12] = old * (kept[12] + new * (ix * ix + iy * iy));
+    const double spread = kept[9] > 1e-12 ? kept[9] : 1e-12;
+    const double rest = kept[12] - (kept[10] * kept[10] + kept[11] * kept[11]) / spread;
+    const double scatter = 0.5 * (rest > 0.0 ? rest : 0.0);
+    const double variance = (kept[0] * scatter + expected * $tilt_variance) / (kept[0] + expected);
+    const double prior = $correlated_s / STEP * variance / (BIAS_SD * BIAS_SD);
+    const double weight = kept[0] / (kept[0] * kept[9] + prior);
+    kept[13] = between(weight * kept[10], $bias_max);
+    kept[14] = between(weight * kept[11], $bias_max);
 }
 
 /* A lateral force with its change brought out, in the band between two low-passes. */
@@ -122,38 +159,25 @@ static double led(att_snn_state *state, int k, double force)
     return force + LEAD * (state->fast[k] - state->slow[k]);
 }
 
-/* Turn the heading by the yaw rate over one sample. */
-static void yaw(att_snn_state *state, double rate)
-{
-    const double half = 0.5 * YAW_STEP * between(rate, $yaw_max);
-    double cosine = state->heading[0], sine = state->heading[1];
-    for (int k = 0; k < 2; ++k) {
-        const double before = cosine;
-        cosine = before - half * sine;
-        sine = sine + half * before;
-    }
-    const double size = sqrt(cosine * cosine + sine * sine);
-    state->heading[0] = cosine / size;
-    state->heading[1] = sine / size;
-}
-
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
-    const double *heading = state->heading;
     const double force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
-    if (finite(gyro[0] + gyro[1] + gyro[2])) {
+    const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]);
+    if (rate_found && (YAW_FREE || BIAS_SAMPLES > 0.0))
+        yaw(state->heading, gyro[2]);
+    const double cosine = YAW_FREE ? state->heading[0] : 1.0, sine = YAW_FREE ? state->heading[1] : 0.0;
+    if (rate_found) {
         if (BIAS_SAMPLES > 0.0)
             follow_bias(state, gyro);
-        yaw(state, gyro[2]);
-        const double x = gyro[0] - state->mean[0] - OFFSET[0], y = gyro[1] - state->mean[1] - OFFSET[1];
-        state->input[0] = nearest((heading[0] * x - heading[1] * y) * GAIN[0]);
-        state->input[1] = nearest((heading[0] * y + heading[1] * x) * GAIN[1]);
+        const double x = gyro[0] - state->kept[KEPT - 2] - OFFSET[0], y = gyro[1] - state->kept[KEPT - 1] - OFFSET[1];
+        state->input[0] = nearest((cosine * x - sine * y) * GAIN[0]);
+        state->input[1] = nearest((cosine * y + sine * x) * GAIN[1]);
         state->input[2] = nearest((gyro[2] - OFFSET[2]) * GAIN[2]);
     }
     if (finite(force) && force > 0.0) {
         const double x = accel[0] - OFFSET[3], y = accel[1] - OFFSET[4];
-        state->input[3] = nearest(led(state, 0, heading[0] * x - heading[1] * y) * GAIN[3]);
-        state->input[4] = nearest(led(state, 1, heading[0] * y + heading[1] * x) * GAIN[4]);
+        state->input[3] = nearest(led(state, 0, cosine * x - sine * y) * GAIN[3]);
+        state->input[4] = nearest(led(state, 1, cosine * y + sine * x) * GAIN[4]);
         state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
         state->forces += 1.0;
     }
@@ -198,7 +222,7 @@ void att_snn_attitude(const att_snn_state *state, double roll_pitch[2])
     const double a = state->v_output[0] * SCALE, b = state->v_output[1] * SCALE;
     roll_pitch[0] = a;
     roll_pitch[1] = b;
-    if (YAW_STEP > 0.0) { /* a tilt, in axes that do not yaw: turned into those of the body, and up from it */
+    if (YAW_FREE) { /* a tilt, in axes that do not yaw: turned into those of the body, and up from it */
         const double first = heading[0] * a + heading[1] * b, second = heading[0] * b - heading[1] * a;
         const double angle = sqrt(first * first + second * second);
         const double factor = angle > 0.0 ? sin(angle) / angle : 1.0;

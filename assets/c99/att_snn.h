@@ -24,12 +24,11 @@ typedef struct {
     int32_t v_output[ATT_SNN_OUTPUTS];
     uint8_t s_encoding[ATT_SNN_ENCODING]; /* spikes of the last step, 0 or 1 */
     uint8_t s_hidden[ATT_SNN_HIDDEN];
-    double mean[2]; /* of the roll and the pitch rate, taken for the gyroscope's bias */
-    double seen;    /* samples in it */
-    double fast[2]; /* low-passes of the lateral forces */
+    double forces;  /* samples in the low-passes of the lateral forces */
+    double fast[2];
     double slow[2];
-    double forces;  /* samples in them */
     double heading[2]; /* cosine and sine of the angle by which the body has yawed since the reset */
+    double kept[$kept]; /* what the gyroscope's bias is found from, and at the end the bias */
 } att_snn_state;
 
 /* Start at rest, with an unknown attitude. */
