@@ -227,7 +227,7 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
         create_network("att-snn-loihi", weights=tmp_path / "w")
 
 
-def test_the_mean_rate_is_taken_off_as_the_bias_of_the_gyro():
+def test_the_bias_of_the_gyro_is_taken_off():
     inputs = InputScaling(bias_samples=20000, bias_sd=0.05)
     accel = np.tile([0.0, 0.0, 9.81], (1, 6000, 1))
     rate = 0.3 * np.sin(np.arange(6000) / 50)[None, :, None] * (1, 1, 1)
