@@ -174,8 +174,8 @@ ROBUST = Augmentation(
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(bias_samples=20000, bias_sd=0.044, lead=4.0, yaw_free=True),
-    "optimiser_lr": 0.0015,  # of going on from att-snn: larger steps take from it what it knows
-    "epochs": 10,
+    "optimiser_lr": 0.004,  # of going on from att-snn: larger steps take from it what it knows
+    "epochs": 14,
     "rate_cost": 0.003,
     "rate_targets": (0.2, 0.4),
     "augmentation": ROBUST,
