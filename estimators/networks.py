@@ -280,7 +280,11 @@ def encoder_of(
 
 
 def scaled_inputs(
-    inputs: InputScaling, rate_hz: float, gyro: ArrayLike, accel: ArrayLike, held: Array | None = None
+    inputs: InputScaling,
+    rate_hz: float,
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    held: NDArray[np.generic] | None = None,
 ) -> tuple[Array, Array]:
     """Inputs of the network.
 
@@ -303,7 +307,9 @@ def scaled_inputs(
     return x, heading
 
 
-def outputs_at(inputs: InputScaling, roll_pitch: Array, heading: Array | None = None) -> Array:
+def outputs_at(
+    inputs: InputScaling, roll_pitch: NDArray[np.floating], heading: Array | None = None
+) -> NDArray[np.floating]:
     """What the outputs should say at roll and pitch (..., 2) [rad]; the heading (..., 2) of None is zero."""
     if not inputs.yaw_free:
         return roll_pitch

@@ -4,7 +4,15 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimators.gyro_bias import BIAS_MAX, CORRELATED_S, EXPECTED_S, KEPT, RATE_MAX, TILT_VARIANCE, follow_bias
+from estimators.gyro_bias import (
+    BIAS_MAX,
+    CORRELATED_S,
+    EXPECTED_S,
+    KEPT,
+    RATE_MAX,
+    TILT_VARIANCE,
+    follow_bias,
+)
 
 STEP = 0.005
 
