@@ -42,7 +42,7 @@ def swinging(seconds, seed=0):
 def test_it_is_the_slope_by_least_squares_with_a_prior():
     rates, heading = swinging(20.0)
     spread = 0.03
-    b = found(rates + [0.04, -0.02, 0.0], heading, spread=spread)[-1]
+    b = found(rates + np.array([0.04, -0.02, 0.0]), heading, spread=spread)[-1]
     r = np.exp(1j * heading)
     integral = STEP * np.cumsum(r * ((rates[:, 0] + 0.04) + 1j * (rates[:, 1] - 0.02)))
     of_heading = STEP * np.cumsum(r)
@@ -58,7 +58,7 @@ def test_it_is_the_slope_by_least_squares_with_a_prior():
 @given(st.integers(0, 50), st.floats(-0.09, 0.09), st.floats(-0.09, 0.09))
 def test_a_bias_is_found_in_flight_within_a_minute(seed, x, y):
     rates, heading = swinging(60.0, seed)
-    b = found(rates + [x, y, 0.0], heading)
+    b = found(rates + np.array([x, y, 0.0]), heading)
     assert np.abs(b[-1] - [x, y]).max() < 0.006  # rad/s
 
 
