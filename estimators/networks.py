@@ -23,6 +23,7 @@ from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, sh
 
 Array = NDArray[np.float64]
 States = tuple[NDArray[np.generic], ...]
+Encoding = tuple[Array, Array, tuple[float, float], tuple[float, float, float], tuple[float, bool]]
 
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
@@ -155,7 +156,7 @@ class Spiking:
         self._taus = np.concatenate(taus)
         self._sizes = (config.encoding, config.hidden, config.recurrent_delay, config.steps_per_sample)
         self._quantised, self._scale = config.quantised, config.output_scale / one
-        self._inputs, self._rate = config.inputs, config.rate_hz
+        self._inputs, self._encoding = config.inputs, encoder_of(config.inputs, config.rate_hz)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
@@ -164,7 +165,7 @@ class Spiking:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, state, spikes = states
-        x, heading = scaled_inputs(self._inputs, self._rate, gyro, accel, held)
+        x, heading = _encoded(self._encoding, gyro, accel, held)
         run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
         out *= self._scale
         if self._inputs.yaw_free:
@@ -240,7 +241,7 @@ class Recurrent:
             tensors["out.bias"].astype(np.float32),
         )
         self._sizes, self._steps, self._scale = (config.encoding, config.hidden), 1, config.output_scale
-        self._inputs, self._rate = config.inputs, config.rate_hz
+        self._inputs, self._encoding = config.inputs, encoder_of(config.inputs, config.rate_hz)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
@@ -249,7 +250,7 @@ class Recurrent:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, h0, h1 = states
-        x, heading = scaled_inputs(self._inputs, self._rate, gyro, accel, held)
+        x, heading = _encoded(self._encoding, gyro, accel, held)
         run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
         if self._inputs.yaw_free:
@@ -265,9 +266,7 @@ def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
     return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
 
 
-def encoder_of(
-    inputs: InputScaling, rate_hz: float
-) -> tuple[Array, Array, tuple[float, float], tuple[float, float, float], tuple[float, bool]]:
+def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
     """What `encode` needs.
 
     Returns:
@@ -300,9 +299,13 @@ def scaled_inputs(
         body axes they are 1 and 0.
     """
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-    x, heading = np.empty((*gyro.shape[:2], 6)), np.empty((*gyro.shape[:2], 2))
     held = np.zeros((len(gyro), HELD)) if held is None else held
-    encode(gyro, accel, *encoder_of(inputs, rate_hz), held, x, heading)
+    return _encoded(encoder_of(inputs, rate_hz), gyro, accel, held)
+
+
+def _encoded(encoding: Encoding, gyro: Array, accel: Array, held: NDArray[np.generic]) -> tuple[Array, Array]:
+    x, heading = np.empty((*gyro.shape[:2], 6)), np.empty((*gyro.shape[:2], 2))
+    encode(gyro, accel, *encoding, held, x, heading)
     x /= INPUT_ONE
     return x, heading
 
