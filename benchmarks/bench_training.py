@@ -71,7 +71,7 @@ def norse(n: int, steps: int) -> Network:
     from norse.torch import LICell, LIFCell, LIFParameters, LIFRecurrentCell, LIParameters
 
     w = parameters()
-    rate = {name: (1 - getattr(w, name).detach()).requires_grad_() for name in Weights._fields[4:]}
+    rate = {name: (1 - getattr(w, name).detach()).requires_grad_() for name in TIME_CONSTANTS}
     w_in, w_ff, w_rec, w_out = (
         (getattr(w, name) / (1 - getattr(w, mem))[:, None]).detach().requires_grad_()
         for name, mem in (("w_in", "mem0"), ("w_ff", "mem1"), ("w_rec", "mem1"), ("w_out", "mem2"))

@@ -185,7 +185,8 @@ def _c_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) 
 def _nir_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:
     config, tensors = shipped_network("att-snn")
     graph = nir.read(export_weights("att-snn", folder / "snn.nir", "nir"))
-    nodes = {name: node for name, node in graph.nodes.items() if name not in ("w_out", "output", "finish")}
+    spiking = ("input", "w_in", "encoding", "w_ff", "w_rec", "hidden")
+    nodes = {name: graph.nodes[name] for name in spiking}
     nodes["finish"] = nir.Output({"output": np.array([config.hidden])})
     edges = [edge for edge in graph.edges if set(edge) <= set(nodes)] + [("hidden", "finish")]
     for name in ("encoding", "hidden"):  # a potential at the threshold is not left to rounding errors

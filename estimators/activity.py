@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .loihi import step_arrays
-from .networks import OnLoihi, _encode_sample, _encoding_bias
+from .networks import OnLoihi, _drive, _encode_sample
 from .tilt import to_roll_pitch
 
 Array = NDArray[np.float64]
@@ -89,6 +89,7 @@ def _record(
     axes,
     w_in,
     du,
+    w_skip,
     steps,
     scale,
     states,
@@ -100,7 +101,7 @@ def _record(
     out,
 ):
     held, current, before, after, u, v, bias = states
-    first_output = v.shape[1] - out.shape[2]
+    first_output = v.shape[1] - 2 * out.shape[2]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
             heading[n, t] = _encode_sample(
@@ -108,7 +109,7 @@ def _record(
             )
         for k in range(steps):
             for n in range(gyro.shape[0]):
-                _encoding_bias(held[n], w_in, du, current[n], bias[n])
+                _drive(held[n], w_in, du, w_skip, current[n], bias[n])
             step_arrays(before, after, u, v, bias, *parameters)
             spikes[:, t * steps + k] = after
             potentials[t * steps + k] = v[0]
@@ -118,4 +119,4 @@ def _record(
                         active[n, i] += 1
         for n in range(gyro.shape[0]):
             for o in range(out.shape[2]):
-                out[n, t, o] = v[n, first_output + o] * scale
+                out[n, t, o] = (v[n, first_output + o] + v[n, first_output + out.shape[2] + o]) * scale

@@ -30,10 +30,12 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
     offset, gain = input_scaling(config.inputs)
     integers = {name: value.astype(np.int64) for name, value in tensors.items()}
     arrays = {
-        name: _braces(value.T // 2 if name.startswith("w_") else DECAY_ONE - value)
+        name: _braces(
+            DECAY_ONE - value if not name.startswith("w_") else value.T if name == "w_skip" else value.T // 2
+        )
         for name, value in integers.items()
     }
-    arrays |= {name: str(DECAY_ONE - integers[name][0]) for name in ("syn2", "mem2")}
+    arrays |= {name: str(DECAY_ONE - integers[name][0]) for name in ("syn2", "mem2", "mem_skip")}
     values = {
         "encoding": config.encoding,
         "hidden": config.hidden,

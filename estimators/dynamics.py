@@ -1,11 +1,15 @@
 """Compiled forward pass of Att-SNN: 6 inputs -> LIF -> recurrent LIF -> 2 leaky integrators (LI).
 
+Beside these two, two more leaky integrators may take the inputs directly, past the spikes (a skip connection);
+the estimate is the sum of both.
+
 One function, `advance`, is the network for training, streaming and whole sequences alike. Per layer
 
     u[t] = D(u[t-1], τ_syn) + W s[t-1]
     v[t] = D(v[t-1], τ_mem) + u[t],   s[t] = v[t] > 0.5,   v[t] = 0 where s[t]
 
-The encoding layer's current is driven by the input sample of the same step; the outputs never spike.
+The encoding layer's current is driven by the input sample of the same step, and so are the membranes behind
+the skip connection; the outputs never spike.
 In floats D(x, τ) = x τ and 1.0 is 1.0. Quantised, D rounds toward zero and 1.0 is 2^14: then all numbers are
 whole, float64 holds them exactly, and the result is what `estimators.loihi` computes in integers.
 """
@@ -20,8 +24,13 @@ THRESHOLD = 0.5
 STATE_ONE = 16384.0
 BIAS_EXP = 4
 """Exponent of the bias by which the host drives the encoding layer: steps of 2^4 state units."""
-_BIAS_STEP = 16.0
-_BIAS_MAX = 4095.0 * _BIAS_STEP
+SKIP_EXP = 5
+"""Exponent of the bias by which the host drives the integrators behind the skip connection."""
+SKIP_ONE = 4096
+"""Mantissa of a skip weight of 1.0; the host multiplies, so it need not be one of the chip's."""
+_BIAS_STEP = 2.0**BIAS_EXP
+_SKIP_STEP = 2.0**SKIP_EXP
+_MANT_MAX = 4095.0
 _V_MAX = 8388607.0
 _OUTPUT_THRESHOLD = 131071.0 * 64.0
 """The highest that the chip has; an output that gets there all the same is reset."""
@@ -38,6 +47,18 @@ def _decay(x, tau, quantised):
 def _wrap(x, half):
     """Two's complement: into [-half, half)."""
     return x if -half <= x < half else x - 2.0 * half * np.floor((x + half) / (2.0 * half))
+
+
+@njit(cache=True, inline="always")
+def _integrated(y, quantised):
+    """Potential of an output: on the chip it is reset at the highest threshold that there is."""
+    return (0.0 if y > _OUTPUT_THRESHOLD else max(y, -_V_MAX)) if quantised else y
+
+
+@njit(cache=True, inline="always")
+def _bias(current, step):
+    """The bias mantissa that stands for a current, toward zero, times its step."""
+    return min(max(np.trunc(current / step), -_MANT_MAX), _MANT_MAX) * step
 
 
 @njit(cache=True, inline="always")
@@ -81,15 +102,16 @@ def _drive(u, v, tau, threshold, quantised):
         left = 0.0 if v[i] > threshold else v[i]
         current = u[i]
         if quantised:
-            current = min(max(np.trunc(current / _BIAS_STEP) * _BIAS_STEP, -_BIAS_MAX), _BIAS_MAX)
+            current = _bias(current, _BIAS_STEP)
         x = _decay(left, tau[i], quantised) + current
         v[i] = min(max(x, -_V_MAX), _V_MAX) if quantised else x
 
 
 @njit(cache=True)
 def advance(
-    x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, u0, v0, u1, v1, out, s0, s1, s1_late, total, drive
-):
+    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised,
+    u0, v0, u1, v1, out, s0, s1, s1_late, total, drive,
+):  # fmt: skip
     """One step of one copy of the network; weights in state units, all states change in place.
 
     Args:
@@ -98,14 +120,15 @@ def advance(
         w_ff: Weights from the encoding to the hidden layer, shape (h0, h1).
         w_rec: Recurrent weights, shape (h1, h1).
         w_out: Output weights, shape (h1, outputs).
+        w_skip: Weights from the inputs to the outputs, shape (inputs, outputs).
         taus: Four vectors: τ_syn, τ_mem of the encoding and of the hidden layer.
-        out_taus: τ_syn and τ_mem of the outputs, shape (2,).
+        out_taus: τ_syn and τ_mem of the outputs, and τ_mem behind the skip connection, shape (3,).
         quantised: Integer arithmetic (True) or floats.
         u0: Current of the encoding layer, shape (h0,).
         v0: Its membrane potential before the reset, shape (h0,).
         u1: Current of the hidden layer, shape (h1,).
         v1: Its membrane potential before the reset, shape (h1,).
-        out: Current and potential of the outputs, shape (2, outputs).
+        out: Current and potential of the outputs, potential behind the skip connection, shape (3, outputs).
         s0: Spikes of the encoding layer: their number, then the neurons, shape (h0 + 1,).
         s1: Spikes of the hidden layer one step ago, shape (h1 + 1,).
         s1_late: Those that the recurrent connection delivers now (s1 itself for a delay of 1).
@@ -121,8 +144,13 @@ def advance(
         out[0, o] = _decay(out[0, o], out_taus[0], quantised) + arrived
         if quantised:
             out[0, o] = _wrap(out[0, o], _WRAP_23)
-        y = _decay(out[1, o], out_taus[1], quantised) + out[0, o]
-        out[1, o] = (0.0 if y > _OUTPUT_THRESHOLD else max(y, -_V_MAX)) if quantised else y
+        direct = 0.0
+        for k in range(x.shape[0]):
+            direct += w_skip[k, o] * x[k]
+        if quantised:
+            direct = _bias(direct, _SKIP_STEP)
+        out[1, o] = _integrated(_decay(out[1, o], out_taus[1], quantised) + out[0, o], quantised)
+        out[2, o] = _integrated(_decay(out[2, o], out_taus[2], quantised) + direct, quantised)
 
     h1 = v1.shape[0]
     for i in range(h1):
@@ -157,11 +185,11 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
 
     Args:
         x: Input samples, shape (n, T, inputs).
-        weights: w_in, w_ff, w_rec, w_out of `advance`, flattened one after the other.
-        taus: τ_syn, τ_mem of encoding, hidden and output layer, one after the other, (2 h0 + 2 h1 + 2,).
+        weights: w_in, w_ff, w_rec, w_out, w_skip of `advance`, flattened one after the other.
+        taus: τ_syn, τ_mem of encoding, hidden and output layer, one after the other, (2 h0 + 2 h1 + 3,).
         sizes: (h0, h1, recurrent delay, network steps per sample).
         quantised: Integer arithmetic (True) or floats.
-        state: u0, v0, u1, v1, out_u, out_v in a row, shape (n, 2 h0 + 2 h1 + 2 outputs); changed.
+        state: u0, v0, u1, v1 and the three rows of `out` in a row, shape (n, 2 h0 + 2 h1 + 3 outputs); changed.
         spikes: Lists of the spikes of the last step: encoding, hidden, hidden one step earlier; changed.
         out: Output potentials after each sample [state units], shape (n, T, outputs); written.
     """
@@ -173,7 +201,9 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
     w_in = weights[:a].reshape(inputs, h0)
     w_ff = weights[a:b].reshape(h0, h1)
     w_rec = weights[b:c].reshape(h1, h1)
-    w_out = weights[c:].reshape(h1, outputs)
+    d = c + h1 * outputs
+    w_out = weights[c:d].reshape(h1, outputs)
+    w_skip = weights[d:].reshape(inputs, outputs)
     hidden = 2 * h0
     layer_taus = (
         taus[:h0], taus[h0:hidden], taus[hidden : hidden + h1], taus[hidden + h1 : hidden + 2 * h1]
@@ -185,7 +215,7 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
         row = state[n]
         u0, v0 = row[:h0], row[h0:hidden]
         u1, v1 = row[hidden : hidden + h1], row[hidden + h1 : hidden + 2 * h1]
-        y = row[hidden + 2 * h1 :].reshape(2, outputs)
+        y = row[hidden + 2 * h1 :].reshape(3, outputs)
         s0 = spikes[n, : h0 + 1]
         s1 = spikes[n, h0 + 1 : h0 + h1 + 2]
         s1_before = spikes[n, h0 + h1 + 2 :]
@@ -193,18 +223,18 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
             for _ in range(substeps):
                 late = s1 if delay == 1 else s1_before
                 advance(
-                    x[n, t], w_in, w_ff, w_rec, w_out, layer_taus, out_taus, quantised,
+                    x[n, t], w_in, w_ff, w_rec, w_out, w_skip, layer_taus, out_taus, quantised,
                     u0, v0, u1, v1, y, s0, s1, late, total, drive,
                 )  # fmt: skip
                 s1_before[:] = s1
                 _list_spikes(v0, threshold, s0)
                 _list_spikes(v1, threshold, s1)
-            out[n, t] = y[1]
+            out[n, t] = y[1] + y[2]
 
 
 def state_size(h0: int, h1: int, outputs: int = 2) -> tuple[int, int]:
     """Lengths of the packed state and of the packed spike lists of one copy."""
-    return 2 * h0 + 2 * h1 + 2 * outputs, h0 + 2 * h1 + 3
+    return 2 * h0 + 2 * h1 + 3 * outputs, h0 + 2 * h1 + 3
 
 
 def zero_state(n: int, h0: int, h1: int, outputs: int = 2) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

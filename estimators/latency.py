@@ -33,7 +33,7 @@ class TorchSNN:
     def __init__(self) -> None:
         self.config, tensors = shipped_network("att-snn")
         weights, taus = real_weights(self.config, tensors)
-        self.w_in, self.w_ff, self.w_rec, self.w_out = (
+        self.w_in, self.w_ff, self.w_rec, self.w_out, self.w_skip = (
             torch.tensor(w, dtype=torch.float32).T for w in weights
         )
         self.taus = [torch.tensor(tau, dtype=torch.float32) for tau in taus]
@@ -46,15 +46,18 @@ class TorchSNN:
         """Roll and pitch (1, 2) [rad] after one sample."""
         inputs, rate_hz = self.config.inputs, self.config.rate_hz
         x, heading = scaled_inputs(inputs, rate_hz, gyro[:, None], accel[:, None], self.held)
+        sample = torch.from_numpy(x[:, 0].astype(np.float32))
         drives = [
-            torch.from_numpy(x[:, 0].astype(np.float32)) @ self.w_in,
+            sample @ self.w_in,
             self.s[0] @ self.w_ff + self.s[1] @ self.w_rec,
             self.s[1] @ self.w_out,
         ]
         for k, drive in enumerate(drives):
             self.u[k] = self.u[k] * self.taus[2 * k] + drive
             self.v[k] = self.v[k] * self.taus[2 * k + 1] + self.u[k]
-            if k < 2:
+            if k == 2:
+                self.v[k] += sample @ self.w_skip
+            else:
                 self.s[k] = (self.v[k] > 0.5).float()
                 self.v[k] = self.v[k] * (1 - self.s[k])
         out = self.v[2].numpy()[:, None] * self.config.output_scale

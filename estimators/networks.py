@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from .chip import partition
-from .dynamics import BIAS_EXP, run_network, zero_state
+from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
 from .gru import run_gru
 from .gyro_bias import KEPT, follow_bias
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
@@ -173,8 +173,9 @@ class Spiking:
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Set the potentials of the outputs, which forget within a second or so."""
-        potential = outputs_at(self._inputs, roll_pitch) / self._scale
-        states[1][:, -2:] = np.rint(potential) if self._quantised else potential
+        output, direct = states[1][:, -4:-2], states[1][:, -2:]
+        potential = outputs_at(self._inputs, roll_pitch) / self._scale - direct
+        output[:] = np.rint(potential) if self._quantised else potential
 
 
 class OnLoihi:
@@ -193,11 +194,17 @@ class OnLoihi:
             [
                 LoihiLayer(w_in=None, dv=w["mem0"], bias_exp=BIAS_EXP),
                 LoihiLayer(w_in=w["w_ff"], w_rec=w["w_rec"], du=w["syn1"], dv=w["mem1"]),
-                LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX),
+                LoihiLayer(
+                    w_in=np.vstack([w["w_out"], np.zeros_like(w["w_out"])]),
+                    du=np.repeat(w["syn2"], 4),
+                    dv=np.repeat([w["mem2"], w["mem_skip"]], 2),
+                    vth=VTH_MAX,
+                    bias_exp=SKIP_EXP,
+                ),
             ]
         )
         self.cores = partition(self.chip.layers)
-        self.fan_out = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"]
+        self.fan_out = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"], w["w_skip"]
         self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
         self.inputs = config.inputs
         self.encoding = encoder_of(config.inputs, config.rate_hz)
@@ -222,8 +229,8 @@ class OnLoihi:
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Set the potentials of the outputs, which forget within a second or so."""
-        v = states[5]
-        v[:, -2:] = np.rint(outputs_at(self.inputs, roll_pitch) / self.scale)
+        output, direct = states[5][:, -4:-2], states[5][:, -2:]
+        output[:] = np.rint(outputs_at(self.inputs, roll_pitch) / self.scale) - direct
 
 
 class Recurrent:
@@ -321,9 +328,13 @@ def outputs_at(
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], list[Array]]:
     """Weights and time constants of a spiking network in units of 1.0, in the order of the layers."""
-    w_scale = 1 / 256 if config.quantised else 1.0
-    weights = [tensors[name].astype(np.float64) * w_scale for name in ("w_in", "w_ff", "w_rec", "w_out")]
-    taus = [tensors[name].astype(np.float64) for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2")]
+    names = ("w_in", "w_ff", "w_rec", "w_out", "w_skip")
+    ones = (256, 256, 256, 256, SKIP_ONE) if config.quantised else (1,) * 5
+    weights = [tensors[name].astype(np.float64) / one for name, one in zip(names, ones, strict=True)]
+    taus = [
+        tensors[name].astype(np.float64)
+        for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2", "mem_skip")
+    ]
     return weights, [1 - tau / 4096 for tau in taus] if config.quantised else taus
 
 
@@ -402,12 +413,12 @@ def encode(gyro, accel, offset, gain, bias, lead, axes, held, x, heading):
 
 @njit(cache=True)
 def _run_on_loihi(
-    gyro, accel, offset, gain, bias_of_gyro, lead, axes, w_in, du, steps, scale, states, parameters,
+    gyro, accel, offset, gain, bias_of_gyro, lead, axes, w_in, du, w_skip, steps, scale, states, parameters,
     heading, out,
 ):  # fmt: skip
     held, current, before, after, u, v, bias = states
     n_outputs = out.shape[2]
-    first_output = v.shape[1] - n_outputs
+    first_output = v.shape[1] - 2 * n_outputs
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
             heading[n, t] = _encode_sample(
@@ -415,16 +426,16 @@ def _run_on_loihi(
             )
         for _ in range(steps):
             for n in range(gyro.shape[0]):
-                _encoding_bias(held[n], w_in, du, current[n], bias[n])
+                _drive(held[n], w_in, du, w_skip, current[n], bias[n])
             step_arrays(before, after, u, v, bias, *parameters)
         for n in range(gyro.shape[0]):
             for k in range(n_outputs):
-                out[n, t, k] = v[n, first_output + k] * scale
+                out[n, t, k] = (v[n, first_output + k] + v[n, first_output + n_outputs + k]) * scale
 
 
 @njit(cache=True)
-def _encoding_bias(x, w_in, du, current, bias):
-    """Advance the host's currents of the encoding layer and write them as bias mantissas, toward zero."""
+def _drive(x, w_in, du, w_skip, current, bias):
+    """Advance the host's currents of the encoding layer; write them and what drives the outputs as biases."""
     drive = np.zeros(current.size, np.int32)
     for k in range(w_in.shape[0]):
         value, row = np.int32(x[k]), w_in[k]
@@ -433,4 +444,16 @@ def _encoding_bias(x, w_in, du, current, bias):
     for i in range(current.size):
         # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
         current[i] = wrap(decay(current[i], du[i]) + shift(int(drive[i]), 4), 23)
-        bias[i] = min(max(shift(current[i], BIAS_EXP), -BIAS_MANT_MAX), BIAS_MANT_MAX)
+        bias[i] = _mantissa(current[i], BIAS_EXP)
+    first = bias.size - w_skip.shape[0]
+    for o in range(w_skip.shape[0]):
+        direct = 0
+        for k in range(w_skip.shape[1]):
+            direct += int(x[k]) * w_skip[o, k]
+        # Mantissas of 1/4096 times inputs of 1/1024 are 2^-22.
+        bias[first + o] = _mantissa(direct, 8 + SKIP_EXP)
+
+
+@njit(cache=True, inline="always")
+def _mantissa(current, bits):
+    return min(max(shift(current, bits), -BIAS_MANT_MAX), BIAS_MANT_MAX)

@@ -6,7 +6,9 @@ network's own recursion again, with τ = 1 − dt / tau and gains that undo the 
     u[t] = (1 − dt/tau_syn) u[t−1] + I[t],    v[t] = (1 − dt/tau_mem) v[t−1] + u[t]
 
 The integers of the chip stand in the metadata of each node. NIR delivers along a chain within a step and
-around a loop after one, so the hidden layer is one step ahead of the chip's, and the outputs two.
+around a loop after one, so the hidden layer is one step ahead of the chip's, and the outputs two. Where the
+inputs drive integrators of their own too, a delay lets what comes from the spikes wait for these: the sum is
+the chip's.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ CONNECTIONS = {
     "w_ff": ("encoding", "hidden"),
     "w_rec": ("hidden", "hidden"),
     "w_out": ("hidden", "output"),
+    "w_skip": ("input", "direct"),
 }
 
 
@@ -47,7 +50,10 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
     weights, taus = real_weights(config, tensors)
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([6])})}
     edges = []
+    skip = bool(tensors["w_skip"].any())
     for (name, (source, target)), weight in zip(CONNECTIONS.items(), weights, strict=True):
+        if name == "w_skip" and not skip:
+            continue
         nodes[name] = nir.Linear(weight=weight, metadata=_integers(config, mantissa=tensors[name]))
         edges += [(source, name), (name, target)]
     sizes = (config.encoding, config.hidden, 2)
@@ -56,7 +62,13 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
         decays = dict(zip(("du", "dv"), (tensors[name] for name in names), strict=True))
         nodes[layer] = _neurons(layer, syn, mem, step, _integers(config, **decays))
     nodes["finish"] = nir.Output({"output": np.array([2])})
-    edges.append(("output", "finish"))
+    if skip:
+        memory = step / (1 - np.broadcast_to(taus[6], 2))
+        nodes["direct"] = nir.LI(tau=memory, r=memory / step, v_leak=np.zeros(2))
+        nodes["wait"] = nir.Delay(delay=np.full(2, 2 * step))
+        edges += [("output", "wait"), ("wait", "finish"), ("direct", "finish")]
+    else:
+        edges.append(("output", "finish"))
     return nir.NIRGraph(nodes=nodes, edges=edges, metadata=_about(config, step))
 
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE
+
 THRESHOLD = 0.5
 STATE_ONE = 2.0**14
 SURROGATE_WIDTH = 20.0
-_BIAS_STEP = 2.0**4
-_BIAS_MAX = 4095 * _BIAS_STEP
 _V_MAX = 2.0**23 - 1
 _OUTPUT_THRESHOLD = 131071.0 * 64
 
@@ -55,6 +55,8 @@ class Weights(NamedTuple):
     """Recurrent weights, shape (h1, h1)."""
     w_out: Tensor
     """Hidden layer to outputs, shape (outputs, h1)."""
+    w_skip: Tensor
+    """Inputs to the integrators beside the outputs, shape (outputs, inputs)."""
     syn0: Tensor
     """τ_syn of the encoding layer, shape (h0,)."""
     mem0: Tensor
@@ -67,11 +69,21 @@ class Weights(NamedTuple):
     """τ_syn of the outputs, shape (1,)."""
     mem2: Tensor
     """τ_mem of the outputs, shape (1,)."""
+    mem_skip: Tensor
+    """τ_mem of the integrators behind the skip connection, shape (1,)."""
+
+
+MATRICES, TIME_CONSTANTS = Weights._fields[:5], Weights._fields[5:]
 
 
 def quantise_weights(w: Tensor) -> Tensor:
     """Nearest weight of the chip: even mantissas -256...254 of 1/256. Gradient straight through."""
     return _straight(w, torch.clamp(torch.round(w * 128), -128, 127) / 128)
+
+
+def quantise_skip(w: Tensor) -> Tensor:
+    """Nearest weight of the skip connection, which the host multiplies: 16 bits. Gradient straight through."""
+    return _straight(w, torch.clamp(torch.round(w * SKIP_ONE), -32767, 32767) / SKIP_ONE)
 
 
 def quantise_decay(tau: Tensor) -> Tensor:
@@ -95,7 +107,7 @@ def forward(
     """
     n, steps, _ = x.shape
     one = STATE_ONE if quantised else 1.0
-    w_in, w_ff, w_rec, w_out = (w * one for w in weights[:4])
+    w_in, w_ff, w_rec, w_out, w_skip = (w * one for w in weights[:5])
 
     def decay(value: Tensor, tau: Tensor) -> Tensor:
         return _straight(value * tau, torch.trunc(value * tau)) if quantised else value * tau
@@ -106,31 +118,39 @@ def forward(
     def clipped(value: Tensor) -> Tensor:
         return _straight(value, value.clamp(-_V_MAX, _V_MAX)) if quantised else value
 
+    def integrated(v: Tensor) -> Tensor:
+        if not quantised:
+            return v
+        return _straight(v, torch.where(v > _OUTPUT_THRESHOLD, 0.0, v.clamp(min=-_V_MAX)))
+
     def fire(v: Tensor) -> tuple[Tensor, Tensor]:
         s = superspike(v / one - THRESHOLD)
         return s, v * (1 - s.detach())
 
     u0, v0, s0 = (x.new_zeros(n, w_in.shape[0]) for _ in range(3))
     u1, v1, s1 = (x.new_zeros(n, w_ff.shape[0]) for _ in range(3))
-    u2, v2 = (x.new_zeros(n, w_out.shape[0]) for _ in range(2))
+    u2, v2, v3 = (x.new_zeros(n, w_out.shape[0]) for _ in range(3))
     late = s1
     outputs, encoding, hidden = [], [], []
     for t in range(steps):
         u2 = wrapped(decay(u2, weights.syn2) + wrapped(s1 @ w_out.T, 21), 23)
-        v2 = decay(v2, weights.mem2) + u2
-        if quantised:
-            v2 = _straight(v2, torch.where(v2 > _OUTPUT_THRESHOLD, 0.0, v2.clamp(min=-_V_MAX)))
+        v2 = integrated(decay(v2, weights.mem2) + u2)
+        direct = x[:, t] @ w_skip.T
+        v3 = integrated(
+            decay(v3, weights.mem_skip)
+            + (_straight(direct, _bias(direct, SKIP_EXP)) if quantised else direct)
+        )
         feedback = s1 if recurrent_delay == 1 else late
         u1 = wrapped(decay(u1, weights.syn1) + wrapped(s0 @ w_ff.T + feedback @ w_rec.T, 21), 23)
         drive = x[:, t] @ w_in.T
         u0 = wrapped(
             decay(u0, weights.syn0) + (_straight(drive, torch.trunc(drive)) if quantised else drive), 23
         )
-        bias = _straight(u0, _bias(u0)) if quantised else u0
+        bias = _straight(u0, _bias(u0, BIAS_EXP)) if quantised else u0
         late = s1
         s1, v1 = fire(clipped(decay(v1, weights.mem1) + u1))
         s0, v0 = fire(clipped(decay(v0, weights.mem0) + bias))
-        outputs.append(v2 / one)
+        outputs.append((v2 + v3) / one)
         encoding.append(s0)
         hidden.append(s1)
     return torch.stack(outputs, 1), torch.stack(encoding, 1), torch.stack(hidden, 1)
@@ -146,5 +166,5 @@ def _wrap(value: Tensor, bits: int) -> Tensor:
     return torch.remainder(value + half, 2 * half) - half
 
 
-def _bias(current: Tensor) -> Tensor:
-    return torch.clamp(torch.trunc(current / _BIAS_STEP) * _BIAS_STEP, -_BIAS_MAX, _BIAS_MAX)
+def _bias(current: Tensor, exponent: int) -> Tensor:
+    return torch.clamp(torch.trunc(current / 2**exponent), -4095, 4095) * 2**exponent

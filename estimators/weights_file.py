@@ -71,8 +71,23 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the tensors of a network."""
     h0, h1 = config.encoding, config.hidden
     if config.model == "att-snn":
-        taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
-        return {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (2, h1), **taus}
+        taus = {
+            "syn0": (h0,),
+            "mem0": (h0,),
+            "syn1": (h1,),
+            "mem1": (h1,),
+            "syn2": (1,),
+            "mem2": (1,),
+            "mem_skip": (1,),
+        }
+        return {
+            "w_in": (h0, 6),
+            "w_ff": (h1, h0),
+            "w_rec": (h1, h1),
+            "w_out": (2, h1),
+            "w_skip": (2, 6),
+            **taus,
+        }
     shapes: dict[str, tuple[int, ...]] = {"out.weight": (2, h1), "out.bias": (2,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
@@ -82,9 +97,11 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
 
 def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
     """Numbers that a network is made of: connections (weights other than 0), time constants and biases."""
+    unused = {"mem_skip"} if "w_skip" in tensors and not tensors["w_skip"].any() else set()
     return sum(
         int(np.count_nonzero(value)) if name.startswith("w_") else value.size
         for name, value in tensors.items()
+        if name not in unused
     )
 
 
@@ -134,6 +151,9 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise ValueError(f"{path}: configuration in the metadata: {where}: {first['msg']}") from error
+    if config.model == "att-snn" and "w_in" in tensors:  # files of before there was a skip connection
+        tensors.setdefault("w_skip", np.zeros((2, 6), tensors["w_in"].dtype))
+        tensors.setdefault("mem_skip", np.ones(1, tensors["w_in"].dtype))
     _check(path, config, tensors)
     return config, tensors
 
@@ -172,6 +192,8 @@ def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
 
 
 def _check_chip(path: Path, name: str, value: NDArray[np.int16]) -> None:
+    if name == "w_skip":  # the host's: any 16 bits
+        return
     low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
     if value.min() < low or value.max() > high:
         raise ValueError(f"{path}: tensor {name} spans {value.min()}...{value.max()}, allowed {low}...{high}")

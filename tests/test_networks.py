@@ -39,6 +39,9 @@ def random_snn(config, seed=0):
         if not name.startswith("w_"):
             tensors[name] = np.clip(np.exp(rng.uniform(0.0, 8.3, shape)), 1, 4096).astype(np.int16)
             continue
+        if name == "w_skip":
+            tensors[name] = rng.integers(-9000, 9001, shape).astype(np.int16)
+            continue
         scale = {"w_in": 40, "w_ff": 50, "w_rec": 30, "w_out": 60}[name]
         tensors[name] = (2 * np.clip(np.rint(rng.normal(0, scale / 2, shape)), -128, 127)).astype(np.int16)
     return tensors

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from estimators.activity import record
 from estimators.networks import OnLoihi
 from estimators.pruning import connected, pruned
+from estimators.spiking import MATRICES
 from estimators.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
 from estimators.weights_file import save_network
 from training.augment import roll_pitch_of_up
@@ -23,7 +24,7 @@ G = 9.81
 def network(encoding, hidden, seed=0):
     """A symmetric network with a solved start, and its files' contents."""
     rng = np.random.default_rng(seed)
-    model = AttSNN(encoding, hidden, symmetric=True, output_scale=1 / 256)
+    model = AttSNN(encoding, hidden, symmetric=True, output_scale=1 / 256, skip=True)
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
     start_from_data(model, x, 0.1 * x[:, :, :2], seed=seed, fan_in=8)
     config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
@@ -38,7 +39,7 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
     rng = np.random.default_rng(seed)
     squares = {
         name: torch.from_numpy(model.shared(name, rng.random(tuple(getattr(model, name).shape)) ** 20))
-        for name in ("w_in", "w_ff", "w_rec", "w_out")
+        for name in MATRICES
     }
     constants = 2 * (encoding + hidden) + 2
     thin(model, squares, constants + int(share * (model.parameters_kept - constants)))

@@ -127,15 +127,15 @@ def test_going_on_from_a_thinned_network_leaves_its_connections_away(dataset, tm
 
 
 def test_connections_that_matter_least_go_first():
-    model = AttSNN(6, 5)
+    model = AttSNN(6, 5, skip=True)
     rng = np.random.default_rng(0)
-    names = ("w_in", "w_ff", "w_rec", "w_out")
+    names = ("w_in", "w_ff", "w_rec", "w_out", "w_skip")
     for name in names:
         model.set_weights(name, rng.normal(size=getattr(model, name).shape))
     squares = {name: torch.tensor(rng.random(getattr(model, name).shape)) for name in names}
     cost = {name: getattr(model, name).detach().double() ** 2 * squares[name] for name in names}
-    thin(model, squares, 24 + 40)
-    assert model.parameters_kept == 24 + 40
+    thin(model, squares, 25 + 40)
+    assert model.parameters_kept == 25 + 40
     kept = torch.cat([getattr(model, f"{name}_kept").ravel() for name in names])
     every = torch.cat([cost[name].ravel() for name in names])
     assert every[kept].min() > every[~kept].max()
@@ -204,7 +204,7 @@ def test_bad_choices_give_one_clear_line(tmp_path):
         make_config(data="x.zarr", batch_size=0)
     with pytest.raises(ValueError, match=r"training: layer_steps\.1 = -1: .*greater than 0"):
         make_config(data="x.zarr", layer_steps=[1, -1, 1])
-    with pytest.raises(ValueError, match="training: parameters: 800, but time constants alone are 1202"):
+    with pytest.raises(ValueError, match="training: parameters: 800, but time constants alone are 1203"):
         make_config("best", data="x.zarr", parameters=800)
     with pytest.raises(ValueError, match=r"revive: 0\.6, but connections are taken away from 0\.25 on"):
         make_config("best", data="x.zarr", revive=0.6)

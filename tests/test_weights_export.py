@@ -10,6 +10,7 @@ import pytest
 from estimators.gyro_bias import KEPT
 from estimators.networks import BIAS, HEADING, OnLoihi, Recurrent, real_weights, scaled_inputs
 from estimators.spiking import Weights, forward
+from estimators.nir_graph import nir_graph
 from estimators.weights_export import export_weights
 from estimators.weights_file import (
     InputScaling,
@@ -23,7 +24,9 @@ from estimators.weights_file import (
 def random_snn(config, seed=0):
     rng = np.random.default_rng(seed)
     return {
-        name: (2 * rng.integers(-60, 61, shape)).astype(np.int16)
+        name: rng.integers(-9000, 9001, shape).astype(np.int16)
+        if name == "w_skip"
+        else (2 * rng.integers(-60, 61, shape)).astype(np.int16)
         if name.startswith("w_")
         else rng.integers(1, 2000, shape).astype(np.int16)
         for name, shape in expected_shapes(config).items()
@@ -51,7 +54,16 @@ def compiled(tmp_path, request):
         flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
         sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
         subprocess.run(["cc", *flags, *sources, "-lm", "-o", str(tmp_path / "run")], check=True)
-        sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
+        sizes = [
+            ("input", 6),
+            ("u0", h0),
+            ("v0", h0),
+            ("u1", h1),
+            ("v1", h1),
+            ("u2", 2),
+            ("v2", 2),
+            ("v3", 2),
+        ]
         fields = [(name, np.int32, size) for name, size in sizes]
         fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
         fields += [("forces", float), ("fast", float, 2), ("slow", float, 2), ("heading", float, 2)]
@@ -96,8 +108,9 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         expected = {
             "input": held[0, :6], "forces": held[0, 7], "fast": held[0, 8:10], "slow": held[0, 10:12],
             "heading": held[0, HEADING : HEADING + 2], "kept": held[0, BIAS:],
-            "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:], "v0": v[0, :h0],
-            "v1": v[0, h0:-2], "v2": v[0, -2:], "s0": after[0, :h0], "s1": after[0, h0:-2],
+            "u0": current[0], "u1": u[0, h0:-4], "u2": u[0, -4:-2], "v0": v[0, :h0],
+            "v1": v[0, h0:-4], "v2": v[0, -4:-2], "v3": v[0, -2:],
+            "s0": after[0, :h0], "s1": after[0, h0:-4],
         }  # fmt: skip
         for name, value in expected.items():
             np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
@@ -119,7 +132,8 @@ def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path, monkeypatch):
     config, tensors = shipped_network("att-snn")
     graph = nir.read(export_weights("att-snn", tmp_path / "snn.nir", "nir"))
     # Norse's reader leaves the leaky integrators out: the spikes are the graph's output here.
-    nodes = {name: node for name, node in graph.nodes.items() if name not in ("w_out", "output", "finish")}
+    spiking = ("input", "w_in", "encoding", "w_ff", "w_rec", "hidden")
+    nodes = {name: graph.nodes[name] for name in spiking}
     nodes["finish"] = nir.Output({"output": np.array([config.hidden])})
     edges = [edge for edge in graph.edges if set(edge) <= set(nodes)] + [("hidden", "finish")]
     for name in ("encoding", "hidden"):
@@ -153,6 +167,24 @@ def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
         np.testing.assert_array_equal(node.metadata["du"], tensors[syn])
         np.testing.assert_allclose(4096 * graph.metadata["dt"] / node.tau_mem, tensors[mem])
     assert type(graph.nodes["output"]).__name__ == "CubaLI"
+
+
+def test_nir_graph_integrates_the_inputs_beside_the_spikes():
+    torch = pytest.importorskip("torch")
+    config = NetworkConfig(model="att-snn", quantised=False, output_scale=1 / 256, encoding=9, hidden=8)
+    tensors = {name: np.full(shape, 0.5) for name, shape in expected_shapes(config).items()}
+    tensors["w_out"][:] = 0.0
+    graph = nir_graph(config, tensors)
+    x = np.random.default_rng(0).normal(size=(1, 50, 6))
+    weights, taus = real_weights(config, tensors)
+    expected, _, _ = forward(torch.tensor(x), Weights(*map(torch.tensor, (*weights, *taus))))
+    node, step, v = graph.nodes["direct"], graph.metadata["dt"], np.zeros(2)
+    for sample, wanted in zip(x[0], expected[0], strict=True):
+        v = v + step / node.tau * (node.v_leak - v + node.r * (graph.nodes["w_skip"].weight @ sample))
+        np.testing.assert_allclose(v, wanted, rtol=1e-12)
+    np.testing.assert_allclose(graph.nodes["wait"].delay, 2 * step)
+    tensors["w_skip"][:] = 0.0
+    assert "direct" not in nir_graph(config, tensors).nodes
 
 
 def test_onnx_runtime_estimates_as_the_network_here(tmp_path):

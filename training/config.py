@@ -41,6 +41,8 @@ class TrainConfig(Strict):
     """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
     symmetric: bool = False
     """Share the weights that quarter turns and mirror images of the body map onto each other (att-snn)."""
+    skip: bool = False
+    """Let the inputs drive the outputs directly too, which integrate them beside the spikes (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
     steps_per_sample: int = Field(default=1, ge=1, le=16)
@@ -103,7 +105,7 @@ class TrainConfig(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
-        constants = 2 * (self.encoding + self.hidden) + 2
+        constants = 2 * (self.encoding + self.hidden) + 2 + self.skip
         if self.model == "att-snn" and 0 < self.parameters <= constants:
             raise ValueError(f"parameters: {self.parameters}, but time constants alone are {constants}")
         if not 0 <= self.thinning[0] < self.thinning[1] <= 1:
@@ -118,7 +120,7 @@ class TrainConfig(Strict):
     def whole(self) -> int:
         """Parameters of Att-SNN with every connection."""
         h0, h1 = self.encoding, self.hidden
-        return 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2
+        return 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2 + 13 * self.skip
 
     @property
     def thinned(self) -> bool:
@@ -134,6 +136,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "hidden": 300,
         "parameters": 21202,
         "symmetric": True,
+        "skip": True,
         "revive": 0.25,
         "output_scale": 1 / 256,
         "start": "solved",
@@ -150,7 +153,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "stop_early": False,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
         "rate_cost": 0.03,
-        "rate_targets": (0.06, 0.13),
+        "rate_targets": (0.04, 0.08),
     },
 }
 """What each preset changes."""
@@ -254,6 +257,7 @@ def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, An
     wanted = values.get("inputs", network.inputs)
     bias = wanted if wanted.bias_samples else network.inputs
     kept = {name: getattr(network, name) for name in KEPT}
+    kept["skip"] = "w_skip" in tensors and bool(tensors["w_skip"].any())
     for name, value in kept.items():
         if choices.get(name, value) != value:
             raise ValueError(f"{name}: the weights of init have {value}, it cannot be {choices[name]}")

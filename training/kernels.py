@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.dynamics import STATE_ONE, THRESHOLD, _list_spikes, advance
-from estimators.spiking import SURROGATE_WIDTH, Weights
+from estimators.spiking import MATRICES, SURROGATE_WIDTH, Weights
 
 Floats = NDArray[np.floating]
 
@@ -36,6 +36,8 @@ class Trace:
     """Potentials of the hidden layer before the reset, shape (T + 2, n, h1)."""
     vo: Floats
     """Potentials of the outputs, shape (T + 2, n, outputs)."""
+    vd: Floats
+    """Potentials behind the skip connection, row t + 1 is step t, shape (T + 1, n, outputs)."""
     u0: Floats
     """Currents of the encoding layer, row t + 1 is step t, shape (T + 1, n, h0)."""
     s0: NDArray[np.uint16]
@@ -50,6 +52,7 @@ class Trace:
             v0=np.zeros((steps + 2, n, h0), dtype),
             v1=np.zeros((steps + 2, n, h1), dtype),
             vo=np.zeros((steps + 2, n, outputs), dtype),
+            vd=np.zeros((steps + 1, n, outputs), dtype),
             u0=np.zeros((steps + 1, n, h0), dtype),
             s0=np.zeros((steps + 2, n, h0 + 1), np.uint16),
             s1=np.zeros((steps + 2, n, h1 + 1), np.uint16),
@@ -60,12 +63,15 @@ class Trace:
         for rows in (self.v0, self.v1, self.vo, self.s0, self.s1):
             rows[:2] = rows[-2:]
             rows[:2, fresh] = 0
-        self.u0[0] = self.u0[-1]
-        self.u0[0, fresh] = 0
+        for rows in (self.u0, self.vd):
+            rows[0] = rows[-1]
+            rows[0, fresh] = 0
 
 
 @njit(cache=True, nogil=True)
-def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay, v0, v1, vo, u0, s0, s1):
+def forward_window(
+    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised, delay, v0, v1, vo, vd, u0, s0, s1
+):
     """Run the window x (T, n, inputs) from the rows before it; weights (in, out) in units of 1.0."""
     steps, n = x.shape[:2]
     h0, h1, outputs = v0.shape[2], v1.shape[2], vo.shape[2]
@@ -73,10 +79,8 @@ def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay
     unit = 1.0 / one
     threshold = THRESHOLD * one
     total, drive = np.zeros(max(h1, outputs), w_ff.dtype), np.zeros(h0)
-    state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 2, outputs))
-    for b in range(
-        n
-    ):  # the currents follow from the last two potentials: u[-1] = v[-1] - D(v[-2] after reset)
+    state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 3, outputs))
+    for b in range(n):  # currents follow from the last two potentials: u[-1] = v[-1] - D(v[-2] after reset)
         for i in range(h0):
             state0[b, 0, i], state0[b, 1, i] = u0[0, b, i] * one, v0[1, b, i] * one
         for i in range(h1):
@@ -85,12 +89,12 @@ def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay
             state1[b, 0, i] = state1[b, 1, i] - (np.trunc(before) if quantised else before)
         for o in range(outputs):
             before = vo[0, b, o] * one * out_taus[1]
-            state2[b, 1, o] = vo[1, b, o] * one
+            state2[b, 1, o], state2[b, 2, o] = vo[1, b, o] * one, vd[0, b, o] * one
             state2[b, 0, o] = state2[b, 1, o] - (np.trunc(before) if quantised else before)
     for t in range(steps):
         for b in range(n):
             advance(
-                x[t, b], w_in, w_ff, w_rec, w_out, taus, out_taus, quantised,
+                x[t, b], w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised,
                 state0[b, 0], state0[b, 1], state1[b, 0], state1[b, 1], state2[b],
                 s0[t + 1, b], s1[t + 1, b], s1[t + 2 - delay, b], total, drive,
             )  # fmt: skip
@@ -103,12 +107,13 @@ def forward_window(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay
                 v1[t + 2, b, i] = state1[b, 1, i] * unit
             for o in range(outputs):
                 vo[t + 2, b, o] = state2[b, 1, o] * unit
+                vd[t + 1, b, o] = state2[b, 2, o] * unit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward_window(
     x, grad, weights, taus, out_taus, constants, quantised, delay,
-    v0, v1, vo, u0, s0, s1, g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
+    v0, v1, vo, vd, u0, s0, s1, g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
 ):  # fmt: skip
     """Add the gradients of a window to g_*.
 
@@ -117,14 +122,15 @@ def backward_window(
         grad: Gradient of the outputs, shape (T, n, outputs).
         weights: w_ff and w_rec side by side, (h1, h0 + h1), and w_out (outputs, h1).
         taus: τ_syn, τ_mem of the encoding and of the hidden layer.
-        out_taus: τ_syn and τ_mem of the outputs, shape (2,).
+        out_taus: τ_syn and τ_mem of the outputs, and τ_mem behind the skip connection, shape (3,).
         constants: Threshold, surrogate width, one, 1.0, 0.0, and the gradient of every spike of the encoding
             and of the hidden layer, in the floating type of the computation.
         quantised: Whether the forward pass was.
         delay: Of the recurrent connection, 1 or 2.
-        v0: Trace, as are the next five.
+        v0: Trace, as are the next six.
         v1: Trace.
         vo: Trace.
+        vd: Trace.
         u0: Trace.
         s0: Trace.
         s1: Trace.
@@ -132,9 +138,10 @@ def backward_window(
         g_ff: Of the feed-forward weights, shape (h0, h1).
         g_rec: Of the recurrent weights, shape (h1, h1).
         g_out: Of the output weights, shape (h1, outputs).
+        g_skip: Of the skip connection, shape (inputs, outputs).
         g_tau0: Of τ_syn and τ_mem of the encoding layer, shape (2, h0).
         g_tau1: Of the hidden layer, shape (2, h1).
-        g_tau_out: Of the outputs, shape (2,).
+        g_tau_out: Of the outputs and behind the skip connection, shape (3,).
     """
     w_down, w_out = weights
     threshold, width, unit, one, zero, cost0, cost1 = (
@@ -148,6 +155,7 @@ def backward_window(
     a_syn0, a_mem0 = np.zeros_like(syn0), np.zeros_like(syn0)
     a_syn1, a_mem1 = np.zeros_like(syn1), np.zeros_like(syn1)
     du_out, dv_out = np.zeros((n, outputs), v0.dtype), np.zeros((n, outputs), v0.dtype)
+    direct = np.zeros_like(dv_out)
     ds0, ds1 = np.zeros_like(syn0), np.zeros_like(syn1)
     down, down_before = np.zeros((n, h0 + h1), v0.dtype), np.zeros((n, h0 + h1), v0.dtype)
     used = _used(w_down)
@@ -168,6 +176,10 @@ def backward_window(
                 current = vo[t + 1, b, o] - (np.trunc(left) if quantised else left) / unit
                 g_tau_out[0] += du_out[b, o] * current
                 g_tau_out[1] += dv_out[b, o] * vo[t + 1, b, o]
+                direct[b, o] = grad[t, b, o] + out_taus[2] * direct[b, o]
+                g_tau_out[2] += direct[b, o] * vd[t, b, o]
+                for k in range(x.shape[2]):
+                    g_skip[k, o] += x[t, b, k] * direct[b, o]
 
         # Hidden layer; the currents are recomputed as in `forward_window`.
         v, before, long_before = v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), v1[t].reshape(-1)
@@ -321,7 +333,7 @@ class Workspace:
             for trace in self.traces
         ]
         for old, new in zip(self.traces, smaller.traces, strict=True):
-            new.vo[-2:], new.u0[-1] = old.vo[-2:], old.u0[-1][:, encoding]
+            new.vo[-2:], new.vd[-1], new.u0[-1] = old.vo[-2:], old.vd[-1], old.u0[-1][:, encoding]
             for name, neurons in (("0", encoding), ("1", hidden)):
                 v, spikes = getattr(new, f"v{name}")[-2:], getattr(new, f"s{name}")[-2:]
                 v[:] = getattr(old, f"v{name}")[-2:][..., neurons]
@@ -351,24 +363,25 @@ class _Fused(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         arrays = [w.detach().numpy() for w in weights]
         one = STATE_ONE if space.quantised else 1.0
-        w_in, w_ff, w_rec, w_out = (np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[:4])
-        taus = tuple(tau.astype(np.float64) for tau in arrays[4:8])
-        out_taus = np.concatenate(arrays[8:]).astype(np.float64)
+        w_in, w_ff, w_rec, w_out, w_skip = (
+            np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[: len(MATRICES)]
+        )
+        taus = [tau.astype(np.float64) for tau in arrays[len(MATRICES) :]]
         samples = x.detach().numpy()
 
         def run(part: slice, trace: Trace) -> None:
             trace.begin(fresh[part])
             forward_window(
                 np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64),
-                w_in.astype(np.float64), w_ff, w_rec, w_out, taus, out_taus,
-                space.quantised, space.recurrent_delay,
-                trace.v0, trace.v1, trace.vo, trace.u0, trace.s0, trace.s1,
+                w_in.astype(np.float64), w_ff, w_rec, w_out, w_skip.astype(np.float64),
+                tuple(taus[:4]), np.concatenate(taus[4:]), space.quantised, space.recurrent_delay,
+                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.s0, trace.s1,
             )  # fmt: skip
 
         space.each(run)
         space.runs += 1
         ctx.space, ctx.run, ctx.x, ctx.weights = space, space.runs, samples, arrays
-        out = np.concatenate([trace.vo[2:] for trace in space.traces], 1)
+        out = np.concatenate([trace.vo[2:] + trace.vd[1:] for trace in space.traces], 1)
         counts = [
             sum(int(getattr(trace, name)[2:, :, 0].sum()) for trace in space.traces) for name in ("s0", "s1")
         ]
@@ -380,7 +393,7 @@ class _Fused(torch.autograd.Function):
         space: Workspace = ctx.space
         if space.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
-        w_in, w_ff, w_rec, w_out, *taus = ctx.weights
+        w_in, w_ff, w_rec, w_out, w_skip, *taus = ctx.weights
         grad = grads[0].numpy()
         down = np.hstack([w_ff, w_rec])
         one = STATE_ONE if space.quantised else 1.0
@@ -388,20 +401,21 @@ class _Fused(torch.autograd.Function):
         constants = np.array([THRESHOLD, SURROGATE_WIDTH, one, 1.0, 0.0, *costs], space.dtype)
 
         def run(part: slice, trace: Trace) -> list[Floats]:
-            g_in, g_ff, g_rec, g_out = (
-                np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out)
+            g_in, g_ff, g_rec, g_out, g_skip = (
+                np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out, w_skip)
             )
             g_tau0, g_tau1 = (np.zeros((2, w.shape[0]), space.dtype) for w in (w_in, w_ff))
-            g_tau_out = np.zeros(2, space.dtype)
+            g_tau_out = np.zeros(3, space.dtype)
             backward_window(
                 np.ascontiguousarray(ctx.x[part].transpose(1, 0, 2), space.dtype),
                 np.ascontiguousarray(grad[part].transpose(1, 0, 2), space.dtype),
                 (down, w_out), tuple(taus[:4]), np.concatenate(taus[4:]), constants,
                 space.quantised, space.recurrent_delay,
-                trace.v0, trace.v1, trace.vo, trace.u0, trace.s0, trace.s1,
-                g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
+                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.s0, trace.s1,
+                g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
             )  # fmt: skip
-            return [g_in.T, g_ff.T, g_rec.T, g_out.T, *g_tau0, *g_tau1, g_tau_out[:1], g_tau_out[1:]]
+            matrices = [g.T for g in (g_in, g_ff, g_rec, g_out, g_skip)]
+            return [*matrices, *g_tau0, *g_tau1, *(g_tau_out[k : k + 1] for k in range(3))]
 
         parts = space.each(run)
         totals = parts[0]

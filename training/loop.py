@@ -23,7 +23,8 @@ from torch import Tensor
 
 from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, outputs_at, scaled_inputs
 from estimators.pruning import connected
-from estimators.spiking import Weights
+from estimators.dynamics import SKIP_ONE
+from estimators.spiking import MATRICES
 from estimators.symmetry import OPERATIONS
 from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
 
@@ -148,7 +149,7 @@ class _Run:
         most = wanted + round((self._whole - wanted) * (1 - done) ** 3)
         if self.model.parameters_kept > most:
             state = self.optimiser.optimizer.state
-            squares = {name: state[getattr(self.model, name)]["exp_avg_sq"] for name in Weights._fields[:4]}
+            squares = {name: state[getattr(self.model, name)]["exp_avg_sq"] for name in MATRICES}
             thin(self.model, squares, most)
             self._leave_out()
 
@@ -289,10 +290,9 @@ def exported(
         arrays = {name: w.numpy() for name, w in model.weights()._asdict().items()}
     if not config.quantised:
         return network, {name: w.astype(np.float32) for name, w in arrays.items()}
+    one = dict.fromkeys(MATRICES, 256) | {"w_skip": SKIP_ONE}
     return network, {
-        name: np.rint(w * 256 if name.startswith("w_") else 4096 * (1 - w.astype(np.float64))).astype(
-            np.int16
-        )
+        name: np.rint(w * one[name] if name in one else 4096 * (1 - w.astype(np.float64))).astype(np.int16)
         for name, w in arrays.items()
     }
 
@@ -387,6 +387,7 @@ def _new_model(config: TrainConfig) -> Model:
         config.output_scale,
         config.threads,
         config.symmetric,
+        config.skip,
     )
 
 
@@ -440,7 +441,14 @@ def _rank(config: TrainConfig, epoch: Epoch) -> tuple[int, float]:
 def _step(config: TrainConfig, name: str) -> float:
     """Factor of the learning rate for a parameter: one common change of many weights adds up over neurons."""
     encoding, hidden, output = config.layer_steps
-    return {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_out": output}.get(name, 1.0)
+    return {
+        "w_in": encoding,
+        "w_ff": hidden,
+        "w_rec": hidden,
+        "w_out": output,
+        "w_skip": output,
+        "mem_skip": 0.01,
+    }.get(name, 1.0)
 
 
 def _learning_rate(config: TrainConfig, update: int) -> float:

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from estimators.pruning import living
-from estimators.spiking import Weights, quantise_decay, quantise_weights
+from estimators.spiking import (
+    MATRICES,
+    TIME_CONSTANTS,
+    Weights,
+    quantise_decay,
+    quantise_skip,
+    quantise_weights,
+)
 from estimators.symmetry import Ties, ties
 
 from .kernels import Workspace, attsnn
@@ -25,8 +32,9 @@ Values = TypeVar("Values", Tensor, NDArray[np.floating])
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
 LAYERS = {
-    "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1), "syn0": (0,), "mem0": (0,),
-    "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
+    "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1), "w_skip": (None, None),
+    "syn0": (0,), "mem0": (0,), "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
+    "mem_skip": (None,),
 }  # fmt: skip
 """For each axis of a parameter the layer whose neurons it counts: 0 encoding, 1 hidden."""
 
@@ -42,6 +50,7 @@ class AttSNN(nn.Module):
         output_scale: Radians for an output potential of 1.0.
         threads: Parts of a batch that run side by side.
         symmetric: Whether weights are shared as `estimators.symmetry` says.
+        skip: Whether the inputs also drive the outputs directly.
     """
 
     def __init__(
@@ -53,6 +62,7 @@ class AttSNN(nn.Module):
         output_scale: float = 1.0,
         threads: int = 1,
         symmetric: bool = False,
+        skip: bool = False,
     ) -> None:
         """Allocate the parameters; `start_like_the_paper` or `start_from_data` fills them."""
         super().__init__()
@@ -62,30 +72,38 @@ class AttSNN(nn.Module):
         self.w_ff = nn.Parameter(torch.zeros(hidden, encoding))
         self.w_rec = nn.Parameter(torch.zeros(hidden, hidden))
         self.w_out = nn.Parameter(torch.zeros(OUTPUTS, hidden))
+        self.w_skip = nn.Parameter(torch.zeros(OUTPUTS, 6))
         self.syn0 = nn.Parameter(torch.zeros(encoding))
         self.mem0 = nn.Parameter(torch.zeros(encoding))
         self.syn1 = nn.Parameter(torch.zeros(hidden))
         self.mem1 = nn.Parameter(torch.zeros(hidden))
         self.syn2 = nn.Parameter(torch.zeros(1))
         self.mem2 = nn.Parameter(torch.zeros(1))
-        for name in Weights._fields[:4]:  # a step of the optimiser is relative to these
-            self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
+        self.mem_skip = nn.Parameter(torch.zeros(1))
+        for name in MATRICES:  # a step of the optimiser is relative to these
+            rows, columns = getattr(self, name).shape
+            self.register_buffer(f"{name}_scale", torch.ones(rows, columns if name == "w_skip" else 1))
         self.ties = ties(encoding, hidden) if symmetric else {}
         for name, tied in self.ties.items():
             getattr(self, name).register_hook(partial(_mean, tied))
-        for name in Weights._fields[:4]:
-            kept = torch.ones(getattr(self, name).shape, dtype=torch.bool)
+        for name in MATRICES:
+            kept = torch.full(getattr(self, name).shape, skip or name != "w_skip")
             if self.ties:
                 kept &= torch.from_numpy(self.ties[name].sign != 0).reshape(kept.shape)
             self.register_buffer(f"{name}_kept", kept)
         self._spaces: dict[tuple[int, int], Workspace] = {}
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
-        """Set one of the four weight matrices, and its rows' scales to their root mean square."""
+        """Set a weight matrix, and its rows' scales to their root mean square.
+
+        Of the skip connection, whose inputs differ in kind, each weight has a scale of its own.
+        """
         w = torch.tensor(values, dtype=torch.float32)
         used = (w != 0).sum(1, keepdim=True).clamp(min=1)
         scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
-        if self.ties:  # rows that share their weights share their scale
+        if name == "w_skip":
+            scale = torch.where(w != 0, w.abs(), 1.0)
+        elif self.ties:  # rows that share their weights share their scale
             layer = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1"}.get(name)
             scale = self.shared(layer, scale) if layer else scale.mean()
         with torch.no_grad():
@@ -102,11 +120,13 @@ class AttSNN(nn.Module):
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
-        w = [getattr(self, name) * getattr(self, f"{name}_scale") for name in Weights._fields[:4]]
-        tau = [torch.sigmoid(getattr(self, name)) for name in Weights._fields[4:]]
+        *w, skip = (getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES)
+        tau = [torch.sigmoid(getattr(self, name)) for name in TIME_CONSTANTS]
         if not self.quantised:
-            return Weights(*w, *tau)
-        return Weights(*(quantise_weights(x) for x in w), *(quantise_decay(x) for x in tau))
+            return Weights(*w, skip, *tau)
+        return Weights(
+            *(quantise_weights(x) for x in w), quantise_skip(skip), *(quantise_decay(x) for x in tau)
+        )
 
     def forward(self, x: Tensor, fresh: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
@@ -134,11 +154,11 @@ class AttSNN(nn.Module):
         for weight, kept in self.kept.items():
             weight.mul_(kept)
         if self.quantised:
-            for name in Weights._fields[:4]:
+            for name in MATRICES[:-1]:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
                 w = getattr(self, name)
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
-        for name in Weights._fields[4:]:
+        for name in TIME_CONSTANTS:
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
 
     def part(self, name: str, values: Tensor, neurons: Sequence[NDArray[np.int64]]) -> Tensor:
@@ -168,7 +188,7 @@ class AttSNN(nn.Module):
     @property
     def living(self) -> list[NDArray[np.int64]]:
         """Neurons of both layers that connections join to the inputs and to the outputs."""
-        kept = [getattr(self, f"{name}_kept").numpy() for name in Weights._fields[:4]]
+        kept = [getattr(self, f"{name}_kept").numpy() for name in MATRICES[:-1]]
         layers = (("mem0", self.w_in.shape[0]), ("mem1", self.w_ff.shape[0]))
         groups = [self.ties[name].first if self.ties else np.arange(size) for name, size in layers]
         return living(kept, groups)
@@ -176,20 +196,24 @@ class AttSNN(nn.Module):
     @torch.no_grad()
     def keep_what_is_there(self) -> None:
         """Take away every connection whose weight is 0."""
-        for name in Weights._fields[:4]:
+        for name in MATRICES:
             getattr(self, f"{name}_kept").copy_(getattr(self.weights(), name) != 0)
 
     @property
     def kept(self) -> dict[Tensor, Tensor]:
         """By weight matrix, which of its entries are connections."""
-        return {getattr(self, name): getattr(self, f"{name}_kept") for name in Weights._fields[:4]}
+        return {getattr(self, name): getattr(self, f"{name}_kept") for name in MATRICES}
 
     @property
     def parameters_kept(self) -> int:
         """Connections that were not taken away, and time constants."""
+        return sum(int(kept.sum()) for kept in self.kept.values()) + self.time_constants
+
+    @property
+    def time_constants(self) -> int:
+        """How many there are; that behind the skip connection counts where there is one."""
         h0, h1 = self.w_in.shape[0], self.w_ff.shape[0]
-        connections = sum(int(kept.sum()) for kept in self.kept.values())
-        return connections + 2 * (h0 + h1) + 2
+        return 2 * (h0 + h1) + 2 + int(self.w_skip_kept.any())
 
 
 def thin(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:
@@ -201,10 +225,10 @@ def thin(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> N
 
     Args:
         model: To change.
-        squared_gradients: Mean square of the gradient of each entry of the four matrices.
+        squared_gradients: Mean square of the gradient of each entry of the weight matrices.
         most: Connections and time constants.
     """
-    names = Weights._fields[:4]
+    names = MATRICES
     costs, sizes = [], []
     firsts = {n: model.ties[n].first if model.ties else np.arange(getattr(model, n).numel()) for n in names}
     for name, first in firsts.items():
@@ -217,7 +241,7 @@ def thin(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> N
         sizes.append(np.bincount(first, kept, kept.size))
     cost, size = np.concatenate(costs), np.concatenate(sizes)
     order = np.argsort(-cost, kind="stable")
-    room = most - 2 * (model.mem0.numel() + model.mem1.numel()) - 2
+    room = most - model.time_constants
     stays = np.zeros(cost.size, bool)
     stays[order] = np.cumsum(size[order]) <= room
     for (name, first), part in zip(

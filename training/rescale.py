@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.networks import real_weights
-from estimators.spiking import Weights
+from estimators.spiking import TIME_CONSTANTS, Weights
 from estimators.weights_file import NetworkConfig, Tensors
 
 
@@ -31,7 +31,7 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     weights, taus = real_weights(config, tensors)
     clipped = [np.clip(tau, 0.0, 4095 / 4096) for tau in taus]
     old = dict(zip(Weights._fields, [*weights, *clipped], strict=True))
-    new = {name: old[name] ** (1 / k) for name in Weights._fields[4:]}
+    new = {name: old[name] ** (1 / k) for name in TIME_CONSTANTS}
 
     def area(name: str) -> NDArray[np.float64]:
         return ((1 - new[name]) / (1 - old[name]))[:, None]
@@ -40,6 +40,7 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     new["w_ff"] = old["w_ff"] * area("syn1")
     new["w_rec"] = old["w_rec"] * area("syn1")
     new["w_out"] = old["w_out"] * area("syn2")
+    new["w_skip"] = old["w_skip"] / k
     memories = {
         "bias_samples": round(config.inputs.bias_samples * k),
         "lead_samples": tuple(max(1, round(each * k)) for each in config.inputs.lead_samples),

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from estimators.networks import real_weights
-from estimators.spiking import Weights
+from estimators.spiking import MATRICES, TIME_CONSTANTS
 from estimators.weights_file import load_network
 
 from .models import AttRNN, AttSNN
@@ -30,6 +30,7 @@ class Ranges:
     hidden_mem: tuple[float, float]
     output_syn: float
     output_mem: float
+    skip_mem: float = 585.0
 
 
 PAPER_RANGES = Ranges((1.0, 5.0), (1.0, 5.0), (1.0, 5.0), (1.0, 5.0), 2.0, 5.0)
@@ -40,7 +41,7 @@ def start_like_the_paper(model: AttSNN, seed: int) -> None:
     """Weights of unit scale over the square root of their number, short time constants."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     _start_taus(model, PAPER_RANGES, rng)
-    for name in Weights._fields[:4]:
+    for name in MATRICES:
         w = getattr(model, name)
         with torch.no_grad():
             w.copy_(torch.tensor(rng.normal(0, 1 / math.sqrt(w.shape[1]), w.shape)))
@@ -90,6 +91,10 @@ def start_from_data(
     model.set_weights("w_ff", w_ff * model.shared("mem1", _current_scale(model, x, w_ff, rng)))
     model.set_weights("w_rec", w_rec)
     model.constrain()
+    if model.w_skip_kept.any():
+        w_skip, said = _solve_skip(model, x, roll_pitch)
+        model.set_weights("w_skip", w_skip)
+        roll_pitch = roll_pitch - said
     w_out = _solve_outputs(model, x, roll_pitch)
     model.set_weights("w_out", model.ties["w_out"].mean(w_out) if model.ties else w_out)
     model.constrain()
@@ -113,9 +118,9 @@ def start_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
     if found != ("att-snn", *model.w_ff.shape[::-1]):
         raise ValueError(f"init: {path} holds {found[0]} with {found[1]} + {found[2]} neurons")
     weights, taus = real_weights(config, tensors)
-    for name, w in zip(Weights._fields[:4], weights, strict=True):
+    for name, w in zip(MATRICES, weights, strict=True):
         model.set_weights(name, w)
-    for name, tau in zip(Weights._fields[4:], taus, strict=True):
+    for name, tau in zip(TIME_CONSTANTS, taus, strict=True):
         inside = np.clip(tau, 1 / 1024, 4095 / 4096)
         with torch.no_grad():
             getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
@@ -185,6 +190,7 @@ def _start_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch
             ("mem1", ranges.hidden_mem),
             ("syn2", (ranges.output_syn,) * 2),
             ("mem2", (ranges.output_mem,) * 2),
+            ("mem_skip", (ranges.skip_mem,) * 2),
         ):
             parameter = getattr(model, name)
             low, high = (math.log(limit * (1 if name in ("syn0", "syn2") else stretch)) for limit in limits)
@@ -223,6 +229,21 @@ def _current_scale(model: AttSNN, x: NDArray[np.float64], w_ff: NDArray, rng: np
     rate = np.exp(rng.uniform(math.log(0.2), math.log(1.0), len(w_ff)))
     sign = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)  # towards spiking, not silence
     return (sign * 0.5 * rate / np.maximum(current.std((0, 1)), 1e-6))[:, None]
+
+
+def _solve_skip(
+    model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]
+) -> tuple[NDArray, NDArray]:
+    """Least squares from the inputs, filtered as the integrators behind the skip connection filter them, to roll and pitch.
+
+    Returns:
+        The weights of the skip connection (2, 6), and what the outputs say with them alone (n, T, 2) [rad].
+    """
+    features = _filtered(x, torch.sigmoid(model.mem_skip).detach().numpy()) * model.output_scale
+    late = slice(x.shape[1] // 4, None)
+    w = np.linalg.lstsq(features[:, late].reshape(-1, 6), roll_pitch[:, late].reshape(-1, 2), rcond=None)[0].T
+    w = (model.ties["w_skip"].mean(w) if model.ties else w) * model.w_skip_kept.numpy()
+    return w, features @ w.T
 
 
 def _solve_outputs(model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]) -> NDArray:

@@ -7,6 +7,7 @@ static const int8_t W_IN[ATT_SNN_INPUTS][ATT_SNN_ENCODING] = $w_in;
 static const int8_t W_FF[ATT_SNN_ENCODING][ATT_SNN_HIDDEN] = $w_ff;
 static const int8_t W_REC[ATT_SNN_HIDDEN][ATT_SNN_HIDDEN] = $w_rec;
 static const int8_t W_OUT[ATT_SNN_HIDDEN][ATT_SNN_OUTPUTS] = $w_out;
+static const int16_t W_SKIP[ATT_SNN_INPUTS][ATT_SNN_OUTPUTS] = $w_skip; /* of 4096: not the chip's, the host's */
 
 /* What a step leaves of currents (du) and potentials (dv), of 4096. */
 static const uint16_t KEEP_U_ENCODING[ATT_SNN_ENCODING] = $syn0;
@@ -15,6 +16,7 @@ static const uint16_t KEEP_U_HIDDEN[ATT_SNN_HIDDEN] = $syn1;
 static const uint16_t KEEP_V_HIDDEN[ATT_SNN_HIDDEN] = $mem1;
 static const uint16_t KEEP_U_OUTPUT = $syn2;
 static const uint16_t KEEP_V_OUTPUT = $mem2;
+static const uint16_t KEEP_V_DIRECT = $mem_skip;
 
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
@@ -29,12 +31,20 @@ enum {
     KEPT = $kept,
     INPUT_MAX = $input_max,
     BIAS_STEP = 16,
+    SKIP_STEP = 32,
     BIAS_MANT_MAX = 4095,
     THRESHOLD = 128 * 64,
     OUTPUT_THRESHOLD = 131071 * 64,
     STATE_MAX = 8388607,
     STEPS_PER_SAMPLE = $steps
 };
+
+/* The bias that stands for a current: the chip has mantissas of 12 bits, and a step. */
+static int32_t bias(int64_t current, int32_t step)
+{
+    const int64_t mantissa = current / step;
+    return (int32_t)(mantissa > BIAS_MANT_MAX ? BIAS_MANT_MAX : mantissa < -BIAS_MANT_MAX ? -BIAS_MANT_MAX : mantissa) * step;
+}
 
 /* The part of x that a decay leaves, rounded toward zero as C99 divides. */
 static int32_t decay(int32_t x, uint16_t keep) { return (int32_t)((int64_t)x * keep / 4096); }
@@ -92,7 +102,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}};
     *state = rest;
 }
 
@@ -192,8 +202,12 @@ static void step(att_snn_state *state)
     gather(hidden, ATT_SNN_HIDDEN, &W_FF[0][0], state->s_encoding, ATT_SNN_ENCODING);
     gather(hidden, ATT_SNN_HIDDEN, &W_REC[0][0], state->s_hidden, ATT_SNN_HIDDEN);
     for (int i = 0; i < ATT_SNN_OUTPUTS; ++i) {
+        int64_t direct = 0;
+        for (int k = 0; k < ATT_SNN_INPUTS; ++k)
+            direct += (int64_t)W_SKIP[k][i] * state->input[k];
         state->u_output[i] = synapse(state->u_output[i], KEEP_U_OUTPUT, output[i]);
         membrane(&state->v_output[i], KEEP_V_OUTPUT, state->u_output[i], OUTPUT_THRESHOLD);
+        membrane(&state->v_direct[i], KEEP_V_DIRECT, bias(direct / 256, SKIP_STEP), OUTPUT_THRESHOLD);
     }
     for (int i = 0; i < ATT_SNN_HIDDEN; ++i) {
         state->u_hidden[i] = synapse(state->u_hidden[i], KEEP_U_HIDDEN[i], hidden[i]);
@@ -204,9 +218,8 @@ static void step(att_snn_state *state)
         for (int k = 0; k < ATT_SNN_INPUTS; ++k)
             drive += W_IN[k][i] * state->input[k];
         const int32_t u = wrap(decay(state->u_encoding[i], KEEP_U_ENCODING[i]) + drive / 8, 23);
-        const int32_t bias = clip(u / BIAS_STEP, BIAS_MANT_MAX) * BIAS_STEP;
         state->u_encoding[i] = u;
-        state->s_encoding[i] = membrane(&state->v_encoding[i], KEEP_V_ENCODING[i], bias, THRESHOLD);
+        state->s_encoding[i] = membrane(&state->v_encoding[i], KEEP_V_ENCODING[i], bias(u, BIAS_STEP), THRESHOLD);
     }
 }
 
@@ -219,7 +232,8 @@ void att_snn_step(att_snn_state *state)
 void att_snn_attitude(const att_snn_state *state, double roll_pitch[2])
 {
     const double *heading = state->heading;
-    const double a = state->v_output[0] * SCALE, b = state->v_output[1] * SCALE;
+    const double a = (state->v_output[0] + state->v_direct[0]) * SCALE;
+    const double b = (state->v_output[1] + state->v_direct[1]) * SCALE;
     roll_pitch[0] = a;
     roll_pitch[1] = b;
     if (YAW_FREE) { /* a tilt, in axes that do not yaw: turned into those of the body, and up from it */

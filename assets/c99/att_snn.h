@@ -11,7 +11,7 @@
 #define ATT_SNN_ENCODING $encoding
 #define ATT_SNN_HIDDEN $hidden
 #define ATT_SNN_OUTPUTS 2
-/* Output potentials divided by this are radians, of roll and pitch or of a tilt that att_snn_attitude reads. */
+/* The sum of both potentials of an output divided by this is radians, of roll and pitch or of a tilt that att_snn_attitude reads. */
 #define ATT_SNN_UNITS_PER_RADIAN $units
 
 typedef struct {
@@ -22,6 +22,7 @@ typedef struct {
     int32_t v_hidden[ATT_SNN_HIDDEN];
     int32_t u_output[ATT_SNN_OUTPUTS];
     int32_t v_output[ATT_SNN_OUTPUTS];
+    int32_t v_direct[ATT_SNN_OUTPUTS];   /* of the integrators that take the inputs past the spikes */
     uint8_t s_encoding[ATT_SNN_ENCODING]; /* spikes of the last step, 0 or 1 */
     uint8_t s_hidden[ATT_SNN_HIDDEN];
     double forces;  /* samples in the low-passes of the lateral forces */
