@@ -29,7 +29,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.spiking import THRESHOLD, Weights, forward, quantise_decay, quantise_weights
+from estimators.spiking import (
+    THRESHOLD,
+    TIME_CONSTANTS,
+    Weights,
+    forward,
+    quantise_decay,
+    quantise_weights,
+)
 from training.kernels import Workspace, attsnn
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
@@ -47,7 +54,8 @@ def parameters(seed: int = 0) -> Weights:
     scales = (0.12, 0.03, 0.01, 0.1)
     w = [quantise_weights(torch.tensor(rng.normal(0, k, s))) for s, k in zip(shapes, scales, strict=True)]
     tau = [quantise_decay(torch.tensor(rng.uniform(0.5, 0.98, k))) for k in (*[HIDDEN] * 4, 1, 1)]
-    return Weights(*(x.float().requires_grad_() for x in (*w, *tau)))
+    no_skip = torch.zeros(2, 6), torch.ones(1)
+    return Weights(*(x.float().requires_grad_() for x in (*w, no_skip[0], *tau, no_skip[1])))
 
 
 def inputs(n: int, steps: int) -> Tensor:

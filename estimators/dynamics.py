@@ -1,7 +1,6 @@
 """Compiled forward pass of Att-SNN: 6 inputs -> LIF -> recurrent LIF -> 2 leaky integrators (LI).
 
-Beside these two, two more leaky integrators may take the inputs directly, past the spikes (a skip connection);
-the estimate is the sum of both.
+Two more leaky integrators may take the inputs past the spikes (a skip connection): the estimate is the sum.
 
 One function, `advance`, is the network for training, streaming and whole sequences alike. Per layer
 
@@ -189,7 +188,7 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
         taus: τ_syn, τ_mem of encoding, hidden and output layer, one after the other, (2 h0 + 2 h1 + 3,).
         sizes: (h0, h1, recurrent delay, network steps per sample).
         quantised: Integer arithmetic (True) or floats.
-        state: u0, v0, u1, v1 and the three rows of `out` in a row, shape (n, 2 h0 + 2 h1 + 3 outputs); changed.
+        state: u0, v0, u1, v1 and the rows of `out` in a row, shape (n, 2 h0 + 2 h1 + 3 outputs); changed.
         spikes: Lists of the spikes of the last step: encoding, hidden, hidden one step earlier; changed.
         out: Output potentials after each sample [state units], shape (n, T, outputs); written.
     """

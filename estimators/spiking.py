@@ -82,7 +82,7 @@ def quantise_weights(w: Tensor) -> Tensor:
 
 
 def quantise_skip(w: Tensor) -> Tensor:
-    """Nearest weight of the skip connection, which the host multiplies: 16 bits. Gradient straight through."""
+    """Nearest weight of the skip connection, of 16 bits on the host. Gradient straight through."""
     return _straight(w, torch.clamp(torch.round(w * SKIP_ONE), -32767, 32767) / SKIP_ONE)
 
 
@@ -108,6 +108,7 @@ def forward(
     n, steps, _ = x.shape
     one = STATE_ONE if quantised else 1.0
     w_in, w_ff, w_rec, w_out, w_skip = (w * one for w in weights[:5])
+    skip = bool(w_skip.any())
 
     def decay(value: Tensor, tau: Tensor) -> Tensor:
         return _straight(value * tau, torch.trunc(value * tau)) if quantised else value * tau
@@ -135,11 +136,10 @@ def forward(
     for t in range(steps):
         u2 = wrapped(decay(u2, weights.syn2) + wrapped(s1 @ w_out.T, 21), 23)
         v2 = integrated(decay(v2, weights.mem2) + u2)
-        direct = x[:, t] @ w_skip.T
-        v3 = integrated(
-            decay(v3, weights.mem_skip)
-            + (_straight(direct, _bias(direct, SKIP_EXP)) if quantised else direct)
-        )
+        if skip:
+            direct = x[:, t] @ w_skip.T
+            direct = _straight(direct, _bias(direct, SKIP_EXP)) if quantised else direct
+            v3 = integrated(decay(v3, weights.mem_skip) + direct)
         feedback = s1 if recurrent_delay == 1 else late
         u1 = wrapped(decay(u1, weights.syn1) + wrapped(s0 @ w_ff.T + feedback @ w_rec.T, 21), 23)
         drive = x[:, t] @ w_in.T

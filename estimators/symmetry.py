@@ -69,8 +69,9 @@ def ties(encoding: int, hidden: int) -> dict[str, Ties]:
     first, second = ([(_on_neurons(n, k), np.ones(n)) for k in range(8)] for n in (encoding, hidden))
     single = [(np.zeros(1, np.int64), np.ones(1))] * 8
     layers = {"w_in": (first, rates_forces), "w_ff": (second, first), "w_rec": (second, second),
-              "w_out": (angles, second), "w_skip": (angles, rates_forces), "syn0": (first, single), "mem0": (first, single),
-              "syn1": (second, single), "mem1": (second, single)}  # fmt: skip
+              "w_out": (angles, second), "w_skip": (angles, rates_forces),
+              "syn0": (first, single), "mem0": (first, single), "syn1": (second, single),
+              "mem1": (second, single)}  # fmt: skip
     return {name: _ties(rows, columns) for name, (rows, columns) in layers.items()}
 
 

@@ -59,7 +59,7 @@ def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
     rows = []
     result = train(
         data=dataset, out=tmp_path / "run", progress=lambda epoch, config: rows.append(epoch),
-        **TINY | {"epochs": 8, "batches": 20, "windows_per_stream": 6},
+        **TINY | {"start": "random", "epochs": 8, "batches": 20, "windows_per_stream": 6},
     )  # fmt: skip
     assert rows[-1].train_rmse_deg < 0.9 * rows[0].train_rmse_deg
     assert result.best.val_mse == min(row.val_mse for row in rows)

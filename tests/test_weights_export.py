@@ -9,8 +9,8 @@ import pytest
 
 from estimators.gyro_bias import KEPT
 from estimators.networks import BIAS, HEADING, OnLoihi, Recurrent, real_weights, scaled_inputs
-from estimators.spiking import Weights, forward
 from estimators.nir_graph import nir_graph
+from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
 from estimators.weights_file import (
     InputScaling,

@@ -21,9 +21,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from estimators.dynamics import SKIP_ONE
 from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, outputs_at, scaled_inputs
 from estimators.pruning import connected
-from estimators.dynamics import SKIP_ONE
 from estimators.spiking import MATRICES
 from estimators.symmetry import OPERATIONS
 from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network

@@ -234,7 +234,7 @@ def _current_scale(model: AttSNN, x: NDArray[np.float64], w_ff: NDArray, rng: np
 def _solve_skip(
     model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]
 ) -> tuple[NDArray, NDArray]:
-    """Least squares from the inputs, filtered as the integrators behind the skip connection filter them, to roll and pitch.
+    """Least squares from the inputs, as the integrators behind the skip connection filter them.
 
     Returns:
         The weights of the skip connection (2, 6), and what the outputs say with them alone (n, T, 2) [rad].
