@@ -4,6 +4,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save_file
 from scipy.signal import lfilter
 
 from estimators.gyro_bias import BIAS_MAX
@@ -207,6 +208,33 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
         create_network("att")
     with pytest.raises(ValueError, match=r"gyro \(1, 2\)"):
         create_network("att-snn", weights=snn_file).update(np.zeros((1, 2)), np.zeros((1, 3)))
+
+
+def test_the_skip_connection_alone_is_a_leaky_integrator_of_the_inputs(tmp_path):
+    config = NetworkConfig(model="att-snn", output_scale=1 / 256, encoding=9, hidden=8)
+    tensors = {name: np.zeros(shape, np.int16) for name, shape in expected_shapes(config).items()}
+    for name in tensors:
+        if not name.startswith("w_"):
+            tensors[name][:] = 64
+    tensors["w_skip"][0, 0], tensors["w_skip"][1, 4] = 4096, -2048
+    save_network(tmp_path / "w", config, tensors)
+    est = create_network("att-snn-loihi", weights=tmp_path / "w")
+    gyro, accel = np.zeros((1, 400, 3)), np.tile([0.0, 0.5, 9.81], (1, 400, 1))
+    gyro[..., 0] = 0.25
+    left = 1 - 64 / 4096
+    grown = (1 - left ** np.arange(1, 401)) / (1 - left) / 256  # of an input of 1.0, in radians
+    roll, pitch = est.sequence(gyro, accel)[0].T
+    np.testing.assert_allclose(roll, 0.1 * grown, rtol=0.01)
+    np.testing.assert_allclose(pitch, -0.25 * grown, rtol=0.01)
+
+
+def test_files_of_before_the_skip_connection_are_read(snn_file, tmp_path):
+    config, tensors = load_network(snn_file)
+    old = {name: value for name, value in tensors.items() if "skip" not in name}
+    save_file(old, tmp_path / "old", metadata={"config": config.model_dump_json()})
+    found = load_network(tmp_path / "old")[1]
+    assert not found["w_skip"].any()
+    assert parameters(found) == parameters(old)
 
 
 @pytest.mark.parametrize("delay", [1, 2])

@@ -72,6 +72,21 @@ def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
     assert est.update(np.zeros((1, 3)), np.array([[0.0, 0.0, 9.81]])).shape == (1, 2)
 
 
+def test_a_run_keeps_the_skip_connection_of_the_weights_it_goes_on_from(dataset, tmp_path):
+    kinds = {"with": True, "without": False}
+    for name, skip in kinds.items():
+        train(data=dataset, out=tmp_path / name, **TINY | {"epochs": 1, "skip": skip})
+        assert weights_of(tmp_path / name)["w_skip"].any() == skip
+        init = str(tmp_path / name / "best.safetensors")
+        on = {k: v for k, v in TINY.items() if k not in ("encoding", "hidden")} | {"epochs": 1}
+        train(data=dataset, out=tmp_path / f"{name}-on", init=init, **on)
+        assert weights_of(tmp_path / f"{name}-on")["w_skip"].any() == skip
+        with pytest.raises(
+            ValueError, match=f"skip: the weights of init have {skip}, it cannot be {not skip}"
+        ):
+            make_config("best", data=str(dataset), init=init, skip=not skip)
+
+
 @pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
 def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     choices = TINY | {"model": model, "hidden": 20}
