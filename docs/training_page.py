@@ -22,9 +22,18 @@ from estimators.activity import record
 from estimators.evaluate import tilted_starts
 from estimators.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
-from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
+from estimators.networks import (
+    NetworkEstimator,
+    OnLoihi,
+    Spiking,
+    outputs_at,
+    real_weights,
+    scaled_inputs,
+)
+from estimators.spiking import Weights
 from estimators.symmetry import OPERATIONS, ties
-from estimators.weights_file import Tensors, load_network, parameters, shipped_names
+from estimators.tilt import to_roll_pitch
+from estimators.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
 from quadsim.dataset import open_dataset
 from quadsim.estimator import AttitudeEstimator
 from training.augment import roll_pitch_of_up
@@ -33,7 +42,7 @@ from training.config import TrainConfig, make_config
 HERE = Path(__file__).parent
 KEPT = HERE / "training"
 FILTERS = ("complementary", "madgwick", "ekf", "mahony", "vqf", "eskf", "ekf-drag")
-LINEAR = "best linear filter"
+LINEAR, IN_AXES = "best linear filter", "best linear filter, as the network's inputs"
 BANDS_HZ = (0.1, 1.0)
 KFOLD = "--preset best --set encoding=100 --set hidden=100 --set revive=0.6 --epochs 2"
 """What Table 1 was made with."""
@@ -47,13 +56,16 @@ def without_rounding(name: str) -> NetworkEstimator:
     """A spiking network with its quantised weights, but real-valued states."""
     config, tensors = load_network(name)
     weights, taus = real_weights(config, tensors)
-    real = dict(zip(tensors_of_spiking(), [*weights, *taus], strict=True))
+    real = dict(zip(Weights._fields, [*weights, *taus], strict=True))
     return NetworkEstimator(Spiking(config.model_copy(update={"quantised": False}), real), config.rate_hz)
 
 
-def tensors_of_spiking() -> tuple[str, ...]:
-    """Names of a spiking network's tensors, in the order of `real_weights`."""
-    return ("w_in", "w_ff", "w_rec", "w_out", "syn0", "mem0", "syn1", "mem1", "syn2", "mem2")
+def without_spikes(name: str) -> NetworkEstimator:
+    """What the skip connection of a spiking network says alone."""
+    config, tensors = load_network(name)
+    return NetworkEstimator(
+        Spiking(config, tensors | {"w_out": np.zeros_like(tensors["w_out"])}), config.rate_hz
+    )
 
 
 def made() -> dict[str, AttitudeEstimator]:
@@ -62,6 +74,7 @@ def made() -> dict[str, AttitudeEstimator]:
         "att-snn-loihi": create("att-snn-loihi"),
         "att-snn": create("att-snn"),
         "att-snn without rounding": without_rounding("att-snn"),
+        "att-snn, skip connection alone": without_spikes("att-snn"),
         "att-rnn": create("att-rnn"),
     }
     for name in shipped_names():
@@ -119,7 +132,8 @@ def free_parameters(tensors: Tensors) -> int:
     """Different numbers among a symmetric network's parameters: shared ones count once."""
     shared = ties(len(tensors["w_in"]), len(tensors["w_ff"]))
     there = {name: tensors[name].ravel() != 0 for name in shared}
-    return 2 + sum(np.unique(tied.first[there[name]]).size for name, tied in shared.items())
+    constants = 2 + bool(tensors["w_skip"].any())
+    return constants + sum(np.unique(tied.first[there[name]]).size for name, tied in shared.items())
 
 
 def untold_deg(flights: Flights) -> float:
@@ -134,20 +148,29 @@ def untold_deg(flights: Flights) -> float:
     return float(np.degrees(np.abs(nearest - flights.truth).mean()))
 
 
-def linear_features(gyro: Array, accel: Array, rate_hz: float) -> Array:
-    """The six readings through first-order low-passes of ten time constants, 20 ms to 10 s, (n, T, 61)."""
-    readings = np.concatenate([gyro, accel - np.array([0.0, 0.0, 9.81])], axis=-1)
-    poles = np.exp(-1 / (rate_hz * np.geomspace(0.02, 10.0, 10)))
-    filtered = [lfilter([1 - pole], [1, -pole], readings, axis=1) for pole in poles]
-    return np.concatenate([*filtered, np.ones((*readings.shape[:2], 1))], axis=-1)
+def linear_features(inputs: InputScaling, flights: Flights) -> tuple[Array, Array]:
+    """A network's inputs through first-order low-passes of ten time constants, 20 ms to 10 s.
+
+    Returns:
+        The features (n, T, 61), and cosine and sine of the axes' heading (n, T, 2).
+    """
+    x, heading = scaled_inputs(inputs, flights.rate_hz, flights.gyro, flights.accel)
+    poles = np.exp(-1 / (flights.rate_hz * np.geomspace(0.02, 10.0, 10)))
+    filtered = [lfilter([1 - pole], [1, -pole], x, axis=1) for pole in poles]
+    return np.concatenate([*filtered, np.ones((*x.shape[:2], 1))], axis=-1), heading
 
 
-def best_linear(train: Flights, flights: Flights) -> Array:
+def best_linear(inputs: InputScaling, train: Flights, flights: Flights) -> Array:
     """Roll and pitch by ridge regression on `linear_features` of the training flights."""
-    x = linear_features(train.gyro, train.accel, train.rate_hz)[:, 1000::20].reshape(-1, 61)
-    y = train.truth[:, 1000::20].reshape(-1, 2)
+    x, heading = linear_features(inputs, train)
+    y = outputs_at(inputs, train.truth, heading)[:, 1000::20].reshape(-1, 2)
+    x = x[:, 1000::20].reshape(-1, 61)
     weights = np.linalg.solve(x.T @ x + 1e-6 * len(x) * np.eye(61), x.T @ y)
-    return linear_features(flights.gyro, flights.accel, flights.rate_hz) @ weights
+    x, heading = linear_features(inputs, flights)
+    found = np.ascontiguousarray(x @ weights)
+    if inputs.yaw_free:
+        to_roll_pitch(found, heading)
+    return found
 
 
 def parts_of(error: Array, rate_hz: float) -> list[float]:
@@ -166,9 +189,10 @@ def limits(
 ) -> tuple[list[str], str]:
     """The error in bands of frequency, and what they say about the spiking network."""
     rows, found, skip = [], {}, round(5 * flights.rate_hz)
-    for name in ("att-snn-loihi", "att-rnn", LINEAR, "mahony", "vqf", "ekf-drag"):
+    linear = {LINEAR: InputScaling(), IN_AXES: load_network("att-snn")[0].inputs}
+    for name in ("att-snn-loihi", "att-snn-spiking", "att-rnn", *linear, "mahony", "vqf", "eskf", "ekf-drag"):
         estimates = [
-            best_linear(train, each) if name == LINEAR else estimate_of(estimators[name], each)
+            best_linear(linear[name], train, each) if name in linear else estimate_of(estimators[name], each)
             for each in (flights, perfect)
         ]
         error, clean = (np.degrees(e - flights.truth)[:, skip:] for e in estimates)
@@ -182,9 +206,9 @@ def limits(
         f"Of the spiking network's mean square, {shares[0]:.0f} % lies at 0.1–1 Hz, where the attitude has "
         f"to come from the integrated rates, {shares[1]:.0f} % above 1 Hz (spikes), and {shares[2]:.0f} % is "
         f"constant (the accelerometer's bias); sensor errors of all kinds make {sensors:.0f} % of it. In "
-        f"that band the best linear filter of the same readings leaves {found[LINEAR][2]:.2f}°, the GRU "
-        f"{found['att-rnn'][2]:.2f}°, and VQF, which turns the vertical by the rates exactly, "
-        f"{found['vqf'][2]:.2f}°."
+        f"that band the best linear filter of the same readings leaves {found[LINEAR][2]:.2f}°, of the "
+        f"network's inputs {found[IN_AXES][2]:.2f}°, the GRU {found['att-rnn'][2]:.2f}°, and "
+        f"VQF, which turns the vertical by the rates exactly, {found['vqf'][2]:.2f}°."
     )
     return rows, fill(text, 125)
 
