@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .loihi import step_arrays
-from .networks import OnLoihi, _drive, _encode_sample
+from .networks import OnLoihi, _drive, _encode_sample, read_out
 from .tilt import to_roll_pitch
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ def _record(
     out,
 ):
     held, current, before, after, u, v, bias = states
-    first_output = v.shape[1] - 2 * out.shape[2]
+    first_output = v.shape[1] - out.shape[2] - w_skip.shape[0]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
             heading[n, t] = _encode_sample(
@@ -118,5 +118,4 @@ def _record(
                     if u[n, i] != 0 or v[n, i] != 0 or bias[n, i] != 0 or after[n, i] != 0:
                         active[n, i] += 1
         for n in range(gyro.shape[0]):
-            for o in range(out.shape[2]):
-                out[n, t, o] = (v[n, first_output + o] + v[n, first_output + out.shape[2] + o]) * scale
+            read_out(v[n, first_output:], scale, out[n, t])

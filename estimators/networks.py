@@ -190,21 +190,23 @@ class OnLoihi:
         if not config.quantised or config.recurrent_delay != 1:
             raise ValueError("att-snn-loihi needs quantised weights and a recurrent delay of 1")
         w = {name: value.astype(np.int64) for name, value in tensors.items()}
+        w_skip = w["w_skip"] if w["w_skip"].any() else w["w_skip"][:0]
+        behind = len(w_skip)
         self.chip = LoihiNetwork(
             [
                 LoihiLayer(w_in=None, dv=w["mem0"], bias_exp=BIAS_EXP),
                 LoihiLayer(w_in=w["w_ff"], w_rec=w["w_rec"], du=w["syn1"], dv=w["mem1"]),
                 LoihiLayer(
-                    w_in=np.vstack([w["w_out"], np.zeros_like(w["w_out"])]),
-                    du=np.repeat(w["syn2"], 4),
-                    dv=np.repeat([w["mem2"], w["mem_skip"]], 2),
+                    w_in=np.vstack([w["w_out"], np.zeros_like(w["w_out"])[:behind]]),
+                    du=w["syn2"],
+                    dv=np.repeat([w["mem2"], w["mem_skip"]], [2, behind]),
                     vth=VTH_MAX,
                     bias_exp=SKIP_EXP,
                 ),
             ]
         )
         self.cores = partition(self.chip.layers)
-        self.fan_out = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"], w["w_skip"]
+        self.fan_out = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"], w_skip
         self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
         self.inputs = config.inputs
         self.encoding = encoder_of(config.inputs, config.rate_hz)
@@ -229,8 +231,9 @@ class OnLoihi:
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Set the potentials of the outputs, which forget within a second or so."""
-        output, direct = states[5][:, -4:-2], states[5][:, -2:]
-        output[:] = np.rint(outputs_at(self.inputs, roll_pitch) / self.scale) - direct
+        v = states[5][:, -self.chip.sizes[-1] :]
+        behind = v[:, 2:].reshape(len(v), -1, 2).sum(1)
+        v[:, :2] = np.rint(outputs_at(self.inputs, roll_pitch) / self.scale) - behind
 
 
 class Recurrent:
@@ -418,7 +421,7 @@ def _run_on_loihi(
 ):  # fmt: skip
     held, current, before, after, u, v, bias = states
     n_outputs = out.shape[2]
-    first_output = v.shape[1] - 2 * n_outputs
+    first_output = v.shape[1] - n_outputs - w_skip.shape[0]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
             heading[n, t] = _encode_sample(
@@ -429,8 +432,7 @@ def _run_on_loihi(
                 _drive(held[n], w_in, du, w_skip, current[n], bias[n])
             step_arrays(before, after, u, v, bias, *parameters)
         for n in range(gyro.shape[0]):
-            for k in range(n_outputs):
-                out[n, t, k] = (v[n, first_output + k] + v[n, first_output + n_outputs + k]) * scale
+            read_out(v[n, first_output:], scale, out[n, t])
 
 
 @njit(cache=True)
@@ -452,6 +454,15 @@ def _drive(x, w_in, du, w_skip, current, bias):
             direct += int(x[k]) * w_skip[o, k]
         # Mantissas of 1/4096 times inputs of 1/1024 are 2^-22.
         bias[first + o] = _mantissa(direct, 8 + SKIP_EXP)
+
+
+@njit(cache=True)
+def read_out(potentials, scale, out):
+    """Outputs from their potentials; behind a skip connection there is a second row of them."""
+    size = out.shape[0]
+    for k in range(size):
+        direct = potentials[size + k] if potentials.shape[0] > size else 0
+        out[k] = (potentials[k] + direct) * scale
 
 
 @njit(cache=True, inline="always")
