@@ -1,8 +1,7 @@
 """Att-SNN, forward and surrogate-gradient backward over a window, compiled.
 
 `attsnn` is `estimators.spiking.forward` fused into one pass over time each way (the tests hold them equal:
-the same spikes, gradients to 1e-10 in float64). What makes it fast: only membrane potentials, the encoding
-currents and lists of spikes are kept, other currents are recomputed; forward and weight gradients add rows of
+the same spikes, gradients to 1e-10 in float64). What makes it fast: forward and weight gradients add rows of
 the neurons that spiked; the gradient of the spikes is one matrix product per step for the whole batch;
 buffers are reused. The batch is split over threads; sums are added in the order of the parts.
 """
@@ -40,6 +39,10 @@ class Trace:
     """Potentials behind the skip connection, row t + 1 is step t, shape (T + 1, n, outputs)."""
     u0: Floats
     """Currents of the encoding layer, row t + 1 is step t, shape (T + 1, n, h0)."""
+    u1: Floats
+    """Currents of the hidden layer, shape (T + 1, n, h1)."""
+    uo: Floats
+    """Currents of the outputs, shape (T + 1, n, outputs)."""
     s0: NDArray[np.uint16]
     """Spikes of the encoding layer: their number, then the neurons, shape (T + 2, n, h0 + 1)."""
     s1: NDArray[np.uint16]
@@ -54,6 +57,8 @@ class Trace:
             vo=np.zeros((steps + 2, n, outputs), dtype),
             vd=np.zeros((steps + 1, n, outputs), dtype),
             u0=np.zeros((steps + 1, n, h0), dtype),
+            u1=np.zeros((steps + 1, n, h1), dtype),
+            uo=np.zeros((steps + 1, n, outputs), dtype),
             s0=np.zeros((steps + 2, n, h0 + 1), np.uint16),
             s1=np.zeros((steps + 2, n, h1 + 1), np.uint16),
         )
@@ -63,14 +68,14 @@ class Trace:
         for rows in (self.v0, self.v1, self.vo, self.s0, self.s1):
             rows[:2] = rows[-2:]
             rows[:2, fresh] = 0
-        for rows in (self.u0, self.vd):
+        for rows in (self.u0, self.u1, self.uo, self.vd):
             rows[0] = rows[-1]
             rows[0, fresh] = 0
 
 
 @njit(cache=True, nogil=True)
 def forward_window(
-    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised, delay, v0, v1, vo, vd, u0, s0, s1
+    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised, delay, v0, v1, vo, vd, u0, u1, uo, s0, s1
 ):
     """Run the window x (T, n, inputs) from the rows before it; weights (in, out) in units of 1.0."""
     steps, n = x.shape[:2]
@@ -80,17 +85,14 @@ def forward_window(
     threshold = THRESHOLD * one
     total, drive = np.zeros(max(h1, outputs), w_ff.dtype), np.zeros(h0)
     state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 3, outputs))
-    for b in range(n):  # currents follow from the last two potentials: u[-1] = v[-1] - D(v[-2] after reset)
+    for b in range(n):
         for i in range(h0):
             state0[b, 0, i], state0[b, 1, i] = u0[0, b, i] * one, v0[1, b, i] * one
         for i in range(h1):
-            before = 0.0 if v1[0, b, i] > THRESHOLD else v1[0, b, i] * one * taus[3][i]
-            state1[b, 1, i] = v1[1, b, i] * one
-            state1[b, 0, i] = state1[b, 1, i] - (np.trunc(before) if quantised else before)
+            state1[b, 0, i], state1[b, 1, i] = u1[0, b, i] * one, v1[1, b, i] * one
         for o in range(outputs):
-            before = vo[0, b, o] * one * out_taus[1]
-            state2[b, 1, o], state2[b, 2, o] = vo[1, b, o] * one, vd[0, b, o] * one
-            state2[b, 0, o] = state2[b, 1, o] - (np.trunc(before) if quantised else before)
+            state2[b, 0, o], state2[b, 1, o] = uo[0, b, o] * one, vo[1, b, o] * one
+            state2[b, 2, o] = vd[0, b, o] * one
     for t in range(steps):
         for b in range(n):
             advance(
@@ -105,15 +107,17 @@ def forward_window(
                 u0[t + 1, b, i] = state0[b, 0, i] * unit
             for i in range(h1):
                 v1[t + 2, b, i] = state1[b, 1, i] * unit
+                u1[t + 1, b, i] = state1[b, 0, i] * unit
             for o in range(outputs):
                 vo[t + 2, b, o] = state2[b, 1, o] * unit
+                uo[t + 1, b, o] = state2[b, 0, o] * unit
                 vd[t + 1, b, o] = state2[b, 2, o] * unit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward_window(
     x, grad, weights, taus, out_taus, constants, quantised, delay,
-    v0, v1, vo, vd, u0, s0, s1, g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
+    v0, v1, vo, vd, u0, u1, uo, s0, s1, g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
 ):  # fmt: skip
     """Add the gradients of a window to g_*.
 
@@ -123,15 +127,17 @@ def backward_window(
         weights: w_ff and w_rec side by side, (h1, h0 + h1), and w_out (outputs, h1).
         taus: τ_syn, τ_mem of the encoding and of the hidden layer.
         out_taus: τ_syn and τ_mem of the outputs, and τ_mem behind the skip connection, shape (3,).
-        constants: Threshold, surrogate width, one, 1.0, 0.0, and the gradient of every spike of the encoding
+        constants: Threshold, surrogate width, 1.0, 0.0, and the gradient of every spike of the encoding
             and of the hidden layer, in the floating type of the computation.
         quantised: Whether the forward pass was.
         delay: Of the recurrent connection, 1 or 2.
-        v0: Trace, as are the next six.
+        v0: Trace, as are the next eight.
         v1: Trace.
         vo: Trace.
         vd: Trace.
         u0: Trace.
+        u1: Trace.
+        uo: Trace.
         s0: Trace.
         s1: Trace.
         g_in: Sum of the gradients of the encoding weights, shape (inputs, h0).
@@ -144,8 +150,8 @@ def backward_window(
         g_tau_out: Of the outputs and behind the skip connection, shape (3,).
     """
     w_down, w_out = weights
-    threshold, width, unit, one, zero, cost0, cost1 = (
-        constants[0], constants[1], constants[2], constants[3], constants[4], constants[5], constants[6]
+    threshold, width, one, zero, cost0, cost1 = (
+        constants[0], constants[1], constants[2], constants[3], constants[4], constants[5]
     )  # fmt: skip
     steps, n = x.shape[:2]
     h0, h1, outputs = v0.shape[2], v1.shape[2], vo.shape[2]
@@ -172,28 +178,22 @@ def backward_window(
             for o in range(outputs):
                 dv_out[b, o] = grad[t, b, o] + out_taus[1] * dv_out[b, o]
                 du_out[b, o] = dv_out[b, o] + out_taus[0] * du_out[b, o]
-                left = vo[t, b, o] * unit * out_taus[1]
-                current = vo[t + 1, b, o] - (np.trunc(left) if quantised else left) / unit
-                g_tau_out[0] += du_out[b, o] * current
+                g_tau_out[0] += du_out[b, o] * uo[t, b, o]
                 g_tau_out[1] += dv_out[b, o] * vo[t + 1, b, o]
                 direct[b, o] = grad[t, b, o] + out_taus[2] * direct[b, o]
                 g_tau_out[2] += direct[b, o] * vd[t, b, o]
                 for k in range(x.shape[2]):
                     g_skip[k, o] += x[t, b, k] * direct[b, o]
 
-        # Hidden layer; the currents are recomputed as in `forward_window`.
-        v, before, long_before = v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), v1[t].reshape(-1)
+        v, before, current1 = v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), u1[t].reshape(-1)
         for i in range(v.shape[0]):
             kept = before[i] if before[i] <= threshold else zero
-            left = long_before[i] * mem1[i] if long_before[i] <= threshold else zero
-            if quantised:
-                left = np.trunc(left * unit) / unit
             slope = one + width * abs(v[i] - threshold)
             d = (zero if v[i] > threshold else mem1[i] * dv1[i]) + ds1[i] / (slope * slope)
             dv1[i] = d
             du1[i] = d + syn1[i] * du1[i]
             a_mem1[i] += d * kept
-            a_syn1[i] += du1[i] * (before[i] - left)
+            a_syn1[i] += du1[i] * current1[i]
 
         v, before, current0 = v0[t + 2].reshape(-1), v0[t + 1].reshape(-1), u0[t].reshape(-1)
         for i in range(v.shape[0]):
@@ -333,7 +333,8 @@ class Workspace:
             for trace in self.traces
         ]
         for old, new in zip(self.traces, smaller.traces, strict=True):
-            new.vo[-2:], new.vd[-1], new.u0[-1] = old.vo[-2:], old.vd[-1], old.u0[-1][:, encoding]
+            new.vo[-2:], new.uo[-1], new.vd[-1] = old.vo[-2:], old.uo[-1], old.vd[-1]
+            new.u0[-1], new.u1[-1] = old.u0[-1][:, encoding], old.u1[-1][:, hidden]
             for name, neurons in (("0", encoding), ("1", hidden)):
                 v, spikes = getattr(new, f"v{name}")[-2:], getattr(new, f"s{name}")[-2:]
                 v[:] = getattr(old, f"v{name}")[-2:][..., neurons]
@@ -375,7 +376,7 @@ class _Fused(torch.autograd.Function):
                 np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64),
                 w_in.astype(np.float64), w_ff, w_rec, w_out, w_skip.astype(np.float64),
                 tuple(taus[:4]), np.concatenate(taus[4:]), space.quantised, space.recurrent_delay,
-                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.s0, trace.s1,
+                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.u1, trace.uo, trace.s0, trace.s1,
             )  # fmt: skip
 
         space.each(run)
@@ -396,9 +397,8 @@ class _Fused(torch.autograd.Function):
         w_in, w_ff, w_rec, w_out, w_skip, *taus = ctx.weights
         grad = grads[0].numpy()
         down = np.hstack([w_ff, w_rec])
-        one = STATE_ONE if space.quantised else 1.0
         costs = grads[1].numpy() / space.spikes
-        constants = np.array([THRESHOLD, SURROGATE_WIDTH, one, 1.0, 0.0, *costs], space.dtype)
+        constants = np.array([THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *costs], space.dtype)
 
         def run(part: slice, trace: Trace) -> list[Floats]:
             g_in, g_ff, g_rec, g_out, g_skip = (
@@ -411,7 +411,7 @@ class _Fused(torch.autograd.Function):
                 np.ascontiguousarray(grad[part].transpose(1, 0, 2), space.dtype),
                 (down, w_out), tuple(taus[:4]), np.concatenate(taus[4:]), constants,
                 space.quantised, space.recurrent_delay,
-                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.s0, trace.s1,
+                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.u1, trace.uo, trace.s0, trace.s1,
                 g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
             )  # fmt: skip
             matrices = [g.T for g in (g_in, g_ff, g_rec, g_out, g_skip)]
