@@ -75,6 +75,21 @@ def test_carried_windows_are_one_long_window_but_for_sequences_that_start_anew(q
     np.testing.assert_allclose(joined[1, 80:], anew[1], rtol=0, atol=atol)
 
 
+def test_windows_carry_neurons_whose_potential_is_at_the_chip_s_limit():
+    weights, x = random_weights(12, 10), random_input(3, 1200)
+    with torch.no_grad():
+        weights.w_ff[:5], weights.w_ff[5:] = -1.0, 127 / 128
+        weights.syn1[:], weights.mem1[:] = 4095 / 4096, 4095 / 4096
+    long, short = Workspace(1200, 3, weights), Workspace(400, 3, weights)
+    whole = attsnn(x, weights, long)[0].detach()
+    assert long.traces[0].v1.min() == -(2**23 - 1) / 2**14
+    fresh = np.ones(3, bool)
+    parts = [
+        attsnn(x[:, 400 * k : 400 * k + 400], weights, short, fresh & (k == 0))[0].detach() for k in range(3)
+    ]
+    np.testing.assert_array_equal(torch.cat(parts, 1), whole)
+
+
 def test_quantised_float32_window_equals_the_float64_one():
     wide = random_weights(100, 100)
     narrow = Weights(*(w.detach().float().requires_grad_() for w in wide))

@@ -116,7 +116,7 @@ def forward_window(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward_window(
-    x, grad, weights, taus, out_taus, constants, quantised, delay,
+    x, grad, weights, taus, out_taus, constants, delay,
     v0, v1, vo, vd, u0, u1, uo, s0, s1, g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
 ):  # fmt: skip
     """Add the gradients of a window to g_*.
@@ -129,7 +129,6 @@ def backward_window(
         out_taus: τ_syn and τ_mem of the outputs, and τ_mem behind the skip connection, shape (3,).
         constants: Threshold, surrogate width, 1.0, 0.0, and the gradient of every spike of the encoding
             and of the hidden layer, in the floating type of the computation.
-        quantised: Whether the forward pass was.
         delay: Of the recurrent connection, 1 or 2.
         v0: Trace, as are the next eight.
         v1: Trace.
@@ -410,7 +409,7 @@ class _Fused(torch.autograd.Function):
                 np.ascontiguousarray(ctx.x[part].transpose(1, 0, 2), space.dtype),
                 np.ascontiguousarray(grad[part].transpose(1, 0, 2), space.dtype),
                 (down, w_out), tuple(taus[:4]), np.concatenate(taus[4:]), constants,
-                space.quantised, space.recurrent_delay,
+                space.recurrent_delay,
                 trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.u1, trace.uo, trace.s0, trace.s1,
                 g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
             )  # fmt: skip
