@@ -50,7 +50,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "body axes, roll and pitch from the outputs": {"inputs": INPUTS.model_copy(update={"yaw_free": False})},
     "gyro's bias left on": {"inputs": INPUTS.model_copy(update={"bias_samples": 0})},
     "no skip connection": {"skip": False},
-    "a lead of 4 on the lateral forces": {"inputs": INPUTS.model_copy(update={"lead": 4.0})},
+    "no lead on the lateral forces": {"inputs": INPUTS.model_copy(update={"lead": 0.0})},
     "random start": {"start": "random"},
     "outputs of 1 rad per unit": {"output_scale": 1.0},
     "constant learning rate": {"decay": "none"},
