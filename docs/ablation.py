@@ -44,7 +44,7 @@ SIZE_EPOCHS = 16
 ROWS: dict[str, dict[str, Any]] = {
     "best": {},
     "best, another seed": {"seed": 1},
-    "100 + 100 neurons, every connection": {"encoding": 100, "hidden": 100},
+    "100 + 100 neurons, every connection": {"encoding": 100, "hidden": 100, "parameters": 0},
     "300 + 300 neurons, every connection": {"parameters": 0},
     "inputs as in the paper": {"inputs": PAPER_SCALING},
     "body axes, roll and pitch from the outputs": {"inputs": INPUTS.model_copy(update={"yaw_free": False})},
