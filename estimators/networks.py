@@ -173,9 +173,9 @@ class Spiking:
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Set the potentials of the outputs, which forget within a second or so."""
-        output, direct = states[1][:, -4:-2], states[1][:, -2:]
+        direct = np.asarray(states[1][:, -2:], np.float64)
         potential = outputs_at(self._inputs, roll_pitch) / self._scale - direct
-        output[:] = np.rint(potential) if self._quantised else potential
+        states[1][:, -4:-2] = np.rint(potential) if self._quantised else potential
 
 
 class OnLoihi:

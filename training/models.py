@@ -120,13 +120,12 @@ class AttSNN(nn.Module):
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
-        *w, skip = (getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES)
+        w = [getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES]
         tau = [torch.sigmoid(getattr(self, name)) for name in TIME_CONSTANTS]
-        if not self.quantised:
-            return Weights(*w, skip, *tau)
-        return Weights(
-            *(quantise_weights(x) for x in w), quantise_skip(skip), *(quantise_decay(x) for x in tau)
-        )
+        if self.quantised:
+            w = [*(quantise_weights(x) for x in w[:-1]), quantise_skip(w[-1])]
+            tau = [quantise_decay(x) for x in tau]
+        return Weights(*w, *tau)
 
     def forward(self, x: Tensor, fresh: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
@@ -210,10 +209,15 @@ class AttSNN(nn.Module):
         return sum(int(kept.sum()) for kept in self.kept.values()) + self.time_constants
 
     @property
+    def skips(self) -> bool:
+        """Whether the inputs also drive the outputs directly."""
+        return bool(self.get_buffer("w_skip_kept").any())
+
+    @property
     def time_constants(self) -> int:
         """How many there are; that behind the skip connection counts where there is one."""
         h0, h1 = self.w_in.shape[0], self.w_ff.shape[0]
-        return 2 * (h0 + h1) + 2 + int(self.w_skip_kept.any())
+        return 2 * (h0 + h1) + 2 + int(self.skips)
 
 
 def thin(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:

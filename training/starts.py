@@ -91,7 +91,7 @@ def start_from_data(
     model.set_weights("w_ff", w_ff * model.shared("mem1", _current_scale(model, x, w_ff, rng)))
     model.set_weights("w_rec", w_rec)
     model.constrain()
-    if model.w_skip_kept.any():
+    if model.skips:
         w_skip, said = _solve_skip(model, x, roll_pitch)
         model.set_weights("w_skip", w_skip)
         roll_pitch = roll_pitch - said
@@ -242,7 +242,7 @@ def _solve_skip(
     features = _filtered(x, torch.sigmoid(model.mem_skip).detach().numpy()) * model.output_scale
     late = slice(x.shape[1] // 4, None)
     w = np.linalg.lstsq(features[:, late].reshape(-1, 6), roll_pitch[:, late].reshape(-1, 2), rcond=None)[0].T
-    w = (model.ties["w_skip"].mean(w) if model.ties else w) * model.w_skip_kept.numpy()
+    w = (model.ties["w_skip"].mean(w) if model.ties else w) * model.get_buffer("w_skip_kept").numpy()
     return w, features @ w.T
 
 
