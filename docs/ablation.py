@@ -54,6 +54,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "random start": {"start": "random"},
     "outputs of 1 rad per unit": {"output_scale": 1.0},
     "constant learning rate": {"decay": "none"},
+    "learning rate of 0.1": {"optimiser_lr": 0.1},
     "learning rate of 0.005": {"optimiser_lr": 0.005},
     "steps as large in every layer": {"optimiser_lr": 0.02, "layer_steps": (1.0, 1.0, 1.0)},
     "no limit on the gradient": {"clip": 0.0},

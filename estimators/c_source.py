@@ -29,12 +29,10 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
     offset, gain = input_scaling(config.inputs)
     integers = {name: value.astype(np.int64) for name, value in tensors.items()}
-    arrays = {
-        name: _braces(
-            DECAY_ONE - value if not name.startswith("w_") else value.T if name == "w_skip" else value.T // 2
-        )
-        for name, value in integers.items()
-    }
+    halves = {name: integers[name] // 2 for name in ("w_in", "w_ff", "w_rec", "w_out")}
+    by_source = {name: value.T for name, value in (halves | {"w_skip": integers["w_skip"]}).items()}
+    kept = {name: DECAY_ONE - value for name, value in integers.items() if name not in by_source}
+    arrays = {name: _braces(value) for name, value in (by_source | kept).items()}
     arrays |= {name: str(DECAY_ONE - integers[name][0]) for name in ("syn2", "mem2", "mem_skip")}
     values = {
         "encoding": config.encoding,

@@ -80,6 +80,10 @@ def test_every_verb_has_help_of_its_own():
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epochs"], "name=value"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epoch=1"], "there are model, data"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "seed=3"], "option of its own"),
+        (
+            ["train", "--data", "missing.zarr", "--out", "run", "--set", "rate_targets=(0.1, 0.1)"],
+            "lists are [1, 2]",
+        ),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "validation=3"], "option of its own"),
         (["kfold", "--domain", "missing.zarr", "--out", "run"], "missing.zarr"),
         (["kfold", "--domain", "missing.zarr", "--out", "run", "--set", "model=1"], "option of its own"),

@@ -217,12 +217,14 @@ def test_bad_choices_give_one_clear_line(tmp_path):
         make_config(data="x.zarr", epoch=3)
     with pytest.raises(ValueError, match=r"training: batch_size = 0: .*greater than or equal to 1"):
         make_config(data="x.zarr", batch_size=0)
-    with pytest.raises(ValueError, match=r"training: layer_steps\.1 = -1: .*greater than 0"):
+    with pytest.raises(ValueError, match=r"training: layer_steps\[1\] = -1: .*greater than 0"):
         make_config(data="x.zarr", layer_steps=[1, -1, 1])
     with pytest.raises(ValueError, match="training: parameters: 800, but time constants alone are 1203"):
         make_config("best", data="x.zarr", parameters=800)
     with pytest.raises(ValueError, match=r"revive: 0\.6, but connections are taken away from 0\.25 on"):
         make_config("best", data="x.zarr", revive=0.6)
+    with pytest.raises(ValueError, match=r'unknown key "inputs\.led"; did you mean "lead"\?'):
+        make_config("best", data="x.zarr", inputs={"led": 4.0})
     with pytest.raises(ValueError, match=r"training: thinning: .*should be two rising shares"):
         make_config("best", data="x.zarr", thinning=(0.7, 0.2))
     with pytest.raises(FileNotFoundError, match=r"none\.zarr"):

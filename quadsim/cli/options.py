@@ -55,4 +55,8 @@ def pair_of(text: str) -> tuple[str, object]:
     try:
         return name, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
+        if value.strip()[:1] in ("(", "[", "{"):
+            raise ValueError(
+                f"--set {name}: cannot read {value}; lists are [1, 2], tables {{a = 1}}"
+            ) from None
         return name, value
