@@ -76,8 +76,8 @@ class TrainConfig(Strict):
     decay: Literal["none", "cosine"] = "none"
     """Learning rate over the epochs: constant, or half a cosine down to a hundredth."""
     clip: float = Field(default=0.0, ge=0)
-    """Largest norm of the gradient; 0: no limit. Single windows have gradients ten times as large as most, and
-    large steps along them can leave all neurons spiking for good."""
+    """Largest norm of the gradient; 0: no limit. Single windows have gradients ten times as large as
+    most, and large steps along them can leave all neurons spiking for good."""
     lookahead_k: int = Field(default=6, ge=1)
     """Steps of the fast weights for one of the slow."""
     lookahead_alpha: float = Field(default=0.5, gt=0, le=1)
