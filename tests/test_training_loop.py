@@ -367,7 +367,12 @@ def test_stopping_rules_of_the_paper():
 
 def test_frozen_time_constants_stay_as_they_were(dataset, tmp_path):
     first = train(data=dataset, out=tmp_path / "first", **TINY)
-    choices = TINY | {"init": str(first.weights), "train_decays": False, "optimiser_lr": 0.1}
+    choices = TINY | {
+        "init": str(first.weights),
+        "train_decays": False,
+        "rate_cost": 0.0,
+        "optimiser_lr": 0.1,
+    }
     train(data=dataset, out=tmp_path / "second", **choices | {"epochs": 1, "batches": 12})
     before, after = weights_of(tmp_path / "first"), weights_of(tmp_path / "second")
     same(*({k: x for k, x in each.items() if k.startswith(("syn", "mem"))} for each in (before, after)))
