@@ -99,7 +99,7 @@ def test_a_fold_trains_validates_and_tests_on_different_flights(domains):
         ({"folds": 9}, "9 folds need at least 9 flights, got 4"),
         ({"validation": "x.zarr"}, "validation follows from the folds"),
         ({"batches": 0}, "training: batches = 0"),
-        ({"models": ["att"]}, "training: model = "att""),
+        ({"models": ["att"]}, 'training: model = "att"'),
     ],
 )
 def test_mistakes_are_said_before_anything_is_trained(domains, tmp_path, change, message):
