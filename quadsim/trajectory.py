@@ -94,7 +94,7 @@ class Waypoints(Strict):
 
 
 class Mix(Strict):
-    """Random aggressive flight that fills the envelope: dashes, circles, jumps, stops and turns.
+    """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, stops and turns.
 
     A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
     up to `max_tilt_deg`, so roll and pitch spread over about 0.25 rad.
@@ -111,6 +111,8 @@ class Mix(Strict):
         default=0.25, ge=0, le=1, description="Share of circles among the manoeuvres."
     )
     circle_s: Range = Field(default=(1.6, 3.5), description="Range of the period of a circle [s].")
+    eight_share: float = Field(default=0.0, ge=0, le=1, description="Share of figures of eight.")
+    eight_s: Range = Field(default=(3.0, 8.0), description="Range of the time of a lap of them [s].")
     jump_share: float = Field(default=0.0, ge=0, le=1, description="Share of jumps of the set-point.")
     jump_m: Range = Field(default=(0.5, 2.5), description="Range of their size [m].")
     pause_share: float = Field(default=0.1, ge=0, le=1, description="Share of hovering pauses.")
@@ -278,9 +280,9 @@ def _from_file(path: Path, time: Array) -> Array:
 
 # --- random manoeuvres: a table of segments, flown by one compiled function ---
 
-# columns: start, length [s], kind, then for a dash or a jump its displacement (3),
-# for a circle its two axis vectors (3 + 3) and angular frequency
-_DASH, _CIRCLE, _PAUSE, _JUMP = 0.0, 1.0, 2.0, 3.0
+# columns: start, length [s], kind, then for a dash or a jump its displacement (3), for a loop (a circle or
+# an eight) its two axis vectors (3 + 3), the frequency of the first, and that of the second over it
+_DASH, _LOOP, _PAUSE, _JUMP = 0.0, 1.0, 2.0, 3.0
 _DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
 
 
@@ -303,12 +305,19 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
                 [[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]]
             )
             flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
-            row = [clock, length, _CIRCLE, *axes[0], bob, *(flat * axes[1]), -bob, omega]
+            row = [clock, length, _LOOP, *axes[0], bob, *(flat * axes[1]), -bob, omega, 1.0]
         elif draw < spec.pause_share + spec.circle_share + spec.jump_share:
             length, reach = rng.uniform(2.0, 4.0), rng.uniform(*spec.jump_m)
             move = reach * np.array([math.cos(heading), math.sin(heading), rng.uniform(-0.3, 0.3)])
             where = where + move
             row = [clock, length, _JUMP, *move]
+        elif draw < spec.pause_share + spec.circle_share + spec.jump_share + spec.eight_share:
+            laps, period = int(rng.integers(2, 5)), rng.uniform(*spec.eight_s)
+            length, omega = (laps + 1) * period, 2 * np.pi / period
+            along = rng.uniform(-1.0, 1.0) * lateral  # peak acceleration of the slow sweep; of the fast: all of it
+            slow = along / omega**2 * np.array([math.cos(heading), math.sin(heading)])
+            fast = lateral / (2 * omega) ** 2 * np.array([-math.sin(heading), math.cos(heading)])
+            row = [clock, length, _LOOP, *slow, 0.0, *fast, 0.5 * climb / (2 * omega) ** 2, omega, 2.0]
         else:
             length = rng.uniform(*spec.dash_s)
             if np.linalg.norm(where[:2]) > spec.radius:
@@ -320,7 +329,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
             move = np.array([reach * math.cos(heading), reach * math.sin(heading), rise])
             where = where + move
             row = [clock, length, _DASH, *move]
-        rows.append(row + [0.0] * (10 - len(row)))
+        rows.append(row + [0.0] * (11 - len(row)))
         clock += length
     return np.array(rows)
 
@@ -331,7 +340,7 @@ def _doublet_segments(spec: Doublets, end: float, rng: np.random.Generator) -> A
     while clock < end:
         sign = 1.0 if turn % 4 < 2 else -1.0
         move = [sign * reach, 0.0, 0.0] if turn % 2 == 0 else [0.0, sign * reach, 0.0]
-        rows.append([clock, spec.swing_s, _DASH, *move, 0.0, 0.0, 0.0, 0.0])
+        rows.append([clock, spec.swing_s, _DASH, *move, *[0.0] * 5])
         clock += spec.swing_s + spec.pause_s
         turn += 1
     return np.array(rows)
@@ -379,21 +388,23 @@ def _fly_segments(segments, turns, time, out):
             elif row[2] == _JUMP:
                 for i in range(3):
                     out[k, i] += row[3 + i]
-            elif row[2] == _CIRCLE:
+            elif row[2] == _LOOP:
                 # the window rises over the first quarter of the segment and falls over the last
                 edge, sign = 4.0 * min(s, 1.0 - s), (1.0 if s < 0.5 else -1.0)
                 w, dw, ddw = _rest_to_rest(min(edge, 1.0))
                 dw, ddw = dw * 4.0 * sign / length, ddw * 16.0 / length**2
-                omega = row[9]
+                omega, ratio = row[9], row[10]
                 phase = omega * (time[k] - row[0])
                 sin, cos = math.sin(phase), math.cos(phase)
+                if ratio == 1.0:  # a quarter of a period apart, so that it is round
+                    sin_2, cos_2 = cos, -sin
+                else:
+                    sin_2, cos_2 = math.sin(ratio * phase), math.cos(ratio * phase)
                 for i in range(3):
                     a, b = row[3 + i], row[6 + i]
-                    f, df, ddf = (
-                        a * sin + b * cos,
-                        omega * (a * cos - b * sin),
-                        -omega * omega * (a * sin + b * cos),
-                    )
+                    f = a * sin + b * sin_2
+                    df = omega * (a * cos + ratio * b * cos_2)
+                    ddf = -omega * omega * (a * sin + ratio * ratio * b * sin_2)
                     out[k, i] += w * f
                     out[k, 3 + i] = w * df + dw * f
                     out[k, 6 + i] = w * ddf + 2.0 * dw * df + ddw * f
