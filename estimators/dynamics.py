@@ -86,24 +86,22 @@ def _add_rows(total, weights, spikes):
 
 
 @njit(cache=True, inline="always")
-def _membrane(u, v, tau, threshold, quantised):
-    """Reset, decay, add the current; the potential is kept as it is before the reset."""
-    for i in range(v.shape[0]):
-        left = 0.0 if v[i] > threshold else v[i]
-        x = _decay(left, tau[i], quantised) + u[i]
-        v[i] = min(max(x, -_V_MAX), _V_MAX) if quantised else x
+def _weigh(x, weights, total):
+    """Add the rows of `weights` times the numbers in x, three at a time."""
+    whole = x.shape[0] - x.shape[0] % 3
+    for k in range(0, whole, 3):
+        for i in range(total.shape[0]):
+            total[i] += weights[k, i] * x[k] + weights[k + 1, i] * x[k + 1] + weights[k + 2, i] * x[k + 2]
+    for k in range(whole, x.shape[0]):
+        for i in range(total.shape[0]):
+            total[i] += weights[k, i] * x[k]
 
 
 @njit(cache=True, inline="always")
-def _drive(u, v, tau, threshold, quantised):
-    """As `_membrane`, for the encoding layer, whose current reaches the chip as a bias mantissa."""
-    for i in range(v.shape[0]):
-        left = 0.0 if v[i] > threshold else v[i]
-        current = u[i]
-        if quantised:
-            current = _bias(current, _BIAS_STEP)
-        x = _decay(left, tau[i], quantised) + current
-        v[i] = min(max(x, -_V_MAX), _V_MAX) if quantised else x
+def _membrane(v, u, tau, threshold, quantised):
+    """Reset, decay, add the current u; the potential is kept as it is before the reset."""
+    x = _decay(0.0 if v > threshold else v, tau, quantised) + u
+    return min(max(x, -_V_MAX), _V_MAX) if quantised else x
 
 
 @njit(cache=True)
@@ -131,15 +129,16 @@ def advance(
         s0: Spikes of the encoding layer: their number, then the neurons, shape (h0 + 1,).
         s1: Spikes of the hidden layer one step ago, shape (h1 + 1,).
         s1_late: Those that the recurrent connection delivers now (s1 itself for a delay of 1).
-        total: Scratch in the type of the weights, shape (max(h1, outputs),).
-        drive: Scratch, shape (h0,).
+        total: Zeros in the type of the weights, shape (h1,), to add in; zeros again afterwards.
+        drive: The same, shape (h0,).
     """
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
     for o in range(out.shape[1]):
-        total[o] = 0
-    _add_rows(total[: out.shape[1]], w_out, s1)
-    for o in range(out.shape[1]):
-        arrived = _wrap(np.float64(total[o]), _WRAP_21) if quantised else np.float64(total[o])
+        arrived = 0.0
+        for k in range(1, 1 + s1[0]):
+            arrived += w_out[s1[k], o]
+        if quantised:
+            arrived = _wrap(arrived, _WRAP_21)
         out[0, o] = _decay(out[0, o], out_taus[0], quantised) + arrived
         if quantised:
             out[0, o] = _wrap(out[0, o], _WRAP_23)
@@ -151,31 +150,30 @@ def advance(
         out[1, o] = _integrated(_decay(out[1, o], out_taus[1], quantised) + out[0, o], quantised)
         out[2, o] = _integrated(_decay(out[2, o], out_taus[2], quantised) + direct, quantised)
 
-    h1 = v1.shape[0]
-    for i in range(h1):
-        total[i] = 0
-    _add_rows(total[:h1], w_ff, s0)
-    _add_rows(total[:h1], w_rec, s1_late)
-    for i in range(h1):
-        arrived = np.float64(total[i])
+    # What has just been stored is slow to load: current and potential share a loop, and sums are set to zero
+    # where they have been used, not where they begin.
+    _add_rows(total, w_ff, s0)
+    _add_rows(total, w_rec, s1_late)
+    for i in range(v1.shape[0]):
+        u = _decay(u1[i], taus[2][i], quantised)
         if quantised:
-            u1[i] = _wrap(_decay(u1[i], taus[2][i], quantised) + _wrap(arrived, _WRAP_21), _WRAP_23)
+            u = _wrap(u + _wrap(np.float64(total[i]), _WRAP_21), _WRAP_23)
         else:
-            u1[i] = _decay(u1[i], taus[2][i], quantised) + arrived
-    _membrane(u1, v1, taus[3], threshold, quantised)
+            u += np.float64(total[i])
+        u1[i], total[i] = u, 0
+        v1[i] = _membrane(v1[i], u, taus[3][i], threshold, quantised)
 
+    _weigh(x, w_in, drive)
     for i in range(v0.shape[0]):
-        drive[i] = 0.0
-    for k in range(x.shape[0]):
-        value = x[k]
-        for i in range(v0.shape[0]):
-            drive[i] += w_in[k, i] * value
-    for i in range(v0.shape[0]):
+        u = _decay(u0[i], taus[0][i], quantised)
         if quantised:
-            u0[i] = _wrap(_decay(u0[i], taus[0][i], quantised) + np.trunc(drive[i]), _WRAP_23)
+            u = _wrap(u + np.trunc(drive[i]), _WRAP_23)
         else:
-            u0[i] = _decay(u0[i], taus[0][i], quantised) + drive[i]
-    _drive(u0, v0, taus[1], threshold, quantised)
+            u += drive[i]
+        u0[i], drive[i] = u, 0.0
+        if quantised:
+            u = _bias(u, _BIAS_STEP)  # reaches the chip as a bias mantissa
+        v0[i] = _membrane(v0[i], u, taus[1][i], threshold, quantised)
 
 
 @njit(cache=True, nogil=True)
@@ -209,7 +207,7 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
     )  # fmt: skip
     out_taus = taus[hidden + 2 * h1 :]
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
-    total, drive = np.zeros(max(h1, outputs), weights.dtype), np.zeros(h0)
+    total, drive = np.zeros(h1, weights.dtype), np.zeros(h0)
     for n in range(x.shape[0]):
         row = state[n]
         u0, v0 = row[:h0], row[h0:hidden]

@@ -83,7 +83,7 @@ def forward_window(
     one = STATE_ONE if quantised else 1.0
     unit = 1.0 / one
     threshold = THRESHOLD * one
-    total, drive = np.zeros(max(h1, outputs), w_ff.dtype), np.zeros(h0)
+    total, drive = np.zeros(h1, w_ff.dtype), np.zeros(h0)
     state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 3, outputs))
     for b in range(n):
         for i in range(h0):

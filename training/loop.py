@@ -178,6 +178,8 @@ class _Run:
         if config.clip > 0:
             torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimiser.step()
+        if isinstance(self.model, AttSNN):
+            self.model.stay_in_range(x)
         self.model.constrain()
         return float(loss.detach()), rates.tolist()
 

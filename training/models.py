@@ -31,6 +31,8 @@ Values = TypeVar("Values", Tensor, NDArray[np.floating])
 
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
+CURRENT_MAX, CURRENT_EVERY = 256.0, 8
+"""Currents may grow to this, half of where the chip's 24 bits end; they are looked at in every eighth step."""
 LAYERS = {
     "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1), "w_skip": (None, None),
     "syn0": (0,), "mem0": (0,), "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
@@ -159,6 +161,28 @@ class AttSNN(nn.Module):
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
         for name in TIME_CONSTANTS:
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
+
+    @torch.no_grad()
+    def stay_in_range(self, x: Tensor) -> None:
+        """Weaken the inputs of neurons whose currents came near the ends of the chip's range in a window like x.
+
+        Beyond them a current wraps round to the other sign: a neuron that training keeps silencing would spike
+        in every other step at once, and no gradient leads back.
+        """
+        if not self.quantised:
+            return
+        traces = self._spaces[x.shape[0], x.shape[1]].traces
+        for layer, names in ((0, ("w_in",)), (1, ("w_ff", "w_rec"))):
+            currents = [getattr(trace, f"u{layer}")[::CURRENT_EVERY] for trace in traces]
+            most = np.max([np.abs(u).max((0, 1)) for u in currents], 0)
+            if most.max() <= CURRENT_MAX:
+                continue
+            first = self.ties[f"mem{layer}"].first if self.ties else np.arange(most.size)
+            of_group = np.zeros_like(most)
+            np.maximum.at(of_group, first, most)
+            weaker = torch.from_numpy((CURRENT_MAX / np.maximum(of_group, CURRENT_MAX))[first])
+            for name in names:
+                getattr(self, name).mul_(weaker[:, None])
 
     def part(self, name: str, values: Tensor, neurons: Sequence[NDArray[np.int64]]) -> Tensor:
         """`values`, of the shape of a parameter or of its scale, for some neurons of both layers alone."""
