@@ -314,9 +314,10 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
         elif draw < spec.pause_share + spec.circle_share + spec.jump_share + spec.eight_share:
             laps, period = int(rng.integers(2, 5)), rng.uniform(*spec.eight_s)
             length, omega = (laps + 1) * period, 2 * np.pi / period
-            along = rng.uniform(-1.0, 1.0) * lateral  # peak acceleration of the slow sweep; of the fast: all of it
-            slow = along / omega**2 * np.array([math.cos(heading), math.sin(heading)])
-            fast = lateral / (2 * omega) ** 2 * np.array([-math.sin(heading), math.cos(heading)])
+            share = rng.uniform(-1.0, 1.0)  # of the slow sweep's peak acceleration in that of the fast one
+            peak = 0.92 * lateral / (1.0 + share**2 / 4)  # of the two together: lateral; the window adds
+            slow = share * peak / omega**2 * np.array([math.cos(heading), math.sin(heading)])
+            fast = peak / (2 * omega) ** 2 * np.array([-math.sin(heading), math.cos(heading)])
             row = [clock, length, _LOOP, *slow, 0.0, *fast, 0.5 * climb / (2 * omega) ** 2, omega, 2.0]
         else:
             length = rng.uniform(*spec.dash_s)
