@@ -17,7 +17,7 @@ from training.data import load_flights, split, windows
 from training.folder import commit
 from training.loop import train
 from training.loss import finished
-from training.models import AttSNN, thin
+from training.models import CURRENT_MAX, AttSNN, thin
 from training.starts import IDLE, _spikes, revive, start_from_data
 
 TINY = {
@@ -471,6 +471,36 @@ def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tm
     assert result.reason == "the weights are not finite after epoch 1"
     assert (result.best.epoch, len(rows)) == (0, 1)
     load_network(result.weights)
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_currents_that_would_leave_the_chip_s_range_are_brought_back(symmetric):
+    rng = np.random.default_rng(0)
+    x = torch.from_numpy(np.round(rng.normal(size=(2, 2000, 6)) * 1024) / 1024)
+    model = AttSNN(16, 16, symmetric=symmetric)
+    model.set_weights("w_in", rng.normal(0, 0.2, (16, 6)))
+    model.set_weights("w_ff", -np.abs(rng.normal(0, 0.3, (16, 16))))
+    with torch.no_grad():
+        model.syn1.fill_(8.0)  # remembered for 3000 steps
+    model.constrain()
+
+    def currents():
+        with torch.no_grad():
+            model(x)
+        return model.space(x, model.weights()).traces[0].u1
+
+    assert currents().max() > 400  # what should only be negative has wrapped round
+    for _ in range(10):
+        currents()
+        model.stay_in_range(x)
+        model.constrain()
+    assert currents().max() <= 0.0
+    assert -1.05 * CURRENT_MAX < currents().min() < -0.2 * CURRENT_MAX
+    for name in model.ties:
+        assert torch.equal(model.shared(name, getattr(model, name)), getattr(model, name))
+    kept = model.w_ff.clone()
+    model.stay_in_range(x)
+    assert torch.equal(kept, model.w_ff)
 
 
 @pytest.mark.parametrize("symmetric", [False, True])

@@ -18,7 +18,8 @@ from quadsim.trajectory import (
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
-SMOOTH = [Lissajous(), Move(), Waypoints(), Doublets(), Mix(), Lissajous(yaw_along=True)]
+EIGHTS = Mix(eight_share=1.0, circle_share=0.0, pause_share=0.0)
+SMOOTH = [Lissajous(), Move(), Waypoints(), Doublets(), Mix(), EIGHTS, Lissajous(yaw_along=True)]
 
 
 def fly(spec, seconds=60.0, n=2, seed=0):
@@ -52,6 +53,15 @@ def test_mix_fills_the_envelope_to_45_degrees():
     assert np.percentile(tilt_deg(path), 99.8) > 41
     assert 44 < tilt_deg(path).max() <= 45
     assert path[..., 2].min() > 5
+
+
+def test_eights_sweep_twice_across_for_once_along_and_keep_to_the_largest_tilt():
+    path = fly(EIGHTS, seconds=200, n=8)
+    assert 40 < tilt_deg(path).max() <= 45
+    one = fly(EIGHTS.model_copy(update={"eight_s": (4.0, 4.0)}), seconds=12, n=4)[..., :2]
+    lap = one[:, int(4 * RATE) : int(8 * RATE)]  # the window is open in the middle of the shortest
+    spectrum = np.abs(np.fft.rfft(lap - lap.mean(1, keepdims=True), axis=1)) ** 2
+    assert spectrum[:, 1:3].sum() > 0.99 * spectrum.sum()
 
 
 def test_minimum_snap_passes_the_waypoints_and_rests_at_both_ends():
@@ -152,7 +162,7 @@ def test_move_goes_from_rest_to_rest_and_stays():
     np.testing.assert_allclose(path[[200, 600], 3:9], 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["dash_s", "circle_s", "jump_m", "pause_s"])
+@pytest.mark.parametrize("name", ["dash_s", "circle_s", "eight_s", "jump_m", "pause_s"])
 def test_a_range_that_runs_backwards_is_refused(name):
     with pytest.raises(ValueError, match="least and then the largest"):
         Mix(**{name: (3.0, 1.0)})

@@ -32,7 +32,7 @@ Values = TypeVar("Values", Tensor, NDArray[np.floating])
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
 CURRENT_MAX, CURRENT_EVERY = 256.0, 8
-"""Currents may grow to this, half of where the chip's 24 bits end; they are looked at in every eighth step."""
+"""Currents may grow to this, half of where the chip's 24 bits end; every eighth step is looked at."""
 LAYERS = {
     "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1), "w_skip": (None, None),
     "syn0": (0,), "mem0": (0,), "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
@@ -164,10 +164,13 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def stay_in_range(self, x: Tensor) -> None:
-        """Weaken the inputs of neurons whose currents came near the ends of the chip's range in a window like x.
+        """Weaken the inputs of neurons whose currents came near the ends of the chip's range in the last window.
 
-        Beyond them a current wraps round to the other sign: a neuron that training keeps silencing would spike
-        in every other step at once, and no gradient leads back.
+        Beyond them a current wraps round to the other sign: a neuron that training keeps silencing would
+        spike in every other step at once, and no gradient leads back.
+
+        Args:
+            x: A window of the shape of that one.
         """
         if not self.quantised:
             return
