@@ -213,7 +213,7 @@ def test_another_configuration_does_not_overwrite_a_run(dataset, tmp_path):
 def test_bad_choices_give_one_clear_line(tmp_path):
     with pytest.raises(ValueError, match="no preset 'fast', there are paper, best"):
         make_config("fast", data="x.zarr")
-    with pytest.raises(ValueError, match="no field 'epoch', the nearest is 'epochs'"):
+    with pytest.raises(ValueError, match='unknown key "epoch"; did you mean "epochs"'):
         make_config(data="x.zarr", epoch=3)
     with pytest.raises(ValueError, match=r"training: batch_size = 0: .*greater than or equal to 1"):
         make_config(data="x.zarr", batch_size=0)

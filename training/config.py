@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -219,13 +218,6 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
     """
     if preset not in PRESETS:
         raise ValueError(f"no preset {preset!r}, there are {', '.join(PRESETS)}")
-    for name in choices:
-        if name not in TrainConfig.model_fields:
-            near = difflib.get_close_matches(name, TrainConfig.model_fields, 1, 0.0)
-            raise ValueError(
-                f"training has no field {name!r}, the nearest is {near[0]!r}; "
-                f"there are {', '.join(TrainConfig.model_fields)}"
-            )
     values = PRESETS[preset] | (RNN.get(preset, {}) if choices.get("model") == "att-rnn" else {})
     for name in ("data", "validation"):
         if isinstance(choices.get(name), str | Path):

@@ -164,13 +164,13 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def stay_in_range(self, x: Tensor) -> None:
-        """Weaken the inputs of neurons whose currents came near the ends of the chip's range in the last window.
+        """Weaken the inputs of neurons whose currents came near the ends of the chip's range just now.
 
         Beyond them a current wraps round to the other sign: a neuron that training keeps silencing would
         spike in every other step at once, and no gradient leads back.
 
         Args:
-            x: A window of the shape of that one.
+            x: The window that was run last.
         """
         if not self.quantised:
             return
