@@ -50,6 +50,8 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "lead_fast": f"{config.inputs.lead_samples[0]}.0",
         "lead_slow": f"{config.inputs.lead_samples[1]}.0",
         "lead_clip": repr(LEAD_CLIP),
+        "lead_start": repr(config.inputs.lead_start),
+        "lead_start_samples": f"{config.inputs.lead_start_samples}.0",
         "step": repr(1.0 / config.rate_hz),
         "yaw_free": int(config.inputs.yaw_free),
         "kept": gyro_bias.KEPT,

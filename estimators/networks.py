@@ -23,16 +23,18 @@ from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, sh
 
 Array = NDArray[np.float64]
 States = tuple[NDArray[np.generic], ...]
-Encoding = tuple[Array, Array, tuple[float, float], tuple[float, float, float], tuple[float, bool]]
+Lead = tuple[float, float, float, float, float]
+Encoding = tuple[Array, Array, tuple[float, float], Lead, tuple[float, bool]]
 
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
 GRAVITY = 9.81
-HEADING, BIAS = 12, 14
+HEADING, SETTLED, BIAS = 12, 14, 15
 HELD = BIAS + KEPT
 """What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
-fast one and the slow one of both; at `HEADING` its cosine and sine; at `BIAS` what `follow_bias` keeps."""
+fast one and the slow one of both; at `HEADING` its cosine and sine; at `SETTLED` how far the start is over,
+0 to 1; at `BIAS` what `follow_bias` keeps."""
 LEAD_CLIP = 5.0
 """How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 SETTLE_S, TURN_S = 3.0, 0.15
@@ -141,6 +143,7 @@ class NetworkEstimator:
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
             states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept
+            states[0][:, SETTLED] = 1.0
             self.core.place(states, known)
         return states
 
@@ -280,11 +283,12 @@ def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
     """What `encode` needs.
 
     Returns:
-        Offset and gain, memory and spread of the gyroscope's bias, the lead and its two memories, and the
-        time between samples with whether axes do not yaw.
+        Offset and gain, memory and spread of the gyroscope's bias, the lead with its two memories, how much
+        stronger it is at the start and for how long, and the time between samples with whether axes do not yaw.
     """
     fast, slow = inputs.lead_samples
-    bias, lead = (float(inputs.bias_samples), inputs.bias_sd), (inputs.lead, float(fast), float(slow))
+    bias = float(inputs.bias_samples), inputs.bias_sd
+    lead = inputs.lead, float(fast), float(slow), inputs.lead_start, float(inputs.lead_start_samples)
     return *input_scaling(inputs), bias, lead, (1.0 / rate_hz, inputs.yaw_free)
 
 
@@ -358,14 +362,15 @@ def _turn_into(roll_pitch: Array, rate_hz: float) -> tuple[Array, Array]:
 
 @njit(cache=True)
 def _led(k, force, lead, held):
-    """A lateral force with its change brought out, in the band between two low-passes."""
+    """A lateral force with its change brought out, in the band between two low-passes that begin as means."""
     if lead[0] == 0.0:
         return force
     if held[7] == 0.0:
         held[8 + k] = held[10 + k] = force
-    held[8 + k] += min(max(force - held[8 + k], -LEAD_CLIP), LEAD_CLIP) / lead[1]
-    held[10 + k] += (held[8 + k] - held[10 + k]) / lead[2]
-    return force + lead[0] * (held[8 + k] - held[10 + k])
+    seen = held[7] + 1.0
+    held[8 + k] += min(max(force - held[8 + k], -LEAD_CLIP), LEAD_CLIP) / min(seen, lead[1])
+    held[10 + k] += (held[8 + k] - held[10 + k]) / min(seen, lead[2])
+    return force + lead[0] * (1.0 + lead[3] * (1.0 - held[SETTLED])) * (held[8 + k] - held[10 + k])
 
 
 @njit(cache=True)
@@ -399,6 +404,7 @@ def _encode_sample(gyro, accel, offset, gain, bias, lead, axes, held):
         held[4] = _scaled(_led(1, cosine * y + sine * x, lead, held), gain[4])
         held[5] = _scaled(accel[2] - offset[5], gain[5])
         held[7] += 1.0
+        held[SETTLED] += (1.0 - held[SETTLED]) / lead[4]
     if not (rate_found and force_found):
         held[6] += 1.0
     return cosine, sine

@@ -104,6 +104,8 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "input_bias_sd": config.inputs.bias_sd,
         "input_lead": config.inputs.lead,
         "input_lead_samples": config.inputs.lead_samples,
+        "input_lead_start": config.inputs.lead_start,
+        "input_lead_start_samples": config.inputs.lead_start_samples,
         "yaw_free": config.inputs.yaw_free,
         "output_scale": config.output_scale,
         **integers,

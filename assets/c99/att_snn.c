@@ -21,6 +21,7 @@ static const uint16_t KEEP_V_DIRECT = $mem_skip;
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
 static const double LEAD = $lead; /* times that the change of a lateral force is added to it */
+static const double LEAD_START = $lead_start; /* times that it is stronger still at the start */
 static const double SCALE = 1.0 / ATT_SNN_UNITS_PER_RADIAN;
 static const double STEP = $step; /* seconds between samples */
 static const double BIAS_SAMPLES = $bias_samples; /* memory of the gyroscope's bias that is taken off; 0: none */
@@ -102,7 +103,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, 0, {0}};
     *state = rest;
 }
 
@@ -157,16 +158,19 @@ static void follow_bias(att_snn_state *state, const double gyro[3])
     kept[14] = between(weight * kept[11], $bias_max);
 }
 
-/* A lateral force with its change brought out, in the band between two low-passes. */
+static double smaller(double a, double b) { return a < b ? a : b; }
+
+/* A lateral force with its change brought out, in the band between two low-passes that begin as means. */
 static double led(att_snn_state *state, int k, double force)
 {
     if (!(LEAD > 0.0))
         return force;
     if (!(state->forces > 0.0))
         state->fast[k] = state->slow[k] = force;
-    state->fast[k] += between(force - state->fast[k], $lead_clip) / $lead_fast;
-    state->slow[k] += (state->fast[k] - state->slow[k]) / $lead_slow;
-    return force + LEAD * (state->fast[k] - state->slow[k]);
+    const double seen = state->forces + 1.0;
+    state->fast[k] += between(force - state->fast[k], $lead_clip) / smaller(seen, $lead_fast);
+    state->slow[k] += (state->fast[k] - state->slow[k]) / smaller(seen, $lead_slow);
+    return force + LEAD * (1.0 + LEAD_START * (1.0 - state->settled)) * (state->fast[k] - state->slow[k]);
 }
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
@@ -190,6 +194,7 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
         state->input[4] = nearest(led(state, 1, cosine * y + sine * x) * GAIN[4]);
         state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
         state->forces += 1.0;
+        state->settled += (1.0 - state->settled) / $lead_start_samples;
     }
 }
 
