@@ -284,7 +284,8 @@ def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
 
     Returns:
         Offset and gain, memory and spread of the gyroscope's bias, the lead with its two memories, how much
-        stronger it is at the start and for how long, and the time between samples with whether axes do not yaw.
+        stronger it is at the start and for how long, and the time between samples with whether axes do not
+        yaw.
     """
     fast, slow = inputs.lead_samples
     bias = float(inputs.bias_samples), inputs.bias_sd
