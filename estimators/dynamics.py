@@ -90,11 +90,13 @@ def _weigh(x, weights, total):
     """Add the rows of `weights` times the numbers in x, three at a time."""
     whole = x.shape[0] - x.shape[0] % 3
     for k in range(0, whole, 3):
+        x0, x1, x2 = x[k], x[k + 1], x[k + 2]
         for i in range(total.shape[0]):
-            total[i] += weights[k, i] * x[k] + weights[k + 1, i] * x[k + 1] + weights[k + 2, i] * x[k + 2]
+            total[i] += weights[k, i] * x0 + weights[k + 1, i] * x1 + weights[k + 2, i] * x2
     for k in range(whole, x.shape[0]):
+        x0 = x[k]
         for i in range(total.shape[0]):
-            total[i] += weights[k, i] * x[k]
+            total[i] += weights[k, i] * x0
 
 
 @njit(cache=True, inline="always")
@@ -104,7 +106,7 @@ def _membrane(v, u, tau, threshold, quantised):
     return min(max(x, -_V_MAX), _V_MAX) if quantised else x
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def advance(
     x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised,
     u0, v0, u1, v1, out, s0, s1, s1_late, total, drive,
@@ -120,7 +122,7 @@ def advance(
         w_skip: Weights from the inputs to the outputs, shape (inputs, outputs).
         taus: Four vectors: τ_syn, τ_mem of the encoding and of the hidden layer.
         out_taus: τ_syn and τ_mem of the outputs, and τ_mem behind the skip connection, shape (3,).
-        quantised: Integer arithmetic (True) or floats.
+        quantised: Integer arithmetic (True) or floats; a literal, for loops that branch are not vectorised.
         u0: Current of the encoding layer, shape (h0,).
         v0: Its membrane potential before the reset, shape (h0,).
         u1: Current of the hidden layer, shape (h1,).
@@ -176,20 +178,8 @@ def advance(
         v0[i] = _membrane(v0[i], u, taus[1][i], threshold, quantised)
 
 
-@njit(cache=True, nogil=True)
-def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
-    """Run n copies over whole sequences (or one sample), from and to packed states.
-
-    Args:
-        x: Input samples, shape (n, T, inputs).
-        weights: w_in, w_ff, w_rec, w_out, w_skip of `advance`, flattened one after the other.
-        taus: τ_syn, τ_mem of encoding, hidden and output layer, one after the other, (2 h0 + 2 h1 + 3,).
-        sizes: (h0, h1, recurrent delay, network steps per sample).
-        quantised: Integer arithmetic (True) or floats.
-        state: u0, v0, u1, v1 and the rows of `out` in a row, shape (n, 2 h0 + 2 h1 + 3 outputs); changed.
-        spikes: Lists of the spikes of the last step: encoding, hidden, hidden one step earlier; changed.
-        out: Output potentials after each sample [state units], shape (n, T, outputs); written.
-    """
+@njit(cache=True, inline="always")
+def _run(x, weights, taus, sizes, quantised, state, spikes, out):
     h0, h1, delay, substeps = sizes
     inputs, outputs = x.shape[2], out.shape[2]
     a = inputs * h0
@@ -227,6 +217,26 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
                 _list_spikes(v0, threshold, s0)
                 _list_spikes(v1, threshold, s1)
             out[n, t] = y[1] + y[2]
+
+
+@njit(cache=True, nogil=True)
+def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
+    """Run n copies over whole sequences (or one sample), from and to packed states.
+
+    Args:
+        x: Input samples, shape (n, T, inputs).
+        weights: w_in, w_ff, w_rec, w_out, w_skip of `advance`, flattened one after the other.
+        taus: τ_syn, τ_mem of encoding, hidden and output layer, one after the other, (2 h0 + 2 h1 + 3,).
+        sizes: (h0, h1, recurrent delay, network steps per sample).
+        quantised: Integer arithmetic (True) or floats.
+        state: u0, v0, u1, v1 and the rows of `out` in a row, shape (n, 2 h0 + 2 h1 + 3 outputs); changed.
+        spikes: Lists of the spikes of the last step: encoding, hidden, hidden one step earlier; changed.
+        out: Output potentials after each sample [state units], shape (n, T, outputs); written.
+    """
+    if quantised:
+        _run(x, weights, taus, sizes, True, state, spikes, out)
+    else:
+        _run(x, weights, taus, sizes, False, state, spikes, out)
 
 
 def state_size(h0: int, h1: int, outputs: int = 2) -> tuple[int, int]:

@@ -73,11 +73,10 @@ class Trace:
             rows[0, fresh] = 0
 
 
-@njit(cache=True, nogil=True)
-def forward_window(
+@njit(cache=True, inline="always")
+def _forward(
     x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised, delay, v0, v1, vo, vd, u0, u1, uo, s0, s1
 ):
-    """Run the window x (T, n, inputs) from the rows before it; weights (in, out) in units of 1.0."""
     steps, n = x.shape[:2]
     h0, h1, outputs = v0.shape[2], v1.shape[2], vo.shape[2]
     one = STATE_ONE if quantised else 1.0
@@ -112,6 +111,23 @@ def forward_window(
                 vo[t + 2, b, o] = state2[b, 1, o] * unit
                 uo[t + 1, b, o] = state2[b, 0, o] * unit
                 vd[t + 1, b, o] = state2[b, 2, o] * unit
+
+
+@njit(cache=True, nogil=True)
+def forward_window(
+    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised, delay, v0, v1, vo, vd, u0, u1, uo, s0, s1
+):
+    """Run the window x (T, n, inputs) from the rows before it; weights (in, out) in units of 1.0."""
+    if quantised:
+        _forward(
+            x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, True, delay,
+            v0, v1, vo, vd, u0, u1, uo, s0, s1,
+        )  # fmt: skip
+    else:
+        _forward(
+            x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, False, delay,
+            v0, v1, vo, vd, u0, u1, uo, s0, s1,
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
