@@ -183,13 +183,15 @@ def backward_window(
     for t in range(steps - 1, -1, -1):
         late = down if delay == 1 else down_before
         for b in range(n):
-            ds0[b * h0 : (b + 1) * h0] = down[b, :h0] + cost0
-            into = ds1[b * h1 : (b + 1) * h1]
-            into[:] = late[b, h0:] + cost1
+            first, second, into0, into1 = down[b], late[b, h0:], ds0[b * h0 :], ds1[b * h1 :]
+            for i in range(h0):
+                into0[i] = first[i] + cost0
+            for i in range(h1):
+                into1[i] = second[i] + cost1
             for o in range(outputs):
                 d = du_out[b, o]
                 for i in range(h1):
-                    into[i] += d * w_out[o, i]
+                    into1[i] += d * w_out[o, i]
             for o in range(outputs):
                 dv_out[b, o] = grad[t, b, o] + out_taus[1] * dv_out[b, o]
                 du_out[b, o] = dv_out[b, o] + out_taus[0] * du_out[b, o]
