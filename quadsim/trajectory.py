@@ -312,7 +312,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
             where = where + move
             row = [clock, length, _JUMP, *move]
         elif draw < spec.pause_share + spec.circle_share + spec.jump_share + spec.eight_share:
-            laps, period = int(rng.integers(2, 5)), rng.uniform(*spec.eight_s)
+            laps, period = int(rng.integers(3, 9)), rng.uniform(*spec.eight_s)
             length, omega = (laps + 1) * period, 2 * np.pi / period
             share = rng.uniform(-1.0, 1.0)  # of the slow sweep's peak acceleration in that of the fast one
             peak = 0.92 * lateral / (1.0 + share**2 / 4)  # of the two together: lateral; the window adds
