@@ -32,7 +32,7 @@ Values = TypeVar("Values", Tensor, NDArray[np.floating])
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
 CURRENT_MAX, CURRENT_EVERY = 384.0, 8
-"""Currents may grow to this, three quarters of where the chip's 24 bits end; every eighth step is looked at."""
+"""Currents may grow to this, three quarters of where 24 bits end; every eighth step is looked at."""
 LAYERS = {
     "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1), "w_skip": (None, None),
     "syn0": (0,), "mem0": (0,), "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
