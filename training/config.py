@@ -145,7 +145,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "adam_beta2": 0.99,
         "decay": "cosine",
         "clip": 1.0,
-        "epochs": 75,
+        "epochs": 70,
         "batches": 600,
         "batch_size": 4,
         "window_s": 5.0,
