@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from training_page import within
+from training_page import many_starts, within
 
 from estimators import create
 from estimators.activity import record
-from estimators.evaluate import tilted_starts
 from estimators.flights import load_flights
 from estimators.networks import OnLoihi
 from estimators.pruning import error_deg, importance, pruned
@@ -87,9 +86,7 @@ def main() -> None:
         thinning(args.runs)
         return
     rows = []
-    flights = load_flights([open_dataset(args.validation)])
-    pieces = tilted_starts(flights, 20.0, round(10 * flights.rate_hz))
-    assert pieces is not None
+    pieces = many_starts(load_flights([open_dataset(args.validation)]))
     for name, changes in ROWS.items():
         choices: dict[str, Any] = {"preset": "best", "epochs": args.epochs} | changes
         folder = args.runs / f"{name.replace(' ', '-').replace(',', '')}-{args.epochs}"
