@@ -13,28 +13,31 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from .alignment import GRAVITY, align
+from .alignment import KEPT as ALIGNMENT_KEPT
 from .chip import partition
 from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
 from .gru import run_gru
-from .gyro_bias import KEPT, follow_bias
+from .gyro_bias import KEPT as BIAS_KEPT
+from .gyro_bias import follow_bias
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
 from .tilt import tilt_of, to_roll_pitch, yawed
 from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
 States = tuple[NDArray[np.generic], ...]
-Lead = tuple[float, float, float, float, float]
-Encoding = tuple[Array, Array, tuple[float, float], Lead, tuple[float, bool]]
+Triple = tuple[float, float, float]
+Encoding = tuple[Array, Array, tuple[float, float], Triple, Triple, tuple[float, bool]]
 
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
-GRAVITY = 9.81
-HEADING, SETTLED, BIAS = 12, 14, 15
-HELD = BIAS + KEPT
+HEADING, BIAS = 12, 14
+ALIGNMENT = BIAS + BIAS_KEPT
+HELD = ALIGNMENT + ALIGNMENT_KEPT
 """What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
-fast one and the slow one of both; at `HEADING` its cosine and sine; at `SETTLED` how far the start is over,
-0 to 1; at `BIAS` what `follow_bias` keeps."""
+fast one and the slow one of both; at `HEADING` its cosine and sine; at `BIAS` what `follow_bias` keeps, at
+`ALIGNMENT` what `align` keeps, first the time since the start."""
 LEAD_CLIP = 5.0
 """How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 SETTLE_S, TURN_S = 3.0, 0.15
@@ -143,7 +146,7 @@ class NetworkEstimator:
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
             states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept
-            states[0][:, SETTLED] = 1.0
+            states[0][:, ALIGNMENT] = np.inf  # the start is over
             self.core.place(states, known)
         return states
 
@@ -283,14 +286,14 @@ def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
     """What `encode` needs.
 
     Returns:
-        Offset and gain, memory and spread of the gyroscope's bias, the lead with its two memories, how much
-        stronger it is at the start and for how long, and the time between samples with whether axes do not
-        yaw.
+        Offset and gain, memory and spread of the gyroscope's bias, the lead with its two memories, the
+        alignment's time, drag and noise, and the time between samples with whether axes do not yaw.
     """
     fast, slow = inputs.lead_samples
     bias = float(inputs.bias_samples), inputs.bias_sd
-    lead = inputs.lead, float(fast), float(slow), inputs.lead_start, float(inputs.lead_start_samples)
-    return *input_scaling(inputs), bias, lead, (1.0 / rate_hz, inputs.yaw_free)
+    lead = inputs.lead, float(fast), float(slow)
+    start = inputs.align_s, inputs.align_drag, inputs.align_noise
+    return *input_scaling(inputs), bias, lead, start, (1.0 / rate_hz, inputs.yaw_free)
 
 
 def scaled_inputs(
@@ -371,7 +374,7 @@ def _led(k, force, lead, held):
     seen = held[7] + 1.0
     held[8 + k] += min(max(force - held[8 + k], -LEAD_CLIP), LEAD_CLIP) / min(seen, lead[1])
     held[10 + k] += (held[8 + k] - held[10 + k]) / min(seen, lead[2])
-    return force + lead[0] * (1.0 + lead[3] * (1.0 - held[SETTLED])) * (held[8 + k] - held[10 + k])
+    return force + lead[0] * (held[8 + k] - held[10 + k])
 
 
 @njit(cache=True)
@@ -380,9 +383,10 @@ def _scaled(value, gain):
 
 
 @njit(cache=True)
-def _encode_sample(gyro, accel, offset, gain, bias, lead, axes, held):
+def _encode_sample(gyro, accel, offset, gain, bias, lead, start, axes, held):
     """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
     memory, spread = bias
+    align_s, drag, noise = start
     step, yaw_free = axes
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
@@ -392,38 +396,50 @@ def _encode_sample(gyro, accel, offset, gain, bias, lead, axes, held):
     if rate_found and (yaw_free or memory > 0.0):
         held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], gyro[2], step)
     cosine, sine = (held[HEADING], held[HEADING + 1]) if yaw_free else (1.0, 0.0)
+    rate_x = rate_y = force_x = force_y = 0.0
     if rate_found:
         if memory > 0.0:
-            follow_bias(gyro, held[HEADING], held[HEADING + 1], step, memory, spread, held[BIAS:])
-        x, y = gyro[0] - held[HELD - 2] - offset[0], gyro[1] - held[HELD - 1] - offset[1]
-        held[0] = _scaled(cosine * x - sine * y, gain[0])
-        held[1] = _scaled(cosine * y + sine * x, gain[1])
-        held[2] = _scaled(gyro[2] - offset[2], gain[2])
+            follow_bias(gyro, held[HEADING], held[HEADING + 1], step, memory, spread, held[BIAS:ALIGNMENT])
+        x, y = gyro[0] - held[ALIGNMENT - 2] - offset[0], gyro[1] - held[ALIGNMENT - 1] - offset[1]
+        rate_x, rate_y = cosine * x - sine * y, cosine * y + sine * x
     if force_found:
         x, y = accel[0] - offset[3], accel[1] - offset[4]
-        held[3] = _scaled(_led(0, cosine * x - sine * y, lead, held), gain[3])
-        held[4] = _scaled(_led(1, cosine * y + sine * x, lead, held), gain[4])
+        force_x, force_y = cosine * x - sine * y, cosine * y + sine * x
+    if held[ALIGNMENT] < align_s:
+        if rate_found and force_found:
+            x, y = align(rate_x, rate_y, force_x, force_y, step, drag, noise, held[ALIGNMENT:])
+            rate_x += x / step
+            rate_y += y / step
+        held[ALIGNMENT] += step
+    if rate_found:
+        held[0] = _scaled(rate_x, gain[0])
+        held[1] = _scaled(rate_y, gain[1])
+        held[2] = _scaled(gyro[2] - offset[2], gain[2])
+    if force_found:
+        held[3] = _scaled(_led(0, force_x, lead, held), gain[3])
+        held[4] = _scaled(_led(1, force_y, lead, held), gain[4])
         held[5] = _scaled(accel[2] - offset[5], gain[5])
         held[7] += 1.0
-        held[SETTLED] += (1.0 - held[SETTLED]) / lead[4]
     if not (rate_found and force_found):
         held[6] += 1.0
     return cosine, sine
 
 
 @njit(cache=True)
-def encode(gyro, accel, offset, gain, bias, lead, axes, held, x, heading):
+def encode(gyro, accel, offset, gain, bias, lead, start, axes, held, x, heading):
     """Integer inputs x (n, T, 6), heading (n, T, 2) of readings (n, T, 3) twice; `held` (n, HELD) goes on."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], offset, gain, bias, lead, axes, held[n])
+            heading[n, t] = _encode_sample(
+                gyro[n, t], accel[n, t], offset, gain, bias, lead, start, axes, held[n]
+            )
             for k in range(6):
                 x[n, t, k] = held[n, k]
 
 
 @njit(cache=True)
 def _run_on_loihi(
-    gyro, accel, offset, gain, bias_of_gyro, lead, axes, w_in, du, w_skip, steps, scale, states, parameters,
+    gyro, accel, offset, gain, bias_of_gyro, lead, start, axes, w_in, du, w_skip, steps, scale, states, parameters,
     heading, out,
 ):  # fmt: skip
     held, current, before, after, u, v, bias = states
@@ -432,7 +448,7 @@ def _run_on_loihi(
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
             heading[n, t] = _encode_sample(
-                gyro[n, t], accel[n, t], offset, gain, bias_of_gyro, lead, axes, held[n]
+                gyro[n, t], accel[n, t], offset, gain, bias_of_gyro, lead, start, axes, held[n]
             )
         for _ in range(steps):
             for n in range(gyro.shape[0]):

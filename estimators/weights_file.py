@@ -36,10 +36,12 @@ class InputScaling(Strict):
     """Times that the change of a lateral force, its fast low-pass less its slow one, is added to it."""
     lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)
     """Memories of those two [samples]."""
-    lead_start: float = Field(default=0.0, ge=0)
-    """Times that it is stronger still at the start, when such changes alone tell an unknown attitude."""
-    lead_start_samples: PositiveInt = 40
-    """How long that takes to fade, to 1/e [samples]."""
+    align_s: float = Field(default=0.0, ge=0)
+    """Time for which `estimators.alignment` looks for an unknown attitude at the start [s]; 0: it does not."""
+    align_drag: float = Field(default=0.2, gt=0)
+    """What drag takes from a lateral speed, for that [1/s]."""
+    align_noise: float = Field(default=0.25, gt=0)
+    """Standard deviation of a lateral force's reading, for that [m/s²]."""
     yaw_free: bool = False
     """Whether lateral readings are turned into axes that do not yaw with the body, where the outputs are a
     tilt (`estimators.tilt`); otherwise all are of the body, and the outputs are roll and pitch."""

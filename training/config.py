@@ -131,7 +131,7 @@ class TrainConfig(Strict):
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "best": {
-        "inputs": InputScaling(bias_samples=20000, bias_sd=0.0088, lead=4.0, lead_start=15.0, yaw_free=True),
+        "inputs": InputScaling(bias_samples=20000, bias_sd=0.0088, lead=4.0, align_s=1.0, yaw_free=True),
         "encoding": 300,
         "hidden": 300,
         "parameters": 21202,
@@ -176,7 +176,9 @@ ROBUST = Augmentation(
 """Sensors that nobody has calibrated, on vehicles that shake."""
 
 PRESETS["robust"] = PRESETS["best"] | {
-    "inputs": InputScaling(bias_samples=20000, bias_sd=0.044, lead=4.0, lead_start=15.0, yaw_free=True),
+    "inputs": InputScaling(
+        bias_samples=20000, bias_sd=0.044, lead=4.0, align_s=1.0, align_drag=0.3, align_noise=0.5, yaw_free=True
+    ),
     "epochs": 65,
     "augmentation": ROBUST,
 }

@@ -44,7 +44,6 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     memories = {
         "bias_samples": round(config.inputs.bias_samples * k),
         "lead_samples": tuple(max(1, round(each * k)) for each in config.inputs.lead_samples),
-        "lead_start_samples": max(1, round(config.inputs.lead_start_samples * k)),
     }
     changed = config.model_copy(
         update={
