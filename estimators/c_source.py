@@ -9,7 +9,7 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
-from . import gyro_bias
+from . import alignment, gyro_bias
 from .loihi import DECAY_ONE, STATE_ONE
 from .networks import INPUT_MAX, LEAD_CLIP, input_scaling
 from .weights_file import NetworkConfig, Tensors, parameters
@@ -50,11 +50,16 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "lead_fast": f"{config.inputs.lead_samples[0]}.0",
         "lead_slow": f"{config.inputs.lead_samples[1]}.0",
         "lead_clip": repr(LEAD_CLIP),
-        "lead_start": repr(config.inputs.lead_start),
-        "lead_start_samples": f"{config.inputs.lead_start_samples}.0",
+        "align_s": repr(config.inputs.align_s),
+        "align_drag": repr(config.inputs.align_drag),
+        "align_noise": repr(config.inputs.align_noise),
         "step": repr(1.0 / config.rate_hz),
         "yaw_free": int(config.inputs.yaw_free),
-        "kept": gyro_bias.KEPT,
+        "bias_kept": gyro_bias.KEPT,
+        "align_kept": alignment.KEPT,
+        "gravity": repr(alignment.GRAVITY),
+        "force_max": repr(alignment.FORCE_MAX),
+        "tilt_max": repr(alignment.TILT_MAX),
         "rate_max": repr(gyro_bias.RATE_MAX),
         "bias_max": repr(gyro_bias.BIAS_MAX),
         "correlated_s": repr(gyro_bias.CORRELATED_S),

@@ -439,8 +439,8 @@ def encode(gyro, accel, offset, gain, bias, lead, start, axes, held, x, heading)
 
 @njit(cache=True)
 def _run_on_loihi(
-    gyro, accel, offset, gain, bias_of_gyro, lead, start, axes, w_in, du, w_skip, steps, scale, states, parameters,
-    heading, out,
+    gyro, accel, offset, gain, bias_of_gyro, lead, start, axes, w_in, du, w_skip, steps, scale, states,
+    parameters, heading, out,
 ):  # fmt: skip
     held, current, before, after, u, v, bias = states
     n_outputs = out.shape[2]

@@ -37,7 +37,7 @@ class InputScaling(Strict):
     lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)
     """Memories of those two [samples]."""
     align_s: float = Field(default=0.0, ge=0)
-    """Time for which `estimators.alignment` looks for an unknown attitude at the start [s]; 0: it does not."""
+    """Time for which `estimators.alignment` looks for an unknown attitude at the start [s]; 0: none."""
     align_drag: float = Field(default=0.2, gt=0)
     """What drag takes from a lateral speed, for that [1/s]."""
     align_noise: float = Field(default=0.25, gt=0)

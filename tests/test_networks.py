@@ -12,7 +12,6 @@ from estimators.metrics import inclination_rmse
 from estimators.networks import (
     HELD,
     LEAD_CLIP,
-    SETTLED,
     NetworkEstimator,
     OnLoihi,
     Spiking,
@@ -291,28 +290,12 @@ def test_the_change_of_a_lateral_force_is_brought_out():
     assert np.abs(shaken[0, 100:, 3]).max() < 1.6
 
 
-def test_lead_is_stronger_at_the_start_of_an_unknown_attitude_and_fades():
-    inputs = InputScaling(lead=4.0, lead_samples=(1, 100_000), lead_start=15.0, lead_start_samples=40)
-    accel = np.tile([0.0, 0.0, 9.81], (1, 400, 1))
-    accel[0, :, 0] = 0.001 * np.arange(400)  # the slow low-pass, a mean, lags by half of the time
-
-    def led(held=None):
-        x = scaled_inputs(inputs, 200.0, np.zeros_like(accel), accel, held)[0][0, :, 3] * inputs.accel[0]
-        return (x - accel[0, :, 0])[1:] / (0.0005 * np.arange(1, 400))
-
-    times = np.arange(1, 400)
-    assert led()[20:] == pytest.approx((4.0 * (1 + 15 * (1 - 1 / 40) ** times))[20:], rel=0.05)
-    told = np.zeros((1, HELD))
-    told[:, SETTLED] = 1.0
-    assert led(told)[60:] == pytest.approx(4.0, rel=0.03)
-
-
 @pytest.mark.parametrize(
     "inputs",
     [
         {"bias_samples": 2000},
         {"bias_samples": 2000, "yaw_free": True},
-        {"lead": 4.0, "lead_start": 9.0},
+        {"lead": 4.0, "align_s": 0.6},
         {"yaw_free": True},
     ],
 )

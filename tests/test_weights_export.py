@@ -7,8 +7,9 @@ import subprocess
 import numpy as np
 import pytest
 
-from estimators.gyro_bias import KEPT
-from estimators.networks import BIAS, HEADING, SETTLED, OnLoihi, Recurrent, real_weights, scaled_inputs
+from estimators.alignment import KEPT as ALIGNMENT_KEPT
+from estimators.gyro_bias import KEPT as BIAS_KEPT
+from estimators.networks import ALIGNMENT, BIAS, HEADING, OnLoihi, Recurrent, real_weights, scaled_inputs
 from estimators.nir_graph import nir_graph
 from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
@@ -67,7 +68,7 @@ def compiled(tmp_path, request):
         fields = [(name, np.int32, size) for name, size in sizes]
         fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
         fields += [("forces", float), ("fast", float, 2), ("slow", float, 2), ("heading", float, 2)]
-        fields += [("settled", float), ("kept", float, KEPT), ("roll_pitch", float, 2)]
+        fields += [("bias", float, BIAS_KEPT), ("alignment", float, ALIGNMENT_KEPT), ("roll_pitch", float, 2)]
         layout = np.dtype(fields, align=True)
 
         def run(samples):
@@ -91,8 +92,8 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         config = NetworkConfig(
             model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale,
             inputs=InputScaling(
-                bias_samples=800 * seed, lead=3.0 * seed, lead_samples=(3, 40), lead_start=9.0 * seed,
-                lead_start_samples=30, yaw_free=bool(seed),
+                bias_samples=800 * seed, lead=3.0 * seed, lead_samples=(3, 40), align_s=5.0 * seed,
+                align_drag=0.3, align_noise=0.5, yaw_free=bool(seed),
             ),
         )  # fmt: skip
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
@@ -108,7 +109,8 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         held, current, _, after, u, v, _ = mine
         expected = {
             "input": held[0, :6], "forces": held[0, 7], "fast": held[0, 8:10], "slow": held[0, 10:12],
-            "heading": held[0, HEADING : HEADING + 2], "settled": held[0, SETTLED], "kept": held[0, BIAS:],
+            "heading": held[0, HEADING : HEADING + 2], "bias": held[0, BIAS:ALIGNMENT],
+            "alignment": held[0, ALIGNMENT:],
             "u0": current[0], "u1": u[0, h0:-4], "u2": u[0, -4:-2], "v0": v[0, :h0],
             "v1": v[0, h0:-4], "v2": v[0, -4:-2], "v3": v[0, -2:],
             "s0": after[0, :h0], "s1": after[0, h0:-4],

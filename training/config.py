@@ -177,7 +177,13 @@ ROBUST = Augmentation(
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(
-        bias_samples=20000, bias_sd=0.044, lead=4.0, align_s=1.0, align_drag=0.3, align_noise=0.5, yaw_free=True
+        bias_samples=20000,
+        bias_sd=0.044,
+        lead=4.0,
+        align_s=1.0,
+        align_drag=0.3,
+        align_noise=0.5,
+        yaw_free=True,
     ),
     "epochs": 65,
     "augmentation": ROBUST,

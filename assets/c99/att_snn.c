@@ -21,15 +21,16 @@ static const uint16_t KEEP_V_DIRECT = $mem_skip;
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
 static const double LEAD = $lead; /* times that the change of a lateral force is added to it */
-static const double LEAD_START = $lead_start; /* times that it is stronger still at the start */
 static const double SCALE = 1.0 / ATT_SNN_UNITS_PER_RADIAN;
 static const double STEP = $step; /* seconds between samples */
 static const double BIAS_SAMPLES = $bias_samples; /* memory of the gyroscope's bias that is taken off; 0: none */
 static const double BIAS_SD = $bias_sd;
+static const double ALIGN_S = $align_s; /* time for which an unknown attitude is looked for at the start; 0: it is not */
+static const double DRAG = $align_drag; /* what drag takes from a lateral speed then [1/s] */
+static const double NOISE = $align_noise; /* of a lateral force's reading then [m/s^2] */
 
 enum {
     YAW_FREE = $yaw_free, /* whether lateral readings are turned into axes that do not yaw; the outputs are a tilt */
-    KEPT = $kept,
     INPUT_MAX = $input_max,
     BIAS_STEP = 16,
     SKIP_STEP = 32,
@@ -103,7 +104,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, 0, {0}};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}, {0}};
     *state = rest;
 }
 
@@ -132,7 +133,7 @@ static void follow_bias(att_snn_state *state, const double gyro[3])
 {
     const double x = between(gyro[0], $rate_max), y = between(gyro[1], $rate_max);
     const double cosine = state->heading[0], sine = state->heading[1], expected = $expected_s / STEP;
-    double *kept = state->kept;
+    double *kept = state->bias;
     kept[0] = kept[0] + 1.0 < BIAS_SAMPLES ? kept[0] + 1.0 : BIAS_SAMPLES;
     kept[1] += STEP * cosine;
     kept[2] += STEP * sine;
@@ -170,31 +171,78 @@ static double led(att_snn_state *state, int k, double force)
     const double seen = state->forces + 1.0;
     state->fast[k] += between(force - state->fast[k], $lead_clip) / smaller(seen, $lead_fast);
     state->slow[k] += (state->fast[k] - state->slow[k]) / smaller(seen, $lead_slow);
-    return force + LEAD * (1.0 + LEAD_START * (1.0 - state->settled)) * (state->fast[k] - state->slow[k]);
+    return force + LEAD * (state->fast[k] - state->slow[k]);
+}
+
+/* Turn rates and lateral forces of one reading, in axes that do not yaw: the turn, the changes of the forces that it and
+ * drag explain, and a straight line in time through what is left, whose slope is the tilt at the start. What that is
+ * further than at the last reading is added to the rates. */
+static void align(double kept[$align_kept], double rate[2], const double force[2])
+{
+    const double fall = DRAG * $gravity;
+    kept[1] += STEP * between(rate[0], $rate_max);
+    kept[2] += STEP * between(rate[1], $rate_max);
+    const double x = between(force[0] + kept[3] - kept[7], $force_max);
+    const double y = between(force[1] + kept[4] - kept[8], $force_max);
+    kept[3] += STEP * DRAG * (x + kept[7] - kept[3] + $gravity * kept[2]);
+    kept[4] += STEP * DRAG * (y + kept[8] - kept[4] - $gravity * kept[1]);
+    kept[5] += 1.0;
+    const double new = 1.0 / kept[5], old = 1.0 - new, time = kept[0] - kept[6];
+    kept[6] += new * time;
+    kept[7] += new * x;
+    kept[8] += new * y;
+    kept[9] = old * (kept[9] + new * time * time);
+    kept[10] = old * (kept[10] + new * time * x);
+    kept[11] = old * (kept[11] + new * time * y);
+    const double prior = NOISE * NOISE / (fall * fall * $tilt_variance);
+    const double weight = kept[5] / (kept[5] * kept[9] + prior) / fall;
+    double about_x = weight * kept[11], about_y = -weight * kept[10];
+    const double size = sqrt(about_x * about_x + about_y * about_y);
+    if (size > $tilt_max) {
+        about_x = about_x * $tilt_max / size;
+        about_y = about_y * $tilt_max / size;
+    }
+    rate[0] += (about_x - kept[12]) / STEP;
+    rate[1] += (about_y - kept[13]) / STEP;
+    kept[12] = about_x;
+    kept[13] = about_y;
 }
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
-    const double force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
-    const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]);
+    const double size = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
+    const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]), force_found = finite(size) && size > 0.0;
     if (rate_found && (YAW_FREE || BIAS_SAMPLES > 0.0))
         yaw(state->heading, gyro[2]);
     const double cosine = YAW_FREE ? state->heading[0] : 1.0, sine = YAW_FREE ? state->heading[1] : 0.0;
+    double rate[2] = {0.0, 0.0}, force[2] = {0.0, 0.0};
     if (rate_found) {
         if (BIAS_SAMPLES > 0.0)
             follow_bias(state, gyro);
-        const double x = gyro[0] - state->kept[KEPT - 2] - OFFSET[0], y = gyro[1] - state->kept[KEPT - 1] - OFFSET[1];
-        state->input[0] = nearest((cosine * x - sine * y) * GAIN[0]);
-        state->input[1] = nearest((cosine * y + sine * x) * GAIN[1]);
+        const double x = gyro[0] - state->bias[13] - OFFSET[0], y = gyro[1] - state->bias[14] - OFFSET[1];
+        rate[0] = cosine * x - sine * y;
+        rate[1] = cosine * y + sine * x;
+    }
+    if (force_found) {
+        const double x = accel[0] - OFFSET[3], y = accel[1] - OFFSET[4];
+        force[0] = cosine * x - sine * y;
+        force[1] = cosine * y + sine * x;
+    }
+    if (state->alignment[0] < ALIGN_S) {
+        if (rate_found && force_found)
+            align(state->alignment, rate, force);
+        state->alignment[0] += STEP;
+    }
+    if (rate_found) {
+        state->input[0] = nearest(rate[0] * GAIN[0]);
+        state->input[1] = nearest(rate[1] * GAIN[1]);
         state->input[2] = nearest((gyro[2] - OFFSET[2]) * GAIN[2]);
     }
-    if (finite(force) && force > 0.0) {
-        const double x = accel[0] - OFFSET[3], y = accel[1] - OFFSET[4];
-        state->input[3] = nearest(led(state, 0, cosine * x - sine * y) * GAIN[3]);
-        state->input[4] = nearest(led(state, 1, cosine * y + sine * x) * GAIN[4]);
+    if (force_found) {
+        state->input[3] = nearest(led(state, 0, force[0]) * GAIN[3]);
+        state->input[4] = nearest(led(state, 1, force[1]) * GAIN[4]);
         state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
         state->forces += 1.0;
-        state->settled += (1.0 - state->settled) / $lead_start_samples;
     }
 }
 
