@@ -68,7 +68,7 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
     heading = np.empty_like(out)
     _record(
-        gyro, accel, *core.encoding, *core.fan_out, core.steps, core.scale, core.zero(n),
+        gyro, accel, core.encoding, *core.fan_out, core.steps, core.scale, core.zero(n),
         core.chip.parameters, spikes, active, potentials, heading, out,
     )  # fmt: skip
     if core.inputs.yaw_free:
@@ -82,11 +82,7 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
 def _record(
     gyro,
     accel,
-    offset,
-    gain,
-    bias_of_gyro,
-    lead,
-    axes,
+    encoding,
     w_in,
     du,
     w_skip,
@@ -104,9 +100,7 @@ def _record(
     first_output = v.shape[1] - out.shape[2] - w_skip.shape[0]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            heading[n, t] = _encode_sample(
-                gyro[n, t], accel[n, t], offset, gain, bias_of_gyro, lead, axes, held[n]
-            )
+            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
         for k in range(steps):
             for n in range(gyro.shape[0]):
                 _drive(held[n], w_in, du, w_skip, current[n], bias[n])

@@ -229,7 +229,7 @@ class OnLoihi:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         heading = np.empty_like(out)
         _run_on_loihi(
-            gyro, accel, *self.encoding, *self.fan_out, self.steps, self.scale,
+            gyro, accel, self.encoding, *self.fan_out, self.steps, self.scale,
             states, self.chip.parameters, heading, out,
         )  # fmt: skip
         if self.inputs.yaw_free:
@@ -323,7 +323,7 @@ def scaled_inputs(
 
 def _encoded(encoding: Encoding, gyro: Array, accel: Array, held: NDArray[np.generic]) -> tuple[Array, Array]:
     x, heading = np.empty((*gyro.shape[:2], 6)), np.empty((*gyro.shape[:2], 2))
-    encode(gyro, accel, *encoding, held, x, heading)
+    encode(gyro, accel, encoding, held, x, heading)
     x /= INPUT_ONE
     return x, heading
 
@@ -383,11 +383,9 @@ def _scaled(value, gain):
 
 
 @njit(cache=True)
-def _encode_sample(gyro, accel, offset, gain, bias, lead, start, axes, held):
+def _encode_sample(gyro, accel, encoding, held):
     """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
-    memory, spread = bias
-    align_s, drag, noise = start
-    step, yaw_free = axes
+    offset, gain, (memory, spread), lead, (align_s, drag, noise), (step, yaw_free) = encoding
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
     force_found = np.isfinite(force) and force > 0.0
@@ -426,30 +424,25 @@ def _encode_sample(gyro, accel, offset, gain, bias, lead, start, axes, held):
 
 
 @njit(cache=True)
-def encode(gyro, accel, offset, gain, bias, lead, start, axes, held, x, heading):
+def encode(gyro, accel, encoding, held, x, heading):
     """Integer inputs x (n, T, 6), heading (n, T, 2) of readings (n, T, 3) twice; `held` (n, HELD) goes on."""
     for n in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            heading[n, t] = _encode_sample(
-                gyro[n, t], accel[n, t], offset, gain, bias, lead, start, axes, held[n]
-            )
+            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
             for k in range(6):
                 x[n, t, k] = held[n, k]
 
 
 @njit(cache=True)
 def _run_on_loihi(
-    gyro, accel, offset, gain, bias_of_gyro, lead, start, axes, w_in, du, w_skip, steps, scale, states,
-    parameters, heading, out,
+    gyro, accel, encoding, w_in, du, w_skip, steps, scale, states, parameters, heading, out
 ):  # fmt: skip
     held, current, before, after, u, v, bias = states
     n_outputs = out.shape[2]
     first_output = v.shape[1] - n_outputs - w_skip.shape[0]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            heading[n, t] = _encode_sample(
-                gyro[n, t], accel[n, t], offset, gain, bias_of_gyro, lead, start, axes, held[n]
-            )
+            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
         for _ in range(steps):
             for n in range(gyro.shape[0]):
                 _drive(held[n], w_in, du, w_skip, current[n], bias[n])
