@@ -145,7 +145,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "adam_beta2": 0.99,
         "decay": "cosine",
         "clip": 1.0,
-        "epochs": 70,
+        "epochs": 100,
         "batches": 600,
         "batch_size": 4,
         "window_s": 5.0,
@@ -185,7 +185,7 @@ PRESETS["robust"] = PRESETS["best"] | {
         align_noise=0.5,
         yaw_free=True,
     ),
-    "epochs": 65,
+    "epochs": 90,
     "augmentation": ROBUST,
 }
 
