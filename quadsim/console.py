@@ -52,7 +52,13 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
                 note="".join(f", {r}" for r in [*remarks, *([note] * bool(note))]),
             )
 
-        yield update
+        try:
+            yield update
+        except Exception:  # refused before anything was done: the line that says why stands alone
+            bar.live.transient = bar.tasks[0].completed == 0
+            if bar.live.transient:
+                bar.remove_task(task)
+            raise
 
 
 @contextmanager

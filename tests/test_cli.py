@@ -239,3 +239,10 @@ def test_ctrl_c_in_a_training_keeps_its_weights_and_exits_as_interrupted(quadsim
     assert "interrupted; what was finished is kept" in err
     assert "best.safetensors" in out
     assert (tmp_path / "run" / "best.safetensors").is_file()
+
+
+def test_what_is_refused_before_any_work_leaves_one_line_and_no_bar(quadsim):
+    code, out, err = quadsim("train", "--model", "att-snn", "--data", "nowhere", "--out", "run")
+    assert (code, out) == (2, "")
+    assert err.strip().startswith("quadsim: nowhere")
+    assert len(err.strip().splitlines()) == 1
