@@ -14,6 +14,7 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -43,11 +44,12 @@ HERE = Path(__file__).parent
 KEPT = HERE / "training"
 FILTERS = ("complementary", "madgwick", "ekf", "mahony", "vqf", "eskf", "ekf-drag")
 DRAWS = 8
+STARTERS = ("att-snn", "att-snn, skip connection alone", "ekf-drag", "eskf", "vqf", "mahony", "complementary")
 LINEAR, IN_AXES = "best linear filter", "best linear filter, as the network's inputs"
 BANDS_HZ = (0.1, 1.0)
 KFOLD = "--preset best --set encoding=100 --set hidden=100 --set parameters=0 --set revive=0.6 --epochs 2"
 """What Table 1 was made with."""
-FOLDS = {"kfold": "as the preset", "kfold-no-lead": "no lead"}
+FOLDS = {"kfold": "as the preset", "kfold-no-lead": "neither lead nor alignment"}
 """Its runs: folders in runs/, and what the page calls them."""
 
 Array = NDArray[np.float64]
@@ -103,6 +105,26 @@ def many_starts(flights: Flights) -> Flights:
         np.concatenate([getattr(draw, name) for draw in found]) for name in ("gyro", "accel", "quat", "truth")
     )
     return Flights(gyro, accel, quat, truth, flights.rate_hz)
+
+
+def draw_starts(estimators: dict[str, AttitudeEstimator], pieces: Flights) -> None:
+    """The median inclination error over the starts against time: writes docs/img/start.png."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    time = np.arange(1, pieces.gyro.shape[1] + 1) / pieces.rate_hz
+    for name in STARTERS:
+        error = np.median(inclination_error(estimate_of(estimators[name], pieces), pieces.truth), axis=0)
+        mine = name.startswith("att-")
+        axes.plot(
+            time, error, label=name, linewidth=2.4 if mine else 1.2, linestyle=":" if "alone" in name else "-"
+        )
+    axes.axhline(2.0, color="black", linewidth=0.8, linestyle=":")
+    axes.set(
+        xlim=(0, 5), ylim=(0, 20), xlabel="time since the start [s]", ylabel="inclination error, median [°]"
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(HERE / "img" / "start.png", dpi=110)
 
 
 def estimate_of(est: AttitudeEstimator, flights: Flights) -> Array:
@@ -268,6 +290,7 @@ def main() -> None:
     )  # fmt: skip
     pieces = many_starts(flights)
     estimators = made()
+    draw_starts(estimators, pieces)
     train = load_flights([open_dataset(HERE.parent / "data" / "train.zarr")], 24)
     rows, finding = limits(estimators, flights, perfect, train)
     ablation, sizes = kept("ablation"), kept("thinning")
