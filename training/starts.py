@@ -30,7 +30,7 @@ class Ranges:
     hidden_mem: tuple[float, float]
     output_syn: float
     output_mem: float
-    skip_mem: float = 1200.0
+    skip_mem: float = 585.0
 
 
 PAPER_RANGES = Ranges((1.0, 5.0), (1.0, 5.0), (1.0, 5.0), (1.0, 5.0), 2.0, 5.0)
