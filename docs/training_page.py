@@ -49,7 +49,7 @@ LINEAR, IN_AXES = "best linear filter", "best linear filter, as the network's in
 BANDS_HZ = (0.1, 1.0)
 KFOLD = "--preset best --set encoding=100 --set hidden=100 --set parameters=0 --set revive=0.6 --epochs 2"
 """What Table 1 was made with."""
-FOLDS = {"kfold": "as the preset", "kfold-no-lead": "neither lead nor alignment"}
+FOLDS = {"kfold": "as the preset", "kfold-no-lead": "no lead"}
 """Its runs: folders in runs/, and what the page calls them."""
 
 Array = NDArray[np.float64]

@@ -179,13 +179,12 @@ PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(
         bias_samples=20000,
         bias_sd=0.044,
-        lead=4.0,
         align_s=1.0,
         align_drag=0.3,
         align_noise=0.5,
         yaw_free=True,
     ),
-    "epochs": 90,
+    "epochs": 75,
     "augmentation": ROBUST,
 }
 
