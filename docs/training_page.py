@@ -16,6 +16,7 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.signal import lfilter
 
 from estimators import create, names, run
@@ -124,7 +125,9 @@ def draw_starts(estimators: dict[str, AttitudeEstimator], pieces: Flights) -> No
     )
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
-    figure.savefig(HERE / "img" / "start.png", dpi=110)
+    path = HERE / "img" / "start.png"
+    figure.savefig(path, dpi=110)
+    Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=64).save(path, optimize=True)
 
 
 def estimate_of(est: AttitudeEstimator, flights: Flights) -> Array:
