@@ -7,7 +7,8 @@ the other lateral axis. With the turn since the start, that of the gyroscope, θ
     f + k ∫ (f + g ∫ω dt) dt = f(0) − k g θ0 t,
 
 a straight line in the time t. Its slope, by least squares with a tilt of known spread as the prior, tells θ0;
-wind drops out while it is steady. Inertial navigation calls this the initial alignment.
+wind drops out while it is steady, and at rest the slope is gravity's. Inertial navigation calls this the
+initial alignment.
 
 The network is told as by a turn: what θ0 is found to be is added to the turn rates as it is found.
 """

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators.alignment import GRAVITY, KEPT, TILT_MAX, align
@@ -57,6 +57,13 @@ def test_the_tilt_at_the_start_is_found_exactly_in_any_steady_wind(seed, x, y, w
     np.testing.assert_allclose(further, tilt[-1], atol=1e-12)
 
 
+def test_at_rest_it_is_what_gravity_says_whatever_the_drag():
+    forces = np.tile([-GRAVITY * 0.2, GRAVITY * 0.1], (40, 1))
+    for drag in (0.1, 0.4):
+        tilt, _ = found(np.zeros((40, 2)), forces, drag=drag)
+        np.testing.assert_allclose(tilt[5:], np.tile([0.1, 0.2], (35, 1)), atol=2e-5)
+
+
 def test_it_is_the_slope_by_least_squares_with_a_prior():
     rng = np.random.default_rng(0)
     rates, noise = turning(150, 1), 0.3
@@ -82,6 +89,7 @@ def test_noise_is_not_taken_for_a_tilt():
     assert spread[-1] < 0.05
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(*[st.floats(-1e12, 1e12)] * 4), min_size=1, max_size=40),
     st.floats(1e-3, 10),
