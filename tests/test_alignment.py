@@ -49,6 +49,7 @@ def turning(steps, seed):
     return np.cos(2 * np.pi * hz[0] * STEP * np.arange(steps)[:, None, None] + phase).sum(-1) * 0.4
 
 
+@settings(deadline=None)  # the first example waits for the compiler
 @given(st.integers(0, 99), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-10, 10), st.floats(-10, 10))
 def test_the_tilt_at_the_start_is_found_exactly_in_any_steady_wind(seed, x, y, wind_x, wind_y):
     rates = turning(40, seed)
@@ -89,7 +90,7 @@ def test_noise_is_not_taken_for_a_tilt():
     assert spread[-1] < 0.05
 
 
-@settings(deadline=None)
+@settings(deadline=None)  # the first example waits for the compiler
 @given(
     st.lists(st.tuples(*[st.floats(-1e12, 1e12)] * 4), min_size=1, max_size=40),
     st.floats(1e-3, 10),
