@@ -64,7 +64,7 @@ def write_report(
     rows = results.rows if results else []
     context = {
         "title": title,
-        "verdict": verdict(rows, focus) if rows else offline_verdict(offline),
+        "verdict": verdict(rows, focus, pairs) if rows else offline_verdict(offline),
         "rows": rows,
         "metrics": METRICS if rows else (),
         "scenarios": _scenarios(results),

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .cell import Row
+from .pairs import ALL
 
 TRUTH = "truth"
 """The estimator that is fed the truth: the reference, not a candidate."""
@@ -18,6 +19,8 @@ class Verdict(NamedTuple):
     lines: list[str]
     standings: list[dict[str, str]]
     """Estimators from best to worst: estimator, grade ("flies" or "crashes") and text."""
+    doubt: str = ""
+    """Whom the seeds do not tell the best from; empty: nobody."""
 
 
 class Total(NamedTuple):
@@ -35,8 +38,14 @@ class Total(NamedTuple):
         return (not self.flights, self.crashes / max(self.flights, 1), round(self.error, 3))
 
 
-def verdict(rows: Sequence[Row], focus: str = "") -> Verdict:
-    """Rank the estimators of a benchmark and say what came out, the best first, then `focus`."""
+def verdict(rows: Sequence[Row], focus: str = "", pairs: Sequence[Row] = ()) -> Verdict:
+    """Rank the estimators of a benchmark and say what came out, the best first, then `focus`.
+
+    Args:
+        rows: A row for each scenario and estimator.
+        focus: The estimator to speak of besides the best, if it was flown.
+        pairs: Paired differences; with them, whom the seeds do not tell the best from, at 95 %.
+    """
     names = list(dict.fromkeys(str(row["estimator"]) for row in rows))
     totals = {name: total([row for row in rows if row["estimator"] == name]) for name in names}
     ranked = sorted((name for name in names if name != TRUTH), key=lambda name: totals[name].rank)
@@ -51,9 +60,17 @@ def verdict(rows: Sequence[Row], focus: str = "") -> Verdict:
     if truth and truth.attitude > 0:
         ratio = f"{best.attitude / truth.attitude:.2f} × as far from the commanded attitude as on the truth"
         lines.append(f"On it, the vehicle strays {ratio}.")
+    equals = [name for name in flown[1:] if totals[name].crashes == best.crashes]
+    alike = [name for name in equals if _alike(flown[0], name, pairs)]
+    doubt = (
+        f"Its error on the same seeds cannot be told, at 95 %, from that of {_listed(alike)}."
+        if alike
+        else ""
+    )
+    lines += [doubt] * bool(doubt)
     if focus in flown[1:]:
         lines.append(_sentence(focus, totals[focus], truth))
-    return Verdict(_headline(flown[0], best), lines, standings)
+    return Verdict(_headline(flown[0], best), lines, standings, doubt)
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
@@ -93,6 +110,20 @@ def _headline(name: str, best: Total) -> str:
             f"with an error of {best.error:.2f}°."
         )
     return f"Fly {name}: no crash in {best.flights} flights, and the smallest error, {best.error:.2f}°."
+
+
+def _alike(best: str, other: str, pairs: Sequence[Row]) -> bool:
+    """Whether the interval of two estimators' difference in error over all scenarios has 0 in it."""
+    for row in pairs:
+        of = {row["estimator"], row["versus"]}
+        if (row["scenario"], row["metric"]) == (ALL, "error_deg") and of == {best, other}:
+            low, high = row["low"], row["high"]
+            return low is not None and high is not None and float(low) <= 0 <= float(high)
+    return False
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def _sentence(name: str, each: Total, truth: Total | None) -> str:

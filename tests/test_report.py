@@ -115,6 +115,21 @@ def test_where_all_crash_the_verdict_says_so():
     }
 
 
+def test_verdict_says_whom_the_seeds_do_not_tell_the_best_from():
+    rows = [row("a", name, error=error) for name, error in (("x", 1.0), ("y", 1.1), ("z", 1.1), ("w", 1.2))]
+    offset = {"x": 1.0, "y": 1.1, "z": 1.1, "w": 1.2}
+    noise = {"x": (0, 0, 0, 0), "y": (0.3, -0.3, 0.3, -0.3), "z": (0.01, -0.01, 0, 0), "w": (0.4, -0.4, 0, 0)}
+    flights = [
+        flight(seed, "a", name, error=offset[name] + noise[name][seed])
+        for name in offset
+        for seed in range(4)
+    ]
+    result = verdict(rows, pairs=paired_differences(flights))
+    assert result.doubt == "Its error on the same seeds cannot be told, at 95 %, from that of y and w."
+    assert result.lines == [result.doubt]
+    assert verdict(rows).doubt == ""
+
+
 def test_verdict_speaks_of_the_estimator_in_focus_and_compares_with_the_truth():
     rows = [row("a", "truth", error=0.5), row("a", "x", error=1.0), row("a", "y", crashes=1, error=2.0)]
     lines = verdict(rows, focus="y").lines

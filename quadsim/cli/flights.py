@@ -191,7 +191,7 @@ def bench(
         console.print(breaking_table(points))
     if note:
         console.print(note, soft_wrap=True)
-    console.print(headline(page, results.rows), soft_wrap=True)
+    console.print(headline(page, results), soft_wrap=True)
     if all(cell.reason for cell in results.cells):
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
 
@@ -207,7 +207,7 @@ def report(
 
     results = load_results(folder)
     points = [each for each in load_points(folder) if each.estimator in results.settings.estimators]
-    console.print(headline(publish(folder, results, points, out).report, results.rows), soft_wrap=True)
+    console.print(headline(publish(folder, results, points, out).report, results), soft_wrap=True)
 
 
 def demo(
@@ -226,4 +226,4 @@ def demo(
     console.print(closed_loop_table(done.results))
     if done.note:
         console.print(done.note, soft_wrap=True)
-    console.print(headline(done.report, done.results.rows), soft_wrap=True)
+    console.print(headline(done.report, done.results), soft_wrap=True)

@@ -1,11 +1,16 @@
 """Options that several verbs share, and how their values are read and said."""
 
+from __future__ import annotations
+
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+if TYPE_CHECKING:
+    from scenarios.runner import Results
 
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
@@ -23,11 +28,13 @@ Fields = Annotated[
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
 
 
-def headline(path: Path, rows: Sequence[dict[str, Any]]) -> str:
+def headline(path: Path, results: Results) -> str:
     """Where the report is, and what its verdict says."""
+    from scenarios.pairs import paired_differences
     from scenarios.verdict import verdict
 
-    return f"{path}: {verdict(rows).headline}"
+    found = verdict(results.rows, pairs=paired_differences(results.flights))
+    return f"{path}: {found.headline}\n{found.doubt}".rstrip()
 
 
 def time_left(seconds: float, done: int, total: int) -> str:
