@@ -11,6 +11,7 @@ from quadsim.dataset import generate
 from quadsim.recipe import flight_config, load_recipe
 
 from .offline import Row, offline_errors
+from .pairs import paired_differences
 from .picture import cover
 from .report import write_report
 from .runner import Progress, Results, bench, write_csv
@@ -83,12 +84,15 @@ def demo(
     offline = offline_errors(dataset, names)
     write_csv(out / "recorded.csv", offline)
     still, note = cover(results.cells)
+    pairs = paired_differences(results.flights)
+    write_csv(out / "pairs.csv", pairs)
     report = write_report(
         out / "report.html",
         results,
         offline=offline,
         offline_caption=RECORDED.format(flights=flights, duration_s=duration_s),
         still=still,
-        csv=["results.csv", "flights.csv", "recorded.csv"],
+        csv=["results.csv", "flights.csv", "pairs.csv", "recorded.csv"],
+        pairs=pairs,
     )
     return Demo(report, results, offline, note)
