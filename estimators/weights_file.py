@@ -13,7 +13,7 @@ from pydantic import Field, JsonValue, PositiveFloat, PositiveInt, ValidationErr
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from quadsim.config import Strict
+from quadsim.config import Strict, describe
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
@@ -154,9 +154,8 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
     try:
         config = NetworkConfig.model_validate_json(metadata["config"])
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"{path}: configuration in the metadata: {where}: {first['msg']}") from error
+        wrong = describe(error, NetworkConfig)
+        raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error
     if config.model == "att-snn" and "w_in" in tensors:  # files of before there was a skip connection
         tensors.setdefault("w_skip", np.zeros((2, 6), tensors["w_in"].dtype))
         tensors.setdefault("mem_skip", np.ones(1, tensors["w_in"].dtype))

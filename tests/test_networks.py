@@ -1,3 +1,4 @@
+import json
 import subprocess
 import sys
 
@@ -335,3 +336,14 @@ def test_robust_weights_suffer_less_from_a_bias_of_four_degrees_a_second(tmp_pat
         est.reset(2)
         errors[name] = inclination_rmse(est.sequence(gyro + bias, accel), truth).mean
     assert errors["att-snn-robust"] < 0.9 * errors["att-snn-loihi"], errors
+
+
+def test_weights_of_another_version_name_the_setting_that_is_not_known(tmp_path):
+    config, tensors = shipped_network("att-snn")
+    about = config.model_dump(mode="json")
+    about["inputs"]["align_second"] = 1.0
+    save_file(tensors, tmp_path / "w.safetensors", metadata={"config": json.dumps(about)})
+    with pytest.raises(
+        ValueError, match=r'another version of quadsim: unknown key "inputs.align_second"; did'
+    ):
+        load_network(tmp_path / "w.safetensors")
