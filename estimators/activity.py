@@ -8,8 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .encoder import encode_sample
 from .loihi import step_arrays
-from .networks import OnLoihi, _drive, _encode_sample, read_out
+from .networks import OnLoihi, _drive, read_out
 from .tilt import to_roll_pitch
 
 Array = NDArray[np.float64]
@@ -100,7 +101,7 @@ def _record(
     first_output = v.shape[1] - out.shape[2] - w_skip.shape[0]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
+            heading[n, t] = encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
         for k in range(steps):
             for n in range(gyro.shape[0]):
                 _drive(held[n], w_in, du, w_skip, current[n], bias[n])

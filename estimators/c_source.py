@@ -9,9 +9,9 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
-from . import alignment, gyro_bias
+from . import alignment
+from .encoder import INPUT_MAX, LEAD_CLIP, input_scaling
 from .loihi import DECAY_ONE, STATE_ONE
-from .networks import INPUT_MAX, LEAD_CLIP, input_scaling
 from .weights_file import NetworkConfig, Tensors, parameters
 
 
@@ -44,7 +44,6 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "input_max": INPUT_MAX,
         "offset": _braces(offset),
         "gain": _braces(gain),
-        "bias_samples": f"{config.inputs.bias_samples}.0",
         "bias_sd": repr(config.inputs.bias_sd),
         "lead": repr(config.inputs.lead),
         "lead_fast": f"{config.inputs.lead_samples[0]}.0",
@@ -55,16 +54,7 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "align_noise": repr(config.inputs.align_noise),
         "step": repr(1.0 / config.rate_hz),
         "yaw_free": int(config.inputs.yaw_free),
-        "bias_kept": gyro_bias.KEPT,
-        "align_kept": alignment.KEPT,
-        "gravity": repr(alignment.GRAVITY),
-        "force_max": repr(alignment.FORCE_MAX),
-        "tilt_max": repr(alignment.TILT_MAX),
-        "rate_max": repr(gyro_bias.RATE_MAX),
-        "bias_max": repr(gyro_bias.BIAS_MAX),
-        "correlated_s": repr(gyro_bias.CORRELATED_S),
-        "expected_s": repr(gyro_bias.EXPECTED_S),
-        "tilt_variance": repr(gyro_bias.TILT_VARIANCE),
+        **{name.lower(): repr(value) for name, value in vars(alignment).items() if name.isupper()},
         **arrays,
     }
     folder = files("assets") / "c99"

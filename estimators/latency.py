@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .networks import HELD, real_weights, scaled_inputs
+from .encoder import HELD, scaled_inputs
+from .networks import real_weights
 from .protocol import create, names
 from .tilt import to_roll_pitch
 from .weights_file import shipped_network

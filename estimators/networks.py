@@ -13,33 +13,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from .alignment import GRAVITY, align
-from .alignment import KEPT as ALIGNMENT_KEPT
+from .alignment import GRAVITY, LEAN
 from .chip import partition
 from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
+from .encoder import ALIGNMENT, HELD, encode_sample, encoded, encoder_of, outputs_at
 from .gru import run_gru
-from .gyro_bias import KEPT as BIAS_KEPT
-from .gyro_bias import follow_bias
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
-from .tilt import tilt_of, to_roll_pitch, yawed
-from .weights_file import InputScaling, NetworkConfig, Tensors, load_network, shipped_network
+from .tilt import tilt_of, to_roll_pitch
+from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
 States = tuple[NDArray[np.generic], ...]
-Triple = tuple[float, float, float]
-Encoding = tuple[Array, Array, tuple[float, float], Triple, Triple, tuple[float, bool]]
 
-INPUT_ONE = 1024
-"""Integer input of the network for a scaled reading of 1.0."""
-INPUT_MAX = 32767
-HEADING, BIAS = 12, 14
-ALIGNMENT = BIAS + BIAS_KEPT
-HELD = ALIGNMENT + ALIGNMENT_KEPT
-"""What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
-fast one and the slow one of both; at `HEADING` its cosine and sine; at `BIAS` what `follow_bias` keeps, at
-`ALIGNMENT` what `align` keeps, first the time since the start."""
-LEAD_CLIP = 5.0
-"""How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 SETTLE_S, TURN_S = 3.0, 0.15
 """A network that is told its attitude first sees a level hover for this long, and then a turn into it [s]."""
 
@@ -147,6 +132,9 @@ class NetworkEstimator:
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
             states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept
             states[0][:, ALIGNMENT] = np.inf  # the start is over
+            level = np.broadcast_to([1.0, 0.0], (n, 2))
+            about_x, about_y = tilt_of(known, level).T
+            states[0][:, ALIGNMENT + LEAN : ALIGNMENT + LEAN + 2] = np.stack([about_y, -about_x], -1)
             self.core.place(states, known)
         return states
 
@@ -171,7 +159,7 @@ class Spiking:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, state, spikes = states
-        x, heading = _encoded(self._encoding, gyro, accel, held)
+        x, heading = encoded(self._encoding, gyro, accel, held)
         run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
         out *= self._scale
         if self._inputs.yaw_free:
@@ -266,7 +254,7 @@ class Recurrent:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         held, h0, h1 = states
-        x, heading = _encoded(self._encoding, gyro, accel, held)
+        x, heading = encoded(self._encoding, gyro, accel, held)
         run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
         if self._inputs.yaw_free:
@@ -274,67 +262,6 @@ class Recurrent:
 
     def place(self, states: States, roll_pitch: Array) -> None:
         """Nothing to do: the output is a function of the units alone."""
-
-
-def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
-    """Offset and gain (6,) of the readings: integer input = round((reading - offset) gain)."""
-    offset = np.array([0.0, 0.0, 0.0, *inputs.accel_offset])
-    return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
-
-
-def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
-    """What `encode` needs.
-
-    Returns:
-        Offset and gain, memory and spread of the gyroscope's bias, the lead with its two memories, the
-        alignment's time, drag and noise, and the time between samples with whether axes do not yaw.
-    """
-    fast, slow = inputs.lead_samples
-    bias = float(inputs.bias_samples), inputs.bias_sd
-    lead = inputs.lead, float(fast), float(slow)
-    start = inputs.align_s, inputs.align_drag, inputs.align_noise
-    return *input_scaling(inputs), bias, lead, start, (1.0 / rate_hz, inputs.yaw_free)
-
-
-def scaled_inputs(
-    inputs: InputScaling,
-    rate_hz: float,
-    gyro: ArrayLike,
-    accel: ArrayLike,
-    held: NDArray[np.generic] | None = None,
-) -> tuple[Array, Array]:
-    """Inputs of the network.
-
-    Args:
-        inputs: How they are scaled.
-        rate_hz: Samples per second.
-        gyro: Body rate (n, T, 3) [rad/s].
-        accel: Specific force (n, T, 3) [m/s²].
-        held: What the encoder keeps (n, HELD), changed in place, to go on from the window before; None: anew.
-
-    Returns:
-        The inputs (n, T, 6) in steps of 1/1024, and the heading's cosine and sine (n, T, 2); in
-        body axes they are 1 and 0.
-    """
-    gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-    held = np.zeros((len(gyro), HELD)) if held is None else held
-    return _encoded(encoder_of(inputs, rate_hz), gyro, accel, held)
-
-
-def _encoded(encoding: Encoding, gyro: Array, accel: Array, held: NDArray[np.generic]) -> tuple[Array, Array]:
-    x, heading = np.empty((*gyro.shape[:2], 6)), np.empty((*gyro.shape[:2], 2))
-    encode(gyro, accel, encoding, held, x, heading)
-    x /= INPUT_ONE
-    return x, heading
-
-
-def outputs_at(
-    inputs: InputScaling, roll_pitch: NDArray[np.floating], heading: Array | None = None
-) -> NDArray[np.floating]:
-    """What the outputs should say at roll and pitch (..., 2) [rad]; the heading (..., 2) of None is zero."""
-    if not inputs.yaw_free:
-        return roll_pitch
-    return tilt_of(roll_pitch, np.array([1.0, 0.0]) if heading is None else heading)
 
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], list[Array]]:
@@ -365,75 +292,6 @@ def _turn_into(roll_pitch: Array, rate_hz: float) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _led(k, force, lead, held):
-    """A lateral force with its change brought out, in the band between two low-passes that begin as means."""
-    if lead[0] == 0.0:
-        return force
-    if held[7] == 0.0:
-        held[8 + k] = held[10 + k] = force
-    seen = held[7] + 1.0
-    held[8 + k] += min(max(force - held[8 + k], -LEAD_CLIP), LEAD_CLIP) / min(seen, lead[1])
-    held[10 + k] += (held[8 + k] - held[10 + k]) / min(seen, lead[2])
-    return force + lead[0] * (held[8 + k] - held[10 + k])
-
-
-@njit(cache=True)
-def _scaled(value, gain):
-    return min(max(np.rint(value * gain), -INPUT_MAX), INPUT_MAX)
-
-
-@njit(cache=True)
-def _encode_sample(gyro, accel, encoding, held):
-    """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
-    offset, gain, (memory, spread), lead, (align_s, drag, noise), (step, yaw_free) = encoding
-    rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
-    force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
-    force_found = np.isfinite(force) and force > 0.0
-    if held[HEADING] == 0.0 and held[HEADING + 1] == 0.0:  # nothing has been seen yet
-        held[HEADING] = 1.0
-    if rate_found and (yaw_free or memory > 0.0):
-        held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], gyro[2], step)
-    cosine, sine = (held[HEADING], held[HEADING + 1]) if yaw_free else (1.0, 0.0)
-    rate_x = rate_y = force_x = force_y = 0.0
-    if rate_found:
-        if memory > 0.0:
-            follow_bias(gyro, held[HEADING], held[HEADING + 1], step, memory, spread, held[BIAS:ALIGNMENT])
-        x, y = gyro[0] - held[ALIGNMENT - 2] - offset[0], gyro[1] - held[ALIGNMENT - 1] - offset[1]
-        rate_x, rate_y = cosine * x - sine * y, cosine * y + sine * x
-    if force_found:
-        x, y = accel[0] - offset[3], accel[1] - offset[4]
-        force_x, force_y = cosine * x - sine * y, cosine * y + sine * x
-    if held[ALIGNMENT] < align_s:
-        if rate_found and force_found:
-            x, y = align(rate_x, rate_y, force_x, force_y, step, drag, noise, held[ALIGNMENT:])
-            rate_x += x / step
-            rate_y += y / step
-        held[ALIGNMENT] += step
-    if rate_found:
-        held[0] = _scaled(rate_x, gain[0])
-        held[1] = _scaled(rate_y, gain[1])
-        held[2] = _scaled(gyro[2] - offset[2], gain[2])
-    if force_found:
-        held[3] = _scaled(_led(0, force_x, lead, held), gain[3])
-        held[4] = _scaled(_led(1, force_y, lead, held), gain[4])
-        held[5] = _scaled(accel[2] - offset[5], gain[5])
-        held[7] += 1.0
-    if not (rate_found and force_found):
-        held[6] += 1.0
-    return cosine, sine
-
-
-@njit(cache=True)
-def encode(gyro, accel, encoding, held, x, heading):
-    """Integer inputs x (n, T, 6), heading (n, T, 2) of readings (n, T, 3) twice; `held` (n, HELD) goes on."""
-    for n in range(gyro.shape[0]):
-        for t in range(gyro.shape[1]):
-            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
-            for k in range(6):
-                x[n, t, k] = held[n, k]
-
-
-@njit(cache=True)
 def _run_on_loihi(
     gyro, accel, encoding, w_in, du, w_skip, steps, scale, states, parameters, heading, out
 ):  # fmt: skip
@@ -442,7 +300,7 @@ def _run_on_loihi(
     first_output = v.shape[1] - n_outputs - w_skip.shape[0]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            heading[n, t] = _encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
+            heading[n, t] = encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
         for _ in range(steps):
             for n in range(gyro.shape[0]):
                 _drive(held[n], w_in, du, w_skip, current[n], bias[n])

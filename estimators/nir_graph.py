@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .dynamics import BIAS_EXP, THRESHOLD
-from .networks import input_scaling, real_weights
+from .encoder import input_scaling
+from .networks import real_weights
 from .weights_file import NetworkConfig, Tensors
 
 LAYERS = {"encoding": ("syn0", "mem0"), "hidden": ("syn1", "mem1"), "output": ("syn2", "mem2")}
@@ -100,7 +101,6 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "steps_per_sample": config.steps_per_sample,
         "input_offset": offset,
         "input_gain_1024": gain,
-        "input_bias_samples": config.inputs.bias_samples,
         "input_bias_sd": config.inputs.bias_sd,
         "input_lead": config.inputs.lead,
         "input_lead_samples": config.inputs.lead_samples,

@@ -9,7 +9,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from .networks import INPUT_MAX, INPUT_ONE, input_scaling
+from .encoder import INPUT_MAX, INPUT_ONE, input_scaling
 from .weights_file import NetworkConfig, Tensors
 
 OPSET = 17
@@ -26,8 +26,8 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
     """
     if config.model != "att-rnn":
         raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
-    if config.inputs.bias_samples:
-        raise ValueError("ONNX does not estimate the gyroscope's bias: these weights need it (bias_samples)")
+    if config.inputs.bias_sd:
+        raise ValueError("ONNX does not estimate the gyroscope's bias: these weights need it (bias_sd)")
     if config.inputs.lead:
         raise ValueError("ONNX has no low-pass: these weights need that of the lateral force (lead)")
     if config.inputs.yaw_free:

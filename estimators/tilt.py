@@ -18,9 +18,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .gyro_bias import RATE_MAX
-
 Array = NDArray[np.float64]
+
+RATE_MAX = 40.0
+"""Rate beyond which a reading counts no further [rad/s]."""
 
 
 @njit(cache=True)

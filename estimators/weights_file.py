@@ -28,20 +28,18 @@ class InputScaling(Strict):
     """Specific force, less the offset, of an input of 1.0 [m/s²]."""
     accel_offset: tuple[float, float, float] = (0.0, 0.0, 9.81)
     """Specific force of an input of 0 [m/s²]."""
-    bias_samples: int = Field(default=0, ge=0)
-    """Memory of the gyroscope's bias, found by `estimators.gyro_bias` and taken off [samples]; 0: none is."""
-    bias_sd: float = Field(default=0.0088, gt=0)
-    """Spread of that bias, of each axis [rad/s]."""
+    bias_sd: float = Field(default=0.0, ge=0)
+    """Spread of the gyroscope's bias, of each axis; `estimators.alignment` finds it [rad/s]; 0: none is."""
     lead: float = Field(default=0.0, ge=0)
     """Times that the change of a lateral force, its fast low-pass less its slow one, is added to it."""
     lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)
     """Memories of those two [samples]."""
     align_s: float = Field(default=0.0, ge=0)
-    """Time for which `estimators.alignment` looks for an unknown attitude at the start [s]; 0: none."""
+    """Time for which it tells what it finds out about the attitude at the start [s]; 0: nothing."""
     align_drag: float = Field(default=0.2, gt=0)
-    """What drag takes from a lateral speed, for that [1/s]."""
-    align_noise: float = Field(default=0.25, gt=0)
-    """Standard deviation of a lateral force's reading, for that [m/s²]."""
+    """What drag takes from a lateral speed, for both [1/s]."""
+    align_noise: float = Field(default=0.015, gt=0)
+    """Noise density of a lateral force's reading, for both [m/s²·√s]."""
     yaw_free: bool = False
     """Whether lateral readings are turned into axes that do not yaw with the body, where the outputs are a
     tilt (`estimators.tilt`); otherwise all are of the body, and the outputs are roll and pitch."""

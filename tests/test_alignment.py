@@ -1,161 +1,235 @@
-"""The tilt at an unknown start, from how the drag changes."""
+"""The tilt at an unknown start and the gyroscope's bias, from drag and from rests."""
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators.alignment import GRAVITY, KEPT, TILT_MAX, align
-from estimators.gyro_bias import TILT_VARIANCE
-from estimators.networks import (
-    ALIGNMENT,
-    HELD,
-    INPUT_ONE,
-    NetworkEstimator,
-    Spiking,
-    scaled_inputs,
+from estimators.alignment import (
+    BIAS,
+    BIAS_MAX,
+    BIAS_WALK,
+    BREEZE,
+    GRAVITY,
+    GUST,
+    KEPT,
+    LEAN,
+    LEAN_MAX,
+    LEAN_SD,
+    MEAN_S,
+    REMEMBERED_S,
+    REST_NOISE,
+    REST_S,
+    TURN_NOISE,
+    UPRIGHT_S,
+    follow,
 )
+from estimators.encoder import ALIGNMENT, HELD, INPUT_ONE, scaled_inputs
+from estimators.networks import NetworkEstimator, Spiking
 from estimators.weights_file import InputScaling, shipped_network
 
-STEP, DRAG = 0.005, 0.25
+STEP, DRAG, SPREAD = 0.005, 0.25, 0.05
 
 
-def found(rates, forces, noise=1e-6, drag=DRAG):
-    """The tilt at the start (T, 2) believed after each reading of (T, 2), and the sum of what is returned."""
-    kept = np.zeros(KEPT)
-    out, further = np.empty((len(rates), 2)), np.zeros(2)
-    for t, (rate, force) in enumerate(zip(rates, forces, strict=True)):
-        further += align(*rate, *force, STEP, drag, noise, kept)
+def found(gyro, accel, heading=None, align_s=0.0, noise=0.01, drag=DRAG):
+    """What is kept (T, KEPT) after each of the readings (T, 3) twice, and the turns that are told (T, 2)."""
+    kept, out, told = np.zeros(KEPT), np.empty((len(gyro), KEPT)), np.empty((len(gyro), 2))
+    heading = np.zeros(len(gyro)) if heading is None else heading
+    for t, (rates, forces, angle) in enumerate(zip(gyro, accel, heading, strict=True)):
+        told[t] = follow(
+            rates, forces, np.cos(angle), np.sin(angle), STEP, align_s, drag, noise, SPREAD, kept
+        )
         kept[0] += STEP
-        out[t] = kept[-2:]
-    return out, further
+        out[t] = kept
+    return out, told
 
 
-def flown(start, rates, wind=(0.0, 0.0)):
-    """Lateral forces (T, 2) of a vehicle that drag slows, from its tilt (2,) at the start and turn (T, 2)."""
-    velocity, turned, forces = np.zeros(2), np.zeros(2), np.empty_like(rates)
-    for t, rate in enumerate(rates):
-        turned += STEP * rate
-        x, y = np.asarray(start) + turned
-        forces[t] = -DRAG * (velocity - wind)
-        velocity += STEP * (forces[t] + GRAVITY * np.array([y, -x]))
-    return forces
+def tilt_of(kept):
+    """Tilt about x and y [rad]."""
+    return np.stack([-kept[..., LEAN + 1], kept[..., LEAN]], -1)
 
 
-def turning(steps, seed):
-    """Rates (T, 2) of a tilt that wanders by a few tenths."""
+def flight(steps, seed=0, start=(0.0, 0.0), bias=(0.0, 0.0), wind=(0.0, 0.0), yaw=0.0, gust=0.0):
+    """A vehicle that drag slows, whose tilt wanders: readings (T, 3) twice, heading (T,), tilt (T, 2)."""
     rng = np.random.default_rng(seed)
     hz, phase = rng.uniform(0.1, 1.0, (2, 2, 3)), rng.uniform(0, 2 * np.pi, (2, 3))
-    return np.cos(2 * np.pi * hz[0] * STEP * np.arange(steps)[:, None, None] + phase).sum(-1) * 0.4
+    turning = 0.3 * np.cos(2 * np.pi * hz[0] * STEP * np.arange(steps)[:, None, None] + phase).sum(-1)
+    turning[0] = 0.0
+    tilt = np.asarray(start) + STEP * np.cumsum(turning, axis=0)
+    heading = yaw * STEP * np.arange(steps)
+    blows = gust * np.sqrt(STEP) * rng.standard_normal((steps, 2))
+    force = np.empty((steps, 2))
+    force[0] = DRAG * np.asarray(wind)
+    for t in range(1, steps):
+        change = -DRAG * STEP * (force[t - 1] + GRAVITY * tilt[t - 1, ::-1] * (1, -1))
+        force[t] = force[t - 1] + change + blows[t]
+    turn = np.exp(-1j * heading)
+    rate, lateral = (turn * (a[:, 0] + 1j * a[:, 1]) for a in (turning, force))
+    gyro = np.stack([rate.real + bias[0], rate.imag + bias[1], np.full(steps, yaw)], -1)
+    return gyro, np.stack([lateral.real, lateral.imag, np.full(steps, GRAVITY)], -1), heading, tilt
 
 
 @settings(deadline=None)  # the first example waits for the compiler
 @given(st.integers(0, 99), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-10, 10), st.floats(-10, 10))
-def test_the_tilt_at_the_start_is_found_exactly_in_any_steady_wind(seed, x, y, wind_x, wind_y):
-    rates = turning(40, seed)
-    tilt, further = found(rates, flown((x, y), rates, (wind_x, wind_y)))
-    np.testing.assert_allclose(tilt[5:], np.broadcast_to([x, y], (35, 2)), atol=2e-5)
-    np.testing.assert_allclose(further, tilt[-1], atol=1e-12)
+def test_most_of_a_tilt_at_the_start_is_found_in_a_second_in_any_steady_wind(seed, x, y, wind_x, wind_y):
+    gyro, accel, heading, tilt = flight(200, seed, (x, y), wind=(wind_x, wind_y))
+    kept, _ = found(gyro, accel, heading, noise=1e-4)
+    off = np.abs(tilt_of(kept) - tilt).max(1)
+    assert off[-1] < 0.03 + 0.25 * np.hypot(x, y)
 
 
-def test_at_rest_it_is_what_gravity_says_whatever_the_drag():
-    forces = np.tile([-GRAVITY * 0.2, GRAVITY * 0.1], (40, 1))
-    for drag in (0.1, 0.4):
-        tilt, _ = found(np.zeros((40, 2)), forces, drag=drag)
-        np.testing.assert_allclose(tilt[5:], np.tile([0.1, 0.2], (35, 1)), atol=2e-5)
+@settings(deadline=None)
+@given(st.integers(0, 99), st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-1, 1))
+def test_a_bias_is_found_in_calm_flight_within_seconds(seed, x, y, yaw):
+    gyro, accel, heading, _ = flight(2400, seed, (0.1, -0.1), (x, y), yaw=yaw)
+    kept, _ = found(gyro, accel, heading)
+    off = np.abs(kept[:, BIAS : BIAS + 2] - [x, y]).max(1)
+    assert off[1200:].max() < np.radians(2.5)
+    assert off[2399] < np.radians(1.7)
 
 
-def test_it_is_the_slope_by_least_squares_with_a_prior():
-    rng = np.random.default_rng(0)
-    rates, noise = turning(150, 1), 0.3
-    forces = flown((0.2, -0.1), rates) + rng.normal(0, noise, (150, 2))
-    turned = STEP * np.cumsum(rates, axis=0)
-    drive = forces + GRAVITY * turned[:, ::-1] * [1, -1]
-    left = forces + DRAG * STEP * (np.cumsum(drive, axis=0) - drive)
-    time = STEP * np.arange(150)
-    prior = [noise / TILT_VARIANCE**0.5, 0.0]
-    design = np.vstack([np.stack([-DRAG * GRAVITY * time, np.ones(150)], -1), prior])
-    about_y, minus_x = np.linalg.lstsq(design, np.vstack([left, [0, 0]]), rcond=None)[0][0]
-    np.testing.assert_allclose(found(rates, forces, noise)[0][-1], [-minus_x, about_y], rtol=1e-9)
+def test_it_is_filterpys_kalman_filter_of_both_axes():
+    gyro, accel, heading, _ = flight(800, 3, (0.2, -0.1), (0.03, -0.05), (3.0, 1.0), yaw=0.7, gust=0.2)
+    rest = np.array([[0.03, -0.05, 0.0]]), np.array([[0.2, 0.1, GRAVITY]])
+    gyro, accel = (
+        np.concatenate([np.repeat(a, 400, 0), b]) for a, b in zip(rest, (gyro, accel), strict=True)
+    )
+    heading = np.concatenate([np.zeros(400), heading])
+    kept, _ = found(gyro, accel, heading)
+    assert (kept[:400, 2] >= REST_S).any()
+    theirs = KalmanFilter(dim_x=6, dim_z=2)  # force, lean, bias; x and y each
+    theirs.x[:2, 0] = accel[0, :2]  # the heading is 0
+    theirs.P = np.diag(np.repeat([0.01 / STEP**0.5, LEAN_SD, SPREAD], 2) ** 2)
+    gust, mean = BREEZE**2, np.zeros((2, 1))
+    one = np.eye(2)
+    for t in range(1200):
+        c, s = np.cos(heading[t]), np.sin(heading[t])
+        turn = STEP * np.array([[-s, -c], [c, -s]])  # times i r
+        F = np.eye(6)
+        F[0:2, 0:2], F[0:2, 2:4] = (1 - DRAG * STEP) * one, -DRAG * GRAVITY * STEP * one
+        F[2:4, 4:6] = turn
+        noise = np.repeat([gust, TURN_NOISE**2, BIAS_WALK**2], 2) * STEP
+        B = np.vstack([np.zeros((2, 2)), -turn, np.zeros((2, 2))])
+        theirs.predict(u=gyro[t, :2, None], B=B, F=F, Q=np.diag(noise))
+        force = np.array([[c, -s], [s, c]]) @ accel[t, :2]
+        theirs.update(force[:, None], R=0.01**2 / STEP * one, H=np.eye(6)[0:2])
+        theirs.update(mean, R=LEAN_SD**2 * UPRIGHT_S / STEP * one, H=np.eye(6)[2:4])
+        mean = mean + STEP / min(UPRIGHT_S + (t + 1) * STEP, MEAN_S) * (theirs.x[2:4] - mean)
+        if kept[t, 2] >= REST_S:
+            theirs.update(gyro[t, :2, None], R=REST_NOISE**2 / STEP * one, H=np.eye(6)[4:6])
+        np.testing.assert_allclose(kept[t, 3:9], np.ravel(theirs.x), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(np.repeat(kept[t, 9:12], 2), np.diag(theirs.P), rtol=1e-6)
+        gust = kept[t, GUST]
 
 
-def test_noise_is_not_taken_for_a_tilt():
-    rng = np.random.default_rng(0)
-    tilts = [
-        found(np.zeros((200, 2)), rng.normal(0, 0.25, (200, 2)), noise=0.25, drag=0.2)[0] for _ in range(20)
-    ]
-    spread = np.std(tilts, axis=(0, 2))
-    assert spread.max() < TILT_VARIANCE**0.5  # never worse than to believe nothing
-    assert spread[[0, 10]].max() < 0.03
-    assert spread[-1] < 0.05
+def test_at_rest_bias_and_tilt_are_found_whatever_the_drag():
+    bias = np.radians([4.1, -1.2, -1.6])
+    gyro, accel = np.tile(bias, (1600, 1)), np.tile([-GRAVITY * 0.2, GRAVITY * 0.1, GRAVITY], (1600, 1))
+    for drag in (0.2, 0.4):
+        kept, _ = found(gyro, accel, drag=drag)
+        np.testing.assert_allclose(kept[300:, BIAS : BIAS + 2], np.tile(bias[:2], (1300, 1)), atol=0.004)
+        np.testing.assert_allclose(tilt_of(kept)[-1], [0.1, 0.2], atol=0.02)
 
 
-@settings(deadline=None)  # the first example waits for the compiler
+def test_a_hover_is_no_rest():
+    gyro, accel, heading, _ = flight(2000, 1)
+    kept, _ = found(0.1 * gyro, accel, heading)
+    assert (kept[:, 2] < REST_S).all()
+
+
+def test_a_bias_that_has_changed_is_learnt_anew():
+    gyro, accel, heading, _ = flight(30000, 2, gust=0.1)
+    gyro[10000:, 0] += 0.05
+    kept, _ = found(gyro, accel, heading)
+    assert abs(kept[9999, BIAS]) < 0.005
+    assert abs(kept[-1, BIAS] - 0.05) < 0.01
+    assert kept[-1, GUST] < 2 * kept[9999, GUST]  # and is no gust
+
+
+@pytest.mark.parametrize("gust", [0.4, 0.8])
+def test_the_random_walk_of_the_force_is_learnt_and_not_taken_for_less(gust):
+    walks = [found(*flight(8000, seed, gust=gust)[:3])[0][2000:, GUST] for seed in range(6)]
+    assert gust < np.sqrt(np.mean(walks)) < 2 * gust
+
+
+@settings(deadline=None)
 @given(
-    st.lists(st.tuples(*[st.floats(-1e12, 1e12)] * 4), min_size=1, max_size=40),
+    st.lists(st.tuples(*[st.floats(-1e12, 1e12)] * 6), min_size=1, max_size=60),
     st.floats(1e-3, 10),
     st.floats(1e-3, 10),
 )
-def test_any_readings_leave_a_tilt_that_is_possible(readings, drag, noise):
+def test_any_readings_leave_what_is_possible(readings, drag, noise):
     readings = np.array(readings)
-    tilt, _ = found(readings[:, :2], readings[:, 2:], noise, drag)
-    assert np.isfinite(tilt).all()
-    assert np.linalg.norm(tilt, axis=1).max() <= TILT_MAX * (1 + 1e-9)
+    kept, told = found(readings[:, :3], readings[:, 3:], noise=noise, drag=drag)
+    assert np.isfinite(kept).all()
+    assert np.isfinite(told).all()
+    assert np.abs(kept[:, BIAS : BIAS + 2]).max() <= BIAS_MAX
+    assert np.abs(kept[:, LEAN : LEAN + 2]).max() <= LEAN_MAX
+    assert (kept[:, 9:12] > 0).all()
 
 
 def test_one_bad_reading_does_no_lasting_harm():
-    rates = turning(200, 3)
-    forces = flown((0.2, 0.1), rates)
-    forces[100] = 1e6, -1e6
-    np.testing.assert_allclose(found(rates, forces, noise=0.1)[0][-1], [0.2, 0.1], atol=0.1)
+    gyro, accel, heading, tilt = flight(3000, 3, (0.2, 0.1), gust=0.1)
+    accel[1500, :2] = 1e6, -1e6
+    kept, _ = found(gyro, accel, heading)
+    np.testing.assert_allclose(tilt_of(kept)[-1], tilt[-1], atol=0.05)
+    np.testing.assert_allclose(kept[-1, BIAS : BIAS + 2], 0.0, atol=0.01)
 
 
-INPUTS = InputScaling(align_s=0.6, align_drag=DRAG, align_noise=1e-3, yaw_free=True)
+def test_what_a_bias_has_done_is_taken_back_as_far_as_it_is_remembered():
+    gyro, accel, heading, _ = flight(2000, 4, bias=(0.07, -0.04), yaw=0.8)
+    kept, told = found(gyro, accel, heading)
+    rate = gyro[:, :2] - kept[:, BIAS : BIAS + 2] + told / STEP
+    turn = np.exp(1j * heading)
+    mine = whole = effect = 0.0
+    for t in range(2000):
+        left = 1 - STEP / REMEMBERED_S
+        mine = left * mine + STEP * turn[t] * complex(*rate[t])
+        whole = left * whole + STEP * turn[t] * complex(*gyro[t, :2])
+        effect = left * effect + STEP * turn[t]
+        # as if the bias that is now believed had been known all along
+        assert mine == pytest.approx(whole - complex(*kept[t, BIAS : BIAS + 2]) * effect, abs=2e-4)
 
 
-def readings(start, yaw_rate=0.0):
-    """Readings (1, T, 3) twice of such a flight, in a body that yaws."""
-    rates = turning(200, 5)
-    angle = yaw_rate * STEP * np.arange(1, 201)
-    turn = np.exp(-1j * angle)
-    gyro, accel = np.full((1, 200, 3), yaw_rate), np.full((1, 200, 3), GRAVITY)
-    for out, lateral in ((gyro, rates), (accel, flown(start, rates))):
-        body = (lateral[:, 0] + 1j * lateral[:, 1]) * turn
-        out[0, :, 0], out[0, :, 1] = body.real, body.imag
-    return gyro, accel, STEP * np.cumsum(rates, axis=0)
+INPUTS = InputScaling(align_s=0.6, align_drag=DRAG, align_noise=1e-4, yaw_free=True)
 
 
-@pytest.mark.parametrize("yaw_rate", [0.0, 1.5])
-def test_the_network_is_told_by_a_turn_from_level(yaw_rate):
-    gyro, accel, turned = readings((0.15, -0.25), yaw_rate)
-    x, _ = scaled_inputs(INPUTS, 200.0, gyro, accel)
+@pytest.mark.parametrize("yaw", [0.0, 1.5])
+def test_the_network_is_told_by_a_turn_from_level(yaw):
+    gyro, accel, _, tilt = flight(200, 5, (0.15, -0.25), yaw=yaw)
+    x, _ = scaled_inputs(INPUTS, 200.0, gyro[None], accel[None])
     integral = STEP * np.cumsum(x[0, :, :2], axis=0) * INPUTS.gyro
-    np.testing.assert_allclose(integral[60:] - turned[60:], np.tile([0.15, -0.25], (140, 1)), atol=5e-3)
+    np.testing.assert_allclose(integral[120:] - tilt[120:], 0.0, atol=0.07)
 
 
 def test_samples_that_are_missing_leave_a_gap_in_time_alone():
-    calm = np.zeros((1, 200, 3))
-    rest = np.tile([0.0, 0.0, GRAVITY], (1, 200, 1))
-    rest[0, :, :2] = flown((0.15, -0.25), np.zeros((200, 2)))
-    whole, _ = scaled_inputs(INPUTS, 200.0, calm, rest)
-    rest[0, 20:40] = np.nan
-    parts, _ = scaled_inputs(INPUTS, 200.0, calm, rest)
-    told = [STEP * x[0, :, :2].sum(0) * INPUTS.gyro for x in (whole, parts)]
-    np.testing.assert_allclose(told[0], [0.15, -0.25], atol=5e-3)
-    np.testing.assert_allclose(told[1], [0.15, -0.25], atol=2e-2)
+    gyro, accel, _, tilt = flight(200, 6, (0.15, -0.25))
+    accel[20:40] = np.nan
+    x, _ = scaled_inputs(INPUTS, 200.0, gyro[None], accel[None])
+    integral = STEP * np.cumsum(x[0, :, :2], axis=0) * INPUTS.gyro
+    np.testing.assert_allclose(integral[120:] - tilt[120:], 0.0, atol=0.07)
 
 
 def test_it_ends_in_time_and_is_left_out_where_the_attitude_is_known():
-    gyro, accel, _ = readings((0.15, -0.25))
-    x, _ = scaled_inputs(INPUTS, 200.0, gyro, accel)
-    plain, _ = scaled_inputs(INPUTS.model_copy(update={"align_s": 0.0}), 200.0, gyro, accel)
+    gyro, accel, _, _ = flight(200, 5, (0.15, -0.25))
+    x, _ = scaled_inputs(INPUTS, 200.0, gyro[None], accel[None])
+    plain, _ = scaled_inputs(INPUTS.model_copy(update={"align_s": 0.0}), 200.0, gyro[None], accel[None])
     differs = np.abs(x - plain)[0].max(1) * INPUT_ONE > 0.5
     assert differs[2:100].any()
     assert not differs[120:].any()
     held = np.zeros((1, HELD))
     held[:, ALIGNMENT] = np.inf
-    np.testing.assert_array_equal(scaled_inputs(INPUTS, 200.0, gyro, accel, held)[0], plain)
+    np.testing.assert_array_equal(scaled_inputs(INPUTS, 200.0, gyro[None], accel[None], held)[0], plain)
+
+
+def test_a_start_that_is_told_is_known_to_the_filter_too():
     config, tensors = shipped_network("att-snn")
     est = NetworkEstimator(Spiking(config, tensors), 200.0)
-    est.reset(1, roll_pitch=[[0.1, 0.0]])
-    assert est._states[0][0, ALIGNMENT] == np.inf
+    gyro, accel, _, tilt = flight(200, 7, (0.15, -0.25))
+    est.reset(1, roll_pitch=tilt[:1])
+    kept = est._states[0][0, ALIGNMENT:]
+    assert kept[0] == np.inf
+    np.testing.assert_allclose(tilt_of(kept), tilt[0], atol=0.02)
+    est.sequence(gyro[None], accel[None])
+    np.testing.assert_allclose(tilt_of(est._states[0][0, ALIGNMENT:]), tilt[-1], atol=0.03)

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from estimators.gyro_bias import RATE_MAX
-from estimators.networks import HELD, NetworkEstimator, OnLoihi, Recurrent, Spiking, scaled_inputs
-from estimators.tilt import tilt_of, to_roll_pitch, yawed
+from estimators.encoder import HELD, scaled_inputs
+from estimators.networks import NetworkEstimator, OnLoihi, Recurrent, Spiking
+from estimators.tilt import RATE_MAX, tilt_of, to_roll_pitch, yawed
 from estimators.weights_file import InputScaling, shipped_network
 
 ANGLE = st.floats(-1.5, 1.5)

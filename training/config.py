@@ -131,7 +131,7 @@ class TrainConfig(Strict):
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "best": {
-        "inputs": InputScaling(bias_samples=20000, bias_sd=0.0088, lead=4.0, align_s=1.0, yaw_free=True),
+        "inputs": InputScaling(bias_sd=0.0088, lead=4.0, align_s=1.0, yaw_free=True),
         "encoding": 300,
         "hidden": 300,
         "parameters": 21202,
@@ -177,11 +177,10 @@ ROBUST = Augmentation(
 
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(
-        bias_samples=20000,
         bias_sd=0.044,
         align_s=1.0,
         align_drag=0.3,
-        align_noise=0.5,
+        align_noise=0.08,
         yaw_free=True,
     ),
     "epochs": 75,
@@ -206,8 +205,7 @@ LIKE_THE_PAPER = {"encoding": 100, "hidden": 100, "parameters": 0, "batches": 30
 
 RNN: dict[str, dict[str, Any]] = {
     "best": LIKE_THE_PAPER | {"inputs": InputScaling(), "optimiser_lr": 0.003, "epochs": 100},
-    "robust": LIKE_THE_PAPER
-    | {"inputs": InputScaling(bias_samples=20000, bias_sd=0.044), "optimiser_lr": 0.003},
+    "robust": LIKE_THE_PAPER | {"inputs": InputScaling(bias_sd=0.044), "optimiser_lr": 0.003},
     "tune": LIKE_THE_PAPER | {"optimiser_lr": 0.002, "batches": 20},
 }
 """What the presets change further for att-rnn."""
@@ -246,11 +244,11 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
 
 
 def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """What a run takes over from the weights it goes on from; its bias_samples may be the preset's."""
+    """What a run takes over from the weights it goes on from; its bias_sd may be the preset's."""
     init = choices["init"] = str(choices["init"])
     network, tensors = load_network(init)
     wanted = values.get("inputs", network.inputs)
-    bias = wanted if wanted.bias_samples else network.inputs
+    bias_sd = wanted.bias_sd or network.inputs.bias_sd
     kept = {name: getattr(network, name) for name in KEPT}
     kept["skip"] = "w_skip" in tensors and bool(tensors["w_skip"].any())
     for name, value in kept.items():
@@ -260,9 +258,7 @@ def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, An
     if choices.get("symmetric") and not shared:
         raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
     return {
-        "inputs": network.inputs.model_copy(
-            update={"bias_samples": bias.bias_samples, "bias_sd": bias.bias_sd}
-        ),
+        "inputs": network.inputs.model_copy(update={"bias_sd": bias_sd}),
         "symmetric": values.get("symmetric", False) and shared,
         "revive": 0.0,
         **kept,

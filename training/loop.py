@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.dynamics import SKIP_ONE
-from estimators.networks import HELD, NetworkEstimator, Recurrent, Spiking, outputs_at, scaled_inputs
+from estimators.encoder import HELD, outputs_at, scaled_inputs
+from estimators.networks import NetworkEstimator, Recurrent, Spiking
 from estimators.pruning import connected
 from estimators.spiking import MATRICES
 from estimators.symmetry import OPERATIONS

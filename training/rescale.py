@@ -41,10 +41,7 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     new["w_rec"] = old["w_rec"] * area("syn1")
     new["w_out"] = old["w_out"] * area("syn2")
     new["w_skip"] = old["w_skip"] / k
-    memories = {
-        "bias_samples": round(config.inputs.bias_samples * k),
-        "lead_samples": tuple(max(1, round(each * k)) for each in config.inputs.lead_samples),
-    }
+    memories = {"lead_samples": tuple(max(1, round(each * k)) for each in config.inputs.lead_samples)}
     changed = config.model_copy(
         update={
             "rate_hz": rate_hz,

@@ -23,11 +23,10 @@ static const double GAIN[ATT_SNN_INPUTS] = $gain;
 static const double LEAD = $lead; /* times that the change of a lateral force is added to it */
 static const double SCALE = 1.0 / ATT_SNN_UNITS_PER_RADIAN;
 static const double STEP = $step; /* seconds between samples */
-static const double BIAS_SAMPLES = $bias_samples; /* memory of the gyroscope's bias that is taken off; 0: none */
-static const double BIAS_SD = $bias_sd;
+static const double BIAS_SD = $bias_sd; /* spread of the gyroscope's bias, which is found and taken off; 0: it is not */
 static const double ALIGN_S = $align_s; /* time for which an unknown attitude is looked for at the start; 0: it is not */
-static const double DRAG = $align_drag; /* what drag takes from a lateral speed then [1/s] */
-static const double NOISE = $align_noise; /* of a lateral force's reading then [m/s^2] */
+static const double DRAG = $align_drag; /* what drag takes from a lateral speed, for both [1/s] */
+static const double NOISE = $align_noise; /* noise density of a lateral force's reading, for both [m/s^2 s^0.5] */
 
 enum {
     YAW_FREE = $yaw_free, /* whether lateral readings are turned into axes that do not yaw; the outputs are a tilt */
@@ -104,7 +103,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}, {0}};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}};
     *state = rest;
 }
 
@@ -128,37 +127,6 @@ static void yaw(double heading[2], double rate)
     heading[1] = sine / size;
 }
 
-/* The integral of the rates is a line in that of the heading, about which the tilt scatters; its slope is the bias. */
-static void follow_bias(att_snn_state *state, const double gyro[3])
-{
-    const double x = between(gyro[0], $rate_max), y = between(gyro[1], $rate_max);
-    const double cosine = state->heading[0], sine = state->heading[1], expected = $expected_s / STEP;
-    double *kept = state->bias;
-    kept[0] = kept[0] + 1.0 < BIAS_SAMPLES ? kept[0] + 1.0 : BIAS_SAMPLES;
-    kept[1] += STEP * cosine;
-    kept[2] += STEP * sine;
-    kept[3] += STEP * (cosine * x - sine * y);
-    kept[4] += STEP * (cosine * y + sine * x);
-    const double new = 1.0 / kept[0], old = 1.0 - new;
-    const double sx = kept[1] - kept[5], sy = kept[2] - kept[6], ix = kept[3] - kept[7], iy = kept[4] - kept[8];
-    kept[5] += new * sx;
-    kept[6] += new * sy;
-    kept[7] += new * ix;
-    kept[8] += new * iy;
-    kept[9] = old * (kept[9] + new * (sx * sx + sy * sy));
-    kept[10] = old * (kept[10] + new * (sx * ix + sy * iy));
-    kept[11] = old * (kept[11] + new * (sx * iy - sy * ix));
-    kept[12] = old * (kept[12] + new * (ix * ix + iy * iy));
-    const double spread = kept[9] > 1e-12 ? kept[9] : 1e-12;
-    const double rest = kept[12] - (kept[10] * kept[10] + kept[11] * kept[11]) / spread;
-    const double scatter = 0.5 * (rest > 0.0 ? rest : 0.0);
-    const double variance = (kept[0] * scatter + expected * $tilt_variance) / (kept[0] + expected);
-    const double prior = $correlated_s / STEP * variance / (BIAS_SD * BIAS_SD);
-    const double weight = kept[0] / (kept[0] * kept[9] + prior);
-    kept[13] = between(weight * kept[10], $bias_max);
-    kept[14] = between(weight * kept[11], $bias_max);
-}
-
 static double smaller(double a, double b) { return a < b ? a : b; }
 
 /* A lateral force with its change brought out, in the band between two low-passes that begin as means. */
@@ -174,73 +142,192 @@ static double led(att_snn_state *state, int k, double force)
     return force + LEAD * (state->fast[k] - state->slow[k]);
 }
 
-/* Turn rates and lateral forces of one reading, in axes that do not yaw: the turn, the changes of the forces that it and
- * drag explain, and a straight line in time through what is left, whose slope is the tilt at the start. What that is
- * further than at the last reading is added to the rates. */
-static void align(double kept[$align_kept], double rate[2], const double force[2])
+/* x + iy of two lateral axes. */
+typedef struct {
+    double x, y;
+} pair;
+
+static pair plus(pair a, pair b) { return (pair){a.x + b.x, a.y + b.y}; }
+static pair minus(pair a, pair b) { return (pair){a.x - b.x, a.y - b.y}; }
+static pair of(double factor, pair a) { return (pair){factor * a.x, factor * a.y}; }
+static pair times(pair a, pair b) { return (pair){a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x}; }
+static pair conjugate(pair a) { return (pair){a.x, -a.y}; }
+static double square(pair a) { return a.x * a.x + a.y * a.y; }
+static pair both_between(pair a, double limit) { return (pair){between(a.x, limit), between(a.y, limit)}; }
+
+/* What drag does to a lateral force, and gravity to it by a lean, which a gyroscope follows but for its bias: a Kalman
+ * filter. The variances are of one axis; the covariances of force and lean, force and bias, lean and bias. */
+typedef struct {
+    pair force, lean, bias;
+    double force_var, lean_var, bias_var;
+    pair force_lean, force_bias, lean_bias;
+} filter;
+
+static void predict(filter *f, pair rate, pair heading, double elapsed, double gust)
 {
-    const double fall = DRAG * $gravity;
-    kept[1] += STEP * between(rate[0], $rate_max);
-    kept[2] += STEP * between(rate[1], $rate_max);
-    const double x = between(force[0] + kept[3] - kept[7], $force_max);
-    const double y = between(force[1] + kept[4] - kept[8], $force_max);
-    kept[3] += STEP * DRAG * (x + kept[7] - kept[3] + $gravity * kept[2]);
-    kept[4] += STEP * DRAG * (y + kept[8] - kept[4] - $gravity * kept[1]);
-    kept[5] += 1.0;
-    const double new = 1.0 / kept[5], old = 1.0 - new, time = kept[0] - kept[6];
-    kept[6] += new * time;
-    kept[7] += new * x;
-    kept[8] += new * y;
-    kept[9] = old * (kept[9] + new * time * time);
-    kept[10] = old * (kept[10] + new * time * x);
-    kept[11] = old * (kept[11] + new * time * y);
-    const double prior = NOISE * NOISE / (fall * fall * $tilt_variance);
-    const double weight = kept[5] / (kept[5] * kept[9] + prior) / fall;
-    double about_x = weight * kept[11], about_y = -weight * kept[10];
-    const double size = sqrt(about_x * about_x + about_y * about_y);
-    if (size > $tilt_max) {
-        about_x = about_x * $tilt_max / size;
-        about_y = about_y * $tilt_max / size;
+    const double left = 1.0 - DRAG * elapsed, fall = DRAG * $gravity * elapsed;
+    const pair turn = {-heading.y * elapsed, heading.x * elapsed};
+    const pair force_bias = minus(of(left, f->force_bias), of(fall, f->lean_bias));
+    const double by_turn = turn.x * f->lean_bias.x + turn.y * f->lean_bias.y;
+    f->force = minus(of(left, f->force), of(fall, f->lean));
+    f->lean = plus(f->lean, times(turn, minus(f->bias, rate)));
+    f->force_var = left * left * f->force_var - 2.0 * left * fall * f->force_lean.x + fall * fall * f->lean_var
+        + gust * elapsed;
+    f->force_lean.x = left * f->force_lean.x - fall * f->lean_var;
+    f->force_lean.y = left * f->force_lean.y;
+    f->force_lean = plus(f->force_lean, times(force_bias, conjugate(turn)));
+    f->force_bias = force_bias;
+    f->lean_var = f->lean_var + 2.0 * by_turn + elapsed * elapsed * f->bias_var + $turn_noise * $turn_noise * elapsed;
+    f->lean_bias = plus(f->lean_bias, of(f->bias_var, turn));
+    f->bias_var = f->bias_var + $bias_walk * $bias_walk * elapsed;
+}
+
+/* One measurement: its column of the covariance, and its innovation with its variance. */
+static void correct(filter *f, pair force, pair lean, pair bias, pair innovation, double variance)
+{
+    const double scale = 1.0 / variance;
+    const pair gain = {innovation.x * scale, innovation.y * scale};
+    f->force = plus(f->force, times(force, gain));
+    f->lean = plus(f->lean, times(lean, gain));
+    f->bias = plus(f->bias, times(bias, gain));
+    f->force_var = f->force_var - scale * square(force);
+    f->lean_var = f->lean_var - scale * square(lean);
+    f->bias_var = f->bias_var - scale * square(bias);
+    f->force_lean = minus(f->force_lean, of(scale, times(force, conjugate(lean))));
+    f->force_bias = minus(f->force_bias, of(scale, times(force, conjugate(bias))));
+    f->lean_bias = minus(f->lean_bias, of(scale, times(lean, conjugate(bias))));
+}
+
+static filter unpacked(const double kept[$kept])
+{
+    return (filter){{kept[3], kept[4]}, {kept[5], kept[6]}, {kept[7], kept[8]}, kept[9], kept[10], kept[11],
+        {kept[12], kept[13]}, {kept[14], kept[15]}, {kept[16], kept[17]}};
+}
+
+static void pack(const filter *f, double kept[$kept])
+{
+    const pair pairs[6] = {both_between(f->force, $reading_max), both_between(f->lean, $lean_max),
+        both_between(f->bias, $bias_max), f->force_lean, f->force_bias, f->lean_bias};
+    for (int k = 0; k < 3; ++k) {
+        kept[3 + 2 * k] = pairs[k].x;
+        kept[4 + 2 * k] = pairs[k].y;
+        kept[12 + 2 * k] = pairs[3 + k].x;
+        kept[13 + 2 * k] = pairs[3 + k].y;
     }
-    rate[0] += (about_x - kept[12]) / STEP;
-    rate[1] += (about_y - kept[13]) / STEP;
-    kept[12] = about_x;
-    kept[13] = about_y;
+    kept[9] = f->force_var;
+    kept[10] = f->lean_var;
+    kept[11] = f->bias_var;
+}
+
+/* Take a correction of the force into what is known of its random walk: their sum scatters as far. */
+static void gauge(pair correction, double kept[$kept])
+{
+    double *sum = kept + $corrections, *drift = kept + $drift, *gust = kept + $gust;
+    sum[0] += correction.x - sum[0] * STEP / $corrected_s;
+    sum[1] += correction.y - sum[1] * STEP / $corrected_s;
+    const pair off = {sum[0] - drift[0], sum[1] - drift[1]};
+    drift[0] += off.x * STEP / $drift_s;
+    drift[1] += off.y * STEP / $drift_s;
+    const double walked = $gauge * square(off) / $corrected_s, least = $calm * $calm;
+    const double memory = smaller($breeze_s + kept[$samples] * STEP, $gusts_s);
+    *gust += ((walked > least ? walked : least) - *gust) * STEP / memory;
+}
+
+/* Take a reading into the fast and the slow low-pass of both sensors; whether these agree. */
+static int unchanged(const double gyro[3], const double accel[3], double kept[$kept])
+{
+    const double fast = 1.0 / smaller(kept[$samples], $fast_s / STEP), slow = 1.0 / smaller(kept[$samples], $rest_s / STEP);
+    double *quick = kept + $fast, *late = kept + $slow;
+    int still = 1;
+    for (int k = 0; k < 6; ++k) {
+        const double value = between(k < 3 ? gyro[k] : accel[k - 3], $reading_max);
+        quick[k] += fast * (value - quick[k]);
+        late[k] += slow * (value - late[k]);
+        if (fabs(quick[k] - late[k]) > (k < 3 ? $rest_rate : $rest_force) || (k < 3 && fabs(late[k]) > $bias_max))
+            still = 0;
+    }
+    return still;
+}
+
+/* Take one sample into what is kept. Returns how far the attitude is to turn about x and y of the body beyond what the
+ * gyroscope says, less its bias. */
+static pair follow(const double gyro[3], const double accel[3], pair heading, double kept[$kept])
+{
+    const pair rate = both_between((pair){gyro[0], gyro[1]}, $rate_max);
+    filter f = unpacked(kept);
+    kept[$samples] += 1.0;
+    const pair force = times(heading, both_between((pair){accel[0], accel[1]}, $reading_max));
+    if (kept[$samples] == 1.0) {
+        f.force = force;
+        f.force_var = NOISE * NOISE / STEP;
+        f.lean_var = $lean_sd * $lean_sd;
+        f.bias_var = BIAS_SD * BIAS_SD;
+        kept[$gust] = $breeze * $breeze;
+    }
+    const pair bias_before = f.bias;
+    const int aligning = kept[0] < ALIGN_S;
+    predict(&f, rate, heading, smaller(kept[1] + STEP, $gap_max), aligning ? $steady * $steady : kept[$gust]);
+    const pair lean_before = f.lean, force_before = f.force;
+
+    const pair off = both_between(minus(force, f.force), $force_max);
+    correct(&f, (pair){f.force_var, 0.0}, conjugate(f.force_lean), conjugate(f.force_bias), off,
+        f.force_var + NOISE * NOISE / STEP);
+    if (kept[$samples] * STEP > $gauge_from_s) /* the first corrections are those of the start */
+        gauge(minus(f.force, force_before), kept);
+
+    double *mean = kept + $mean;
+    if (!aligning)
+        correct(&f, f.force_lean, (pair){f.lean_var, 0.0}, conjugate(f.lean_bias), minus((pair){mean[0], mean[1]}, f.lean),
+            f.lean_var + $lean_sd * $lean_sd * $upright_s / STEP);
+    const double seen = STEP / smaller($upright_s + kept[$samples] * STEP, $mean_s);
+    mean[0] += (f.lean.x - mean[0]) * seen;
+    mean[1] += (f.lean.y - mean[1]) * seen;
+
+    kept[2] = unchanged(gyro, accel, kept) ? kept[2] + STEP : 0.0;
+    if (kept[2] >= $rest_s)
+        correct(&f, f.force_bias, f.lean_bias, (pair){f.bias_var, 0.0}, minus(rate, f.bias),
+            f.bias_var + $rest_noise * $rest_noise / STEP);
+
+    pack(&f, kept);
+    f = unpacked(kept);
+    double *effect = kept + $effect;
+    const pair lean_found = minus(f.lean, lean_before);
+    const pair further = aligning ? (pair){-lean_found.y, lean_found.x} : times(minus(bias_before, f.bias), (pair){effect[0], effect[1]});
+    effect[0] += STEP * (heading.x - effect[0] / $remembered_s);
+    effect[1] += STEP * (heading.y - effect[1] / $remembered_s);
+    kept[1] = 0.0;
+    return times(conjugate(heading), further);
 }
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
     const double size = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
     const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]), force_found = finite(size) && size > 0.0;
-    if (rate_found && (YAW_FREE || BIAS_SAMPLES > 0.0))
+    const int aligned = ALIGN_S > 0.0 || BIAS_SD > 0.0;
+    if (rate_found && (YAW_FREE || aligned))
         yaw(state->heading, gyro[2]);
-    const double cosine = YAW_FREE ? state->heading[0] : 1.0, sine = YAW_FREE ? state->heading[1] : 0.0;
-    double rate[2] = {0.0, 0.0}, force[2] = {0.0, 0.0};
-    if (rate_found) {
-        if (BIAS_SAMPLES > 0.0)
-            follow_bias(state, gyro);
-        const double x = gyro[0] - state->bias[13] - OFFSET[0], y = gyro[1] - state->bias[14] - OFFSET[1];
-        rate[0] = cosine * x - sine * y;
-        rate[1] = cosine * y + sine * x;
-    }
-    if (force_found) {
-        const double x = accel[0] - OFFSET[3], y = accel[1] - OFFSET[4];
-        force[0] = cosine * x - sine * y;
-        force[1] = cosine * y + sine * x;
-    }
-    if (state->alignment[0] < ALIGN_S) {
-        if (rate_found && force_found)
-            align(state->alignment, rate, force);
+    const pair heading = {state->heading[0], state->heading[1]}, axes = YAW_FREE ? heading : (pair){1.0, 0.0};
+    pair turn = {0.0, 0.0};
+    if (aligned) {
+        if (rate_found && force_found) {
+            const double forces[3] = {accel[0] - OFFSET[3], accel[1] - OFFSET[4], accel[2]};
+            turn = follow(gyro, forces, heading, state->alignment);
+        } else
+            state->alignment[1] += STEP;
         state->alignment[0] += STEP;
     }
     if (rate_found) {
-        state->input[0] = nearest(rate[0] * GAIN[0]);
-        state->input[1] = nearest(rate[1] * GAIN[1]);
+        const double *bias_found = state->alignment + $bias;
+        const pair rate = times(axes, (pair){gyro[0] - OFFSET[0] - bias_found[0] + turn.x / STEP,
+                                          gyro[1] - OFFSET[1] - bias_found[1] + turn.y / STEP});
+        state->input[0] = nearest(rate.x * GAIN[0]);
+        state->input[1] = nearest(rate.y * GAIN[1]);
         state->input[2] = nearest((gyro[2] - OFFSET[2]) * GAIN[2]);
     }
     if (force_found) {
-        state->input[3] = nearest(led(state, 0, force[0]) * GAIN[3]);
-        state->input[4] = nearest(led(state, 1, force[1]) * GAIN[4]);
+        const pair force = times(axes, (pair){accel[0] - OFFSET[3], accel[1] - OFFSET[4]});
+        state->input[3] = nearest(led(state, 0, force.x) * GAIN[3]);
+        state->input[4] = nearest(led(state, 1, force.y) * GAIN[4]);
         state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
         state->forces += 1.0;
     }

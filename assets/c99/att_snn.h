@@ -29,8 +29,7 @@ typedef struct {
     double fast[2];
     double slow[2];
     double heading[2]; /* cosine and sine of the angle by which the body has yawed since the reset */
-    double bias[$bias_kept]; /* what the gyroscope's bias is found from, and at the end the bias */
-    double alignment[$align_kept]; /* time since the start, what the tilt then is found from, and at the end the tilt */
+    double alignment[$kept]; /* time since the start, and the filter of the tilt then and of the gyroscope's bias */
 } att_snn_state;
 
 /* Start at rest, with an unknown attitude. */

@@ -1,0 +1,159 @@
+"""What a network is fed: readings of the IMU, freed of the gyroscope's bias, of yaw and of gaps, as integers.
+
+The host does this before the chip. Missing samples (NaN, or a specific force of exactly zero) are bridged by
+the last good one and counted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from .alignment import BIAS, KEPT, follow
+from .tilt import tilt_of, yawed
+from .weights_file import InputScaling
+
+Array = NDArray[np.float64]
+Encoding = tuple[
+    Array, Array, tuple[float, float, float], tuple[float, float, float, float], tuple[float, bool]
+]
+
+INPUT_ONE = 1024
+"""Integer input of the network for a scaled reading of 1.0."""
+INPUT_MAX = 32767
+HEADING, ALIGNMENT = 12, 14
+HELD = ALIGNMENT + KEPT
+"""What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
+fast one and the slow one of both; at `HEADING` its cosine and sine; at `ALIGNMENT` what `follow` keeps."""
+LEAD_CLIP = 5.0
+"""How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
+
+
+def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
+    """Offset and gain (6,) of the readings: integer input = round((reading - offset) gain)."""
+    offset = np.array([0.0, 0.0, 0.0, *inputs.accel_offset])
+    return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
+
+
+def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
+    """What `encode` needs.
+
+    Returns:
+        Offset and gain, the lead with its two memories, the alignment's time, drag and noise with the spread
+        of the gyroscope's bias, and the time between samples with whether axes do not yaw.
+    """
+    fast, slow = inputs.lead_samples
+    lead = inputs.lead, float(fast), float(slow)
+    alignment = inputs.align_s, inputs.align_drag, inputs.align_noise, inputs.bias_sd
+    return *input_scaling(inputs), lead, alignment, (1.0 / rate_hz, inputs.yaw_free)
+
+
+def scaled_inputs(
+    inputs: InputScaling,
+    rate_hz: float,
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    held: NDArray[np.generic] | None = None,
+) -> tuple[Array, Array]:
+    """Inputs of the network.
+
+    Args:
+        inputs: How they are scaled.
+        rate_hz: Samples per second.
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force (n, T, 3) [m/s²].
+        held: What the encoder keeps (n, HELD), changed in place, to go on from the window before; None: anew.
+
+    Returns:
+        The inputs (n, T, 6) in steps of 1/1024, and the heading's cosine and sine (n, T, 2); in
+        body axes they are 1 and 0.
+    """
+    gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
+    held = np.zeros((len(gyro), HELD)) if held is None else held
+    return encoded(encoder_of(inputs, rate_hz), gyro, accel, held)
+
+
+def encoded(encoding: Encoding, gyro: Array, accel: Array, held: NDArray[np.generic]) -> tuple[Array, Array]:
+    """What `scaled_inputs` returns, of arrays that are laid out for `encode`."""
+    x, heading = np.empty((*gyro.shape[:2], 6)), np.empty((*gyro.shape[:2], 2))
+    encode(gyro, accel, encoding, held, x, heading)
+    x /= INPUT_ONE
+    return x, heading
+
+
+def outputs_at(
+    inputs: InputScaling, roll_pitch: NDArray[np.floating], heading: Array | None = None
+) -> NDArray[np.floating]:
+    """What the outputs should say at roll and pitch (..., 2) [rad]; the heading (..., 2) of None is zero."""
+    if not inputs.yaw_free:
+        return roll_pitch
+    return tilt_of(roll_pitch, np.array([1.0, 0.0]) if heading is None else heading)
+
+
+@njit(cache=True)
+def _led(k, force, lead, held):
+    """A lateral force with its change brought out, in the band between two low-passes that begin as means."""
+    if lead[0] == 0.0:
+        return force
+    if held[7] == 0.0:
+        held[8 + k] = held[10 + k] = force
+    seen = held[7] + 1.0
+    held[8 + k] += min(max(force - held[8 + k], -LEAD_CLIP), LEAD_CLIP) / min(seen, lead[1])
+    held[10 + k] += (held[8 + k] - held[10 + k]) / min(seen, lead[2])
+    return force + lead[0] * (held[8 + k] - held[10 + k])
+
+
+@njit(cache=True)
+def _scaled(value, gain):
+    return min(max(np.rint(value * gain), -INPUT_MAX), INPUT_MAX)
+
+
+@njit(cache=True)
+def encode_sample(gyro, accel, encoding, held):
+    """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
+    offset, gain, lead, (align_s, drag, noise, spread), (step, yaw_free) = encoding
+    aligned = align_s > 0.0 or spread > 0.0
+    rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
+    force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
+    force_found = np.isfinite(force) and force > 0.0
+    if held[HEADING] == 0.0 and held[HEADING + 1] == 0.0:  # nothing has been seen yet
+        held[HEADING] = 1.0
+    if rate_found and (yaw_free or aligned):
+        held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], gyro[2], step)
+    cosine, sine = (held[HEADING], held[HEADING + 1]) if yaw_free else (1.0, 0.0)
+    kept = held[ALIGNMENT:]
+    turn_x = turn_y = 0.0
+    if aligned:
+        if rate_found and force_found:
+            forces = accel[0] - offset[3], accel[1] - offset[4], accel[2]
+            cos_yaw, sin_yaw = held[HEADING], held[HEADING + 1]
+            turn_x, turn_y = follow(gyro, forces, cos_yaw, sin_yaw, step, align_s, drag, noise, spread, kept)
+        else:
+            kept[1] += step
+        kept[0] += step
+    if rate_found:
+        x = gyro[0] - offset[0] - kept[BIAS] + turn_x / step
+        y = gyro[1] - offset[1] - kept[BIAS + 1] + turn_y / step
+        held[0] = _scaled(cosine * x - sine * y, gain[0])
+        held[1] = _scaled(cosine * y + sine * x, gain[1])
+        held[2] = _scaled(gyro[2] - offset[2], gain[2])
+    if force_found:
+        x, y = accel[0] - offset[3], accel[1] - offset[4]
+        held[3] = _scaled(_led(0, cosine * x - sine * y, lead, held), gain[3])
+        held[4] = _scaled(_led(1, cosine * y + sine * x, lead, held), gain[4])
+        held[5] = _scaled(accel[2] - offset[5], gain[5])
+        held[7] += 1.0
+    if not (rate_found and force_found):
+        held[6] += 1.0
+    return cosine, sine
+
+
+@njit(cache=True)
+def encode(gyro, accel, encoding, held, x, heading):
+    """Integer inputs x (n, T, 6), heading (n, T, 2) of readings (n, T, 3) twice; `held` (n, HELD) goes on."""
+    for n in range(gyro.shape[0]):
+        for t in range(gyro.shape[1]):
+            heading[n, t] = encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
+            for k in range(6):
+                x[n, t, k] = held[n, k]
