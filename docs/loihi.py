@@ -25,12 +25,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from estimators.chip import LIMITS
+from estimators.encoder import scaled_inputs
 from estimators.energy import PAPER_MEASURED, gru_flops, snn_flops
 from estimators.flights import Flights, load_flights
 from estimators.inspection import FRACTIONS, Inspection, inspect, load_spiking, write_page
 from estimators.inspection_figures import ablation_curve
 from estimators.loihi import LoihiLayer, LoihiNetwork
-from estimators.networks import OnLoihi, create_network, real_weights, scaled_inputs
+from estimators.networks import OnLoihi, create_network, real_weights
 from estimators.profiles import share_profiles
 from estimators.pruning import CRITERIA, ablation, error_deg, importance
 from estimators.spiking import Weights, forward

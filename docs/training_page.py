@@ -21,17 +21,11 @@ from scipy.signal import lfilter
 
 from estimators import create, names, run
 from estimators.activity import record
+from estimators.encoder import outputs_at, scaled_inputs
 from estimators.evaluate import tilted_starts
 from estimators.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
-from estimators.networks import (
-    NetworkEstimator,
-    OnLoihi,
-    Spiking,
-    outputs_at,
-    real_weights,
-    scaled_inputs,
-)
+from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
 from estimators.spiking import Weights
 from estimators.symmetry import OPERATIONS, ties
 from estimators.tilt import to_roll_pitch
