@@ -109,7 +109,8 @@ def follow(rates, forces, cosine, sine, step, align_s, drag, noise, spread, kept
     bias_before = state[2]
     elapsed, aligning = min(kept[1] + step, GAP_MAX), kept[0] < align_s
     gust = STEADY * STEADY if aligning else kept[GUST]
-    state, spreads, shared = _predicted(state, spreads, shared, rate, heading, elapsed, drag, gust)
+    walk = BIAS_WALK if spread > 0.0 else 0.0  # a bias that is known to be none stays none
+    state, spreads, shared = _predicted(state, spreads, shared, rate, heading, elapsed, drag, gust, walk)
     lean_before = state[1]
 
     off = heading * reading - state[0]
@@ -150,7 +151,7 @@ def follow(rates, forces, cosine, sine, step, align_s, drag, noise, spread, kept
 
 
 @njit(cache=True)
-def _predicted(state, spreads, shared, rate, heading, elapsed, drag, gust):
+def _predicted(state, spreads, shared, rate, heading, elapsed, drag, gust, walk):
     """Advance force, lean and bias, their variances, and their covariances, by the time `elapsed`."""
     force, lean, bias = state
     force_var, lean_var, bias_var = spreads
@@ -166,7 +167,7 @@ def _predicted(state, spreads, shared, rate, heading, elapsed, drag, gust):
         + fall * fall * lean_var
         + gust * elapsed,
         lean_var + 2.0 * by_turn + elapsed * elapsed * bias_var + TURN_NOISE * TURN_NOISE * elapsed,
-        bias_var + BIAS_WALK * BIAS_WALK * elapsed,
+        bias_var + walk * walk * elapsed,
     )
     shared = (
         left * force_lean - fall * lean_var + of_bias * turn.conjugate(),

@@ -169,6 +169,13 @@ def test_any_readings_leave_what_is_possible(readings, drag, noise):
     assert (kept[:, 9:12] > 0).all()
 
 
+def test_a_bias_that_is_known_to_be_none_stays_none():
+    gyro, accel, _, _ = flight(4000, 2, bias=(0.05, -0.03))
+    held = np.zeros((1, HELD))
+    scaled_inputs(INPUTS, 200.0, gyro[None], accel[None], held)
+    np.testing.assert_array_equal(held[0, ALIGNMENT + BIAS :][:2], 0.0)
+
+
 def test_one_bad_reading_does_no_lasting_harm():
     gyro, accel, heading, tilt = flight(3000, 3, (0.2, 0.1), gust=0.1)
     accel[1500, :2] = 1e6, -1e6

@@ -165,6 +165,7 @@ typedef struct {
 
 static void predict(filter *f, pair rate, pair heading, double elapsed, double gust)
 {
+    const double walk = BIAS_SD > 0.0 ? $bias_walk : 0.0; /* a bias that is known to be none stays none */
     const double left = 1.0 - DRAG * elapsed, fall = DRAG * $gravity * elapsed;
     const pair turn = {-heading.y * elapsed, heading.x * elapsed};
     const pair force_bias = minus(of(left, f->force_bias), of(fall, f->lean_bias));
@@ -179,7 +180,7 @@ static void predict(filter *f, pair rate, pair heading, double elapsed, double g
     f->force_bias = force_bias;
     f->lean_var = f->lean_var + 2.0 * by_turn + elapsed * elapsed * f->bias_var + $turn_noise * $turn_noise * elapsed;
     f->lean_bias = plus(f->lean_bias, of(f->bias_var, turn));
-    f->bias_var = f->bias_var + $bias_walk * $bias_walk * elapsed;
+    f->bias_var = f->bias_var + walk * walk * elapsed;
 }
 
 /* One measurement: its column of the covariance, and its innovation with its variance. */
