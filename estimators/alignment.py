@@ -28,6 +28,8 @@ import math
 
 from numba import njit
 
+from quadsim.vehicle import GRAVITY
+
 from .tilt import RATE_MAX
 
 KEPT = 40
@@ -38,7 +40,6 @@ corrections of the force, summed, and the mean of that; the mean lean; the squar
 force."""
 LEAN, BIAS, EFFECT, SAMPLES, FAST, SLOW, CORRECTIONS, DRIFT, MEAN, GUST = 5, 7, 18, 20, 21, 27, 33, 35, 37, 39
 """Where these begin in it."""
-GRAVITY = 9.81
 FORCE_MAX = 5.0
 """How far a force counts as away from what is expected: a bad reading does no lasting harm [m/s²]."""
 LEAN_MAX = 1.5

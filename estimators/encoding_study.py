@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadsim.rotation import quat_rotate_inverse
+from quadsim.vehicle import GRAVITY
 
 from .activity import Activity
 from .flights import Flights
 from .metrics import attitude_error
-from .networks import GRAVITY, NetworkEstimator
+from .networks import NetworkEstimator
 from .tilt import tilt_of
 
 Array = NDArray[np.float64]

@@ -13,7 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from .alignment import GRAVITY, LEAN
+from quadsim.vehicle import GRAVITY
+
+from .alignment import LEAN
 from .chip import partition
 from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
 from .encoder import ALIGNMENT, HELD, encode_sample, encoded, encoder_of, outputs_at
@@ -132,8 +134,7 @@ class NetworkEstimator:
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
             states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept
             states[0][:, ALIGNMENT] = np.inf  # the start is over
-            level = np.broadcast_to([1.0, 0.0], (n, 2))
-            about_x, about_y = tilt_of(known, level).T
+            about_x, about_y = tilt_of(known, np.array([1.0, 0.0])).T
             states[0][:, ALIGNMENT + LEAN : ALIGNMENT + LEAN + 2] = np.stack([about_y, -about_x], -1)
             self.core.place(states, known)
         return states

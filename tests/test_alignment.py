@@ -11,7 +11,6 @@ from estimators.alignment import (
     BIAS_MAX,
     BIAS_WALK,
     BREEZE,
-    GRAVITY,
     GUST,
     KEPT,
     LEAN,
@@ -28,6 +27,7 @@ from estimators.alignment import (
 from estimators.encoder import ALIGNMENT, HELD, INPUT_ONE, scaled_inputs
 from estimators.networks import NetworkEstimator, Spiking
 from estimators.weights_file import InputScaling, shipped_network
+from quadsim.vehicle import GRAVITY
 
 STEP, DRAG, SPREAD = 0.005, 0.25, 0.05
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat
 
 from quadsim.config import Strict
+from quadsim.vehicle import GRAVITY
 
 Array = NDArray[np.floating]
 
-GRAVITY = 9.81
 VIBRATION_HZ = (60.0, 250.0)
 """Range of the frequency of a rotor, which the sampling folds."""
 WANDER_HZ = 3.0
