@@ -48,6 +48,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "inputs as in the paper": {"inputs": PAPER_SCALING},
     "body axes, roll and pitch from the outputs": {"inputs": INPUTS.model_copy(update={"yaw_free": False})},
     "gyro's bias left on": {"inputs": INPUTS.model_copy(update={"bias_sd": 0.0})},
+    "accelerometer's bias left on": {"inputs": INPUTS.model_copy(update={"accel_bias_sd": 0.0})},
     "no skip connection": {"skip": False},
     "no lead on the lateral forces": {"inputs": INPUTS.model_copy(update={"lead": 0.0})},
     "no alignment at the start": {"inputs": INPUTS.model_copy(update={"align_s": 0.0})},

@@ -45,6 +45,7 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "offset": _braces(offset),
         "gain": _braces(gain),
         "bias_sd": repr(config.inputs.bias_sd),
+        "accel_bias_sd": repr(config.inputs.accel_bias_sd),
         "lead": repr(config.inputs.lead),
         "lead_fast": f"{config.inputs.lead_samples[0]}.0",
         "lead_slow": f"{config.inputs.lead_samples[1]}.0",

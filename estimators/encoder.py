@@ -1,4 +1,4 @@
-"""What a network is fed: readings of the IMU, freed of the gyroscope's bias, of yaw and of gaps, as integers.
+"""What a network is fed: readings of the IMU, freed of biases, of yaw and of gaps, as integers.
 
 The host does this before the chip. Missing samples (NaN, or a specific force of exactly zero) are bridged by
 the last good one and counted.
@@ -10,13 +10,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from .alignment import BIAS, KEPT, follow
+from .alignment import ACCEL_BIAS, BIAS, KEPT, follow
 from .tilt import tilt_of, yawed
 from .weights_file import InputScaling
 
 Array = NDArray[np.float64]
 Encoding = tuple[
-    Array, Array, tuple[float, float, float], tuple[float, float, float, float], tuple[float, bool]
+    Array, Array, tuple[float, float, float], tuple[float, float, float, float, float], tuple[float, bool]
 ]
 
 INPUT_ONE = 1024
@@ -40,12 +40,12 @@ def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
     """What `encode` needs.
 
     Returns:
-        Offset and gain, the lead with its two memories, the alignment's time, drag and noise with the spread
-        of the gyroscope's bias, and the time between samples with whether axes do not yaw.
+        Offset and gain, the lead with its two memories, the alignment's time, drag and noise with the spreads
+        of both biases, and the time between samples with whether axes do not yaw.
     """
     fast, slow = inputs.lead_samples
     lead = inputs.lead, float(fast), float(slow)
-    alignment = inputs.align_s, inputs.align_drag, inputs.align_noise, inputs.bias_sd
+    alignment = inputs.align_s, inputs.align_drag, inputs.align_noise, inputs.bias_sd, inputs.accel_bias_sd
     return *input_scaling(inputs), lead, alignment, (1.0 / rate_hz, inputs.yaw_free)
 
 
@@ -112,8 +112,8 @@ def _scaled(value, gain):
 @njit(cache=True)
 def encode_sample(gyro, accel, encoding, held):
     """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
-    offset, gain, lead, (align_s, drag, noise, spread), (step, yaw_free) = encoding
-    aligned = align_s > 0.0 or spread > 0.0
+    offset, gain, lead, alignment, (step, yaw_free) = encoding
+    aligned = alignment[0] > 0.0 or alignment[3] > 0.0 or alignment[4] > 0.0
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
     force_found = np.isfinite(force) and force > 0.0
@@ -128,7 +128,7 @@ def encode_sample(gyro, accel, encoding, held):
         if rate_found and force_found:
             forces = accel[0] - offset[3], accel[1] - offset[4], accel[2]
             cos_yaw, sin_yaw = held[HEADING], held[HEADING + 1]
-            turn_x, turn_y = follow(gyro, forces, cos_yaw, sin_yaw, step, align_s, drag, noise, spread, kept)
+            turn_x, turn_y = follow(gyro, forces, cos_yaw, sin_yaw, step, alignment, kept)
         else:
             kept[1] += step
         kept[0] += step
@@ -139,7 +139,7 @@ def encode_sample(gyro, accel, encoding, held):
         held[1] = _scaled(cosine * y + sine * x, gain[1])
         held[2] = _scaled(gyro[2] - offset[2], gain[2])
     if force_found:
-        x, y = accel[0] - offset[3], accel[1] - offset[4]
+        x, y = accel[0] - offset[3] - kept[ACCEL_BIAS], accel[1] - offset[4] - kept[ACCEL_BIAS + 1]
         held[3] = _scaled(_led(0, cosine * x - sine * y, lead, held), gain[3])
         held[4] = _scaled(_led(1, cosine * y + sine * x, lead, held), gain[4])
         held[5] = _scaled(accel[2] - offset[5], gain[5])

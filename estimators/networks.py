@@ -21,7 +21,7 @@ from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
 from .encoder import ALIGNMENT, HELD, encode_sample, encoded, encoder_of, outputs_at
 from .gru import run_gru
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
-from .tilt import tilt_of, to_roll_pitch
+from .tilt import to_roll_pitch
 from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
@@ -134,8 +134,9 @@ class NetworkEstimator:
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
             states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept
             states[0][:, ALIGNMENT] = np.inf  # the start is over
-            about_x, about_y = tilt_of(known, np.array([1.0, 0.0])).T
-            states[0][:, ALIGNMENT + LEAN : ALIGNMENT + LEAN + 2] = np.stack([about_y, -about_x], -1)
+            roll, pitch = known.T
+            states[0][:, ALIGNMENT + LEAN] = np.sin(pitch)
+            states[0][:, ALIGNMENT + LEAN + 1] = -np.sin(roll) * np.cos(pitch)
             self.core.place(states, known)
         return states
 

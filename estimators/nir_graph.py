@@ -102,6 +102,7 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "input_offset": offset,
         "input_gain_1024": gain,
         "input_bias_sd": config.inputs.bias_sd,
+        "input_accel_bias_sd": config.inputs.accel_bias_sd,
         "input_lead": config.inputs.lead,
         "input_lead_samples": config.inputs.lead_samples,
         "input_align_s": config.inputs.align_s,

@@ -26,8 +26,8 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
     """
     if config.model != "att-rnn":
         raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
-    if config.inputs.bias_sd:
-        raise ValueError("ONNX does not estimate the gyroscope's bias: these weights need it (bias_sd)")
+    if config.inputs.bias_sd or config.inputs.accel_bias_sd:
+        raise ValueError("ONNX does not estimate biases: these weights need it (bias_sd, accel_bias_sd)")
     if config.inputs.lead:
         raise ValueError("ONNX has no low-pass: these weights need that of the lateral force (lead)")
     if config.inputs.yaw_free:

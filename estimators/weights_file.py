@@ -30,6 +30,8 @@ class InputScaling(Strict):
     """Specific force of an input of 0 [m/s²]."""
     bias_sd: float = Field(default=0.0, ge=0)
     """Spread of the gyroscope's bias, of each axis; `estimators.alignment` finds it [rad/s]; 0: none is."""
+    accel_bias_sd: float = Field(default=0.0, ge=0)
+    """Spread of the accelerometer's bias across the thrust, of each axis, likewise [m/s²]."""
     lead: float = Field(default=0.0, ge=0)
     """Times that the change of a lateral force, its fast low-pass less its slow one, is added to it."""
     lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)

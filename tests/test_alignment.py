@@ -1,4 +1,4 @@
-"""The tilt at an unknown start and the gyroscope's bias, from drag and from rests."""
+"""The tilt at an unknown start and the biases of both sensors, from drag and from rests."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators.alignment import (
+    ACCEL_BIAS,
+    ACCEL_BIAS_MAX,
+    ACCEL_BIAS_WALK,
     BIAS,
     BIAS_MAX,
     BIAS_WALK,
@@ -17,9 +20,14 @@ from estimators.alignment import (
     LEAN_MAX,
     LEAN_SD,
     MEAN_S,
+    NOISE_S,
     REMEMBERED_S,
     REST_NOISE,
     REST_S,
+    SUDDEN,
+    SUDDEN_S,
+    TOLD_SD,
+    TURN_ERROR,
     TURN_NOISE,
     UPRIGHT_S,
     follow,
@@ -29,45 +37,56 @@ from estimators.networks import NetworkEstimator, Spiking
 from estimators.weights_file import InputScaling, shipped_network
 from quadsim.vehicle import GRAVITY
 
-STEP, DRAG, SPREAD = 0.005, 0.25, 0.05
+STEP, DRAG, SPREAD, ACCEL_SPREAD = 0.005, 0.25, 0.05, 0.2
 
 
-def found(gyro, accel, heading=None, align_s=0.0, noise=0.01, drag=DRAG):
+def found(gyro, accel, heading=None, noise=0.01, drag=DRAG, accel_spread=ACCEL_SPREAD, told_tilt=None):
     """What is kept (T, KEPT) after each of the readings (T, 3) twice, and the turns that are told (T, 2)."""
     kept, out, told = np.zeros(KEPT), np.empty((len(gyro), KEPT)), np.empty((len(gyro), 2))
+    if told_tilt is not None:
+        kept[0], kept[LEAN : LEAN + 2] = np.inf, (told_tilt[1], -told_tilt[0])
+    alignment = 0.0, drag, noise, SPREAD, accel_spread
     heading = np.zeros(len(gyro)) if heading is None else heading
     for t, (rates, forces, angle) in enumerate(zip(gyro, accel, heading, strict=True)):
-        told[t] = follow(
-            rates, forces, np.cos(angle), np.sin(angle), STEP, align_s, drag, noise, SPREAD, kept
-        )
+        told[t] = follow(rates, forces, np.cos(angle), np.sin(angle), STEP, alignment, kept)
         kept[0] += STEP
         out[t] = kept
     return out, told
 
 
 def tilt_of(kept):
-    """Tilt about x and y [rad]."""
+    """Sine of the tilt about x and y."""
     return np.stack([-kept[..., LEAN + 1], kept[..., LEAN]], -1)
 
 
-def flight(steps, seed=0, start=(0.0, 0.0), bias=(0.0, 0.0), wind=(0.0, 0.0), yaw=0.0, gust=0.0):
-    """A vehicle that drag slows, whose tilt wanders: readings (T, 3) twice, heading (T,), tilt (T, 2)."""
+def flight(
+    steps,
+    seed=0,
+    start=(0.0, 0.0),
+    bias=(0.0, 0.0),
+    wind=(0.0, 0.0),
+    yaw=0.0,
+    gust=0.0,
+    accel_bias=(0.0, 0.0),
+):
+    """A vehicle that drag slows, whose tilt wanders: readings (T, 3) twice, heading (T,), its sine (T, 2)."""
     rng = np.random.default_rng(seed)
-    hz, phase = rng.uniform(0.1, 1.0, (2, 2, 3)), rng.uniform(0, 2 * np.pi, (2, 3))
+    hz, phase = rng.uniform(0.2, 1.0, (2, 2, 3)), rng.uniform(0, 2 * np.pi, (2, 3))
     turning = 0.3 * np.cos(2 * np.pi * hz[0] * STEP * np.arange(steps)[:, None, None] + phase).sum(-1)
     turning[0] = 0.0
-    tilt = np.asarray(start) + STEP * np.cumsum(turning, axis=0)
     heading = yaw * STEP * np.arange(steps)
     blows = gust * np.sqrt(STEP) * rng.standard_normal((steps, 2))
-    force = np.empty((steps, 2))
-    force[0] = DRAG * np.asarray(wind)
+    tilt, force = np.empty((steps, 2)), np.empty((steps, 2))
+    tilt[0], force[0] = start, DRAG * np.asarray(wind)
     for t in range(1, steps):
+        tilt[t] = tilt[t - 1] + STEP * turning[t] * np.sqrt(1 - np.sum(tilt[t - 1] ** 2))
         change = -DRAG * STEP * (force[t - 1] + GRAVITY * tilt[t - 1, ::-1] * (1, -1))
         force[t] = force[t - 1] + change + blows[t]
     turn = np.exp(-1j * heading)
     rate, lateral = (turn * (a[:, 0] + 1j * a[:, 1]) for a in (turning, force))
     gyro = np.stack([rate.real + bias[0], rate.imag + bias[1], np.full(steps, yaw)], -1)
-    return gyro, np.stack([lateral.real, lateral.imag, np.full(steps, GRAVITY)], -1), heading, tilt
+    accel = [lateral.real + accel_bias[0], lateral.imag + accel_bias[1], np.full(steps, GRAVITY)]
+    return gyro, np.stack(accel, -1), heading, tilt
 
 
 @settings(deadline=None)  # the first example waits for the compiler
@@ -81,46 +100,94 @@ def test_most_of_a_tilt_at_the_start_is_found_in_a_second_in_any_steady_wind(see
 
 @settings(deadline=None)
 @given(st.integers(0, 99), st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-1, 1))
-def test_a_bias_is_found_in_calm_flight_within_seconds(seed, x, y, yaw):
+def test_a_gyroscopes_bias_is_found_in_calm_flight_within_seconds(seed, x, y, yaw):
     gyro, accel, heading, _ = flight(2400, seed, (0.1, -0.1), (x, y), yaw=yaw)
-    kept, _ = found(gyro, accel, heading)
+    kept, _ = found(gyro, accel, heading, accel_spread=0.0)
     off = np.abs(kept[:, BIAS : BIAS + 2] - [x, y]).max(1)
     assert off[1200:].max() < np.radians(2.5)
     assert off[2399] < np.radians(1.7)
 
 
+@pytest.mark.parametrize("told", [False, True])
+def test_both_biases_are_as_far_off_as_it_says(told):
+    rng, squares = np.random.default_rng(0), []
+    for seed in range(60):
+        bias, accel_bias = rng.normal(0, SPREAD / 2, 2), rng.normal(0, ACCEL_SPREAD, 2)
+        start, wind, yaw = rng.normal(0, 0.1, 2), rng.normal(0, 5, 2), rng.uniform(-1, 1)
+        gyro, accel, heading, tilt = flight(2000, seed, start, bias, wind, yaw, 0.1, accel_bias)
+        kept, _ = found(gyro, accel, heading, told_tilt=tilt[0] if told else None)
+        errors = kept[400::400, BIAS : ACCEL_BIAS + 2].reshape(-1, 2, 2) - np.stack([bias, accel_bias])
+        squares.append(np.sum(errors**2, -1) / (2 * kept[400::400, 13:15]))
+    assert (np.mean(squares, 0) > 0.2).all()
+    assert (np.mean(squares, 0) < 1.5).all()
+
+
+def test_a_start_that_is_told_tells_the_accelerometers_bias_in_any_steady_wind():
+    rng, left = np.random.default_rng(1), []
+    for seed in range(40):
+        bias, wind = rng.uniform(-0.4, 0.4, 2), rng.uniform(-10, 10, 2)
+        gyro, accel, heading, tilt = flight(
+            4000, seed, (0.1, -0.05), (0.005, -0.003), wind, rng.uniform(-1, 1), accel_bias=bias
+        )
+        kept, _ = found(gyro, accel, heading, told_tilt=tilt[0])
+        left.append(np.linalg.norm(kept[-1, ACCEL_BIAS:][:2] - bias) / np.linalg.norm(bias))
+    assert np.median(left) < 0.25
+    assert np.quantile(left, 0.9) < 0.6
+
+
 def test_it_is_filterpys_kalman_filter_of_both_axes():
-    gyro, accel, heading, _ = flight(800, 3, (0.2, -0.1), (0.03, -0.05), (3.0, 1.0), yaw=0.7, gust=0.2)
-    rest = np.array([[0.03, -0.05, 0.0]]), np.array([[0.2, 0.1, GRAVITY]])
+    """Eight real states: force, lean and both biases, x and y each; told, at rest, in flight, in a gust."""
+    start = (0.2, -0.1)
+    gyro, accel, heading, _ = flight(800, 3, start, (0.03, -0.05), (3.0, 1.0), 0.7, 0.2, (0.1, -0.2))
+    rest = np.array([[0.03, -0.05, 0.0]]), np.array([[1.0, 0.9, GRAVITY]])
     gyro, accel = (
         np.concatenate([np.repeat(a, 400, 0), b]) for a, b in zip(rest, (gyro, accel), strict=True)
     )
+    accel[600:, 0] += 2.0
+    accel[900:1000, 1] += np.tile([1.0, -1.0], 50)
     heading = np.concatenate([np.zeros(400), heading])
-    kept, _ = found(gyro, accel, heading)
+    kept, _ = found(gyro, accel, heading, told_tilt=start)
     assert (kept[:400, 2] >= REST_S).any()
-    theirs = KalmanFilter(dim_x=6, dim_z=2)  # force, lean, bias; x and y each
-    theirs.x[:2, 0] = accel[0, :2]  # the heading is 0
-    theirs.P = np.diag(np.repeat([0.01 / STEP**0.5, LEAN_SD, SPREAD], 2) ** 2)
-    gust, mean = BREEZE**2, np.zeros((2, 1))
+    noise = 0.01**2 / STEP
+    theirs = KalmanFilter(dim_x=8, dim_z=2)
+    theirs.x[:4, 0] = *accel[0, :2], start[1], -start[0]  # the heading is 0
+    theirs.P = np.diag(np.repeat([noise**0.5, TOLD_SD, SPREAD, ACCEL_SPREAD], 2) ** 2)
     one = np.eye(2)
+    theirs.P[:2, :2] += ACCEL_SPREAD**2 * one
+    theirs.P[:2, 6:] = theirs.P[6:, :2] = -(ACCEL_SPREAD**2) * one
+    gust, mean, missed, sudden = BREEZE**2, np.zeros((2, 1)), np.zeros(2), 0
+    white, before, shaken = 0.0, None, 0
     for t in range(1200):
         c, s = np.cos(heading[t]), np.sin(heading[t])
-        turn = STEP * np.array([[-s, -c], [c, -s]])  # times i r
-        F = np.eye(6)
+        upright = np.sqrt(1 - np.sum(theirs.x[2:4] ** 2))
+        turn = STEP * upright * np.array([[-s, -c], [c, -s]])  # times i r
+        F = np.eye(8)
         F[0:2, 0:2], F[0:2, 2:4] = (1 - DRAG * STEP) * one, -DRAG * GRAVITY * STEP * one
         F[2:4, 4:6] = turn
-        noise = np.repeat([gust, TURN_NOISE**2, BIAS_WALK**2], 2) * STEP
-        B = np.vstack([np.zeros((2, 2)), -turn, np.zeros((2, 2))])
-        theirs.predict(u=gyro[t, :2, None], B=B, F=F, Q=np.diag(noise))
-        force = np.array([[c, -s], [s, c]]) @ accel[t, :2]
-        theirs.update(force[:, None], R=0.01**2 / STEP * one, H=np.eye(6)[0:2])
-        theirs.update(mean, R=LEAN_SD**2 * UPRIGHT_S / STEP * one, H=np.eye(6)[2:4])
+        at_once = max(missed @ missed - SUDDEN * STEP * max(white, noise) / SUDDEN_S, 0.0) / SUDDEN_S
+        sudden += at_once > gust
+        turning = TURN_NOISE**2 + TURN_ERROR**2 * np.sum(gyro[t, :2] ** 2)
+        walks = np.repeat([max(gust, at_once), turning, BIAS_WALK**2, ACCEL_BIAS_WALK**2], 2) * STEP
+        B = np.vstack([np.zeros((2, 2)), -turn, np.zeros((4, 2))])
+        theirs.predict(u=gyro[t, :2, None], B=B, F=F, Q=np.diag(walks))
+        turned = np.array([[c, -s], [s, c]])
+        H = np.hstack([one, np.zeros((2, 4)), turned])
+        force = (turned @ accel[t, :2])[:, None]
+        off = (force - H @ theirs.x)[:, 0]
+        change = off - before if t > 0 else np.zeros(2)
+        white, before = white + STEP / NOISE_S * (change @ change / 4 - white), off
+        shaken += white > noise
+        theirs.update(force, R=max(white, noise) * one, H=H)
+        missed += STEP / SUDDEN_S * (theirs.y[:, 0] - missed)
+        theirs.update(mean, R=LEAN_SD**2 * UPRIGHT_S / STEP * one, H=np.eye(8)[2:4])
         mean = mean + STEP / min(UPRIGHT_S + (t + 1) * STEP, MEAN_S) * (theirs.x[2:4] - mean)
         if kept[t, 2] >= REST_S:
-            theirs.update(gyro[t, :2, None], R=REST_NOISE**2 / STEP * one, H=np.eye(6)[4:6])
-        np.testing.assert_allclose(kept[t, 3:9], np.ravel(theirs.x), rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(np.repeat(kept[t, 9:12], 2), np.diag(theirs.P), rtol=1e-6)
+            theirs.update(gyro[t, :2, None], R=REST_NOISE**2 / STEP * one, H=np.eye(8)[4:6])
+        np.testing.assert_allclose(kept[t, 3:11], np.ravel(theirs.x), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(np.repeat(kept[t, 11:15], 2), np.diag(theirs.P), rtol=1e-6)
         gust = kept[t, GUST]
+    assert 10 < sudden < 1000
+    assert 10 < shaken < 1000
 
 
 def test_at_rest_bias_and_tilt_are_found_whatever_the_drag():
@@ -166,14 +233,15 @@ def test_any_readings_leave_what_is_possible(readings, drag, noise):
     assert np.isfinite(told).all()
     assert np.abs(kept[:, BIAS : BIAS + 2]).max() <= BIAS_MAX
     assert np.abs(kept[:, LEAN : LEAN + 2]).max() <= LEAN_MAX
-    assert (kept[:, 9:12] > 0).all()
+    assert np.abs(kept[:, ACCEL_BIAS : ACCEL_BIAS + 2]).max() <= ACCEL_BIAS_MAX
+    assert (kept[:, 11:15] > 0).all()
 
 
 def test_a_bias_that_is_known_to_be_none_stays_none():
     gyro, accel, _, _ = flight(4000, 2, bias=(0.05, -0.03))
     held = np.zeros((1, HELD))
     scaled_inputs(INPUTS, 200.0, gyro[None], accel[None], held)
-    np.testing.assert_array_equal(held[0, ALIGNMENT + BIAS :][:2], 0.0)
+    np.testing.assert_array_equal(held[0, ALIGNMENT + BIAS :][:4], 0.0)
 
 
 def test_one_bad_reading_does_no_lasting_harm():

@@ -93,8 +93,8 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         config = NetworkConfig(
             model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale,
             inputs=InputScaling(
-                bias_sd=0.04 * seed, lead=3.0 * seed, lead_samples=(3, 40), align_s=5.0 * seed,
-                align_drag=0.3, align_noise=0.05, yaw_free=bool(seed),
+                bias_sd=0.04 * seed, accel_bias_sd=0.3 * seed, lead=3.0 * seed, lead_samples=(3, 40),
+                align_s=5.0 * seed, align_drag=0.3, align_noise=0.05, yaw_free=bool(seed),
             ),
         )  # fmt: skip
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"

@@ -131,7 +131,13 @@ class TrainConfig(Strict):
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "best": {
-        "inputs": InputScaling(bias_sd=0.0088, lead=4.0, align_s=1.0, yaw_free=True),
+        "inputs": InputScaling(
+            bias_sd=0.0088,
+            accel_bias_sd=0.2,
+            lead=4.0,
+            align_s=1.0,
+            yaw_free=True,
+        ),
         "encoding": 300,
         "hidden": 300,
         "parameters": 21202,
@@ -178,6 +184,7 @@ ROBUST = Augmentation(
 PRESETS["robust"] = PRESETS["best"] | {
     "inputs": InputScaling(
         bias_sd=0.044,
+        accel_bias_sd=0.1,
         align_s=1.0,
         align_drag=0.3,
         align_noise=0.08,

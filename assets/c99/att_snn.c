@@ -24,6 +24,7 @@ static const double LEAD = $lead; /* times that the change of a lateral force is
 static const double SCALE = 1.0 / ATT_SNN_UNITS_PER_RADIAN;
 static const double STEP = $step; /* seconds between samples */
 static const double BIAS_SD = $bias_sd; /* spread of the gyroscope's bias, which is found and taken off; 0: it is not */
+static const double ACCEL_BIAS_SD = $accel_bias_sd; /* and that of the accelerometer's, likewise */
 static const double ALIGN_S = $align_s; /* time for which an unknown attitude is looked for at the start; 0: it is not */
 static const double DRAG = $align_drag; /* what drag takes from a lateral speed, for both [1/s] */
 static const double NOISE = $align_noise; /* noise density of a lateral force's reading, for both [m/s^2 s^0.5] */
@@ -155,19 +156,23 @@ static pair conjugate(pair a) { return (pair){a.x, -a.y}; }
 static double square(pair a) { return a.x * a.x + a.y * a.y; }
 static pair both_between(pair a, double limit) { return (pair){between(a.x, limit), between(a.y, limit)}; }
 
-/* What drag does to a lateral force, and gravity to it by a lean, which a gyroscope follows but for its bias: a Kalman
- * filter. The variances are of one axis; the covariances of force and lean, force and bias, lean and bias. */
+static double larger(double a, double b) { return a > b ? a : b; }
+
+/* What drag does to a lateral force, and gravity to it by a lean, which a gyroscope follows but for its bias, where the
+ * accelerometer reads the force but for its own, the offset: a Kalman filter. The variances are of one axis. */
 typedef struct {
-    pair force, lean, bias;
-    double force_var, lean_var, bias_var;
-    pair force_lean, force_bias, lean_bias;
+    pair force, lean, bias, offset;
+    double force_var, lean_var, bias_var, offset_var;
+    pair force_lean, force_bias, lean_bias, force_offset, lean_offset, bias_offset;
 } filter;
 
-static void predict(filter *f, pair rate, pair heading, double elapsed, double gust)
+/* A bias of 1 turns by `turn` meanwhile. */
+static void predict(filter *f, pair rate, pair turn, double elapsed, double gust)
 {
     const double walk = BIAS_SD > 0.0 ? $bias_walk : 0.0; /* a bias that is known to be none stays none */
+    const double offset_walk = ACCEL_BIAS_SD > 0.0 ? $accel_bias_walk : 0.0;
+    const double turning = $turn_noise * $turn_noise + $turn_error * $turn_error * square(rate);
     const double left = 1.0 - DRAG * elapsed, fall = DRAG * $gravity * elapsed;
-    const pair turn = {-heading.y * elapsed, heading.x * elapsed};
     const pair force_bias = minus(of(left, f->force_bias), of(fall, f->lean_bias));
     const double by_turn = turn.x * f->lean_bias.x + turn.y * f->lean_bias.y;
     f->force = minus(of(left, f->force), of(fall, f->lean));
@@ -178,46 +183,65 @@ static void predict(filter *f, pair rate, pair heading, double elapsed, double g
     f->force_lean.y = left * f->force_lean.y;
     f->force_lean = plus(f->force_lean, times(force_bias, conjugate(turn)));
     f->force_bias = force_bias;
-    f->lean_var = f->lean_var + 2.0 * by_turn + elapsed * elapsed * f->bias_var + $turn_noise * $turn_noise * elapsed;
+    f->lean_var = f->lean_var + 2.0 * by_turn + square(turn) * f->bias_var + turning * elapsed;
     f->lean_bias = plus(f->lean_bias, of(f->bias_var, turn));
     f->bias_var = f->bias_var + walk * walk * elapsed;
+    f->offset_var = f->offset_var + offset_walk * offset_walk * elapsed;
+    f->force_offset = minus(of(left, f->force_offset), of(fall, f->lean_offset));
+    f->lean_offset = plus(f->lean_offset, times(turn, f->bias_offset));
 }
 
+/* A column of the covariance. */
+typedef struct {
+    pair force, lean, bias, offset;
+} column;
+
 /* One measurement: its column of the covariance, and its innovation with its variance. */
-static void correct(filter *f, pair force, pair lean, pair bias, pair innovation, double variance)
+static void correct(filter *f, column c, pair innovation, double variance)
 {
     const double scale = 1.0 / variance;
     const pair gain = {innovation.x * scale, innovation.y * scale};
-    f->force = plus(f->force, times(force, gain));
-    f->lean = plus(f->lean, times(lean, gain));
-    f->bias = plus(f->bias, times(bias, gain));
-    f->force_var = f->force_var - scale * square(force);
-    f->lean_var = f->lean_var - scale * square(lean);
-    f->bias_var = f->bias_var - scale * square(bias);
-    f->force_lean = minus(f->force_lean, of(scale, times(force, conjugate(lean))));
-    f->force_bias = minus(f->force_bias, of(scale, times(force, conjugate(bias))));
-    f->lean_bias = minus(f->lean_bias, of(scale, times(lean, conjugate(bias))));
+    f->force = plus(f->force, times(c.force, gain));
+    f->lean = plus(f->lean, times(c.lean, gain));
+    f->bias = plus(f->bias, times(c.bias, gain));
+    f->offset = plus(f->offset, times(c.offset, gain));
+    f->force_var = f->force_var - scale * square(c.force);
+    f->lean_var = f->lean_var - scale * square(c.lean);
+    f->bias_var = f->bias_var - scale * square(c.bias);
+    f->offset_var = f->offset_var - scale * square(c.offset);
+    f->force_lean = minus(f->force_lean, of(scale, times(c.force, conjugate(c.lean))));
+    f->force_bias = minus(f->force_bias, of(scale, times(c.force, conjugate(c.bias))));
+    f->lean_bias = minus(f->lean_bias, of(scale, times(c.lean, conjugate(c.bias))));
+    f->force_offset = minus(f->force_offset, of(scale, times(c.force, conjugate(c.offset))));
+    f->lean_offset = minus(f->lean_offset, of(scale, times(c.lean, conjugate(c.offset))));
+    f->bias_offset = minus(f->bias_offset, of(scale, times(c.bias, conjugate(c.offset))));
 }
+
+static pair pair_at(const double *kept) { return (pair){kept[0], kept[1]}; }
 
 static filter unpacked(const double kept[$kept])
 {
-    return (filter){{kept[3], kept[4]}, {kept[5], kept[6]}, {kept[7], kept[8]}, kept[9], kept[10], kept[11],
-        {kept[12], kept[13]}, {kept[14], kept[15]}, {kept[16], kept[17]}};
+    return (filter){pair_at(kept + 3), pair_at(kept + 5), pair_at(kept + 7), pair_at(kept + 9), kept[11], kept[12],
+        kept[13], kept[14], pair_at(kept + 15), pair_at(kept + 17), pair_at(kept + 19), pair_at(kept + 21),
+        pair_at(kept + 23), pair_at(kept + 25)};
 }
 
 static void pack(const filter *f, double kept[$kept])
 {
-    const pair pairs[6] = {both_between(f->force, $reading_max), both_between(f->lean, $lean_max),
-        both_between(f->bias, $bias_max), f->force_lean, f->force_bias, f->lean_bias};
-    for (int k = 0; k < 3; ++k) {
-        kept[3 + 2 * k] = pairs[k].x;
-        kept[4 + 2 * k] = pairs[k].y;
-        kept[12 + 2 * k] = pairs[3 + k].x;
-        kept[13 + 2 * k] = pairs[3 + k].y;
+    const pair state[4] = {both_between(f->force, $reading_max), both_between(f->lean, $lean_max),
+        both_between(f->bias, $bias_max), both_between(f->offset, $accel_bias_max)};
+    const double spreads[4] = {f->force_var, f->lean_var, f->bias_var, f->offset_var};
+    const pair shared[6] = {
+        f->force_lean, f->force_bias, f->lean_bias, f->force_offset, f->lean_offset, f->bias_offset};
+    for (int k = 0; k < 4; ++k) {
+        kept[3 + 2 * k] = state[k].x;
+        kept[4 + 2 * k] = state[k].y;
+        kept[11 + k] = spreads[k];
     }
-    kept[9] = f->force_var;
-    kept[10] = f->lean_var;
-    kept[11] = f->bias_var;
+    for (int k = 0; k < 6; ++k) {
+        kept[15 + 2 * k] = shared[k].x;
+        kept[16 + 2 * k] = shared[k].y;
+    }
 }
 
 /* Take a correction of the force into what is known of its random walk: their sum scatters as far. */
@@ -229,9 +253,27 @@ static void gauge(pair correction, double kept[$kept])
     const pair off = {sum[0] - drift[0], sum[1] - drift[1]};
     drift[0] += off.x * STEP / $drift_s;
     drift[1] += off.y * STEP / $drift_s;
-    const double walked = $gauge * square(off) / $corrected_s, least = $calm * $calm;
+    const double walked = larger($gauge * square(off) / $corrected_s, $calm * $calm);
     const double memory = smaller($breeze_s + kept[$samples] * STEP, $gusts_s);
-    *gust += ((walked > least ? walked : least) - *gust) * STEP / memory;
+    *gust += (walked - *gust) * STEP / memory;
+}
+
+/* Variance of a reading of the force, of each axis: a quarter of that of the change of how far it is off. */
+static double noise(pair off, double kept[$kept])
+{
+    double *variance = kept + $noise;
+    const pair change = kept[$samples] > 1.0 ? minus(off, pair_at(variance + 1)) : (pair){0.0, 0.0};
+    variance[0] += (0.25 * square(change) - variance[0]) * STEP / $noise_s;
+    variance[1] = off.x;
+    variance[2] = off.y;
+    return larger(variance[0], NOISE * NOISE / STEP);
+}
+
+/* Square of the random walk that takes the force to where it has lately been off by more than noise. */
+static double sudden(const double kept[$kept])
+{
+    const double off = square(pair_at(kept + $missed));
+    return larger(off - $sudden * larger(kept[$noise] * STEP, NOISE * NOISE) / $sudden_s, 0.0) / $sudden_s;
 }
 
 /* Take a reading into the fast and the slow low-pass of both sensors; whether these agree. */
@@ -254,57 +296,74 @@ static int unchanged(const double gyro[3], const double accel[3], double kept[$k
  * gyroscope says, less its bias. */
 static pair follow(const double gyro[3], const double accel[3], pair heading, double kept[$kept])
 {
-    const pair rate = both_between((pair){gyro[0], gyro[1]}, $rate_max);
+    const pair rate = both_between((pair){gyro[0], gyro[1]}, $rate_max), back = conjugate(heading);
+    const pair reading = both_between((pair){accel[0], accel[1]}, $reading_max);
     filter f = unpacked(kept);
     kept[$samples] += 1.0;
-    const pair force = times(heading, both_between((pair){accel[0], accel[1]}, $reading_max));
     if (kept[$samples] == 1.0) {
-        f.force = force;
-        f.force_var = NOISE * NOISE / STEP;
+        const double offset_var = ACCEL_BIAS_SD * ACCEL_BIAS_SD;
+        f.force = times(heading, reading);
+        f.force_var = NOISE * NOISE / STEP + offset_var;
         f.lean_var = $lean_sd * $lean_sd;
         f.bias_var = BIAS_SD * BIAS_SD;
+        f.offset_var = offset_var;
+        f.force_offset = of(-offset_var, heading);
         kept[$gust] = $breeze * $breeze;
     }
     const pair bias_before = f.bias;
+    const double elapsed = smaller(kept[1] + STEP, $gap_max);
     const int aligning = kept[0] < ALIGN_S;
-    predict(&f, rate, heading, smaller(kept[1] + STEP, $gap_max), aligning ? $steady * $steady : kept[$gust]);
+    const double gust = aligning ? $steady * $steady : larger(kept[$gust], sudden(kept));
+    const double upright = larger(sqrt(larger(1.0 - square(f.lean), 0.0)), $upright_min), turned = elapsed * upright;
+    predict(&f, rate, (pair){-turned * heading.y, turned * heading.x}, elapsed, gust);
     const pair lean_before = f.lean, force_before = f.force;
 
-    const pair off = both_between(minus(force, f.force), $force_max);
-    correct(&f, (pair){f.force_var, 0.0}, conjugate(f.force_lean), conjugate(f.force_bias), off,
-        f.force_var + NOISE * NOISE / STEP);
+    const pair off = both_between(minus(times(heading, minus(reading, f.offset)), f.force), $force_max);
+    const double white = noise(off, kept);
+    double *missed = kept + $missed;
+    missed[0] += (off.x - missed[0]) * STEP / $sudden_s;
+    missed[1] += (off.y - missed[1]) * STEP / $sudden_s;
+    const pair seen_offset = times(back, f.force_offset);
+    const column of_force = {plus((pair){f.force_var, 0.0}, seen_offset),
+        plus(conjugate(f.force_lean), times(back, f.lean_offset)),
+        plus(conjugate(f.force_bias), times(back, f.bias_offset)), plus(conjugate(f.force_offset), of(f.offset_var, back))};
+    correct(&f, of_force, off, f.force_var + f.offset_var + 2.0 * seen_offset.x + white);
     if (kept[$samples] * STEP > $gauge_from_s) /* the first corrections are those of the start */
         gauge(minus(f.force, force_before), kept);
 
     double *mean = kept + $mean;
-    if (!aligning)
-        correct(&f, f.force_lean, (pair){f.lean_var, 0.0}, conjugate(f.lean_bias), minus((pair){mean[0], mean[1]}, f.lean),
-            f.lean_var + $lean_sd * $lean_sd * $upright_s / STEP);
+    if (!aligning) {
+        const column of_lean = {f.force_lean, {f.lean_var, 0.0}, conjugate(f.lean_bias), conjugate(f.lean_offset)};
+        correct(&f, of_lean, minus((pair){mean[0], mean[1]}, f.lean), f.lean_var + $lean_sd * $lean_sd * $upright_s / STEP);
+    }
     const double seen = STEP / smaller($upright_s + kept[$samples] * STEP, $mean_s);
     mean[0] += (f.lean.x - mean[0]) * seen;
     mean[1] += (f.lean.y - mean[1]) * seen;
 
     kept[2] = unchanged(gyro, accel, kept) ? kept[2] + STEP : 0.0;
-    if (kept[2] >= $rest_s)
-        correct(&f, f.force_bias, f.lean_bias, (pair){f.bias_var, 0.0}, minus(rate, f.bias),
-            f.bias_var + $rest_noise * $rest_noise / STEP);
+    if (kept[2] >= $rest_s) {
+        const column of_bias = {f.force_bias, f.lean_bias, {f.bias_var, 0.0}, conjugate(f.bias_offset)};
+        correct(&f, of_bias, minus(rate, f.bias), f.bias_var + $rest_noise * $rest_noise / STEP);
+    }
 
     pack(&f, kept);
     f = unpacked(kept);
     double *effect = kept + $effect;
     const pair lean_found = minus(f.lean, lean_before);
-    const pair further = aligning ? (pair){-lean_found.y, lean_found.x} : times(minus(bias_before, f.bias), (pair){effect[0], effect[1]});
+    const double told = 1.0 / upright;
+    const pair further = aligning ? (pair){-told * lean_found.y, told * lean_found.x}
+                                  : times(minus(bias_before, f.bias), pair_at(effect));
     effect[0] += STEP * (heading.x - effect[0] / $remembered_s);
     effect[1] += STEP * (heading.y - effect[1] / $remembered_s);
     kept[1] = 0.0;
-    return times(conjugate(heading), further);
+    return times(back, further);
 }
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
     const double size = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
     const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]), force_found = finite(size) && size > 0.0;
-    const int aligned = ALIGN_S > 0.0 || BIAS_SD > 0.0;
+    const int aligned = ALIGN_S > 0.0 || BIAS_SD > 0.0 || ACCEL_BIAS_SD > 0.0;
     if (rate_found && (YAW_FREE || aligned))
         yaw(state->heading, gyro[2]);
     const pair heading = {state->heading[0], state->heading[1]}, axes = YAW_FREE ? heading : (pair){1.0, 0.0};
@@ -326,7 +385,8 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
         state->input[2] = nearest((gyro[2] - OFFSET[2]) * GAIN[2]);
     }
     if (force_found) {
-        const pair force = times(axes, (pair){accel[0] - OFFSET[3], accel[1] - OFFSET[4]});
+        const double *offset_found = state->alignment + $accel_bias;
+        const pair force = times(axes, (pair){accel[0] - OFFSET[3] - offset_found[0], accel[1] - OFFSET[4] - offset_found[1]});
         state->input[3] = nearest(led(state, 0, force.x) * GAIN[3]);
         state->input[4] = nearest(led(state, 1, force.y) * GAIN[4]);
         state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
