@@ -90,7 +90,13 @@ class NetworkEstimator:
         self.reset()
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
-        """Forget everything and start n vehicles; roll_pitch (n, 2) [rad] where the attitude is known."""
+        """Forget everything and start n vehicles.
+
+        Args:
+            n: How many.
+            roll_pitch: Shape (n, 2) [rad], where the attitude is known, to half a degree: the accelerometer's
+                bias is found by it.
+        """
         self._states = self._started(n, roll_pitch)
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
