@@ -96,6 +96,9 @@ class NetworkEstimator:
             n: How many.
             roll_pitch: Shape (n, 2) [rad], where the attitude is known, to half a degree: the accelerometer's
                 bias is found by it.
+
+        Raises:
+            ValueError: Of another shape, or not finite.
         """
         self._states = self._started(n, roll_pitch)
 
@@ -136,6 +139,8 @@ class NetworkEstimator:
             known = np.asarray(roll_pitch, dtype=np.float64)
             if known.shape != (n, 2):
                 raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
+            if not np.isfinite(known).all():
+                raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
             states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept

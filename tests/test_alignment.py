@@ -308,3 +308,10 @@ def test_a_start_that_is_told_is_known_to_the_filter_too():
     np.testing.assert_allclose(tilt_of(kept), tilt[0], atol=0.02)
     est.sequence(gyro[None], accel[None])
     np.testing.assert_allclose(tilt_of(est._states[0][0, ALIGNMENT:]), tilt[-1], atol=0.03)
+
+
+@pytest.mark.parametrize("told", [np.nan, np.inf])
+def test_an_attitude_that_is_no_number_is_refused(told):
+    est = NetworkEstimator(Spiking(*shipped_network("att-snn")), 200.0)
+    with pytest.raises(ValueError, match="not finite"):
+        est.reset(1, roll_pitch=[[told, 0.0]])
