@@ -52,6 +52,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "no skip connection": {"skip": False},
     "no lead on the lateral forces": {"inputs": INPUTS.model_copy(update={"lead": 0.0})},
     "no alignment at the start": {"inputs": INPUTS.model_copy(update={"align_s": 0.0})},
+    "no attitude told in training": {"told": 0.0},
     "random start": {"start": "random"},
     "outputs of 1 rad per unit": {"output_scale": 1.0},
     "constant learning rate": {"decay": "none"},

@@ -26,6 +26,7 @@ from quadsim.mission import Mission
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.scenario import scenario_names
 from quadsim.vehicle import GRAVITY, load_vehicle
+from scenarios.bound import least_error
 from scenarios.breaking import DISTURBANCES, Breaking, breaking_points
 from scenarios.cell import fly as fly_mission
 from scenarios.demo import SLOW
@@ -41,6 +42,7 @@ OUT = HERE.parent / "reports" / "closed-loop"
 SEEDS, BREAKING_SEEDS = 20, 10
 LONG = ("hover", "figure-8", "dryden-moderate", "wind-8")
 LONG_S = 100.0
+SPEEDS_KNOWN = (np.inf, 0.3)
 LONG_NAMES = (TRUTH, "att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "mahony", "vqf")
 
 
@@ -177,6 +179,23 @@ def bias_rows(results: Results) -> list[str]:
     return ["| *truth, but for the accelerometer's bias* | " + " | ".join(entries) + " |"]
 
 
+def bound_rows(results: Results) -> list[str]:
+    """The rows of the best linear estimator, which knows nothing of its speed or something."""
+    imu, vehicle = load_imu("adis16448"), load_vehicle("hummingbird")
+    truth = {
+        row["scenario"]: _float(row["attitude_deg"]) for row in results.rows if row["estimator"] == TRUTH
+    }
+    rows = []
+    for speed_sd in SPEEDS_KNOWN:
+        entries = []
+        for name, scenario in results.settings.scenarios.items():
+            off = np.degrees(least_error(imu, vehicle, scenario, LONG_S, speed_sd))
+            entries.append(f"{np.hypot(1.0, off / truth[name]):.2f} ({off:.2f}° RMS)")
+        known = "speed unknown" if np.isinf(speed_sd) else f"speed known to {speed_sd:g} m/s"
+        rows.append(f"| *best possible, {known}* | " + " | ".join(entries) + " |")
+    return rows
+
+
 def long_rows(results: Results) -> list[str]:
     """Crashes and attitude tracking over that of the truth, in the long flights."""
     rows = {(row["estimator"], row["scenario"]): row for row in results.rows}
@@ -228,7 +247,7 @@ def main() -> None:
         "suite": lambda: [suite_text(results, minutes)],
         "standings": lambda: standing_rows(results),
         "breaking": lambda: breaking_rows(points),
-        "long": lambda: [*long_rows(long), *bias_rows(long)],
+        "long": lambda: [*long_rows(long), *bias_rows(long), *bound_rows(long)],
         "loop": loop_rows,
     }
     page = (HERE / "closed-loop.template.md").read_text()

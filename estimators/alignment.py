@@ -3,16 +3,18 @@
 Drag takes k v from a lateral speed v, and all but it is the lateral specific force: f = −k v (Martin &
 Salaün, "The true role of accelerometer feedback in quadrotor control", ICRA 2010). Gravity speeds a vehicle
 up to where it leans. In the axes of `estimators.tilt`, x + iy as one complex number, with the lean λ of size
-sin θ at a tilt θ, the gyroscope's reading ω, its bias b and the accelerometer's a in body axes, the heading
-r of length 1, and the reading y of the lateral force:
+sin θ at a tilt θ, the speed v over ground, the gyroscope's reading ω, its bias b and the accelerometer's a in
+body axes, the heading r of length 1, and the reading y of the lateral force:
 
-    ḟ = −k (f + g λ),    λ̇ = −i √(1 − |λ|²) (ω − r b),    ḃ = 0,    ȧ = 0,    y = f + r a.
+    v̇ = f + g λ,    ḟ = −k v̇,    λ̇ = −i √(1 − |λ|²) (ω − r b),    ḃ = 0,    ȧ = 0,    y = f + r a.
 
-At rest these hold as well, whatever k: the force is the ground's then, f = −g λ. A Kalman filter of the four
-measures the lateral force; weakly, that a lean does not last, but for its mean, which tells the gyroscope's
-bias where the force is none of drag's, as in a hand; and where the readings of neither sensor change, that
+At rest these hold as well, whatever k: the force is the ground's then, f = −g λ. A Kalman filter of the five
+measures the lateral force; weakly, that a speed does not last, for a vehicle that has been slow stays about
+where it is, and all but not for one that has been fast; and where the readings of neither sensor change, that
 what the gyroscope reads is its bias (a zero-rate update, as VQF's, Laidig & Seel 2023). A lean that is known
 at the start, or that changes, tells the accelerometer's bias from a tilt, and a known one nearly whole.
+A heading that drifts would turn wind, which then looks like a bias that turns with the body: what the
+gyroscope reads about z in the mean is taken off, and believed the less the more the vehicle yaws.
 
 Wind and all that drag is not make the force walk at random; how far is taken from the corrections of the
 force that are found to be needed (Myers & Tapley, "Adaptive sequential estimation with unknown noise
@@ -30,38 +32,45 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from quadsim.vehicle import GRAVITY
 
 from .tilt import RATE_MAX
 
-KEPT = 54
-"""What is kept: the time since the start, that since the last sample, and that at rest; force, lean and the
-biases of gyroscope and accelerometer; their variances; the covariances of force and lean, force and the
-first, lean and the first, and of these three and the second; what a bias of 1 does to the attitude that is
-remembered; samples; the six readings in a fast and in a slow low-pass; the late corrections of the force,
-summed, and the mean of that; the mean lean; the square of the random walk of the force; by how much the
-force has lately been off; and the variance of that between samples, with the last."""
-LEAN, BIAS, ACCEL_BIAS, EFFECT, SAMPLES = 5, 7, 9, 27, 29
-FAST, SLOW, CORRECTIONS, DRIFT, MEAN, GUST, MISSED, NOISE = 30, 36, 42, 44, 46, 48, 49, 51
-"""Where these begin in it; `BIAS` is the gyroscope's."""
+F, L, B, A, V = range(5)
+"""The state: force, lean, the biases of gyroscope and accelerometer, speed over ground."""
+KEPT = 92
+"""What is kept: the time since the start, that since the last sample, and that at rest; the state; its
+covariance, row by row; what a gyroscope's bias of 1 does to the attitude that is remembered; samples; the six
+readings in a fast and in a slow low-pass; the late corrections of the force, summed, and the mean of that;
+the square of the random walk of the force; by how much the force has lately been off; the variance of that
+between samples, with the last; the mean square of the speed, of each axis; and the gyroscope's bias about z,
+its variance, and the mean square of the yaw rate."""
+STATE, SPREAD, EFFECT, SAMPLES, FAST, SLOW = 3, 13, 63, 65, 66, 72
+CORRECTIONS, DRIFT, GUST, MISSED, NOISE, SPEED, YAW_BIAS = 78, 80, 82, 83, 85, 88, 89
+LEAN, BIAS, ACCEL_BIAS = STATE + 2 * L, STATE + 2 * B, STATE + 2 * A
+"""Where these begin in it."""
 FORCE_MAX = 5.0
 """How far a force counts as away from what is expected: a bad reading does no lasting harm [m/s²]."""
 LEAN_MAX = 0.95
 """Largest lean that is believed, of each axis."""
 UPRIGHT_MIN = 0.3
 """Least cosine of a tilt that is believed."""
-BIAS_MAX, ACCEL_BIAS_MAX = 0.1, 2.0
-"""Largest biases that are believed, of each axis [rad/s], [m/s²]."""
+BIAS_MAX, ACCEL_BIAS_MAX, SPEED_MAX = 0.1, 2.0, 50.0
+"""Largest biases and speed that are believed, of each axis [rad/s], [m/s²], [m/s]."""
 READING_MAX = 1000.0
 """Beyond which no reading counts further, in its unit."""
 GAP_MAX = 0.5
 """Longest time between samples for which the rate is taken to have lasted [s]."""
 LEAN_SD, TOLD_SD = 0.245, 0.008
 """Spread of the lean at the start, of each axis: unknown, and told."""
-UPRIGHT_S, MEAN_S = 5.0, 20.0
-"""Time for which a lean is taken to last about its mean, and the memory of that [s]."""
+SPEED_SD, SPEED_MIN, SPEED_S = 1.0, 0.2, 2.0
+"""Speed over ground, of each axis: what is expected before any is seen, the least [m/s], and the time for
+which a low one is taken to last [s]; what is expected lasts twice as long, a higher one with its square."""
+EXPECTED_S, SPEEDS_S = 2.0, 10.0
+"""Time for which that expectation counts, and the memory of the speeds that are found [s]."""
 STEADY, CALM, BREEZE = 0.05, 0.03, 0.2
 """Random walk of the force: while the tilt at the start is looked for; later the least, and what is expected
 before any is seen [m/s²/√s]."""
@@ -79,6 +88,8 @@ TURN_NOISE, TURN_ERROR = 0.003, 0.01
 """Noise density of a turn rate [rad/s/√Hz], and further in proportion to it [√s]."""
 BIAS_WALK, ACCEL_BIAS_WALK = 4e-4, 0.006
 """Random walks of the biases [rad/s/√s], [m/s²/√s]."""
+YAW_RATE, YAW_RATE_MIN, YAW_S = 0.1, 0.005, 0.5
+"""Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
 REMEMBERED_S = 2.0
 """Time for which the network remembers a turn [s]."""
 REST_S, FAST_S = 0.5, 0.1
@@ -113,63 +124,58 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
     back = heading.conjugate()
     reading = complex(_within(forces[0], READING_MAX), _within(forces[1], READING_MAX))
     rate = complex(_within(rates[0], RATE_MAX), _within(rates[1], RATE_MAX))
-    state, spreads, shared = _unpacked(kept)
+    state = kept[STATE:SPREAD].view(np.complex128)
+    spread = kept[SPREAD:EFFECT].view(np.complex128).reshape((5, 5))
     kept[SAMPLES] += 1.0
     if kept[SAMPLES] == 1.0:
         lean_sd = LEAN_SD if kept[0] < math.inf else TOLD_SD
-        offset_var = offset_sd * offset_sd
-        state = heading * reading, state[1], state[2], state[3]
-        spreads = noise * noise / step + offset_var, lean_sd * lean_sd, bias_sd * bias_sd, offset_var
-        shared = shared[0], shared[1], shared[2], -offset_var * heading, shared[4], shared[5]
-        kept[GUST] = BREEZE * BREEZE
-    bias_before = state[2]
+        state[F] = heading * reading
+        spread[F, F] = noise * noise / step + offset_sd * offset_sd
+        spread[F, A], spread[A, F] = -(offset_sd * offset_sd) * heading, -(offset_sd * offset_sd) * back
+        spread[L, L], spread[B, B] = lean_sd * lean_sd, bias_sd * bias_sd
+        spread[A, A], spread[V, V] = offset_sd * offset_sd, SPEED_SD * SPEED_SD
+        kept[GUST], kept[SPEED] = BREEZE * BREEZE, SPEED_SD * SPEED_SD
+    bias_before = state[B]
     elapsed, aligning = min(kept[1] + step, GAP_MAX), kept[0] < align_s
-    gust = STEADY * STEADY if aligning else max(kept[GUST], _sudden(noise * noise, step, kept))
-    turning = TURN_NOISE * TURN_NOISE + TURN_ERROR * TURN_ERROR * _square(rate)
-    walks = gust, turning, _walk(BIAS_WALK, bias_sd), _walk(ACCEL_BIAS_WALK, offset_sd)
-    upright = max(math.sqrt(max(1.0 - _square(state[1]), 0.0)), UPRIGHT_MIN)
+    upright = max(math.sqrt(max(1.0 - _square(state[L]), 0.0)), UPRIGHT_MIN)
     turn = complex(0.0, elapsed * upright) * heading
-    state, spreads, shared = _predicted(state, spreads, shared, rate, turn, elapsed, drag, walks)
-    lean_before = state[1]
+    _predict(state, spread, rate, turn, elapsed, drag)
+    gust = STEADY * STEADY if aligning else max(kept[GUST], _sudden(noise * noise, step, kept))
+    spread[F, F] += gust * elapsed
+    spread[L, L] += (TURN_NOISE * TURN_NOISE + TURN_ERROR * TURN_ERROR * _square(rate)) * elapsed
+    if bias_sd > 0.0:  # one that is known to be none stays none
+        spread[B, B] += BIAS_WALK * BIAS_WALK * elapsed
+    if offset_sd > 0.0:
+        spread[A, A] += ACCEL_BIAS_WALK * ACCEL_BIAS_WALK * elapsed
+    force_before, lean_before = state[F], state[L]
 
-    off = heading * (reading - state[3]) - state[0]
+    off = heading * (reading - state[A]) - state[F]
     off = complex(_within(off.real, FORCE_MAX), _within(off.imag, FORCE_MAX))
     white = _noise(off, noise * noise / step, step, kept)
     kept[MISSED] += (off.real - kept[MISSED]) * step / SUDDEN_S
     kept[MISSED + 1] += (off.imag - kept[MISSED + 1]) * step / SUDDEN_S
-    column = (
-        spreads[0] + back * shared[3],
-        shared[0].conjugate() + back * shared[4],
-        shared[1].conjugate() + back * shared[5],
-        shared[3].conjugate() + back * spreads[3],
-    )
-    force_before = state[0]
-    variance = spreads[0] + spreads[3] + 2.0 * (back * shared[3]).real + white
-    state, spreads, shared = _corrected(state, spreads, shared, column, off, variance)
+    _correct(state, spread, F, heading, off, white)
     if kept[SAMPLES] * step > GAUGE_FROM_S:  # the first corrections are those of the start
-        _gauge(state[0] - force_before, step, kept)
+        _gauge(state[F] - force_before, step, kept)
 
     if not aligning:
-        column = shared[0], complex(spreads[1], 0.0), shared[2].conjugate(), shared[4].conjugate()
-        usual = complex(kept[MEAN], kept[MEAN + 1])
-        variance = spreads[1] + LEAN_SD * LEAN_SD * UPRIGHT_S / step
-        state, spreads, shared = _corrected(state, spreads, shared, column, usual - state[1], variance)
-    seen = step / min(UPRIGHT_S + kept[SAMPLES] * step, MEAN_S)
-    kept[MEAN] += (state[1].real - kept[MEAN]) * seen
-    kept[MEAN + 1] += (state[1].imag - kept[MEAN + 1]) * seen
+        lasts = SPEED_S * (1.0 + kept[SPEED] / (SPEED_SD * SPEED_SD))
+        variance = max(kept[SPEED], SPEED_MIN * SPEED_MIN) * lasts / step
+        _correct(state, spread, V, 0.0j, -state[V], variance)
+        memory = min(EXPECTED_S + kept[SAMPLES] * step, SPEEDS_S)
+        kept[SPEED] += (0.5 * _square(state[V]) - kept[SPEED]) * step / memory
 
+    _yaw(rates[2], bias_sd, step, kept)
     kept[2] = kept[2] + step if _unchanged(rates, forces, step, kept) else 0.0
     if kept[2] >= REST_S:
-        column = shared[1], shared[2], complex(spreads[2], 0.0), shared[5].conjugate()
-        variance = spreads[2] + REST_NOISE * REST_NOISE / step
-        state, spreads, shared = _corrected(state, spreads, shared, column, rate - state[2], variance)
+        _correct(state, spread, B, 0.0j, rate - state[B], REST_NOISE * REST_NOISE / step)
 
-    _pack(state, spreads, shared, kept)
-    _, lean, bias, _ = _unpacked(kept)[0]
+    for k, limit in enumerate((READING_MAX, LEAN_MAX, BIAS_MAX, ACCEL_BIAS_MAX, SPEED_MAX)):
+        state[k] = complex(_within(state[k].real, limit), _within(state[k].imag, limit))
     if aligning:
-        further = complex(0.0, 1.0 / upright) * (lean - lean_before)
+        further = complex(0.0, 1.0 / upright) * (state[L] - lean_before)
     else:
-        further = (bias_before - bias) * complex(kept[EFFECT], kept[EFFECT + 1])
+        further = (bias_before - state[B]) * complex(kept[EFFECT], kept[EFFECT + 1])
     kept[EFFECT] += step * (cosine - kept[EFFECT] / REMEMBERED_S)
     kept[EFFECT + 1] += step * (sine - kept[EFFECT + 1] / REMEMBERED_S)
     kept[1] = 0.0
@@ -178,57 +184,58 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
 
 
 @njit(cache=True)
-def _predicted(state, spreads, shared, rate, turn, elapsed, drag, walks):
-    """Advance the state, its variances and covariances by the time `elapsed`; a bias of 1 turns by `turn`."""
-    force, lean, bias, offset = state
-    force_var, lean_var, bias_var, offset_var = spreads
-    force_lean, force_bias, lean_bias, force_offset, lean_offset, bias_offset = shared
-    left, fall = 1.0 - drag * elapsed, drag * GRAVITY * elapsed
-    state = left * force - fall * lean, lean + turn * (bias - rate), bias, offset
-    of_bias = left * force_bias - fall * lean_bias
-    by_turn = turn.real * lean_bias.real + turn.imag * lean_bias.imag
-    spreads = (
-        left * left * force_var
-        - 2.0 * left * fall * force_lean.real
-        + fall * fall * lean_var
-        + walks[0] * elapsed,
-        lean_var + 2.0 * by_turn + _square(turn) * bias_var + walks[1] * elapsed,
-        bias_var + walks[2] * elapsed,
-        offset_var + walks[3] * elapsed,
-    )
-    shared = (
-        left * force_lean - fall * lean_var + of_bias * turn.conjugate(),
-        of_bias,
-        lean_bias + bias_var * turn,
-        left * force_offset - fall * lean_offset,
-        lean_offset + turn * bias_offset,
-        bias_offset,
-    )
-    return state, spreads, shared
+def _predict(state, spread, rate, turn, elapsed, drag):
+    """Advance state and covariance by the time `elapsed`; a bias of 1 turns by `turn` meanwhile."""
+    _advance(state, turn, elapsed, drag)
+    state[L] -= turn * rate
+    for k in range(5):
+        _advance(spread[:, k], turn, elapsed, drag)
+    np.conjugate(spread, spread)
+    for k in range(5):
+        _advance(spread[k], turn, elapsed, drag)
+    for k in range(5):
+        spread[k, k] = spread[k, k].real
+        for m in range(k):
+            spread[k, m] = spread[m, k]
+            spread[m, k] = spread[m, k].conjugate()
 
 
 @njit(cache=True)
-def _corrected(state, spreads, shared, column, innovation, variance):
-    """Correct by one measurement: its column of the covariance, innovation, and the innovation's variance."""
-    a, b, c, d = column
-    scale = 1.0 / variance
-    gain = innovation * scale
-    state = state[0] + a * gain, state[1] + b * gain, state[2] + c * gain, state[3] + d * gain
-    spreads = (
-        spreads[0] - scale * _square(a),
-        spreads[1] - scale * _square(b),
-        spreads[2] - scale * _square(c),
-        spreads[3] - scale * _square(d),
-    )
-    shared = (
-        shared[0] - scale * (a * b.conjugate()),
-        shared[1] - scale * (a * c.conjugate()),
-        shared[2] - scale * (b * c.conjugate()),
-        shared[3] - scale * (a * d.conjugate()),
-        shared[4] - scale * (b * d.conjugate()),
-        shared[5] - scale * (c * d.conjugate()),
-    )
-    return state, spreads, shared
+def _advance(x, turn, elapsed, drag):
+    faster = elapsed * (x[F] + GRAVITY * x[L])
+    x[V] += faster
+    x[F] -= drag * faster
+    x[L] += turn * x[B]
+
+
+@njit(cache=True)
+def _correct(state, spread, measured, of_accel_bias, innovation, variance):
+    """Correct by one measurement, of one of the state and so much of the accelerometer's bias."""
+    column = np.empty(5, np.complex128)
+    for k in range(5):
+        column[k] = spread[k, measured] + of_accel_bias.conjugate() * spread[k, A]
+    scale = 1.0 / ((column[measured] + of_accel_bias * column[A]).real + variance)
+    for k in range(5):
+        state[k] += column[k] * (innovation * scale)
+        for m in range(k, 5):
+            spread[k, m] -= scale * (column[k] * column[m].conjugate())
+            spread[m, k] = spread[k, m].conjugate()
+
+
+@njit(cache=True)
+def _yaw(rate, bias_sd, step, kept):
+    """Take a yaw rate into what is known of the gyroscope's bias about z: in the mean, no vehicle yaws."""
+    bias, variance, square = kept[YAW_BIAS], kept[YAW_BIAS + 1], kept[YAW_BIAS + 2]
+    if kept[SAMPLES] == 1.0:
+        variance, square = bias_sd * bias_sd, YAW_RATE * YAW_RATE
+    off = _within(rate, RATE_MAX) - bias
+    variance += BIAS_WALK * BIAS_WALK * step if bias_sd > 0.0 else 0.0
+    lasts = YAW_S * (1.0 + square / (YAW_RATE * YAW_RATE))
+    gain = variance / (variance + max(square, YAW_RATE_MIN * YAW_RATE_MIN) * lasts / step)
+    kept[YAW_BIAS] = _within(bias + gain * off, BIAS_MAX)
+    kept[YAW_BIAS + 1] = (1.0 - gain) * variance
+    memory = min(EXPECTED_S + kept[SAMPLES] * step, SPEEDS_S)
+    kept[YAW_BIAS + 2] = square + (off * off - square) * step / memory
 
 
 @njit(cache=True)
@@ -273,37 +280,6 @@ def _unchanged(rates, forces, step, kept):
         if abs(kept[FAST + k] - kept[SLOW + k]) > limit or (k < 3 and abs(kept[SLOW + k]) > BIAS_MAX):
             still = False
     return still
-
-
-@njit(cache=True)
-def _pair(kept, k):
-    return complex(kept[k], kept[k + 1])
-
-
-@njit(cache=True)
-def _unpacked(kept):
-    state = _pair(kept, 3), _pair(kept, 5), _pair(kept, 7), _pair(kept, 9)
-    spreads = kept[11], kept[12], kept[13], kept[14]
-    shared = (
-        _pair(kept, 15), _pair(kept, 17), _pair(kept, 19), _pair(kept, 21), _pair(kept, 23), _pair(kept, 25)
-    )  # fmt: skip
-    return state, spreads, shared
-
-
-@njit(cache=True)
-def _pack(state, spreads, shared, kept):
-    limits = READING_MAX, LEAN_MAX, BIAS_MAX, ACCEL_BIAS_MAX
-    for k in range(4):
-        kept[3 + 2 * k] = _within(state[k].real, limits[k])
-        kept[4 + 2 * k] = _within(state[k].imag, limits[k])
-        kept[11 + k] = spreads[k]
-    for k in range(6):
-        kept[15 + 2 * k], kept[16 + 2 * k] = shared[k].real, shared[k].imag
-
-
-@njit(cache=True)
-def _walk(density, spread):
-    return density * density if spread > 0.0 else 0.0  # a bias that is known to be none stays none
 
 
 @njit(cache=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from . import alignment
 from .encoder import INPUT_MAX, LEAD_CLIP, input_scaling
 from .loihi import DECAY_ONE, STATE_ONE
+from .networks import SETTLE_S, TURN_S
 from .weights_file import NetworkConfig, Tensors, parameters
 
 
@@ -54,6 +55,9 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "align_drag": repr(config.inputs.align_drag),
         "align_noise": repr(config.inputs.align_noise),
         "step": repr(1.0 / config.rate_hz),
+        "settling": round(SETTLE_S * config.rate_hz),
+        "turning": round(TURN_S * config.rate_hz),
+        "warming": round(SETTLE_S * config.rate_hz) + round(TURN_S * config.rate_hz),
         "yaw_free": int(config.inputs.yaw_free),
         **{name.lower(): repr(value) for name, value in vars(alignment).items() if name.isupper()},
         **arrays,

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from .alignment import ACCEL_BIAS, BIAS, KEPT, follow
+from .alignment import ACCEL_BIAS, BIAS, KEPT, LEAN, YAW_BIAS, follow
 from .tilt import tilt_of, yawed
 from .weights_file import InputScaling
 
@@ -91,6 +91,16 @@ def outputs_at(
     return tilt_of(roll_pitch, np.array([1.0, 0.0]) if heading is None else heading)
 
 
+def known_to(roll_pitch: NDArray[np.floating]) -> Array:
+    """What encoders keep (n, HELD) that know roll and pitch (n, 2) [rad] and have seen nothing yet."""
+    roll, pitch = roll_pitch.T
+    held = np.zeros((len(roll_pitch), HELD))
+    held[:, ALIGNMENT] = np.inf  # the start is over
+    held[:, ALIGNMENT + LEAN] = np.sin(pitch)
+    held[:, ALIGNMENT + LEAN + 1] = -np.sin(roll) * np.cos(pitch)
+    return held
+
+
 @njit(cache=True)
 def _led(k, force, lead, held):
     """A lateral force with its change brought out, in the band between two low-passes that begin as means."""
@@ -120,7 +130,8 @@ def encode_sample(gyro, accel, encoding, held):
     if held[HEADING] == 0.0 and held[HEADING + 1] == 0.0:  # nothing has been seen yet
         held[HEADING] = 1.0
     if rate_found and (yaw_free or aligned):
-        held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], gyro[2], step)
+        turning = gyro[2] - held[ALIGNMENT + YAW_BIAS]
+        held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], turning, step)
     cosine, sine = (held[HEADING], held[HEADING + 1]) if yaw_free else (1.0, 0.0)
     kept = held[ALIGNMENT:]
     turn_x = turn_y = 0.0
@@ -137,7 +148,7 @@ def encode_sample(gyro, accel, encoding, held):
         y = gyro[1] - offset[1] - kept[BIAS + 1] + turn_y / step
         held[0] = _scaled(cosine * x - sine * y, gain[0])
         held[1] = _scaled(cosine * y + sine * x, gain[1])
-        held[2] = _scaled(gyro[2] - offset[2], gain[2])
+        held[2] = _scaled(gyro[2] - offset[2] - kept[YAW_BIAS], gain[2])
     if force_found:
         x, y = accel[0] - offset[3] - kept[ACCEL_BIAS], accel[1] - offset[4] - kept[ACCEL_BIAS + 1]
         held[3] = _scaled(_led(0, cosine * x - sine * y, lead, held), gain[3])

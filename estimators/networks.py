@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.vehicle import GRAVITY
 
-from .alignment import LEAN
 from .chip import partition
 from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
-from .encoder import ALIGNMENT, HELD, encode_sample, encoded, encoder_of, outputs_at
+from .encoder import HELD, encode_sample, encoded, encoder_of, known_to, outputs_at
 from .gru import run_gru
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
 from .tilt import to_roll_pitch
@@ -143,11 +142,7 @@ class NetworkEstimator:
                 raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
-            states[0][:, 7:] = 0.0  # that turn is no flight: nothing of it is kept
-            states[0][:, ALIGNMENT] = np.inf  # the start is over
-            roll, pitch = known.T
-            states[0][:, ALIGNMENT + LEAN] = np.sin(pitch)
-            states[0][:, ALIGNMENT + LEAN + 1] = -np.sin(roll) * np.cos(pitch)
+            states[0][:, 7:] = known_to(known)[:, 7:]  # that turn is no flight: nothing of it is kept
             self.core.place(states, known)
         return states
 

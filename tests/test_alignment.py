@@ -14,30 +14,37 @@ from estimators.alignment import (
     BIAS_MAX,
     BIAS_WALK,
     BREEZE,
+    EFFECT,
+    EXPECTED_S,
     GUST,
     KEPT,
     LEAN,
     LEAN_MAX,
-    LEAN_SD,
-    MEAN_S,
     NOISE_S,
     REMEMBERED_S,
     REST_NOISE,
     REST_S,
+    SPEED,
+    SPEED_MIN,
+    SPEED_S,
+    SPEED_SD,
+    SPEEDS_S,
+    SPREAD,
+    STATE,
     SUDDEN,
     SUDDEN_S,
     TOLD_SD,
     TURN_ERROR,
     TURN_NOISE,
-    UPRIGHT_S,
+    YAW_BIAS,
     follow,
 )
-from estimators.encoder import ALIGNMENT, HELD, INPUT_ONE, scaled_inputs
+from estimators.encoder import ALIGNMENT, HEADING, HELD, INPUT_ONE, known_to, scaled_inputs
 from estimators.networks import NetworkEstimator, Spiking
 from estimators.weights_file import InputScaling, shipped_network
 from quadsim.vehicle import GRAVITY
 
-STEP, DRAG, SPREAD, ACCEL_SPREAD = 0.005, 0.25, 0.05, 0.2
+STEP, DRAG, BIAS_SPREAD, ACCEL_SPREAD = 0.005, 0.25, 0.05, 0.2
 
 
 def found(gyro, accel, heading=None, noise=0.01, drag=DRAG, accel_spread=ACCEL_SPREAD, told_tilt=None):
@@ -45,7 +52,7 @@ def found(gyro, accel, heading=None, noise=0.01, drag=DRAG, accel_spread=ACCEL_S
     kept, out, told = np.zeros(KEPT), np.empty((len(gyro), KEPT)), np.empty((len(gyro), 2))
     if told_tilt is not None:
         kept[0], kept[LEAN : LEAN + 2] = np.inf, (told_tilt[1], -told_tilt[0])
-    alignment = 0.0, drag, noise, SPREAD, accel_spread
+    alignment = 0.0, drag, noise, BIAS_SPREAD, accel_spread
     heading = np.zeros(len(gyro)) if heading is None else heading
     for t, (rates, forces, angle) in enumerate(zip(gyro, accel, heading, strict=True)):
         told[t] = follow(rates, forces, np.cos(angle), np.sin(angle), STEP, alignment, kept)
@@ -57,6 +64,11 @@ def found(gyro, accel, heading=None, noise=0.01, drag=DRAG, accel_spread=ACCEL_S
 def tilt_of(kept):
     """Sine of the tilt about x and y."""
     return np.stack([-kept[..., LEAN + 1], kept[..., LEAN]], -1)
+
+
+def variances(kept):
+    """Of force, lean, both biases and speed, of each axis."""
+    return kept[..., SPREAD:EFFECT:12]
 
 
 def flight(
@@ -112,12 +124,12 @@ def test_a_gyroscopes_bias_is_found_in_calm_flight_within_seconds(seed, x, y, ya
 def test_both_biases_are_as_far_off_as_it_says(told):
     rng, squares = np.random.default_rng(0), []
     for seed in range(60):
-        bias, accel_bias = rng.normal(0, SPREAD / 2, 2), rng.normal(0, ACCEL_SPREAD, 2)
+        bias, accel_bias = rng.normal(0, BIAS_SPREAD / 2, 2), rng.normal(0, ACCEL_SPREAD, 2)
         start, wind, yaw = rng.normal(0, 0.1, 2), rng.normal(0, 5, 2), rng.uniform(-1, 1)
         gyro, accel, heading, tilt = flight(2000, seed, start, bias, wind, yaw, 0.1, accel_bias)
         kept, _ = found(gyro, accel, heading, told_tilt=tilt[0] if told else None)
         errors = kept[400::400, BIAS : ACCEL_BIAS + 2].reshape(-1, 2, 2) - np.stack([bias, accel_bias])
-        squares.append(np.sum(errors**2, -1) / (2 * kept[400::400, 13:15]))
+        squares.append(np.sum(errors**2, -1) / (2 * variances(kept[400::400])[:, 2:4]))
     assert (np.mean(squares, 0) > 0.2).all()
     assert (np.mean(squares, 0) < 1.5).all()
 
@@ -136,7 +148,7 @@ def test_a_start_that_is_told_tells_the_accelerometers_bias_in_any_steady_wind()
 
 
 def test_it_is_filterpys_kalman_filter_of_both_axes():
-    """Eight real states: force, lean and both biases, x and y each; told, at rest, in flight, in a gust."""
+    """Ten real states: force, lean, biases and speed, x and y each; told, at rest, in flight, in a gust."""
     start = (0.2, -0.1)
     gyro, accel, heading, _ = flight(800, 3, start, (0.03, -0.05), (3.0, 1.0), 0.7, 0.2, (0.1, -0.2))
     rest = np.array([[0.03, -0.05, 0.0]]), np.array([[1.0, 0.9, GRAVITY]])
@@ -149,29 +161,30 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
     kept, _ = found(gyro, accel, heading, told_tilt=start)
     assert (kept[:400, 2] >= REST_S).any()
     noise = 0.01**2 / STEP
-    theirs = KalmanFilter(dim_x=8, dim_z=2)
+    theirs = KalmanFilter(dim_x=10, dim_z=2)
     theirs.x[:4, 0] = *accel[0, :2], start[1], -start[0]  # the heading is 0
-    theirs.P = np.diag(np.repeat([noise**0.5, TOLD_SD, SPREAD, ACCEL_SPREAD], 2) ** 2)
+    theirs.P = np.diag(np.repeat([noise**0.5, TOLD_SD, BIAS_SPREAD, ACCEL_SPREAD, SPEED_SD], 2) ** 2)
     one = np.eye(2)
     theirs.P[:2, :2] += ACCEL_SPREAD**2 * one
-    theirs.P[:2, 6:] = theirs.P[6:, :2] = -(ACCEL_SPREAD**2) * one
-    gust, mean, missed, sudden = BREEZE**2, np.zeros((2, 1)), np.zeros(2), 0
+    theirs.P[:2, 6:8] = theirs.P[6:8, :2] = -(ACCEL_SPREAD**2) * one
+    gust, speed, missed, sudden = BREEZE**2, SPEED_SD**2, np.zeros(2), 0
     white, before, shaken = 0.0, None, 0
     for t in range(1200):
         c, s = np.cos(heading[t]), np.sin(heading[t])
         upright = np.sqrt(1 - np.sum(theirs.x[2:4] ** 2))
         turn = STEP * upright * np.array([[-s, -c], [c, -s]])  # times i r
-        F = np.eye(8)
+        F = np.eye(10)
         F[0:2, 0:2], F[0:2, 2:4] = (1 - DRAG * STEP) * one, -DRAG * GRAVITY * STEP * one
         F[2:4, 4:6] = turn
+        F[8:, 0:2], F[8:, 2:4] = STEP * one, GRAVITY * STEP * one
         at_once = max(missed @ missed - SUDDEN * STEP * max(white, noise) / SUDDEN_S, 0.0) / SUDDEN_S
         sudden += at_once > gust
         turning = TURN_NOISE**2 + TURN_ERROR**2 * np.sum(gyro[t, :2] ** 2)
-        walks = np.repeat([max(gust, at_once), turning, BIAS_WALK**2, ACCEL_BIAS_WALK**2], 2) * STEP
-        B = np.vstack([np.zeros((2, 2)), -turn, np.zeros((4, 2))])
+        walks = np.repeat([max(gust, at_once), turning, BIAS_WALK**2, ACCEL_BIAS_WALK**2, 0.0], 2) * STEP
+        B = np.vstack([np.zeros((2, 2)), -turn, np.zeros((6, 2))])
         theirs.predict(u=gyro[t, :2, None], B=B, F=F, Q=np.diag(walks))
         turned = np.array([[c, -s], [s, c]])
-        H = np.hstack([one, np.zeros((2, 4)), turned])
+        H = np.hstack([one, np.zeros((2, 4)), turned, np.zeros((2, 2))])
         force = (turned @ accel[t, :2])[:, None]
         off = (force - H @ theirs.x)[:, 0]
         change = off - before if t > 0 else np.zeros(2)
@@ -179,15 +192,43 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         shaken += white > noise
         theirs.update(force, R=max(white, noise) * one, H=H)
         missed += STEP / SUDDEN_S * (theirs.y[:, 0] - missed)
-        theirs.update(mean, R=LEAN_SD**2 * UPRIGHT_S / STEP * one, H=np.eye(8)[2:4])
-        mean = mean + STEP / min(UPRIGHT_S + (t + 1) * STEP, MEAN_S) * (theirs.x[2:4] - mean)
+        slow = max(speed, SPEED_MIN**2) * SPEED_S * (1 + speed / SPEED_SD**2) / STEP
+        theirs.update(np.zeros((2, 1)), R=slow * one, H=np.eye(10)[8:])
+        speed += STEP / min(EXPECTED_S + (t + 1) * STEP, SPEEDS_S) * (np.mean(theirs.x[8:] ** 2) - speed)
         if kept[t, 2] >= REST_S:
-            theirs.update(gyro[t, :2, None], R=REST_NOISE**2 / STEP * one, H=np.eye(8)[4:6])
-        np.testing.assert_allclose(kept[t, 3:11], np.ravel(theirs.x), rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(np.repeat(kept[t, 11:15], 2), np.diag(theirs.P), rtol=1e-6)
+            theirs.update(gyro[t, :2, None], R=REST_NOISE**2 / STEP * one, H=np.eye(10)[4:6])
+        np.testing.assert_allclose(kept[t, STATE:SPREAD], np.ravel(theirs.x), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(np.repeat(variances(kept[t]), 2), np.diag(theirs.P), rtol=1e-6)
+        assert kept[t, SPEED] == pytest.approx(speed, rel=1e-6)
         gust = kept[t, GUST]
     assert 10 < sudden < 1000
     assert 10 < shaken < 1000
+
+
+def test_a_gyroscopes_bias_about_z_is_found_where_the_vehicle_does_not_yaw_on_and_on():
+    rng = np.random.default_rng(0)
+    for bias in (-0.05, 0.01, 0.03):
+        gyro, accel, heading, _ = flight(8000, 1)
+        wobble = np.diff(0.02 * np.sin(np.linspace(0, 60, 8001)), prepend=0)[1:] / STEP
+        gyro[:, 2] = bias + wobble + 0.01 * rng.standard_normal(8000)
+        kept, _ = found(gyro, accel, heading)
+        assert abs(kept[-1, YAW_BIAS] - bias) < 0.1 * abs(bias) + 0.002
+    gyro[:, 2] = 1.0
+    kept, _ = found(gyro, accel, heading)
+    assert np.abs(kept[:, YAW_BIAS]).max() < 0.02
+
+
+def test_a_heading_that_drifts_is_no_bias_of_the_accelerometer():
+    """A hover in a steady wind, and a gyroscope that is off about z by half a degree a second."""
+    lean, bias = 0.16, 0.0087
+    gyro = np.tile([0.0, 0.0, bias], (20000, 1))
+    accel = np.tile([-GRAVITY * lean, 0.0, GRAVITY], (20000, 1))
+    held = np.zeros((1, HELD))
+    held[0, ALIGNMENT:] = known_to(np.array([[0.0, np.arcsin(lean)]]))[0, ALIGNMENT:]
+    shaken = gyro + 0.02 * np.random.default_rng(0).standard_normal(gyro.shape)  # a rest it is not
+    scaled_inputs(shipped_network("att-snn")[0].inputs, 200.0, shaken[None], accel[None], held)
+    assert np.abs(held[0, ALIGNMENT + ACCEL_BIAS :][:2]).max() < 0.05
+    assert abs(np.arctan2(held[0, HEADING + 1], held[0, HEADING])) < 0.3
 
 
 def test_at_rest_bias_and_tilt_are_found_whatever_the_drag():
@@ -234,7 +275,7 @@ def test_any_readings_leave_what_is_possible(readings, drag, noise):
     assert np.abs(kept[:, BIAS : BIAS + 2]).max() <= BIAS_MAX
     assert np.abs(kept[:, LEAN : LEAN + 2]).max() <= LEAN_MAX
     assert np.abs(kept[:, ACCEL_BIAS : ACCEL_BIAS + 2]).max() <= ACCEL_BIAS_MAX
-    assert (kept[:, 11:15] > 0).all()
+    assert (variances(kept) > 0).all()
 
 
 def test_a_bias_that_is_known_to_be_none_stays_none():

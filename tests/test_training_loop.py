@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 import torch
 
+from estimators.alignment import TOLD_SD
+from estimators.encoder import ALIGNMENT, HELD
 from estimators.networks import create_network
 from estimators.symmetry import is_symmetric
 from estimators.weights_file import load_network, parameters
@@ -15,7 +17,7 @@ from training.augment import Augmentation, augment, roll_pitch_of_up
 from training.config import TrainConfig, make_config
 from training.data import load_flights, split, windows
 from training.folder import commit
-from training.loop import train
+from training.loop import _inputs_and_targets, train
 from training.loss import finished
 from training.models import CURRENT_MAX, AttSNN, thin
 from training.starts import IDLE, _spikes, revive, start_from_data
@@ -324,6 +326,26 @@ def test_a_stream_lasts_from_one_window_to_the_most(dataset):
     np.testing.assert_allclose(shares, np.diff(np.log([1, 2, 3, 4, 5])) / np.log(5), atol=0.06)
 
 
+def test_streams_that_are_told_their_attitude_begin_at_it(dataset):
+    """The first turn leads there, and the filter of the encoder starts there."""
+    flights = load_flights([dataset])
+    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0)
+    config = make_config("best", data=dataset)
+    batch = next(windows(flights, quiet, 1, 200, 100, 4, (0, 1), told=0.5))
+    told = np.isfinite(batch.told).all(1)
+    assert 0.3 < told.mean() < 0.7
+    assert np.abs(batch.told - batch.roll_pitch[:, 0])[told].max() < 5 * TOLD_SD
+    held = np.zeros((200, HELD))
+    x, wanted = _inputs_and_targets(config, batch, 200.0, held)
+    assert np.isinf(held[told, ALIGNMENT]).all()
+    assert not np.isinf(held[~told, ALIGNMENT]).any()
+    turned = x.numpy()[told, :30, :2].sum(1) * config.inputs.gyro / 200.0
+    flown = wanted[told, 29] - wanted[told, 0]
+    np.testing.assert_allclose(turned - flown, wanted[told, 0], atol=0.06)
+    again, _ = _inputs_and_targets(config, batch, 200.0, np.zeros((200, HELD)))
+    np.testing.assert_array_equal(again, x)
+
+
 def test_split_has_every_flight_once():
     parts = split(35, seed=0)
     assert [len(p) for p in parts] == [24, 7, 4]
@@ -376,7 +398,7 @@ def test_frozen_time_constants_stay_as_they_were(dataset, tmp_path):
     train(data=dataset, out=tmp_path / "second", **choices | {"epochs": 1, "batches": 12})
     before, after = weights_of(tmp_path / "first"), weights_of(tmp_path / "second")
     same(*({k: x for k, x in each.items() if k.startswith(("syn", "mem"))} for each in (before, after)))
-    assert not np.array_equal(before["w_ff"], after["w_ff"])
+    assert not np.array_equal(before["w_in"], after["w_in"])
 
 
 def test_rough_sensors_are_drawn_within_their_limits():

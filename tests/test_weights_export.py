@@ -9,7 +9,7 @@ import pytest
 
 from estimators.alignment import KEPT
 from estimators.encoder import ALIGNMENT, HEADING, scaled_inputs
-from estimators.networks import OnLoihi, Recurrent, real_weights
+from estimators.networks import NetworkEstimator, OnLoihi, Recurrent, real_weights
 from estimators.nir_graph import nir_graph
 from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
@@ -72,10 +72,9 @@ def compiled(tmp_path, request):
         fields += [("alignment", float, KEPT), ("roll_pitch", float, 2)]
         layout = np.dtype(fields, align=True)
 
-        def run(samples):
-            done = subprocess.run(
-                [tmp_path / "run"], input=samples.tobytes(), capture_output=True, check=True
-            )
+        def run(samples, *start):
+            command = [tmp_path / "run", *map(repr, start)]
+            done = subprocess.run(command, input=samples.tobytes(), capture_output=True, check=True)
             return np.frombuffer(done.stdout, layout)
 
         return run
@@ -120,6 +119,18 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         np.testing.assert_allclose(theirs["roll_pitch"], out[0, 0], atol=1e-12)  # sines are the C library's
     assert states["s0"].mean() > 0.01
     assert states["s1"].mean() > 0.01
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (0.3, -0.2), (-1.2, 0.9), (2.8, -0.4)])
+def test_c_source_equals_the_emulator_from_a_start_that_is_told(compiled, start):
+    config, tensors = shipped_network("att-snn")
+    gyro, accel = readings(600)
+    states = compiled("att-snn", config.encoding, config.hidden)(np.concatenate([gyro, accel], 1), *start)
+    est = NetworkEstimator(OnLoihi(config, tensors), 200.0)
+    est.reset(1, roll_pitch=[start])
+    out = est.sequence(gyro[None], accel[None])[0]
+    np.testing.assert_allclose(states["roll_pitch"], out, atol=1e-12)
+    np.testing.assert_allclose(states["alignment"][-1], est._states[0][0, ALIGNMENT:], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

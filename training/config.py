@@ -93,6 +93,8 @@ class TrainConfig(Strict):
     """Most windows that follow one another with the state carried over (truncated backpropagation)."""
     stop_early: bool = True
     """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
+    told: float = Field(default=0.0, ge=0, le=1)
+    """Share of the streams whose attitude is known at their start, to half a degree."""
     augmentation: Augmentation = Augmentation()
     """Sensor errors and symmetries, drawn anew for every window or stream."""
     rate_cost: float = Field(default=0.0, ge=0)
@@ -157,6 +159,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "window_s": 5.0,
         "windows_per_stream": 20,
         "stop_early": False,
+        "told": 0.5,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
         "rate_cost": 0.03,
         "rate_targets": (0.04, 0.08),

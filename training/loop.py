@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.dynamics import SKIP_ONE
-from estimators.encoder import HELD, outputs_at, scaled_inputs
-from estimators.networks import NetworkEstimator, Recurrent, Spiking
+from estimators.encoder import HELD, INPUT_ONE, known_to, outputs_at, scaled_inputs
+from estimators.networks import TURN_S, NetworkEstimator, Recurrent, Spiking
 from estimators.pruning import connected
 from estimators.spiking import MATRICES
 from estimators.symmetry import OPERATIONS
@@ -104,7 +104,7 @@ class _Run:
         rate = _learning_rate(config, number * config.batches)
         batches = windows(
             self.flights, config.augmentation, config.batches, config.batch_size, self.steps,
-            config.windows_per_stream, (config.seed, 1, number),
+            config.windows_per_stream, (config.seed, 1, number), config.told,
         )  # fmt: skip
         for k, batch in enumerate(batches):
             rate = _learning_rate(config, number * config.batches + k)
@@ -423,8 +423,13 @@ def _inputs_and_targets(
     config: TrainConfig, batch: Batch, rate_hz: float, held: NDArray[np.float64] | None = None
 ) -> tuple[Tensor, NDArray[np.float32]]:
     """What the network is given in each step, and what it should say to each sample (n, T, 2) [rad]."""
+    held = np.zeros((len(batch.gyro), HELD)) if held is None else held
+    told = np.flatnonzero(batch.fresh & np.isfinite(batch.told).all(1))
+    held[told] = known_to(batch.told[told])
     x, heading = scaled_inputs(config.inputs, rate_hz, batch.gyro, batch.accel, held)
     wanted = outputs_at(config.inputs, batch.roll_pitch, heading).astype(np.float32)
+    turn = outputs_at(config.inputs, batch.told[told]) / (TURN_S * config.inputs.gyro)
+    x[told, : round(TURN_S * rate_hz), :2] += np.rint(INPUT_ONE * turn)[:, None] / INPUT_ONE
     if config.model == "att-rnn":
         return torch.from_numpy(x.astype(np.float32)), wanted
     return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1)), wanted

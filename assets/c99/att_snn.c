@@ -38,7 +38,9 @@ enum {
     THRESHOLD = 128 * 64,
     OUTPUT_THRESHOLD = 131071 * 64,
     STATE_MAX = 8388607,
-    STEPS_PER_SAMPLE = $steps
+    STEPS_PER_SAMPLE = $steps,
+    SETTLING = $settling, /* samples of level hover that a network sees before a turn into a known attitude */
+    TURNING = $turning
 };
 
 /* The bias that stands for a current: the chip has mantissas of 12 bits, and a step. */
@@ -158,90 +160,74 @@ static pair both_between(pair a, double limit) { return (pair){between(a.x, limi
 
 static double larger(double a, double b) { return a > b ? a : b; }
 
-/* What drag does to a lateral force, and gravity to it by a lean, which a gyroscope follows but for its bias, where the
- * accelerometer reads the force but for its own, the offset: a Kalman filter. The variances are of one axis. */
-typedef struct {
-    pair force, lean, bias, offset;
-    double force_var, lean_var, bias_var, offset_var;
-    pair force_lean, force_bias, lean_bias, force_offset, lean_offset, bias_offset;
-} filter;
-
-/* A bias of 1 turns by `turn` meanwhile. */
-static void predict(filter *f, pair rate, pair turn, double elapsed, double gust)
-{
-    const double walk = BIAS_SD > 0.0 ? $bias_walk : 0.0; /* a bias that is known to be none stays none */
-    const double offset_walk = ACCEL_BIAS_SD > 0.0 ? $accel_bias_walk : 0.0;
-    const double turning = $turn_noise * $turn_noise + $turn_error * $turn_error * square(rate);
-    const double left = 1.0 - DRAG * elapsed, fall = DRAG * $gravity * elapsed;
-    const pair force_bias = minus(of(left, f->force_bias), of(fall, f->lean_bias));
-    const double by_turn = turn.x * f->lean_bias.x + turn.y * f->lean_bias.y;
-    f->force = minus(of(left, f->force), of(fall, f->lean));
-    f->lean = plus(f->lean, times(turn, minus(f->bias, rate)));
-    f->force_var = left * left * f->force_var - 2.0 * left * fall * f->force_lean.x + fall * fall * f->lean_var
-        + gust * elapsed;
-    f->force_lean.x = left * f->force_lean.x - fall * f->lean_var;
-    f->force_lean.y = left * f->force_lean.y;
-    f->force_lean = plus(f->force_lean, times(force_bias, conjugate(turn)));
-    f->force_bias = force_bias;
-    f->lean_var = f->lean_var + 2.0 * by_turn + square(turn) * f->bias_var + turning * elapsed;
-    f->lean_bias = plus(f->lean_bias, of(f->bias_var, turn));
-    f->bias_var = f->bias_var + walk * walk * elapsed;
-    f->offset_var = f->offset_var + offset_walk * offset_walk * elapsed;
-    f->force_offset = minus(of(left, f->force_offset), of(fall, f->lean_offset));
-    f->lean_offset = plus(f->lean_offset, times(turn, f->bias_offset));
-}
-
-/* A column of the covariance. */
-typedef struct {
-    pair force, lean, bias, offset;
-} column;
-
-/* One measurement: its column of the covariance, and its innovation with its variance. */
-static void correct(filter *f, column c, pair innovation, double variance)
-{
-    const double scale = 1.0 / variance;
-    const pair gain = {innovation.x * scale, innovation.y * scale};
-    f->force = plus(f->force, times(c.force, gain));
-    f->lean = plus(f->lean, times(c.lean, gain));
-    f->bias = plus(f->bias, times(c.bias, gain));
-    f->offset = plus(f->offset, times(c.offset, gain));
-    f->force_var = f->force_var - scale * square(c.force);
-    f->lean_var = f->lean_var - scale * square(c.lean);
-    f->bias_var = f->bias_var - scale * square(c.bias);
-    f->offset_var = f->offset_var - scale * square(c.offset);
-    f->force_lean = minus(f->force_lean, of(scale, times(c.force, conjugate(c.lean))));
-    f->force_bias = minus(f->force_bias, of(scale, times(c.force, conjugate(c.bias))));
-    f->lean_bias = minus(f->lean_bias, of(scale, times(c.lean, conjugate(c.bias))));
-    f->force_offset = minus(f->force_offset, of(scale, times(c.force, conjugate(c.offset))));
-    f->lean_offset = minus(f->lean_offset, of(scale, times(c.lean, conjugate(c.offset))));
-    f->bias_offset = minus(f->bias_offset, of(scale, times(c.bias, conjugate(c.offset))));
-}
+/* The state of a Kalman filter: the lateral force, the lean that gravity moves it by, the bias of the gyroscope that
+ * follows the lean, that of the accelerometer that reads the force, and the speed over ground. */
+enum { F, L, B, A, V, STATES };
 
 static pair pair_at(const double *kept) { return (pair){kept[0], kept[1]}; }
 
-static filter unpacked(const double kept[$kept])
+/* Advance one state, or a column of the covariance, whose elements are `stride` apart; a bias of 1 turns by `turn`. */
+static void advance(pair *x, int stride, pair turn, double elapsed)
 {
-    return (filter){pair_at(kept + 3), pair_at(kept + 5), pair_at(kept + 7), pair_at(kept + 9), kept[11], kept[12],
-        kept[13], kept[14], pair_at(kept + 15), pair_at(kept + 17), pair_at(kept + 19), pair_at(kept + 21),
-        pair_at(kept + 23), pair_at(kept + 25)};
+    const pair faster = of(elapsed, plus(x[F * stride], of($gravity, x[L * stride])));
+    x[V * stride] = plus(x[V * stride], faster);
+    x[F * stride] = minus(x[F * stride], of(DRAG, faster));
+    x[L * stride] = plus(x[L * stride], times(turn, x[B * stride]));
 }
 
-static void pack(const filter *f, double kept[$kept])
+static void predict(pair state[STATES], pair spread[STATES][STATES], pair rate, pair turn, double elapsed)
 {
-    const pair state[4] = {both_between(f->force, $reading_max), both_between(f->lean, $lean_max),
-        both_between(f->bias, $bias_max), both_between(f->offset, $accel_bias_max)};
-    const double spreads[4] = {f->force_var, f->lean_var, f->bias_var, f->offset_var};
-    const pair shared[6] = {
-        f->force_lean, f->force_bias, f->lean_bias, f->force_offset, f->lean_offset, f->bias_offset};
-    for (int k = 0; k < 4; ++k) {
-        kept[3 + 2 * k] = state[k].x;
-        kept[4 + 2 * k] = state[k].y;
-        kept[11 + k] = spreads[k];
+    advance(state, 1, turn, elapsed);
+    state[L] = minus(state[L], times(turn, rate));
+    for (int k = 0; k < STATES; ++k)
+        advance(&spread[0][k], STATES, turn, elapsed);
+    for (int k = 0; k < STATES; ++k) {
+        for (int m = 0; m < STATES; ++m)
+            spread[k][m] = conjugate(spread[k][m]);
+        advance(spread[k], 1, turn, elapsed);
     }
-    for (int k = 0; k < 6; ++k) {
-        kept[15 + 2 * k] = shared[k].x;
-        kept[16 + 2 * k] = shared[k].y;
+    for (int k = 0; k < STATES; ++k) {
+        spread[k][k].y = 0.0;
+        for (int m = 0; m < k; ++m) {
+            spread[k][m] = spread[m][k];
+            spread[m][k] = conjugate(spread[m][k]);
+        }
     }
+}
+
+/* Correct by one measurement, of one of the state and so much of the accelerometer's bias. */
+static void correct(
+    pair state[STATES], pair spread[STATES][STATES], int measured, pair of_accel_bias, pair innovation, double variance)
+{
+    pair column[STATES];
+    for (int k = 0; k < STATES; ++k)
+        column[k] = plus(spread[k][measured], times(conjugate(of_accel_bias), spread[k][A]));
+    const double scale = 1.0 / (plus(column[measured], times(of_accel_bias, column[A])).x + variance);
+    for (int k = 0; k < STATES; ++k) {
+        state[k] = plus(state[k], times(column[k], of(scale, innovation)));
+        for (int m = k; m < STATES; ++m) {
+            spread[k][m] = minus(spread[k][m], of(scale, times(column[k], conjugate(column[m]))));
+            spread[m][k] = conjugate(spread[k][m]);
+        }
+    }
+}
+
+/* Take a yaw rate into what is known of the gyroscope's bias about z: in the mean, no vehicle yaws. */
+static void follow_yaw(double rate, double kept[$kept])
+{
+    double *bias = kept + $yaw_bias, *variance = bias + 1, *mean_square = bias + 2;
+    if (kept[$samples] == 1.0) {
+        *variance = BIAS_SD * BIAS_SD;
+        *mean_square = $yaw_rate * $yaw_rate;
+    }
+    const double off = between(rate, $rate_max) - *bias;
+    if (BIAS_SD > 0.0)
+        *variance += $bias_walk * $bias_walk * STEP;
+    const double lasts = $yaw_s * (1.0 + *mean_square / ($yaw_rate * $yaw_rate));
+    const double gain = *variance / (*variance + larger(*mean_square, $yaw_rate_min * $yaw_rate_min) * lasts / STEP);
+    *bias = between(*bias + gain * off, $bias_max);
+    *variance = (1.0 - gain) * *variance;
+    *mean_square += (off * off - *mean_square) * STEP / smaller($expected_s + kept[$samples] * STEP, $speeds_s);
 }
 
 /* Take a correction of the force into what is known of its random walk: their sum scatters as far. */
@@ -298,61 +284,65 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
 {
     const pair rate = both_between((pair){gyro[0], gyro[1]}, $rate_max), back = conjugate(heading);
     const pair reading = both_between((pair){accel[0], accel[1]}, $reading_max);
-    filter f = unpacked(kept);
-    kept[$samples] += 1.0;
-    if (kept[$samples] == 1.0) {
-        const double offset_var = ACCEL_BIAS_SD * ACCEL_BIAS_SD;
-        f.force = times(heading, reading);
-        f.force_var = NOISE * NOISE / STEP + offset_var;
-        f.lean_var = $lean_sd * $lean_sd;
-        f.bias_var = BIAS_SD * BIAS_SD;
-        f.offset_var = offset_var;
-        f.force_offset = of(-offset_var, heading);
-        kept[$gust] = $breeze * $breeze;
+    pair *state = (pair *)(kept + $state);
+    pair(*spread)[STATES] = (pair(*)[STATES])(kept + $spread);
+    double *samples = kept + $samples, *gust = kept + $gust, *speed = kept + $speed;
+    *samples += 1.0;
+    if (*samples == 1.0) {
+        const double lean_sd = kept[0] < INFINITY ? $lean_sd : $told_sd, offset_var = ACCEL_BIAS_SD * ACCEL_BIAS_SD;
+        state[F] = times(heading, reading);
+        spread[F][F].x = NOISE * NOISE / STEP + offset_var;
+        spread[F][A] = of(-offset_var, heading);
+        spread[A][F] = of(-offset_var, back);
+        spread[L][L].x = lean_sd * lean_sd;
+        spread[B][B].x = BIAS_SD * BIAS_SD;
+        spread[A][A].x = offset_var;
+        spread[V][V].x = $speed_sd * $speed_sd;
+        *gust = $breeze * $breeze;
+        *speed = $speed_sd * $speed_sd;
     }
-    const pair bias_before = f.bias;
+    const pair bias_before = state[B];
     const double elapsed = smaller(kept[1] + STEP, $gap_max);
     const int aligning = kept[0] < ALIGN_S;
-    const double gust = aligning ? $steady * $steady : larger(kept[$gust], sudden(kept));
-    const double upright = larger(sqrt(larger(1.0 - square(f.lean), 0.0)), $upright_min), turned = elapsed * upright;
-    predict(&f, rate, (pair){-turned * heading.y, turned * heading.x}, elapsed, gust);
-    const pair lean_before = f.lean, force_before = f.force;
+    const double upright = larger(sqrt(larger(1.0 - square(state[L]), 0.0)), $upright_min), turned = elapsed * upright;
+    predict(state, spread, rate, (pair){-turned * heading.y, turned * heading.x}, elapsed);
+    spread[F][F].x += (aligning ? $steady * $steady : larger(*gust, sudden(kept))) * elapsed;
+    spread[L][L].x += ($turn_noise * $turn_noise + $turn_error * $turn_error * square(rate)) * elapsed;
+    if (BIAS_SD > 0.0) /* one that is known to be none stays none */
+        spread[B][B].x += $bias_walk * $bias_walk * elapsed;
+    if (ACCEL_BIAS_SD > 0.0)
+        spread[A][A].x += $accel_bias_walk * $accel_bias_walk * elapsed;
+    const pair force_before = state[F], lean_before = state[L];
 
-    const pair off = both_between(minus(times(heading, minus(reading, f.offset)), f.force), $force_max);
+    const pair off = both_between(minus(times(heading, minus(reading, state[A])), state[F]), $force_max);
     const double white = noise(off, kept);
     double *missed = kept + $missed;
     missed[0] += (off.x - missed[0]) * STEP / $sudden_s;
     missed[1] += (off.y - missed[1]) * STEP / $sudden_s;
-    const pair seen_offset = times(back, f.force_offset);
-    const column of_force = {plus((pair){f.force_var, 0.0}, seen_offset),
-        plus(conjugate(f.force_lean), times(back, f.lean_offset)),
-        plus(conjugate(f.force_bias), times(back, f.bias_offset)), plus(conjugate(f.force_offset), of(f.offset_var, back))};
-    correct(&f, of_force, off, f.force_var + f.offset_var + 2.0 * seen_offset.x + white);
-    if (kept[$samples] * STEP > $gauge_from_s) /* the first corrections are those of the start */
-        gauge(minus(f.force, force_before), kept);
+    correct(state, spread, F, heading, off, white);
+    if (*samples * STEP > $gauge_from_s) /* the first corrections are those of the start */
+        gauge(minus(state[F], force_before), kept);
 
-    double *mean = kept + $mean;
+    const pair none = {0.0, 0.0};
     if (!aligning) {
-        const column of_lean = {f.force_lean, {f.lean_var, 0.0}, conjugate(f.lean_bias), conjugate(f.lean_offset)};
-        correct(&f, of_lean, minus((pair){mean[0], mean[1]}, f.lean), f.lean_var + $lean_sd * $lean_sd * $upright_s / STEP);
+        const double lasts = $speed_s * (1.0 + *speed / ($speed_sd * $speed_sd));
+        correct(state, spread, V, none, of(-1.0, state[V]), larger(*speed, $speed_min * $speed_min) * lasts / STEP);
+        *speed += (0.5 * square(state[V]) - *speed) * STEP / smaller($expected_s + *samples * STEP, $speeds_s);
     }
-    const double seen = STEP / smaller($upright_s + kept[$samples] * STEP, $mean_s);
-    mean[0] += (f.lean.x - mean[0]) * seen;
-    mean[1] += (f.lean.y - mean[1]) * seen;
 
+    follow_yaw(gyro[2], kept);
     kept[2] = unchanged(gyro, accel, kept) ? kept[2] + STEP : 0.0;
-    if (kept[2] >= $rest_s) {
-        const column of_bias = {f.force_bias, f.lean_bias, {f.bias_var, 0.0}, conjugate(f.bias_offset)};
-        correct(&f, of_bias, minus(rate, f.bias), f.bias_var + $rest_noise * $rest_noise / STEP);
-    }
+    if (kept[2] >= $rest_s)
+        correct(state, spread, B, none, minus(rate, state[B]), $rest_noise * $rest_noise / STEP);
 
-    pack(&f, kept);
-    f = unpacked(kept);
+    const double limits[STATES] = {$reading_max, $lean_max, $bias_max, $accel_bias_max, $speed_max};
+    for (int k = 0; k < STATES; ++k)
+        state[k] = both_between(state[k], limits[k]);
     double *effect = kept + $effect;
-    const pair lean_found = minus(f.lean, lean_before);
+    const pair lean_found = minus(state[L], lean_before);
     const double told = 1.0 / upright;
     const pair further = aligning ? (pair){-told * lean_found.y, told * lean_found.x}
-                                  : times(minus(bias_before, f.bias), pair_at(effect));
+                                  : times(minus(bias_before, state[B]), pair_at(effect));
     effect[0] += STEP * (heading.x - effect[0] / $remembered_s);
     effect[1] += STEP * (heading.y - effect[1] / $remembered_s);
     kept[1] = 0.0;
@@ -365,7 +355,7 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
     const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]), force_found = finite(size) && size > 0.0;
     const int aligned = ALIGN_S > 0.0 || BIAS_SD > 0.0 || ACCEL_BIAS_SD > 0.0;
     if (rate_found && (YAW_FREE || aligned))
-        yaw(state->heading, gyro[2]);
+        yaw(state->heading, gyro[2] - state->alignment[$yaw_bias]);
     const pair heading = {state->heading[0], state->heading[1]}, axes = YAW_FREE ? heading : (pair){1.0, 0.0};
     pair turn = {0.0, 0.0};
     if (aligned) {
@@ -382,7 +372,7 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
                                           gyro[1] - OFFSET[1] - bias_found[1] + turn.y / STEP});
         state->input[0] = nearest(rate.x * GAIN[0]);
         state->input[1] = nearest(rate.y * GAIN[1]);
-        state->input[2] = nearest((gyro[2] - OFFSET[2]) * GAIN[2]);
+        state->input[2] = nearest((gyro[2] - OFFSET[2] - state->alignment[$yaw_bias]) * GAIN[2]);
     }
     if (force_found) {
         const double *offset_found = state->alignment + $accel_bias;
@@ -428,6 +418,35 @@ void att_snn_step(att_snn_state *state)
 {
     for (int k = 0; k < STEPS_PER_SAMPLE; ++k)
         step(state);
+}
+
+void att_snn_reset_at(att_snn_state *state, const double roll_pitch[2])
+{
+    const double hover[3] = {0.0, 0.0, 0.0}, thrust[3] = {0.0, 0.0, $gravity};
+    const double roll = roll_pitch[0], pitch = roll_pitch[1], x = sin(roll) * cos(pitch), y = sin(pitch);
+    const double sine = sqrt(x * x + y * y), angle = atan2(sine, cos(roll) * cos(pitch)), size = larger(sine, 1e-12);
+    const double turn[3] = {x / size * angle * ATT_SNN_RATE_HZ / TURNING, y / size * angle * ATT_SNN_RATE_HZ / TURNING, 0.0};
+    att_snn_reset(state);
+    for (int k = 0; k < SETTLING + TURNING; ++k) { /* a hover, and a turn into the attitude */
+        att_snn_encode(state, k < SETTLING ? hover : turn, thrust);
+        att_snn_step(state);
+    }
+    att_snn_state fresh; /* that was no flight: nothing of it is kept but the network's states */
+    att_snn_reset(&fresh);
+    state->forces = 0.0;
+    for (int k = 0; k < 2; ++k) {
+        state->fast[k] = state->slow[k] = 0.0;
+        state->heading[k] = fresh.heading[k];
+    }
+    for (int k = 0; k < $kept; ++k)
+        state->alignment[k] = fresh.alignment[k];
+    state->alignment[0] = INFINITY; /* the start is over */
+    state->alignment[$lean] = sin(pitch);
+    state->alignment[$lean + 1] = -x;
+    const double factor = YAW_FREE ? (sine > 0.0 ? angle / sine : 1.0) : 1.0;
+    const double at[2] = {YAW_FREE ? x * factor : roll, YAW_FREE ? y * factor : pitch};
+    for (int k = 0; k < ATT_SNN_OUTPUTS; ++k)
+        state->v_output[k] = (int32_t)rint(at[k] / SCALE) - state->v_direct[k];
 }
 
 void att_snn_attitude(const att_snn_state *state, double roll_pitch[2])

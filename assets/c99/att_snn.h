@@ -35,6 +35,10 @@ typedef struct {
 /* Start at rest, with an unknown attitude. */
 void att_snn_reset(att_snn_state *state);
 
+/* Start at a roll and pitch [rad] that are known, to half a degree: the accelerometer's bias is found by them. Takes as
+ * long as $warming samples. */
+void att_snn_reset_at(att_snn_state *state, const double roll_pitch[2]);
+
 /* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading that
  * is not finite, or a force of exactly zero, is missing and leaves the last good one. */
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3]);
