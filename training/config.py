@@ -148,7 +148,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "revive": 0.25,
         "output_scale": 1 / 256,
         "start": "solved",
-        "optimiser_lr": 0.07,  # 0.1 is better for a run of a few minutes
+        "optimiser_lr": 0.07,
         "layer_steps": (1.0, 0.3, 0.1),
         "adam_beta2": 0.99,
         "decay": "cosine",
