@@ -70,5 +70,15 @@ def test_shared_profiles_fit_on_one_core():
     assert len(shared.cores) == 1
     together = np.unique(np.concatenate([decay_profiles(layer) for layer in shared.chip.layers]), axis=0)
     assert len(together) <= 32
-    with pytest.raises(ValueError, match="profiles: 2, should be at least 3"):
-        share_profiles(tensors, 2)
+    with pytest.raises(ValueError, match="profiles: 3, should be at least 4"):
+        share_profiles(tensors, 3)
+
+
+@pytest.mark.parametrize("skip", [False, True])
+def test_no_more_profiles_are_left_than_asked_for(skip):
+    config, tensors = shipped_network("att-snn")
+    tensors = tensors | {"w_skip": tensors["w_skip"] * skip}
+    for profiles in (4, 12, 33):
+        layers = OnLoihi(config, share_profiles(tensors, profiles)).chip.layers
+        together = np.unique(np.concatenate([decay_profiles(layer) for layer in layers]), axis=0)
+        assert len(together) <= profiles
