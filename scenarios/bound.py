@@ -37,7 +37,14 @@ def least_error(
 
     Returns:
         The angle [rad].
+
+    Raises:
+        ValueError: A duration of no sample, or a speed known to less than nothing.
     """
+    if not (np.isfinite(duration_s) and round(duration_s * rate_hz) >= 1):
+        raise ValueError(f"duration_s: {duration_s:g} s at {rate_hz:g} Hz, should be a sample at least")
+    if not speed_sd > 0:
+        raise ValueError(f"speed_sd: {speed_sd:g} m/s, should be above 0, or inf where nothing is known")
     step, drag = 1 / rate_hz, 1 / vehicle.drag_time_constant
     turbulence = next((wind for wind in scenario.wind if isinstance(wind, Dryden)), None)
     sigma, lasts = 0.0, 1.0

@@ -36,6 +36,15 @@ def test_a_speed_that_is_known_leaves_a_lean_and_its_bias_no_room():
     assert errors[-1] < 0.1 * 0.2 / GRAVITY
 
 
+BAD = [{"duration_s": 0.0}, {"duration_s": np.nan}, {"speed_sd": np.nan}, {"speed_sd": 0.0}]
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_a_flight_of_no_sample_and_a_speed_known_too_well_are_refused(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        least_error(imu(), VEHICLE, HOVER, **{"duration_s": 1.0} | bad)
+
+
 def test_turbulence_hides_a_lean():
     calm, rough = (
         least_error(load_imu("adis16448"), VEHICLE, load_scenario(name), 20.0)

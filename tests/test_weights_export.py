@@ -133,6 +133,13 @@ def test_c_source_equals_the_emulator_from_a_start_that_is_told(compiled, start)
     np.testing.assert_allclose(states["alignment"][-1], est._states[0][0, ALIGNMENT:], rtol=1e-9, atol=1e-12)
 
 
+def test_c_source_takes_a_start_that_is_no_number_for_an_unknown_one(compiled):
+    config, _ = shipped_network("att-snn")
+    run, samples = compiled("att-snn", config.encoding, config.hidden), np.concatenate(readings(600), 1)
+    for start in ((np.nan, 0.0), (0.0, np.inf)):
+        np.testing.assert_array_equal(run(samples, *start), run(samples))
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path, monkeypatch):
     """Chains deliver within a step in Norse: its hidden layer is one step ahead.

@@ -427,6 +427,8 @@ void att_snn_reset_at(att_snn_state *state, const double roll_pitch[2])
     const double sine = sqrt(x * x + y * y), angle = atan2(sine, cos(roll) * cos(pitch)), size = larger(sine, 1e-12);
     const double turn[3] = {x / size * angle * ATT_SNN_RATE_HZ / TURNING, y / size * angle * ATT_SNN_RATE_HZ / TURNING, 0.0};
     att_snn_reset(state);
+    if (!finite(roll) || !finite(pitch))
+        return;
     for (int k = 0; k < SETTLING + TURNING; ++k) { /* a hover, and a turn into the attitude */
         att_snn_encode(state, k < SETTLING ? hover : turn, thrust);
         att_snn_step(state);

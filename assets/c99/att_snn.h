@@ -36,7 +36,7 @@ typedef struct {
 void att_snn_reset(att_snn_state *state);
 
 /* Start at a roll and pitch [rad] that are known, to half a degree: the accelerometer's bias is found by them. Takes as
- * long as $warming samples. */
+ * long as $warming samples. Where one is not finite, the attitude is unknown. */
 void att_snn_reset_at(att_snn_state *state, const double roll_pitch[2]);
 
 /* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading that
