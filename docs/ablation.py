@@ -30,6 +30,7 @@ HERE = Path(__file__).parent
 BEST: dict[str, Any] = PRESETS["best"]
 ERRORS: Augmentation = BEST["augmentation"]
 INPUTS: InputScaling = BEST["inputs"]
+FORCE = INPUTS.model_copy(update={"lean_fed": False})
 
 SIZES: tuple[tuple[int, int, int], ...] = (
     (100, 100, 0), (200, 200, 0), (200, 200, 21202), (300, 300, 0), (300, 300, 21202), (300, 300, 18500),
@@ -50,7 +51,8 @@ ROWS: dict[str, dict[str, Any]] = {
     "gyro's bias left on": {"inputs": INPUTS.model_copy(update={"bias_sd": 0.0})},
     "accelerometer's bias left on": {"inputs": INPUTS.model_copy(update={"accel_bias_sd": 0.0})},
     "no skip connection": {"skip": False},
-    "no lead on the lateral forces": {"inputs": INPUTS.model_copy(update={"lead": 0.0})},
+    "fed the force in place of the lean": {"inputs": FORCE},
+    "fed the force, with a lead": {"inputs": FORCE.model_copy(update={"lead": 4.0})},
     "no alignment at the start": {"inputs": INPUTS.model_copy(update={"align_s": 0.0})},
     "no attitude told in training": {"told": 0.0},
     "random start": {"start": "random"},

@@ -1,18 +1,24 @@
 """What the encoder finds out about a flight: the tilt at an unknown start, and the biases of both sensors.
 
-Drag takes k v from a lateral speed v, and all but it is the lateral specific force: f = −k v (Martin &
-Salaün, "The true role of accelerometer feedback in quadrotor control", ICRA 2010). Gravity speeds a vehicle
-up to where it leans. In the axes of `estimators.tilt`, x + iy as one complex number, with the lean λ of size
-sin θ at a tilt θ, the speed v over ground, the gyroscope's reading ω, its bias b and the accelerometer's a in
-body axes, the heading r of length 1, and the reading y of the lateral force:
+A rotor's drag is proportional to its speed and to the air's across it, what the frame adds grows with the
+square, and both are all that the accelerometer reads across the body's z axis (Martin & Salaün, "The true
+role of accelerometer feedback in quadrotor control", ICRA 2010; Leishman et al., "Quadrotors and
+accelerometers", IEEE Control Systems 34(1), 2014). In level axes that do not yaw, x + iy as one complex
+number, let λ be the lateral part of the body's z axis, of size sin θ at a tilt θ; v the speed over ground; f
+what drag is at hover, −k times the speed through the air where that is low; ω the gyroscope's reading, b its
+bias and a the accelerometer's in body axes, r the heading, of length 1; T thrust and c the climb. The
+shortest turn from the vertical to the body's z axis makes P x = x − λ Re(x λ̄) / (1 + cos θ) of level x:
 
-    v̇ = f + g λ,    ḟ = −k v̇,    λ̇ = −i √(1 − |λ|²) (ω − r b),    ḃ = 0,    ȧ = 0,    y = f + r a.
+    λ̇ = P(−i r (ω − b)),    v̇ = P(y − r a) + T λ,    ḟ = −k D v̇,    ḃ = 0,    ȧ = 0,
+    y = √(T / m g) (P f + k c λ) + r a,    D = 1, and more in a fast flow.
 
-At rest these hold as well, whatever k: the force is the ground's then, f = −g λ. A Kalman filter of the five
-measures the lateral force; weakly, that a speed does not last, for a vehicle that has been slow stays about
-where it is, and all but not for one that has been fast; and where the readings of neither sensor change, that
-what the gyroscope reads is its bias (a zero-rate update, as VQF's, Laidig & Seel 2023). A lean that is known
-at the start, or that changes, tells the accelerometer's bias from a tilt, and a known one nearly whole.
+A body that does not yaw about its z axis turns from level axes by Im(λ̄ λ̇) / (1 + cos θ) all the same.
+At rest all of it holds as well: the force is the ground's then, f = −g λ. A Kalman filter of the five
+measures the lateral force; weakly, that neither a speed nor a force lasts, for a vehicle that has been slow
+stays about where it is and air that has been calm stays so, and all but not where they have been large; and
+where the readings of neither sensor change, that what the gyroscope reads is its bias (a zero-rate update, as
+VQF's, Laidig & Seel 2023). A lean that is known at the start, or that changes, tells the accelerometer's bias
+from a tilt, and a known one nearly whole.
 A heading that drifts would turn wind, which then looks like a bias that turns with the body: what the
 gyroscope reads about z in the mean is taken off, and believed the less the more the vehicle yaws.
 
@@ -20,12 +26,13 @@ Wind and all that drag is not make the force walk at random; how far is taken fr
 force that are found to be needed (Myers & Tapley, "Adaptive sequential estimation with unknown noise
 statistics", IEEE Trans. Autom. Control 21(4), 1976), and at once where the force is not what it should be.
 Vibration is noise of the reading, found from sample to sample.
-Nothing prefers x or y, so that one Hermitian covariance is that of both. Inertial navigation calls the first
-seconds of this the initial alignment.
+To first order nothing prefers x or y, so that one Hermitian covariance is that of both. Inertial navigation
+calls the first seconds of this the initial alignment.
 
 The network is told by a turn: for a first second all that is found out about the lean, as if there were no
 gusts, is added to the turn rates; from then on the bias is taken off, and with each correction of it what it
-has done to the attitude that the network still remembers. The accelerometer's is taken off its reading.
+has done to the attitude that the network still remembers. Of the accelerometer it is fed the lateral reading
+less its bias, or, nearer to gravity, what it would read at rest with the same lean, −g λ.
 """
 
 from __future__ import annotations
@@ -41,55 +48,68 @@ from .tilt import RATE_MAX
 
 F, L, B, A, V = range(5)
 """The state: force, lean, the biases of gyroscope and accelerometer, speed over ground."""
-KEPT = 92
+KEPT = 102
 """What is kept: the time since the start, that since the last sample, and that at rest; the state; its
 covariance, row by row; what a gyroscope's bias of 1 does to the attitude that is remembered; samples; the six
 readings in a fast and in a slow low-pass; the late corrections of the force, summed, and the mean of that;
 the square of the random walk of the force; by how much the force has lately been off; the variance of that
-between samples, with the last; the mean square of the speed, of each axis; and the gyroscope's bias about z,
-its variance, and the mean square of the yaw rate."""
+between samples, with the last; the mean squares of speed and force, of each axis; the gyroscope's bias about
+z, its variance, and the mean square of the yaw rate; thrust; the climb, and the mean of its change; by how
+much the body is turned from level axes beyond its yaw; the rate before; and the lean in body axes."""
 STATE, SPREAD, EFFECT, SAMPLES, FAST, SLOW = 3, 13, 63, 65, 66, 72
-CORRECTIONS, DRIFT, GUST, MISSED, NOISE, SPEED, YAW_BIAS = 78, 80, 82, 83, 85, 88, 89
+CORRECTIONS, DRIFT, GUST, MISSED, NOISE, SPEED, AIR = 78, 80, 82, 83, 85, 88, 89
+YAW_BIAS, THRUST, CLIMB, TWIST, BEFORE, LEANING = 90, 93, 94, 96, 98, 100
 LEAN, BIAS, ACCEL_BIAS = STATE + 2 * L, STATE + 2 * B, STATE + 2 * A
 """Where these begin in it."""
 FORCE_MAX = 5.0
 """How far a force counts as away from what is expected: a bad reading does no lasting harm [m/s²]."""
-LEAN_MAX = 0.95
-"""Largest lean that is believed, of each axis."""
-UPRIGHT_MIN = 0.3
-"""Least cosine of a tilt that is believed."""
+FORCE_VARIANCE_MIN = 1e-9
+"""Least variance of it: what rounding makes of nothing is less than nothing [m²/s⁴]."""
+LEAN_MAX, UPRIGHT_MIN = 0.95, 0.3
+"""Largest lean that is believed, and the cosine of a tilt that goes with it."""
 BIAS_MAX, ACCEL_BIAS_MAX, SPEED_MAX = 0.1, 2.0, 50.0
-"""Largest biases and speed that are believed, of each axis [rad/s], [m/s²], [m/s]."""
+"""Largest biases and speed that are believed [rad/s], [m/s²], [m/s]."""
 READING_MAX = 1000.0
 """Beyond which no reading counts further, in its unit."""
 GAP_MAX = 0.5
 """Longest time between samples for which the rate is taken to have lasted [s]."""
-LEAN_SD, TOLD_SD = 0.245, 0.008
+LEAN_SD, TOLD_SD = 0.24, 0.004
 """Spread of the lean at the start, of each axis: unknown, and told."""
-SPEED_SD, SPEED_MIN, SPEED_S = 1.0, 0.2, 2.0
+SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.1, 0.75
 """Speed over ground, of each axis: what is expected before any is seen, the least [m/s], and the time for
 which a low one is taken to last [s]; what is expected lasts twice as long, a higher one with its square."""
-EXPECTED_S, SPEEDS_S = 2.0, 10.0
-"""Time for which that expectation counts, and the memory of the speeds that are found [s]."""
-STEADY, CALM, BREEZE = 0.05, 0.03, 0.2
+EXPECTED_S, SPEEDS_S, AIRS_S = 0.5, 3.0, 12.0
+"""Time for which what is expected counts, and the memories of the speeds and of what else is found [s]."""
+STEADY, CALM, BREEZE = 0.1, 0.01, 0.03
 """Random walk of the force: while the tilt at the start is looked for; later the least, and what is expected
 before any is seen [m/s²/√s]."""
-GAUGE_FROM_S, BREEZE_S, GUSTS_S = 0.1, 0.1, 20.0
+GAUGE_FROM_S, BREEZE_S, GUSTS_S = 0.1, 0.05, 18.0
 """Time without a look at it, that for which the expectation counts, and the memory of what is found [s]."""
-CORRECTED_S, DRIFT_S = 0.5, 2.0
+CORRECTED_S, DRIFT_S = 0.1, 4.0
 """Memories of the corrections of the force, and of their mean, which is a bias's and no wind's [s]."""
-GAUGE = 2.0
+GAUGE = 1.5
 """Their scatter is taken for this many times as much: what is slow is left out of it."""
-SUDDEN_S, SUDDEN = 0.1, 4.0
+SUDDEN_S, SUDDEN = 0.05, 2.5
 """Memory of how far the force is off [s], and how many times the variance of noise in it that may be."""
 NOISE_S = 1.0
 """Memory of the noise of the force [s]."""
-TURN_NOISE, TURN_ERROR = 0.003, 0.01
+TURN_NOISE, TURN_ERROR = 0.0015, 0.012
 """Noise density of a turn rate [rad/s/√Hz], and further in proportion to it [√s]."""
-BIAS_WALK, ACCEL_BIAS_WALK = 4e-4, 0.006
+BIAS_WALK, ACCEL_BIAS_WALK = 3e-4, 0.006
 """Random walks of the biases [rad/s/√s], [m/s²/√s]."""
-YAW_RATE, YAW_RATE_MIN, YAW_S = 0.1, 0.005, 0.5
+BREATH, BREATH_MIN, BREATH_S = 0.12, 0.05, 3.0
+"""Likewise the force [m/s²], and the time for which a low one is taken to last [s]."""
+YAW_RATE, YAW_RATE_MIN, YAW_S = 0.03, 0.005, 0.4
 """Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
+FRAME = 0.007
+"""What the frame takes from a speed by its square, ρ C_d A / 2 m [1/m]."""
+THRUST_MIN, THRUST_MAX, THRUST_S = 0.25, 4.0, 0.035
+"""Thrust that is believed, in weights, and the memory of that by which rotors drag [s]."""
+CLIMB_S, CLIMBS_S, CLIMB_FROM_S = 2.5, 20.0, 2.0
+"""Memories of the climb and of its change, whose mean is the accelerometer's bias, and how long that counts
+as having lasted at first [s]."""
+CLIMB_MAX, RISE_MAX = 20.0, 0.5
+"""Fastest climb that is believed [m/s], and the mean of its change [m/s²]."""
 REMEMBERED_S = 2.0
 """Time for which the network remembers a turn [s]."""
 REST_S, FAST_S = 0.5, 0.1
@@ -121,26 +141,22 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
     """
     align_s, drag, noise, bias_sd, offset_sd = alignment
     heading = complex(cosine, sine)
-    back = heading.conjugate()
     reading = complex(_within(forces[0], READING_MAX), _within(forces[1], READING_MAX))
     rate = complex(_within(rates[0], RATE_MAX), _within(rates[1], RATE_MAX))
     state = kept[STATE:SPREAD].view(np.complex128)
     spread = kept[SPREAD:EFFECT].view(np.complex128).reshape((5, 5))
     kept[SAMPLES] += 1.0
-    if kept[SAMPLES] == 1.0:
-        lean_sd = LEAN_SD if kept[0] < math.inf else TOLD_SD
-        state[F] = heading * reading
-        spread[F, F] = noise * noise / step + offset_sd * offset_sd
-        spread[F, A], spread[A, F] = -(offset_sd * offset_sd) * heading, -(offset_sd * offset_sd) * back
-        spread[L, L], spread[B, B] = lean_sd * lean_sd, bias_sd * bias_sd
-        spread[A, A], spread[V, V] = offset_sd * offset_sd, SPEED_SD * SPEED_SD
-        kept[GUST], kept[SPEED] = BREEZE * BREEZE, SPEED_SD * SPEED_SD
+    first = kept[SAMPLES] == 1.0
+    if first:
+        kept[THRUST], kept[TWIST] = _within(forces[2], THRUST_MAX * GRAVITY), 1.0
+        kept[BEFORE], kept[BEFORE + 1] = rate.real, rate.imag
     bias_before = state[B]
     elapsed, aligning = min(kept[1] + step, GAP_MAX), kept[0] < align_s
-    upright = max(math.sqrt(max(1.0 - _square(state[L]), 0.0)), UPRIGHT_MIN)
-    turn = complex(0.0, elapsed * upright) * heading
-    _predict(state, spread, rate, turn, elapsed, drag)
-    gust = STEADY * STEADY if aligning else max(kept[GUST], _sudden(noise * noise, step, kept))
+    level = heading * complex(kept[TWIST], kept[TWIST + 1])
+    slowed, upright = _move(state, spread, rate, level, forces[2], elapsed, step, drag, aligning, kept)
+    if first:
+        _begin(state, spread, heading, reading * (1.0 / slowed), step, alignment, kept)
+    gust = max(STEADY * STEADY if aligning else kept[GUST], _sudden(noise * noise, step, kept))
     spread[F, F] += gust * elapsed
     spread[L, L] += (TURN_NOISE * TURN_NOISE + TURN_ERROR * TURN_ERROR * _square(rate)) * elapsed
     if bias_sd > 0.0:  # one that is known to be none stays none
@@ -149,92 +165,169 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
         spread[A, A] += ACCEL_BIAS_WALK * ACCEL_BIAS_WALK * elapsed
     force_before, lean_before = state[F], state[L]
 
-    off = heading * (reading - state[A]) - state[F]
+    expected = slowed * (_lateral(state[F], state[L], upright) + drag * kept[CLIMB] * state[L])
+    off = level * (reading - state[A]) - expected
     off = complex(_within(off.real, FORCE_MAX), _within(off.imag, FORCE_MAX))
     white = _noise(off, noise * noise / step, step, kept)
     kept[MISSED] += (off.real - kept[MISSED]) * step / SUDDEN_S
     kept[MISSED + 1] += (off.imag - kept[MISSED + 1]) * step / SUDDEN_S
-    _correct(state, spread, F, heading, off, white)
+    _correct(state, spread, F, 0.5 * slowed * (1.0 + upright), level, off, white)
     if kept[SAMPLES] * step > GAUGE_FROM_S:  # the first corrections are those of the start
         _gauge(state[F] - force_before, step, kept)
-
     if not aligning:
-        lasts = SPEED_S * (1.0 + kept[SPEED] / (SPEED_SD * SPEED_SD))
-        variance = max(kept[SPEED], SPEED_MIN * SPEED_MIN) * lasts / step
-        _correct(state, spread, V, 0.0j, -state[V], variance)
-        memory = min(EXPECTED_S + kept[SAMPLES] * step, SPEEDS_S)
-        kept[SPEED] += (0.5 * _square(state[V]) - kept[SPEED]) * step / memory
+        _lasts(state, spread, V, SPEED_SD, SPEED_MIN, SPEED_S, SPEEDS_S, step, kept, SPEED)
+        _lasts(state, spread, F, BREATH, BREATH_MIN, BREATH_S, AIRS_S, step, kept, AIR)
 
     _yaw(rates[2], bias_sd, step, kept)
     kept[2] = kept[2] + step if _unchanged(rates, forces, step, kept) else 0.0
     if kept[2] >= REST_S:
-        _correct(state, spread, B, 0.0j, rate - state[B], REST_NOISE * REST_NOISE / step)
+        _correct(state, spread, B, 1.0, 0.0j, rate - state[B], REST_NOISE * REST_NOISE / step)
 
     for k, limit in enumerate((READING_MAX, LEAN_MAX, BIAS_MAX, ACCEL_BIAS_MAX, SPEED_MAX)):
-        state[k] = complex(_within(state[k].real, limit), _within(state[k].imag, limit))
+        state[k] *= min(1.0, limit / max(math.sqrt(_square(state[k])), 1e-9))
     if aligning:
-        further = complex(0.0, 1.0 / upright) * (state[L] - lean_before)
+        further = complex(0.0, 1.0 / upright) * level.conjugate() * (state[L] - lean_before)
     else:
-        further = (bias_before - state[B]) * complex(kept[EFFECT], kept[EFFECT + 1])
+        further = heading.conjugate() * (bias_before - state[B]) * complex(kept[EFFECT], kept[EFFECT + 1])
     kept[EFFECT] += step * (cosine - kept[EFFECT] / REMEMBERED_S)
     kept[EFFECT + 1] += step * (sine - kept[EFFECT + 1] / REMEMBERED_S)
     kept[1] = 0.0
-    further = back * further
+    leaning = level.conjugate() * state[L]
+    kept[LEANING], kept[LEANING + 1] = leaning.real, leaning.imag
     return further.real, further.imag
 
 
 @njit(cache=True)
-def _predict(state, spread, rate, turn, elapsed, drag):
-    """Advance state and covariance by the time `elapsed`; a bias of 1 turns by `turn` meanwhile."""
-    _advance(state, turn, elapsed, drag)
-    state[L] -= turn * rate
+def _begin(state, spread, heading, force, step, alignment, kept):
+    """What is known with the first reading of the force; a lean that is told is in the state."""
+    _, _, noise, bias_sd, offset_sd = alignment
+    lean_sd = LEAN_SD if kept[0] < math.inf else TOLD_SD
+    offset_variance = offset_sd * offset_sd
+    spread[:] = 0.0
+    state[F], state[V] = heading * force, 0.0
+    spread[F, F] = noise * noise / step + offset_variance
+    spread[F, A], spread[A, F] = -offset_variance * heading, -offset_variance * heading.conjugate()
+    spread[L, L], spread[B, B] = lean_sd * lean_sd, bias_sd * bias_sd
+    spread[A, A], spread[V, V] = offset_variance, SPEED_SD * SPEED_SD
+    kept[GUST], kept[SPEED] = BREEZE * BREEZE, SPEED_SD * SPEED_SD
+    kept[AIR] = BREATH * BREATH + 0.5 * _square(force)
+
+
+@njit(cache=True)
+def _move(state, spread, rate, level, thrust, elapsed, step, drag, aligning, kept):
+    """Advance state, covariance and level axes to a sample.
+
+    Returns:
+        What the force of drag is to be multiplied by for a reading, and the cosine of the tilt.
+    """
+    mean_rate = 0.5 * (rate + complex(kept[BEFORE], kept[BEFORE + 1]))
+    kept[BEFORE], kept[BEFORE + 1] = rate.real, rate.imag
+    turning = complex(0.0, -elapsed) * level * (mean_rate - state[B])
+    lean = state[L] + 0.5 * _lateral(turning, state[L], _upright(state[L]))
+    lean *= min(1.0, LEAN_MAX / max(math.sqrt(_square(lean)), 1e-9))
+    upright = _upright(lean)  # both half-way
+    leant = _lateral(turning, lean, upright)
+    twist = complex(kept[TWIST], kept[TWIST + 1])
+    twist *= complex(1.0, (lean.conjugate() * leant).imag / (1.0 + upright))
+    twist *= 1.5 - 0.5 * _square(twist)
+    kept[TWIST], kept[TWIST + 1] = twist.real, twist.imag
+
+    thrust = _within(thrust, THRUST_MAX * GRAVITY)
+    kept[THRUST] += (thrust - kept[THRUST]) * min(step / THRUST_S, 1.0)
+    size = math.sqrt(_square(state[F]))
+    along = math.sqrt(1.0 + 4.0 * FRAME * size / (drag * drag))  # a speed's, along the force
+    across = 0.5 * (1.0 + along)  # across it, and the whole force over that of rotors
+    slowed = 1.0 + (math.sqrt(max(kept[THRUST] / GRAVITY, THRUST_MIN)) - 1.0) / across
+    force = slowed * (_lateral(state[F], lean, upright) + drag * kept[CLIMB] * lean)
+    rise = max(thrust, 0.0) * upright - (force * lean.conjugate()).real - GRAVITY
+    if not aligning:
+        memory = min(CLIMB_FROM_S + kept[SAMPLES] * step, CLIMBS_S)
+        kept[CLIMB + 1] += (rise - kept[CLIMB + 1]) * step / memory
+        kept[CLIMB + 1] = _within(kept[CLIMB + 1], RISE_MAX)
+        rise -= kept[CLIMB + 1]
+        kept[CLIMB] = _within(kept[CLIMB] + step * (rise - kept[CLIMB] / CLIMB_S), CLIMB_MAX)
+    thrust = max(thrust, 0.0) - kept[CLIMB + 1] / upright
+    faster = elapsed * (_lateral(force, lean, upright) + thrust * lean)
+    unit = state[F] * (1.0 / max(size, 1e-9))
+    state[V] += faster
+    state[F] += -drag * (across * faster + (along - across) * (unit.conjugate() * faster).real * unit)
+    state[L] += leant
+
+    share = 0.5 * (1.0 + upright)  # what is left of a lateral part in the mean of all directions
+    turn, slope = complex(0.0, elapsed * share) * level, 0.5 * drag * (along + across)
     for k in range(5):
-        _advance(spread[:, k], turn, elapsed, drag)
+        _advance(spread[:, k], turn, elapsed, slope, slowed * share * share, thrust)
     np.conjugate(spread, spread)
     for k in range(5):
-        _advance(spread[k], turn, elapsed, drag)
+        _advance(spread[k], turn, elapsed, slope, slowed * share * share, thrust)
     for k in range(5):
         spread[k, k] = spread[k, k].real
         for m in range(k):
             spread[k, m] = spread[m, k]
             spread[m, k] = spread[m, k].conjugate()
+    return slowed, upright
 
 
 @njit(cache=True)
-def _advance(x, turn, elapsed, drag):
-    faster = elapsed * (x[F] + GRAVITY * x[L])
+def _advance(x, turn, elapsed, slope, of_force, thrust):
+    """Advance a small change of the state."""
+    faster = elapsed * (of_force * x[F] + thrust * x[L])
     x[V] += faster
-    x[F] -= drag * faster
+    x[F] -= slope * faster
     x[L] += turn * x[B]
 
 
 @njit(cache=True)
-def _correct(state, spread, measured, of_accel_bias, innovation, variance):
-    """Correct by one measurement, of one of the state and so much of the accelerometer's bias."""
+def _correct(state, spread, measured, of_it, of_accel_bias, innovation, variance):
+    """Correct by one measurement, of so much of one of the state and so much of the accelerometer's bias."""
     column = np.empty(5, np.complex128)
     for k in range(5):
-        column[k] = spread[k, measured] + of_accel_bias.conjugate() * spread[k, A]
-    scale = 1.0 / ((column[measured] + of_accel_bias * column[A]).real + variance)
+        column[k] = of_it * spread[k, measured] + of_accel_bias.conjugate() * spread[k, A]
+    scale = 1.0 / ((of_it * column[measured] + of_accel_bias * column[A]).real + variance)
     for k in range(5):
         state[k] += column[k] * (innovation * scale)
         for m in range(k, 5):
             spread[k, m] -= scale * (column[k] * column[m].conjugate())
             spread[m, k] = spread[k, m].conjugate()
+    spread[F, F] = max(spread[F, F].real, FORCE_VARIANCE_MIN)
+
+
+@njit(cache=True)
+def _lasts(state, spread, which, expected, least, lasts, memory, step, kept, square):
+    """Correct by the expectation that one of the state is nothing; its mean square is kept at `square`."""
+    lasts *= 1.0 + kept[square] / (expected * expected)
+    variance = max(kept[square], least * least) * lasts / step
+    _correct(state, spread, which, 1.0, 0.0j, -state[which], variance)
+    memory = min(EXPECTED_S + kept[SAMPLES] * step, memory)
+    kept[square] += (0.5 * _square(state[which]) - kept[square]) * step / memory
+
+
+@njit(cache=True)
+def _upright(lean):
+    """Cosine of a tilt."""
+    return max(math.sqrt(max(1.0 - _square(lean), 0.0)), UPRIGHT_MIN)
+
+
+@njit(cache=True)
+def _lateral(x, lean, upright):
+    """Lateral part, in body axes, of a level vector; in level axes, of a lateral one of the body."""
+    return x - lean * ((x * lean.conjugate()).real / (1.0 + upright))
 
 
 @njit(cache=True)
 def _yaw(rate, bias_sd, step, kept):
     """Take a yaw rate into what is known of the gyroscope's bias about z: in the mean, no vehicle yaws."""
+    rate = _within(rate, RATE_MAX)
     bias, variance, square = kept[YAW_BIAS], kept[YAW_BIAS + 1], kept[YAW_BIAS + 2]
     if kept[SAMPLES] == 1.0:
-        variance, square = bias_sd * bias_sd, YAW_RATE * YAW_RATE
-    off = _within(rate, RATE_MAX) - bias
+        variance, square = bias_sd * bias_sd, YAW_RATE * YAW_RATE + rate * rate
+    off = rate - bias
     variance += BIAS_WALK * BIAS_WALK * step if bias_sd > 0.0 else 0.0
     lasts = YAW_S * (1.0 + square / (YAW_RATE * YAW_RATE))
     gain = variance / (variance + max(square, YAW_RATE_MIN * YAW_RATE_MIN) * lasts / step)
     kept[YAW_BIAS] = _within(bias + gain * off, BIAS_MAX)
     kept[YAW_BIAS + 1] = (1.0 - gain) * variance
-    memory = min(EXPECTED_S + kept[SAMPLES] * step, SPEEDS_S)
+    memory = min(EXPECTED_S + kept[SAMPLES] * step, AIRS_S)
     kept[YAW_BIAS + 2] = square + (off * off - square) * step / memory
 
 

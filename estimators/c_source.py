@@ -58,6 +58,7 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "settling": round(SETTLE_S * config.rate_hz),
         "turning": round(TURN_S * config.rate_hz),
         "warming": round(SETTLE_S * config.rate_hz) + round(TURN_S * config.rate_hz),
+        "lean_fed": int(config.inputs.lean_fed),
         "yaw_free": int(config.inputs.yaw_free),
         **{name.lower(): repr(value) for name, value in vars(alignment).items() if name.isupper()},
         **arrays,

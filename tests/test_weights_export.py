@@ -94,6 +94,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
             inputs=InputScaling(
                 bias_sd=0.04 * seed, accel_bias_sd=0.3 * seed, lead=3.0 * seed, lead_samples=(3, 40),
                 align_s=5.0 * seed, align_drag=0.3, align_noise=0.05, yaw_free=bool(seed),
+                lean_fed=bool(seed),
             ),
         )  # fmt: skip
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"

@@ -136,8 +136,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "inputs": InputScaling(
             bias_sd=0.0088,
             accel_bias_sd=0.2,
-            lead=4.0,
             align_s=1.0,
+            align_drag=0.204,
+            lean_fed=True,
             yaw_free=True,
         ),
         "encoding": 300,

@@ -30,6 +30,7 @@ static const double DRAG = $align_drag; /* what drag takes from a lateral speed,
 static const double NOISE = $align_noise; /* noise density of a lateral force's reading, for both [m/s^2 s^0.5] */
 
 enum {
+    LEAN_FED = $lean_fed, /* whether lateral forces are -g times the lean that is found out */
     YAW_FREE = $yaw_free, /* whether lateral readings are turned into axes that do not yaw; the outputs are a tilt */
     INPUT_MAX = $input_max,
     BIAS_STEP = 16,
@@ -166,25 +167,79 @@ enum { F, L, B, A, V, STATES };
 
 static pair pair_at(const double *kept) { return (pair){kept[0], kept[1]}; }
 
-/* Advance one state, or a column of the covariance, whose elements are `stride` apart; a bias of 1 turns by `turn`. */
-static void advance(pair *x, int stride, pair turn, double elapsed)
+static void keep(double *kept, pair value)
 {
-    const pair faster = of(elapsed, plus(x[F * stride], of($gravity, x[L * stride])));
+    kept[0] = value.x;
+    kept[1] = value.y;
+}
+
+static pair shorter(pair a, double limit) { return of(smaller(1.0, limit / larger(sqrt(square(a)), 1e-9)), a); }
+
+/* Cosine of a tilt. */
+static double cosine_of(pair lean) { return larger(sqrt(larger(1.0 - square(lean), 0.0)), $upright_min); }
+
+/* Lateral part, in body axes, of a level vector; in level axes, of a lateral one of the body. */
+static pair lateral(pair x, pair lean, double upright)
+{
+    return minus(x, of(times(x, conjugate(lean)).x / (1.0 + upright), lean));
+}
+
+/* Advance a small change of the state, whose elements are `stride` apart. */
+static void advance(pair *x, int stride, pair turn, double elapsed, double slope, double of_force, double thrust)
+{
+    const pair faster = of(elapsed, plus(of(of_force, x[F * stride]), of(thrust, x[L * stride])));
     x[V * stride] = plus(x[V * stride], faster);
-    x[F * stride] = minus(x[F * stride], of(DRAG, faster));
+    x[F * stride] = minus(x[F * stride], of(slope, faster));
     x[L * stride] = plus(x[L * stride], times(turn, x[B * stride]));
 }
 
-static void predict(pair state[STATES], pair spread[STATES][STATES], pair rate, pair turn, double elapsed)
+/* Advance state, covariance and level axes to a sample. Returns what the force of drag is to be multiplied by for a
+ * reading, and leaves the cosine of the tilt. */
+static double move(
+    pair state[STATES], pair spread[STATES][STATES], pair rate, pair level, double thrust, double elapsed, int aligning,
+    double *upright, double kept[$kept])
 {
-    advance(state, 1, turn, elapsed);
-    state[L] = minus(state[L], times(turn, rate));
+    const pair mean_rate = of(0.5, plus(rate, pair_at(kept + $before)));
+    keep(kept + $before, rate);
+    const pair turning = times(times((pair){0.0, -elapsed}, level), minus(mean_rate, state[B]));
+    const pair half = of(0.5, lateral(turning, state[L], cosine_of(state[L])));
+    const pair lean = shorter(plus(state[L], half), $lean_max);
+    *upright = cosine_of(lean); /* both half-way */
+    const pair leant = lateral(turning, lean, *upright);
+    const pair twist = times(pair_at(kept + $twist), (pair){1.0, times(conjugate(lean), leant).y / (1.0 + *upright)});
+    keep(kept + $twist, of(1.5 - 0.5 * square(twist), twist));
+
+    thrust = between(thrust, $thrust_max * $gravity);
+    kept[$thrust] += (thrust - kept[$thrust]) * smaller(STEP / $thrust_s, 1.0);
+    const double size = sqrt(square(state[F]));
+    const double along = sqrt(1.0 + 4.0 * $frame * size / (DRAG * DRAG)); /* a speed's, along the force */
+    const double across = 0.5 * (1.0 + along);                            /* across it, and the whole over rotors' */
+    const double slowed = 1.0 + (sqrt(larger(kept[$thrust] / $gravity, $thrust_min)) - 1.0) / across;
+    double *climb = kept + $climb;
+    const pair force = of(slowed, plus(lateral(state[F], lean, *upright), of(DRAG * climb[0], lean)));
+    const double rise = larger(thrust, 0.0) * *upright - times(force, conjugate(lean)).x - $gravity;
+    if (!aligning) {
+        climb[1] += (rise - climb[1]) * STEP / smaller($climb_from_s + kept[$samples] * STEP, $climbs_s);
+        climb[1] = between(climb[1], $rise_max);
+        climb[0] = between(climb[0] + STEP * (rise - climb[1] - climb[0] / $climb_s), $climb_max);
+    }
+    thrust = larger(thrust, 0.0) - climb[1] / *upright;
+    const pair faster = of(elapsed, plus(lateral(force, lean, *upright), of(thrust, lean)));
+    const pair unit = of(1.0 / larger(size, 1e-9), state[F]);
+    const double further = (along - across) * times(conjugate(unit), faster).x;
+    state[V] = plus(state[V], faster);
+    state[F] = plus(state[F], of(-DRAG, plus(of(across, faster), of(further, unit))));
+    state[L] = plus(state[L], leant);
+
+    const double share = 0.5 * (1.0 + *upright); /* what is left of a lateral part in the mean of all directions */
+    const double slope = 0.5 * DRAG * (along + across), of_force = slowed * share * share;
+    const pair turn = times((pair){0.0, elapsed * share}, level);
     for (int k = 0; k < STATES; ++k)
-        advance(&spread[0][k], STATES, turn, elapsed);
+        advance(&spread[0][k], STATES, turn, elapsed, slope, of_force, thrust);
     for (int k = 0; k < STATES; ++k) {
         for (int m = 0; m < STATES; ++m)
             spread[k][m] = conjugate(spread[k][m]);
-        advance(spread[k], 1, turn, elapsed);
+        advance(spread[k], 1, turn, elapsed, slope, of_force, thrust);
     }
     for (int k = 0; k < STATES; ++k) {
         spread[k][k].y = 0.0;
@@ -193,16 +248,18 @@ static void predict(pair state[STATES], pair spread[STATES][STATES], pair rate, 
             spread[m][k] = conjugate(spread[m][k]);
         }
     }
+    return slowed;
 }
 
-/* Correct by one measurement, of one of the state and so much of the accelerometer's bias. */
+/* Correct by one measurement, of so much of one of the state and so much of the accelerometer's bias. */
 static void correct(
-    pair state[STATES], pair spread[STATES][STATES], int measured, pair of_accel_bias, pair innovation, double variance)
+    pair state[STATES], pair spread[STATES][STATES], int measured, double of_it, pair of_accel_bias, pair innovation,
+    double variance)
 {
     pair column[STATES];
     for (int k = 0; k < STATES; ++k)
-        column[k] = plus(spread[k][measured], times(conjugate(of_accel_bias), spread[k][A]));
-    const double scale = 1.0 / (plus(column[measured], times(of_accel_bias, column[A])).x + variance);
+        column[k] = plus(of(of_it, spread[k][measured]), times(conjugate(of_accel_bias), spread[k][A]));
+    const double scale = 1.0 / (plus(of(of_it, column[measured]), times(of_accel_bias, column[A])).x + variance);
     for (int k = 0; k < STATES; ++k) {
         state[k] = plus(state[k], times(column[k], of(scale, innovation)));
         for (int m = k; m < STATES; ++m) {
@@ -210,24 +267,37 @@ static void correct(
             spread[m][k] = conjugate(spread[k][m]);
         }
     }
+    spread[F][F].x = larger(spread[F][F].x, $force_variance_min);
+}
+
+/* Correct by the expectation that one of the state is nothing. */
+static void lasts(
+    pair state[STATES], pair spread[STATES][STATES], int which, double expected, double least, double seconds,
+    double memory, double *mean_square, double samples)
+{
+    const double long_s = seconds * (1.0 + *mean_square / (expected * expected));
+    const double variance = larger(*mean_square, least * least) * long_s / STEP;
+    correct(state, spread, which, 1.0, (pair){0.0, 0.0}, of(-1.0, state[which]), variance);
+    *mean_square += (0.5 * square(state[which]) - *mean_square) * STEP / smaller($expected_s + samples * STEP, memory);
 }
 
 /* Take a yaw rate into what is known of the gyroscope's bias about z: in the mean, no vehicle yaws. */
 static void follow_yaw(double rate, double kept[$kept])
 {
+    rate = between(rate, $rate_max);
     double *bias = kept + $yaw_bias, *variance = bias + 1, *mean_square = bias + 2;
     if (kept[$samples] == 1.0) {
         *variance = BIAS_SD * BIAS_SD;
-        *mean_square = $yaw_rate * $yaw_rate;
+        *mean_square = $yaw_rate * $yaw_rate + rate * rate;
     }
-    const double off = between(rate, $rate_max) - *bias;
+    const double off = rate - *bias;
     if (BIAS_SD > 0.0)
         *variance += $bias_walk * $bias_walk * STEP;
     const double lasts = $yaw_s * (1.0 + *mean_square / ($yaw_rate * $yaw_rate));
     const double gain = *variance / (*variance + larger(*mean_square, $yaw_rate_min * $yaw_rate_min) * lasts / STEP);
     *bias = between(*bias + gain * off, $bias_max);
     *variance = (1.0 - gain) * *variance;
-    *mean_square += (off * off - *mean_square) * STEP / smaller($expected_s + kept[$samples] * STEP, $speeds_s);
+    *mean_square += (off * off - *mean_square) * STEP / smaller($expected_s + kept[$samples] * STEP, $airs_s);
 }
 
 /* Take a correction of the force into what is known of its random walk: their sum scatters as far. */
@@ -278,35 +348,52 @@ static int unchanged(const double gyro[3], const double accel[3], double kept[$k
     return still;
 }
 
+/* What is known with the first reading of the force; a lean that is told is in the state. */
+static void begin(pair state[STATES], pair spread[STATES][STATES], pair heading, pair force, double kept[$kept])
+{
+    const double lean_sd = kept[0] < INFINITY ? $lean_sd : $told_sd, offset_variance = ACCEL_BIAS_SD * ACCEL_BIAS_SD;
+    for (int k = 0; k < STATES; ++k)
+        for (int m = 0; m < STATES; ++m)
+            spread[k][m] = (pair){0.0, 0.0};
+    state[F] = times(heading, force);
+    state[V] = (pair){0.0, 0.0};
+    spread[F][F].x = NOISE * NOISE / STEP + offset_variance;
+    spread[F][A] = of(-offset_variance, heading);
+    spread[A][F] = of(-offset_variance, conjugate(heading));
+    spread[L][L].x = lean_sd * lean_sd;
+    spread[B][B].x = BIAS_SD * BIAS_SD;
+    spread[A][A].x = offset_variance;
+    spread[V][V].x = $speed_sd * $speed_sd;
+    kept[$gust] = $breeze * $breeze;
+    kept[$speed] = $speed_sd * $speed_sd;
+    kept[$air] = $breath * $breath + 0.5 * square(force);
+}
+
 /* Take one sample into what is kept. Returns how far the attitude is to turn about x and y of the body beyond what the
  * gyroscope says, less its bias. */
 static pair follow(const double gyro[3], const double accel[3], pair heading, double kept[$kept])
 {
-    const pair rate = both_between((pair){gyro[0], gyro[1]}, $rate_max), back = conjugate(heading);
+    const pair rate = both_between((pair){gyro[0], gyro[1]}, $rate_max);
     const pair reading = both_between((pair){accel[0], accel[1]}, $reading_max);
     pair *state = (pair *)(kept + $state);
     pair(*spread)[STATES] = (pair(*)[STATES])(kept + $spread);
-    double *samples = kept + $samples, *gust = kept + $gust, *speed = kept + $speed;
+    double *samples = kept + $samples;
     *samples += 1.0;
-    if (*samples == 1.0) {
-        const double lean_sd = kept[0] < INFINITY ? $lean_sd : $told_sd, offset_var = ACCEL_BIAS_SD * ACCEL_BIAS_SD;
-        state[F] = times(heading, reading);
-        spread[F][F].x = NOISE * NOISE / STEP + offset_var;
-        spread[F][A] = of(-offset_var, heading);
-        spread[A][F] = of(-offset_var, back);
-        spread[L][L].x = lean_sd * lean_sd;
-        spread[B][B].x = BIAS_SD * BIAS_SD;
-        spread[A][A].x = offset_var;
-        spread[V][V].x = $speed_sd * $speed_sd;
-        *gust = $breeze * $breeze;
-        *speed = $speed_sd * $speed_sd;
+    const int first = *samples == 1.0;
+    if (first) {
+        kept[$thrust] = between(accel[2], $thrust_max * $gravity);
+        kept[$twist] = 1.0;
+        keep(kept + $before, rate);
     }
     const pair bias_before = state[B];
     const double elapsed = smaller(kept[1] + STEP, $gap_max);
     const int aligning = kept[0] < ALIGN_S;
-    const double upright = larger(sqrt(larger(1.0 - square(state[L]), 0.0)), $upright_min), turned = elapsed * upright;
-    predict(state, spread, rate, (pair){-turned * heading.y, turned * heading.x}, elapsed);
-    spread[F][F].x += (aligning ? $steady * $steady : larger(*gust, sudden(kept))) * elapsed;
+    const pair level = times(heading, pair_at(kept + $twist));
+    double upright;
+    const double slowed = move(state, spread, rate, level, accel[2], elapsed, aligning, &upright, kept);
+    if (first)
+        begin(state, spread, heading, of(1.0 / slowed, reading), kept);
+    spread[F][F].x += larger(aligning ? $steady * $steady : kept[$gust], sudden(kept)) * elapsed;
     spread[L][L].x += ($turn_noise * $turn_noise + $turn_error * $turn_error * square(rate)) * elapsed;
     if (BIAS_SD > 0.0) /* one that is known to be none stays none */
         spread[B][B].x += $bias_walk * $bias_walk * elapsed;
@@ -314,39 +401,38 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
         spread[A][A].x += $accel_bias_walk * $accel_bias_walk * elapsed;
     const pair force_before = state[F], lean_before = state[L];
 
-    const pair off = both_between(minus(times(heading, minus(reading, state[A])), state[F]), $force_max);
+    const pair climbing = of(DRAG * kept[$climb], state[L]);
+    const pair expected = of(slowed, plus(lateral(state[F], state[L], upright), climbing));
+    const pair off = both_between(minus(times(level, minus(reading, state[A])), expected), $force_max);
     const double white = noise(off, kept);
     double *missed = kept + $missed;
     missed[0] += (off.x - missed[0]) * STEP / $sudden_s;
     missed[1] += (off.y - missed[1]) * STEP / $sudden_s;
-    correct(state, spread, F, heading, off, white);
+    correct(state, spread, F, 0.5 * slowed * (1.0 + upright), level, off, white);
     if (*samples * STEP > $gauge_from_s) /* the first corrections are those of the start */
         gauge(minus(state[F], force_before), kept);
-
-    const pair none = {0.0, 0.0};
     if (!aligning) {
-        const double lasts = $speed_s * (1.0 + *speed / ($speed_sd * $speed_sd));
-        correct(state, spread, V, none, of(-1.0, state[V]), larger(*speed, $speed_min * $speed_min) * lasts / STEP);
-        *speed += (0.5 * square(state[V]) - *speed) * STEP / smaller($expected_s + *samples * STEP, $speeds_s);
+        lasts(state, spread, V, $speed_sd, $speed_min, $speed_s, $speeds_s, kept + $speed, *samples);
+        lasts(state, spread, F, $breath, $breath_min, $breath_s, $airs_s, kept + $air, *samples);
     }
 
     follow_yaw(gyro[2], kept);
     kept[2] = unchanged(gyro, accel, kept) ? kept[2] + STEP : 0.0;
     if (kept[2] >= $rest_s)
-        correct(state, spread, B, none, minus(rate, state[B]), $rest_noise * $rest_noise / STEP);
+        correct(state, spread, B, 1.0, (pair){0.0, 0.0}, minus(rate, state[B]), $rest_noise * $rest_noise / STEP);
 
     const double limits[STATES] = {$reading_max, $lean_max, $bias_max, $accel_bias_max, $speed_max};
     for (int k = 0; k < STATES; ++k)
-        state[k] = both_between(state[k], limits[k]);
+        state[k] = shorter(state[k], limits[k]);
     double *effect = kept + $effect;
-    const pair lean_found = minus(state[L], lean_before);
-    const double told = 1.0 / upright;
-    const pair further = aligning ? (pair){-told * lean_found.y, told * lean_found.x}
-                                  : times(minus(bias_before, state[B]), pair_at(effect));
+    const pair found = times((pair){0.0, 1.0 / upright}, conjugate(level));
+    const pair further = aligning ? times(found, minus(state[L], lean_before))
+                                  : times(times(conjugate(heading), minus(bias_before, state[B])), pair_at(effect));
     effect[0] += STEP * (heading.x - effect[0] / $remembered_s);
     effect[1] += STEP * (heading.y - effect[1] / $remembered_s);
     kept[1] = 0.0;
-    return times(back, further);
+    keep(kept + $leaning, times(conjugate(level), state[L]));
+    return further;
 }
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
@@ -376,7 +462,8 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
     }
     if (force_found) {
         const double *offset_found = state->alignment + $accel_bias;
-        const pair force = times(axes, (pair){accel[0] - OFFSET[3] - offset_found[0], accel[1] - OFFSET[4] - offset_found[1]});
+        const pair read = {accel[0] - OFFSET[3] - offset_found[0], accel[1] - OFFSET[4] - offset_found[1]};
+        const pair force = times(axes, LEAN_FED ? of(-$gravity, pair_at(state->alignment + $leaning)) : read);
         state->input[3] = nearest(led(state, 0, force.x) * GAIN[3]);
         state->input[4] = nearest(led(state, 1, force.y) * GAIN[4]);
         state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
