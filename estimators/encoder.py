@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from quadsim.vehicle import GRAVITY
 
 from .alignment import ACCEL_BIAS, BIAS, KEPT, LEAN, LEANING, YAW_BIAS, follow
+from .filters import paired
 from .tilt import tilt_of, yawed
 from .weights_file import InputScaling
 
@@ -94,9 +95,13 @@ def lean_found(
 
     Returns:
         Roll and pitch (n, T, 2) [rad].
+
+    Raises:
+        ValueError: Shapes that do not fit, or a start that is not finite.
     """
+    gyro, accel = paired(gyro, accel)
     inputs = inputs.model_copy(update={"lean_fed": True, "yaw_free": False, "lead": 0.0})
-    held = None if start is None else known_to(np.asarray(start, np.float64))
+    held = None if start is None else known_to(checked_start(start, len(gyro)))
     x, _ = scaled_inputs(inputs, rate_hz, gyro, accel, held)
     lean_x, lean_y = np.moveaxis(x[..., 3:5] * inputs.accel[:2] / -GRAVITY, -1, 0)
     pitch = np.arcsin(np.clip(lean_x, -1.0, 1.0))
@@ -118,6 +123,16 @@ def outputs_at(
     if not inputs.yaw_free:
         return roll_pitch
     return tilt_of(roll_pitch, np.array([1.0, 0.0]) if heading is None else heading)
+
+
+def checked_start(roll_pitch: ArrayLike, n: int) -> Array:
+    """Roll and pitch (n, 2) [rad] that are told, or ValueError."""
+    known = np.asarray(roll_pitch, dtype=np.float64)
+    if known.shape != (n, 2):
+        raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
+    if not np.isfinite(known).all():
+        raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
+    return known
 
 
 def known_to(roll_pitch: NDArray[np.floating]) -> Array:
@@ -152,7 +167,7 @@ def _scaled(value, gain):
 def encode_sample(gyro, accel, encoding, held):
     """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
     offset, gain, lead, alignment, (step, yaw_free, lean_fed) = encoding
-    aligned = alignment[0] > 0.0 or alignment[3] > 0.0 or alignment[4] > 0.0
+    aligned = alignment[0] > 0.0 or alignment[3] > 0.0 or alignment[4] > 0.0 or lean_fed
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
     force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
     force_found = np.isfinite(force) and force > 0.0

@@ -17,7 +17,7 @@ from quadsim.vehicle import GRAVITY
 
 from .chip import partition
 from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
-from .encoder import HELD, encode_sample, encoded, encoder_of, known_to, outputs_at
+from .encoder import HELD, checked_start, encode_sample, encoded, encoder_of, known_to, outputs_at
 from .gru import run_gru
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
 from .tilt import to_roll_pitch
@@ -93,8 +93,8 @@ class NetworkEstimator:
 
         Args:
             n: How many.
-            roll_pitch: Shape (n, 2) [rad], where the attitude is known, to half a degree: the accelerometer's
-                bias is found by it.
+            roll_pitch: Shape (n, 2) [rad], where the attitude is known, to a quarter of a degree: the
+                accelerometer's bias is found by it.
 
         Raises:
             ValueError: Of another shape, or not finite.
@@ -135,11 +135,7 @@ class NetworkEstimator:
     def _started(self, n: int, roll_pitch: ArrayLike | None) -> States:
         states = self.core.zero(n)
         if roll_pitch is not None:
-            known = np.asarray(roll_pitch, dtype=np.float64)
-            if known.shape != (n, 2):
-                raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
-            if not np.isfinite(known).all():
-                raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
+            known = checked_start(roll_pitch, n)
             gyro, accel = _turn_into(known, self.rate_hz)
             self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
             states[0][:, 7:] = known_to(known)[:, 7:]  # that turn is no flight: nothing of it is kept

@@ -457,3 +457,28 @@ def test_the_force_is_fed_freed_of_its_bias_where_the_lean_is_not():
     x, _ = scaled_inputs(inputs, 200.0, gyro[None], accel[None], held)
     fed = x[0, -1, 3:5] * np.array(inputs.accel[:2])
     np.testing.assert_allclose(fed, accel[-1, :2] - held[0, ALIGNMENT + ACCEL_BIAS :][:2], atol=2e-3)
+
+
+def test_a_lean_that_is_fed_is_looked_for_where_no_bias_is():
+    gyro, accel, _, tilt = flight(400, 10, (0.1, -0.2))
+    start = np.array([[np.arcsin(0.1 / np.sqrt(1 - 0.2**2)), np.arcsin(-0.2)]])
+    alone = lean_found(InputScaling(align_drag=DRAG), 200.0, gyro[None], accel[None], start)[0, -1]
+    np.testing.assert_allclose(np.sin(alone[1]), tilt[-1, 1], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("gyro", "accel", "start", "match"),
+    [
+        ((2, 9, 3), (2, 8, 3), (2, 2), "one shape"),
+        ((9, 3), (9, 3), (1, 2), "one shape"),
+        ((2, 9, 3), (2, 9, 3), (1, 2), "shape"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(gyro, accel, start, match):
+    with pytest.raises(ValueError, match=match):
+        lean_found(INPUTS, 200.0, np.zeros(gyro), np.ones(accel), np.zeros(start))
+
+
+def test_a_start_of_the_filter_alone_that_is_no_number_is_refused():
+    with pytest.raises(ValueError, match="not finite"):
+        lean_found(INPUTS, 200.0, np.zeros((1, 9, 3)), np.ones((1, 9, 3)), [[np.nan, 0.0]])

@@ -94,7 +94,7 @@ class TrainConfig(Strict):
     stop_early: bool = True
     """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
     told: float = Field(default=0.0, ge=0, le=1)
-    """Share of the streams whose attitude is known at their start, to half a degree."""
+    """Share of the streams whose attitude is known at their start, to a quarter of a degree."""
     augmentation: Augmentation = Augmentation()
     """Sensor errors and symmetries, drawn anew for every window or stream."""
     rate_cost: float = Field(default=0.0, ge=0)

@@ -439,7 +439,7 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
 {
     const double size = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
     const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]), force_found = finite(size) && size > 0.0;
-    const int aligned = ALIGN_S > 0.0 || BIAS_SD > 0.0 || ACCEL_BIAS_SD > 0.0;
+    const int aligned = ALIGN_S > 0.0 || BIAS_SD > 0.0 || ACCEL_BIAS_SD > 0.0 || LEAN_FED;
     if (rate_found && (YAW_FREE || aligned))
         yaw(state->heading, gyro[2] - state->alignment[$yaw_bias]);
     const pair heading = {state->heading[0], state->heading[1]}, axes = YAW_FREE ? heading : (pair){1.0, 0.0};
