@@ -25,6 +25,8 @@ gyroscope reads about z in the mean is taken off, and believed the less the more
 Wind and all that drag is not make the force walk at random; how far is taken from the corrections of the
 force that are found to be needed (Myers & Tapley, "Adaptive sequential estimation with unknown noise
 statistics", IEEE Trans. Autom. Control 21(4), 1976), and at once where the force is not what it should be.
+Where corrections of the gyroscope's bias keep one sign, so that their sum is far more than its variance says,
+the bias has jumped, or was large from the start: that variance is made larger by what is beyond.
 Vibration is noise of the reading, found from sample to sample.
 To first order nothing prefers x or y, so that one Hermitian covariance is that of both. Inertial navigation
 calls the first seconds of this the initial alignment.
@@ -48,17 +50,19 @@ from .tilt import RATE_MAX
 
 F, L, B, A, V = range(5)
 """The state: force, lean, the biases of gyroscope and accelerometer, speed over ground."""
-KEPT = 102
+KEPT = 107
 """What is kept: the time since the start, that since the last sample, and that at rest; the state; its
 covariance, row by row; what a gyroscope's bias of 1 does to the attitude that is remembered; samples; the six
 readings in a fast and in a slow low-pass; the late corrections of the force, summed, and the mean of that;
 the square of the random walk of the force; by how much the force has lately been off; the variance of that
 between samples, with the last; the mean squares of speed and force, of each axis; the gyroscope's bias about
 z, its variance, and the mean square of the yaw rate; thrust; the climb, and the mean of its change; by how
-much the body is turned from level axes beyond its yaw; the rate before; and the lean in body axes."""
+much the body is turned from level axes beyond its yaw; the rate and the thrust before; the mean square of the
+rate; the late corrections of the gyroscope's bias, summed, and by how much they lowered its variance; and the
+lean in body axes."""
 STATE, SPREAD, EFFECT, SAMPLES, FAST, SLOW = 3, 13, 63, 65, 66, 72
 CORRECTIONS, DRIFT, GUST, MISSED, NOISE, SPEED, AIR = 78, 80, 82, 83, 85, 88, 89
-YAW_BIAS, THRUST, CLIMB, TWIST, BEFORE, LEANING = 90, 93, 94, 96, 98, 100
+YAW_BIAS, THRUST, CLIMB, TWIST, BEFORE, TURNS, MOVED, LEANING = 90, 93, 94, 96, 98, 101, 102, 105
 LEAN, BIAS, ACCEL_BIAS = STATE + 2 * L, STATE + 2 * B, STATE + 2 * A
 """Where these begin in it."""
 FORCE_MAX = 5.0
@@ -93,17 +97,21 @@ SUDDEN_S, SUDDEN = 0.05, 2.5
 """Memory of how far the force is off [s], and how many times the variance of noise in it that may be."""
 NOISE_S = 1.0
 """Memory of the noise of the force [s]."""
-TURN_NOISE, TURN_ERROR = 0.0015, 0.012
-"""Noise density of a turn rate [rad/s/√Hz], and further in proportion to it [√s]."""
+TURN_NOISE, TURN_ERROR, TURNS_S = 0.0015, 0.005, 5.0
+"""Noise density of a turn rate [rad/s/√Hz], further in proportion to it [√s], and the memory of it [s]: a
+gain that came and went with each turn would make a lasting error of what is off in every one."""
 BIAS_WALK, ACCEL_BIAS_WALK = 3e-4, 0.006
 """Random walks of the biases [rad/s/√s], [m/s²/√s]."""
+JUMP, JUMP_S, JUMP_GAIN = 4.0, 1.0, 15.0
+"""How many times the variance that they should have corrections of the gyroscope's bias may sum up to, the
+memory of that sum [s], and how many times what is beyond is added to the bias's variance in that time."""
 BREATH, BREATH_MIN, BREATH_S = 0.12, 0.05, 3.0
 """Likewise the force [m/s²], and the time for which a low one is taken to last [s]."""
 YAW_RATE, YAW_RATE_MIN, YAW_S = 0.03, 0.005, 0.4
 """Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
 FRAME = 0.007
 """What the frame takes from a speed by its square, ρ C_d A / 2 m [1/m]."""
-THRUST_MIN, THRUST_MAX, THRUST_S = 0.25, 4.0, 0.035
+THRUST_MIN, THRUST_MAX, THRUST_S = 0.25, 4.0, 0.03
 """Thrust that is believed, in weights, and the memory of that by which rotors drag [s]."""
 CLIMB_S, CLIMBS_S, CLIMB_FROM_S = 2.5, 20.0, 2.0
 """Memories of the climb and of its change, whose mean is the accelerometer's bias, and how long that counts
@@ -149,7 +157,7 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
     first = kept[SAMPLES] == 1.0
     if first:
         kept[THRUST], kept[TWIST] = _within(forces[2], THRUST_MAX * GRAVITY), 1.0
-        kept[BEFORE], kept[BEFORE + 1] = rate.real, rate.imag
+        kept[BEFORE], kept[BEFORE + 1], kept[BEFORE + 2] = rate.real, rate.imag, kept[THRUST]
     bias_before = state[B]
     elapsed, aligning = min(kept[1] + step, GAP_MAX), kept[0] < align_s
     level = heading * complex(kept[TWIST], kept[TWIST + 1])
@@ -158,12 +166,14 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
         _begin(state, spread, heading, reading * (1.0 / slowed), step, alignment, kept)
     gust = max(STEADY * STEADY if aligning else kept[GUST], _sudden(noise * noise, step, kept))
     spread[F, F] += gust * elapsed
-    spread[L, L] += (TURN_NOISE * TURN_NOISE + TURN_ERROR * TURN_ERROR * _square(rate)) * elapsed
+    turns = _square(rate - state[B]) - kept[TURNS]
+    kept[TURNS] += turns * step / min(EXPECTED_S + kept[SAMPLES] * step, TURNS_S)
+    spread[L, L] += (TURN_NOISE * TURN_NOISE + TURN_ERROR * TURN_ERROR * kept[TURNS]) * elapsed
     if bias_sd > 0.0:  # one that is known to be none stays none
         spread[B, B] += BIAS_WALK * BIAS_WALK * elapsed
     if offset_sd > 0.0:
         spread[A, A] += ACCEL_BIAS_WALK * ACCEL_BIAS_WALK * elapsed
-    force_before, lean_before = state[F], state[L]
+    force_before, lean_before, variance_before = state[F], state[L], spread[B, B].real
 
     expected = slowed * (_lateral(state[F], state[L], upright) + drag * kept[CLIMB] * state[L])
     off = level * (reading - state[A]) - expected
@@ -177,6 +187,8 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
     if not aligning:
         _lasts(state, spread, V, SPEED_SD, SPEED_MIN, SPEED_S, SPEEDS_S, step, kept, SPEED)
         _lasts(state, spread, F, BREATH, BREATH_MIN, BREATH_S, AIRS_S, step, kept, AIR)
+        if bias_sd > 0.0:
+            spread[B, B] += _jumped(state[B] - bias_before, variance_before - spread[B, B].real, step, kept)
 
     _yaw(rates[2], bias_sd, step, kept)
     kept[2] = kept[2] + step if _unchanged(rates, forces, step, kept) else 0.0
@@ -232,7 +244,8 @@ def _move(state, spread, rate, level, thrust, elapsed, step, drag, aligning, kep
     twist *= 1.5 - 0.5 * _square(twist)
     kept[TWIST], kept[TWIST + 1] = twist.real, twist.imag
 
-    thrust = _within(thrust, THRUST_MAX * GRAVITY)
+    now = _within(thrust, THRUST_MAX * GRAVITY)
+    thrust, kept[BEFORE + 2] = 0.5 * (kept[BEFORE + 2] + now), now
     kept[THRUST] += (thrust - kept[THRUST]) * min(step / THRUST_S, 1.0)
     size = math.sqrt(_square(state[F]))
     along = math.sqrt(1.0 + 4.0 * FRAME * size / (drag * drag))  # a speed's, along the force
@@ -357,6 +370,16 @@ def _sudden(density, step, kept):
     """Square of the random walk that takes the force to where it has lately been off by more than noise."""
     off = _square(complex(kept[MISSED], kept[MISSED + 1]))
     return max(off - SUDDEN * max(kept[NOISE] * step, density) / SUDDEN_S, 0.0) / SUDDEN_S
+
+
+@njit(cache=True)
+def _jumped(moved, lowered, step, kept):
+    """By how much a bias's variance is too small: corrections sum up to what they lower it by, or it jumped."""
+    kept[MOVED] += moved.real - kept[MOVED] * step / JUMP_S
+    kept[MOVED + 1] += moved.imag - kept[MOVED + 1] * step / JUMP_S
+    kept[MOVED + 2] += max(lowered, 0.0) - 2.0 * kept[MOVED + 2] * step / JUMP_S
+    beyond = 0.5 * _square(complex(kept[MOVED], kept[MOVED + 1])) - JUMP * kept[MOVED + 2]
+    return max(beyond, 0.0) * JUMP_GAIN * step / JUMP_S
 
 
 @njit(cache=True)

@@ -14,7 +14,7 @@ from quadsim.vehicle import GRAVITY
 
 from .alignment import ACCEL_BIAS, BIAS, KEPT, LEAN, LEANING, YAW_BIAS, follow
 from .filters import paired
-from .tilt import tilt_of, yawed
+from .tilt import tilt_of, to_roll_pitch, turned_by, yawed
 from .weights_file import InputScaling
 
 Array = NDArray[np.float64]
@@ -29,10 +29,11 @@ Encoding = tuple[
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
-HEADING, ALIGNMENT = 12, 14
+HEADING, FED, ALIGNMENT = 12, 14, 16
 HELD = ALIGNMENT + KEPT
 """What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
-fast one and the slow one of both; at `HEADING` its cosine and sine; at `ALIGNMENT` what `follow` keeps."""
+fast one and the slow one of both; at `HEADING` its cosine and sine; at `FED` the tilt that the rates that were
+fed sum up to; at `ALIGNMENT` what `follow` keeps."""
 LEAD_CLIP = 5.0
 """How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 
@@ -102,10 +103,11 @@ def lean_found(
     gyro, accel = paired(gyro, accel)
     inputs = inputs.model_copy(update={"lean_fed": True, "yaw_free": False, "lead": 0.0})
     held = None if start is None else known_to(checked_start(start, len(gyro)))
-    x, _ = scaled_inputs(inputs, rate_hz, gyro, accel, held)
-    lean_x, lean_y = np.moveaxis(x[..., 3:5] * inputs.accel[:2] / -GRAVITY, -1, 0)
-    pitch = np.arcsin(np.clip(lean_x, -1.0, 1.0))
-    return np.stack([np.arcsin(np.clip(-lean_y / np.cos(pitch), -1.0, 1.0)), pitch], -1)
+    x, heading = scaled_inputs(inputs, rate_hz, gyro, accel, held)
+    pitch, roll = np.moveaxis(x[..., 3:5] * inputs.accel[:2] / [-GRAVITY, GRAVITY], -1, 0)
+    tilt = np.stack([roll, pitch], -1)
+    to_roll_pitch(tilt, heading)
+    return tilt
 
 
 def encoded(encoding: Encoding, gyro: Array, accel: Array, held: NDArray[np.generic]) -> tuple[Array, Array]:
@@ -165,7 +167,10 @@ def _scaled(value, gain):
 
 @njit(cache=True)
 def encode_sample(gyro, accel, encoding, held):
-    """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading."""
+    """Scale one sample into `held`; what is missing leaves inputs as they are. Returns the axes' heading.
+
+    A lean is fed as −g times the tilt, and its rates sum up to the tilt, with what rounding left out before.
+    """
     offset, gain, lead, alignment, (step, yaw_free, lean_fed) = encoding
     aligned = alignment[0] > 0.0 or alignment[3] > 0.0 or alignment[4] > 0.0 or lean_fed
     rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
@@ -173,6 +178,8 @@ def encode_sample(gyro, accel, encoding, held):
     force_found = np.isfinite(force) and force > 0.0
     if held[HEADING] == 0.0 and held[HEADING + 1] == 0.0:  # nothing has been seen yet
         held[HEADING] = 1.0
+        lean_x, lean_y = turned_by(held[ALIGNMENT + LEAN], held[ALIGNMENT + LEAN + 1])
+        held[FED], held[FED + 1] = -lean_y, lean_x
     if rate_found and (yaw_free or aligned):
         turning = gyro[2] - held[ALIGNMENT + YAW_BIAS]
         held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], turning, step)
@@ -187,20 +194,28 @@ def encode_sample(gyro, accel, encoding, held):
         else:
             kept[1] += step
         kept[0] += step
+    lean_known = lean_fed and rate_found and force_found
+    lean_x, lean_y = turned_by(kept[LEANING], kept[LEANING + 1])
     if rate_found:
         x = gyro[0] - offset[0] - kept[BIAS] + turn_x / step
         y = gyro[1] - offset[1] - kept[BIAS + 1] + turn_y / step
-        held[0] = _scaled(cosine * x - sine * y, gain[0])
-        held[1] = _scaled(cosine * y + sine * x, gain[1])
+        x, y = cosine * x - sine * y, cosine * y + sine * x
+        if lean_known:
+            x = (-cosine * lean_y - sine * lean_x - held[FED]) / step
+            y = (cosine * lean_x - sine * lean_y - held[FED + 1]) / step
+        held[0], held[1] = _scaled(x, gain[0]), _scaled(y, gain[1])
         held[2] = _scaled(gyro[2] - offset[2] - kept[YAW_BIAS], gain[2])
     if force_found:
         x, y = accel[0] - offset[3] - kept[ACCEL_BIAS], accel[1] - offset[4] - kept[ACCEL_BIAS + 1]
         if lean_fed:
-            x, y = -GRAVITY * kept[LEANING], -GRAVITY * kept[LEANING + 1]
+            x, y = -GRAVITY * lean_x, -GRAVITY * lean_y
         held[3] = _scaled(_led(0, cosine * x - sine * y, lead, held), gain[3])
         held[4] = _scaled(_led(1, cosine * y + sine * x, lead, held), gain[4])
         held[5] = _scaled(accel[2] - offset[5], gain[5])
         held[7] += 1.0
+    if lean_fed:
+        held[FED] += held[0] / gain[0] * step
+        held[FED + 1] += held[1] / gain[1] * step
     if not (rate_found and force_found):
         held[6] += 1.0
     return cosine, sine

@@ -34,6 +34,14 @@ def yawed(cosine, sine, rate, step):
     return cosine / size, sine / size
 
 
+@njit(cache=True)
+def turned_by(x, y):
+    """Components of a tilt [rad] whose sine has these, below a right angle."""
+    sine = math.sqrt(x * x + y * y)
+    factor = math.asin(min(sine, 1.0)) / sine if sine > 0.0 else 1.0
+    return factor * x, factor * y
+
+
 def tilt_of(roll_pitch: NDArray[np.floating], heading: Array) -> Array:
     """Tilt [rad] in the axes that do not yaw.
 

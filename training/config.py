@@ -97,6 +97,9 @@ class TrainConfig(Strict):
     """Share of the streams whose attitude is known at their start, to a quarter of a degree."""
     augmentation: Augmentation = Augmentation()
     """Sensor errors and symmetries, drawn anew for every window or stream."""
+    knee: float = Field(default=0.0, ge=0)
+    """Error beyond which it counts in proportion, not by its square: what no network could have known, as
+    right after an unknown start, then decides less [rad]; 0: all count by their square."""
     rate_cost: float = Field(default=0.0, ge=0)
     """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
     rate_targets: tuple[float, float] = (0.1, 0.1)
@@ -161,6 +164,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "windows_per_stream": 20,
         "stop_early": False,
         "told": 0.5,
+        "knee": 0.01,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
         "rate_cost": 0.03,
         "rate_targets": (0.04, 0.08),
@@ -195,6 +199,7 @@ PRESETS["robust"] = PRESETS["best"] | {
         yaw_free=True,
     ),
     "epochs": 75,
+    "knee": 0.0,
     "augmentation": ROBUST,
 }
 

@@ -35,7 +35,7 @@ from .folder import Epoch, claim, commit, contents_of, plot, replace, write_log
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, thin
 from .optim import Lookahead, changed
-from .starts import revive, start_from_data, start_from_weights, start_like_the_paper
+from .starts import LEAN_FED_MEM, WIDE_RANGES, revive, start_from_data, start_from_weights, start_like_the_paper
 
 log = logging.getLogger(__name__)
 
@@ -169,11 +169,11 @@ class _Run:
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
         self._held[batch.fresh] = 0.0
-        x, wanted = _inputs_and_targets(config, batch, self.flights.rate_hz, self._held)
+        x, targets = _inputs_and_targets(config, batch, self.flights.rate_hz, self._held)
         estimate, rates = self.model(x, batch.fresh)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
-        loss = attitude_loss(estimate, torch.from_numpy(wanted))
-        cost = loss + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))
+        wanted = torch.from_numpy(targets)
+        cost = attitude_loss(estimate, wanted, config.knee) + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))
         self.optimiser.zero_grad()
         cost.backward()
         if config.clip > 0:
@@ -182,7 +182,7 @@ class _Run:
         if isinstance(self.model, AttSNN):
             self.model.stay_in_range(x)
         self.model.constrain()
-        return float(loss.detach()), rates.tolist()
+        return float(attitude_loss(estimate.detach(), wanted)), rates.tolist()
 
     def validate(self) -> tuple[float, float, float]:
         """Mean square error [rad²], mean absolute error and the same once settled [deg]."""
@@ -406,7 +406,8 @@ def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> N
         start_like_the_paper(model, config.seed)
         return
     x, roll_pitch = _sample(config, flights, steps, (config.seed, 0))
-    start_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample)
+    memory = LEAN_FED_MEM if config.inputs.lean_fed else WIDE_RANGES.skip_mem
+    start_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample, skip_mem=memory)
 
 
 def _sample(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,9 @@ class Ranges:
 
 PAPER_RANGES = Ranges((1.0, 5.0), (1.0, 5.0), (1.0, 5.0), (1.0, 5.0), 2.0, 5.0)
 WIDE_RANGES = Ranges((0.5, 4.0), (60.0, 400.0), (1.0, 400.0), (20.0, 200.0), 1.5, 200.0)
+LEAN_FED_MEM = 100.0
+"""Memory behind the skip connection where a lean is fed [network steps]: the drive is rounded toward zero in
+each step, which lasts as long as the memory."""
 
 
 def start_like_the_paper(model: AttSNN, seed: int) -> None:
@@ -55,6 +58,7 @@ def start_from_data(
     seed: int,
     steps_per_sample: int = 1,
     fan_in: int = 25,
+    skip_mem: float = WIDE_RANGES.skip_mem,
 ) -> None:
     """A network that is solved, not trained: a leaky integrator over random features of the real input.
 
@@ -70,9 +74,10 @@ def start_from_data(
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
         fan_in: Encoders that each hidden neuron reads.
+        skip_mem: Memory of the integrators behind the skip connection [network steps].
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _start_taus(model, WIDE_RANGES, rng, steps_per_sample)
+    _start_taus(model, replace(WIDE_RANGES, skip_mem=skip_mem), rng, steps_per_sample)
     h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
     spread = x.reshape(-1, 6).std(0)
     directions = rng.normal(size=(h0, 6)) * (rng.random((h0, 6)) < 0.3)

@@ -107,7 +107,7 @@ static int finite(double x) { return x - x == 0.0; }
 
 void att_snn_reset(att_snn_state *state)
 {
-    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}};
+    const att_snn_state rest = {{0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, {0}, 0, {0}, {0}, {1.0, 0.0}, {0}, {0}};
     *state = rest;
 }
 
@@ -209,7 +209,9 @@ static double move(
     const pair twist = times(pair_at(kept + $twist), (pair){1.0, times(conjugate(lean), leant).y / (1.0 + *upright)});
     keep(kept + $twist, of(1.5 - 0.5 * square(twist), twist));
 
-    thrust = between(thrust, $thrust_max * $gravity);
+    const double now = between(thrust, $thrust_max * $gravity);
+    thrust = 0.5 * (kept[$before + 2] + now);
+    kept[$before + 2] = now;
     kept[$thrust] += (thrust - kept[$thrust]) * smaller(STEP / $thrust_s, 1.0);
     const double size = sqrt(square(state[F]));
     const double along = sqrt(1.0 + 4.0 * $frame * size / (DRAG * DRAG)); /* a speed's, along the force */
@@ -332,6 +334,16 @@ static double sudden(const double kept[$kept])
     return larger(off - $sudden * larger(kept[$noise] * STEP, NOISE * NOISE) / $sudden_s, 0.0) / $sudden_s;
 }
 
+/* By how much a bias's variance is too small: corrections sum up to what they lower it by, or it jumped. */
+static double jumped(pair moved, double lowered, double kept[$kept])
+{
+    double *late = kept + $moved;
+    late[0] += moved.x - late[0] * STEP / $jump_s;
+    late[1] += moved.y - late[1] * STEP / $jump_s;
+    late[2] += larger(lowered, 0.0) - 2.0 * late[2] * STEP / $jump_s;
+    return larger(0.5 * square(pair_at(late)) - $jump * late[2], 0.0) * $jump_gain * STEP / $jump_s;
+}
+
 /* Take a reading into the fast and the slow low-pass of both sensors; whether these agree. */
 static int unchanged(const double gyro[3], const double accel[3], double kept[$kept])
 {
@@ -384,6 +396,7 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
         kept[$thrust] = between(accel[2], $thrust_max * $gravity);
         kept[$twist] = 1.0;
         keep(kept + $before, rate);
+        kept[$before + 2] = kept[$thrust];
     }
     const pair bias_before = state[B];
     const double elapsed = smaller(kept[1] + STEP, $gap_max);
@@ -394,12 +407,15 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
     if (first)
         begin(state, spread, heading, of(1.0 / slowed, reading), kept);
     spread[F][F].x += larger(aligning ? $steady * $steady : kept[$gust], sudden(kept)) * elapsed;
-    spread[L][L].x += ($turn_noise * $turn_noise + $turn_error * $turn_error * square(rate)) * elapsed;
+    double *turns = kept + $turns;
+    *turns += (square(minus(rate, state[B])) - *turns) * STEP / smaller($expected_s + *samples * STEP, $turns_s);
+    spread[L][L].x += ($turn_noise * $turn_noise + $turn_error * $turn_error * *turns) * elapsed;
     if (BIAS_SD > 0.0) /* one that is known to be none stays none */
         spread[B][B].x += $bias_walk * $bias_walk * elapsed;
     if (ACCEL_BIAS_SD > 0.0)
         spread[A][A].x += $accel_bias_walk * $accel_bias_walk * elapsed;
     const pair force_before = state[F], lean_before = state[L];
+    const double variance_before = spread[B][B].x;
 
     const pair climbing = of(DRAG * kept[$climb], state[L]);
     const pair expected = of(slowed, plus(lateral(state[F], state[L], upright), climbing));
@@ -414,6 +430,8 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
     if (!aligning) {
         lasts(state, spread, V, $speed_sd, $speed_min, $speed_s, $speeds_s, kept + $speed, *samples);
         lasts(state, spread, F, $breath, $breath_min, $breath_s, $airs_s, kept + $air, *samples);
+        if (BIAS_SD > 0.0)
+            spread[B][B].x += jumped(minus(state[B], bias_before), variance_before - spread[B][B].x, kept);
     }
 
     follow_yaw(gyro[2], kept);
@@ -435,6 +453,13 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
     return further;
 }
 
+/* Components of a tilt [rad] whose sine has these, below a right angle. */
+static pair turned_by(pair lateral)
+{
+    const double sine = sqrt(square(lateral));
+    return of(sine > 0.0 ? asin(smaller(sine, 1.0)) / sine : 1.0, lateral);
+}
+
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
     const double size = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
@@ -452,10 +477,15 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
             state->alignment[1] += STEP;
         state->alignment[0] += STEP;
     }
+    const pair lean = turned_by(pair_at(state->alignment + $leaning));
     if (rate_found) {
         const double *bias_found = state->alignment + $bias;
-        const pair rate = times(axes, (pair){gyro[0] - OFFSET[0] - bias_found[0] + turn.x / STEP,
-                                          gyro[1] - OFFSET[1] - bias_found[1] + turn.y / STEP});
+        pair rate = times(axes, (pair){gyro[0] - OFFSET[0] - bias_found[0] + turn.x / STEP,
+                                    gyro[1] - OFFSET[1] - bias_found[1] + turn.y / STEP});
+        if (LEAN_FED && force_found) {
+            const pair tilt = times(axes, (pair){-lean.y, lean.x});
+            rate = (pair){(tilt.x - state->fed[0]) / STEP, (tilt.y - state->fed[1]) / STEP};
+        }
         state->input[0] = nearest(rate.x * GAIN[0]);
         state->input[1] = nearest(rate.y * GAIN[1]);
         state->input[2] = nearest((gyro[2] - OFFSET[2] - state->alignment[$yaw_bias]) * GAIN[2]);
@@ -463,12 +493,15 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
     if (force_found) {
         const double *offset_found = state->alignment + $accel_bias;
         const pair read = {accel[0] - OFFSET[3] - offset_found[0], accel[1] - OFFSET[4] - offset_found[1]};
-        const pair force = times(axes, LEAN_FED ? of(-$gravity, pair_at(state->alignment + $leaning)) : read);
+        const pair force = times(axes, LEAN_FED ? of(-$gravity, lean) : read);
         state->input[3] = nearest(led(state, 0, force.x) * GAIN[3]);
         state->input[4] = nearest(led(state, 1, force.y) * GAIN[4]);
         state->input[5] = nearest((accel[2] - OFFSET[5]) * GAIN[5]);
         state->forces += 1.0;
     }
+    if (LEAN_FED)
+        for (int k = 0; k < 2; ++k)
+            state->fed[k] += state->input[k] / GAIN[k] * STEP;
 }
 
 /* One step: every layer reads the spikes of the step before, so the last layer goes first. */
@@ -532,6 +565,9 @@ void att_snn_reset_at(att_snn_state *state, const double roll_pitch[2])
     state->alignment[0] = INFINITY; /* the start is over */
     state->alignment[$lean] = sin(pitch);
     state->alignment[$lean + 1] = -x;
+    const pair told = turned_by((pair){sin(pitch), -x});
+    state->fed[0] = -told.y;
+    state->fed[1] = told.x;
     const double factor = YAW_FREE ? (sine > 0.0 ? angle / sine : 1.0) : 1.0;
     const double at[2] = {YAW_FREE ? x * factor : roll, YAW_FREE ? y * factor : pitch};
     for (int k = 0; k < ATT_SNN_OUTPUTS; ++k)
