@@ -20,7 +20,8 @@ where the readings of neither sensor change, that what the gyroscope reads is it
 VQF's, Laidig & Seel 2023). A lean that is known at the start, or that changes, tells the accelerometer's bias
 from a tilt, and a known one nearly whole.
 A heading that drifts would turn wind, which then looks like a bias that turns with the body: what the
-gyroscope reads about z in the mean is taken off, and believed the less the more the vehicle yaws.
+gyroscope reads about z in the mean is taken off, and believed the less the more the vehicle yaws; and the
+heading is turned back by as much as that bias has turned it before it was found.
 
 Wind and all that drag is not make the force walk at random; how far is taken from the corrections of the
 force that are found to be needed (Myers & Tapley, "Adaptive sequential estimation with unknown noise
@@ -34,7 +35,7 @@ calls the first seconds of this the initial alignment.
 The network is told by a turn: for a first second all that is found out about the lean, as if there were no
 gusts, is added to the turn rates; from then on the bias is taken off, and with each correction of it what it
 has done to the attitude that the network still remembers. Of the accelerometer it is fed the lateral reading
-less its bias, or, nearer to gravity, what it would read at rest with the same lean, −g λ.
+less its bias. Or it is fed what is found out itself: −g times the tilt of λ, and how fast that tilt changes.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ from .tilt import RATE_MAX
 
 F, L, B, A, V = range(5)
 """The state: force, lean, the biases of gyroscope and accelerometer, speed over ground."""
-KEPT = 107
+KEPT = 109
 """What is kept: the time since the start, that since the last sample, and that at rest; the state; its
 covariance, row by row; what a gyroscope's bias of 1 does to the attitude that is remembered; samples; the six
 readings in a fast and in a slow low-pass; the late corrections of the force, summed, and the mean of that;
@@ -58,11 +59,13 @@ the square of the random walk of the force; by how much the force has lately bee
 between samples, with the last; the mean squares of speed and force, of each axis; the gyroscope's bias about
 z, its variance, and the mean square of the yaw rate; thrust; the climb, and the mean of its change; by how
 much the body is turned from level axes beyond its yaw; the rate and the thrust before; the mean square of the
-rate; the late corrections of the gyroscope's bias, summed, and by how much they lowered its variance; and the
-lean in body axes."""
+rate; the late corrections of the gyroscope's bias, summed, and by how much they lowered its variance; the
+lean in body axes; and by how much the heading is to be turned back, with its covariance with the bias
+about z."""
 STATE, SPREAD, EFFECT, SAMPLES, FAST, SLOW = 3, 13, 63, 65, 66, 72
 CORRECTIONS, DRIFT, GUST, MISSED, NOISE, SPEED, AIR = 78, 80, 82, 83, 85, 88, 89
-YAW_BIAS, THRUST, CLIMB, TWIST, BEFORE, TURNS, MOVED, LEANING = 90, 93, 94, 96, 98, 101, 102, 105
+YAW_BIAS, THRUST, CLIMB, TWIST, BEFORE, TURNS, MOVED = 90, 93, 94, 96, 98, 101, 102
+LEANING, YAW_BACK = 105, 107
 LEAN, BIAS, ACCEL_BIAS = STATE + 2 * L, STATE + 2 * B, STATE + 2 * A
 """Where these begin in it."""
 FORCE_MAX = 5.0
@@ -79,12 +82,12 @@ GAP_MAX = 0.5
 """Longest time between samples for which the rate is taken to have lasted [s]."""
 LEAN_SD, TOLD_SD = 0.24, 0.004
 """Spread of the lean at the start, of each axis: unknown, and told."""
-SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.1, 0.75
+SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.1, 0.6
 """Speed over ground, of each axis: what is expected before any is seen, the least [m/s], and the time for
 which a low one is taken to last [s]; what is expected lasts twice as long, a higher one with its square."""
-EXPECTED_S, SPEEDS_S, AIRS_S = 0.5, 3.0, 12.0
+EXPECTED_S, SPEEDS_S, AIRS_S = 0.3, 2.0, 12.0
 """Time for which what is expected counts, and the memories of the speeds and of what else is found [s]."""
-STEADY, CALM, BREEZE = 0.1, 0.01, 0.03
+STEADY, CALM, BREEZE = 0.1, 0.005, 0.02
 """Random walk of the force: while the tilt at the start is looked for; later the least, and what is expected
 before any is seen [m/s²/√s]."""
 GAUGE_FROM_S, BREEZE_S, GUSTS_S = 0.1, 0.05, 18.0
@@ -97,17 +100,17 @@ SUDDEN_S, SUDDEN = 0.05, 2.5
 """Memory of how far the force is off [s], and how many times the variance of noise in it that may be."""
 NOISE_S = 1.0
 """Memory of the noise of the force [s]."""
-TURN_NOISE, TURN_ERROR, TURNS_S = 0.0015, 0.005, 5.0
+TURN_NOISE, TURN_ERROR, TURNS_S = 0.0008, 0.004, 5.0
 """Noise density of a turn rate [rad/s/√Hz], further in proportion to it [√s], and the memory of it [s]: a
 gain that came and went with each turn would make a lasting error of what is off in every one."""
-BIAS_WALK, ACCEL_BIAS_WALK = 3e-4, 0.006
+BIAS_WALK, ACCEL_BIAS_WALK = 1.5e-4, 0.006
 """Random walks of the biases [rad/s/√s], [m/s²/√s]."""
 JUMP, JUMP_S, JUMP_GAIN = 4.0, 1.0, 15.0
 """How many times the variance that they should have corrections of the gyroscope's bias may sum up to, the
 memory of that sum [s], and how many times what is beyond is added to the bias's variance in that time."""
-BREATH, BREATH_MIN, BREATH_S = 0.12, 0.05, 3.0
+BREATH, BREATH_MIN, BREATH_S = 0.12, 0.03, 2.2
 """Likewise the force [m/s²], and the time for which a low one is taken to last [s]."""
-YAW_RATE, YAW_RATE_MIN, YAW_S = 0.03, 0.005, 0.4
+YAW_RATE, YAW_RATE_MIN, YAW_S = 0.02, 0.005, 0.2
 """Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
 FRAME = 0.007
 """What the frame takes from a speed by its square, ρ C_d A / 2 m [1/m]."""
@@ -337,9 +340,11 @@ def _yaw(rate, bias_sd, step, kept):
     off = rate - bias
     variance += BIAS_WALK * BIAS_WALK * step if bias_sd > 0.0 else 0.0
     lasts = YAW_S * (1.0 + square / (YAW_RATE * YAW_RATE))
-    gain = variance / (variance + max(square, YAW_RATE_MIN * YAW_RATE_MIN) * lasts / step)
-    kept[YAW_BIAS] = _within(bias + gain * off, BIAS_MAX)
-    kept[YAW_BIAS + 1] = (1.0 - gain) * variance
+    scale = 1.0 / (variance + max(square, YAW_RATE_MIN * YAW_RATE_MIN) * lasts / step)
+    turned = kept[YAW_BACK + 1] + variance * step
+    kept[YAW_BIAS] = _within(bias + scale * variance * off, BIAS_MAX)
+    kept[YAW_BIAS + 1] = (1.0 - scale * variance) * variance
+    kept[YAW_BACK], kept[YAW_BACK + 1] = scale * turned * off, (1.0 - scale * variance) * turned
     memory = min(EXPECTED_S + kept[SAMPLES] * step, AIRS_S)
     kept[YAW_BIAS + 2] = square + (off * off - square) * step / memory
 
@@ -374,7 +379,7 @@ def _sudden(density, step, kept):
 
 @njit(cache=True)
 def _jumped(moved, lowered, step, kept):
-    """By how much a bias's variance is too small: corrections sum up to what they lower it by, or it jumped."""
+    """What a bias's variance lacks: its corrections sum up to no more than they lower it by, or it jumped."""
     kept[MOVED] += moved.real - kept[MOVED] * step / JUMP_S
     kept[MOVED + 1] += moved.imag - kept[MOVED + 1] * step / JUMP_S
     kept[MOVED + 2] += max(lowered, 0.0) - 2.0 * kept[MOVED + 2] * step / JUMP_S

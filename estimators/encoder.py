@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.vehicle import GRAVITY
 
-from .alignment import ACCEL_BIAS, BIAS, KEPT, LEAN, LEANING, YAW_BIAS, follow
+from .alignment import ACCEL_BIAS, BIAS, KEPT, LEAN, LEANING, YAW_BACK, YAW_BIAS, follow
 from .filters import paired
 from .tilt import tilt_of, to_roll_pitch, turned_by, yawed
 from .weights_file import InputScaling
@@ -32,8 +32,8 @@ INPUT_MAX = 32767
 HEADING, FED, ALIGNMENT = 12, 14, 16
 HELD = ALIGNMENT + KEPT
 """What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
-fast one and the slow one of both; at `HEADING` its cosine and sine; at `FED` the tilt that the rates that were
-fed sum up to; at `ALIGNMENT` what `follow` keeps."""
+fast one and the slow one of both; at `HEADING` its cosine and sine; at `FED` the tilt that fed rates sum up
+to; at `ALIGNMENT` what `follow` keeps."""
 LEAD_CLIP = 5.0
 """How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 
@@ -181,8 +181,9 @@ def encode_sample(gyro, accel, encoding, held):
         lean_x, lean_y = turned_by(held[ALIGNMENT + LEAN], held[ALIGNMENT + LEAN + 1])
         held[FED], held[FED + 1] = -lean_y, lean_x
     if rate_found and (yaw_free or aligned):
-        turning = gyro[2] - held[ALIGNMENT + YAW_BIAS]
+        turning = gyro[2] - held[ALIGNMENT + YAW_BIAS] - held[ALIGNMENT + YAW_BACK] / step
         held[HEADING], held[HEADING + 1] = yawed(held[HEADING], held[HEADING + 1], turning, step)
+        held[ALIGNMENT + YAW_BACK] = 0.0
     cosine, sine = (held[HEADING], held[HEADING + 1]) if yaw_free else (1.0, 0.0)
     kept = held[ALIGNMENT:]
     turn_x = turn_y = 0.0

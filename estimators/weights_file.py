@@ -43,8 +43,8 @@ class InputScaling(Strict):
     align_noise: float = Field(default=0.015, gt=0)
     """Noise density of a lateral force's reading, for both [m/s²·√s]."""
     lean_fed: bool = False
-    """Whether the lateral forces are those of a vehicle at rest with the lean that is found out; otherwise
-    they are what the accelerometer reads, less its bias."""
+    """Whether the lateral forces are −g times the tilt that is found out, and the lateral rates how fast it
+    changes; otherwise they are what the sensors read, less their biases."""
     yaw_free: bool = False
     """Whether lateral readings are turned into axes that do not yaw with the body, where the outputs are a
     tilt (`estimators.tilt`); otherwise all are of the body, and the outputs are roll and pitch."""

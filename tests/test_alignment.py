@@ -28,6 +28,9 @@ from estimators.alignment import (
     EXPECTED_S,
     FRAME,
     GUST,
+    JUMP,
+    JUMP_GAIN,
+    JUMP_S,
     KEPT,
     LEAN,
     LEAN_MAX,
@@ -48,7 +51,11 @@ from estimators.alignment import (
     TOLD_SD,
     TURN_ERROR,
     TURN_NOISE,
+    TURNS_S,
     YAW_BIAS,
+    YAW_RATE,
+    YAW_RATE_MIN,
+    YAW_S,
     follow,
 )
 from estimators.encoder import ALIGNMENT, HEADING, HELD, INPUT_ONE, known_to, lean_found, scaled_inputs
@@ -152,7 +159,7 @@ def test_most_of_a_tilt_at_the_start_is_found_in_a_second_in_nine_of_ten_winds()
 @settings(deadline=None)  # the first example waits for the compiler
 @given(st.integers(0, 99), st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-1, 1))
 def test_a_gyroscopes_bias_is_found_in_calm_flight_within_seconds(seed, x, y, yaw):
-    gyro, accel, heading, _ = flight(2400, seed, (0.1, -0.1), (x, y), yaw=yaw)
+    gyro, accel, heading, _ = flight(2400, seed, (0.1, -0.1), (x, y), yaw=yaw, roll=0.15)
     kept, _ = found(gyro, accel, heading, accel_spread=0.0)
     off = np.abs(kept[:, BIAS : BIAS + 2] - [x, y]).max(1)
     assert off[1200:].max() < np.radians(2.5)
@@ -211,6 +218,7 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
     gust, speed, missed, sudden = BREEZE**2, SPEED_SD**2, np.zeros(2), 0
     white, before, shaken = 0.0, None, 0
     lift, climb, rising, twisted = accel[0, 2], 0.0, 0.0, 0.0
+    turns, summed, lowered, jumps = 0.0, np.zeros(2), 0.0, 0
     for t in range(1200):
         axes = Rotation.from_rotvec([0, 0, heading[t] + twisted]).as_matrix()  # level ones, from the body's
         f, lean, bias, _, _ = theirs.x[:, 0].reshape(5, 2)
@@ -221,14 +229,15 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         upright = body.as_matrix()[2, 2]
         leant = STEP * body.apply(np.cross(rate, [0, 0, 1]))[:2]
         twisted += np.arctan(np.cross([*lean, 0], [*leant, 0])[2] / (1 + upright))
-        lift += (accel[t, 2] - lift) * STEP / THRUST_S
+        mean_thrust = (accel[t, 2] + accel[max(t - 1, 0), 2]) / 2
+        lift += (mean_thrust - lift) * STEP / THRUST_S
         air = (np.sqrt(1 + 4 * FRAME / DRAG**2 * np.linalg.norm(f)) - 1) / 2  # the frame's over the rotors'
         slowed = (np.sqrt(lift / GRAVITY) + air) / (1 + air)
         force = slowed * body.apply([*f, -DRAG * climb], inverse=True)[:2]
-        rise = (body.apply([*force, accel[t, 2]]) - [0, 0, GRAVITY])[2]
+        rise = (body.apply([*force, mean_thrust]) - [0, 0, GRAVITY])[2]
         rising += (rise - rising) * STEP / min(CLIMB_FROM_S + (t + 1) * STEP, CLIMBS_S)
         climb += STEP * (rise - rising - climb / CLIMB_S)
-        thrust = accel[t, 2] - rising / upright
+        thrust = mean_thrust - rising / upright
         faster = body.apply([*force, thrust])[:2]
         onto = np.outer(f, f) / max(f @ f, 1e-18)
         change = -DRAG * STEP * ((1 + air) * one + air * onto) @ faster
@@ -243,7 +252,9 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         F[8:, 0:2], F[8:, 2:4] = STEP * of_force * one, STEP * thrust * one
         at_once = max(missed @ missed - SUDDEN * STEP * max(white, noise) / SUDDEN_S, 0.0) / SUDDEN_S
         sudden += at_once > gust
-        turning = TURN_NOISE**2 + TURN_ERROR**2 * np.sum(gyro[t, :2] ** 2)
+        turned_by = np.sum((gyro[t, :2] - bias) ** 2)
+        turns += (turned_by - turns) * STEP / min(EXPECTED_S + (t + 1) * STEP, TURNS_S)
+        turning = TURN_NOISE**2 + TURN_ERROR**2 * turns
         walks = np.repeat([max(gust, at_once), turning, BIAS_WALK**2, ACCEL_BIAS_WALK**2, 0.0], 2) * STEP
         state = theirs.x + moved[:, None]
         if t == 0:
@@ -251,7 +262,7 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
             breath = BREATH**2 + np.sum(state[:2] ** 2) / 2
             theirs.P, F = at_first, np.eye(10)
         theirs.predict(F=F, Q=np.diag(walks))
-        theirs.x = state
+        theirs.x, spread_before = state, theirs.P[4, 4]
         turned = axes[:2, :2]
         H = np.hstack([slowed * share * one, np.zeros((2, 4)), turned, np.zeros((2, 2))])
         f, lean, _, accel_bias, _ = state[:, 0].reshape(5, 2)
@@ -268,8 +279,14 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         slow = max(breath, BREATH_MIN**2) * BREATH_S * (1 + breath / BREATH**2) / STEP
         theirs.update(np.zeros((2, 1)), R=slow * one, H=np.eye(10)[:2])
         breath += STEP / min(EXPECTED_S + (t + 1) * STEP, AIRS_S) * (np.mean(theirs.x[:2] ** 2) - breath)
+        summed += theirs.x[4:6, 0] - bias - summed * STEP / JUMP_S
+        lowered += spread_before - theirs.P[4, 4] - 2 * lowered * STEP / JUMP_S
+        beyond = max(summed @ summed / 2 - JUMP * lowered, 0.0)
+        theirs.P[4:6, 4:6] += JUMP_GAIN * beyond * STEP / JUMP_S * one
+        jumps += beyond > 0
         if kept[t, 2] >= REST_S:
             theirs.update(gyro[t, :2, None], R=REST_NOISE**2 / STEP * one, H=np.eye(10)[4:6])
+        theirs.x[4:6] *= min(1.0, BIAS_MAX / max(np.linalg.norm(theirs.x[4:6]), 1e-9))
         np.testing.assert_allclose(kept[t, STATE:SPREAD], np.ravel(theirs.x), rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(np.repeat(variances(kept[t]), 2), np.diag(theirs.P), rtol=1e-6)
         assert kept[t, SPEED] == pytest.approx(speed, rel=1e-6)
@@ -278,6 +295,7 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         gust = kept[t, GUST]
     assert 10 < sudden < 1000
     assert 10 < shaken < 1000
+    assert 10 < jumps < 1000
 
 
 def test_a_gyroscopes_bias_about_z_is_found_where_the_vehicle_does_not_yaw_on_and_on():
@@ -303,7 +321,30 @@ def test_a_heading_that_drifts_is_no_bias_of_the_accelerometer():
     shaken = gyro + 0.02 * np.random.default_rng(0).standard_normal(gyro.shape)  # a rest it is not
     scaled_inputs(shipped_network("att-snn")[0].inputs, 200.0, shaken[None], accel[None], held)
     assert np.abs(held[0, ALIGNMENT + ACCEL_BIAS :][:2]).max() < 0.05
-    assert abs(np.arctan2(held[0, HEADING + 1], held[0, HEADING])) < 0.3
+    assert abs(np.arctan2(held[0, HEADING + 1], held[0, HEADING])) < 0.02
+
+
+def test_the_heading_is_turned_back_by_what_a_bias_has_turned_it_as_filterpy_finds_it():
+    """Two states: what the bias has turned the heading by, and the bias, that a rate is where none yaws."""
+    rng, inputs = np.random.default_rng(3), INPUTS.model_copy(update={"bias_sd": 0.01})
+    gyro = np.tile([0.0, 0.0, 0.015], (2000, 1)) + 0.004 * rng.standard_normal((2000, 3))
+    gyro[400:500, 2] += 0.3
+    accel = np.tile([0.3, -0.1, GRAVITY], (2000, 1)) + 0.05 * rng.standard_normal((2000, 3))
+    theirs = KalmanFilter(dim_x=2, dim_z=1)
+    theirs.F, theirs.H = np.array([[1.0, STEP], [0.0, 1.0]]), np.array([[0.0, 1.0]])
+    theirs.P, theirs.Q = np.diag([0.0, 0.01**2]), np.diag([0.0, BIAS_WALK**2 * STEP])
+    held, turned = np.zeros((1, HELD)), 0.0
+    square = YAW_RATE**2 + gyro[0, 2] ** 2
+    for t in range(2000):
+        _, heading = scaled_inputs(inputs, 200.0, gyro[None, t : t + 1], accel[None, t : t + 1], held)
+        theirs.predict()
+        turned += gyro[t, 2] * STEP
+        angle = np.arctan2(heading[0, 0, 1], heading[0, 0, 0])
+        assert angle == pytest.approx(turned - theirs.x[0, 0], abs=1e-5)
+        theirs.update(gyro[t, 2], R=max(square, YAW_RATE_MIN**2) * YAW_S * (1 + square / YAW_RATE**2) / STEP)
+        assert held[0, ALIGNMENT + YAW_BIAS] == pytest.approx(theirs.x[1, 0], abs=1e-6)
+        square = held[0, ALIGNMENT + YAW_BIAS + 2]
+    assert abs(angle - 0.3 * 0.5) < 0.05  # what it has yawed; the bias alone makes that 0.15 more
 
 
 def test_at_rest_bias_and_tilt_are_found_whatever_the_drag():
@@ -328,6 +369,19 @@ def test_a_bias_that_has_changed_is_learnt_anew():
     assert abs(kept[9999, BIAS]) < 0.005
     assert abs(kept[-1, BIAS] - 0.05) < 0.01
     assert kept[-1, GUST] < 2 * kept[9999, GUST]  # and is no gust
+
+
+def test_a_bias_that_jumps_is_found_again_within_seconds():
+    left = []
+    for seed in range(16):
+        jump = np.radians(4.0) * np.array([np.cos(seed), np.sin(seed)])
+        gyro, accel, heading, tilt = flight(4000, seed, roll=0.15)
+        gyro[2000:, :2] += jump
+        kept, _ = found(gyro, accel, heading, told_tilt=tilt[0])
+        left.append(np.linalg.norm(kept[-1, BIAS : BIAS + 2] - jump) / np.linalg.norm(jump))
+        assert np.abs(tilt_of(kept) - tilt).max() < np.radians(20)
+    assert np.median(left) < 0.05
+    assert max(left) < 0.5
 
 
 @pytest.mark.parametrize("gust", [0.4, 0.8])
@@ -446,8 +500,20 @@ def test_the_lean_that_is_fed_is_that_of_the_filter_alone_and_near_the_truth():
     )
     about_y, about_x = (-x[..., 3:5] * INPUTS.accel[:2] / GRAVITY * (1, -1))[0].T
     turned = tilt_of_roll_pitch(found_alone[None], heading)[0]
-    angle = np.linalg.norm(turned, axis=1, keepdims=True)
-    np.testing.assert_allclose(np.stack([about_x, about_y], -1), turned * np.sinc(angle / np.pi), atol=2e-3)
+    np.testing.assert_allclose(np.stack([about_x, about_y], -1), turned, atol=2e-3)
+
+
+def test_rates_that_are_fed_sum_up_to_the_lean_over_any_gap():
+    gyro, accel, _, _ = flight(2000, 8, wind=(6.0, -3.0), yaw=0.5)
+    gyro[700:720], accel[700:720], accel[1300:1310] = np.nan, 0.0, 0.0
+    inputs = INPUTS.model_copy(update={"lean_fed": True})
+    x, _ = scaled_inputs(inputs, 200.0, gyro[None], accel[None], known_to(np.zeros((1, 2))))
+    summed = STEP * inputs.gyro * np.cumsum(x[0, :, :2], 0)
+    about_y, about_x = (-x[..., 3:5] * inputs.accel[:2] / GRAVITY * (1, -1))[0].T
+    off = np.abs(summed - np.stack([about_x, about_y], -1)).max(1)
+    found = np.isfinite(gyro[:, 0]) & (accel[:, 2] > 0)
+    assert off[found].max() < STEP * inputs.gyro / INPUT_ONE + 2 / INPUT_ONE / GRAVITY
+    assert off[~found].max() > 0.01
 
 
 def test_the_force_is_fed_freed_of_its_bias_where_the_lean_is_not():

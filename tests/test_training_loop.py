@@ -201,7 +201,7 @@ def test_ctrl_c_keeps_the_best_weights(dataset, tmp_path):
 
 
 def test_a_loss_that_is_not_a_number_stops_the_run(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "attitude_loss", lambda estimate, truth: estimate.sum() * float("nan"))
+    monkeypatch.setattr(loop, "attitude_loss", lambda estimate, *_: estimate.sum() * float("nan"))
     with pytest.raises(ValueError, match="the loss is nan at epoch 0, update 0"):
         train(data=dataset, out=tmp_path / "run", **TINY)
 

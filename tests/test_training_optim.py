@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from training.loss import attitude_loss
 from training.optim import Lookahead, changed
 
 
@@ -69,3 +70,15 @@ def test_what_is_left_of_the_parameters_goes_on_as_among_all():
 def test_values_out_of_range_are_refused(k, alpha):
     with pytest.raises(ValueError, match=r"k: 0|alpha"):
         Lookahead(torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=1.0), k, alpha)
+
+
+def test_the_loss_is_of_squares_up_to_the_knee_and_in_proportion_beyond():
+    error = torch.tensor([[[0.03, 0.04], [0.3, -0.4], [0.0, 0.0]]], dtype=torch.float64, requires_grad=True)
+    wanted = torch.zeros_like(error)
+    assert attitude_loss(error, wanted).item() == pytest.approx((0.05**2 + 0.5**2) / 6)
+    assert attitude_loss(error, wanted, knee=1.0).item() == pytest.approx((0.05**2 + 0.5**2) / 6)
+    loss = attitude_loss(error, wanted, knee=0.1)
+    assert loss.item() == pytest.approx((0.05**2 / 2 + 0.1 * (0.5 - 0.1 / 2)) / 3)
+    loss.backward()
+    pulls = error.grad.norm(dim=-1)[0] * 3
+    torch.testing.assert_close(pulls, torch.tensor([0.05, 0.1, 0.0], dtype=torch.float64))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators.alignment import KEPT
-from estimators.encoder import ALIGNMENT, HEADING, scaled_inputs
+from estimators.encoder import ALIGNMENT, FED, HEADING, scaled_inputs
 from estimators.networks import NetworkEstimator, OnLoihi, Recurrent, real_weights
 from estimators.nir_graph import nir_graph
 from estimators.spiking import Weights, forward
@@ -69,7 +69,7 @@ def compiled(tmp_path, request):
         fields = [(name, np.int32, size) for name, size in sizes]
         fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
         fields += [("forces", float), ("fast", float, 2), ("slow", float, 2), ("heading", float, 2)]
-        fields += [("alignment", float, KEPT), ("roll_pitch", float, 2)]
+        fields += [("fed", float, 2), ("alignment", float, KEPT), ("roll_pitch", float, 2)]
         layout = np.dtype(fields, align=True)
 
         def run(samples, *start):
@@ -110,7 +110,8 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         held, current, _, after, u, v, _ = mine
         expected = {
             "input": held[0, :6], "forces": held[0, 7], "fast": held[0, 8:10], "slow": held[0, 10:12],
-            "heading": held[0, HEADING : HEADING + 2], "alignment": held[0, ALIGNMENT:],
+            "heading": held[0, HEADING:FED], "fed": held[0, FED:ALIGNMENT],
+            "alignment": held[0, ALIGNMENT:],
             "u0": current[0], "u1": u[0, h0:-4], "u2": u[0, -4:-2], "v0": v[0, :h0],
             "v1": v[0, h0:-4], "v2": v[0, -4:-2], "v3": v[0, -2:],
             "s0": after[0, :h0], "s1": after[0, h0:-4],
@@ -245,6 +246,14 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
         export_weights("missing.safetensors", tmp_path / "x", "nir")
     with pytest.raises(ValueError, match="exists already"):
         export_weights("att-snn", tmp_path, "c99")
+
+
+def test_onnx_refuses_a_lean_that_it_has_no_filter_for(tmp_path):
+    config, tensors = shipped_network("att-rnn")
+    leaning = config.model_copy(update={"inputs": config.inputs.model_copy(update={"lean_fed": True})})
+    save_network(tmp_path / "leaning.safetensors", leaning, tensors)
+    with pytest.raises(ValueError, match="lean_fed"):
+        export_weights(tmp_path / "leaning.safetensors", tmp_path / "x.onnx", "onnx")
 
 
 def test_the_c_header_names_the_scale_of_its_output(tmp_path):

@@ -35,7 +35,14 @@ from .folder import Epoch, claim, commit, contents_of, plot, replace, write_log
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, thin
 from .optim import Lookahead, changed
-from .starts import LEAN_FED_MEM, WIDE_RANGES, revive, start_from_data, start_from_weights, start_like_the_paper
+from .starts import (
+    LEAN_FED_MEM,
+    WIDE_RANGES,
+    revive,
+    start_from_data,
+    start_from_weights,
+    start_like_the_paper,
+)
 
 log = logging.getLogger(__name__)
 
@@ -173,7 +180,9 @@ class _Run:
         estimate, rates = self.model(x, batch.fresh)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
         wanted = torch.from_numpy(targets)
-        cost = attitude_loss(estimate, wanted, config.knee) + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))
+        cost = attitude_loss(estimate, wanted, config.knee) + config.rate_cost * rate_cost(
+            rates, torch.tensor(config.rate_targets)
+        )
         self.optimiser.zero_grad()
         cost.backward()
         if config.clip > 0:

@@ -7,20 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import huber_loss
 
 
 def attitude_loss(estimate: Tensor, wanted: Tensor, knee: float = 0.0) -> Tensor:
     """Mean square error over roll and pitch, or the two components of the tilt [rad²]; both (n, T, 2).
 
-    Beyond a `knee` [rad] of both together it goes on in proportion to the error (Huber, "Robust estimation of a
-    location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.
+    Beyond a `knee` [rad] of both together it goes on in proportion to the error (Huber, "Robust estimation of
+    a location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.
     """
-    square = (estimate - wanted).square()
+    error = estimate - wanted
     if knee == 0.0:
-        return square.mean()
-    square = square.sum(-1)
-    size = square.clamp(min=knee * knee).sqrt()
-    return 0.5 * torch.where(size > knee, knee * (2.0 * size - knee), square).mean()
+        return error.square().mean()
+    size = torch.linalg.vector_norm(error, dim=-1)
+    return huber_loss(size, torch.zeros_like(size), delta=knee)
 
 
 def rate_cost(rates: Tensor, targets: Tensor) -> Tensor:

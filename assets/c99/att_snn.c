@@ -296,9 +296,14 @@ static void follow_yaw(double rate, double kept[$kept])
     if (BIAS_SD > 0.0)
         *variance += $bias_walk * $bias_walk * STEP;
     const double lasts = $yaw_s * (1.0 + *mean_square / ($yaw_rate * $yaw_rate));
-    const double gain = *variance / (*variance + larger(*mean_square, $yaw_rate_min * $yaw_rate_min) * lasts / STEP);
-    *bias = between(*bias + gain * off, $bias_max);
-    *variance = (1.0 - gain) * *variance;
+    const double scale = 1.0 / (*variance + larger(*mean_square, $yaw_rate_min * $yaw_rate_min) * lasts / STEP);
+    const double left = 1.0 - scale * *variance;
+    double *back = kept + $yaw_back;
+    back[1] += *variance * STEP;
+    *bias = between(*bias + scale * *variance * off, $bias_max);
+    *variance *= left;
+    back[0] = scale * back[1] * off;
+    back[1] *= left;
     *mean_square += (off * off - *mean_square) * STEP / smaller($expected_s + kept[$samples] * STEP, $airs_s);
 }
 
@@ -465,8 +470,10 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
     const double size = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
     const int rate_found = finite(gyro[0] + gyro[1] + gyro[2]), force_found = finite(size) && size > 0.0;
     const int aligned = ALIGN_S > 0.0 || BIAS_SD > 0.0 || ACCEL_BIAS_SD > 0.0 || LEAN_FED;
-    if (rate_found && (YAW_FREE || aligned))
-        yaw(state->heading, gyro[2] - state->alignment[$yaw_bias]);
+    if (rate_found && (YAW_FREE || aligned)) {
+        yaw(state->heading, gyro[2] - state->alignment[$yaw_bias] - state->alignment[$yaw_back] / STEP);
+        state->alignment[$yaw_back] = 0.0;
+    }
     const pair heading = {state->heading[0], state->heading[1]}, axes = YAW_FREE ? heading : (pair){1.0, 0.0};
     pair turn = {0.0, 0.0};
     if (aligned) {
