@@ -110,7 +110,7 @@ JUMP, JUMP_S, JUMP_GAIN = 4.0, 1.0, 15.0
 memory of that sum [s], and how many times what is beyond is added to the bias's variance in that time."""
 BREATH, BREATH_MIN, BREATH_S = 0.12, 0.03, 2.2
 """Likewise the force [m/s²], and the time for which a low one is taken to last [s]."""
-YAW_RATE, YAW_RATE_MIN, YAW_S = 0.02, 0.005, 0.2
+YAW_RATE, YAW_RATE_MIN, YAW_S = 0.015, 0.005, 0.35
 """Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
 FRAME = 0.007
 """What the frame takes from a speed by its square, ρ C_d A / 2 m [1/m]."""
