@@ -29,11 +29,11 @@ Encoding = tuple[
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
-HEADING, FED, ALIGNMENT = 12, 14, 16
+HEADING, FED, ALIGNMENT = 12, 14, 18
 HELD = ALIGNMENT + KEPT
 """What the encoder keeps: 6 inputs, missing samples, samples in the low-passes of the lateral forces, the
 fast one and the slow one of both; at `HEADING` its cosine and sine; at `FED` the tilt that fed rates sum up
-to; at `ALIGNMENT` what `follow` keeps."""
+to, and the lateral rates that the gyroscope last read, less its bias; at `ALIGNMENT` what `follow` keeps."""
 LEAD_CLIP = 5.0
 """How far a lateral force counts as away from its low-pass: a bad reading does no lasting harm [m/s²]."""
 
@@ -201,11 +201,14 @@ def encode_sample(gyro, accel, encoding, held):
         x = gyro[0] - offset[0] - kept[BIAS] + turn_x / step
         y = gyro[1] - offset[1] - kept[BIAS + 1] + turn_y / step
         x, y = cosine * x - sine * y, cosine * y + sine * x
+        held[FED + 2], held[FED + 3] = x, y
         if lean_known:
             x = (-cosine * lean_y - sine * lean_x - held[FED]) / step
             y = (cosine * lean_x - sine * lean_y - held[FED + 1]) / step
         held[0], held[1] = _scaled(x, gain[0]), _scaled(y, gain[1])
         held[2] = _scaled(gyro[2] - offset[2] - kept[YAW_BIAS], gain[2])
+    elif lean_fed:  # what made up for rounding and gaps before does not go on
+        held[0], held[1] = _scaled(held[FED + 2], gain[0]), _scaled(held[FED + 3], gain[1])
     if force_found:
         x, y = accel[0] - offset[3] - kept[ACCEL_BIAS], accel[1] - offset[4] - kept[ACCEL_BIAS + 1]
         if lean_fed:

@@ -516,6 +516,17 @@ def test_rates_that_are_fed_sum_up_to_the_lean_over_any_gap():
     assert off[~found].max() > 0.01
 
 
+def test_what_makes_up_for_a_gap_does_not_go_on_in_the_next():
+    """Four of five samples are lost: what is fed in between goes on as the body turned."""
+    gyro, accel, _, tilt = flight(4000, 8, roll=0.15)
+    lost = np.random.default_rng(0).random(4000) < 0.8
+    gyro[lost], accel[lost] = np.nan, np.nan
+    inputs = INPUTS.model_copy(update={"lean_fed": True})
+    x, _ = scaled_inputs(inputs, 200.0, gyro[None], accel[None], known_to(np.zeros((1, 2))))
+    fed = np.sin(STEP * inputs.gyro * np.cumsum(x[0, :, :2], 0))
+    assert np.sqrt(np.mean((fed - tilt) ** 2)) < np.radians(1.5)
+
+
 def test_the_force_is_fed_freed_of_its_bias_where_the_lean_is_not():
     gyro, accel, _, _ = flight(400, 9, accel_bias=(0.2, -0.1))
     inputs = INPUTS.model_copy(update={"accel_bias_sd": 0.2, "yaw_free": False})

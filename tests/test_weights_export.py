@@ -69,7 +69,7 @@ def compiled(tmp_path, request):
         fields = [(name, np.int32, size) for name, size in sizes]
         fields += [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
         fields += [("forces", float), ("fast", float, 2), ("slow", float, 2), ("heading", float, 2)]
-        fields += [("fed", float, 2), ("alignment", float, KEPT), ("roll_pitch", float, 2)]
+        fields += [("fed", float, 4), ("alignment", float, KEPT), ("roll_pitch", float, 2)]
         layout = np.dtype(fields, align=True)
 
         def run(samples, *start):

@@ -489,6 +489,7 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
         const double *bias_found = state->alignment + $bias;
         pair rate = times(axes, (pair){gyro[0] - OFFSET[0] - bias_found[0] + turn.x / STEP,
                                     gyro[1] - OFFSET[1] - bias_found[1] + turn.y / STEP});
+        keep(state->fed + 2, rate);
         if (LEAN_FED && force_found) {
             const pair tilt = times(axes, (pair){-lean.y, lean.x});
             rate = (pair){(tilt.x - state->fed[0]) / STEP, (tilt.y - state->fed[1]) / STEP};
@@ -496,7 +497,9 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
         state->input[0] = nearest(rate.x * GAIN[0]);
         state->input[1] = nearest(rate.y * GAIN[1]);
         state->input[2] = nearest((gyro[2] - OFFSET[2] - state->alignment[$yaw_bias]) * GAIN[2]);
-    }
+    } else if (LEAN_FED) /* what made up for rounding and gaps before does not go on */
+        for (int k = 0; k < 2; ++k)
+            state->input[k] = nearest(state->fed[2 + k] * GAIN[k]);
     if (force_found) {
         const double *offset_found = state->alignment + $accel_bias;
         const pair read = {accel[0] - OFFSET[3] - offset_found[0], accel[1] - OFFSET[4] - offset_found[1]};
@@ -575,6 +578,7 @@ void att_snn_reset_at(att_snn_state *state, const double roll_pitch[2])
     const pair told = turned_by((pair){sin(pitch), -x});
     state->fed[0] = -told.y;
     state->fed[1] = told.x;
+    state->fed[2] = state->fed[3] = 0.0;
     const double factor = YAW_FREE ? (sine > 0.0 ? angle / sine : 1.0) : 1.0;
     const double at[2] = {YAW_FREE ? x * factor : roll, YAW_FREE ? y * factor : pitch};
     for (int k = 0; k < ATT_SNN_OUTPUTS; ++k)

@@ -29,7 +29,7 @@ typedef struct {
     double fast[2];
     double slow[2];
     double heading[2]; /* cosine and sine of the angle by which the body has yawed since the reset */
-    double fed[2]; /* the tilt that the rates that were fed sum up to */
+    double fed[4]; /* the tilt that the rates that were fed sum up to, and the last read of the body, less the bias */
     double alignment[$kept]; /* time since the start, and the filter of the tilt then and of both biases */
 } att_snn_state;
 
