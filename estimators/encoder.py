@@ -196,7 +196,7 @@ def encode_sample(gyro, accel, encoding, held):
             kept[1] += step
         kept[0] += step
     lean_known = lean_fed and rate_found and force_found
-    lean_x, lean_y = turned_by(kept[LEANING], kept[LEANING + 1])
+    lean_x, lean_y = turned_by(kept[LEANING], kept[LEANING + 1]) if lean_fed else (0.0, 0.0)
     if rate_found:
         x = gyro[0] - offset[0] - kept[BIAS] + turn_x / step
         y = gyro[1] - offset[1] - kept[BIAS + 1] + turn_y / step

@@ -166,6 +166,20 @@ def test_a_gyroscopes_bias_is_found_in_calm_flight_within_seconds(seed, x, y, ya
     assert off[2399] < np.radians(1.7)
 
 
+def test_a_gyroscopes_bias_is_found_in_fast_flight_too():
+    """Up to 45° and 20 m/s, where the filter's guess that a vehicle stays about where it is is wrong."""
+    rng, late, last = np.random.default_rng(1), [], []
+    for seed in range(60):
+        bias = rng.uniform(-0.08, 0.08, 2)
+        gyro, accel, heading, _ = flight(2400, seed, (0.1, -0.1), bias, yaw=rng.uniform(-1, 1))
+        kept, _ = found(gyro, accel, heading, accel_spread=0.0)
+        off = np.abs(kept[:, BIAS : BIAS + 2] - bias).max(1)
+        late.append(off[1200:].max())
+        last.append(off[2399])
+    assert np.quantile(late, 0.95) < np.radians(2.5)
+    assert np.quantile(last, 0.95) < np.radians(1.7)
+
+
 @pytest.mark.parametrize(("told", "most"), [(False, (1.2, 2.2)), (True, (1.3, 1.4))])
 def test_both_biases_are_not_much_further_off_than_it_says(told, most):
     """Adrift in winds of 5 m/s of each axis, which an unknown lean is not told from at once."""

@@ -484,7 +484,7 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
             state->alignment[1] += STEP;
         state->alignment[0] += STEP;
     }
-    const pair lean = turned_by(pair_at(state->alignment + $leaning));
+    const pair lean = LEAN_FED ? turned_by(pair_at(state->alignment + $leaning)) : (pair){0.0, 0.0};
     if (rate_found) {
         const double *bias_found = state->alignment + $bias;
         pair rate = times(axes, (pair){gyro[0] - OFFSET[0] - bias_found[0] + turn.x / STEP,
