@@ -23,12 +23,14 @@ A heading that drifts would turn wind, which then looks like a bias that turns w
 gyroscope reads about z in the mean is taken off, and believed the less the more the vehicle yaws; and the
 heading is turned back by as much as that bias has turned it before it was found.
 
-Wind and all that drag is not make the force walk at random; how far is taken from the corrections of the
-force that are found to be needed (Myers & Tapley, "Adaptive sequential estimation with unknown noise
-statistics", IEEE Trans. Autom. Control 21(4), 1976), and at once where the force is not what it should be.
+Wind and all that drag is not make the force walk at random: further, where the corrections of the force sum
+up to more than they lower its variance by, and less far where to less (Myers & Tapley, "Adaptive sequential
+estimation with unknown noise statistics", IEEE Trans. Autom. Control 21(4), 1976), so that what an unknown
+lean does to the force is not taken for gusts; and at once where the force is not what it should be.
 Where corrections of the gyroscope's bias keep one sign, so that their sum is far more than its variance says,
 the bias has jumped, or was large from the start: that variance is made larger by what is beyond.
-Vibration is noise of the reading, found from sample to sample.
+Vibration is noise of the reading, found from sample to sample, and so is what the equations are wrong by, in
+proportion to the acceleration.
 To first order nothing prefers x or y, so that one Hermitian covariance is that of both. Inertial navigation
 calls the first seconds of this the initial alignment.
 
@@ -54,18 +56,18 @@ F, L, B, A, V = range(5)
 KEPT = 109
 """What is kept: the time since the start, that since the last sample, and that at rest; the state; its
 covariance, row by row; what a gyroscope's bias of 1 does to the attitude that is remembered; samples; the six
-readings in a fast and in a slow low-pass; the late corrections of the force, summed, and the mean of that;
-the square of the random walk of the force; by how much the force has lately been off; the variance of that
-between samples, with the last; the mean squares of speed and force, of each axis; the gyroscope's bias about
-z, its variance, and the mean square of the yaw rate; thrust; the climb, and the mean of its change; by how
-much the body is turned from level axes beyond its yaw; the rate and the thrust before; the mean square of the
-rate; the late corrections of the gyroscope's bias, summed, and by how much they lowered its variance; the
-lean in body axes; and by how much the heading is to be turned back, with its covariance with the bias
-about z."""
+readings in a fast and in a slow low-pass; the late corrections of the force, summed, and by how much they
+lowered its variance; the square of the random walk of the force; by how much the force has lately been off;
+the variance of that between samples, with the last; the mean squares of speed and force, of each axis; the
+gyroscope's bias about z, its variance, and the mean square of the yaw rate; thrust; the climb, and the mean
+of its change; by how much the body is turned from level axes beyond its yaw; the rate and the thrust before;
+the mean squares of rate and acceleration; the late corrections of the gyroscope's bias, summed, and by how
+much they lowered its variance; the lean in body axes; and by how much the heading is to be turned back, with
+its covariance with the bias about z."""
 STATE, SPREAD, EFFECT, SAMPLES, FAST, SLOW = 3, 13, 63, 65, 66, 72
-CORRECTIONS, DRIFT, GUST, MISSED, NOISE, SPEED, AIR = 78, 80, 82, 83, 85, 88, 89
-YAW_BIAS, THRUST, CLIMB, TWIST, BEFORE, TURNS, MOVED = 90, 93, 94, 96, 98, 101, 102
-LEANING, YAW_BACK = 105, 107
+CORRECTIONS, GUST, MISSED, NOISE, SPEED, AIR = 78, 81, 82, 84, 87, 88
+YAW_BIAS, THRUST, CLIMB, TWIST, BEFORE, TURNS, PUSHES = 89, 92, 93, 95, 97, 100, 101
+MOVED, LEANING, YAW_BACK = 102, 105, 107
 LEAN, BIAS, ACCEL_BIAS = STATE + 2 * L, STATE + 2 * B, STATE + 2 * A
 """Where these begin in it."""
 FORCE_MAX = 5.0
@@ -82,39 +84,44 @@ GAP_MAX = 0.5
 """Longest time between samples for which the rate is taken to have lasted [s]."""
 LEAN_SD, TOLD_SD = 0.24, 0.004
 """Spread of the lean at the start, of each axis: unknown, and told."""
-SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.1, 0.6
+SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.1, 0.33
 """Speed over ground, of each axis: what is expected before any is seen, the least [m/s], and the time for
-which a low one is taken to last [s]; what is expected lasts twice as long, a higher one with its square."""
-EXPECTED_S, SPEEDS_S, AIRS_S = 0.3, 2.0, 12.0
+which a low one is taken to last [s]; a higher one lasts longer, with its square."""
+LASTS_MORE = 2.4
+"""How many times as long what is expected lasts, beyond a low one."""
+EXPECTED_S, SPEEDS_S, AIRS_S = 0.3, 1.5, 12.0
 """Time for which what is expected counts, and the memories of the speeds and of what else is found [s]."""
-STEADY, CALM, BREEZE = 0.1, 0.005, 0.02
+STEADY, CALM, BREEZE = 0.1, 0.0025, 0.034
 """Random walk of the force: while the tilt at the start is looked for; later the least, and what is expected
 before any is seen [m/s²/√s]."""
-GAUGE_FROM_S, BREEZE_S, GUSTS_S = 0.1, 0.05, 18.0
-"""Time without a look at it, that for which the expectation counts, and the memory of what is found [s]."""
-CORRECTED_S, DRIFT_S = 0.1, 4.0
-"""Memories of the corrections of the force, and of their mean, which is a bias's and no wind's [s]."""
-GAUGE = 1.5
-"""Their scatter is taken for this many times as much: what is slow is left out of it."""
-SUDDEN_S, SUDDEN = 0.05, 2.5
+CORRECTED_S, ENOUGH, GAUGE = 0.17, 0.6, 1.2
+"""Memory of the corrections of the force [s], the share of the variance that they should have which is
+enough, and how many times what is beyond or short of it counts."""
+GAUGE_FROM_S, BREEZE_S, FALL_S, GUSTS_S = 0.1, 0.05, 10.0, 13.0
+"""Time without a look at it, that for which the expectation counts, the least in which a walk is taken for
+less, and the memory of what is found [s]."""
+SUDDEN_S, SUDDEN = 0.05, 2.2
 """Memory of how far the force is off [s], and how many times the variance of noise in it that may be."""
 NOISE_S = 1.0
 """Memory of the noise of the force [s]."""
-TURN_NOISE, TURN_ERROR, TURNS_S = 0.0008, 0.004, 5.0
+TURN_NOISE, TURN_ERROR, TURNS_S = 0.0008, 0.0027, 5.0
 """Noise density of a turn rate [rad/s/√Hz], further in proportion to it [√s], and the memory of it [s]: a
 gain that came and went with each turn would make a lasting error of what is off in every one."""
-BIAS_WALK, ACCEL_BIAS_WALK = 1.5e-4, 0.006
+MODEL = 0.004
+"""Noise density of a lateral force in proportion to the acceleration [√s]: thrust, heading and rotors are not
+known to the last."""
+BIAS_WALK, ACCEL_BIAS_WALK = 1.5e-4, 0.01
 """Random walks of the biases [rad/s/√s], [m/s²/√s]."""
-JUMP, JUMP_S, JUMP_GAIN = 4.0, 1.0, 15.0
+JUMP, JUMP_S, JUMP_GAIN = 3.0, 1.0, 28.0
 """How many times the variance that they should have corrections of the gyroscope's bias may sum up to, the
 memory of that sum [s], and how many times what is beyond is added to the bias's variance in that time."""
-BREATH, BREATH_MIN, BREATH_S = 0.12, 0.03, 2.2
+BREATH, BREATH_MIN, BREATH_S = 0.13, 0.05, 0.7
 """Likewise the force [m/s²], and the time for which a low one is taken to last [s]."""
 YAW_RATE, YAW_RATE_MIN, YAW_S = 0.015, 0.005, 0.35
 """Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
 FRAME = 0.007
 """What the frame takes from a speed by its square, ρ C_d A / 2 m [1/m]."""
-THRUST_MIN, THRUST_MAX, THRUST_S = 0.25, 4.0, 0.03
+THRUST_MIN, THRUST_MAX, THRUST_S = 0.25, 4.0, 0.02
 """Thrust that is believed, in weights, and the memory of that by which rotors drag [s]."""
 CLIMB_S, CLIMBS_S, CLIMB_FROM_S = 2.5, 20.0, 2.0
 """Memories of the climb and of its change, whose mean is the accelerometer's bias, and how long that counts
@@ -176,22 +183,23 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
         spread[B, B] += BIAS_WALK * BIAS_WALK * elapsed
     if offset_sd > 0.0:
         spread[A, A] += ACCEL_BIAS_WALK * ACCEL_BIAS_WALK * elapsed
-    force_before, lean_before, variance_before = state[F], state[L], spread[B, B].real
+    force_before, lean_before = state[F], state[L]
+    force_variance, bias_variance = spread[F, F].real, spread[B, B].real
 
     expected = slowed * (_lateral(state[F], state[L], upright) + drag * kept[CLIMB] * state[L])
     off = level * (reading - state[A]) - expected
     off = complex(_within(off.real, FORCE_MAX), _within(off.imag, FORCE_MAX))
-    white = _noise(off, noise * noise / step, step, kept)
+    white = _noise(off, noise * noise / step, step, kept) + MODEL * MODEL * kept[PUSHES] / step
     kept[MISSED] += (off.real - kept[MISSED]) * step / SUDDEN_S
     kept[MISSED + 1] += (off.imag - kept[MISSED + 1]) * step / SUDDEN_S
     _correct(state, spread, F, 0.5 * slowed * (1.0 + upright), level, off, white)
     if kept[SAMPLES] * step > GAUGE_FROM_S:  # the first corrections are those of the start
-        _gauge(state[F] - force_before, step, kept)
+        _gauge(state[F] - force_before, force_variance - spread[F, F].real, step, kept)
     if not aligning:
         _lasts(state, spread, V, SPEED_SD, SPEED_MIN, SPEED_S, SPEEDS_S, step, kept, SPEED)
         _lasts(state, spread, F, BREATH, BREATH_MIN, BREATH_S, AIRS_S, step, kept, AIR)
         if bias_sd > 0.0:
-            spread[B, B] += _jumped(state[B] - bias_before, variance_before - spread[B, B].real, step, kept)
+            spread[B, B] += _jumped(state[B] - bias_before, bias_variance - spread[B, B].real, step, kept)
 
     _yaw(rates[2], bias_sd, step, kept)
     kept[2] = kept[2] + step if _unchanged(rates, forces, step, kept) else 0.0
@@ -264,6 +272,8 @@ def _move(state, spread, rate, level, thrust, elapsed, step, drag, aligning, kep
         kept[CLIMB] = _within(kept[CLIMB] + step * (rise - kept[CLIMB] / CLIMB_S), CLIMB_MAX)
     thrust = max(thrust, 0.0) - kept[CLIMB + 1] / upright
     faster = elapsed * (_lateral(force, lean, upright) + thrust * lean)
+    pushes = _square(faster * (1.0 / elapsed)) - kept[PUSHES]
+    kept[PUSHES] += pushes * step / min(EXPECTED_S + kept[SAMPLES] * step, TURNS_S)
     unit = state[F] * (1.0 / max(size, 1e-9))
     state[V] += faster
     state[F] += -drag * (across * faster + (along - across) * (unit.conjugate() * faster).real * unit)
@@ -311,7 +321,7 @@ def _correct(state, spread, measured, of_it, of_accel_bias, innovation, variance
 @njit(cache=True)
 def _lasts(state, spread, which, expected, least, lasts, memory, step, kept, square):
     """Correct by the expectation that one of the state is nothing; its mean square is kept at `square`."""
-    lasts *= 1.0 + kept[square] / (expected * expected)
+    lasts *= 1.0 + LASTS_MORE * kept[square] / (expected * expected)
     variance = max(kept[square], least * least) * lasts / step
     _correct(state, spread, which, 1.0, 0.0j, -state[which], variance)
     memory = min(EXPECTED_S + kept[SAMPLES] * step, memory)
@@ -350,15 +360,23 @@ def _yaw(rate, bias_sd, step, kept):
 
 
 @njit(cache=True)
-def _gauge(correction, step, kept):
-    """Take a correction of the force into what is known of its random walk: their sum scatters as far."""
-    kept[CORRECTIONS] += correction.real - kept[CORRECTIONS] * step / CORRECTED_S
-    kept[CORRECTIONS + 1] += correction.imag - kept[CORRECTIONS + 1] * step / CORRECTED_S
-    off_x, off_y = kept[CORRECTIONS] - kept[DRIFT], kept[CORRECTIONS + 1] - kept[DRIFT + 1]
-    kept[DRIFT] += off_x * step / DRIFT_S
-    kept[DRIFT + 1] += off_y * step / DRIFT_S
-    walked = max(GAUGE * _square(complex(off_x, off_y)) / CORRECTED_S, CALM * CALM)
-    kept[GUST] += (walked - kept[GUST]) * step / min(BREEZE_S + kept[SAMPLES] * step, GUSTS_S)
+def _gauge(moved, lowered, step, kept):
+    """Take a correction of the force, and by how much it lowered the variance, into what its walk is."""
+    scatter, due = _summed(moved, lowered, CORRECTED_S, step, kept[CORRECTIONS:GUST])
+    beyond = GAUGE * 2.0 * (scatter - ENOUGH * due) / CORRECTED_S
+    memory = min(BREEZE_S + kept[SAMPLES] * step, GUSTS_S)
+    if beyond < 0.0:
+        memory = max(memory, FALL_S)
+    kept[GUST] = max(kept[GUST] + beyond * step / memory, CALM * CALM)
+
+
+@njit(cache=True)
+def _summed(moved, lowered, memory, step, sums):
+    """Square of late corrections' sum, of each axis, and what its mean should be, with what they lowered."""
+    sums[0] += moved.real - sums[0] * step / memory
+    sums[1] += moved.imag - sums[1] * step / memory
+    sums[2] += max(lowered, 0.0) - 2.0 * sums[2] * step / memory
+    return 0.5 * _square(complex(sums[0], sums[1])), sums[2]
 
 
 @njit(cache=True)
@@ -380,11 +398,8 @@ def _sudden(density, step, kept):
 @njit(cache=True)
 def _jumped(moved, lowered, step, kept):
     """What a bias's variance lacks: its corrections sum up to no more than they lower it by, or it jumped."""
-    kept[MOVED] += moved.real - kept[MOVED] * step / JUMP_S
-    kept[MOVED + 1] += moved.imag - kept[MOVED + 1] * step / JUMP_S
-    kept[MOVED + 2] += max(lowered, 0.0) - 2.0 * kept[MOVED + 2] * step / JUMP_S
-    beyond = 0.5 * _square(complex(kept[MOVED], kept[MOVED + 1])) - JUMP * kept[MOVED + 2]
-    return max(beyond, 0.0) * JUMP_GAIN * step / JUMP_S
+    scatter, due = _summed(moved, lowered, JUMP_S, step, kept[MOVED:LEANING])
+    return max(scatter - JUMP * due, 0.0) * JUMP_GAIN * step / JUMP_S
 
 
 @njit(cache=True)

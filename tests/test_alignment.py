@@ -20,20 +20,30 @@ from estimators.alignment import (
     BREATH_MIN,
     BREATH_S,
     BREEZE,
+    BREEZE_S,
+    CALM,
     CLIMB,
     CLIMB_FROM_S,
     CLIMB_S,
     CLIMBS_S,
+    CORRECTED_S,
     EFFECT,
+    ENOUGH,
     EXPECTED_S,
+    FALL_S,
     FRAME,
+    GAUGE,
+    GAUGE_FROM_S,
     GUST,
+    GUSTS_S,
     JUMP,
     JUMP_GAIN,
     JUMP_S,
     KEPT,
+    LASTS_MORE,
     LEAN,
     LEAN_MAX,
+    MODEL,
     NOISE_S,
     REMEMBERED_S,
     REST_NOISE,
@@ -233,6 +243,7 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
     white, before, shaken = 0.0, None, 0
     lift, climb, rising, twisted = accel[0, 2], 0.0, 0.0, 0.0
     turns, summed, lowered, jumps = 0.0, np.zeros(2), 0.0, 0
+    pushes, corrected, due, falls = 0.0, np.zeros(2), 0.0, 0
     for t in range(1200):
         axes = Rotation.from_rotvec([0, 0, heading[t] + twisted]).as_matrix()  # level ones, from the body's
         f, lean, bias, _, _ = theirs.x[:, 0].reshape(5, 2)
@@ -253,6 +264,7 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         climb += STEP * (rise - rising - climb / CLIMB_S)
         thrust = mean_thrust - rising / upright
         faster = body.apply([*force, thrust])[:2]
+        pushes += (faster @ faster - pushes) * STEP / min(EXPECTED_S + (t + 1) * STEP, TURNS_S)
         onto = np.outer(f, f) / max(f @ f, 1e-18)
         change = -DRAG * STEP * ((1 + air) * one + air * onto) @ faster
         moved = np.concatenate([change, leant, np.zeros(4), STEP * faster])
@@ -276,7 +288,7 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
             breath = BREATH**2 + np.sum(state[:2] ** 2) / 2
             theirs.P, F = at_first, np.eye(10)
         theirs.predict(F=F, Q=np.diag(walks))
-        theirs.x, spread_before = state, theirs.P[4, 4]
+        theirs.x, force_before, spread_before = state, theirs.P[0, 0], theirs.P[4, 4]
         turned = axes[:2, :2]
         H = np.hstack([slowed * share * one, np.zeros((2, 4)), turned, np.zeros((2, 2))])
         f, lean, _, accel_bias, _ = state[:, 0].reshape(5, 2)
@@ -285,12 +297,20 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         change = off - before if t > 0 else np.zeros(2)
         white, before = white + STEP / NOISE_S * (change @ change / 4 - white), off
         shaken += white > noise
-        theirs.update(H @ state + off[:, None], R=max(white, noise) * one, H=H)
+        theirs.update(H @ state + off[:, None], R=(max(white, noise) + MODEL**2 * pushes / STEP) * one, H=H)
+        if (t + 1) * STEP > GAUGE_FROM_S:
+            corrected += theirs.x[:2, 0] - f - corrected * STEP / CORRECTED_S
+            due += force_before - theirs.P[0, 0] - 2 * due * STEP / CORRECTED_S
+            beyond = GAUGE * (corrected @ corrected - 2 * ENOUGH * due) / CORRECTED_S
+            memory = min(BREEZE_S + (t + 1) * STEP, GUSTS_S)
+            falls += beyond < 0 and memory < FALL_S
+            memory = max(memory, FALL_S) if beyond < 0 else memory
+            gust = max(gust + beyond * STEP / memory, CALM**2)
         missed += STEP / SUDDEN_S * (off - missed)
-        slow = max(speed, SPEED_MIN**2) * SPEED_S * (1 + speed / SPEED_SD**2) / STEP
+        slow = max(speed, SPEED_MIN**2) * SPEED_S * (1 + LASTS_MORE * speed / SPEED_SD**2) / STEP
         theirs.update(np.zeros((2, 1)), R=slow * one, H=np.eye(10)[8:])
         speed += STEP / min(EXPECTED_S + (t + 1) * STEP, SPEEDS_S) * (np.mean(theirs.x[8:] ** 2) - speed)
-        slow = max(breath, BREATH_MIN**2) * BREATH_S * (1 + breath / BREATH**2) / STEP
+        slow = max(breath, BREATH_MIN**2) * BREATH_S * (1 + LASTS_MORE * breath / BREATH**2) / STEP
         theirs.update(np.zeros((2, 1)), R=slow * one, H=np.eye(10)[:2])
         breath += STEP / min(EXPECTED_S + (t + 1) * STEP, AIRS_S) * (np.mean(theirs.x[:2] ** 2) - breath)
         summed += theirs.x[4:6, 0] - bias - summed * STEP / JUMP_S
@@ -306,10 +326,11 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         assert kept[t, SPEED] == pytest.approx(speed, rel=1e-6)
         assert kept[t, AIR] == pytest.approx(breath, rel=1e-6)
         assert kept[t, CLIMB] == pytest.approx(climb, rel=1e-6, abs=1e-9)
-        gust = kept[t, GUST]
+        assert kept[t, GUST] == pytest.approx(gust, rel=1e-6)
     assert 10 < sudden < 1000
     assert 10 < shaken < 1000
     assert 10 < jumps < 1000
+    assert 10 < falls < 1000
 
 
 def test_a_gyroscopes_bias_about_z_is_found_where_the_vehicle_does_not_yaw_on_and_on():

@@ -227,6 +227,9 @@ static double move(
     }
     thrust = larger(thrust, 0.0) - climb[1] / *upright;
     const pair faster = of(elapsed, plus(lateral(force, lean, *upright), of(thrust, lean)));
+    double *pushes = kept + $pushes;
+    const double memory = smaller($expected_s + kept[$samples] * STEP, $turns_s);
+    *pushes += (square(of(1.0 / elapsed, faster)) - *pushes) * STEP / memory;
     const pair unit = of(1.0 / larger(size, 1e-9), state[F]);
     const double further = (along - across) * times(conjugate(unit), faster).x;
     state[V] = plus(state[V], faster);
@@ -277,7 +280,7 @@ static void lasts(
     pair state[STATES], pair spread[STATES][STATES], int which, double expected, double least, double seconds,
     double memory, double *mean_square, double samples)
 {
-    const double long_s = seconds * (1.0 + *mean_square / (expected * expected));
+    const double long_s = seconds * (1.0 + $lasts_more * *mean_square / (expected * expected));
     const double variance = larger(*mean_square, least * least) * long_s / STEP;
     correct(state, spread, which, 1.0, (pair){0.0, 0.0}, of(-1.0, state[which]), variance);
     *mean_square += (0.5 * square(state[which]) - *mean_square) * STEP / smaller($expected_s + samples * STEP, memory);
@@ -307,18 +310,24 @@ static void follow_yaw(double rate, double kept[$kept])
     *mean_square += (off * off - *mean_square) * STEP / smaller($expected_s + kept[$samples] * STEP, $airs_s);
 }
 
-/* Take a correction of the force into what is known of its random walk: their sum scatters as far. */
-static void gauge(pair correction, double kept[$kept])
+/* Square of late corrections' sum, of each axis; last in `sums`, what its mean should be, with what they lowered. */
+static double summed(pair moved, double lowered, double memory, double sums[3])
 {
-    double *sum = kept + $corrections, *drift = kept + $drift, *gust = kept + $gust;
-    sum[0] += correction.x - sum[0] * STEP / $corrected_s;
-    sum[1] += correction.y - sum[1] * STEP / $corrected_s;
-    const pair off = {sum[0] - drift[0], sum[1] - drift[1]};
-    drift[0] += off.x * STEP / $drift_s;
-    drift[1] += off.y * STEP / $drift_s;
-    const double walked = larger($gauge * square(off) / $corrected_s, $calm * $calm);
-    const double memory = smaller($breeze_s + kept[$samples] * STEP, $gusts_s);
-    *gust += (walked - *gust) * STEP / memory;
+    sums[0] += moved.x - sums[0] * STEP / memory;
+    sums[1] += moved.y - sums[1] * STEP / memory;
+    sums[2] += larger(lowered, 0.0) - 2.0 * sums[2] * STEP / memory;
+    return 0.5 * square(pair_at(sums));
+}
+
+/* Take a correction of the force, and by how much it lowered the variance, into the square of its walk. */
+static void gauge(pair moved, double lowered, double kept[$kept])
+{
+    const double scatter = summed(moved, lowered, $corrected_s, kept + $corrections);
+    const double beyond = $gauge * 2.0 * (scatter - $enough * kept[$corrections + 2]) / $corrected_s;
+    double memory = smaller($breeze_s + kept[$samples] * STEP, $gusts_s);
+    if (beyond < 0.0)
+        memory = larger(memory, $fall_s);
+    kept[$gust] = larger(kept[$gust] + beyond * STEP / memory, $calm * $calm);
 }
 
 /* Variance of a reading of the force, of each axis: a quarter of that of the change of how far it is off. */
@@ -342,11 +351,8 @@ static double sudden(const double kept[$kept])
 /* By how much a bias's variance is too small: corrections sum up to what they lower it by, or it jumped. */
 static double jumped(pair moved, double lowered, double kept[$kept])
 {
-    double *late = kept + $moved;
-    late[0] += moved.x - late[0] * STEP / $jump_s;
-    late[1] += moved.y - late[1] * STEP / $jump_s;
-    late[2] += larger(lowered, 0.0) - 2.0 * late[2] * STEP / $jump_s;
-    return larger(0.5 * square(pair_at(late)) - $jump * late[2], 0.0) * $jump_gain * STEP / $jump_s;
+    const double scatter = summed(moved, lowered, $jump_s, kept + $moved);
+    return larger(scatter - $jump * kept[$moved + 2], 0.0) * $jump_gain * STEP / $jump_s;
 }
 
 /* Take a reading into the fast and the slow low-pass of both sensors; whether these agree. */
@@ -420,23 +426,23 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
     if (ACCEL_BIAS_SD > 0.0)
         spread[A][A].x += $accel_bias_walk * $accel_bias_walk * elapsed;
     const pair force_before = state[F], lean_before = state[L];
-    const double variance_before = spread[B][B].x;
+    const double force_variance = spread[F][F].x, bias_variance = spread[B][B].x;
 
     const pair climbing = of(DRAG * kept[$climb], state[L]);
     const pair expected = of(slowed, plus(lateral(state[F], state[L], upright), climbing));
     const pair off = both_between(minus(times(level, minus(reading, state[A])), expected), $force_max);
-    const double white = noise(off, kept);
+    const double white = noise(off, kept) + $model * $model * kept[$pushes] / STEP;
     double *missed = kept + $missed;
     missed[0] += (off.x - missed[0]) * STEP / $sudden_s;
     missed[1] += (off.y - missed[1]) * STEP / $sudden_s;
     correct(state, spread, F, 0.5 * slowed * (1.0 + upright), level, off, white);
     if (*samples * STEP > $gauge_from_s) /* the first corrections are those of the start */
-        gauge(minus(state[F], force_before), kept);
+        gauge(minus(state[F], force_before), force_variance - spread[F][F].x, kept);
     if (!aligning) {
         lasts(state, spread, V, $speed_sd, $speed_min, $speed_s, $speeds_s, kept + $speed, *samples);
         lasts(state, spread, F, $breath, $breath_min, $breath_s, $airs_s, kept + $air, *samples);
         if (BIAS_SD > 0.0)
-            spread[B][B].x += jumped(minus(state[B], bias_before), variance_before - spread[B][B].x, kept);
+            spread[B][B].x += jumped(minus(state[B], bias_before), bias_variance - spread[B][B].x, kept);
     }
 
     follow_yaw(gyro[2], kept);
