@@ -89,18 +89,18 @@ SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.1, 0.33
 which a low one is taken to last [s]; a higher one lasts longer, with its square."""
 LASTS_MORE = 2.4
 """How many times as long what is expected lasts, beyond a low one."""
-EXPECTED_S, SPEEDS_S, AIRS_S = 0.3, 1.5, 12.0
+EXPECTED_S, SPEEDS_S, AIRS_S = 0.2, 1.2, 12.0
 """Time for which what is expected counts, and the memories of the speeds and of what else is found [s]."""
 STEADY, CALM, BREEZE = 0.1, 0.0025, 0.034
 """Random walk of the force: while the tilt at the start is looked for; later the least, and what is expected
 before any is seen [m/s²/√s]."""
-CORRECTED_S, ENOUGH, GAUGE = 0.17, 0.6, 1.2
+CORRECTED_S, ENOUGH, GAUGE = 0.14, 0.6, 1.2
 """Memory of the corrections of the force [s], the share of the variance that they should have which is
 enough, and how many times what is beyond or short of it counts."""
 GAUGE_FROM_S, BREEZE_S, FALL_S, GUSTS_S = 0.1, 0.05, 10.0, 13.0
 """Time without a look at it, that for which the expectation counts, the least in which a walk is taken for
 less, and the memory of what is found [s]."""
-SUDDEN_S, SUDDEN = 0.05, 2.2
+SUDDEN_S, SUDDEN = 0.04, 1.8
 """Memory of how far the force is off [s], and how many times the variance of noise in it that may be."""
 NOISE_S = 1.0
 """Memory of the noise of the force [s]."""
@@ -110,14 +110,14 @@ gain that came and went with each turn would make a lasting error of what is off
 MODEL = 0.004
 """Noise density of a lateral force in proportion to the acceleration [√s]: thrust, heading and rotors are not
 known to the last."""
-BIAS_WALK, ACCEL_BIAS_WALK = 1.5e-4, 0.01
+BIAS_WALK, ACCEL_BIAS_WALK = 1e-4, 0.01
 """Random walks of the biases [rad/s/√s], [m/s²/√s]."""
 JUMP, JUMP_S, JUMP_GAIN = 3.0, 1.0, 28.0
 """How many times the variance that they should have corrections of the gyroscope's bias may sum up to, the
 memory of that sum [s], and how many times what is beyond is added to the bias's variance in that time."""
 BREATH, BREATH_MIN, BREATH_S = 0.13, 0.05, 0.7
 """Likewise the force [m/s²], and the time for which a low one is taken to last [s]."""
-YAW_RATE, YAW_RATE_MIN, YAW_S = 0.015, 0.005, 0.35
+YAW_RATE, YAW_RATE_MIN, YAW_S = 0.015, 0.005, 0.3
 """Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
 FRAME = 0.007
 """What the frame takes from a speed by its square, ρ C_d A / 2 m [1/m]."""
