@@ -7,6 +7,8 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_complet
 from contextlib import contextmanager
 from typing import TypeVar
 
+from quadsim.dataset import end_with_parent
+
 Result = TypeVar("Result")
 
 
@@ -34,7 +36,8 @@ def spread(
         for i, job in enumerate(jobs):
             yield i, function(*job)
     else:
-        with one_thread_each(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        context = multiprocessing.get_context("spawn")
+        with one_thread_each(), ProcessPoolExecutor(workers, context, end_with_parent) as pool:
             yield from _submit(pool, function, jobs)
 
 

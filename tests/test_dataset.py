@@ -4,7 +4,6 @@ import multiprocessing
 import os
 import subprocess
 import sys
-import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import pytest
 import zarr
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import alive, await_true, children
 
 from quadsim import dataset, dataset_store
 from quadsim.dataset import dataset_info, generate, open_dataset, split_flights, verify
@@ -242,24 +242,6 @@ def test_workers_that_keep_dying_are_one_clear_error(tmp_path, monkeypatch):
 
     with pytest.raises(ChildProcessError, match=r"keep dying .*of 40 flights are kept: rerun to resume"):
         generate(CONFIG, 40, DURATION, tmp_path / "x.zarr", workers=2, progress=kill_all_workers)
-
-
-def await_true(condition, seconds: float = 60) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
-def children(pid: int) -> list[int]:
-    return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 # --- another dataset in the way ---

@@ -1,9 +1,13 @@
 import csv
 import json
+import subprocess
+import sys
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import alive, await_true, children
 
 import estimators
 from quadsim.mission import Mission
@@ -203,6 +207,22 @@ def test_interrupted_run_goes_on_with_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "fly_cell", lambda *job: again.append(job[:3:2]) or fly_cell(*job))
     assert small(tmp_path / "part") == whole
     assert again == [("hover", "truth"), ("wind-gust", "truth"), ("wind-gust", "mahony")]
+
+
+def test_a_killed_run_leaves_no_process_behind(tmp_path):
+    script = """
+import sys
+from scenarios.runner import bench
+
+bench(["hover", "wind-2", "wind-5", "wind-8"], ["truth", "mahony"], seeds=2, workers=2, out=sys.argv[1])
+"""
+    run = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], cwd=Path(__file__).parents[1])
+    await_true(lambda: len(list(tmp_path.glob("cells/*.json"))) >= 1, seconds=300)  # workers compile first
+    workers = children(run.pid)
+    run.kill()
+    run.wait()
+    assert len(workers) >= 2
+    await_true(lambda: not any(alive(pid) for pid in workers))
 
 
 @pytest.mark.parametrize("change", [{"seed": 1}, {"seeds": 3}, {"duration_s": 0.2}, {"external": "ideal"}])
