@@ -27,6 +27,7 @@ Wind and all that drag is not make the force walk at random: further, where the 
 up to more than they lower its variance by, and less far where to less (Myers & Tapley, "Adaptive sequential
 estimation with unknown noise statistics", IEEE Trans. Autom. Control 21(4), 1976), so that what an unknown
 lean does to the force is not taken for gusts; and at once where the force is not what it should be.
+A vehicle that is told to start level stands or hovers, so that speed and turn rate are known as well.
 Where corrections of the gyroscope's bias keep one sign, so that their sum is far more than its variance says,
 the bias has jumped, or was large from the start: that variance is made larger by what is beyond.
 Vibration is noise of the reading, found from sample to sample, and so is what the equations are wrong by, in
@@ -82,48 +83,51 @@ READING_MAX = 1000.0
 """Beyond which no reading counts further, in its unit."""
 GAP_MAX = 0.5
 """Longest time between samples for which the rate is taken to have lasted [s]."""
-LEAN_SD, TOLD_SD = 0.24, 0.004
+LEAN_SD, TOLD_SD = 0.24, 0.0028
 """Spread of the lean at the start, of each axis: unknown, and told."""
-SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.1, 0.33
+SPEED_SD, SPEED_MIN, SPEED_S = 0.45, 0.11, 0.33
 """Speed over ground, of each axis: what is expected before any is seen, the least [m/s], and the time for
 which a low one is taken to last [s]; a higher one lasts longer, with its square."""
-LASTS_MORE = 2.4
+TOLD_SPEED, TOLD_TURN, LEANT_S = 0.03, 0.015, 1.0
+"""Speed [m/s] and turn rate [rad/s], of each axis, at a start that is told to be level, for such a vehicle
+stands or hovers; and the time in which it took on a lean, and for which that has driven it [s]."""
+LASTS_MORE = 2.2
 """How many times as long what is expected lasts, beyond a low one."""
-EXPECTED_S, SPEEDS_S, AIRS_S = 0.2, 1.2, 12.0
+EXPECTED_S, SPEEDS_S, AIRS_S = 0.1, 0.85, 5.5
 """Time for which what is expected counts, and the memories of the speeds and of what else is found [s]."""
-STEADY, CALM, BREEZE = 0.1, 0.0025, 0.034
+STEADY, CALM, BREEZE = 0.1, 0.0027, 0.034
 """Random walk of the force: while the tilt at the start is looked for; later the least, and what is expected
 before any is seen [m/s²/√s]."""
-CORRECTED_S, ENOUGH, GAUGE = 0.14, 0.6, 1.2
+CORRECTED_S, ENOUGH, GAUGE = 0.1, 0.6, 1.7
 """Memory of the corrections of the force [s], the share of the variance that they should have which is
 enough, and how many times what is beyond or short of it counts."""
-GAUGE_FROM_S, BREEZE_S, FALL_S, GUSTS_S = 0.1, 0.05, 10.0, 13.0
+GAUGE_FROM_S, BREEZE_S, FALL_S, GUSTS_S = 0.1, 0.05, 14.0, 16.0
 """Time without a look at it, that for which the expectation counts, the least in which a walk is taken for
 less, and the memory of what is found [s]."""
-SUDDEN_S, SUDDEN = 0.04, 1.8
+SUDDEN_S, SUDDEN = 0.04, 1.3
 """Memory of how far the force is off [s], and how many times the variance of noise in it that may be."""
-NOISE_S = 1.0
+NOISE_S = 0.5
 """Memory of the noise of the force [s]."""
-TURN_NOISE, TURN_ERROR, TURNS_S = 0.0008, 0.0027, 5.0
+TURN_NOISE, TURN_ERROR, TURNS_S = 0.001, 0.0038, 2.7
 """Noise density of a turn rate [rad/s/√Hz], further in proportion to it [√s], and the memory of it [s]: a
 gain that came and went with each turn would make a lasting error of what is off in every one."""
-MODEL = 0.004
-"""Noise density of a lateral force in proportion to the acceleration [√s]: thrust, heading and rotors are not
-known to the last."""
-BIAS_WALK, ACCEL_BIAS_WALK = 1e-4, 0.01
+MODEL, DRAG_ERROR = 0.004, 0.05
+"""Noise density of a lateral force in proportion to acceleration [√s], and random walk of it in proportion
+to what drag makes of that [√s]: thrust, heading, rotors and drag are not known exactly."""
+BIAS_WALK, ACCEL_BIAS_WALK = 1.2e-4, 0.0085
 """Random walks of the biases [rad/s/√s], [m/s²/√s]."""
-JUMP, JUMP_S, JUMP_GAIN = 3.0, 1.0, 28.0
+JUMP, JUMP_S, JUMP_GAIN = 3.0, 0.96, 40.0
 """How many times the variance that they should have corrections of the gyroscope's bias may sum up to, the
 memory of that sum [s], and how many times what is beyond is added to the bias's variance in that time."""
-BREATH, BREATH_MIN, BREATH_S = 0.13, 0.05, 0.7
+BREATH, BREATH_MIN, BREATH_S = 0.12, 0.07, 0.5
 """Likewise the force [m/s²], and the time for which a low one is taken to last [s]."""
-YAW_RATE, YAW_RATE_MIN, YAW_S = 0.015, 0.005, 0.3
+YAW_RATE, YAW_RATE_MIN, YAW_S = 0.015, 0.005, 0.4
 """Likewise the yaw rate [rad/s], and the time for which a low one is taken to last [s]."""
 FRAME = 0.007
 """What the frame takes from a speed by its square, ρ C_d A / 2 m [1/m]."""
-THRUST_MIN, THRUST_MAX, THRUST_S = 0.25, 4.0, 0.02
+THRUST_MIN, THRUST_MAX, THRUST_S = 0.25, 4.0, 0.0052
 """Thrust that is believed, in weights, and the memory of that by which rotors drag [s]."""
-CLIMB_S, CLIMBS_S, CLIMB_FROM_S = 2.5, 20.0, 2.0
+CLIMB_S, CLIMBS_S, CLIMB_FROM_S = 1.5, 20.0, 2.0
 """Memories of the climb and of its change, whose mean is the accelerometer's bias, and how long that counts
 as having lasted at first [s]."""
 CLIMB_MAX, RISE_MAX = 20.0, 0.5
@@ -168,14 +172,14 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
     if first:
         kept[THRUST], kept[TWIST] = _within(forces[2], THRUST_MAX * GRAVITY), 1.0
         kept[BEFORE], kept[BEFORE + 1], kept[BEFORE + 2] = rate.real, rate.imag, kept[THRUST]
-    bias_before = state[B]
     elapsed, aligning = min(kept[1] + step, GAP_MAX), kept[0] < align_s
     level = heading * complex(kept[TWIST], kept[TWIST + 1])
     slowed, upright = _move(state, spread, rate, level, forces[2], elapsed, step, drag, aligning, kept)
     if first:
-        _begin(state, spread, heading, reading * (1.0 / slowed), step, alignment, kept)
+        _begin(state, spread, heading, rate, reading * (1.0 / slowed), step, alignment, kept)
+    bias_before = state[B]
     gust = max(STEADY * STEADY if aligning else kept[GUST], _sudden(noise * noise, step, kept))
-    spread[F, F] += gust * elapsed
+    spread[F, F] += (gust + DRAG_ERROR * DRAG_ERROR * drag * drag * kept[PUSHES]) * elapsed
     turns = _square(rate - state[B]) - kept[TURNS]
     kept[TURNS] += turns * step / min(EXPECTED_S + kept[SAMPLES] * step, TURNS_S)
     spread[L, L] += (TURN_NOISE * TURN_NOISE + TURN_ERROR * TURN_ERROR * kept[TURNS]) * elapsed
@@ -221,17 +225,24 @@ def follow(rates, forces, cosine, sine, step, alignment, kept):
 
 
 @njit(cache=True)
-def _begin(state, spread, heading, force, step, alignment, kept):
-    """What is known with the first reading of the force; a lean that is told is in the state."""
+def _begin(state, spread, heading, rate, force, step, alignment, kept):
+    """What is known with the first readings; a lean that is told is in the state."""
     _, _, noise, bias_sd, offset_sd = alignment
-    lean_sd = LEAN_SD if kept[0] < math.inf else TOLD_SD
+    lean_variance, speed_variance, bias_variance = LEAN_SD * LEAN_SD, SPEED_SD * SPEED_SD, bias_sd * bias_sd
+    if kept[0] == math.inf:
+        leant, driven = _square(state[L]) / (LEANT_S * LEANT_S), LEANT_S * LEANT_S * GRAVITY
+        lean_variance = TOLD_SD * TOLD_SD
+        speed_variance = TOLD_SPEED * TOLD_SPEED + driven * driven * leant
+        turning = TOLD_TURN * TOLD_TURN + leant + TURN_NOISE * TURN_NOISE / step
+        share = bias_variance / (bias_variance + turning)
+        state[B], bias_variance = share * rate, (1.0 - share) * bias_variance
     offset_variance = offset_sd * offset_sd
     spread[:] = 0.0
     state[F], state[V] = heading * force, 0.0
     spread[F, F] = noise * noise / step + offset_variance
     spread[F, A], spread[A, F] = -offset_variance * heading, -offset_variance * heading.conjugate()
-    spread[L, L], spread[B, B] = lean_sd * lean_sd, bias_sd * bias_sd
-    spread[A, A], spread[V, V] = offset_variance, SPEED_SD * SPEED_SD
+    spread[L, L], spread[B, B] = lean_variance, bias_variance
+    spread[A, A], spread[V, V] = offset_variance, speed_variance
     kept[GUST], kept[SPEED] = BREEZE * BREEZE, SPEED_SD * SPEED_SD
     kept[AIR] = BREATH * BREATH + 0.5 * _square(force)
 

@@ -27,6 +27,7 @@ from estimators.alignment import (
     CLIMB_S,
     CLIMBS_S,
     CORRECTED_S,
+    DRAG_ERROR,
     EFFECT,
     ENOUGH,
     EXPECTED_S,
@@ -43,6 +44,7 @@ from estimators.alignment import (
     LASTS_MORE,
     LEAN,
     LEAN_MAX,
+    LEANT_S,
     MODEL,
     NOISE_S,
     REMEMBERED_S,
@@ -59,6 +61,8 @@ from estimators.alignment import (
     SUDDEN_S,
     THRUST_S,
     TOLD_SD,
+    TOLD_SPEED,
+    TOLD_TURN,
     TURN_ERROR,
     TURN_NOISE,
     TURNS_S,
@@ -219,6 +223,16 @@ def test_a_start_that_is_told_tells_the_accelerometers_bias_in_any_steady_wind()
     assert np.quantile(left, 0.9) < 0.6
 
 
+def test_a_vehicle_told_to_start_level_is_at_rest_so_that_a_wind_is_known_to_blow_it_away():
+    gyro, accel, heading, tilt = flight(200, wind=(8.0, -4.0), roll=0.0)
+    speed = STEP * np.sum(accel[1:, :2], 0)  # level, so that nothing else drives it
+    assert np.linalg.norm(speed) > 1.0
+    kept, _ = found(gyro, accel, heading, told_tilt=tilt[0], accel_spread=0.0)
+    np.testing.assert_allclose(kept[-1, STATE + 8 : SPREAD], speed, rtol=0.05)
+    kept, _ = found(gyro, accel, heading, accel_spread=0.0)  # not told, it may have moved against the wind
+    assert (np.abs(kept[-1, STATE + 8 : SPREAD]) < 0.9 * np.abs(speed)).all()
+
+
 def test_it_is_filterpys_kalman_filter_of_both_axes():
     """Ten real states: force, lean, biases and speed, x and y each; told, at rest, in flight, in a gust."""
     start = (0.2, -0.1)
@@ -235,7 +249,7 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
     noise = 0.01**2 / STEP
     theirs = KalmanFilter(dim_x=10, dim_z=2)
     theirs.x[2:4, 0] = start[1], -start[0]  # the heading is 0
-    at_first = np.diag(np.repeat([noise**0.5, TOLD_SD, BIAS_SPREAD, ACCEL_SPREAD, SPEED_SD], 2) ** 2)
+    at_first = np.diag(np.repeat([noise**0.5, TOLD_SD, BIAS_SPREAD, ACCEL_SPREAD, TOLD_SPEED], 2) ** 2)
     one = np.eye(2)
     at_first[:2, :2] += ACCEL_SPREAD**2 * one
     at_first[:2, 6:8] = at_first[6:8, :2] = -(ACCEL_SPREAD**2) * one
@@ -278,10 +292,18 @@ def test_it_is_filterpys_kalman_filter_of_both_axes():
         F[8:, 0:2], F[8:, 2:4] = STEP * of_force * one, STEP * thrust * one
         at_once = max(missed @ missed - SUDDEN * STEP * max(white, noise) / SUDDEN_S, 0.0) / SUDDEN_S
         sudden += at_once > gust
+        if t == 0:
+            lies = np.sum((theirs.x[2:4, 0] + leant) ** 2) / LEANT_S**2
+            at_first[8:, 8:] += lies * (LEANT_S**2 * GRAVITY) ** 2 * one
+            believed = 1 / (1 + (TOLD_TURN**2 + lies + TURN_NOISE**2 / STEP) / BIAS_SPREAD**2)
+            at_first[4:6, 4:6] *= 1 - believed
+            bias = believed * gyro[0, :2]
+            theirs.x[4:6, 0] = bias
         turned_by = np.sum((gyro[t, :2] - bias) ** 2)
         turns += (turned_by - turns) * STEP / min(EXPECTED_S + (t + 1) * STEP, TURNS_S)
         turning = TURN_NOISE**2 + TURN_ERROR**2 * turns
-        walks = np.repeat([max(gust, at_once), turning, BIAS_WALK**2, ACCEL_BIAS_WALK**2, 0.0], 2) * STEP
+        blows = max(gust, at_once) + (DRAG_ERROR * DRAG) ** 2 * pushes
+        walks = np.repeat([blows, turning, BIAS_WALK**2, ACCEL_BIAS_WALK**2, 0.0], 2) * STEP
         state = theirs.x + moved[:, None]
         if t == 0:
             state[:2, 0], state[8:] = accel[0, :2] / slowed, 0.0

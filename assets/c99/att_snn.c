@@ -371,10 +371,22 @@ static int unchanged(const double gyro[3], const double accel[3], double kept[$k
     return still;
 }
 
-/* What is known with the first reading of the force; a lean that is told is in the state. */
-static void begin(pair state[STATES], pair spread[STATES][STATES], pair heading, pair force, double kept[$kept])
+/* What is known with the first readings; a lean that is told is in the state. */
+static void begin(pair state[STATES], pair spread[STATES][STATES], pair heading, pair rate, pair force,
+                  double kept[$kept])
 {
-    const double lean_sd = kept[0] < INFINITY ? $lean_sd : $told_sd, offset_variance = ACCEL_BIAS_SD * ACCEL_BIAS_SD;
+    double lean_variance = $lean_sd * $lean_sd, speed_variance = $speed_sd * $speed_sd;
+    double bias_variance = BIAS_SD * BIAS_SD;
+    if (kept[0] == INFINITY) {
+        const double leant = square(state[L]) / ($leant_s * $leant_s), driven = $leant_s * $leant_s * $gravity;
+        lean_variance = $told_sd * $told_sd;
+        speed_variance = $told_speed * $told_speed + driven * driven * leant;
+        const double turning = $told_turn * $told_turn + leant + $turn_noise * $turn_noise / STEP;
+        const double share = bias_variance / (bias_variance + turning);
+        state[B] = of(share, rate);
+        bias_variance = (1.0 - share) * bias_variance;
+    }
+    const double offset_variance = ACCEL_BIAS_SD * ACCEL_BIAS_SD;
     for (int k = 0; k < STATES; ++k)
         for (int m = 0; m < STATES; ++m)
             spread[k][m] = (pair){0.0, 0.0};
@@ -383,10 +395,10 @@ static void begin(pair state[STATES], pair spread[STATES][STATES], pair heading,
     spread[F][F].x = NOISE * NOISE / STEP + offset_variance;
     spread[F][A] = of(-offset_variance, heading);
     spread[A][F] = of(-offset_variance, conjugate(heading));
-    spread[L][L].x = lean_sd * lean_sd;
-    spread[B][B].x = BIAS_SD * BIAS_SD;
+    spread[L][L].x = lean_variance;
+    spread[B][B].x = bias_variance;
     spread[A][A].x = offset_variance;
-    spread[V][V].x = $speed_sd * $speed_sd;
+    spread[V][V].x = speed_variance;
     kept[$gust] = $breeze * $breeze;
     kept[$speed] = $speed_sd * $speed_sd;
     kept[$air] = $breath * $breath + 0.5 * square(force);
@@ -409,15 +421,16 @@ static pair follow(const double gyro[3], const double accel[3], pair heading, do
         keep(kept + $before, rate);
         kept[$before + 2] = kept[$thrust];
     }
-    const pair bias_before = state[B];
     const double elapsed = smaller(kept[1] + STEP, $gap_max);
     const int aligning = kept[0] < ALIGN_S;
     const pair level = times(heading, pair_at(kept + $twist));
     double upright;
     const double slowed = move(state, spread, rate, level, accel[2], elapsed, aligning, &upright, kept);
     if (first)
-        begin(state, spread, heading, of(1.0 / slowed, reading), kept);
-    spread[F][F].x += larger(aligning ? $steady * $steady : kept[$gust], sudden(kept)) * elapsed;
+        begin(state, spread, heading, rate, of(1.0 / slowed, reading), kept);
+    const pair bias_before = state[B];
+    const double gust = larger(aligning ? $steady * $steady : kept[$gust], sudden(kept));
+    spread[F][F].x += (gust + $drag_error * $drag_error * DRAG * DRAG * kept[$pushes]) * elapsed;
     double *turns = kept + $turns;
     *turns += (square(minus(rate, state[B])) - *turns) * STEP / smaller($expected_s + *samples * STEP, $turns_s);
     spread[L][L].x += ($turn_noise * $turn_noise + $turn_error * $turn_error * *turns) * elapsed;
