@@ -58,6 +58,11 @@ def parameters(name: str) -> Mapping[str, Parameter]:
     return {}
 
 
+def is_weights(name: str) -> bool:
+    """Whether a name is the path of a network's weights."""
+    return name.endswith(".safetensors")
+
+
 def create(
     name: str,
     rate_hz: float = 200.0,
@@ -68,7 +73,7 @@ def create(
     """Make an estimator.
 
     Args:
-        name: One of `names()`.
+        name: One of `names()`, or the path of a network's weights, which ends in .safetensors.
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
             `quadsim tune`; None for the shipped default domain.
@@ -78,6 +83,10 @@ def create(
     Raises:
         ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
     """
+    if is_weights(name):
+        from .weights_file import load_network
+
+        return _network(load_network(name)[0].model, rate_hz, params | {"weights": name})
     _known(name)
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise ValueError(f"rate_hz = {rate_hz} must be a positive number")

@@ -47,7 +47,7 @@ def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
     file = _find(source, folder)
     label = str(source) if isinstance(file, Path) else f"{folder}/{source}"
     try:
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        data = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{label}: not valid TOML: {error}") from error
     except UnicodeDecodeError as error:
@@ -128,6 +128,10 @@ def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
         case "union_tag_not_found":
             tag = str(error.get("ctx", {}).get("discriminator", "")).strip("'")
             return f'missing key "{path}.{tag}"'
+        case "union_tag_invalid":
+            context = error.get("ctx", {})
+            tag, known = (str(context[key]).replace("'", "") for key in ("discriminator", "expected_tags"))
+            return f'{path}.{tag} = "{context["tag"]}"; {nearest(context["tag"], known.split(", "))}'
     message = " ".join(error["msg"].removeprefix("Value error, ").removeprefix("Input ").split())
     return f"{path} = {_shorten(error['input'])}: {message}" if path else message
 

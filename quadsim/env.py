@@ -90,7 +90,8 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     ## Episode end
 
     - Termination: a crash by the scenario's criteria (by default a tilt above 75°, the ground, or 10 m from
-      the set-point); `info["cause"]` tells which.
+      the set-point); `info["cause"]` tells which, in words; in the batched twin by their index in
+      `quadsim.mission.CAUSES`.
     - Truncation: the scenario's duration is over.
 
     ## Arguments
@@ -140,7 +141,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one sample with an action of four numbers."""
         flights = self._flights
-        flights.action[0] = np.asarray(action).reshape(4)
+        flights.action[0] = _finite(action).reshape(4)
         observation, reward = flights.step()
         mission = flights.mission
         cause, over = mission.cause.item(), mission.k.item() >= mission.steps
@@ -204,7 +205,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         flights, mission = self._flights, self._flights.mission
         again = np.flatnonzero(self._done)
         seeds = [flight_seed(self._random[i]) for i in again]
-        flights.action[:] = np.reshape(actions, (self.num_envs, 4))
+        flights.action[:] = _finite(actions).reshape(self.num_envs, 4)
         observation, reward = flights.step(again, seeds)
         terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
         reward[again] = 0.0
@@ -366,6 +367,13 @@ def spaces() -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     return gymnasium.spaces.Box(-limit, limit, dtype=np.float32), gymnasium.spaces.Box(
         -1.0, 1.0, (4,), np.float32
     )
+
+
+def _finite(action: ArrayLike) -> NDArray[np.float64]:
+    action = np.asarray(action, dtype=np.float64)
+    if np.isnan(action).any():
+        raise ValueError("an action is not a number; has the policy diverged?")
+    return action
 
 
 def flight_seed(random: np.random.Generator) -> np.random.SeedSequence:

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 Image = NDArray[np.uint8]
 
 NO_OPENGL = "no headless OpenGL on this machine, so no pictures: install Debian's libegl1 or libosmesa6"
-NO_SCREEN = "no screen to open a window on; for pictures without one there are rgb_array and videos"
+NO_SCREEN = "no screen to open a window on; --video (render_mode rgb_array) needs none"
 TRAIL_COLOUR = np.array([0.93, 0.36, 0.08, 0.85], dtype=np.float32)
 
 

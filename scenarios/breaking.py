@@ -19,7 +19,7 @@ from quadsim.faults import Dropout, GyroBiasStep
 from quadsim.scenario import Scenario, load_scenario
 from quadsim.wind import Constant
 
-from .cell import fly_cell
+from .cell import file_name, fly_cell, weights_digest
 from .jobs import spread
 
 log = logging.getLogger(__name__)
@@ -135,17 +135,29 @@ def breaking_points(
         progress: Called with the points done and their total.
 
     Raises:
-        ValueError: For a disturbance that there is not.
+        ValueError: For a disturbance that there is not, or that sets in after the end of the flights.
         OSError: If the results cannot be written.
     """
     disturbances = chosen(disturbances)
+    for each in disturbances:
+        scenario = load_scenario(DISTURBANCES[each].scenario)
+        sets_in = max(
+            (fault.at_s for fault in scenario.faults if isinstance(fault, GyroBiasStep)), default=0.0
+        )
+        if duration_s is not None and duration_s <= sets_in:
+            raise ValueError(
+                f"breaking point {each}: it sets in at {sets_in:g} s, and flights last {duration_s:g} s; "
+                "give a longer duration"
+            )
     changes = {"external": external, "duration_s": duration_s}
     changes = {key: value for key, value in changes.items() if value is not None}
     jobs = [(d, e, seeds, seed, rate_hz, changes) for d in disturbances for e in names]
     folder = Path(out).expanduser() / "breaking"
     folder.mkdir(parents=True, exist_ok=True)
-    prints = [hashlib.sha256(json.dumps([job, code]).encode()).hexdigest() for job in jobs]
-    files = [folder / f"{job[0]}--{job[1]}.json" for job in jobs]
+    prints = [
+        hashlib.sha256(json.dumps([job, code, weights_digest(job[1])]).encode()).hexdigest() for job in jobs
+    ]
+    files = [folder / f"{disturbance}--{file_name(name)}.json" for disturbance, name, *_ in jobs]
     found: dict[int, Breaking] = {}
     for i, (file, print_) in enumerate(zip(files, prints, strict=True)):
         kept = _load(file, print_)
@@ -161,7 +173,9 @@ def breaking_points(
         if point.reason:
             log.warning("%s under %s did not run: %s", point.estimator, point.disturbance, point.reason)
         else:
-            files[i].write_text(json.dumps({"fingerprint": prints[i], "point": asdict(point)}))
+            partial = files[i].with_suffix(".partial")
+            partial.write_text(json.dumps({"fingerprint": prints[i], "point": asdict(point)}))
+            partial.replace(files[i])
         found[i] = point
         if progress:
             progress(len(found), len(jobs))

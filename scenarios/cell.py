@@ -1,6 +1,7 @@
 """One cell of the benchmark: a scenario flown on an estimator with many seeds, and the file it is kept in."""
 
 import base64
+import hashlib
 import json
 import os
 from dataclasses import asdict, dataclass
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import estimators
+from estimators.protocol import is_weights
 from quadsim.mission import CAUSES, Mission
 from quadsim.scenario import Scenario
 from quadsim.seeding import vehicle_seeds
@@ -22,6 +24,8 @@ Row = dict[str, float | int | str | None]
 
 SERIES_HZ = 25.0
 """Samples per second of the time series that are kept for plots."""
+BOUNDLESS = 1e100
+"""What no number of a flight reaches that means something, in any unit."""
 
 
 class Channel(TypedDict):
@@ -67,6 +71,26 @@ class Cell:
         partial.replace(path)
 
 
+def file_name(estimator: str) -> str:
+    """An estimator's name as a part of a file's: of weights, their own name and a digest."""
+    if not is_weights(estimator):
+        return estimator
+    return f"{Path(estimator).stem}-{hashlib.sha256(estimator.encode()).hexdigest()[:8]}"
+
+
+def weights_digest(estimator: str) -> str:
+    """Digest of the weights that an estimator's name is the path of; none of other names."""
+    return file_digest(estimator) if is_weights(estimator) else ""
+
+
+def file_digest(path: str) -> str:
+    """Digest of a file that a cell reads; none where it cannot be read, of which the cell will tell."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
 def load_cell(path: Path) -> Cell | None:
     """A cell from its file; None where there is no whole one."""
     try:
@@ -82,16 +106,23 @@ def fly_cell(
     try:
         mission = Mission(scenario, estimators.create(estimator, rate_hz), seeds, rate_hz)
         log, end = fly(mission, seed)
+        return make_cell(name, estimator, fingerprint, mission, log, end)
     except Exception as error:  # whatever an estimator does, the other cells go on
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
         return Cell(name, estimator, fingerprint, f"{kind}{error}", [], [], None)
-    return make_cell(name, estimator, fingerprint, mission, log, end)
 
 
 def make_cell(
     name: str, estimator: str, fingerprint: str, mission: Mission, log: Array, end: NDArray[np.int64]
 ) -> Cell:
-    """The cell of a mission that has been flown."""
+    """The cell of a mission that has been flown.
+
+    Raises:
+        ValueError: If numbers of the flight grew beyond all bounds.
+    """
+    flown = np.arange(mission.steps) < end[:, None]
+    if not (np.abs(log[flown]) < BOUNDLESS).all():
+        raise ValueError("numbers of the flight grew beyond all bounds; is one of the scenario too large?")
     metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)
     flights = [
         {"scenario": name, "estimator": estimator, "seed": i, "cause": CAUSES[mission.cause[i]]}

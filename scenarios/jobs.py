@@ -3,7 +3,7 @@
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -36,9 +36,32 @@ def spread(
         for i, job in enumerate(jobs):
             yield i, function(*job)
     else:
-        context = multiprocessing.get_context("spawn")
-        with one_thread_each(), ProcessPoolExecutor(workers, context, end_with_parent) as pool:
-            yield from _submit(pool, function, jobs)
+        yield from _in_processes(workers, function, jobs)
+
+
+def _in_processes(
+    workers: int, function: Callable[..., Result], jobs: Sequence[tuple]
+) -> Iterator[tuple[int, Result | BaseException]]:
+    """As `spread`: a worker that dies breaks its pool, but ends no job save the one that it was at.
+
+    Jobs begin in order, so that this is one of the first that are unfinished: they run again, in a pool each,
+    and all others in a new one.
+    """
+    context = multiprocessing.get_context("spawn")
+    groups = [(workers, list(range(len(jobs))))]
+    while groups:
+        size, group = groups.pop(0)
+        unfinished: list[int] = []
+        with one_thread_each(), ProcessPoolExecutor(size, context, end_with_parent) as pool:
+            for at, result in _submit(pool, function, [jobs[i] for i in group]):
+                if isinstance(result, BrokenExecutor) and len(group) > 1:
+                    unfinished.append(group[at])
+                else:
+                    yield group[at], result
+        suspects = sorted(unfinished)[: 2 * workers]
+        groups += [(1, [i]) for i in suspects]
+        rest = sorted(unfinished)[2 * workers :]
+        groups += [(workers, rest)] if rest else []
 
 
 def _submit(

@@ -1,5 +1,6 @@
 """The report of a benchmark's folder, and the tables beside it."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -36,9 +37,11 @@ def publish(
     pairs = paired_differences(results.flights)
     files = ["results.csv", "flights.csv"]
     for name, rows in (("pairs.csv", pairs), ("breaking.csv", [vars(point) for point in points])):
+        (folder / name).unlink(missing_ok=True)  # of an earlier run
         if rows:
             write_csv(folder / name, rows)
             files.append(name)
     still, note = cover(results.cells)
     page = path or folder / "report.html"
-    return Published(write_report(page, results, still=still, csv=files, pairs=pairs, points=points), note)
+    links = [Path(os.path.relpath(folder / name, page.expanduser().parent)).as_posix() for name in files]
+    return Published(write_report(page, results, still=still, csv=links, pairs=pairs, points=points), note)

@@ -18,7 +18,7 @@ from quadsim.imu import load_imu
 from quadsim.scenario import Scenario, load_scenario
 from quadsim.vehicle import load_vehicle
 
-from .cell import Cell, Row, fly_cell, load_cell
+from .cell import Cell, Row, file_digest, file_name, fly_cell, load_cell, weights_digest
 from .jobs import spread
 
 log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ def bench(
 
     Args:
         scenarios: Names of shipped scenarios or paths of TOML files.
-        names: Names of estimators.
+        names: Names of estimators, or paths of weights.
         seeds: Flights in each cell.
         out: Folder for the results.
         seed: Seed of everything random; flight i has its i-th child.
@@ -131,6 +131,7 @@ def load_results(out: str | Path) -> Results:
         index = json.loads((out / "bench.json").read_text())
         settings = Settings(**(index["settings"] | {"scenarios": _parse(index["settings"]["scenarios"])}))
         failed = {(f["scenario"], f["estimator"]): Cell(**f) for f in index["failed"]}
+        fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
     except FileNotFoundError:
         raise ValueError(f"{out}: no benchmark results (there is no bench.json)") from None
     except (ValueError, KeyError, TypeError) as error:
@@ -140,13 +141,17 @@ def load_results(out: str | Path) -> Results:
         cell = failed.get(pair) or load_cell(cell_path(out, *pair))
         if cell is None:
             raise ValueError(f"{cell_path(out, *pair)}: missing or damaged; run the benchmark again")
+        if cell.fingerprint != fingerprints.get(pair):
+            raise ValueError(
+                f"{cell_path(out, *pair)}: of another run than the rest; run the benchmark again"
+            )
         cells.append(cell)
     return Results(settings, cells)
 
 
 def cell_path(out: Path, scenario: str, estimator: str) -> Path:
     """File of a cell."""
-    return out / "cells" / f"{scenario}--{estimator}.json"
+    return out / "cells" / f"{scenario}--{file_name(estimator)}.json"
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
@@ -198,7 +203,7 @@ def _settings(
         loaded[name] = scenario
     for name in names:
         if name not in estimators.names():
-            estimators.create(name, rate_hz)  # says which names there are
+            estimators.create(name, rate_hz)  # says which names there are, or what is wrong with the weights
     if not loaded or not names:
         raise ValueError(f"nothing to fly: give at least one {'estimator' if loaded else 'scenario'}")
     if seeds < 1:
@@ -213,6 +218,10 @@ def _fingerprint(settings: Settings, name: str, estimator: str, code: str) -> st
         "vehicle": load_vehicle(scenario.vehicle).model_dump(mode="json"),
         "imu": load_imu(scenario.imu).model_dump(mode="json"),
         "external": load_external(scenario.external).model_dump(mode="json"),
+        "files": [
+            file_digest(part.path) for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"
+        ],
+        "weights": weights_digest(estimator),
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -247,7 +256,11 @@ def _save_index(out: Path, results: Results) -> None:
         "scenarios": {name: each.model_dump(mode="json") for name, each in s.scenarios.items()},
         "estimators": s.estimators, "seeds": s.seeds, "seed": s.seed, "rate_hz": s.rate_hz,
     }  # fmt: skip
-    failed = [vars(cell) for cell in results.cells if cell.reason]
+    index = {
+        "version": version("quadsim"), "settings": settings,
+        "fingerprints": [[cell.scenario, cell.estimator, cell.fingerprint] for cell in results.cells],
+        "failed": [vars(cell) for cell in results.cells if cell.reason],
+    }  # fmt: skip
     partial = out / "bench.json.partial"
-    partial.write_text(json.dumps({"version": version("quadsim"), "settings": settings, "failed": failed}))
+    partial.write_text(json.dumps(index))
     partial.replace(out / "bench.json")

@@ -109,7 +109,8 @@ def _headline(name: str, best: Total) -> str:
             f"Fly {name}: it crashed least, in {best.crashes} of {best.flights} flights, "
             f"with an error of {best.error:.2f}°."
         )
-    return f"Fly {name}: no crash in {best.flights} flights, and the smallest error, {best.error:.2f}°."
+    flights = f"{best.flights} flight{'s' if best.flights > 1 else ''}"
+    return f"Fly {name}: no crash in {flights}, and the smallest error, {best.error:.2f}°."
 
 
 def _alike(best: str, other: str, pairs: Sequence[Row]) -> bool:

@@ -1,7 +1,15 @@
 """Processes as the system sees them."""
 
+import os
 import time
 from pathlib import Path
+
+
+def square(number: int, deadly: int) -> int:
+    """The square, of all but one number that ends the process."""
+    if number == deadly:
+        os._exit(1)
+    return number**2
 
 
 def await_true(condition, seconds: float = 60) -> None:

@@ -75,6 +75,11 @@ def test_unknown_disturbance_is_named(tmp_path):
         breaking_points(["rain"], ["truth"], 1, tmp_path, code="")
 
 
+def test_a_disturbance_after_the_end_is_no_level_that_is_flown(tmp_path):
+    with pytest.raises(ValueError, match="bias: it sets in at 6 s, and flights last 3 s"):
+        breaking_points(["bias"], ["truth"], 1, tmp_path, code="", duration_s=3.0)
+
+
 def flight(scenario, estimator, seed, error, cause=""):
     numbers = {"error_deg": error, "attitude_deg": 2 * error, "position_m": None}
     return {"scenario": scenario, "estimator": estimator, "seed": seed, "cause": cause} | numbers

@@ -181,6 +181,16 @@ def test_bad_arguments_are_named(arguments, message):
         gymnasium.make(ID, **arguments).reset(seed=0)
 
 
+@pytest.mark.parametrize("n", [1, 3])
+def test_an_action_that_is_no_number_is_refused(n):
+    env = gymnasium.make(ID).unwrapped if n == 1 else gymnasium.make_vec(ID, num_envs=n)
+    env.reset(seed=0)
+    action = np.zeros((n, 4)).squeeze()
+    action[..., 1] = np.nan
+    with pytest.raises(ValueError, match="not a number"):
+        env.step(action)
+
+
 def test_step_before_reset_is_refused():
     with pytest.raises(ValueError, match="before reset"):
         gymnasium.make(ID).unwrapped.step(np.zeros(4))

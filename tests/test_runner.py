@@ -2,12 +2,13 @@ import csv
 import json
 import subprocess
 import sys
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import alive, await_true, children
+from processes import alive, await_true, children, square
 
 import estimators
 from quadsim.mission import Mission
@@ -16,6 +17,7 @@ from quadsim.vehicle import load_vehicle
 from scenarios import cell as cell_module
 from scenarios import runner
 from scenarios.cell import fly, fly_cell, load_cell
+from scenarios.jobs import spread
 from scenarios.metrics import (
     LAYOUT,
     METRICS,
@@ -232,6 +234,56 @@ def test_cells_of_another_configuration_are_flown_anew(tmp_path, monkeypatch, ch
     monkeypatch.setattr(runner, "fly_cell", lambda *job: again.append(job) or fly_cell(*job))
     small(tmp_path, **change)
     assert len(again) == 4
+
+
+def test_cells_are_flown_anew_when_a_file_that_they_read_has_changed(tmp_path):
+    wind = tmp_path / "wind.csv"
+    (tmp_path / "blown.toml").write_text(f"description = 'blown'\n[[wind]]\nkind = 'file'\npath = '{wind}'\n")
+
+    def strays(speed):
+        wind.write_text(f"t,x,y,z\n0,{speed},0,0\n9,{speed},0,0\n")
+        row = small(tmp_path / "out", scenarios=[tmp_path / "blown.toml"], names=["truth"]).rows[0]
+        return row["position_m"]
+
+    calm = strays(0.0)
+    assert strays(12.0) > 2 * calm
+    assert strays(0.0) == calm
+
+
+def test_weights_fly_like_the_estimator_that_they_are_of(tmp_path):
+    ours = tmp_path / "mine.safetensors"
+    ours.write_bytes((files("assets") / "weights" / "att-snn.safetensors").read_bytes())
+    shipped, mine = small(tmp_path, scenarios=["hover"], names=["att-snn", str(ours)]).rows
+    assert mine["estimator"] == str(ours)
+    assert mine | {"estimator": "att-snn"} == shipped
+    ours.write_bytes((files("assets") / "weights" / "att-snn-robust.safetensors").read_bytes())
+    other = small(tmp_path, scenarios=["hover"], names=[str(ours)]).rows[0]
+    assert other["error_deg"] != mine["error_deg"]
+
+
+@pytest.mark.parametrize("deadly", [0, 7])
+def test_a_dying_worker_ends_no_other_job(deadly):
+    found = dict(spread(square, [(i, deadly) for i in range(8)], workers=2))
+    assert isinstance(found.pop(deadly), BrokenExecutor)
+    assert found == {i: i**2 for i in range(8) if i != deadly}
+
+
+def test_numbers_beyond_all_bounds_are_a_row_with_its_reason(tmp_path):
+    (tmp_path / "huge.toml").write_text(
+        "description = 'huge'\n[[faults]]\nkind = 'gyro-bias-step'\nat_s = 0.1\nbias_deg = [1e300, 0, 0]\n"
+    )
+    huge, hover = small(tmp_path, scenarios=[tmp_path / "huge.toml", "hover"], names=["mahony"]).rows
+    assert "beyond all bounds" in huge["reason"]
+    assert hover["reason"] == ""
+
+
+def test_cells_of_two_runs_are_no_results(tmp_path):
+    small(tmp_path)
+    other = tmp_path / "other"
+    small(other, seeds=3)
+    (other / "cells" / "hover--truth.json").replace(tmp_path / "cells" / "hover--truth.json")
+    with pytest.raises(ValueError, match="of another run than the rest; run the benchmark again"):
+        load_results(tmp_path)
 
 
 def test_cells_are_flown_anew_when_the_code_has_changed(tmp_path, monkeypatch):

@@ -49,6 +49,8 @@ def main() -> None:
         app(prog_name="quadsim")
     except (ValueError, OSError) as error:
         message = str(error) or type(error).__name__
+        if isinstance(error, OSError) and error.filename and error.strerror:
+            message = f"{error.filename}: {error.strerror.lower()}"
         Console(stderr=True).print(
             f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
         )

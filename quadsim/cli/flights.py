@@ -60,7 +60,9 @@ def fly(
     scenario: Annotated[
         str, typer.Argument(help="A shipped scenario, for example wind-gust, or a TOML file.")
     ],
-    estimator: Annotated[str, typer.Option(help="Estimator to fly on.")] = "att-snn-loihi",
+    estimator: Annotated[
+        str, typer.Option(help="Estimator to fly on, or a network's weights (.safetensors).")
+    ] = "att-snn-loihi",
     out: Annotated[
         Path | None, typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out.")
     ] = None,
@@ -85,7 +87,7 @@ def fly(
     """
     from scenarios.single import fly_scenario
 
-    folder = out or Path("reports") / f"fly-{Path(scenario).stem}-{estimator}"
+    folder = out or Path("reports") / f"fly-{Path(scenario).stem}-{Path(estimator).stem}"
     try:
         flown = fly_scenario(
             scenario,
@@ -115,7 +117,9 @@ def bench(
     scenario: Annotated[
         list[str] | None, typer.Option(help="Scenario; give it again for more. All if left out.")
     ] = None,
-    estimator: Annotated[list[str] | None, typer.Option(help="Estimator; likewise.")] = None,
+    estimator: Annotated[
+        list[str] | None, typer.Option(help="Estimator, or a network's weights (.safetensors); likewise.")
+    ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Flights in each cell.")] = 10,
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, not the scenarios'.")
@@ -206,7 +210,10 @@ def report(
     from scenarios.runner import load_results
 
     results = load_results(folder)
-    points = [each for each in load_points(folder) if each.estimator in results.settings.estimators]
+    reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
+    points = [
+        each for each in load_points(folder) if reported and each.estimator in results.settings.estimators
+    ]
     console.print(headline(publish(folder, results, points, out).report, results), soft_wrap=True)
 
 
