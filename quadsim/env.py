@@ -241,6 +241,8 @@ class Flights:
             raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
         if render_mode not in (None, "rgb_array", "human"):
             raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, human, or None')
+        if isinstance(estimator, str):
+            raise ValueError(f'estimator is a name; give estimators.create("{estimator}", {rate_hz:g})')
         self._live, self._frame = render_mode == "human", max(round(rate_hz / FPS), 1)
         scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
         self.mission = Mission(scenario, estimator, n, rate_hz, duration_s)

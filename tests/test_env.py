@@ -173,6 +173,7 @@ def test_observation_never_leaves_its_space():
         ({"level": "moment"}, 'unknown level "moment"; valid: position, velocity'),
         ({"scenario": "hoover"}, 'unknown scenario "hoover"; did you mean "hover"'),
         ({"render_mode": "ansi"}, "unknown render_mode"),
+        ({"estimator": "mahony"}, 'is a name; give estimators.create\\("mahony", 200\\)'),
         ({"estimator": estimators.create("mahony", rate_hz=100.0)}, "runs at 100 Hz and the loop at 200 Hz"),
     ],
 )
