@@ -91,16 +91,25 @@ class Breaking:
         return f"{self.crashes_at:.3g}"
 
 
-def chosen(names: Sequence[str]) -> list[str]:
-    """Names of disturbances, "all" for every one of them.
+def chosen(names: Sequence[str], duration_s: float | None = None) -> list[str]:
+    """Names of disturbances, "all" for every one of them, in flights of a length [s], or their own.
 
     Raises:
-        ValueError: For a disturbance that there is not.
+        ValueError: For a disturbance that there is not, or that sets in after the end of the flights.
     """
     for name in names:
         if name not in (*DISTURBANCES, "all"):
             raise ValueError(f'unknown breaking point "{name}"; valid: {", ".join(DISTURBANCES)}, all')
-    return list(DISTURBANCES) if "all" in names else list(dict.fromkeys(names))
+    found = list(DISTURBANCES) if "all" in names else list(dict.fromkeys(names))
+    for name in found:
+        faults = load_scenario(DISTURBANCES[name].scenario).faults
+        sets_in = max((fault.at_s for fault in faults if isinstance(fault, GyroBiasStep)), default=0.0)
+        if duration_s is not None and duration_s <= sets_in:
+            raise ValueError(
+                f"breaking point {name}: it sets in at {sets_in:g} s, and flights last {duration_s:g} s; "
+                "give a longer duration"
+            )
+    return found
 
 
 def breaking_points(
@@ -138,17 +147,7 @@ def breaking_points(
         ValueError: For a disturbance that there is not, or that sets in after the end of the flights.
         OSError: If the results cannot be written.
     """
-    disturbances = chosen(disturbances)
-    for each in disturbances:
-        scenario = load_scenario(DISTURBANCES[each].scenario)
-        sets_in = max(
-            (fault.at_s for fault in scenario.faults if isinstance(fault, GyroBiasStep)), default=0.0
-        )
-        if duration_s is not None and duration_s <= sets_in:
-            raise ValueError(
-                f"breaking point {each}: it sets in at {sets_in:g} s, and flights last {duration_s:g} s; "
-                "give a longer duration"
-            )
+    disturbances = chosen(disturbances, duration_s)
     changes = {"external": external, "duration_s": duration_s}
     changes = {key: value for key, value in changes.items() if value is not None}
     jobs = [(d, e, seeds, seed, rate_hz, changes) for d in disturbances for e in names]

@@ -231,6 +231,13 @@ def test_bench_finds_breaking_points_and_reports_them_again(quadsim, tmp_path):
     assert "Where they break" not in (tmp_path / "report.html").read_text()
 
 
+def test_a_breaking_point_that_cannot_be_is_refused_before_anything_is_flown(quadsim, tmp_path):
+    flown = ["--scenario", "hover", "--estimator", "truth", "--seeds", 1, "--duration", 3, "--workers", 1]
+    code, _, err = quadsim("bench", *flown, "--breaking-point", "bias", "--out", tmp_path / "out")
+    assert (code, (tmp_path / "out").exists()) == (2, False)
+    assert "sets in at 6 s" in err
+
+
 def test_ctrl_c_in_a_training_keeps_its_weights_and_exits_as_interrupted(quadsim, tmp_path, monkeypatch):
     quadsim("generate", "--flights", 4, "--duration", 2, "--workers", 1, "--out", "data.zarr")
 

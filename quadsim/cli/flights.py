@@ -156,7 +156,7 @@ def bench(
     from ..scenario import scenario_names
 
     names = estimator or estimators.names()
-    searched = chosen(breaking_point or [])
+    searched = chosen(breaking_point or [], duration)
     with executor_of(cluster) as executor:
         with progress_bar("fly", "cells") as progress:
             results = run_bench(
