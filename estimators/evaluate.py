@@ -12,8 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator
+from quadsim.vehicle import Vehicle
 
-from .flights import Flights, Initial, load_flights
+from .flights import Flights, Initial, load_flights, vehicle_of
 from .metrics import Summary, absolute_error, attitude_error, inclination_error, inclination_rmse
 from .protocol import FILTERPY, create, missing_samples, run_quietly
 
@@ -128,7 +129,11 @@ def evaluate(
     """
     flights = load_flights([dataset])
     rate_hz = flights.rate_hz
-    made = estimators if isinstance(estimators, Mapping) else _made(estimators, rate_hz, tuning)
+    made = (
+        estimators
+        if isinstance(estimators, Mapping)
+        else _made(estimators, rate_hz, tuning, vehicle_of(dataset))
+    )
     result = Evaluation(time_s=_block_times(flights.gyro.shape[1], rate_hz), rate_hz=rate_hz)
     steps = min(round(settle_s * rate_hz), flights.gyro.shape[1])
     measured: list[dict[str, Any]] = []
@@ -203,9 +208,9 @@ def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) 
 
 
 def _made(
-    estimators: Sequence[str], rate_hz: float, tuning: str | Path | None
+    estimators: Sequence[str], rate_hz: float, tuning: str | Path | None, vehicle: Vehicle | None
 ) -> dict[str, AttitudeEstimator]:
-    return {name: create(name, rate_hz, tuning=tuning) for name in estimators}
+    return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in estimators}
 
 
 def _run(est: AttitudeEstimator, flights: Flights) -> Array:

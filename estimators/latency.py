@@ -89,7 +89,9 @@ class TorchGRU:
 def contenders() -> dict[str, Update]:
     """`update` of every estimator but the truth, and of PyTorch's two networks."""
     torch.set_num_threads(1)
-    found: dict[str, Update] = {name: create(name, RATE_HZ).update for name in names() if name != "truth"}
+    found: dict[str, Update] = {
+        name: create(name, RATE_HZ, vehicle="hummingbird").update for name in names() if name != "truth"
+    }
     return found | {"SNN, plain PyTorch": TorchSNN().update, "GRU, PyTorch": TorchGRU().update}
 
 

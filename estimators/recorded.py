@@ -18,7 +18,7 @@ from quadsim.estimator import AttitudeEstimator
 from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
 
 from .metrics import absolute_error, inclination_error
-from .protocol import create, names, run
+from .protocol import create, names, needs_vehicle, run
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -146,9 +146,13 @@ def score_logs(
     return scores
 
 
-def default_names() -> list[str]:
-    """Estimators that are scored unless others are asked for."""
-    return [name for name in names() if name != "truth" and name not in SLOW]
+def default_names(vehicle_known: bool = False) -> list[str]:
+    """Estimators scored unless others are asked for; ekf-drag only where the vehicle is known."""
+    return [
+        name
+        for name in names()
+        if name != "truth" and name not in SLOW and (vehicle_known or not needs_vehicle(name))
+    ]
 
 
 def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:

@@ -12,17 +12,23 @@ from estimators.weights_file import load_network
 from quadsim.console import output, progress_bar
 from quadsim.estimator import AttitudeEstimator
 from quadsim.logs import read_log
+from quadsim.vehicle import Vehicle
 
 
 def made_of(
-    names: Sequence[str], weights: Sequence[str], rate_hz: float, tuning: str | None
+    names: Sequence[str],
+    weights: Sequence[str],
+    rate_hz: float,
+    tuning: str | None,
+    vehicle: str | Path | Vehicle | None = None,
 ) -> dict[str, AttitudeEstimator]:
     """Estimators by name, and spiking networks by the paths of their weights.
 
     Raises:
-        ValueError: Weights of another kind of network, or given twice.
+        ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle without
+            one.
     """
-    made = {name: create(name, rate_hz, tuning=tuning) for name in names}
+    made = {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in names}
     for path in weights:
         if path in made:
             raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
@@ -37,12 +43,13 @@ def evaluate_logs(
     within_deg: float,
     axes: str | None,
     tuning: str | None,
+    vehicle: str | None,
     out: Path,
 ) -> None:
     """Score estimators on logs: `quadsim evaluate --logs`."""
     logs = [read_log(path, axes=axes) for path in paths]
     rate = float(logs[0].attrs["rate_hz"])
-    made = made_of(estimators or default_names(), weights, rate, tuning)
+    made = made_of(estimators or default_names(vehicle is not None), weights, rate, tuning, vehicle)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
     scores.write_csv(out / "logs.csv")

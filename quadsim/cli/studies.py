@@ -32,6 +32,13 @@ def evaluate(
     tuning: Annotated[
         str | None, typer.Option(help="Tuned parameters: a shipped domain or a TOML file.")
     ] = None,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Airframe that ekf-drag takes its drag from: a shipped name or a TOML file. "
+            "A dataset's own when left out; a log has none."
+        ),
+    ] = None,
     slow_flights: Annotated[
         int, typer.Option(min=1, help="Flights for filterpy's filters, hundreds of times as slow as others.")
     ] = 4,
@@ -53,7 +60,7 @@ def evaluate(
     if logs:
         from scenarios.recorded import evaluate_logs
 
-        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, out)
+        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, vehicle, out)
         return
     if axes is not None:
         raise ValueError("--axes turns the sensors of --logs; a dataset has body axes")
@@ -61,6 +68,7 @@ def evaluate(
     import estimators
     from estimators import figures
     from estimators.evaluate import evaluate as evaluate_estimators
+    from estimators.flights import vehicle_of
     from scenarios.recorded import made_of
     from scenarios.report import write_report
     from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
@@ -68,7 +76,9 @@ def evaluate(
     from ..dataset import open_dataset
 
     flown = open_dataset(data)
-    made = made_of(estimator or estimators.names(), weights or [], float(flown.attrs["rate_hz"]), tuning)
+    airframe = vehicle or vehicle_of(flown)
+    rate_hz = float(flown.attrs["rate_hz"])
+    made = made_of(estimator or estimators.names(), weights or [], rate_hz, tuning, airframe)
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate_estimators(
             flown,
