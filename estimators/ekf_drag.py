@@ -91,8 +91,8 @@ PARAMETERS = {
     "wind_share": Parameter(0.6, 0.3, 0.9, scale="linear"),
     "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3),
     "gust_ratio": Parameter(2.0, 1.5, 4.0),
-    # The measurement v = 0: least standard deviation [m/s], correlation time [s], growth of that with the mean
-    # square of the velocity [s²/m²], memory of the mean square [s]; noise density of the climb [m/s·√s].
+    # The measurement v = 0: least standard deviation [m/s], correlation time [s], its growth with the mean
+    # square of the velocity [s²/m²], memory of that square [s]; noise density of the climb [m/s·√s].
     "speed_least": Parameter(0.2, 0.03, 1.0, minimum=1e-6),
     "speed_time": Parameter(0.33, 0.05, 3.0, minimum=1e-6),
     "speed_growth": Parameter(10.9, 1.0, 50.0),
@@ -127,7 +127,7 @@ PARAMETERS = {
     "rest_noise": Parameter(0.002, 1e-4, 0.1, minimum=1e-9, searched=False),
     "rest_delay": Parameter(1.5, 0.1, 5.0, minimum=1e-3, searched=False),
     "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
-    # Of the IMU: standard deviations of the initial biases [rad/s], [m/s²]. Of the vehicle: τ [s] and f [1/m].
+    # Of the IMU: initial standard deviations of the biases [rad/s], [m/s²]. Of the vehicle: τ [s], f [1/m].
     "bias_sigma": Parameter(0.0087, 1e-4, 0.1, searched=False),
     "accel_bias_sigma": Parameter(0.196, 1e-3, 1.0, searched=False),
     "drag_time": Parameter(FROM_VEHICLE, 1.0, 20.0, minimum=1e-3, searched=False),
