@@ -82,26 +82,26 @@ STATE = np.dtype(
 
 PARAMETERS = {
     # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
-    "drag_noise": Parameter(0.015, 3e-3, 0.1, minimum=1e-9),
-    "model_noise": Parameter(0.004, 1e-3, 0.03),
+    "drag_noise": Parameter(0.015, 5e-3, 0.05, minimum=1e-9),
+    "model_noise": Parameter(0.004, 2e-3, 0.02),
     # Wind: initial noise density [m/s/√s]; gain of its adaptation, share of the removed variance at which it
     # neither rises nor falls, its memory [s]; variances that a low-passed innovation has at a gust front.
-    "wind_noise": Parameter(0.17, 0.01, 2.0),
-    "wind_gain": Parameter(1.0, 0.2, 3.0),
-    "wind_share": Parameter(0.6, 0.3, 0.9, scale="linear"),
-    "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3),
-    "gust_ratio": Parameter(2.0, 1.5, 4.0),
+    "wind_noise": Parameter(0.17, 0.05, 0.5),
+    "wind_gain": Parameter(1.0, 0.2, 3.0, searched=False),
+    "wind_share": Parameter(0.6, 0.3, 0.9, searched=False),
+    "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3, searched=False),
+    "gust_ratio": Parameter(2.0, 1.5, 4.0, searched=False),
     # The measurement v = 0: least standard deviation [m/s], correlation time [s], its growth with the mean
     # square of the velocity [s²/m²], memory of that square [s]; noise density of the climb [m/s·√s].
-    "speed_least": Parameter(0.2, 0.03, 1.0, minimum=1e-6),
-    "speed_time": Parameter(0.33, 0.05, 3.0, minimum=1e-6),
-    "speed_growth": Parameter(10.9, 1.0, 50.0),
-    "speed_memory": Parameter(2.0, 0.3, 5.0, minimum=1e-3),
-    "climb_noise": Parameter(2.0, 0.1, 10.0, minimum=1e-9),
+    "speed_least": Parameter(0.2, 0.05, 0.6, minimum=1e-6),
+    "speed_time": Parameter(0.33, 0.15, 1.5, minimum=1e-6),
+    "speed_growth": Parameter(10.9, 1.0, 50.0, searched=False),
+    "speed_memory": Parameter(2.0, 0.3, 5.0, minimum=1e-3, searched=False),
+    "climb_noise": Parameter(2.0, 0.5, 5.0, minimum=1e-9),
     # Initial standard deviations: of an unknown tilt [rad], of velocity and of wind [m/s].
-    "attitude_sigma": Parameter(0.3, 0.1, 0.8),
-    "speed_sigma": Parameter(0.6, 0.2, 4.0),
-    "wind_sigma": Parameter(4.0, 1.0, 10.0),
+    "attitude_sigma": Parameter(0.3, 0.15, 0.6),
+    "speed_sigma": Parameter(0.6, 0.3, 3.0),
+    "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
     # Not searched: noise densities of the rate [rad/√s] and of the specific force [m/s/√s], of the walks of
     # both biases [rad/s/√s], [m/s²/√s], and the least of the wind [m/s/√s].
     "gyro_noise": Parameter(1e-3, 1e-4, 0.01, searched=False),
