@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.table import Table
 
 from estimators import create
+from estimators.evaluate import made_of
 from estimators.recorded import KNOWN, RAW, default_names, draw_log, score_logs
 from estimators.weights_file import load_network
 from quadsim.console import output, progress_bar
@@ -14,20 +15,20 @@ from quadsim.estimator import AttitudeEstimator
 from quadsim.logs import read_log
 
 
-def made_of(
-    names: Sequence[str], weights: Sequence[str], rate_hz: float, tuning: str | None
+def named(
+    names: Sequence[str], weights: Sequence[str], rate_hz: float, tuning: str | None, vehicle: str | None
 ) -> dict[str, AttitudeEstimator]:
-    """Estimators by name, and spiking networks by the paths of their weights.
+    """Estimators by name, and networks by the paths of their weights.
 
     Raises:
-        ValueError: Weights of another kind of network, or given twice.
+        ValueError: Weights given twice, or that cannot be read; an estimator that needs a vehicle without one.
     """
-    made = {name: create(name, rate_hz, tuning=tuning) for name in names}
-    for path in weights:
-        if path in made:
-            raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
-        made[path] = create(load_network(path)[0].model, rate_hz, weights=path)
-    return made
+    if twice := [path for k, path in enumerate(weights) if path in (*names, *weights[:k])]:
+        raise ValueError(f"--weights {twice[0]}: given twice, or the name of an estimator")
+    made = made_of(names, rate_hz, tuning, vehicle)
+    return made | {
+        path: create(load_network(path)[0].model, rate_hz, weights=path) for path in weights
+    }
 
 
 def evaluate_logs(
@@ -37,20 +38,28 @@ def evaluate_logs(
     within_deg: float,
     axes: str | None,
     tuning: str | None,
+    vehicle: str | None,
     out: Path,
 ) -> None:
     """Score estimators on logs: `quadsim evaluate --logs`."""
     logs = [read_log(path, axes=axes) for path in paths]
     rate = float(logs[0].attrs["rate_hz"])
-    made = made_of(estimators or default_names(), weights, rate, tuning)
+    made = named(estimators or default_names(vehicle), weights, rate, tuning, vehicle)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
     scores.write_csv(out / "logs.csv")
     for log in scores.truth:
         draw_log(scores, log).savefig(out / f"{log}.png", dpi=110)
-    table = Table("estimator", "raw, °", "bias removed, °", title=f"Inclination RMSE within ±{within_deg:g}°")
+    headings = ("estimator", "raw, °", "silenced, °", "bias removed, °")
+    table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°")
     for name in scores.estimators:
-        table.add_row(name, f"{scores.mean(name, RAW):.2f}", f"{scores.mean(name, KNOWN):.2f}")
+        silenced = scores.silenced(name)
+        table.add_row(
+            name,
+            f"{scores.mean(name, RAW):.2f}",
+            "–" if math.isnan(silenced) else f"{silenced:.2f}",
+            f"{scores.mean(name, KNOWN):.2f}",
+        )
     output.print(table)
     for log, bias in scores.gyro_bias.items():
         found = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)

@@ -32,6 +32,10 @@ def evaluate(
     tuning: Annotated[
         str | None, typer.Option(help="Tuned parameters: a shipped domain or a TOML file.")
     ] = None,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(help="Vehicle of the flights, for ekf-drag; a dataset of a shipped vehicle names it."),
+    ] = None,
     slow_flights: Annotated[
         int, typer.Option(min=1, help="Flights for filterpy's filters, hundreds of times as slow as others.")
     ] = 4,
@@ -42,9 +46,10 @@ def evaluate(
 ) -> None:
     """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
 
-    Each is also compared with the best one flight by flight; those that the flights cannot tell from it are
-    tied. Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html;
-    of real logs logs.csv and a picture each, with a row "level" that shows how hard the log is.
+    Each is also compared with the best one flight by flight; those that are not significantly different from
+    it are tied. Beside a network's error stands that of the same network silenced, with output weights of zero.
+    Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html; of real
+    logs logs.csv and a picture each, with a row "level" that shows how hard the log is.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
     """
@@ -53,22 +58,25 @@ def evaluate(
     if logs:
         from scenarios.recorded import evaluate_logs
 
-        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, out)
+        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, vehicle, out)
         return
     if axes is not None:
         raise ValueError("--axes turns the sensors of --logs; a dataset has body axes")
     assert data is not None
     import estimators
     from estimators import figures
+    from estimators.evaluate import NEEDS_VEHICLE, vehicle_of
     from estimators.evaluate import evaluate as evaluate_estimators
-    from scenarios.recorded import made_of
+    from scenarios.recorded import named
     from scenarios.report import write_report
     from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
 
     from ..dataset import open_dataset
 
     flown = open_dataset(data)
-    made = made_of(estimator or estimators.names(), weights or [], float(flown.attrs["rate_hz"]), tuning)
+    vehicle = vehicle or vehicle_of(flown)
+    every = [name for name in estimators.names() if vehicle is not None or name not in NEEDS_VEHICLE]
+    made = named(estimator or every, weights or [], float(flown.attrs["rate_hz"]), tuning, vehicle)
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate_estimators(
             flown,
@@ -108,7 +116,7 @@ def evaluate(
     tied = [row.estimator for row in flying if row.tied and row is not best and row.flights == best.flights]
     console.print(
         f"{page}: the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
-        + (f", not told apart from {', '.join(tied)}" if tied else ""),
+        + (f", not significantly different from {', '.join(tied)}" if tied else ""),
         soft_wrap=True,
     )
 
