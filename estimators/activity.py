@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from .encoder import encode_sample
 from .loihi import step_arrays
-from .networks import OnLoihi, _drive, read_out
-from .tilt import to_roll_pitch
+from .networks import OnLoihi, drive
 
 Array = NDArray[np.float64]
 
@@ -33,8 +32,6 @@ class Activity:
     """Membranes of the first flight after each step [threshold = 1], (steps, neurons)."""
     estimate: Array
     """Roll and pitch after each sample, (n, T, 2) [rad]."""
-    heading: Array
-    """Cosine and sine of the angle by which the body has yawed from the network's axes, (n, T, 2)."""
 
     @property
     def rates(self) -> Array:
@@ -67,44 +64,27 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     potentials = np.zeros((steps, neurons), np.int32)
     out = np.empty((n, samples, 2))
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-    heading = np.empty_like(out)
     _record(
-        gyro, accel, core.encoding, *core.fan_out, core.steps, core.scale, core.zero(n),
-        core.chip.parameters, spikes, active, potentials, heading, out,
+        gyro, accel, *core.host, core.steps, core.scale, core.zero(n), core.chip.parameters,
+        spikes, active, potentials, out,
     )  # fmt: skip
-    if core.inputs.yaw_free:
-        to_roll_pitch(out, heading)
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
-    return Activity((first, second, third), spikes, active, potentials / threshold, out, heading)
+    return Activity((first, second, third), spikes, active, potentials / threshold, out)
 
 
 @njit(cache=True)
 def _record(
-    gyro,
-    accel,
-    encoding,
-    w_in,
-    du,
-    w_skip,
-    steps,
-    scale,
-    states,
-    parameters,
-    spikes,
-    active,
-    potentials,
-    heading,
-    out,
-):
-    held, current, before, after, u, v, bias = states
-    first_output = v.shape[1] - out.shape[2] - w_skip.shape[0]
+    gyro, accel, offset, gain, w_in, du, steps, scale, states, parameters, spikes, active, potentials, out
+):  # fmt: skip
+    inputs, current, before, after, u, v, bias = states
+    outputs = v[:, v.shape[1] - out.shape[2] :]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            heading[n, t] = encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
+            encode_sample(gyro[n, t], accel[n, t], offset, gain, inputs[n])
         for k in range(steps):
             for n in range(gyro.shape[0]):
-                _drive(held[n], w_in, du, w_skip, current[n], bias[n])
+                drive(inputs[n], w_in, du, current[n], bias[n])
             step_arrays(before, after, u, v, bias, *parameters)
             spikes[:, t * steps + k] = after
             potentials[t * steps + k] = v[0]
@@ -113,4 +93,5 @@ def _record(
                     if u[n, i] != 0 or v[n, i] != 0 or bias[n, i] != 0 or after[n, i] != 0:
                         active[n, i] += 1
         for n in range(gyro.shape[0]):
-            read_out(v[n, first_output:], scale, out[n, t])
+            for k in range(out.shape[2]):
+                out[n, t, k] = outputs[n, k] * scale

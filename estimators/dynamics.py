@@ -1,14 +1,11 @@
 """Compiled forward pass of Att-SNN: 6 inputs -> LIF -> recurrent LIF -> 2 leaky integrators (LI).
 
-Two more leaky integrators may take the inputs past the spikes (a skip connection): the estimate is the sum.
-
 One function, `advance`, is the network for training, streaming and whole sequences alike. Per layer
 
     u[t] = D(u[t-1], τ_syn) + W s[t-1]
     v[t] = D(v[t-1], τ_mem) + u[t],   s[t] = v[t] > 0.5,   v[t] = 0 where s[t]
 
-The encoding layer's current is driven by the input sample of the same step, and so are the membranes behind
-the skip connection; the outputs never spike.
+The encoding layer's current is driven by the input sample of the same step; the outputs never spike.
 In floats D(x, τ) = x τ and 1.0 is 1.0. Quantised, D rounds toward zero and 1.0 is 2^14: then all numbers are
 whole, float64 holds them exactly, and the result is what `estimators.loihi` computes in integers.
 """
@@ -23,12 +20,7 @@ THRESHOLD = 0.5
 STATE_ONE = 16384.0
 BIAS_EXP = 4
 """Exponent of the bias by which the host drives the encoding layer: steps of 2^4 state units."""
-SKIP_EXP = 5
-"""Exponent of the bias by which the host drives the integrators behind the skip connection."""
-SKIP_ONE = 4096
-"""Mantissa of a skip weight of 1.0; the host multiplies, so it need not be one of the chip's."""
 _BIAS_STEP = 2.0**BIAS_EXP
-_SKIP_STEP = 2.0**SKIP_EXP
 _MANT_MAX = 4095.0
 _V_MAX = 8388607.0
 _OUTPUT_THRESHOLD = 131071.0 * 64.0
@@ -55,9 +47,9 @@ def _integrated(y, quantised):
 
 
 @njit(cache=True, inline="always")
-def _bias(current, step):
+def _bias(current):
     """The bias mantissa that stands for a current, toward zero, times its step."""
-    return min(max(np.trunc(current / step), -_MANT_MAX), _MANT_MAX) * step
+    return min(max(np.trunc(current / _BIAS_STEP), -_MANT_MAX), _MANT_MAX) * _BIAS_STEP
 
 
 @njit(cache=True, inline="always")
@@ -108,7 +100,7 @@ def _membrane(v, u, tau, threshold, quantised):
 
 @njit(cache=True, inline="always")
 def advance(
-    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised,
+    x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised,
     u0, v0, u1, v1, out, s0, s1, s1_late, total, drive,
 ):  # fmt: skip
     """One step of one copy of the network; weights in state units, all states change in place.
@@ -119,15 +111,14 @@ def advance(
         w_ff: Weights from the encoding to the hidden layer, shape (h0, h1).
         w_rec: Recurrent weights, shape (h1, h1).
         w_out: Output weights, shape (h1, outputs).
-        w_skip: Weights from the inputs to the outputs, shape (inputs, outputs).
         taus: Four vectors: τ_syn, τ_mem of the encoding and of the hidden layer.
-        out_taus: τ_syn and τ_mem of the outputs, and τ_mem behind the skip connection, shape (3,).
+        out_taus: τ_syn and τ_mem of the outputs, shape (2,).
         quantised: Integer arithmetic (True) or floats; a literal, for loops that branch are not vectorised.
         u0: Current of the encoding layer, shape (h0,).
         v0: Its membrane potential before the reset, shape (h0,).
         u1: Current of the hidden layer, shape (h1,).
         v1: Its membrane potential before the reset, shape (h1,).
-        out: Current and potential of the outputs, potential behind the skip connection, shape (3, outputs).
+        out: Current and potential of the outputs, shape (2, outputs).
         s0: Spikes of the encoding layer: their number, then the neurons, shape (h0 + 1,).
         s1: Spikes of the hidden layer one step ago, shape (h1 + 1,).
         s1_late: Those that the recurrent connection delivers now (s1 itself for a delay of 1).
@@ -144,13 +135,7 @@ def advance(
         out[0, o] = _decay(out[0, o], out_taus[0], quantised) + arrived
         if quantised:
             out[0, o] = _wrap(out[0, o], _WRAP_23)
-        direct = 0.0
-        for k in range(x.shape[0]):
-            direct += w_skip[k, o] * x[k]
-        if quantised:
-            direct = _bias(direct, _SKIP_STEP)
         out[1, o] = _integrated(_decay(out[1, o], out_taus[1], quantised) + out[0, o], quantised)
-        out[2, o] = _integrated(_decay(out[2, o], out_taus[2], quantised) + direct, quantised)
 
     # What has just been stored is slow to load: current and potential share a loop, and sums are set to zero
     # where they have been used, not where they begin.
@@ -174,7 +159,7 @@ def advance(
             u += drive[i]
         u0[i], drive[i] = u, 0.0
         if quantised:
-            u = _bias(u, _BIAS_STEP)  # reaches the chip as a bias mantissa
+            u = _bias(u)  # reaches the chip as a bias mantissa
         v0[i] = _membrane(v0[i], u, taus[1][i], threshold, quantised)
 
 
@@ -188,9 +173,7 @@ def _run(x, weights, taus, sizes, quantised, state, spikes, out):
     w_in = weights[:a].reshape(inputs, h0)
     w_ff = weights[a:b].reshape(h0, h1)
     w_rec = weights[b:c].reshape(h1, h1)
-    d = c + h1 * outputs
-    w_out = weights[c:d].reshape(h1, outputs)
-    w_skip = weights[d:].reshape(inputs, outputs)
+    w_out = weights[c:].reshape(h1, outputs)
     hidden = 2 * h0
     layer_taus = (
         taus[:h0], taus[h0:hidden], taus[hidden : hidden + h1], taus[hidden + h1 : hidden + 2 * h1]
@@ -202,7 +185,7 @@ def _run(x, weights, taus, sizes, quantised, state, spikes, out):
         row = state[n]
         u0, v0 = row[:h0], row[h0:hidden]
         u1, v1 = row[hidden : hidden + h1], row[hidden + h1 : hidden + 2 * h1]
-        y = row[hidden + 2 * h1 :].reshape(3, outputs)
+        y = row[hidden + 2 * h1 :].reshape(2, outputs)
         s0 = spikes[n, : h0 + 1]
         s1 = spikes[n, h0 + 1 : h0 + h1 + 2]
         s1_before = spikes[n, h0 + h1 + 2 :]
@@ -210,13 +193,13 @@ def _run(x, weights, taus, sizes, quantised, state, spikes, out):
             for _ in range(substeps):
                 late = s1 if delay == 1 else s1_before
                 advance(
-                    x[n, t], w_in, w_ff, w_rec, w_out, w_skip, layer_taus, out_taus, quantised,
+                    x[n, t], w_in, w_ff, w_rec, w_out, layer_taus, out_taus, quantised,
                     u0, v0, u1, v1, y, s0, s1, late, total, drive,
                 )  # fmt: skip
                 s1_before[:] = s1
                 _list_spikes(v0, threshold, s0)
                 _list_spikes(v1, threshold, s1)
-            out[n, t] = y[1] + y[2]
+            out[n, t] = y[1]
 
 
 @njit(cache=True, nogil=True)
@@ -225,11 +208,11 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
 
     Args:
         x: Input samples, shape (n, T, inputs).
-        weights: w_in, w_ff, w_rec, w_out, w_skip of `advance`, flattened one after the other.
-        taus: τ_syn, τ_mem of encoding, hidden and output layer, one after the other, (2 h0 + 2 h1 + 3,).
+        weights: w_in, w_ff, w_rec, w_out of `advance`, flattened one after the other.
+        taus: τ_syn, τ_mem of encoding, hidden and output layer, one after the other, (2 h0 + 2 h1 + 2,).
         sizes: (h0, h1, recurrent delay, network steps per sample).
         quantised: Integer arithmetic (True) or floats.
-        state: u0, v0, u1, v1 and the rows of `out` in a row, shape (n, 2 h0 + 2 h1 + 3 outputs); changed.
+        state: u0, v0, u1, v1 and the rows of `out` in a row, shape (n, 2 h0 + 2 h1 + 2 outputs); changed.
         spikes: Lists of the spikes of the last step: encoding, hidden, hidden one step earlier; changed.
         out: Output potentials after each sample [state units], shape (n, T, outputs); written.
     """
@@ -241,7 +224,7 @@ def run_network(x, weights, taus, sizes, quantised, state, spikes, out):
 
 def state_size(h0: int, h1: int, outputs: int = 2) -> tuple[int, int]:
     """Lengths of the packed state and of the packed spike lists of one copy."""
-    return 2 * h0 + 2 * h1 + 3 * outputs, h0 + 2 * h1 + 3
+    return 2 * h0 + 2 * h1 + 2 * outputs, h0 + 2 * h1 + 3
 
 
 def zero_state(n: int, h0: int, h1: int, outputs: int = 2) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

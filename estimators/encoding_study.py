@@ -14,7 +14,6 @@ from .activity import Activity
 from .flights import Flights
 from .metrics import attitude_error
 from .networks import NetworkEstimator
-from .tilt import tilt_of
 
 Array = NDArray[np.float64]
 BINS = 15
@@ -93,8 +92,6 @@ class Tuning:
 def tuning_curves(activity: Activity, flights: Flights, smooth_s: float = 0.1) -> dict[str, Tuning]:
     """Mean rate of every neuron in bins of roll, pitch and their rates, which hold equally many samples.
 
-    All four are taken in the network's axes, as components of the tilt and of the body rate.
-
     Args:
         activity: Of the network over these flights.
         flights: The flights.
@@ -107,10 +104,7 @@ def tuning_curves(activity: Activity, flights: Flights, smooth_s: float = 0.1) -
     n, _, neurons = activity.spikes.shape
     kept = activity.spikes[:, : blocks * block * per_sample]
     rate = kept.reshape(n, blocks, -1, neurons).mean(axis=2).reshape(-1, neurons)
-    cosine, sine = np.moveaxis(activity.heading, -1, 0)
-    x, y = flights.gyro[..., 0], flights.gyro[..., 1]
-    turning = np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
-    signals = np.degrees(np.concatenate([tilt_of(flights.truth, activity.heading), turning], axis=2))
+    signals = np.degrees(np.concatenate([flights.truth, flights.gyro[..., :2]], axis=2))
     means = signals[:, : blocks * block].reshape(n, blocks, block, 4).mean(axis=2).reshape(-1, 4)
     return {name: _curve(rate, means[:, k]) for k, name in enumerate(QUANTITIES)}
 

@@ -13,10 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .encoder import HELD, scaled_inputs
+from .encoder import INPUT_STATE, scaled_inputs
 from .networks import real_weights
 from .protocol import create, names
-from .tilt import to_roll_pitch
 from .weights_file import shipped_network
 
 RATE_HZ = 200.0
@@ -34,19 +33,18 @@ class TorchSNN:
     def __init__(self) -> None:
         self.config, tensors = shipped_network("att-snn")
         weights, taus = real_weights(self.config, tensors)
-        self.w_in, self.w_ff, self.w_rec, self.w_out, self.w_skip = (
+        self.w_in, self.w_ff, self.w_rec, self.w_out = (
             torch.tensor(w, dtype=torch.float32).T for w in weights
         )
         self.taus = [torch.tensor(tau, dtype=torch.float32) for tau in taus]
         sizes = [self.config.encoding, self.config.hidden, 2]
-        self.held = np.zeros((1, HELD))
+        self.inputs = np.zeros((1, INPUT_STATE))
         self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
-        inputs, rate_hz = self.config.inputs, self.config.rate_hz
-        x, heading = scaled_inputs(inputs, rate_hz, gyro[:, None], accel[:, None], self.held)
+        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.inputs)
         sample = torch.from_numpy(x[:, 0].astype(np.float32))
         drives = [
             sample @ self.w_in,
@@ -56,15 +54,10 @@ class TorchSNN:
         for k, drive in enumerate(drives):
             self.u[k] = self.u[k] * self.taus[2 * k] + drive
             self.v[k] = self.v[k] * self.taus[2 * k + 1] + self.u[k]
-            if k == 2:
-                self.v[k] += sample @ self.w_skip
-            else:
+            if k < 2:
                 self.s[k] = (self.v[k] > 0.5).float()
                 self.v[k] = self.v[k] * (1 - self.s[k])
-        out = self.v[2].numpy()[:, None] * self.config.output_scale
-        if inputs.yaw_free:
-            to_roll_pitch(out, heading)
-        return out[:, 0]
+        return self.v[2].numpy() * self.config.output_scale
 
 
 class TorchGRU:
@@ -81,7 +74,7 @@ class TorchGRU:
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
-        x, _ = scaled_inputs(self.config.inputs, self.config.rate_hz, gyro[:, None], accel[:, None])
+        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None])
         y, self.state = self.gru(torch.from_numpy(x.astype(np.float32)), self.state)
         return (y[:, 0] @ self.weight.T + self.bias).numpy()
 

@@ -1,7 +1,8 @@
 """Trained networks as estimators: Att-SNN in float64 and on emulated Loihi, and its non-spiking twin Att-RNN.
 
-Nothing here imports torch: inference is compiled. Missing samples (NaN, or a specific force of exactly zero)
-are bridged by the last good one and counted.
+A network gets scaled readings and nothing else (`estimators.encoder`): there is no filter in front of it and
+no connection from its inputs to its outputs beside the neurons. As in the paper, it never gets the initial
+attitude. Nothing here imports torch: inference is compiled.
 """
 
 from __future__ import annotations
@@ -13,29 +14,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from quadsim.vehicle import GRAVITY
-
 from .chip import partition
-from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE, run_network, zero_state
-from .encoder import HELD, checked_start, encode_sample, encoded, encoder_of, known_to, outputs_at
+from .dynamics import BIAS_EXP, run_network, zero_state
+from .encoder import INPUT_STATE, encode_sample, encoded, input_scaling
 from .gru import run_gru
 from .loihi import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
-from .tilt import to_roll_pitch
 from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
 States = tuple[NDArray[np.generic], ...]
-
-SETTLE_S, TURN_S = 3.0, 0.15
-"""A network that is told its attitude first sees a level hover for this long, and then a turn into it [s]."""
 
 
 def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
     """Make a network estimator.
 
     Args:
-        name: "att-snn" (float64), "att-snn-loihi" (the same network in integers), "att-snn-robust" (in
-            integers, trained for sensors that nobody has calibrated) or "att-rnn".
+        name: "att-snn" (float64), "att-snn-loihi" (the same network in integers) or "att-rnn".
         rate_hz: Samples per second; the one that the weights were trained for.
         weights: Weights file; None: the ones that ship.
 
@@ -43,11 +37,10 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
         FileNotFoundError: No such file.
         ValueError: Unknown name, a file of another kind of network, or another sample rate.
     """
-    if name not in ("att-snn", "att-snn-loihi", "att-snn-robust", "att-rnn"):
-        raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi, att-snn-robust and att-rnn")
-    model = name.removesuffix("-loihi").removesuffix("-robust")
-    shipped = name.removesuffix("-loihi")
-    config, tensors = shipped_network(shipped) if weights is None else load_network(weights)
+    if name not in ("att-snn", "att-snn-loihi", "att-rnn"):
+        raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
+    model = name.removesuffix("-loihi")
+    config, tensors = shipped_network(model) if weights is None else load_network(weights)
     if config.model != model:
         raise ValueError(f"{weights}: weights of {config.model}, {name} needs {model}")
     if not np.isclose(rate_hz, config.rate_hz):
@@ -70,13 +63,12 @@ class Core(Protocol):
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         ...
 
-    def place(self, states: States, roll_pitch: Array) -> None:
-        """Let the output read roll and pitch (n, 2) [rad] now, where the output has a state of its own."""
-        ...
-
 
 class NetworkEstimator:
-    """A network that follows n vehicles: the estimator protocol around a `Core`.
+    """A network that estimates the attitude of n vehicles: the estimator protocol around a `Core`.
+
+    A network never gets the initial attitude, as in the paper: `reset` and `restart` accept one, as those of
+    every estimator do, and ignore it.
 
     Args:
         core: The network.
@@ -93,18 +85,19 @@ class NetworkEstimator:
 
         Args:
             n: How many.
-            roll_pitch: Shape (n, 2) [rad], where the attitude is known, to a quarter of a degree: the
-                accelerometer's bias is found by it.
+            roll_pitch: Initial attitude, shape (n, 2) [rad]; ignored.
 
         Raises:
-            ValueError: Of another shape, or not finite.
+            ValueError: An initial attitude of another shape, or not finite.
         """
-        self._states = self._started(n, roll_pitch)
+        _check_attitude(roll_pitch, n)
+        self._states = self.core.zero(n)
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
-        """Start some of the vehicles again, (k,) of them, with their attitude (k, 2) where it is known."""
+        """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
         rows = np.arange(len(self._states[0]))[np.asarray(ids)]
-        for mine, fresh in zip(self._states, self._started(rows.size, roll_pitch), strict=True):
+        _check_attitude(roll_pitch, rows.size)
+        for mine, fresh in zip(self._states, self.core.zero(rows.size), strict=True):
             mine[rows] = fresh
 
     def update(self, gyro: Array, accel: Array) -> Array:
@@ -132,16 +125,6 @@ class NetworkEstimator:
         """Samples since the start that were missing in part or whole, shape (n,)."""
         return self._states[0][:, 6].astype(np.int64)
 
-    def _started(self, n: int, roll_pitch: ArrayLike | None) -> States:
-        states = self.core.zero(n)
-        if roll_pitch is not None:
-            known = checked_start(roll_pitch, n)
-            gyro, accel = _turn_into(known, self.rate_hz)
-            self.core.run(states, gyro, accel, np.empty((*gyro.shape[:2], 2)))
-            states[0][:, 7:] = known_to(known)[:, 7:]  # that turn is no flight: nothing of it is kept
-            self.core.place(states, known)
-        return states
-
 
 class Spiking:
     """Att-SNN in float64; the quantised one with the numbers of the chip."""
@@ -154,26 +137,18 @@ class Spiking:
         self._taus = np.concatenate(taus)
         self._sizes = (config.encoding, config.hidden, config.recurrent_delay, config.steps_per_sample)
         self._quantised, self._scale = config.quantised, config.output_scale / one
-        self._inputs, self._encoding = config.inputs, encoder_of(config.inputs, config.rate_hz)
+        self._scaling = input_scaling(config.inputs)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (np.zeros((n, HELD)), *zero_state(n, *self._sizes[:2]))
+        return (np.zeros((n, INPUT_STATE)), *zero_state(n, *self._sizes[:2]))
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        held, state, spikes = states
-        x, heading = encoded(self._encoding, gyro, accel, held)
+        inputs, state, spikes = states
+        x = encoded(self._scaling, gyro, accel, inputs)
         run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
         out *= self._scale
-        if self._inputs.yaw_free:
-            to_roll_pitch(out, heading)
-
-    def place(self, states: States, roll_pitch: Array) -> None:
-        """Set the potentials of the outputs, which forget within a second or so."""
-        direct = np.asarray(states[1][:, -2:], np.float64)
-        potential = outputs_at(self._inputs, roll_pitch) / self._scale - direct
-        states[1][:, -4:-2] = np.rint(potential) if self._quantised else potential
 
 
 class OnLoihi:
@@ -188,50 +163,27 @@ class OnLoihi:
         if not config.quantised or config.recurrent_delay != 1:
             raise ValueError("att-snn-loihi needs quantised weights and a recurrent delay of 1")
         w = {name: value.astype(np.int64) for name, value in tensors.items()}
-        w_skip = w["w_skip"] if w["w_skip"].any() else w["w_skip"][:0]
-        behind = len(w_skip)
         self.chip = LoihiNetwork(
             [
                 LoihiLayer(w_in=None, dv=w["mem0"], bias_exp=BIAS_EXP),
                 LoihiLayer(w_in=w["w_ff"], w_rec=w["w_rec"], du=w["syn1"], dv=w["mem1"]),
-                LoihiLayer(
-                    w_in=np.vstack([w["w_out"], np.zeros_like(w["w_out"])[:behind]]),
-                    du=w["syn2"],
-                    dv=np.repeat([w["mem2"], w["mem_skip"]], [2, behind]),
-                    vth=VTH_MAX,
-                    bias_exp=SKIP_EXP,
-                ),
+                LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX),
             ]
         )
         self.cores = partition(self.chip.layers)
-        self.fan_out = np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"], w_skip
+        self.host = *input_scaling(config.inputs), np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"]
+        """What the host encodes with: offset and gain of the inputs, weights (6, h0) and decays (h0,)."""
         self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
-        self.inputs = config.inputs
-        self.encoding = encoder_of(config.inputs, config.rate_hz)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (
-            np.zeros((n, HELD)),
-            np.zeros((n, self.fan_out[0].shape[1]), np.int64),
-            *self.chip.zero_state(n),
-        )
+        current = np.zeros((n, self.chip.sizes[0]), np.int64)
+        return (np.zeros((n, INPUT_STATE)), current, *self.chip.zero_state(n))
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        heading = np.empty_like(out)
-        _run_on_loihi(
-            gyro, accel, self.encoding, *self.fan_out, self.steps, self.scale,
-            states, self.chip.parameters, heading, out,
-        )  # fmt: skip
-        if self.inputs.yaw_free:
-            to_roll_pitch(out, heading)
-
-    def place(self, states: States, roll_pitch: Array) -> None:
-        """Set the potentials of the outputs, which forget within a second or so."""
-        v = states[5][:, -self.chip.sizes[-1] :]
-        behind = v[:, 2:].reshape(len(v), -1, 2).sum(1)
-        v[:, :2] = np.rint(outputs_at(self.inputs, roll_pitch) / self.scale) - behind
+        parameters = self.chip.parameters
+        _run_on_loihi(gyro, accel, *self.host, self.steps, self.scale, states, parameters, out)
 
 
 class Recurrent:
@@ -248,101 +200,82 @@ class Recurrent:
             np.ascontiguousarray(tensors["out.weight"], np.float32),
             tensors["out.bias"].astype(np.float32),
         )
-        self._sizes, self._steps, self._scale = (config.encoding, config.hidden), 1, config.output_scale
-        self._inputs, self._encoding = config.inputs, encoder_of(config.inputs, config.rate_hz)
+        self._sizes, self._scale = (config.encoding, config.hidden), config.output_scale
+        self._scaling = input_scaling(config.inputs)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (np.zeros((n, HELD)), *(np.zeros((n, units), np.float32) for units in self._sizes))
+        return (np.zeros((n, INPUT_STATE)), *(np.zeros((n, units), np.float32) for units in self._sizes))
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        held, h0, h1 = states
-        x, heading = encoded(self._encoding, gyro, accel, held)
+        inputs, h0, h1 = states
+        x = encoded(self._scaling, gyro, accel, inputs)
         run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
-        if self._inputs.yaw_free:
-            to_roll_pitch(out, heading)
-
-    def place(self, states: States, roll_pitch: Array) -> None:
-        """Nothing to do: the output is a function of the units alone."""
 
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], list[Array]]:
-    """Weights and time constants of a spiking network in units of 1.0, in the order of the layers."""
-    names = ("w_in", "w_ff", "w_rec", "w_out", "w_skip")
-    ones = (256, 256, 256, 256, SKIP_ONE) if config.quantised else (1,) * 5
-    weights = [tensors[name].astype(np.float64) / one for name, one in zip(names, ones, strict=True)]
-    taus = [
-        tensors[name].astype(np.float64)
-        for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2", "mem_skip")
-    ]
+    """Weights (4) and time constants (6) of a spiking network in units of 1.0, in the order of the layers."""
+    one = 256 if config.quantised else 1
+    weights = [tensors[name].astype(np.float64) / one for name in ("w_in", "w_ff", "w_rec", "w_out")]
+    taus = [tensors[name].astype(np.float64) for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2")]
     return weights, [1 - tau / 4096 for tau in taus] if config.quantised else taus
 
 
-def _turn_into(roll_pitch: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Readings of a quadrotor that hovers and then turns about a horizontal axis into an attitude (n, 2)."""
-    roll, pitch = roll_pitch.T
-    turning = round(TURN_S * rate_hz)
-    axis = np.stack([np.sin(roll) * np.cos(pitch), np.sin(pitch)], -1)
-    sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    angle = np.arctan2(sine, (np.cos(roll) * np.cos(pitch))[:, None])
-    rate = axis / np.maximum(sine, 1e-12) * angle * rate_hz / turning
-    gyro = np.zeros((len(roll_pitch), round(SETTLE_S * rate_hz) + turning, 3))
-    gyro[:, -turning:, :2] = rate[:, None]
-    accel = np.zeros_like(gyro)
-    accel[..., 2] = GRAVITY  # a rotor's thrust is along the body's z, whatever the tilt
-    return gyro, accel
+def silenced(config: NetworkConfig, tensors: Tensors) -> Tensors:
+    """The same weights with output weights of zero.
+
+    The error of that network, the *silenced error*, stands beside every error of a network: what the two have
+    in common is not the work of its neurons.
+    """
+    names = ("w_out",) if config.model == "att-snn" else ("out.weight", "out.bias")
+    return tensors | {name: np.zeros_like(tensors[name]) for name in names}
+
+
+def _check_attitude(roll_pitch: ArrayLike | None, n: int) -> None:
+    if roll_pitch is None:
+        return
+    known = np.asarray(roll_pitch, dtype=np.float64)
+    if known.shape != (n, 2):
+        raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
+    if not np.isfinite(known).all():
+        raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
 
 
 @njit(cache=True)
-def _run_on_loihi(
-    gyro, accel, encoding, w_in, du, w_skip, steps, scale, states, parameters, heading, out
-):  # fmt: skip
-    held, current, before, after, u, v, bias = states
-    n_outputs = out.shape[2]
-    first_output = v.shape[1] - n_outputs - w_skip.shape[0]
+def _run_on_loihi(gyro, accel, offset, gain, w_in, du, steps, scale, states, parameters, out):
+    inputs, current, before, after, u, v, bias = states
+    outputs = v[:, v.shape[1] - out.shape[2] :]
     for t in range(gyro.shape[1]):
         for n in range(gyro.shape[0]):
-            heading[n, t] = encode_sample(gyro[n, t], accel[n, t], encoding, held[n])
+            encode_sample(gyro[n, t], accel[n, t], offset, gain, inputs[n])
         for _ in range(steps):
             for n in range(gyro.shape[0]):
-                _drive(held[n], w_in, du, w_skip, current[n], bias[n])
+                drive(inputs[n], w_in, du, current[n], bias[n])
             step_arrays(before, after, u, v, bias, *parameters)
         for n in range(gyro.shape[0]):
-            read_out(v[n, first_output:], scale, out[n, t])
+            for k in range(out.shape[2]):
+                out[n, t, k] = outputs[n, k] * scale
 
 
 @njit(cache=True)
-def _drive(x, w_in, du, w_skip, current, bias):
-    """Advance the host's currents of the encoding layer; write them and what drives the outputs as biases."""
-    drive = np.zeros(current.size, np.int32)
+def drive(x, w_in, du, current, bias):
+    """Advance the host's currents of the encoding layer by one step; write them as bias mantissas.
+
+    Args:
+        x: Integer inputs, shape (6,) or longer.
+        w_in: Mantissas of the encoding weights, shape (6, h0).
+        du: Decays of the currents, shape (h0,).
+        current: Currents [state units], shape (h0,); changed.
+        bias: Bias mantissas of the chip's neurons, whose first h0 are the encoding layer; changed.
+    """
+    total = np.zeros(current.size, np.int32)
     for k in range(w_in.shape[0]):
         value, row = np.int32(x[k]), w_in[k]
-        for i in range(drive.size):
-            drive[i] += value * row[i]
+        for i in range(total.size):
+            total[i] += value * row[i]
     for i in range(current.size):
         # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
-        current[i] = wrap(decay(current[i], du[i]) + shift(int(drive[i]), 4), 23)
-        bias[i] = _mantissa(current[i], BIAS_EXP)
-    first = bias.size - w_skip.shape[0]
-    for o in range(w_skip.shape[0]):
-        direct = 0
-        for k in range(w_skip.shape[1]):
-            direct += int(x[k]) * w_skip[o, k]
-        # Mantissas of 1/4096 times inputs of 1/1024 are 2^-22.
-        bias[first + o] = _mantissa(direct, 8 + SKIP_EXP)
-
-
-@njit(cache=True)
-def read_out(potentials, scale, out):
-    """Outputs from their potentials; behind a skip connection there is a second row of them."""
-    size = out.shape[0]
-    for k in range(size):
-        direct = potentials[size + k] if potentials.shape[0] > size else 0
-        out[k] = (potentials[k] + direct) * scale
-
-
-@njit(cache=True, inline="always")
-def _mantissa(current, bits):
-    return min(max(shift(current, bits), -BIAS_MANT_MAX), BIAS_MANT_MAX)
+        current[i] = wrap(decay(current[i], du[i]) + shift(int(total[i]), 4), 23)
+        bias[i] = min(max(shift(current[i], BIAS_EXP), -BIAS_MANT_MAX), BIAS_MANT_MAX)

@@ -6,9 +6,7 @@ network's own recursion again, with τ = 1 − dt / tau and gains that undo the 
     u[t] = (1 − dt/tau_syn) u[t−1] + I[t],    v[t] = (1 − dt/tau_mem) v[t−1] + u[t]
 
 The integers of the chip stand in the metadata of each node. NIR delivers along a chain within a step and
-around a loop after one, so the hidden layer is one step ahead of the chip's, and the outputs two. Where the
-inputs drive integrators of their own too, a delay lets what comes from the spikes wait for these: the sum is
-the chip's.
+around a loop after one, so the hidden layer is one step ahead of the chip's, and the outputs two.
 """
 
 from __future__ import annotations
@@ -30,7 +28,6 @@ CONNECTIONS = {
     "w_ff": ("encoding", "hidden"),
     "w_rec": ("hidden", "hidden"),
     "w_out": ("hidden", "output"),
-    "w_skip": ("input", "direct"),
 }
 
 
@@ -51,10 +48,7 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
     weights, taus = real_weights(config, tensors)
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([6])})}
     edges = []
-    skip = bool(tensors["w_skip"].any())
     for (name, (source, target)), weight in zip(CONNECTIONS.items(), weights, strict=True):
-        if name == "w_skip" and not skip:
-            continue
         nodes[name] = nir.Linear(weight=weight, metadata=_integers(config, mantissa=tensors[name]))
         edges += [(source, name), (name, target)]
     sizes = (config.encoding, config.hidden, 2)
@@ -63,13 +57,7 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
         decays = dict(zip(("du", "dv"), (tensors[name] for name in names), strict=True))
         nodes[layer] = _neurons(layer, syn, mem, step, _integers(config, **decays))
     nodes["finish"] = nir.Output({"output": np.array([2])})
-    if skip:
-        memory = step / (1 - np.broadcast_to(taus[6], 2))
-        nodes["direct"] = nir.LI(tau=memory, r=memory / step, v_leak=np.zeros(2))
-        nodes["wait"] = nir.Delay(delay=np.full(2, 2 * step))
-        edges += [("output", "wait"), ("wait", "finish"), ("direct", "finish")]
-    else:
-        edges.append(("output", "finish"))
+    edges.append(("output", "finish"))
     return nir.NIRGraph(nodes=nodes, edges=edges, metadata=_about(config, step))
 
 
@@ -101,15 +89,6 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "steps_per_sample": config.steps_per_sample,
         "input_offset": offset,
         "input_gain_1024": gain,
-        "input_bias_sd": config.inputs.bias_sd,
-        "input_accel_bias_sd": config.inputs.accel_bias_sd,
-        "input_lead": config.inputs.lead,
-        "input_lead_samples": config.inputs.lead_samples,
-        "input_align_s": config.inputs.align_s,
-        "input_align_drag": config.inputs.align_drag,
-        "input_align_noise": config.inputs.align_noise,
-        "lean_fed": config.inputs.lean_fed,
-        "yaw_free": config.inputs.yaw_free,
         "output_scale": config.output_scale,
         **integers,
     }

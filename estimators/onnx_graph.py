@@ -26,14 +26,6 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
     """
     if config.model != "att-rnn":
         raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
-    if config.inputs.bias_sd or config.inputs.accel_bias_sd:
-        raise ValueError("ONNX does not estimate biases: these weights need it (bias_sd, accel_bias_sd)")
-    if config.inputs.lead:
-        raise ValueError("ONNX has no low-pass: these weights need that of the lateral force (lead)")
-    if config.inputs.lean_fed:
-        raise ValueError("ONNX has no filter that finds the lean: these weights need it (lean_fed)")
-    if config.inputs.yaw_free:
-        raise ValueError("ONNX has no integral of the yaw rate: these weights need it (yaw_free)")
     offset, gain = input_scaling(config.inputs)
     constants = {
         "offset": offset, "gain": gain, "limit": np.array(INPUT_MAX), "floor": np.array(-INPUT_MAX),

@@ -15,21 +15,20 @@ def share_profiles(tensors: Tensors, profiles: int = 32, seed: int = 0) -> Tenso
     """The weights of a quantised Att-SNN with at most so many distinct (du, dv) on the chip.
 
     Time constants are grouped by their logarithms (k-means, 20 starts). The encoding layer's currents live on
-    the host, so it needs profiles for its membranes alone; the outputs need one, and those behind a skip
-    connection another. What is left is divided between the two layers so that the logarithms move least.
+    the host, so it needs profiles for its membranes alone; the outputs need one. What is left is divided
+    between the two layers so that the logarithms move least.
 
     Args:
         tensors: Weights with `syn`, `mem` as the chip's decays.
-        profiles: Of the whole network, at least 3, with a skip connection 4.
+        profiles: Of the whole network, at least 3.
         seed: Of the starts.
 
     Raises:
         ValueError: Fewer profiles.
     """
-    outputs = 2 if tensors["w_skip"].any() else 1
-    if profiles < 2 + outputs:
-        raise ValueError(f"profiles: {profiles}, should be at least {2 + outputs}, one for each layer")
-    left = profiles - outputs
+    if profiles < 3:
+        raise ValueError(f"profiles: {profiles}, should be at least 3, one for each layer")
+    left = profiles - 1
     encoding = np.log(tensors["mem0"].astype(np.float64))[:, None]
     hidden = np.log(np.stack([tensors["syn1"], tensors["mem1"]], 1).astype(np.float64))
     best, least = (encoding, hidden), np.inf

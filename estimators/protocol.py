@@ -30,7 +30,7 @@ COMPILED: dict[str, Algorithm] = {
     a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK, EKF, ESKF, EKF_DRAG)
 }
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
-NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi", "att-snn-robust")
+NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
 DEFAULT_RATE_HZ = 200.0
 """Sample rate to which the untuned defaults belong."""
 

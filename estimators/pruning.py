@@ -78,7 +78,7 @@ def without(
         "w_out": tensors["w_out"][:, hidden],
         **{name: tensors[name][encoding] for name in ("syn0", "mem0")},
         **{name: tensors[name][hidden] for name in ("syn1", "mem1")},
-        **{name: tensors[name] for name in ("w_skip", "syn2", "mem2", "mem_skip")},
+        **{name: tensors[name] for name in ("syn2", "mem2")},
     }
     return config.model_copy(update={"encoding": encoding.size, "hidden": hidden.size}), smaller
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .dynamics import BIAS_EXP, SKIP_EXP, SKIP_ONE
+from .dynamics import BIAS_EXP
 
 THRESHOLD = 0.5
 STATE_ONE = 2.0**14
@@ -55,8 +55,6 @@ class Weights(NamedTuple):
     """Recurrent weights, shape (h1, h1)."""
     w_out: Tensor
     """Hidden layer to outputs, shape (outputs, h1)."""
-    w_skip: Tensor
-    """Inputs to the integrators beside the outputs, shape (outputs, inputs)."""
     syn0: Tensor
     """τ_syn of the encoding layer, shape (h0,)."""
     mem0: Tensor
@@ -69,21 +67,14 @@ class Weights(NamedTuple):
     """τ_syn of the outputs, shape (1,)."""
     mem2: Tensor
     """τ_mem of the outputs, shape (1,)."""
-    mem_skip: Tensor
-    """τ_mem of the integrators behind the skip connection, shape (1,)."""
 
 
-MATRICES, TIME_CONSTANTS = Weights._fields[:5], Weights._fields[5:]
+MATRICES, TIME_CONSTANTS = Weights._fields[:4], Weights._fields[4:]
 
 
 def quantise_weights(w: Tensor) -> Tensor:
     """Nearest weight of the chip: even mantissas -256...254 of 1/256. Gradient straight through."""
     return _straight(w, torch.clamp(torch.round(w * 128), -128, 127) / 128)
-
-
-def quantise_skip(w: Tensor) -> Tensor:
-    """Nearest weight of the skip connection, of 16 bits on the host. Gradient straight through."""
-    return _straight(w, torch.clamp(torch.round(w * SKIP_ONE), -32767, 32767) / SKIP_ONE)
 
 
 def quantise_decay(tau: Tensor) -> Tensor:
@@ -107,8 +98,7 @@ def forward(
     """
     n, steps, _ = x.shape
     one = STATE_ONE if quantised else 1.0
-    w_in, w_ff, w_rec, w_out, w_skip = (w * one for w in weights[:5])
-    skip = bool(w_skip.any())
+    w_in, w_ff, w_rec, w_out = (w * one for w in weights[:4])
 
     def decay(value: Tensor, tau: Tensor) -> Tensor:
         return _straight(value * tau, torch.trunc(value * tau)) if quantised else value * tau
@@ -130,27 +120,23 @@ def forward(
 
     u0, v0, s0 = (x.new_zeros(n, w_in.shape[0]) for _ in range(3))
     u1, v1, s1 = (x.new_zeros(n, w_ff.shape[0]) for _ in range(3))
-    u2, v2, v3 = (x.new_zeros(n, w_out.shape[0]) for _ in range(3))
+    u2, v2 = (x.new_zeros(n, w_out.shape[0]) for _ in range(2))
     late = s1
     outputs, encoding, hidden = [], [], []
     for t in range(steps):
         u2 = wrapped(decay(u2, weights.syn2) + wrapped(s1 @ w_out.T, 21), 23)
         v2 = integrated(decay(v2, weights.mem2) + u2)
-        if skip:
-            direct = x[:, t] @ w_skip.T
-            direct = _straight(direct, _bias(direct, SKIP_EXP)) if quantised else direct
-            v3 = integrated(decay(v3, weights.mem_skip) + direct)
         feedback = s1 if recurrent_delay == 1 else late
         u1 = wrapped(decay(u1, weights.syn1) + wrapped(s0 @ w_ff.T + feedback @ w_rec.T, 21), 23)
         drive = x[:, t] @ w_in.T
         u0 = wrapped(
             decay(u0, weights.syn0) + (_straight(drive, torch.trunc(drive)) if quantised else drive), 23
         )
-        bias = _straight(u0, _bias(u0, BIAS_EXP)) if quantised else u0
+        bias = _straight(u0, _bias(u0)) if quantised else u0
         late = s1
         s1, v1 = fire(clipped(decay(v1, weights.mem1) + u1))
         s0, v0 = fire(clipped(decay(v0, weights.mem0) + bias))
-        outputs.append((v2 + v3) / one)
+        outputs.append(v2 / one)
         encoding.append(s0)
         hidden.append(s1)
     return torch.stack(outputs, 1), torch.stack(encoding, 1), torch.stack(hidden, 1)
@@ -166,5 +152,5 @@ def _wrap(value: Tensor, bits: int) -> Tensor:
     return torch.remainder(value + half, 2 * half) - half
 
 
-def _bias(current: Tensor, exponent: int) -> Tensor:
-    return torch.clamp(torch.trunc(current / 2**exponent), -4095, 4095) * 2**exponent
+def _bias(current: Tensor) -> Tensor:
+    return torch.clamp(torch.trunc(current / 2**BIAS_EXP), -4095, 4095) * 2**BIAS_EXP

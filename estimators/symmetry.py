@@ -7,7 +7,7 @@ another, is equivariant: turned readings give the turned outputs, to the last bi
 "Group equivariant convolutional networks"). Each of its weights learns from eight times the data.
 
 Roll and pitch turn like that for small tilts only: at (30°, 30°) a quarter turn gives (33.7°, -25.7°), where
-the network answers (30°, -30°). A tilt (`estimators.tilt`) turns like that always.
+the network answers (30°, -30°).
 
 Neurons stand in groups of eight, each group permuted by the operations as they permute themselves; four of
 the rest stand for the four axes ±x, ±y; what then remains answers to all operations alike.
@@ -69,9 +69,8 @@ def ties(encoding: int, hidden: int) -> dict[str, Ties]:
     first, second = ([(_on_neurons(n, k), np.ones(n)) for k in range(8)] for n in (encoding, hidden))
     single = [(np.zeros(1, np.int64), np.ones(1))] * 8
     layers = {"w_in": (first, rates_forces), "w_ff": (second, first), "w_rec": (second, second),
-              "w_out": (angles, second), "w_skip": (angles, rates_forces),
-              "syn0": (first, single), "mem0": (first, single), "syn1": (second, single),
-              "mem1": (second, single)}  # fmt: skip
+              "w_out": (angles, second), "syn0": (first, single), "mem0": (first, single),
+              "syn1": (second, single), "mem1": (second, single)}  # fmt: skip
     return {name: _ties(rows, columns) for name, (rows, columns) in layers.items()}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, PositiveFloat, PositiveInt, ValidationError
+from pydantic import Field, JsonValue, PositiveFloat, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
@@ -17,6 +18,8 @@ from quadsim.config import Strict, describe
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
+FORMAT = "2"
+"""Version of the files, in their metadata. Files of quadsim 0.1 have none."""
 
 
 class InputScaling(Strict):
@@ -28,26 +31,6 @@ class InputScaling(Strict):
     """Specific force, less the offset, of an input of 1.0 [m/s²]."""
     accel_offset: tuple[float, float, float] = (0.0, 0.0, 9.81)
     """Specific force of an input of 0 [m/s²]."""
-    bias_sd: float = Field(default=0.0, ge=0)
-    """Spread of the gyroscope's bias, of each axis; `estimators.alignment` finds it [rad/s]; 0: none is."""
-    accel_bias_sd: float = Field(default=0.0, ge=0)
-    """Spread of the accelerometer's bias across the thrust, of each axis, likewise [m/s²]."""
-    lead: float = Field(default=0.0, ge=0)
-    """Times that the change of a lateral force, its fast low-pass less its slow one, is added to it."""
-    lead_samples: tuple[PositiveInt, PositiveInt] = (5, 100)
-    """Memories of those two [samples]."""
-    align_s: float = Field(default=0.0, ge=0)
-    """Time for which it tells what it finds out about the attitude at the start [s]; 0: nothing."""
-    align_drag: float = Field(default=0.2, gt=0)
-    """What drag takes from a lateral speed, for both [1/s]."""
-    align_noise: float = Field(default=0.015, gt=0)
-    """Noise density of a lateral force's reading, for both [m/s²·√s]."""
-    lean_fed: bool = False
-    """Whether the lateral forces are −g times the tilt that is found out, and the lateral rates how fast it
-    changes; otherwise they are what the sensors read, less their biases."""
-    yaw_free: bool = False
-    """Whether lateral readings are turned into axes that do not yaw with the body, where the outputs are a
-    tilt (`estimators.tilt`); otherwise all are of the body, and the outputs are roll and pitch."""
 
 
 PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))
@@ -80,23 +63,9 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the tensors of a network."""
     h0, h1 = config.encoding, config.hidden
     if config.model == "att-snn":
-        taus = {
-            "syn0": (h0,),
-            "mem0": (h0,),
-            "syn1": (h1,),
-            "mem1": (h1,),
-            "syn2": (1,),
-            "mem2": (1,),
-            "mem_skip": (1,),
-        }
-        return {
-            "w_in": (h0, 6),
-            "w_ff": (h1, h0),
-            "w_rec": (h1, h1),
-            "w_out": (2, h1),
-            "w_skip": (2, 6),
-            **taus,
-        }
+        weights = {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (2, h1)}
+        taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
+        return {**weights, **taus}
     shapes: dict[str, tuple[int, ...]] = {"out.weight": (2, h1), "out.bias": (2,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
@@ -106,11 +75,9 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
 
 def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
     """Numbers that a network is made of: connections (weights other than 0), time constants and biases."""
-    unused = {"mem_skip"} if "w_skip" in tensors and not tensors["w_skip"].any() else set()
     return sum(
         int(np.count_nonzero(value)) if name.startswith("w_") else value.size
         for name, value in tensors.items()
-        if name not in unused
     )
 
 
@@ -128,7 +95,7 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     """
     _check(Path(path), config, dict(tensors))
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    save_file(plain, path, metadata={"config": config.model_dump_json()})
+    save_file(plain, path, metadata={"format": FORMAT, "config": config.model_dump_json()})
 
 
 def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
@@ -154,14 +121,12 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
         raise ValueError(f"{path}: not a safetensors file ({error})") from error
     if "config" not in metadata:
         raise ValueError(f"{path}: no network configuration in the metadata")
+    _check_format(path, metadata)
     try:
         config = NetworkConfig.model_validate_json(metadata["config"])
     except ValidationError as error:
         wrong = describe(error, NetworkConfig)
         raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error
-    if config.model == "att-snn" and "w_in" in tensors:  # files of before there was a skip connection
-        tensors.setdefault("w_skip", np.zeros((2, 6), tensors["w_in"].dtype))
-        tensors.setdefault("mem_skip", np.ones(1, tensors["w_in"].dtype))
     _check(path, config, tensors)
     return config, tensors
 
@@ -176,6 +141,19 @@ def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
     """Weights that ship with the package, by one of `shipped_names()`."""
     with as_file(files("assets") / "weights" / f"{model}.safetensors") as path:
         return load_network(path)
+
+
+def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
+    found = metadata.get("format")
+    if found is None:
+        commit = re.search(r'"commit": ?"(\w+)"', metadata["config"])
+        code = f" (code at {commit[1]})" if commit else ""
+        raise ValueError(
+            f"{path}: weights of quadsim 0.1{code}, whose networks stood behind a filter on the host; "
+            "train them anew with `quadsim train`, or use quadsim 0.1"
+        )
+    if found != FORMAT:
+        raise ValueError(f"{path}: weights of format {found!r}, this version of quadsim reads {FORMAT!r}")
 
 
 def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
@@ -200,8 +178,6 @@ def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
 
 
 def _check_chip(path: Path, name: str, value: NDArray[np.int16]) -> None:
-    if name == "w_skip":  # the host's: any 16 bits
-        return
     low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
     if value.min() < low or value.max() > high:
         raise ValueError(f"{path}: tensor {name} spans {value.min()}...{value.max()}, allowed {low}...{high}")
