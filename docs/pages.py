@@ -3,9 +3,9 @@
     python docs/pages.py --check     # lists what is out of date; exit status 1 if anything is
     python docs/pages.py --remake    # runs the command of each page that is out of date
 
-`pages.toml` names what each page is made from. A page ends with a stamp: the command that makes it, and a digest
-of the weights, assets and code that its numbers come from. `pages.lock` holds the digest of every single one,
-so that the check can name those that changed.
+`pages.toml` names what each page is made from. A page ends with a stamp: the command that makes it, and a
+digest of the weights, assets and code that its numbers come from. `pages.lock` holds the digest of each of
+them, so that the check can name those that changed. Recordings and the versions of libraries do not count.
 """
 
 import argparse

@@ -40,7 +40,9 @@ def _shape(node: object) -> str:
 def _is_docstring(node: object) -> bool:
     """Whether a statement is a string alone, which does nothing."""
     return (
-        isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
     )
 
 

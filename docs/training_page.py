@@ -14,6 +14,7 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
+from estimators.tilt import to_roll_pitch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -28,7 +29,6 @@ from estimators.metrics import attitude_error, inclination_error
 from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
 from estimators.spiking import Weights
 from estimators.symmetry import OPERATIONS, ties
-from estimators.tilt import to_roll_pitch
 from estimators.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
 from quadsim.dataset import open_dataset
 from quadsim.estimator import AttitudeEstimator

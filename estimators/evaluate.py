@@ -237,10 +237,12 @@ def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) 
 
 
 def vehicle_of(dataset: xr.Dataset) -> str | None:
-    """Name of the shipped vehicle that flew a dataset; None if it is another one, or the dataset does not say."""
+    """Name of the shipped vehicle that flew a dataset; None if another one did, or it does not say."""
     config = json.loads(dataset.attrs.get("config", "{}"))
     name = config.get("vehicle", {}).get("name")
-    same = name in preset_names("vehicles") and Vehicle.model_validate(config["vehicle"]) == load_vehicle(name)
+    same = name in preset_names("vehicles") and Vehicle.model_validate(config["vehicle"]) == load_vehicle(
+        name
+    )
     return name if same else None
 
 
@@ -257,12 +259,13 @@ def made_of(
     """
     given = {"vehicle": vehicle} if vehicle is not None else {}
     return {
-        name: create(name, rate_hz, tuning=tuning, **(given if name in NEEDS_VEHICLE else {})) for name in names
+        name: create(name, rate_hz, tuning=tuning, **(given if name in NEEDS_VEHICLE else {}))
+        for name in names
     }
 
 
 def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
-    """The network of a name, or of a path of weights, with output weights of zero; None for other estimators."""
+    """The network of a name or of a path of weights, with output weights of zero; None for others."""
     if name not in NETWORKS and not is_weights(name):
         return None
     config, tensors = load_network(name.removesuffix("-loihi"))

@@ -81,10 +81,12 @@ class LogScores:
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over logs of the inclination RMSE [deg]."""
-        return _mean([r.inclination_rmse_deg for r in self.rows if (r.estimator, r.bias) == (estimator, bias)])
+        return _mean(
+            [r.inclination_rmse_deg for r in self.rows if (r.estimator, r.bias) == (estimator, bias)]
+        )
 
     def silenced(self, estimator: str) -> float:
-        """Mean over logs of the inclination RMSE of a silenced network, raw; NaN for other estimators [deg]."""
+        """Mean over logs of the inclination RMSE of the network silenced, raw; NaN for others [deg]."""
         return _mean([r.silenced_deg for r in self.rows if (r.estimator, r.bias) == (estimator, RAW)])
 
     @property
@@ -154,7 +156,7 @@ def score_logs(
 
 
 def default_names(vehicle: str | Path | None = None) -> list[str]:
-    """Estimators that are scored unless others are asked for; those that need a vehicle only where it is given."""
+    """Estimators that are scored unless others are given; those that need a vehicle only with one."""
     left_out = {"truth", *SLOW, *(NEEDS_VEHICLE if vehicle is None else ())}
     return [name for name in names() if name not in left_out]
 

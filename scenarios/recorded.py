@@ -21,14 +21,12 @@ def named(
     """Estimators by name, and networks by the paths of their weights.
 
     Raises:
-        ValueError: Weights given twice, or that cannot be read; an estimator that needs a vehicle without one.
+        ValueError: Weights given twice or damaged; an estimator that needs a vehicle, without one.
     """
     if twice := [path for k, path in enumerate(weights) if path in (*names, *weights[:k])]:
         raise ValueError(f"--weights {twice[0]}: given twice, or the name of an estimator")
     made = made_of(names, rate_hz, tuning, vehicle)
-    return made | {
-        path: create(load_network(path)[0].model, rate_hz, weights=path) for path in weights
-    }
+    return made | {path: create(load_network(path)[0].model, rate_hz, weights=path) for path in weights}
 
 
 def evaluate_logs(

@@ -14,7 +14,7 @@ from estimators.pruning import Pruned
 from .breaking import DISTURBANCES, Breaking
 from .offline import Row
 from .runner import Results
-from .verdict import TRUTH, verdict
+from .verdict import verdict
 
 
 def closed_loop_table(results: Results) -> Table:
@@ -96,8 +96,8 @@ EVALUATION_METHOD = (
     "flights, the interval of the mean is a bootstrap's, 95 %. Silenced: the mean error of the same network "
     "with output weights of zero. Behind the best: the paired difference of each flight from the best "
     "estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
-    "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never. Networks "
-    "are never given the initial attitude: they have no row with a known start."
+    "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never. "
+    "Networks are never given the initial attitude: they have no row with a known start."
 )
 
 
