@@ -20,7 +20,7 @@ from .flights import Flights, Initial, load_flights
 from .metrics import Summary, absolute_error, attitude_error, inclination_error, inclination_rmse
 from .networks import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
 from .protocol import FILTERPY, NETWORKS, create, is_weights, missing_samples, run_quietly
-from .weights_file import load_network
+from .weights_file import load_network, shipped_names
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -266,7 +266,7 @@ def made_of(
 
 def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
     """The network of a name or of a path of weights, with output weights of zero; None for others."""
-    if name not in NETWORKS and not is_weights(name):
+    if name not in (*NETWORKS, *shipped_names()) and not is_weights(name):
         return None
     config, tensors = load_network(name.removesuffix("-loihi"))
     core = {"att-rnn": Recurrent, "att-snn": OnLoihi if name.endswith("-loihi") else Spiking}[config.model]
