@@ -9,10 +9,8 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
-from . import alignment
-from .encoder import INPUT_MAX, LEAD_CLIP, input_scaling
+from .encoder import INPUT_MAX, input_scaling
 from .loihi import DECAY_ONE, STATE_ONE
-from .networks import SETTLE_S, TURN_S
 from .weights_file import NetworkConfig, Tensors, parameters
 
 
@@ -31,36 +29,21 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
     offset, gain = input_scaling(config.inputs)
     integers = {name: value.astype(np.int64) for name, value in tensors.items()}
     halves = {name: integers[name] // 2 for name in ("w_in", "w_ff", "w_rec", "w_out")}
-    by_source = {name: value.T for name, value in (halves | {"w_skip": integers["w_skip"]}).items()}
+    by_source = {name: value.T for name, value in halves.items()}
     kept = {name: DECAY_ONE - value for name, value in integers.items() if name not in by_source}
     arrays = {name: _braces(value) for name, value in (by_source | kept).items()}
-    arrays |= {name: str(DECAY_ONE - integers[name][0]) for name in ("syn2", "mem2", "mem_skip")}
+    arrays |= {name: str(kept[name][0]) for name in ("syn2", "mem2")}
     values = {
         "encoding": config.encoding,
         "hidden": config.hidden,
         "parameters": parameters(tensors),
         "rate": f"{config.rate_hz:g}",
         "units": round(STATE_ONE / config.output_scale),
+        "scale": repr(config.output_scale / STATE_ONE),
         "steps": config.steps_per_sample,
         "input_max": INPUT_MAX,
         "offset": _braces(offset),
         "gain": _braces(gain),
-        "bias_sd": repr(config.inputs.bias_sd),
-        "accel_bias_sd": repr(config.inputs.accel_bias_sd),
-        "lead": repr(config.inputs.lead),
-        "lead_fast": f"{config.inputs.lead_samples[0]}.0",
-        "lead_slow": f"{config.inputs.lead_samples[1]}.0",
-        "lead_clip": repr(LEAD_CLIP),
-        "align_s": repr(config.inputs.align_s),
-        "align_drag": repr(config.inputs.align_drag),
-        "align_noise": repr(config.inputs.align_noise),
-        "step": repr(1.0 / config.rate_hz),
-        "settling": round(SETTLE_S * config.rate_hz),
-        "turning": round(TURN_S * config.rate_hz),
-        "warming": round(SETTLE_S * config.rate_hz) + round(TURN_S * config.rate_hz),
-        "lean_fed": int(config.inputs.lean_fed),
-        "yaw_free": int(config.inputs.yaw_free),
-        **{name.lower(): repr(value) for name, value in vars(alignment).items() if name.isupper()},
         **arrays,
     }
     folder = files("assets") / "c99"

@@ -15,7 +15,7 @@ def ones(out, inputs):
 def test_every_neuron_has_one_place_and_every_core_fits():
     config, tensors = shipped_network("att-snn")
     chip = OnLoihi(config, tensors)
-    sizes = (config.encoding, config.hidden, 4 if tensors["w_skip"].any() else 2)
+    sizes = (config.encoding, config.hidden, 2)
     placed = [(k, i) for core in chip.cores for k, ids in core.neurons.items() for i in ids]
     assert sorted(placed) == [(k, i) for k, size in enumerate(sizes) for i in range(size)]
     assert all(core.used()[name] <= LIMITS[name] for core in chip.cores for name in LIMITS)
@@ -70,15 +70,13 @@ def test_shared_profiles_fit_on_one_core():
     assert len(shared.cores) == 1
     together = np.unique(np.concatenate([decay_profiles(layer) for layer in shared.chip.layers]), axis=0)
     assert len(together) <= 32
-    with pytest.raises(ValueError, match="profiles: 3, should be at least 4"):
-        share_profiles(tensors, 3)
+    with pytest.raises(ValueError, match="profiles: 2, should be at least 3"):
+        share_profiles(tensors, 2)
 
 
-@pytest.mark.parametrize("skip", [False, True])
-def test_no_more_profiles_are_left_than_asked_for(skip):
+def test_no_more_profiles_are_left_than_asked_for():
     config, tensors = shipped_network("att-snn")
-    tensors = tensors | {"w_skip": tensors["w_skip"] * skip}
-    for profiles in (4, 12, 33):
+    for profiles in (3, 4, 12, 33):
         layers = OnLoihi(config, share_profiles(tensors, profiles)).chip.layers
         together = np.unique(np.concatenate([decay_profiles(layer) for layer in layers]), axis=0)
         assert len(together) <= profiles

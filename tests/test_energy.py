@@ -30,7 +30,7 @@ def test_what_is_recorded_is_what_flies(network, activity, flights):
 
 def test_events_are_spikes_times_the_weights_that_they_meet(network, activity):
     config, tensors = shipped_network("att-snn")
-    neurons = config.encoding + config.hidden + 4  # outputs, and integrators behind the skip connection
+    neurons = config.encoding + config.hidden + 2
     encoding, hidden = (activity.of_layer(activity.spikes, k).astype(int) for k in (0, 1))
     events = (encoding @ (tensors["w_ff"] != 0).T.sum(1)).sum()
     events += (hidden @ ((tensors["w_rec"] != 0).T.sum(1) + (tensors["w_out"] != 0).T.sum(1))).sum()

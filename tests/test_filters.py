@@ -126,7 +126,7 @@ def test_inline_functions_of_angles_equal_the_library_s():
 
 def test_names_are_the_fixed_ones():
     fixed = "truth complementary complementary-adaptive mahony madgwick ekf ekf-filterpy ukf-filterpy"
-    others = "ekf-drag eskf vqf att-rnn att-snn att-snn-loihi att-snn-robust"
+    others = "ekf-drag eskf vqf att-rnn att-snn att-snn-loihi"
     assert set(names()) == {*fixed.split(), *others.split()}
 
 

@@ -15,7 +15,7 @@ from training.pruning import prune
 
 @pytest.fixture(scope="module")
 def network():
-    return shipped_network("att-snn-spiking")  # nothing but spikes carries its estimate
+    return shipped_network("att-snn")
 
 
 @pytest.fixture(scope="module")

@@ -256,7 +256,7 @@ def test_weights_fly_like_the_estimator_that_they_are_of(tmp_path):
     shipped, mine = small(tmp_path, scenarios=["hover"], names=["att-snn", str(ours)]).rows
     assert mine["estimator"] == str(ours)
     assert mine | {"estimator": "att-snn"} == shipped
-    ours.write_bytes((files("assets") / "weights" / "att-snn-robust.safetensors").read_bytes())
+    ours.write_bytes((files("assets") / "weights" / "att-snn-paper.safetensors").read_bytes())
     other = small(tmp_path, scenarios=["hover"], names=[str(ours)]).rows[0]
     assert other["error_deg"] != mine["error_deg"]
 

@@ -7,9 +7,8 @@ from estimators.spiking import STATE_ONE, Weights, forward, quantise_decay, quan
 def chain(w_rec=0.0, tau=0.5):
     """One encoder that fires on every large input, one hidden neuron, one output."""
     one = torch.ones(1, 1, dtype=torch.float64)
-    taus = [torch.full((1,), tau, dtype=torch.float64)] * 7
-    w_skip = torch.zeros(1, 6, dtype=torch.float64)
-    return Weights(torch.cat([one] + [0 * one] * 5, 1), one * 0.75, one * w_rec, one, w_skip, *taus)
+    taus = [torch.full((1,), tau, dtype=torch.float64)] * 6
+    return Weights(torch.cat([one] + [0 * one] * 5, 1), one * 0.75, one * w_rec, one, *taus)
 
 
 def test_superspike_is_a_step_with_the_gradient_of_the_paper():
@@ -48,13 +47,12 @@ def test_recurrent_delay_of_two_is_the_papers_convention():
     w_in = rng.normal(0, 0.5, (5, 6))
     x = torch.tensor(rng.normal(size=(1, 200, 6)))
     tau = 0.75
-    taus = [torch.full((k,), tau, dtype=torch.float64) for k in (5, 5, 7, 7, 1, 1, 1)]
+    taus = [torch.full((k,), tau, dtype=torch.float64) for k in (5, 5, 7, 7, 1, 1)]
     w = Weights(
         torch.tensor(w_in),
         torch.tensor(w_ff),
         torch.tensor(w_rec),
         torch.ones(2, 7, dtype=torch.float64),
-        torch.zeros(2, 6, dtype=torch.float64),
         *taus,
     )
     _, encoding, hidden = forward(x, w, recurrent_delay=2)

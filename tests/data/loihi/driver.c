@@ -1,18 +1,12 @@
-/* Reads samples of six doubles, runs the exported network, writes its whole state and the attitude after each sample.
- * Roll and pitch at the start as arguments, if they are known. */
+/* Reads samples of six doubles, runs the exported network, writes its whole state and the attitude after each sample. */
 #include <stdio.h>
-#include <stdlib.h>
 #include "att_snn.h"
 
-int main(int count, char **arguments)
+int main(void)
 {
     static att_snn_state state;
     double sample[6], roll_pitch[2];
-    if (count > 2) {
-        const double start[2] = {atof(arguments[1]), atof(arguments[2])};
-        att_snn_reset_at(&state, start);
-    } else
-        att_snn_reset(&state);
+    att_snn_reset(&state);
     while (fread(sample, sizeof sample, 1, stdin) == 1) {
         att_snn_encode(&state, sample, sample + 3);
         att_snn_step(&state);
