@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 from estimators import create, names, run
 from estimators.activity import record
 from estimators.encoder import scaled_inputs
-from estimators.evaluate import NEEDS_VEHICLE, silenced_twin, tilted_starts
+from estimators.evaluate import made_of, silenced_twin, tilted_starts
 from estimators.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
@@ -35,7 +35,9 @@ from quadsim.recipe import flight_config, load_recipe
 from training.augment import roll_pitch_of_up
 from training.config import TrainConfig, make_config
 
-VEHICLE = "hummingbird"
+VEHICLE, RATE_HZ = "hummingbird", 200.0
+LEFT_OUT = ("truth", "att-snn", *FILTERPY)
+"""The truth has no error, att-snn is att-snn-loihi in floats, and filterpy's filters are ekf and slow."""
 TEST, TEST_FLIGHTS, TEST_SEED = "test.zarr", 16, 3
 """The test flights, of recipe `hummingbird`."""
 DRAWS = 8
@@ -58,9 +60,7 @@ def test_flights(data: Path) -> Path:
 
 def made() -> dict[str, AttitudeEstimator]:
     """Every estimator of the results."""
-    filters = [name for name in names() if name not in ("truth", *FILTERPY, *NETWORKS)]
-    found = {name: create(name, **({"vehicle": VEHICLE} if name in NEEDS_VEHICLE else {})) for name in filters}
-    found |= {"att-snn-loihi": create("att-snn-loihi"), "att-rnn": create("att-rnn")}
+    found = made_of([name for name in names() if name not in LEFT_OUT], RATE_HZ, vehicle=VEHICLE)
     for name in shipped_names():
         if name not in NETWORKS:
             found[name] = create(load_network(name)[0].model, weights=name)
@@ -233,14 +233,15 @@ def band_rows(
         silenced = "–"
         if twin is not None:
             silenced = f"{rms(np.degrees(estimate_of(twin, flights) - flights.truth)[:, skip:]):.2f}"
-        rows.append(row(name, *(f"{part:.2f}" for part in found[name][:-1]), silenced, f"{found[name][-1]:.2f}"))
+        parts = [f"{part:.2f}" for part in found[name]]
+        rows.append(row(name, *parts[:-1], silenced, parts[-1]))
     constant, slow, middle, fast, everything, clean_all = found["att-snn-loihi"]
     shares = [100 * (part / everything) ** 2 for part in (constant, slow, middle, fast)]
     text = (
         f"Of the mean square error of `att-snn-loihi`, {shares[0]:.0f} % is constant over a flight, "
-        f"{shares[1]:.0f} % lies below {BANDS_HZ[0]:g} Hz, {shares[2]:.0f} % at {BANDS_HZ[0]:g}–{BANDS_HZ[1]:g} "
-        f"Hz and {shares[3]:.0f} % above. A perfect IMU changes its error by "
-        f"{100 * (clean_all / everything - 1):+.0f} %. At {BANDS_HZ[0]:g}–{BANDS_HZ[1]:g} Hz the best linear "
+        f"{shares[1]:.0f} % lies below {BANDS_HZ[0]:g} Hz, {shares[2]:.0f} % in the middle band "
+        f"and {shares[3]:.0f} % above it. A perfect IMU changes the error by "
+        f"{100 * (clean_all / everything - 1):+.0f} %. In the middle band the best linear "
         f"filter of the same readings has an error of {found[LINEAR][2]:.2f}°, the network of {middle:.2f}°, "
         f"VQF of {found['vqf'][2]:.2f}°."
     )

@@ -14,8 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 from .encoder import INPUT_STATE, scaled_inputs
+from .evaluate import made_of
 from .networks import real_weights
-from .protocol import create, names
+from .protocol import names
 from .weights_file import shipped_network
 
 RATE_HZ = 200.0
@@ -82,7 +83,8 @@ class TorchGRU:
 def contenders() -> dict[str, Update]:
     """`update` of every estimator but the truth, and of PyTorch's two networks."""
     torch.set_num_threads(1)
-    found: dict[str, Update] = {name: create(name, RATE_HZ).update for name in names() if name != "truth"}
+    made = made_of([name for name in names() if name != "truth"], RATE_HZ, vehicle="hummingbird")
+    found: dict[str, Update] = {name: est.update for name, est in made.items()}
     return found | {"SNN, plain PyTorch": TorchSNN().update, "GRU, PyTorch": TorchGRU().update}
 
 
