@@ -54,8 +54,7 @@ def parameters(seed: int = 0) -> Weights:
     scales = (0.12, 0.03, 0.01, 0.1)
     w = [quantise_weights(torch.tensor(rng.normal(0, k, s))) for s, k in zip(shapes, scales, strict=True)]
     tau = [quantise_decay(torch.tensor(rng.uniform(0.5, 0.98, k))) for k in (*[HIDDEN] * 4, 1, 1)]
-    no_skip = torch.zeros(2, 6), torch.ones(1)
-    return Weights(*(x.float().requires_grad_() for x in (*w, no_skip[0], *tau, no_skip[1])))
+    return Weights(*(x.float().requires_grad_() for x in (*w, *tau)))
 
 
 def inputs(n: int, steps: int) -> Tensor:

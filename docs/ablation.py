@@ -20,7 +20,7 @@ from estimators.activity import record
 from estimators.flights import load_flights
 from estimators.networks import OnLoihi
 from estimators.pruning import error_deg, importance, pruned
-from estimators.weights_file import PAPER_SCALING, InputScaling, load_network, parameters
+from estimators.weights_file import PAPER_SCALING, load_network, parameters
 from quadsim.dataset import open_dataset
 from training.augment import Augmentation
 from training.config import PRESETS, make_config
@@ -29,8 +29,6 @@ from training.loop import train
 HERE = Path(__file__).parent
 BEST: dict[str, Any] = PRESETS["best"]
 ERRORS: Augmentation = BEST["augmentation"]
-INPUTS: InputScaling = BEST["inputs"]
-FORCE = INPUTS.model_copy(update={"lean_fed": False})
 
 SIZES: tuple[tuple[int, int, int], ...] = (
     (100, 100, 0), (200, 200, 0), (200, 200, 21202), (300, 300, 0), (300, 300, 21202), (300, 300, 18500),
@@ -47,14 +45,6 @@ ROWS: dict[str, dict[str, Any]] = {
     "100 + 100 neurons, every connection": {"encoding": 100, "hidden": 100, "parameters": 0},
     "300 + 300 neurons, every connection": {"parameters": 0},
     "inputs as in the paper": {"inputs": PAPER_SCALING},
-    "body axes, roll and pitch from the outputs": {"inputs": INPUTS.model_copy(update={"yaw_free": False})},
-    "gyro's bias left on": {"inputs": INPUTS.model_copy(update={"bias_sd": 0.0})},
-    "accelerometer's bias left on": {"inputs": INPUTS.model_copy(update={"accel_bias_sd": 0.0})},
-    "no skip connection": {"skip": False},
-    "fed the force in place of the lean": {"inputs": FORCE},
-    "fed the force, with a lead": {"inputs": FORCE.model_copy(update={"lead": 4.0})},
-    "no alignment at the start": {"inputs": INPUTS.model_copy(update={"align_s": 0.0})},
-    "no attitude told in training": {"told": 0.0},
     "random start": {"start": "random"},
     "outputs of 1 rad per unit": {"output_scale": 1.0},
     "constant learning rate": {"decay": "none"},

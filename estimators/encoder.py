@@ -30,7 +30,7 @@ def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
 
 
 def scaled_inputs(
-    inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike, state: NDArray[np.floating] | None = None
+    inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike, state: NDArray[np.generic] | None = None
 ) -> Array:
     """Inputs of the network.
 
@@ -48,7 +48,7 @@ def scaled_inputs(
     return encoded(input_scaling(inputs), gyro, accel, state)
 
 
-def encoded(scaling: tuple[Array, Array], gyro: Array, accel: Array, state: NDArray[np.floating]) -> Array:
+def encoded(scaling: tuple[Array, Array], gyro: Array, accel: Array, state: NDArray[np.generic]) -> Array:
     """What `scaled_inputs` returns, of contiguous arrays and the offset and gain of `input_scaling`."""
     x = np.empty((*gyro.shape[:2], 6))
     encode(gyro, accel, *scaling, state, x)

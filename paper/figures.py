@@ -17,7 +17,7 @@ from quadsim.figures import LINES
 from .claims import Numbers, by_rate, pooled, scatter
 from .plan import FLOAT, PAPER, RNN, SNN
 from .quoted import CHIP, CONVERGE_S, PYTORCH_US, REMOVABLE, TEST_DEG
-from .scores import BELOW_DEG, SHOWN_HZ, SIX
+from .scores import BELOW_DEG, SHIPPED, SHOWN_HZ, SIX
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 COLOURS = ("#111111", "#0072b2", "#e08a00", "#7a5195", "#6b6b6b", "#c0563b", "#2f8f6b", "#a05a2c")
@@ -85,14 +85,16 @@ def losses(numbers: Numbers) -> Figure:
 
 
 def violins(numbers: Numbers) -> Figure:
-    """Error of every test flight, with an unknown and a known start (Fig. 5)."""
-    names = [*SIX, "att-rnn, shipped", "att-snn, shipped"]
+    """Error of every test flight, with an unknown and, for filters, a known start (Fig. 5)."""
+    names = [*SIX, *SHIPPED]
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     axes = figure.subplots()
     handles: list[Artist] = []
     for shift, start, hatch, colour in ((-0.2, "unknown", "////", "#d9d9d9"), (0.2, "known", "", "#8f8f8f")):
-        data = [pooled(numbers, "test-", name, start) for name in names]
-        parts = axes.violinplot(data, positions=np.arange(len(names)) + shift, widths=0.36, showmedians=True)
+        shown = [name for name in names if start == "unknown" or not name.startswith("att")]
+        data = [pooled(numbers, "test-", name, start) for name in shown]
+        positions = [names.index(name) + shift for name in shown]
+        parts = axes.violinplot(data, positions=positions, widths=0.36, showmedians=True)
         for body in parts["bodies"]:  # type: ignore[union-attr]  # matplotlib's stub names one collection
             body.set(facecolor=colour, edgecolor="#111111", alpha=1.0, hatch=hatch, linewidth=0.7)
         for part in ("cmedians", "cmins", "cmaxes", "cbars"):
@@ -115,9 +117,14 @@ def recoveries(numbers: Numbers) -> Figure:
     names = ["complementary", "complementary-adaptive", "mahony", "madgwick", "ekf", "att-rnn", "att-snn"]
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    titles = {"flight": "in flight, tilted by 20°, believed level", "hover": "in hover, told a roll of 20°"}
+    titles = {
+        "flight": "in flight, tilted by 20°, believed level",
+        "hover": "in hover, filters given a roll of 20°",
+    }
     for axes, (kind, title) in zip(panels, titles.items(), strict=True):
         for k, name in enumerate(names):
+            if kind not in found[name]:
+                continue
             curve = np.array(found[name][kind]["median"])
             style = look(k) | ({"lw": 2.0} if name == "att-snn" else {"lw": 1.1})
             axes.plot(

@@ -187,7 +187,7 @@ def test_inspect_shows_where_the_neurons_go(quadsim, tmp_path):
     assert (tmp_path / "inside" / "profiles-32.safetensors").is_file()
     assert "fan-in axons" in out
     config, _ = shipped_network("att-snn")
-    assert f"{config.encoding + config.hidden + 4} neurons on 1 of a chip's 128 cores" in out
+    assert f"{config.encoding + config.hidden + 2} neurons on 1 of a chip's 128 cores" in out
 
 
 def test_inspect_leaves_pictures_and_a_page(quadsim, dataset, tmp_path):

@@ -1,5 +1,6 @@
 """`quadsim paper` at a tiny size: its stages are kept, its claims judged from numbers, its pages whole."""
 
+import json
 import re
 
 import numpy as np
@@ -12,7 +13,7 @@ from paper.quoted import quoted
 from paper.run import paper
 from paper.settings import PRESETS, Budget, Settings
 from paper.stages import RECORD, Stage, run_stages, with_inputs
-from paper.work import fly
+from paper.work import NUMBERS, fly
 
 SHORT = Budget(epochs=1, batches=1, batch_size=2, window_s=0.5, windows_per_stream=1)
 LONGER = SHORT.model_copy(update={"epochs": 4})
@@ -261,6 +262,9 @@ def test_the_whole_paper_in_small(tmp_path):
         for figure in re.findall(r"\]\((\w+)\.png\)", text):
             assert (tmp_path / f"{figure}.svg").is_file()
     assert "Not made in this run" not in pages["paper"]
+    scored = json.loads((tmp_path / "quick" / "score-test-sim" / NUMBERS).read_text())["sequences"]
+    for name, starts in scored.items():
+        assert set(starts) == ({"unknown"} if name.startswith("att") else {"unknown", "known"})
     for settings, again in ((TINY, []), (TINY.model_copy(update={"loop_s": 2.0}), ["loop"])):
         stages, _ = stages_of(settings)
         assert run_stages(with_inputs(stages, stages), tmp_path / "quick", workers=1) == again

@@ -2,18 +2,18 @@ import numpy as np
 import pytest
 import torch
 
-from estimators.spiking import Weights, forward, quantise_decay, quantise_skip, quantise_weights
+from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
 from training.kernels import Workspace, attsnn
 
 
 def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0):
     rng = np.random.default_rng(seed)
-    shapes = [(h0, 6), (h1, h0), (h1, h1), (2, h1), (2, 6)]
-    scales = [0.3, 3.0 / h0, 1.0 / h1, 0.3, 0.5]
+    shapes = [(h0, 6), (h1, h0), (h1, h1), (2, h1)]
+    scales = [0.3, 3.0 / h0, 1.0 / h1, 0.3]
     w = [torch.tensor(rng.normal(size=s) * k * gain) for s, k in zip(shapes, scales, strict=True)]
-    tau = [torch.tensor(1 - np.exp(rng.uniform(-4, -0.2, size))) for size in (h0, h0, h1, h1, 1, 1, 1)]
+    tau = [torch.tensor(1 - np.exp(rng.uniform(-4, -0.2, size))) for size in (h0, h0, h1, h1, 1, 1)]
     if quantised:
-        w = [*(quantise_weights(x) for x in w[:-1]), quantise_skip(w[-1])]
+        w = [quantise_weights(x) for x in w]
         tau = [quantise_decay(x) for x in tau]
     return Weights(*(x.to(dtype).requires_grad_() for x in (*w, *tau)))
 

@@ -50,7 +50,7 @@ def compiled(tmp_path, request):
         driver = request.path.parent / "data" / "loihi" / "driver.c"
         flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
         sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
-        subprocess.run(["cc", *flags, *sources, "-lm", "-o", str(tmp_path / "run")], check=True)
+        subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
         sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
         fields = [(name, np.int32, size) for name, size in sizes]
         state = np.dtype([*fields, ("s0", np.uint8, h0), ("s1", np.uint8, h1)], align=True)

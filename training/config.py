@@ -40,8 +40,6 @@ class TrainConfig(Strict):
     """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
     symmetric: bool = False
     """Share the weights that quarter turns and mirror images of the body map onto each other (att-snn)."""
-    skip: bool = False
-    """Let the inputs drive the outputs directly too, which integrate them beside the spikes (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
     steps_per_sample: int = Field(default=1, ge=1, le=16)
@@ -93,8 +91,6 @@ class TrainConfig(Strict):
     """Most windows that follow one another with the state carried over (truncated backpropagation)."""
     stop_early: bool = True
     """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
-    told: float = Field(default=0.0, ge=0, le=1)
-    """Share of the streams whose attitude is known at their start, to a quarter of a degree."""
     augmentation: Augmentation = Augmentation()
     """Sensor errors and symmetries, drawn anew for every window or stream."""
     knee: float = Field(default=0.0, ge=0)
@@ -109,7 +105,7 @@ class TrainConfig(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
-        constants = 2 * (self.encoding + self.hidden) + 2 + self.skip
+        constants = 2 * (self.encoding + self.hidden) + 2
         if self.model == "att-snn" and 0 < self.parameters <= constants:
             raise ValueError(f"parameters: {self.parameters}, but time constants alone are {constants}")
         if not 0 <= self.thinning[0] < self.thinning[1] <= 1:
@@ -125,7 +121,7 @@ class TrainConfig(Strict):
     def whole(self) -> int:
         """Parameters of Att-SNN with every connection."""
         h0, h1 = self.encoding, self.hidden
-        return 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2 + 13 * self.skip
+        return 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2
 
     @property
     def thinned(self) -> bool:
@@ -136,19 +132,11 @@ class TrainConfig(Strict):
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "best": {
-        "inputs": InputScaling(
-            bias_sd=0.0088,
-            accel_bias_sd=0.2,
-            align_s=1.0,
-            align_drag=0.204,
-            lean_fed=True,
-            yaw_free=True,
-        ),
+        "inputs": InputScaling(),
         "encoding": 300,
         "hidden": 300,
         "parameters": 21202,
         "symmetric": True,
-        "skip": True,
         "revive": 0.25,
         "output_scale": 1 / 256,
         "start": "solved",
@@ -163,11 +151,10 @@ PRESETS: dict[str, dict[str, Any]] = {
         "window_s": 5.0,
         "windows_per_stream": 20,
         "stop_early": False,
-        "told": 0.5,
         "knee": 0.01,
         "augmentation": Augmentation(gyro_bias=0.0088, accel_bias=0.209, yaw_symmetry=True),
         "rate_cost": 0.03,
-        "rate_targets": (0.04, 0.08),
+        "rate_targets": (0.06, 0.13),
     },
 }
 """What each preset changes."""
@@ -187,21 +174,9 @@ ROBUST = Augmentation(
     delay_max_s=0.01,
     carried=0.05,
 )
-"""Sensors that nobody has calibrated, on vehicles that shake."""
+"""Sensors that nobody has calibrated, on vehicles that vibrate."""
 
-PRESETS["robust"] = PRESETS["best"] | {
-    "inputs": InputScaling(
-        bias_sd=0.044,
-        accel_bias_sd=0.1,
-        align_s=1.0,
-        align_drag=0.3,
-        align_noise=0.08,
-        yaw_free=True,
-    ),
-    "epochs": 75,
-    "knee": 0.0,
-    "augmentation": ROBUST,
-}
+PRESETS["robust"] = PRESETS["best"] | {"epochs": 75, "knee": 0.0, "augmentation": ROBUST}
 
 PRESETS["tune"] = PRESETS["best"] | {
     "optimiser_lr": 0.005,
@@ -220,8 +195,8 @@ PRESETS["tune"] = PRESETS["best"] | {
 LIKE_THE_PAPER = {"encoding": 100, "hidden": 100, "parameters": 0, "batches": 30, "batch_size": 40}
 
 RNN: dict[str, dict[str, Any]] = {
-    "best": LIKE_THE_PAPER | {"inputs": InputScaling(), "optimiser_lr": 0.003, "epochs": 100},
-    "robust": LIKE_THE_PAPER | {"inputs": InputScaling(bias_sd=0.044), "optimiser_lr": 0.003},
+    "best": LIKE_THE_PAPER | {"optimiser_lr": 0.003, "epochs": 100},
+    "robust": LIKE_THE_PAPER | {"optimiser_lr": 0.003},
     "tune": LIKE_THE_PAPER | {"optimiser_lr": 0.002, "batches": 20},
 }
 """What the presets change further for att-rnn."""
@@ -260,13 +235,10 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
 
 
 def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """What a run takes over from the weights it goes on from; its bias_sd may be the preset's."""
+    """What a run takes over from the weights it goes on from."""
     init = choices["init"] = str(choices["init"])
     network, tensors = load_network(init)
-    wanted = values.get("inputs", network.inputs)
-    bias_sd = wanted.bias_sd or network.inputs.bias_sd
     kept = {name: getattr(network, name) for name in KEPT}
-    kept["skip"] = "w_skip" in tensors and bool(tensors["w_skip"].any())
     for name, value in kept.items():
         if choices.get(name, value) != value:
             raise ValueError(f"{name}: the weights of init have {value}, it cannot be {choices[name]}")
@@ -274,7 +246,7 @@ def _of_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, An
     if choices.get("symmetric") and not shared:
         raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
     return {
-        "inputs": network.inputs.model_copy(update={"bias_sd": bias_sd}),
+        "inputs": network.inputs,
         "symmetric": values.get("symmetric", False) and shared,
         "revive": 0.0,
         **kept,

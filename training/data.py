@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.alignment import TOLD_SD
 from quadsim.dataset import open_dataset
 from quadsim.rotation import quat_rotate_inverse
 
@@ -152,8 +151,6 @@ class Batch:
     roll_pitch: Float32
     fresh: NDArray[np.bool_]
     """Streams (n,) that begin here; the others go on where the last window ended."""
-    told: Float32
-    """Roll and pitch at the start of each stream (n, 2) where they are known, NaN elsewhere."""
 
 
 def windows(
@@ -164,7 +161,6 @@ def windows(
     steps: int,
     windows_per_stream: int,
     seed: Sequence[int],
-    told: float = 0.0,
 ) -> Iterator[Batch]:
     """The windows of an epoch: streams start anywhere in any flight, and each is cut into successive windows.
 
@@ -179,7 +175,6 @@ def windows(
         steps: Samples in a window.
         windows_per_stream: Most windows in a stream; fewer where the flights end before.
         seed: Of this epoch.
-        told: Share of the streams whose attitude is known at their start.
     """
     available = flights.gyro.shape[1]
     if steps < 1:
@@ -192,7 +187,7 @@ def windows(
     sizes = [len(part) for part in np.array_split(np.arange(batch_size), COHORTS) if len(part)]
     seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))
     cohorts = [
-        _streams(flights, augmentation, n, steps, most, told, np.random.default_rng(each))
+        _streams(flights, augmentation, n, steps, most, np.random.default_rng(each))
         for n, each in zip(sizes, seeds, strict=True)
     ]
     for _ in range(batches):
@@ -209,7 +204,6 @@ def _streams(
     n: int,
     steps: int,
     most: int,
-    told: float,
     rng: np.random.Generator,
 ) -> Iterator[Batch]:
     """Windows of `n` streams of one length, then of `n` others, without end."""
@@ -227,8 +221,6 @@ def _streams(
             rng,
         )
         roll_pitch = roll_pitch_of_up(up)
-        known = roll_pitch[:, 0] + rng.normal(0.0, TOLD_SD, (n, 2)).astype(np.float32)
-        known[rng.random(n) >= told] = np.nan
         for k in range(0, length, steps):
             part = slice(k, k + steps)
-            yield Batch(gyro[:, part], accel[:, part], roll_pitch[:, part], np.full(n, k == 0), known)
+            yield Batch(gyro[:, part], accel[:, part], roll_pitch[:, part], np.full(n, k == 0))

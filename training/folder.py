@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from estimators.weights_file import load_network
 
 from .config import TrainConfig
@@ -51,12 +53,20 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
         contents: What `contents_of` says of its files; None: they are not compared.
 
     Raises:
-        ValueError: It holds a run with another configuration, or on files that have changed.
+        ValueError: It holds a run with another configuration, of another version, or on files that have
+            changed.
     """
     out.mkdir(parents=True, exist_ok=True)
     file, text = out / "config.json", config.model_dump_json(indent=2)
-    if file.is_file() and TrainConfig.model_validate_json(file.read_text()) != config:
-        raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
+    if file.is_file():
+        try:
+            there = TrainConfig.model_validate_json(file.read_text())
+        except ValidationError as error:
+            raise ValueError(
+                f"{out}: holds a run of another version of quadsim, choose another folder"
+            ) from error
+        if there != config:
+            raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     replace(file, lambda path: path.write_text(text))
     if contents is None:
         return

@@ -35,8 +35,6 @@ class Trace:
     """Potentials of the hidden layer before the reset, shape (T + 2, n, h1)."""
     vo: Floats
     """Potentials of the outputs, shape (T + 2, n, outputs)."""
-    vd: Floats
-    """Potentials behind the skip connection, row t + 1 is step t, shape (T + 1, n, outputs)."""
     u0: Floats
     """Currents of the encoding layer, row t + 1 is step t, shape (T + 1, n, h0)."""
     u1: Floats
@@ -55,7 +53,6 @@ class Trace:
             v0=np.zeros((steps + 2, n, h0), dtype),
             v1=np.zeros((steps + 2, n, h1), dtype),
             vo=np.zeros((steps + 2, n, outputs), dtype),
-            vd=np.zeros((steps + 1, n, outputs), dtype),
             u0=np.zeros((steps + 1, n, h0), dtype),
             u1=np.zeros((steps + 1, n, h1), dtype),
             uo=np.zeros((steps + 1, n, outputs), dtype),
@@ -68,22 +65,20 @@ class Trace:
         for rows in (self.v0, self.v1, self.vo, self.s0, self.s1):
             rows[:2] = rows[-2:]
             rows[:2, fresh] = 0
-        for rows in (self.u0, self.u1, self.uo, self.vd):
+        for rows in (self.u0, self.u1, self.uo):
             rows[0] = rows[-1]
             rows[0, fresh] = 0
 
 
 @njit(cache=True, inline="always")
-def _forward(
-    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised, delay, v0, v1, vo, vd, u0, u1, uo, s0, s1
-):
+def _forward(x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay, v0, v1, vo, u0, u1, uo, s0, s1):
     steps, n = x.shape[:2]
     h0, h1, outputs = v0.shape[2], v1.shape[2], vo.shape[2]
     one = STATE_ONE if quantised else 1.0
     unit = 1.0 / one
     threshold = THRESHOLD * one
     total, drive = np.zeros(h1, w_ff.dtype), np.zeros(h0)
-    state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 3, outputs))
+    state0, state1, state2 = np.zeros((n, 2, h0)), np.zeros((n, 2, h1)), np.zeros((n, 2, outputs))
     for b in range(n):
         for i in range(h0):
             state0[b, 0, i], state0[b, 1, i] = u0[0, b, i] * one, v0[1, b, i] * one
@@ -91,11 +86,10 @@ def _forward(
             state1[b, 0, i], state1[b, 1, i] = u1[0, b, i] * one, v1[1, b, i] * one
         for o in range(outputs):
             state2[b, 0, o], state2[b, 1, o] = uo[0, b, o] * one, vo[1, b, o] * one
-            state2[b, 2, o] = vd[0, b, o] * one
     for t in range(steps):
         for b in range(n):
             advance(
-                x[t, b], w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised,
+                x[t, b], w_in, w_ff, w_rec, w_out, taus, out_taus, quantised,
                 state0[b, 0], state0[b, 1], state1[b, 0], state1[b, 1], state2[b],
                 s0[t + 1, b], s1[t + 1, b], s1[t + 2 - delay, b], total, drive,
             )  # fmt: skip
@@ -110,30 +104,29 @@ def _forward(
             for o in range(outputs):
                 vo[t + 2, b, o] = state2[b, 1, o] * unit
                 uo[t + 1, b, o] = state2[b, 0, o] * unit
-                vd[t + 1, b, o] = state2[b, 2, o] * unit
 
 
 @njit(cache=True, nogil=True)
 def forward_window(
-    x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, quantised, delay, v0, v1, vo, vd, u0, u1, uo, s0, s1
+    x, w_in, w_ff, w_rec, w_out, taus, out_taus, quantised, delay, v0, v1, vo, u0, u1, uo, s0, s1
 ):
     """Run the window x (T, n, inputs) from the rows before it; weights (in, out) in units of 1.0."""
     if quantised:
         _forward(
-            x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, True, delay,
-            v0, v1, vo, vd, u0, u1, uo, s0, s1,
+            x, w_in, w_ff, w_rec, w_out, taus, out_taus, True, delay,
+            v0, v1, vo, u0, u1, uo, s0, s1,
         )  # fmt: skip
     else:
         _forward(
-            x, w_in, w_ff, w_rec, w_out, w_skip, taus, out_taus, False, delay,
-            v0, v1, vo, vd, u0, u1, uo, s0, s1,
+            x, w_in, w_ff, w_rec, w_out, taus, out_taus, False, delay,
+            v0, v1, vo, u0, u1, uo, s0, s1,
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward_window(
     x, grad, weights, taus, out_taus, constants, delay,
-    v0, v1, vo, vd, u0, u1, uo, s0, s1, g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
+    v0, v1, vo, u0, u1, uo, s0, s1, g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
 ):  # fmt: skip
     """Add the gradients of a window to g_*.
 
@@ -142,14 +135,13 @@ def backward_window(
         grad: Gradient of the outputs, shape (T, n, outputs).
         weights: w_ff and w_rec side by side, (h1, h0 + h1), and w_out (outputs, h1).
         taus: τ_syn, τ_mem of the encoding and of the hidden layer.
-        out_taus: τ_syn and τ_mem of the outputs, and τ_mem behind the skip connection, shape (3,).
+        out_taus: τ_syn and τ_mem of the outputs, shape (2,).
         constants: Threshold, surrogate width, 1.0, 0.0, and the gradient of every spike of the encoding
             and of the hidden layer, in the floating type of the computation.
         delay: Of the recurrent connection, 1 or 2.
-        v0: Trace, as are the next eight.
+        v0: Trace, as are the next seven.
         v1: Trace.
         vo: Trace.
-        vd: Trace.
         u0: Trace.
         u1: Trace.
         uo: Trace.
@@ -159,10 +151,9 @@ def backward_window(
         g_ff: Of the feed-forward weights, shape (h0, h1).
         g_rec: Of the recurrent weights, shape (h1, h1).
         g_out: Of the output weights, shape (h1, outputs).
-        g_skip: Of the skip connection, shape (inputs, outputs).
         g_tau0: Of τ_syn and τ_mem of the encoding layer, shape (2, h0).
         g_tau1: Of the hidden layer, shape (2, h1).
-        g_tau_out: Of the outputs and behind the skip connection, shape (3,).
+        g_tau_out: Of the outputs, shape (2,).
     """
     w_down, w_out = weights
     threshold, width, one, zero, cost0, cost1 = (
@@ -176,7 +167,6 @@ def backward_window(
     a_syn0, a_mem0 = np.zeros_like(syn0), np.zeros_like(syn0)
     a_syn1, a_mem1 = np.zeros_like(syn1), np.zeros_like(syn1)
     du_out, dv_out = np.zeros((n, outputs), v0.dtype), np.zeros((n, outputs), v0.dtype)
-    direct = np.zeros_like(dv_out)
     ds0, ds1 = np.zeros_like(syn0), np.zeros_like(syn1)
     down, down_before = np.zeros((n, h0 + h1), v0.dtype), np.zeros((n, h0 + h1), v0.dtype)
     used = _used(w_down)
@@ -197,10 +187,6 @@ def backward_window(
                 du_out[b, o] = dv_out[b, o] + out_taus[0] * du_out[b, o]
                 g_tau_out[0] += du_out[b, o] * uo[t, b, o]
                 g_tau_out[1] += dv_out[b, o] * vo[t + 1, b, o]
-                direct[b, o] = grad[t, b, o] + out_taus[2] * direct[b, o]
-                g_tau_out[2] += direct[b, o] * vd[t, b, o]
-                for k in range(x.shape[2]):
-                    g_skip[k, o] += x[t, b, k] * direct[b, o]
 
         v, before, current1 = v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), u1[t].reshape(-1)
         for i in range(v.shape[0]):
@@ -350,7 +336,7 @@ class Workspace:
             for trace in self.traces
         ]
         for old, new in zip(self.traces, smaller.traces, strict=True):
-            new.vo[-2:], new.uo[-1], new.vd[-1] = old.vo[-2:], old.uo[-1], old.vd[-1]
+            new.vo[-2:], new.uo[-1] = old.vo[-2:], old.uo[-1]
             new.u0[-1], new.u1[-1] = old.u0[-1][:, encoding], old.u1[-1][:, hidden]
             for name, neurons in (("0", encoding), ("1", hidden)):
                 v, spikes = getattr(new, f"v{name}")[-2:], getattr(new, f"s{name}")[-2:]
@@ -381,7 +367,7 @@ class _Fused(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         arrays = [w.detach().numpy() for w in weights]
         one = STATE_ONE if space.quantised else 1.0
-        w_in, w_ff, w_rec, w_out, w_skip = (
+        w_in, w_ff, w_rec, w_out = (
             np.ascontiguousarray(w.T) * w.dtype.type(one) for w in arrays[: len(MATRICES)]
         )
         taus = [tau.astype(np.float64) for tau in arrays[len(MATRICES) :]]
@@ -391,15 +377,15 @@ class _Fused(torch.autograd.Function):
             trace.begin(fresh[part])
             forward_window(
                 np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64),
-                w_in.astype(np.float64), w_ff, w_rec, w_out, w_skip.astype(np.float64),
+                w_in.astype(np.float64), w_ff, w_rec, w_out,
                 tuple(taus[:4]), np.concatenate(taus[4:]), space.quantised, space.recurrent_delay,
-                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.u1, trace.uo, trace.s0, trace.s1,
+                trace.v0, trace.v1, trace.vo, trace.u0, trace.u1, trace.uo, trace.s0, trace.s1,
             )  # fmt: skip
 
         space.each(run)
         space.runs += 1
         ctx.space, ctx.run, ctx.x, ctx.weights = space, space.runs, samples, arrays
-        out = np.concatenate([trace.vo[2:] + trace.vd[1:] for trace in space.traces], 1)
+        out = np.concatenate([trace.vo[2:] for trace in space.traces], 1)
         counts = [
             sum(int(getattr(trace, name)[2:, :, 0].sum()) for trace in space.traces) for name in ("s0", "s1")
         ]
@@ -411,28 +397,28 @@ class _Fused(torch.autograd.Function):
         space: Workspace = ctx.space
         if space.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
-        w_in, w_ff, w_rec, w_out, w_skip, *taus = ctx.weights
+        w_in, w_ff, w_rec, w_out, *taus = ctx.weights
         grad = grads[0].numpy()
         down = np.hstack([w_ff, w_rec])
         costs = grads[1].numpy() / space.spikes
         constants = np.array([THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *costs], space.dtype)
 
         def run(part: slice, trace: Trace) -> list[Floats]:
-            g_in, g_ff, g_rec, g_out, g_skip = (
-                np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out, w_skip)
+            g_in, g_ff, g_rec, g_out = (
+                np.zeros(w.shape[::-1], space.dtype) for w in (w_in, w_ff, w_rec, w_out)
             )
             g_tau0, g_tau1 = (np.zeros((2, w.shape[0]), space.dtype) for w in (w_in, w_ff))
-            g_tau_out = np.zeros(3, space.dtype)
+            g_tau_out = np.zeros(2, space.dtype)
             backward_window(
                 np.ascontiguousarray(ctx.x[part].transpose(1, 0, 2), space.dtype),
                 np.ascontiguousarray(grad[part].transpose(1, 0, 2), space.dtype),
                 (down, w_out), tuple(taus[:4]), np.concatenate(taus[4:]), constants,
                 space.recurrent_delay,
-                trace.v0, trace.v1, trace.vo, trace.vd, trace.u0, trace.u1, trace.uo, trace.s0, trace.s1,
-                g_in, g_ff, g_rec, g_out, g_skip, g_tau0, g_tau1, g_tau_out,
+                trace.v0, trace.v1, trace.vo, trace.u0, trace.u1, trace.uo, trace.s0, trace.s1,
+                g_in, g_ff, g_rec, g_out, g_tau0, g_tau1, g_tau_out,
             )  # fmt: skip
-            matrices = [g.T for g in (g_in, g_ff, g_rec, g_out, g_skip)]
-            return [*matrices, *g_tau0, *g_tau1, *(g_tau_out[k : k + 1] for k in range(3))]
+            matrices = [g.T for g in (g_in, g_ff, g_rec, g_out)]
+            return [*matrices, *g_tau0, *g_tau1, *(g_tau_out[k : k + 1] for k in range(2))]
 
         parts = space.each(run)
         totals = parts[0]

@@ -21,9 +21,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.dynamics import SKIP_ONE
-from estimators.encoder import HELD, INPUT_ONE, known_to, outputs_at, scaled_inputs
-from estimators.networks import TURN_S, NetworkEstimator, Recurrent, Spiking
+from estimators.encoder import INPUT_STATE, scaled_inputs
+from estimators.networks import NetworkEstimator, Recurrent, Spiking
 from estimators.pruning import connected
 from estimators.spiking import MATRICES
 from estimators.symmetry import OPERATIONS
@@ -35,14 +34,7 @@ from .folder import Epoch, claim, commit, contents_of, plot, replace, write_log
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, thin
 from .optim import Lookahead, changed
-from .starts import (
-    LEAN_FED_MEM,
-    WIDE_RANGES,
-    revive,
-    start_from_data,
-    start_from_weights,
-    start_like_the_paper,
-)
+from .starts import revive, start_from_data, start_from_weights, start_like_the_paper
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +77,7 @@ class _Run:
         _start(model, config, flights, self.steps)
         self._take(model)
         self.history: list[Epoch] = []
-        self._held = np.zeros((config.batch_size, HELD))
+        self._input_state = np.zeros((config.batch_size, INPUT_STATE))
         self._whole = _size(self.model)
 
     def _take(self, model: Model, state: dict[str, Any] | None = None) -> None:
@@ -111,7 +103,7 @@ class _Run:
         rate = _learning_rate(config, number * config.batches)
         batches = windows(
             self.flights, config.augmentation, config.batches, config.batch_size, self.steps,
-            config.windows_per_stream, (config.seed, 1, number), config.told,
+            config.windows_per_stream, (config.seed, 1, number),
         )  # fmt: skip
         for k, batch in enumerate(batches):
             rate = _learning_rate(config, number * config.batches + k)
@@ -175,11 +167,11 @@ class _Run:
 
     def _update(self, batch: Batch) -> tuple[float, list[float]]:
         config = self.config
-        self._held[batch.fresh] = 0.0
-        x, targets = _inputs_and_targets(config, batch, self.flights.rate_hz, self._held)
+        self._input_state[batch.fresh] = 0.0
+        x = _inputs(config, batch, self._input_state)
         estimate, rates = self.model(x, batch.fresh)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
-        wanted = torch.from_numpy(targets)
+        wanted = torch.from_numpy(batch.roll_pitch)
         cost = attitude_loss(estimate, wanted, config.knee) + config.rate_cost * rate_cost(
             rates, torch.tensor(config.rate_targets)
         )
@@ -302,9 +294,8 @@ def exported(
         arrays = {name: w.numpy() for name, w in model.weights()._asdict().items()}
     if not config.quantised:
         return network, {name: w.astype(np.float32) for name, w in arrays.items()}
-    one = dict.fromkeys(MATRICES, 256) | {"w_skip": SKIP_ONE}
     return network, {
-        name: np.rint(w * one[name] if name in one else 4096 * (1 - w.astype(np.float64))).astype(np.int16)
+        name: np.rint(w * 256 if name in MATRICES else 4096 * (1 - w.astype(np.float64))).astype(np.int16)
         for name, w in arrays.items()
     }
 
@@ -399,7 +390,6 @@ def _new_model(config: TrainConfig) -> Model:
         config.output_scale,
         config.threads,
         config.symmetric,
-        config.skip,
     )
 
 
@@ -415,8 +405,7 @@ def _start(model: Model, config: TrainConfig, flights: Flights, steps: int) -> N
         start_like_the_paper(model, config.seed)
         return
     x, roll_pitch = _sample(config, flights, steps, (config.seed, 0))
-    memory = LEAN_FED_MEM if config.inputs.lean_fed else WIDE_RANGES.skip_mem
-    start_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample, skip_mem=memory)
+    start_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample)
 
 
 def _sample(
@@ -425,24 +414,16 @@ def _sample(
     """Scaled inputs and targets of a few long windows, one entry for each network step."""
     several = max(1, min(3, flights.gyro.shape[1] // steps))
     batch = next(windows(flights, config.augmentation, 1, 32, several * steps, 1, seed))
-    x, wanted = _inputs_and_targets(config, batch, flights.rate_hz)
-    return x.numpy(), np.repeat(wanted, config.steps_per_sample, 1)
+    x = _inputs(config, batch)
+    return x.numpy(), np.repeat(batch.roll_pitch, config.steps_per_sample, 1)
 
 
-def _inputs_and_targets(
-    config: TrainConfig, batch: Batch, rate_hz: float, held: NDArray[np.float64] | None = None
-) -> tuple[Tensor, NDArray[np.float32]]:
-    """What the network is given in each step, and what it should say to each sample (n, T, 2) [rad]."""
-    held = np.zeros((len(batch.gyro), HELD)) if held is None else held
-    told = np.flatnonzero(batch.fresh & np.isfinite(batch.told).all(1))
-    held[told] = known_to(batch.told[told])
-    x, heading = scaled_inputs(config.inputs, rate_hz, batch.gyro, batch.accel, held)
-    wanted = outputs_at(config.inputs, batch.roll_pitch, heading).astype(np.float32)
-    turn = outputs_at(config.inputs, batch.told[told]) / (TURN_S * config.inputs.gyro)
-    x[told, : round(TURN_S * rate_hz), :2] += np.rint(INPUT_ONE * turn)[:, None] / INPUT_ONE
+def _inputs(config: TrainConfig, batch: Batch, state: NDArray[np.float64] | None = None) -> Tensor:
+    """Scaled inputs of each network step, shape (n, steps, 6); `state` as in `scaled_inputs`."""
+    x = scaled_inputs(config.inputs, batch.gyro, batch.accel, state)
     if config.model == "att-rnn":
-        return torch.from_numpy(x.astype(np.float32)), wanted
-    return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1)), wanted
+        return torch.from_numpy(x.astype(np.float32))
+    return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
 
 
 def _size(model: Model) -> int:
@@ -459,14 +440,7 @@ def _rank(config: TrainConfig, epoch: Epoch) -> tuple[int, float]:
 def _step(config: TrainConfig, name: str) -> float:
     """Factor of the learning rate for a parameter: one common change of many weights adds up over neurons."""
     encoding, hidden, output = config.layer_steps
-    return {
-        "w_in": encoding,
-        "w_ff": hidden,
-        "w_rec": hidden,
-        "w_out": output,
-        "w_skip": output,
-        "mem_skip": 0.01,
-    }.get(name, 1.0)
+    return {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_out": output}.get(name, 1.0)
 
 
 def _learning_rate(config: TrainConfig, update: int) -> float:

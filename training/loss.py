@@ -11,7 +11,7 @@ from torch.nn.functional import huber_loss
 
 
 def attitude_loss(estimate: Tensor, wanted: Tensor, knee: float = 0.0) -> Tensor:
-    """Mean square error over roll and pitch, or the two components of the tilt [rad²]; both (n, T, 2).
+    """Mean square error over roll and pitch [rad²]; both (n, T, 2).
 
     Beyond a `knee` [rad] of both together it goes on in proportion to the error (Huber, "Robust estimation of
     a location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.

@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from estimators.pruning import living
-from estimators.spiking import (
-    MATRICES,
-    TIME_CONSTANTS,
-    Weights,
-    quantise_decay,
-    quantise_skip,
-    quantise_weights,
-)
+from estimators.spiking import MATRICES, TIME_CONSTANTS, Weights, quantise_decay, quantise_weights
 from estimators.symmetry import Ties, ties
 
 from .kernels import Workspace, attsnn
@@ -34,9 +27,8 @@ WEIGHT_MAX = 127 / 128
 CURRENT_MAX, CURRENT_EVERY = 384.0, 8
 """Currents may grow to this, three quarters of where 24 bits end; every eighth step is looked at."""
 LAYERS = {
-    "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1), "w_skip": (None, None),
+    "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1),
     "syn0": (0,), "mem0": (0,), "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
-    "mem_skip": (None,),
 }  # fmt: skip
 """For each axis of a parameter the layer whose neurons it counts: 0 encoding, 1 hidden."""
 
@@ -52,7 +44,6 @@ class AttSNN(nn.Module):
         output_scale: Radians for an output potential of 1.0.
         threads: Parts of a batch that run side by side.
         symmetric: Whether weights are shared as `estimators.symmetry` says.
-        skip: Whether the inputs also drive the outputs directly.
     """
 
     def __init__(
@@ -64,7 +55,6 @@ class AttSNN(nn.Module):
         output_scale: float = 1.0,
         threads: int = 1,
         symmetric: bool = False,
-        skip: bool = False,
     ) -> None:
         """Allocate the parameters; `start_like_the_paper` or `start_from_data` fills them."""
         super().__init__()
@@ -74,38 +64,30 @@ class AttSNN(nn.Module):
         self.w_ff = nn.Parameter(torch.zeros(hidden, encoding))
         self.w_rec = nn.Parameter(torch.zeros(hidden, hidden))
         self.w_out = nn.Parameter(torch.zeros(OUTPUTS, hidden))
-        self.w_skip = nn.Parameter(torch.zeros(OUTPUTS, 6))
         self.syn0 = nn.Parameter(torch.zeros(encoding))
         self.mem0 = nn.Parameter(torch.zeros(encoding))
         self.syn1 = nn.Parameter(torch.zeros(hidden))
         self.mem1 = nn.Parameter(torch.zeros(hidden))
         self.syn2 = nn.Parameter(torch.zeros(1))
         self.mem2 = nn.Parameter(torch.zeros(1))
-        self.mem_skip = nn.Parameter(torch.zeros(1))
         for name in MATRICES:  # a step of the optimiser is relative to these
-            rows, columns = getattr(self, name).shape
-            self.register_buffer(f"{name}_scale", torch.ones(rows, columns if name == "w_skip" else 1))
+            self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
         self.ties = ties(encoding, hidden) if symmetric else {}
         for name, tied in self.ties.items():
             getattr(self, name).register_hook(partial(_mean, tied))
         for name in MATRICES:
-            kept = torch.full(getattr(self, name).shape, skip or name != "w_skip")
+            kept = torch.ones(getattr(self, name).shape, dtype=torch.bool)
             if self.ties:
                 kept &= torch.from_numpy(self.ties[name].sign != 0).reshape(kept.shape)
             self.register_buffer(f"{name}_kept", kept)
         self._spaces: dict[tuple[int, int], Workspace] = {}
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
-        """Set a weight matrix, and its rows' scales to their root mean square.
-
-        Of the skip connection, whose inputs differ in kind, each weight has a scale of its own.
-        """
+        """Set a weight matrix, and its rows' scales to their root mean square."""
         w = torch.tensor(values, dtype=torch.float32)
         used = (w != 0).sum(1, keepdim=True).clamp(min=1)
         scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
-        if name == "w_skip":
-            scale = torch.where(w != 0, w.abs(), 1.0)
-        elif self.ties:  # rows that share their weights share their scale
+        if self.ties:  # rows that share their weights share their scale
             layer = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1"}.get(name)
             scale = self.shared(layer, scale) if layer else scale.mean()
         with torch.no_grad():
@@ -125,7 +107,7 @@ class AttSNN(nn.Module):
         w = [getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES]
         tau = [torch.sigmoid(getattr(self, name)) for name in TIME_CONSTANTS]
         if self.quantised:
-            w = [*(quantise_weights(x) for x in w[:-1]), quantise_skip(w[-1])]
+            w = [quantise_weights(x) for x in w]
             tau = [quantise_decay(x) for x in tau]
         return Weights(*w, *tau)
 
@@ -155,7 +137,7 @@ class AttSNN(nn.Module):
         for weight, kept in self.kept.items():
             weight.mul_(kept)
         if self.quantised:
-            for name in MATRICES[:-1]:
+            for name in MATRICES:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
                 w = getattr(self, name)
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
@@ -214,7 +196,7 @@ class AttSNN(nn.Module):
     @property
     def living(self) -> list[NDArray[np.int64]]:
         """Neurons of both layers that connections join to the inputs and to the outputs."""
-        kept = [getattr(self, f"{name}_kept").numpy() for name in MATRICES[:-1]]
+        kept = [getattr(self, f"{name}_kept").numpy() for name in MATRICES]
         layers = (("mem0", self.w_in.shape[0]), ("mem1", self.w_ff.shape[0]))
         groups = [self.ties[name].first if self.ties else np.arange(size) for name, size in layers]
         return living(kept, groups)
@@ -236,15 +218,10 @@ class AttSNN(nn.Module):
         return sum(int(kept.sum()) for kept in self.kept.values()) + self.time_constants
 
     @property
-    def skips(self) -> bool:
-        """Whether the inputs also drive the outputs directly."""
-        return bool(self.get_buffer("w_skip_kept").any())
-
-    @property
     def time_constants(self) -> int:
-        """How many there are; that behind the skip connection counts where there is one."""
+        """How many there are."""
         h0, h1 = self.w_in.shape[0], self.w_ff.shape[0]
-        return 2 * (h0 + h1) + 2 + int(self.skips)
+        return 2 * (h0 + h1) + 2
 
 
 def thin(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:

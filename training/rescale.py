@@ -40,13 +40,5 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     new["w_ff"] = old["w_ff"] * area("syn1")
     new["w_rec"] = old["w_rec"] * area("syn1")
     new["w_out"] = old["w_out"] * area("syn2")
-    new["w_skip"] = old["w_skip"] / k
-    memories = {"lead_samples": tuple(max(1, round(each * k)) for each in config.inputs.lead_samples)}
-    changed = config.model_copy(
-        update={
-            "rate_hz": rate_hz,
-            "quantised": False,
-            "inputs": config.inputs.model_copy(update=memories),
-        }
-    )
+    changed = config.model_copy(update={"rate_hz": rate_hz, "quantised": False})
     return changed, {name: value.astype(np.float32) for name, value in new.items()}

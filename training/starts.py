@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,14 +30,10 @@ class Ranges:
     hidden_mem: tuple[float, float]
     output_syn: float
     output_mem: float
-    skip_mem: float = 585.0
 
 
 PAPER_RANGES = Ranges((1.0, 5.0), (1.0, 5.0), (1.0, 5.0), (1.0, 5.0), 2.0, 5.0)
 WIDE_RANGES = Ranges((0.5, 4.0), (60.0, 400.0), (1.0, 400.0), (20.0, 200.0), 1.5, 200.0)
-LEAN_FED_MEM = 100.0
-"""Memory behind the skip connection where a lean is fed [network steps]: the drive is rounded toward zero in
-each step, which lasts as long as the memory."""
 
 
 def start_like_the_paper(model: AttSNN, seed: int) -> None:
@@ -58,7 +54,6 @@ def start_from_data(
     seed: int,
     steps_per_sample: int = 1,
     fan_in: int = 25,
-    skip_mem: float = WIDE_RANGES.skip_mem,
 ) -> None:
     """A network that is solved, not trained: a leaky integrator over random features of the real input.
 
@@ -74,10 +69,9 @@ def start_from_data(
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
         fan_in: Encoders that each hidden neuron reads.
-        skip_mem: Memory of the integrators behind the skip connection [network steps].
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _start_taus(model, replace(WIDE_RANGES, skip_mem=skip_mem), rng, steps_per_sample)
+    _start_taus(model, WIDE_RANGES, rng, steps_per_sample)
     h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
     spread = x.reshape(-1, 6).std(0)
     directions = rng.normal(size=(h0, 6)) * (rng.random((h0, 6)) < 0.3)
@@ -96,10 +90,6 @@ def start_from_data(
     model.set_weights("w_ff", w_ff * model.shared("mem1", _current_scale(model, x, w_ff, rng)))
     model.set_weights("w_rec", w_rec)
     model.constrain()
-    if model.skips:
-        w_skip, said = _solve_skip(model, x, roll_pitch)
-        model.set_weights("w_skip", w_skip)
-        roll_pitch = roll_pitch - said
     w_out = _solve_outputs(model, x, roll_pitch)
     model.set_weights("w_out", model.ties["w_out"].mean(w_out) if model.ties else w_out)
     model.constrain()
@@ -195,7 +185,6 @@ def _start_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch
             ("mem1", ranges.hidden_mem),
             ("syn2", (ranges.output_syn,) * 2),
             ("mem2", (ranges.output_mem,) * 2),
-            ("mem_skip", (ranges.skip_mem,) * 2),
         ):
             parameter = getattr(model, name)
             low, high = (math.log(limit * (1 if name in ("syn0", "syn2") else stretch)) for limit in limits)
@@ -236,30 +225,15 @@ def _current_scale(model: AttSNN, x: NDArray[np.float64], w_ff: NDArray, rng: np
     return (sign * 0.5 * rate / np.maximum(current.std((0, 1)), 1e-6))[:, None]
 
 
-def _solve_skip(
-    model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]
-) -> tuple[NDArray, NDArray]:
-    """Least squares from the inputs, as the integrators behind the skip connection filter them.
-
-    Returns:
-        The weights of the skip connection (2, 6), and what the outputs say with them alone (n, T, 2) [rad].
-    """
-    features = _filtered(x, torch.sigmoid(model.mem_skip).detach().numpy()) * model.output_scale
-    late = slice(x.shape[1] // 4, None)
-    w = np.linalg.lstsq(features[:, late].reshape(-1, 6), roll_pitch[:, late].reshape(-1, 2), rcond=None)[0].T
-    w = (model.ties["w_skip"].mean(w) if model.ties else w) * model.get_buffer("w_skip_kept").numpy()
-    return w, features @ w.T
-
-
 def _solve_outputs(model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]) -> NDArray:
     """Ridge regression from the hidden spikes, filtered as the outputs filter them, to roll and pitch."""
     _, spikes = _spikes(model, x)
     features = spikes.astype(np.float32)
     for name in ("syn2", "mem2"):
         features = _filtered(features, torch.sigmoid(getattr(model, name)).detach().numpy())
-    skip = x.shape[1] // 4
-    a = features[:, skip:].reshape(-1, features.shape[2]).astype(np.float64)
-    b = roll_pitch[:, skip:].reshape(-1, 2) / model.output_scale
+    settled = x.shape[1] // 4
+    a = features[:, settled:].reshape(-1, features.shape[2]).astype(np.float64)
+    b = roll_pitch[:, settled:].reshape(-1, 2) / model.output_scale
     gram = a.T @ a
     ridge = max(1e-3 * np.trace(gram) / len(gram), 1e-9)  # neurons may all be silent
     return np.linalg.solve(gram + ridge * np.eye(len(gram)), a.T @ b).T
