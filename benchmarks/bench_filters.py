@@ -43,13 +43,13 @@ def motion(flights: int, seconds: float, seed: int = 0) -> tuple[np.ndarray, np.
 
 
 def ns_per_sample(name: str, gyro: np.ndarray, accel: np.ndarray, repetitions: int = 5) -> float:
-    est = create(name, RATE_HZ)
+    est = create(name, RATE_HZ, vehicle="hummingbird")
     run(est, gyro[:1, :2], accel[:1, :2])
     return best_of(lambda: run(est, gyro, accel), repetitions) / gyro[..., 0].size * 1e9
 
 
 def us_per_update(name: str, gyro: np.ndarray, accel: np.ndarray, count: int) -> float:
-    est = create(name, RATE_HZ)
+    est = create(name, RATE_HZ, vehicle="hummingbird")
     est.reset(1)
     samples = [(gyro[:1, t], accel[:1, t]) for t in range(count)]
     est.update(*samples[0])

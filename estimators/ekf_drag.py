@@ -1,4 +1,4 @@
-"""Error-state Kalman filter that knows why a flying quadrotor's accelerometer reads what it reads.
+"""Error-state Kalman filter that is given the airframe's drag, and adapts its noise to what it meets.
 
 Without drag the accelerometer of a flying quadrotor reads thrust along body z at any tilt. What is left
 across it is rotor and frame drag, so it measures velocity through the air, not tilt (Martin & Salaün, "The
@@ -11,12 +11,29 @@ State: attitude R, velocity v and horizontal wind w (world axes), gyroscope bias
     a_xy = −D (Rᵀ (v − w))_xy + c_xy + noise,    D = √(a_z / g) / τ + f |v − w|
 
 because rotor drag is proportional to the sum of rotor speeds, which goes with the root of thrust; τ is the
-time constant of rotor drag at hover and f the frame's quadratic drag per mass. A second, weak measurement
-says that the vehicle stays where it is on the whole: v = 0, each sample with a large noise.
+time constant of rotor drag at hover and f the frame's quadratic drag per mass, both from the vehicle's file.
+A second, weak measurement says that the vehicle stays where it is on the whole: v = 0.
 
 The error is right-invariant as in `eskf`: θ in world axes, v = exp([θ]×) v̂ + δv and so for w. The drag
 measurement then does not depend on θ at all, its matrix is −D R̂ᵀ on δv − δw, and heading drops out. Error
 state: θ_x, θ_y, δv, δw_x, δw_y, δb, δc (13).
+
+Noise is adapted to the innovation ν of the drag measurement, whose matrix is H:
+
+- *Vibration*: the variance of ν is at least the low-passed ¼ |ν[t] − ν[t−1]|², the part that is white.
+- *Wind*: corrections of the airspeed v − w that sum up to more than the variance they remove raise the
+  process noise of w, less lowers it (Myers & Tapley, "Adaptive sequential estimation with unknown noise
+  statistics", IEEE Trans. Autom. Control 21(4), 1976).
+- *Gust fronts*: a low-passed ν beyond its own variance inflates that process noise at once.
+- *Bias steps*: corrections of b that sum up to far more than the variance they remove inflate the variance
+  of b.
+- *Velocity*: the measurement v = 0 is the weaker, the larger the mean square of the estimated velocity.
+- *Model*: the variance of ν grows with the mean square of the horizontal acceleration, since thrust and drag
+  are not known exactly.
+
+At rest, where low-passes of all six readings with two time constants agree, the gyroscope measures its bias
+(a zero-rate update, as in VQF: Laidig & Seel, "VQF: Highly accurate IMU orientation estimation with bias
+estimation and magnetic disturbance rejection", Information Fusion 91, 2023).
 """
 
 import math
@@ -27,21 +44,101 @@ from numba import njit
 from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotate_core
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 
-from .ekf import SIGMA_KNOWN, SIGMA_UNKNOWN
+from .ekf import SIGMA_KNOWN
 from .eskf import turned
-from .filters import Algorithm, Array, Parameter
+from .filters import FROM_VEHICLE, Algorithm, Array, Parameter, record_columns
 from .sample import COMMON, roll_pitch_core, usable_between, wrap_core
 
 ERRORS = 13
-QUAT, VELOCITY, WIND, BIAS, ACCEL_BIAS = COMMON, COMMON + 4, COMMON + 7, COMMON + 9, COMMON + 12
-COVARIANCE, SIZE = COMMON + 15, 15 + ERRORS * ERRORS
+TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS = 0, 2, 5, 7, 10
+"""Where the parts of the error state begin."""
 
-SPEED_SIGMA = 3.0
-"""Standard deviation of the initial velocity, which is taken as zero [m/s]."""
-ACCEL_NOISE = 0.01
-"""Noise density of the specific force in the prediction of velocity [m/s/√s]."""
-ACCEL_BIAS_WALK = 0.006
-"""Random walk of the accelerometer's bias [m/s²/√s]."""
+STATE = np.dtype(
+    [
+        ("quat", "f8", 4),
+        ("velocity", "f8", 3),
+        ("wind", "f8", 2),
+        ("gyro_bias", "f8", 3),
+        ("accel_bias", "f8", 3),
+        ("covariance", "f8", (ERRORS, ERRORS)),
+        ("time", "f8"),  # since the start [s]
+        ("accel_W", "f8", 3),  # of the last sample, world axes [m/s²]
+        ("innovation", "f8", 2),  # of the drag measurement at the last sample, world axes [m/s²]
+        ("innovation_mean", "f8", 2),  # low-passed [m/s²]
+        ("vibration", "f8"),  # variance of the white part of it [m²/s⁴]
+        ("wind_noise", "f8"),  # process noise of the wind [m²/s³]
+        ("airspeed_sum", "f8", 2),  # recent corrections of v - w [m/s]
+        ("airspeed_due", "f8"),  # variance that they removed [m²/s²]
+        ("bias_sum", "f8", 3),  # recent corrections of the gyroscope's bias [rad/s]
+        ("bias_due", "f8"),  # variance that they removed [rad²/s²]
+        ("speed_square", "f8"),  # mean square of the horizontal velocity, per axis [m²/s²]
+        ("accel_square", "f8"),  # mean square of the horizontal acceleration [m²/s⁴]
+        ("rest_time", "f8"),  # for which the readings have not changed [s]
+        ("fast", "f8", 6),  # low-passed readings
+        ("slow", "f8", 6),
+    ]
+)
+"""What the filter keeps of a vehicle."""
+
+PARAMETERS = {
+    "gyro_noise": Parameter(1e-3, 1e-4, 0.01, searched=False),
+    "drag_noise": Parameter(0.015, 3e-3, 0.1, minimum=1e-9),
+    "model_noise": Parameter(0.004, 1e-3, 0.03),
+    "wind_noise": Parameter(0.17, 0.01, 2.0),
+    "wind_gain": Parameter(1.7, 0.2, 10.0),
+    "wind_share": Parameter(0.6, 0.3, 0.9, scale="linear"),
+    "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3),
+    "gust_ratio": Parameter(1.3, 1.0, 4.0),
+    "speed_least": Parameter(0.2, 0.03, 1.0, minimum=1e-6),
+    "speed_time": Parameter(0.33, 0.05, 3.0, minimum=1e-6),
+    "speed_growth": Parameter(10.9, 1.0, 50.0),
+    "speed_memory": Parameter(1.0, 0.3, 5.0, minimum=1e-3),
+    "climb_noise": Parameter(2.0, 0.1, 10.0, minimum=1e-9),
+    "step_ratio": Parameter(3.0, 1.5, 20.0),
+    "attitude_sigma": Parameter(0.3, 0.1, 0.8),
+    "speed_sigma": Parameter(0.6, 0.2, 4.0),
+    "wind_sigma": Parameter(4.0, 1.0, 10.0),
+    "bias_noise": Parameter(1.2e-4, 1e-6, 1e-3, searched=False),
+    "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
+    "accel_bias_noise": Parameter(0.0085, 1e-4, 0.1, searched=False),
+    "wind_noise_least": Parameter(0.013, 1e-4, 0.1, searched=False),
+    "wind_window": Parameter(0.1, 0.02, 1.0, minimum=1e-3, searched=False),
+    "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
+    "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
+    "accel_memory": Parameter(2.7, 0.5, 10.0, minimum=1e-3, searched=False),
+    "step_gain": Parameter(40.0, 1.0, 200.0, searched=False),
+    "step_window": Parameter(1.0, 0.1, 5.0, minimum=1e-3, searched=False),
+    "rest_rate": Parameter(0.005, 1e-3, 0.1, searched=False),
+    "rest_accel": Parameter(0.05, 0.01, 1.0, searched=False),
+    "rest_rate_most": Parameter(0.1, 0.01, 1.0, searched=False),
+    "rest_noise": Parameter(0.002, 1e-4, 0.1, minimum=1e-9, searched=False),
+    "rest_delay": Parameter(1.5, 0.1, 5.0, minimum=1e-3, searched=False),
+    "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
+    "bias_sigma": Parameter(0.0087, 1e-4, 0.1, searched=False),
+    "accel_bias_sigma": Parameter(0.196, 1e-3, 1.0, searched=False),
+    "drag_time": Parameter(FROM_VEHICLE, 1.0, 20.0, minimum=1e-3, searched=False),
+    "frame_drag": Parameter(FROM_VEHICLE, 1e-4, 1.0, searched=False),
+}
+"""Noise density of the rate [rad/√s]; least noise density of the drag measurement [m/s²·√s], and further in
+proportion to acceleration [√s]. Wind: initial noise density [m/s/√s], gain of its adaptation, share of the
+removed variance at which it neither rises nor falls, its memory [s]; variances that a low-passed innovation
+may have before it is a gust front. Velocity: least standard deviation [m/s] and correlation time [s] of
+v = 0, growth of that time with the mean square velocity [s²/m²], memory of that [s]; noise density of a
+vertical velocity of zero [m/s·√s]. Variances that corrections of the gyroscope's bias may sum up to before
+it has stepped. Initial standard deviations of the tilt [rad], where it is not known, of velocity and wind
+[m/s]. Further, not searched: noise densities of both biases' walks [rad/s/√s], [m/s²/√s] and of the specific
+force [m/s/√s]; least noise density of the wind [m/s/√s]; memories of the wind's corrections, of the gust
+front, of vibration and of acceleration [s]; gain and memory [s] of the bias step; at rest: largest difference
+of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise density of the zero-rate update [rad/√s], time
+before it and time constants of the slow (the same) and the fast low-pass [s]; initial standard deviations of
+the biases [rad/s], [m/s²]. Of the vehicle: τ [s] and f [1/m]."""
+
+PARAMS = np.dtype([(name, "f8") for name in PARAMETERS])
+
+INNOVATION_MAX = 5.0
+"""Innovations count no further: one bad reading does no lasting harm [m/s²]."""
+FIRST_S = 0.1
+"""Time for which the first value of a mean square counts [s]."""
 
 
 @njit
@@ -50,19 +147,20 @@ def transition(P, matrix, v, w, dt):
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
     vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
     for j in range(ERRORS):
-        x, y = P[0, j], P[1, j]
-        b0, b1, b2, c0, c1, c2 = P[7, j], P[8, j], P[9, j], P[10, j], P[11, j], P[12, j]
+        x, y = P[TILT, j], P[TILT + 1, j]
+        b0, b1, b2 = P[GYRO_BIAS, j], P[GYRO_BIAS + 1, j], P[GYRO_BIAS + 2, j]
+        c0, c1, c2 = P[ACCEL_BIAS, j], P[ACCEL_BIAS + 1, j], P[ACCEL_BIAS + 2, j]
         # R̂ δb and R̂ δc
         bx, cx = r00 * b0 + r01 * b1 + r02 * b2, r00 * c0 + r01 * c1 + r02 * c2
         by, cy = r10 * b0 + r11 * b1 + r12 * b2, r10 * c0 + r11 * c1 + r12 * c2
         bz, cz = r20 * b0 + r21 * b1 + r22 * b2, r20 * c0 + r21 * c1 + r22 * c2
-        P[0, j] = x - dt * bx
-        P[1, j] = y - dt * by
-        P[2, j] += dt * (GRAVITY * y - cx - (vy * bz - vz * by))
-        P[3, j] += dt * (-GRAVITY * x - cy - (vz * bx - vx * bz))
-        P[4, j] += dt * (-cz - (vx * by - vy * bx))
-        P[5, j] -= dt * wy * bz
-        P[6, j] += dt * wx * bz
+        P[TILT, j] = x - dt * bx
+        P[TILT + 1, j] = y - dt * by
+        P[VELOCITY, j] += dt * (GRAVITY * y - cx - (vy * bz - vz * by))
+        P[VELOCITY + 1, j] += dt * (-GRAVITY * x - cy - (vz * bx - vx * bz))
+        P[VELOCITY + 2, j] += dt * (-cz - (vx * by - vy * bx))
+        P[WIND, j] -= dt * wy * bz
+        P[WIND + 1, j] += dt * wx * bz
 
 
 @njit
@@ -98,21 +196,37 @@ def correct(P, dx, column, total, residual):
 
 
 @njit
-def correct_by_drag(P, dx, column, matrix, v, w, c, ax, ay, drag, variance):
-    """Correct by the specific force across thrust, one axis after the other; column is scratch."""
+def correct_by_drag(P, dx, column, matrix, s, accel, drag, variance, innovation):
+    """Correct by the specific force across thrust, one axis after the other.
+
+    Args:
+        P: Covariance.
+        dx: Error found so far.
+        column: Scratch.
+        matrix: R̂ by rows.
+        s: The vehicle's record.
+        accel: Specific force (3,) [m/s²].
+        drag: D [1/s].
+        variance: Of the measurement, each axis [m²/s⁴].
+        innovation: Measured less expected before the correction (2,), body axes [m/s²]; written.
+    """
+    v, w, c = s.velocity, s.wind, s.accel_bias
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
         expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + c[k]
-        found = x * (dx[2] - dx[5]) + y * (dx[3] - dx[6]) + z * dx[4] + dx[10 + k]
+        innovation[k] = min(max(accel[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
+        found = x * (dx[VELOCITY] - dx[WIND]) + y * (dx[VELOCITY + 1] - dx[WIND + 1])
+        found += z * dx[VELOCITY + 2] + dx[ACCEL_BIAS + k]
         for a in range(ERRORS):
-            column[a] = x * (P[2, a] - P[5, a]) + y * (P[3, a] - P[6, a]) + z * P[4, a] + P[10 + k, a]
-        total = x * (column[2] - column[5]) + y * (column[3] - column[6]) + z * column[4] + column[10 + k]
-        measured = ax if k == 0 else ay
-        correct(P, dx, column, total + variance, measured - expected - found)
+            column[a] = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
+            column[a] += z * P[VELOCITY + 2, a] + P[ACCEL_BIAS + k, a]
+        total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
+        total += z * column[VELOCITY + 2] + column[ACCEL_BIAS + k]
+        correct(P, dx, column, total + variance, innovation[k] - found)
 
 
 @njit
-def correct_by_rest(P, dx, column, v, speed_variance, climb_variance):
+def correct_by_zero_velocity(P, dx, column, v, speed_variance, climb_variance):
     """Correct by the measurement v = 0, one axis after the other; column is scratch."""
     for k in range(3):
         x, y = 0.0, 0.0  # of θ × v̂
@@ -123,124 +237,244 @@ def correct_by_rest(P, dx, column, v, speed_variance, climb_variance):
         else:
             x, y = v[1], -v[0]
         for a in range(ERRORS):
-            column[a] = x * P[0, a] + y * P[1, a] + P[2 + k, a]
-        total = x * column[0] + y * column[1] + column[2 + k]
-        found = x * dx[0] + y * dx[1] + dx[2 + k]
+            column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
+        total = x * column[TILT] + y * column[TILT + 1] + column[VELOCITY + k]
+        found = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
         correct(P, dx, column, total + (climb_variance if k == 2 else speed_variance), -v[k] - found)
 
 
 @njit
-def advance(s, p, dt, gx, gy, gz, ax, ay, az, T, dx, column, walks):
-    """Take one sample; s is a vehicle's row, p its parameters, the last four are scratch."""
-    walks[0:2] = p[0] * p[0] * dt
-    walks[2:5] = ACCEL_NOISE * ACCEL_NOISE * dt
-    walks[5:7] = p[1] * p[1] * dt
-    walks[7:10] = p[6] * p[6] * dt
-    walks[10:13] = ACCEL_BIAS_WALK * ACCEL_BIAS_WALK * dt
-    v, w = s[VELOCITY : VELOCITY + 3], s[WIND : WIND + 2]
-    bias, c = s[BIAS : BIAS + 3], s[ACCEL_BIAS : ACCEL_BIAS + 3]
-    P = s[COVARIANCE : COVARIANCE + ERRORS * ERRORS].reshape(ERRORS, ERRORS)
-    dw, dqx, dqy, dqz = from_rotvec_core((gx - bias[0]) * dt, (gy - bias[1]) * dt, (gz - bias[2]) * dt)
-    qw, qx, qy, qz = multiply_core(s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3], dw, dqx, dqy, dqz)
-    matrix = matrix_core(qw, qx, qy, qz)
-    propagate(P, T, matrix, v, w, dt, walks)
-    dx[:] = 0.0
-    if ax != 0.0 or ay != 0.0 or az != 0.0:
-        fx, fy, fz = rotate_core(qw, qx, qy, qz, ax - c[0], ay - c[1], az - c[2])
-        v[0] += fx * dt
-        v[1] += fy * dt
-        v[2] += (fz - GRAVITY) * dt
-        speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
-        drag = math.sqrt(max(az, 0.0) / GRAVITY) / p[7] + p[8] * speed
-        correct_by_drag(P, dx, column, matrix, v, w, c, ax, ay, drag, p[2] * p[2] / dt)
-        correct_by_rest(P, dx, column, v, p[3] * p[3] / dt, p[4] * p[4] / dt)
-    qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
-    s[QUAT], s[QUAT + 1], s[QUAT + 2], s[QUAT + 3] = qw, qx, qy, qz
-    rw, rx, ry, rz = from_rotvec_core(dx[0], dx[1], 0.0)
-    vx, vy, vz = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
-    wx, wy, _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
-    v[0], v[1], v[2] = vx + dx[2], vy + dx[3], vz + dx[4]
-    w[0], w[1] = wx + dx[5], wy + dx[6]
+def correct_by_zero_rate(P, dx, column, gyro, bias, variance):
+    """Correct by the gyroscope of a vehicle at rest, which reads its bias; column is scratch."""
     for k in range(3):
-        bias[k] += dx[7 + k]
-        c[k] += dx[10 + k]
+        for a in range(ERRORS):
+            column[a] = P[GYRO_BIAS + k, a]
+        correct(
+            P, dx, column, column[GYRO_BIAS + k] + variance, gyro[k] - bias[k] - dx[GYRO_BIAS + k]
+        )  # fmt: skip
+
+
+@njit
+def airspeed_variance(P):
+    """Variance of the horizontal airspeed v − w, both axes summed [m²/s²]."""
+    x = P[VELOCITY, VELOCITY] + P[WIND, WIND] - 2.0 * P[VELOCITY, WIND]
+    y = P[VELOCITY + 1, VELOCITY + 1] + P[WIND + 1, WIND + 1] - 2.0 * P[VELOCITY + 1, WIND + 1]
+    return x + y
+
+
+@njit
+def bias_variance(P):
+    """Variance of the gyroscope's bias, all axes summed [rad²/s²]."""
+    return (
+        P[GYRO_BIAS, GYRO_BIAS]
+        + P[GYRO_BIAS + 1, GYRO_BIAS + 1]
+        + P[GYRO_BIAS + 2, GYRO_BIAS + 2]
+    )  # fmt: skip
+
+
+@njit
+def adapt_vibration(s, p, dt, x, y):
+    """Take an innovation in world axes into its mean and into the variance of its white part."""
+    if s.time > dt:
+        change = (x - s.innovation[0]) ** 2 + (y - s.innovation[1]) ** 2
+        s.vibration += (0.25 * change - s.vibration) * dt / p.vibration_memory
+    s.innovation[0], s.innovation[1] = x, y
+    s.innovation_mean[0] += (x - s.innovation_mean[0]) * dt / p.gust_window
+    s.innovation_mean[1] += (y - s.innovation_mean[1]) * dt / p.gust_window
+
+
+@njit
+def adapt_wind(s, p, dt, dx, removed):
+    """Take a correction of the airspeed, and the variance that it removed, into the wind's process noise."""
+    scatter = 0.0
+    for k in range(2):
+        moved = dx[VELOCITY + k] - dx[WIND + k]
+        s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / p.wind_window
+        scatter += 0.5 * s.airspeed_sum[k] ** 2
+    s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / p.wind_window
+    excess = p.wind_gain * 2.0 * (scatter - p.wind_share * s.airspeed_due) / p.wind_window
+    memory = min(0.5 * FIRST_S + s.time, p.wind_memory) if excess > 0.0 else p.wind_memory
+    s.wind_noise = max(s.wind_noise + excess * dt / memory, p.wind_noise_least**2)
+
+
+@njit
+def adapt_bias(s, p, dt, dx, P, removed):
+    """Inflate the variance of the gyroscope's bias where its corrections show that it has stepped."""
+    scatter = 0.0
+    for k in range(3):
+        s.bias_sum[k] += dx[GYRO_BIAS + k] - s.bias_sum[k] * dt / p.step_window
+        scatter += s.bias_sum[k] ** 2 / 3.0
+    s.bias_due += max(removed, 0.0) / 3.0 - 2.0 * s.bias_due * dt / p.step_window
+    inflation = max(scatter - p.step_ratio * s.bias_due, 0.0) * p.step_gain * dt / p.step_window
+    for k in range(GYRO_BIAS, ACCEL_BIAS):
+        P[k, k] += inflation
+
+
+@njit
+def gust_noise(s, p, noise, dt, drag):
+    """Process noise of the wind that a low-passed innovation beyond its variance calls for [m²/s³]."""
+    square = s.innovation_mean[0] ** 2 + s.innovation_mean[1] ** 2
+    return max(square - p.gust_ratio * noise * dt / p.gust_window, 0.0) / p.gust_window / (drag * drag)
+
+
+@njit
+def at_rest(s, p, dt, gyro, accel):
+    """Take readings into their low-passes; whether they have agreed for long enough."""
+    same = True
+    fast, slow = dt / min(s.time, p.rest_fast), dt / min(s.time, p.rest_delay)
+    for k in range(6):
+        value, most = (gyro[k], p.rest_rate) if k < 3 else (accel[k - 3], p.rest_accel)
+        s.fast[k] += min(fast, 1.0) * (value - s.fast[k])
+        s.slow[k] += min(slow, 1.0) * (value - s.slow[k])
+        same &= abs(s.fast[k] - s.slow[k]) <= most and (k >= 3 or abs(s.slow[k]) <= p.rest_rate_most)
+    s.rest_time = s.rest_time + dt if same else 0.0
+    return s.rest_time >= p.rest_delay
+
+
+@njit
+def mean_square(value, square, dt, time, memory):
+    """Mean square after a further square value."""
+    return value + (square - value) * dt / min(FIRST_S + time, memory)
+
+
+@njit
+def measure(s, p, dt, gyro, accel, quat, matrix, dx, column, innovation):
+    """All corrections by one sample: adds to the error dx, reduces the covariance, adapts the noise."""
+    P, v, w = s.covariance, s.velocity, s.wind
+    speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
+    drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time + p.frame_drag * speed
+    noise = max(s.vibration, p.drag_noise**2 / dt)
+    airspeed, bias = airspeed_variance(P), bias_variance(P)
+    correct_by_drag(
+        P, dx, column, matrix, s, accel, drag, noise + p.model_noise**2 * s.accel_square / dt, innovation
+    )  # fmt: skip
+    x, y, _ = rotate_core(quat[0], quat[1], quat[2], quat[3], innovation[0], innovation[1], 0.0)
+    adapt_vibration(s, p, dt, x, y)
+    if s.time > p.wind_window:  # the first corrections are those of the initial state
+        adapt_wind(s, p, dt, dx, airspeed - airspeed_variance(P))
+        adapt_bias(s, p, dt, dx, P, bias - bias_variance(P))
+    spread = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
+    correct_by_zero_velocity(P, dx, column, v, spread / dt, p.climb_noise**2 / dt)
+    s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, p.speed_memory)
+    if at_rest(s, p, dt, gyro, accel):
+        correct_by_zero_rate(P, dx, column, gyro, s.gyro_bias, p.rest_noise**2 / dt)
+
+
+@njit
+def advance(s, p, dt, gyro, accel, scratch):
+    """Take one sample; s is a vehicle's record, p its parameters."""
+    T, dx, column, walks, innovation = scratch
+    v, w, b, c = s.velocity, s.wind, s.gyro_bias, s.accel_bias
+    s.time += dt
+    noise = max(s.vibration, p.drag_noise**2 / dt)
+    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt
+    walks[VELOCITY:WIND] = p.accel_noise**2 * dt
+    walks[WIND:GYRO_BIAS] = max(s.wind_noise, gust_noise(s, p, noise, dt, 1.0 / p.drag_time)) * dt
+    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
+    walks[ACCEL_BIAS:] = p.accel_bias_noise**2 * dt
+    turn = from_rotvec_core((gyro[0] - b[0]) * dt, (gyro[1] - b[1]) * dt, (gyro[2] - b[2]) * dt)
+    qw, qx, qy, qz = multiply_core(
+        s.quat[0], s.quat[1], s.quat[2], s.quat[3], turn[0], turn[1], turn[2], turn[3]
+    )  # fmt: skip
+    matrix = matrix_core(qw, qx, qy, qz)
+    propagate(s.covariance, T, matrix, v, w, dt, walks)
+    dx[:] = 0.0
+    if accel[0] != 0.0 or accel[1] != 0.0 or accel[2] != 0.0:
+        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2] - c[2])
+        now = (fx, fy, fz - GRAVITY)
+        for k in range(3):  # trapezoidal rule
+            v[k] += 0.5 * (now[k] + (s.accel_W[k] if s.time > dt else now[k])) * dt
+            s.accel_W[k] = now[k]
+        s.accel_square = mean_square(s.accel_square, fx * fx + fy * fy, dt, s.time, p.accel_memory)
+        measure(s, p, dt, gyro, accel, (qw, qx, qy, qz), matrix, dx, column, innovation)
+    qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
+    s.quat[0], s.quat[1], s.quat[2], s.quat[3] = qw, qx, qy, qz
+    rw, rx, ry, rz = from_rotvec_core(dx[TILT], dx[TILT + 1], 0.0)
+    v[0], v[1], v[2] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
+    w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
+    for k in range(3):
+        v[k] += dx[VELOCITY + k]
+        b[k] += dx[GYRO_BIAS + k]
+        c[k] += dx[ACCEL_BIAS + k]
+    w[0], w[1] = w[0] + dx[WIND], w[1] + dx[WIND + 1]
     return roll_pitch_core(qw, qx, qy, qz)
 
 
 @njit
 def scratch():
     """Arrays for `advance`."""
-    return np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS)
+    return np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(2)
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out):
-    """See `filters`."""
+def _sequence(common, states, params, dt, gyro, accel, out):
     n, steps = gyro.shape[:2]
-    T, dx, column, walks = scratch()
-    for row in range(states.shape[0]):
+    work = scratch()
+    for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
-            out[row, t, 0], out[row, t, 1] = advance(s, p, dt, gx, gy, gz, ax, ay, az, T, dx, column, walks)
+            gx, gy, gz, ax, ay, az = usable_between(common[row], dt, gyro, accel, i, t)
+            out[row, t, 0], out[row, t, 1] = advance(s, p, dt, (gx, gy, gz), (ax, ay, az), work)
 
 
 @njit(cache=True, nogil=True)
-def score(states, params, dt, gyro, accel, target, squared_error):
-    """See `filters`; one set after the other: its covariance is too large to lie side by side."""
+def _score(common, states, params, dt, gyro, accel, target, squared_error):
     n, steps = gyro.shape[:2]
-    T, dx, column, walks = scratch()
-    for row in range(states.shape[0]):
+    work = scratch()
+    for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         total = 0.0
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(s, dt, gyro, accel, i, t)
-            roll, pitch = advance(s, p, dt, gx, gy, gz, ax, ay, az, T, dx, column, walks)
+            gx, gy, gz, ax, ay, az = usable_between(common[row], dt, gyro, accel, i, t)
+            roll, pitch = advance(s, p, dt, (gx, gy, gz), (ax, ay, az), work)
             error = wrap_core(roll - target[i, t, 0]) ** 2 + (pitch - target[i, t, 1]) ** 2
             total += error if math.isfinite(target[i, t, 0] + target[i, t, 1]) else 0.0
         squared_error[row // n, i] = total
 
 
+def records(states: Array, params: Array) -> tuple[Array, np.ndarray, np.ndarray]:
+    """Common columns (rows, COMMON), and views of rows and parameter sets as records."""
+    return states[:, :COMMON], states[:, COMMON:].view(STATE)[:, 0], params.view(PARAMS)[:, 0]
+
+
+def sequence(states: Array, params: Array, dt: float, gyro: Array, accel: Array, out: Array) -> None:
+    """See `filters`."""
+    _sequence(*records(states, params), dt, gyro, accel, out)
+
+
+def score(
+    states: Array, params: Array, dt: float, gyro: Array, accel: Array, target: Array, squared_error: Array
+) -> None:
+    """See `filters`; one set after the other: its covariance is too large to lie side by side."""
+    _score(*records(states, params), dt, gyro, accel, target, squared_error)
+
+
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
-    own[:, :4] = quat
-    covariance = own[:, 15:].reshape(-1, ERRORS, ERRORS)
-    wind, bias, accel_bias = params[:, 5:6], params[:, 9:10], params[:, 10:11]
-    attitude = SIGMA_KNOWN if known else SIGMA_UNKNOWN
+    s, p = own.view(STATE)[:, 0], params.view(PARAMS)[:, 0]
+    s["quat"] = quat
+    s["wind_noise"] = p["wind_noise"] ** 2
+    s["speed_square"] = p["speed_sigma"] ** 2
     for first, last, sigma in (
-        (0, 2, attitude), (2, 5, SPEED_SIGMA), (5, 7, wind), (7, 10, bias), (10, 13, accel_bias),
-    ):  # fmt: skip
-        axes = np.arange(first, last)
-        covariance[:, axes, axes] = sigma**2
+        (TILT, VELOCITY, SIGMA_KNOWN if known else p["attitude_sigma"]),
+        (VELOCITY, WIND, p["speed_sigma"]),
+        (WIND, GYRO_BIAS, p["wind_sigma"]),
+        (GYRO_BIAS, ACCEL_BIAS, p["bias_sigma"]),
+        (ACCEL_BIAS, ERRORS, p["accel_bias_sigma"]),
+    ):
+        for k in range(first, last):
+            s["covariance"][:, k, k] = np.square(sigma)
 
-
-PARAMETERS = {
-    "gyro_noise": Parameter(5e-4, 1e-5, 0.1),
-    "gust_noise": Parameter(0.3, 1e-3, 10.0),
-    "drag_noise": Parameter(0.01, 1e-4, 1.0, minimum=1e-9),
-    "speed_noise": Parameter(3.0, 0.03, 300.0, minimum=1e-9),
-    "climb_noise": Parameter(1.0, 0.01, 100.0, minimum=1e-9),
-    "wind_sigma": Parameter(2.0, 0.01, 20.0),
-    "bias_noise": Parameter(3.8785e-5, 1e-6, 1e-3, searched=False),
-    "drag_time": Parameter(4.90, 1.0, 20.0, minimum=1e-3, searched=False),
-    "frame_drag": Parameter(0.00684, 1e-4, 1.0, searched=False),
-    "bias_sigma": Parameter(0.0087, 1e-4, 0.1, searched=False),
-    "accel_bias_sigma": Parameter(0.196, 1e-3, 1.0, searched=False),
-}
-"""Noise densities of the rate [rad/√s], of the wind's walk [m/s/√s], of the drag measurement [m/s²·√s], of
-the horizontal and of the vertical velocity around zero [m/s·√s]; standard deviation of the wind [m/s]; noise
-density of the gyroscope bias's walk [rad/s/√s]; τ [s] and f [1/m] of the Hummingbird; standard deviations of
-the initial biases [rad/s], [m/s²]. The last five are known of the vehicle and its IMU, not searched."""
 
 EKF_DRAG = Algorithm(
     "ekf-drag",
     PARAMETERS,
     sequence,
     score,
-    SIZE,
+    STATE.itemsize // 8,
     _start,
-    quat=slice(0, 4),
-    gyro_bias=slice(9, 12),
-    velocity=slice(4, 7),
+    quat=record_columns(STATE, "quat"),
+    gyro_bias=record_columns(STATE, "gyro_bias"),
+    velocity=record_columns(STATE, "velocity"),
 )
 
 

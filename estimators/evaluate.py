@@ -1,7 +1,6 @@
 """Offline comparison of estimators on recorded flights, from an unknown and from a known initial attitude."""
 
 import csv
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -12,11 +11,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from quadsim.config import preset_names
 from quadsim.estimator import AttitudeEstimator
-from quadsim.vehicle import Vehicle, load_vehicle
+from quadsim.vehicle import Vehicle
 
-from .flights import Flights, Initial, load_flights
+from .flights import Flights, Initial, load_flights, vehicle_of
 from .metrics import Summary, absolute_error, attitude_error, inclination_error, inclination_rmse
 from .networks import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
 from .protocol import FILTERPY, NETWORKS, create, is_weights, missing_samples, run_quietly
@@ -36,8 +34,6 @@ BLOCK_S = 0.5
 """Error over time is averaged over blocks of this length."""
 
 
-NEEDS_VEHICLE = ("ekf-drag",)
-"""Estimators whose constants come from the vehicle's file."""
 SLOW = FILTERPY
 """Estimators that are hundreds of times as slow as the others, a Python object a vehicle."""
 
@@ -127,7 +123,7 @@ def evaluate(
     *,
     initial: Sequence[Initial] = ("unknown", "known"),
     tuning: str | Path | None = None,
-    vehicle: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
     settle_s: float = 40.0,
     slow_flights: int | None = None,
     seed: int = 0,
@@ -144,7 +140,8 @@ def evaluate(
         estimators: Names, or estimators under the names they are to have.
         initial: Which rows to make.
         tuning: Parameters of the estimators given by name, as in `create`.
-        vehicle: The vehicle of the flights, for estimators given by name that need one; None: `vehicle_of`.
+        vehicle: The vehicle of the flights, for estimators given by name; None: the one that the dataset
+            names.
         settle_s: Time that an estimator started in a tilt is given to recover [s].
         slow_flights: Flights that those in `SLOW` are run on; None for all.
         seed: Of the bootstrap and of the choice of those starts.
@@ -236,32 +233,14 @@ def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) 
     return Flights(gyro, accel, quat, truth, flights.rate_hz)
 
 
-def vehicle_of(dataset: xr.Dataset) -> str | None:
-    """Name of the shipped vehicle that flew a dataset; None if another one did, or it does not say."""
-    config = json.loads(dataset.attrs.get("config", "{}"))
-    name = config.get("vehicle", {}).get("name")
-    same = name in preset_names("vehicles") and Vehicle.model_validate(config["vehicle"]) == load_vehicle(
-        name
-    )
-    return name if same else None
-
-
 def made_of(
-    names: Sequence[str], rate_hz: float, tuning: str | Path | None = None, vehicle: str | Path | None = None
+    names: Sequence[str],
+    rate_hz: float,
+    tuning: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
 ) -> dict[str, AttitudeEstimator]:
-    """Estimators by name, or by the path of a network's weights.
-
-    Args:
-        names: Names or paths.
-        rate_hz: Samples per second.
-        tuning: Parameters of the filters, as in `create`.
-        vehicle: Given to those that need it.
-    """
-    given = {"vehicle": vehicle} if vehicle is not None else {}
-    return {
-        name: create(name, rate_hz, tuning=tuning, **(given if name in NEEDS_VEHICLE else {}))
-        for name in names
-    }
+    """Estimators by name, or by the path of a network's weights; the arguments are those of `create`."""
+    return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in names}
 
 
 def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:

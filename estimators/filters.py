@@ -28,6 +28,8 @@ from .sample import COMMON, SKIPPED, fresh
 
 Array = NDArray[np.float64]
 Scale = Literal["linear", "log", "one-minus-log"]
+FROM_VEHICLE = math.nan
+"""Default of a parameter that has none, for it is known of the vehicle."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,20 @@ class Parameter:
             case "one-minus-log":
                 return 1.0 - (1.0 - self.low) * ((1.0 - self.high) / (1.0 - self.low)) ** x
 
+    def position(self, value: float) -> float:
+        """Where a value lies in the search, the inverse of `at`, within 0…1."""
+        low, high = self.low, self.high
+        match self.scale:
+            case "linear":
+                x = (value - low) / (high - low)
+            case "log":
+                x = math.log(max(value, low) / low) / math.log(high / low)
+            case "one-minus-log":
+                x = math.log(max(1.0 - value, 1.0 - high) / (1.0 - low)) / math.log(
+                    (1.0 - high) / (1.0 - low)
+                )
+        return min(max(x, 0.0), 1.0)
+
     def carried(self, value: float, rate_ratio: float) -> float:
         """The value that acts alike at another sample rate, old rate / new rate given."""
         match self.per_sample:
@@ -88,6 +104,12 @@ class Algorithm:
     """Those that hold the gyroscope's bias."""
     velocity: slice | None = None
     """Those that hold the velocity, world axes at the filter's own heading."""
+
+
+def record_columns(state: np.dtype, field: str) -> slice:
+    """Columns of float64 that a field takes in a filter's own state, where that is a record."""
+    dtype, offset = state.fields[field][:2]
+    return slice(offset // 8, (offset + dtype.itemsize) // 8)
 
 
 class Filter:

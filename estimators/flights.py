@@ -1,5 +1,6 @@
 """Recorded flights as the arrays that estimators are run on and scored against."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -9,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from quadsim.rotation import roll_pitch_from_quat
+from quadsim.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Initial = Literal["unknown", "known"]
@@ -44,6 +46,17 @@ class Flights:
         start = None if self.start is None else self.start[:count]
         return Flights(gyro, accel, quat, truth, self.rate_hz, start)
 
+    def pieces(self, count: int) -> "Flights":
+        """Every flight cut into `count` pieces of one length, started anew: all but the first in motion."""
+        steps = self.gyro.shape[1] // count
+        if steps < 1:
+            raise ValueError(f"pieces: {count} of flights of {self.gyro.shape[1]} samples")
+        parts = (
+            each[:, : count * steps].reshape(-1, steps, each.shape[2])
+            for each in (self.gyro, self.accel, self.quat, self.truth)
+        )
+        return Flights(*parts, self.rate_hz)
+
 
 def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Flights:
     """The first `count` flights of each dataset, or all, in double precision and with an unknown start.
@@ -60,6 +73,12 @@ def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Fl
     truth = roll_pitch_from_quat(quat)
     truth[~np.concatenate([part[4] for part in parts])] = np.nan
     return Flights(gyro, accel, quat, truth, parts[0][3])
+
+
+def vehicle_of(dataset: xr.Dataset) -> Vehicle | None:
+    """The airframe that flew a dataset, as its recipe has it; None where the dataset does not say."""
+    config = json.loads(dataset.attrs.get("config", "{}"))
+    return Vehicle.model_validate(config["vehicle"]) if "vehicle" in config else None
 
 
 def _arrays(dataset: xr.Dataset) -> tuple[Array, Array, Array, float, NDArray[np.bool_]]:

@@ -14,9 +14,8 @@ import torch
 from numpy.typing import NDArray
 
 from .encoder import INPUT_STATE, scaled_inputs
-from .evaluate import made_of
 from .networks import real_weights
-from .protocol import names
+from .protocol import create, names
 from .weights_file import shipped_network
 
 RATE_HZ = 200.0
@@ -83,8 +82,9 @@ class TorchGRU:
 def contenders() -> dict[str, Update]:
     """`update` of every estimator but the truth, and of PyTorch's two networks."""
     torch.set_num_threads(1)
-    made = made_of([name for name in names() if name != "truth"], RATE_HZ, vehicle="hummingbird")
-    found: dict[str, Update] = {name: est.update for name, est in made.items()}
+    found: dict[str, Update] = {
+        name: create(name, RATE_HZ, vehicle="hummingbird").update for name in names() if name != "truth"
+    }
     return found | {"SNN, plain PyTorch": TorchSNN().update, "GRU, PyTorch": TorchGRU().update}
 
 

@@ -1,6 +1,7 @@
 """Estimators by name: make one, run it over sequences, run many parameter sets at once."""
 
 import logging
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.config import nearest
 from quadsim.estimator import AttitudeEstimator
-from quadsim.vehicle import load_vehicle
+from quadsim.vehicle import Vehicle, load_vehicle
 
 from . import ekf
 from .complementary import ADAPTIVE, COMPLEMENTARY
@@ -68,6 +69,7 @@ def create(
     rate_hz: float = 200.0,
     *,
     tuning: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
     **params: float | str | Path | None,
 ) -> AttitudeEstimator:
     """Make an estimator.
@@ -77,8 +79,9 @@ def create(
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
             `quadsim tune`; None for the shipped default domain.
-        params: The filter's own parameters; for a network `weights`; for ekf-drag also `vehicle`, the name or
-            file of the vehicle whose drag it is to know.
+        vehicle: The airframe, by its name, file or model: ekf-drag takes its drag from there. The others need
+            none.
+        params: The filter's own parameters; for a network `weights`.
 
     Raises:
         ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
@@ -95,7 +98,8 @@ def create(
         return Truth(rate_hz)
     if name in NETWORKS:
         return _network(name, rate_hz, params)
-    values = _values(name, rate_hz, _of_vehicle(params) if name == "ekf-drag" else params, tuning)
+    known = airframe_constants(name, vehicle)
+    values = _values(name, rate_hz, known | params, tuning)
     if name in FILTERPY:
         from .filterpy_filters import FilterpyFilter
 
@@ -171,6 +175,7 @@ def run_batch(
     accel: ArrayLike,
     rate_hz: float = 200.0,
     roll_pitch: ArrayLike | None = None,
+    vehicle: str | Path | Vehicle | None = None,
 ) -> Array:
     """Run p parameter sets of one estimator over n sequences.
 
@@ -181,15 +186,18 @@ def run_batch(
         accel: Specific force in body axes (n, T, 3) [m/s²].
         rate_hz: Samples per second.
         roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None where it is not known.
+        vehicle: As in `create`.
 
     Returns:
         Roll and pitch (p, n, T, 2) [rad].
     """
     gyro, accel = paired(gyro, accel)
     if name not in COMPILED:
-        estimators = [create(name, rate_hz, tuning=None, **each) for each in parameter_sets(params)]
+        estimators = [
+            create(name, rate_hz, tuning=None, vehicle=None, **each) for each in parameter_sets(params)
+        ]
         return np.stack([run(est, gyro, accel, roll_pitch) for est in estimators])
-    matrix = parameter_matrix(name, params, rate_hz)
+    matrix = parameter_matrix(name, params, rate_hz, airframe_constants(name, vehicle))
     states = start(COMPILED[name], matrix, len(gyro), roll_pitch)
     out = np.empty((len(states), gyro.shape[1], 2))
     COMPILED[name].sequence(states, matrix, 1.0 / rate_hz, gyro, accel, out)
@@ -211,9 +219,12 @@ def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
     return [dict(zip(params, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
 
 
-def parameter_matrix(name: str, params: Mapping[str, ArrayLike], rate_hz: float) -> Array:
-    """All parameters of p sets of a compiled filter, (p, k), with the defaults filled in."""
-    return np.array([list(_values(name, rate_hz, each, None).values()) for each in parameter_sets(params)])
+def parameter_matrix(
+    name: str, params: Mapping[str, ArrayLike], rate_hz: float, known: Mapping[str, float] | None = None
+) -> Array:
+    """All parameters of p sets of a compiled filter, (p, k): given, else known, else tuned or default."""
+    sets = parameter_sets(params)
+    return np.array([list(_values(name, rate_hz, dict(known or {}) | each, None).values()) for each in sets])
 
 
 def _known(name: str) -> None:
@@ -232,17 +243,29 @@ def _values(
     tuned_rate = DEFAULT_RATE_HZ if tuned is None else tuned.rate_hz
     elsewhere = {key: found.get(key, each.default) for key, each in spec.items()}
     ratio = tuned_rate / rate_hz
-    return {key: given.get(key, spec[key].carried(value, ratio)) for key, value in elsewhere.items()}
+    values = {key: given.get(key, spec[key].carried(value, ratio)) for key, value in elsewhere.items()}
+    if missing := [key for key, value in values.items() if math.isnan(value)]:
+        raise ValueError(
+            f"{name} needs a vehicle, for its drag: give vehicle=, a shipped name or a TOML file, or "
+            + " and ".join(missing)
+        )
+    return values
 
 
-def _of_vehicle(params: Mapping[str, object]) -> dict[str, object]:
-    """Parameters of ekf-drag with `vehicle` replaced by that vehicle's drag."""
-    if "vehicle" not in params:
-        return dict(params)
-    source = params["vehicle"]
-    if not isinstance(source, str | Path):
-        raise ValueError(f"ekf-drag: vehicle = {source!r} is not a vehicle's name or file")
-    return drag_of(load_vehicle(source)) | {key: value for key, value in params.items() if key != "vehicle"}
+def airframe_constants(name: str, vehicle: str | Path | Vehicle | None) -> dict[str, float]:
+    """Parameters of an estimator that are known of a vehicle, given by its name, file or model.
+
+    Raises:
+        ValueError: No such vehicle, or a file that is not one.
+    """
+    if name != "ekf-drag" or vehicle is None:
+        return {}
+    return drag_of(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle))
+
+
+def needs_vehicle(name: str) -> bool:
+    """Whether an estimator has parameters that only a vehicle gives."""
+    return any(math.isnan(each.default) for each in parameters(name).values())
 
 
 def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> AttitudeEstimator:

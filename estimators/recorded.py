@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from quadsim.estimator import AttitudeEstimator
 from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
 
-from .evaluate import NEEDS_VEHICLE, made_of, silenced_twin
+from .evaluate import made_of, silenced_twin
 from .metrics import absolute_error, inclination_error
-from .protocol import names, run
+from .protocol import names, needs_vehicle, run
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -123,7 +123,7 @@ def score_logs(
     titles = [str(log.attrs["source"]) for log in logs]
     if len(set(titles)) < len(titles):
         raise ValueError(f"logs must differ in name: {', '.join(titles)}")
-    chosen = estimators or default_names(vehicle)
+    chosen = estimators or default_names(vehicle is not None)
     scores, done = LogScores(), 0
     if not any(np.isfinite(log["quat"]).any() for log in logs):
         raise ValueError(f"no attitude in {', '.join(titles)}: nothing to score against")
@@ -155,10 +155,13 @@ def score_logs(
     return scores
 
 
-def default_names(vehicle: str | Path | None = None) -> list[str]:
-    """Estimators that are scored unless others are given; those that need a vehicle only with one."""
-    left_out = {"truth", *SLOW, *(NEEDS_VEHICLE if vehicle is None else ())}
-    return [name for name in names() if name not in left_out]
+def default_names(vehicle_known: bool = False) -> list[str]:
+    """Estimators scored unless others are asked for; ekf-drag only where the vehicle is known."""
+    return [
+        name
+        for name in names()
+        if name != "truth" and name not in SLOW and (vehicle_known or not needs_vehicle(name))
+    ]
 
 
 def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:

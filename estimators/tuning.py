@@ -19,13 +19,18 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
-from quadsim.vehicle import Vehicle
-
-from .ekf_drag import drag_of
 from .filters import start
-from .flights import Flights, Initial, load_flights
+from .flights import Flights, Initial, load_flights, vehicle_of
 from .metrics import absolute_error
-from .protocol import COMPILED, FILTERPY, names, parameter_matrix, parameters, run_batch
+from .protocol import (
+    COMPILED,
+    FILTERPY,
+    airframe_constants,
+    names,
+    parameter_matrix,
+    parameters,
+    run_batch,
+)
 from .sample import LANES
 from .tuned import Tuned, load_tuning, to_toml
 
@@ -93,7 +98,7 @@ def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k:
 
 def swarm(
     cost: Cost,
-    dimensions: int,
+    first: ArrayLike,
     *,
     particles: int = 100,
     iterations: int = 50,
@@ -106,14 +111,15 @@ def swarm(
 
     Args:
         cost: Positions inside the cube (p, d) -> costs (p,).
-        dimensions: d.
+        first: Position of the first particle (d,); the others are random.
         particles: Size of the swarm.
         iterations: Evaluations of the whole swarm.
         seed: Of the random numbers.
         progress: Called after every iteration.
     """
     rng = np.random.default_rng(seed)
-    x = rng.uniform(0.0, 1.0, (particles, dimensions))
+    x = rng.uniform(0.0, 1.0, (particles, np.size(first)))
+    x[0] = first
     v = rng.uniform(-FIRST_SPEED, FIRST_SPEED, x.shape)
     own, own_cost = x.copy(), np.full(particles, np.inf)
     history: list[float] = []
@@ -126,7 +132,7 @@ def swarm(
         history.append(float(own_cost.min()))
         if progress is not None:
             progress(iteration + 1, iterations, history[-1])
-        r1, r2 = rng.uniform(0.0, 1.0, (2, particles, dimensions))
+        r1, r2 = rng.uniform(0.0, 1.0, (2, *x.shape))
         v = 0.8 * v + 0.15 * r1 * (own - x) + 0.05 * r2 * (best - x)
         x = x + v
     return Found(own[np.argmin(own_cost)], float(own_cost.min()), history, particles * iterations)
@@ -134,7 +140,7 @@ def swarm(
 
 def evolution(
     cost: Cost,
-    dimensions: int,
+    first: ArrayLike,
     *,
     particles: int = 100,
     iterations: int = 50,
@@ -157,8 +163,9 @@ def evolution(
 
     result = differential_evolution(
         counted,
-        [(0.0, 1.0)] * dimensions,
-        popsize=max(1, particles // dimensions),
+        [(0.0, 1.0)] * np.size(first),
+        x0=np.asarray(first),
+        popsize=max(1, particles // np.size(first)),
         maxiter=iterations,
         rng=seed,
         polish=False,
@@ -182,6 +189,7 @@ def tune(
     initial: Initial = "unknown",
     search: Literal["swarm", "evolution"] = "swarm",
     flights: int | None = None,
+    pieces: int = 1,
     workers: int = 1,
     command: str = "estimators.tuning.tune",
     progress: Progress | None = None,
@@ -194,9 +202,10 @@ def tune(
         particles: Parameter sets tried at once.
         iterations: How often.
         seed: Of the search.
-        initial: Whether the filter is told the attitude it starts at.
+        initial: Whether the filter is given the attitude it starts at.
         search: Particle swarm, or differential evolution.
         flights: How many flights of each dataset to use; None for all.
+        pieces: Parts into which each flight is cut, all of which but the first begin in motion.
         workers: Threads.
         command: What to write into the result as its origin.
         progress: Called after every iteration.
@@ -207,7 +216,9 @@ def tune(
     searched = [key for key, each in parameters(name).items() if each.searched]
     if not searched:
         raise ValueError(f"{name} has no parameters to tune")
-    data, constants = load_flights(datasets, flights), known_constants(name, datasets[0])
+    data = load_flights(datasets, flights).pieces(pieces)
+    airframe = airframe_constants(name, vehicle_of(datasets[0]))
+    constants = airframe | imu_constants(name, datasets[0])
     if initial == "known":
         data = data.known()
 
@@ -217,7 +228,7 @@ def tune(
 
     found = SEARCHES[search](
         lambda positions: mean_squared_error(name, values(positions), data, workers),
-        len(searched),
+        [parameters(name)[key].position(parameters(name)[key].default) for key in searched],
         particles=particles,
         iterations=iterations,
         seed=seed,
@@ -228,7 +239,15 @@ def tune(
         rate_hz=data.rate_hz,
         rmse_deg=round(float(np.degrees(np.sqrt(found.cost))), 6),
         evaluations=found.evaluations,
-        values={key: float(f"{value[0]:.6g}") for key, value in values(found.position[None]).items()},
+        values={
+            key: float(f"{value:.6g}")
+            for key, value in zip(
+                parameters(name),
+                parameter_matrix(name, values(found.position[None]), data.rate_hz)[0],
+                strict=True,
+            )
+            if key not in airframe
+        },
     )
 
 
@@ -241,13 +260,12 @@ def tunable() -> list[str]:
     ]
 
 
-def known_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
-    """Parameters known of the vehicle and its IMU rather than searched, from the dataset's configuration."""
+def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
+    """Parameters known of the IMU rather than searched, from the dataset's configuration."""
     if name != "ekf-drag" or "config" not in dataset.attrs:
         return {}
-    config = json.loads(dataset.attrs["config"])
-    imu = config["imu"]
-    return drag_of(Vehicle.model_validate(config["vehicle"])) | {
+    imu = json.loads(dataset.attrs["config"])["imu"]
+    return {
         "bias_sigma": float(imu["gyro"]["turn_on"]),
         "accel_bias_sigma": float(imu["accel"]["turn_on"]),
     }

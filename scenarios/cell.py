@@ -104,7 +104,8 @@ def fly_cell(
 ) -> Cell:
     """Fly a scenario with seeds 0 … seeds − 1 of `seed`, all at once; a failure is a cell with its reason."""
     try:
-        mission = Mission(scenario, estimators.create(estimator, rate_hz), seeds, rate_hz)
+        made = estimators.create(estimator, rate_hz, vehicle=scenario.vehicle)
+        mission = Mission(scenario, made, seeds, rate_hz)
         log, end = fly(mission, seed)
         return make_cell(name, estimator, fingerprint, mission, log, end)
     except Exception as error:  # whatever an estimator does, the other cells go on

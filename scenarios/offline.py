@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import estimators
+from estimators.flights import vehicle_of
 from estimators.metrics import attitude_error, inclination_rmse
 from quadsim.dataset import open_dataset
 from quadsim.rotation import roll_pitch_from_quat
@@ -36,7 +37,7 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
         for start, roll_pitch in (("known", truth[:, 0]), ("level", None)):
             row: Row = {"estimator": name, "start": start}
             try:
-                estimator = estimators.create(name, rate_hz)
+                estimator = estimators.create(name, rate_hz, vehicle=vehicle_of(data))
                 estimate = estimators.run(estimator, gyro, accel, roll_pitch=roll_pitch, quat=quat)
             except (ValueError, OSError) as error:
                 rows.append(row | {"note": str(error)})

@@ -7,26 +7,33 @@ from pathlib import Path
 from rich.table import Table
 
 from estimators import create
-from estimators.evaluate import made_of
 from estimators.recorded import KNOWN, RAW, default_names, draw_log, score_logs
 from estimators.weights_file import load_network
 from quadsim.console import output, progress_bar
 from quadsim.estimator import AttitudeEstimator
 from quadsim.logs import read_log
+from quadsim.vehicle import Vehicle
 
 
-def named(
-    names: Sequence[str], weights: Sequence[str], rate_hz: float, tuning: str | None, vehicle: str | None
+def made_of(
+    names: Sequence[str],
+    weights: Sequence[str],
+    rate_hz: float,
+    tuning: str | None,
+    vehicle: str | Path | Vehicle | None = None,
 ) -> dict[str, AttitudeEstimator]:
     """Estimators by name, and networks by the paths of their weights.
 
     Raises:
-        ValueError: Weights given twice or damaged; an estimator that needs a vehicle, without one.
+        ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle without
+            one.
     """
-    if twice := [path for k, path in enumerate(weights) if path in (*names, *weights[:k])]:
-        raise ValueError(f"--weights {twice[0]}: given twice, or the name of an estimator")
-    made = made_of(names, rate_hz, tuning, vehicle)
-    return made | {path: create(load_network(path)[0].model, rate_hz, weights=path) for path in weights}
+    made = {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in names}
+    for path in weights:
+        if path in made:
+            raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
+        made[path] = create(load_network(path)[0].model, rate_hz, weights=path)
+    return made
 
 
 def evaluate_logs(
@@ -42,7 +49,7 @@ def evaluate_logs(
     """Score estimators on logs: `quadsim evaluate --logs`."""
     logs = [read_log(path, axes=axes) for path in paths]
     rate = float(logs[0].attrs["rate_hz"])
-    made = named(estimators or default_names(vehicle), weights, rate, tuning, vehicle)
+    made = made_of(estimators or default_names(vehicle is not None), weights, rate, tuning, vehicle)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
     scores.write_csv(out / "logs.csv")

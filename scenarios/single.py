@@ -67,7 +67,8 @@ def fly_scenario(
     if flight < 0:
         raise ValueError(f"flight is {flight}; flights count from 0")
     scenario, name = load_scenario(source), Path(source).name.removesuffix(".toml")
-    mission = Mission(scenario, estimators.create(estimator, rate_hz), seeds, rate_hz, duration_s)
+    made = estimators.create(estimator, rate_hz, vehicle=scenario.vehicle)
+    mission = Mission(scenario, made, seeds, rate_hz, duration_s)
     log, end = fly(mission, seed, flight)
     cell = make_cell(name, estimator, "", mission, log, end)
     results = Results(Settings({name: scenario}, [estimator], seeds, seed, rate_hz), [cell])

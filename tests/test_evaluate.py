@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from estimators import create, run
-from estimators.evaluate import BLOCK_S, evaluate, silenced_twin, tilted_starts, vehicle_of
+from estimators.evaluate import BLOCK_S, evaluate, silenced_twin, tilted_starts
 from estimators.figures import error_over_time, settling, violins
 from estimators.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
-from quadsim.recipe import flight_config, load_recipe
 from quadsim.rotation import roll_pitch_from_quat
 from scenarios.summary import evaluation_notes
 
@@ -105,14 +104,6 @@ def test_a_network_has_its_silenced_error_beside_it_and_no_known_start(flights):
     assert rows[0].silenced_deg == pytest.approx(attitude_error(np.zeros_like(truth), truth).mean)
     assert rows[0].silenced == f"{rows[0].silenced_deg:.2f}"
     assert all(np.isnan(row.silenced_deg) and row.silenced == "–" for row in rows[1:])
-
-
-def test_a_dataset_names_the_shipped_vehicle_that_flew_it(flights):
-    config = flight_config(load_recipe("hummingbird"))
-    assert vehicle_of(flights) is None
-    assert vehicle_of(flights.assign_attrs(config=config.model_dump_json())) == "hummingbird"
-    heavier = config.model_copy(update={"vehicle": config.vehicle.model_copy(update={"mass": 0.8})})
-    assert vehicle_of(flights.assign_attrs(config=heavier.model_dump_json())) is None
 
 
 def test_table_goes_to_csv(evaluation, tmp_path):

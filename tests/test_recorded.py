@@ -73,7 +73,7 @@ def test_a_network_has_the_error_of_itself_silenced_beside_its_own(log):
 
 def test_estimators_that_need_a_vehicle_are_left_out_without_one():
     assert "ekf-drag" not in default_names()
-    assert "ekf-drag" in default_names("hummingbird")
+    assert "ekf-drag" in default_names(vehicle_known=True)
 
 
 def test_rows_and_pictures_are_written(log, tmp_path):

@@ -168,11 +168,14 @@ def test_neurons_that_nothing_joins_to_the_outputs_leave_in_mid_stream_and_nothi
 
 def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_path):
     train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
-    state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
-    del state["model"]["w_in_kept"]
-    torch.save(state, tmp_path / "run" / "checkpoint.pt")
-    with pytest.raises(ValueError, match="checkpoint is of another version of quadsim"):
-        train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
+    file = tmp_path / "run" / "checkpoint.pt"
+    state = torch.load(file, weights_only=True)
+    more = state["model"] | {"w_more": torch.zeros(2, 6)}
+    less = {name: value for name, value in state["model"].items() if name != "w_in_kept"}
+    for model in (more, less):
+        torch.save(state | {"model": model}, file)
+        with pytest.raises(ValueError, match="checkpoint is of another version of quadsim"):
+            train(data=dataset, out=tmp_path / "run", **TINY | {"epochs": 1})
 
 
 def test_ctrl_c_keeps_the_best_weights(dataset, tmp_path):

@@ -18,7 +18,9 @@ def bowl(x):
 
 @pytest.mark.parametrize("search", [swarm, evolution])
 def test_searches_find_the_lowest_point(search):
-    found = search(lambda x: np.sum((x - [0.2, 0.9]) ** 2, axis=1), 2, particles=60, iterations=60, seed=1)
+    found = search(
+        lambda x: np.sum((x - [0.2, 0.9]) ** 2, axis=1), [0.5, 0.5], particles=60, iterations=60, seed=1
+    )
     np.testing.assert_allclose(found.position, [0.2, 0.9], atol=0.02)
     assert found.cost == pytest.approx(np.sum((found.position - [0.2, 0.9]) ** 2))
 
@@ -26,14 +28,23 @@ def test_searches_find_the_lowest_point(search):
 def test_swarm_starts_again_from_its_seed_and_reports_the_lowest_cost():
     seen = []
     runs = [
-        swarm(bowl, 3, particles=20, iterations=8, seed=5, progress=lambda *each: seen.append(each))
+        swarm(
+            bowl,
+            np.full(3, 0.5),
+            particles=20,
+            iterations=8,
+            seed=5,
+            progress=lambda *each: seen.append(each),
+        )
         for _ in range(2)
     ]
     np.testing.assert_array_equal(runs[0].position, runs[1].position)
     assert [(i, n) for i, n, _ in seen[:8]] == [(i + 1, 8) for i in range(8)]
     costs = [cost for _, _, cost in seen[:8]]
     assert costs == sorted(costs, reverse=True) == runs[0].history
-    assert not np.array_equal(runs[0].position, swarm(bowl, 3, particles=20, iterations=8, seed=6).position)
+    assert not np.array_equal(
+        runs[0].position, swarm(bowl, np.full(3, 0.5), particles=20, iterations=8, seed=6).position
+    )
 
 
 def test_outside_the_cube_costs_ten_more_and_is_scored_at_the_edge():
@@ -44,7 +55,7 @@ def test_outside_the_cube_costs_ten_more_and_is_scored_at_the_edge():
         asked.append(x)
         return x.sum(axis=1)
 
-    found = swarm(cost, 2, particles=30, iterations=40, seed=0)
+    found = swarm(cost, [0.5, 0.5], particles=30, iterations=40, seed=0)
     assert np.min(asked) >= 0.0
     assert np.max(asked) <= 1.0
     assert 0.0 <= found.cost < 0.1 < PENALTY

@@ -150,8 +150,11 @@ def tune(
     flights: Annotated[
         int | None, typer.Option(min=1, help="Flights of each dataset to use; all when left out.")
     ] = None,
+    pieces: Annotated[
+        int, typer.Option(min=1, help="Parts to cut each flight into: all but the first begin in motion.")
+    ] = 1,
     initial: Annotated[
-        Initial, typer.Option(help="Whether the filter is told the attitude it starts at.")
+        Initial, typer.Option(help="Whether the filter is given the attitude it starts at.")
     ] = "unknown",
     search: Annotated[
         Search, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
@@ -175,6 +178,7 @@ def tune(
     options = [f"--data {path}" for path in data]
     options += [f"--particles {particles} --iterations {iterations}"]
     options += [f"--flights {flights}"] * (flights is not None)
+    options += [f"--pieces {pieces}"] * (pieces > 1)
     options += [f"--initial {initial} --search {search} --seed {seed} --out {out}"]
     for name in tunable() if estimator == "all" else [estimator]:
         with progress_bar(f"tune {name}", "iterations") as bar:
@@ -190,6 +194,7 @@ def tune(
                 seed=seed,
                 initial=initial,
                 flights=flights,
+                pieces=pieces,
                 search=search,
                 workers=threads,
                 command=f"quadsim tune --estimator {name} {' '.join(options)}",

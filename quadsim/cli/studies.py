@@ -34,7 +34,10 @@ def evaluate(
     ] = None,
     vehicle: Annotated[
         str | None,
-        typer.Option(help="Vehicle of the flights, for ekf-drag; a dataset of a shipped vehicle names it."),
+        typer.Option(
+            help="Airframe that ekf-drag takes its drag from: a shipped name or a TOML file. "
+            "A dataset's own when left out; a log has none."
+        ),
     ] = None,
     slow_flights: Annotated[
         int, typer.Option(min=1, help="Flights for filterpy's filters, hundreds of times as slow as others.")
@@ -65,18 +68,20 @@ def evaluate(
     assert data is not None
     import estimators
     from estimators import figures
-    from estimators.evaluate import NEEDS_VEHICLE, vehicle_of
     from estimators.evaluate import evaluate as evaluate_estimators
-    from scenarios.recorded import named
+    from estimators.flights import vehicle_of
+    from estimators.protocol import needs_vehicle
+    from scenarios.recorded import made_of
     from scenarios.report import write_report
     from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
 
     from ..dataset import open_dataset
 
     flown = open_dataset(data)
-    vehicle = vehicle or vehicle_of(flown)
-    every = [name for name in estimators.names() if vehicle is not None or name not in NEEDS_VEHICLE]
-    made = named(estimator or every, weights or [], float(flown.attrs["rate_hz"]), tuning, vehicle)
+    airframe = vehicle or vehicle_of(flown)
+    rate_hz = float(flown.attrs["rate_hz"])
+    every = [name for name in estimators.names() if airframe is not None or not needs_vehicle(name)]
+    made = made_of(estimator or every, weights or [], rate_hz, tuning, airframe)
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate_estimators(
             flown,

@@ -1,0 +1,176 @@
+"""The drag-aided filter: its linearisation, its corrections, and what each adaptation of its noise is for."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimators import create, run
+from estimators.ekf_drag import ERRORS, STATE, drag_of, propagate
+from estimators.metrics import attitude_error
+from estimators.sample import COMMON
+from quadsim.rotation import (
+    matrix_from_quat,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate,
+    roll_pitch_from_quat,
+)
+from quadsim.vehicle import GRAVITY, load_vehicle
+
+HUMMINGBIRD = drag_of(load_vehicle("hummingbird"))
+
+
+def filter_of(**params):
+    return create("ekf-drag", 200.0, vehicle="hummingbird", **params)
+
+
+def errors_of(est, data, late):
+    truth = roll_pitch_from_quat(data.quat.values)
+    return attitude_error(run(est, data.gyro.values, data.accel.values)[:, late], truth[:, late]).mean
+
+
+def perturbed(state, error):
+    """A state (quat, v, w, b, c) moved by an error state (13,), as `ekf_drag` defines it."""
+    quat, v, w, b, c = state
+    turn = quat_from_rotvec(np.array([error[0], error[1], 0.0]))
+    v = quat_rotate(turn, v) + error[2:5]
+    w = quat_rotate(turn, w) + np.array([*error[5:7], 0.0])
+    return quat_multiply(turn, quat), v, w, b + error[7:10], c + error[10:13]
+
+
+def moved(state, gyro, accel, dt):
+    """The state one sample later, without noise."""
+    quat, v, w, b, c = state
+    quat = quat_multiply(quat, quat_from_rotvec((gyro - b) * dt))
+    return quat, v + (quat_rotate(quat, accel - c) - [0.0, 0.0, GRAVITY]) * dt, w, b, c
+
+
+def difference(state, other):
+    """The error state (13,) that takes `state` to `other`, without its heading."""
+    inverse = state[0] * [1.0, -1.0, -1.0, -1.0]
+    turn = 2.0 * quat_multiply(other[0], inverse)[1:]
+    turned = quat_from_rotvec(turn)
+    v, w = other[1] - quat_rotate(turned, state[1]), other[2] - quat_rotate(turned, state[2])
+    return np.concatenate([turn[:2], v, w[:2], other[3] - state[3], other[4] - state[4]])
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_covariance_is_propagated_with_the_derivative_of_the_equations(seed):
+    rng = np.random.default_rng(seed)
+    dt, step = 1e-4, 1e-5
+    quat = quat_from_rotvec(rng.normal(0, 0.5, 3))
+    wind = np.array([*rng.normal(0, 3, 2), 0.0])
+    state = quat, rng.normal(0, 3, 3), wind, rng.normal(0, 0.1, 3), rng.normal(0, 0.2, 3)
+    gyro, accel = rng.normal(0, 2, 3), np.array([0.3, -0.2, 9.81]) + rng.normal(0, 1, 3)
+    plain = moved(state, gyro, accel, dt)
+    F = np.stack(
+        [
+            (
+                difference(plain, moved(perturbed(state, step * e), gyro, accel, dt))
+                - difference(plain, moved(perturbed(state, -step * e), gyro, accel, dt))
+            )
+            / (2 * step)
+            for e in np.eye(ERRORS)
+        ],
+        axis=1,
+    )
+    root = rng.normal(size=(ERRORS, ERRORS))
+    P, noise = root @ root.T, rng.uniform(0, 1, ERRORS)
+    expected = F @ P @ F.T + np.diag(noise)
+    matrix = tuple(matrix_from_quat(plain[0]).ravel())
+    propagate(P, np.empty_like(P), matrix, plain[1], plain[2], dt, noise)
+    # the specific force tilts with the attitude beyond gravity's share only in second order of dt
+    np.testing.assert_allclose(P, expected, atol=20 * dt * np.abs(expected).max() * dt + 1e-4)
+
+
+def test_two_scalar_corrections_by_drag_are_filterpy_s_one_of_both_axes(make_flights):
+    """With nothing adapted and no other measurement, the first sample is a Kalman update in closed form."""
+    data = make_flights(1, 1.0, noise=0.0)
+    gyro, accel = data.gyro.values[0, 0], data.accel.values[0, 0]
+    params = {"model_noise": 0.0, "speed_least": 1e6, "climb_noise": 1e6}
+    est = filter_of(**params)
+    values = est.values
+    est.reset(1)
+    est.update(gyro[None], accel[None])
+    dt = 1 / 200.0
+    sigma = np.repeat(
+        [values[f"{name}_sigma"] for name in ("attitude", "speed", "wind", "bias", "accel_bias")],
+        [2, 3, 2, 3, 3],
+    )
+    P = np.diag(sigma**2)
+    noise = np.repeat(
+        [values[f"{name}_noise"] for name in ("gyro", "accel", "wind", "bias", "accel_bias")],
+        [2, 3, 2, 3, 3],
+    )
+    quat = quat_from_rotvec(gyro * dt)
+    matrix = matrix_from_quat(quat)
+    v = (quat_rotate(quat, accel) - [0.0, 0.0, GRAVITY]) * dt
+    propagate(P, np.empty_like(P), tuple(matrix.ravel()), np.zeros(3), np.zeros(2), dt, noise**2 * dt)
+    drag = np.sqrt(accel[2] / GRAVITY) / values["drag_time"] + values["frame_drag"] * np.linalg.norm(v)
+    H = np.zeros((2, ERRORS))
+    H[:, 2:5] = -drag * matrix.T[:2]
+    H[:, 5:7] = drag * matrix.T[:2, :2]
+    H[:, 10:12] = np.eye(2)
+    reference = KalmanFilter(ERRORS, 2)
+    reference.P, reference.H, reference.R = P, H, np.eye(2) * values["drag_noise"] ** 2 / dt
+    reference.update(accel[:2] + drag * matrix.T[:2] @ v)
+    state = est._states[:, COMMON:].view(STATE)[0, 0]
+    np.testing.assert_allclose(state["gyro_bias"], reference.x[7:10, 0], atol=1e-9)
+    np.testing.assert_allclose(state["accel_bias"], reference.x[10:13, 0], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(state["wind"], reference.x[5:7, 0], rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(state["covariance"], reference.P, atol=1e-7)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), rate=st.floats(0.0, 10.0), force=st.floats(0.0, 30.0))
+def test_covariance_stays_symmetric_and_positive(seed, rate, force):
+    rng = np.random.default_rng(seed)
+    gyro = rng.normal(0, rate, (1, 2000, 3))
+    accel = rng.normal([0.0, 0.0, GRAVITY], force, (1, 2000, 3))
+    est = filter_of()
+    assert np.isfinite(run(est, gyro, accel)).all()
+    P = est._states[:, COMMON:].view(STATE)[0, 0]["covariance"]
+    np.testing.assert_allclose(P, P.T, atol=1e-9 * np.abs(P).max())
+    assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > -1e-9 * np.abs(P).max()
+
+
+def test_tilt_and_velocity_are_found_where_the_accelerometer_shows_drag_alone(make_flights):
+    data = make_flights(4, 40.0, noise=0.0)
+    late = slice(4000, None)
+    exact = {"frame_drag": 0.0}
+    assert errors_of(filter_of(**exact), data, late) < 0.1
+    assert errors_of(create("eskf"), data, late) > 0.3
+
+
+def test_the_vehicle_s_file_gives_the_drag():
+    hummingbird = filter_of()
+    assert hummingbird.values["drag_time"] == pytest.approx(4.90, abs=0.01)
+    assert hummingbird.values["frame_drag"] == pytest.approx(0.00684, abs=1e-5)
+    px4 = create("ekf-drag", vehicle="px4-quad")
+    assert px4.values["drag_time"] == pytest.approx(load_vehicle("px4-quad").drag_time_constant)
+    same = create("ekf-drag", vehicle=load_vehicle("px4-quad"))
+    assert same.values == px4.values
+    assert create("ekf-drag", drag_time=3.0, frame_drag=0.01).values["drag_time"] == 3.0
+
+
+def test_at_rest_the_gyroscope_s_bias_is_found_on_every_axis_in_three_seconds():
+    bias = np.array([0.02, -0.015, 0.01])
+    accel = np.tile([0.0, 0.0, GRAVITY], (1, 600, 1))
+    est = filter_of()
+    run(est, np.broadcast_to(bias, accel.shape), accel)
+    np.testing.assert_allclose(est.gyro_bias[0], bias, atol=1e-3)
+    without = filter_of(rest_delay=1e6)
+    run(without, np.broadcast_to(bias, accel.shape), accel)
+    assert np.abs(without.gyro_bias[0] - bias).max() > 3e-3
+
+
+def test_a_step_of_the_gyroscope_s_bias_is_found_sooner_than_without_its_detection(make_flights):
+    data = make_flights(4, 30.0)
+    gyro = data.gyro.values.copy()
+    gyro[:, 2000:, 0] += 0.07
+    stepped = data.assign(gyro=(data.gyro.dims, gyro))
+    late = slice(3000, 4000)
+    assert errors_of(filter_of(), stepped, late) < 0.5 * errors_of(filter_of(step_gain=0.0), stepped, late)
