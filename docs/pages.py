@@ -127,13 +127,13 @@ class Page:
             raise ValueError(f"{path.name}: no block from {begin.strip()} to a stamp")
         table = "\n".join(rows)
         path.write_text(block.sub(lambda _: f"{begin}{table}\n<!-- {self.stamp} -->\n", text))
-        self._note()
+        self.note()
 
     def sign(self, path: Path) -> None:
         """Stamp a page's last line, and note its inputs."""
         text = LINE.sub("", path.read_text()).rstrip("\n")
         path.write_text(f"{text}\n\n<!-- {self.stamp} -->\n")
-        self._note()
+        self.note()
 
     def save(self, figure: Figure, name: str, *, dpi: int = 130, colours: int = 96) -> None:
         """Write a figure into docs/img with the stamp as its comment; line drawings need few colours."""
@@ -166,7 +166,8 @@ class Page:
         names = sorted({*before, *self.inputs})
         return [name for name in names if before.get(name) != self.inputs.get(name)]
 
-    def _note(self) -> None:
+    def note(self) -> None:
+        """Write the digests of the inputs into `pages.lock`."""
         lock = read_lock(self.root) | {self.name: self.inputs}
         (self.root / "docs" / "pages.lock").write_text(json.dumps(lock, indent=0, sort_keys=True) + "\n")
 

@@ -26,8 +26,12 @@ SKIP_S = {BROAD: 3.0, PHANTOM4: 5.0}
 WITHIN_DEG = 180.0
 RATE_HZ = 200.0
 VQF_DEFAULTS = {
-    "tauAcc": 3.0, "biasForgettingTime": 100.0, "biasSigmaInit": 0.5, "biasSigmaMotion": 0.1, "biasSigmaRest": 0.03,
-}  # fmt: skip
+    "tauAcc": 3.0,
+    "biasForgettingTime": 100.0,
+    "biasSigmaInit": 0.5,
+    "biasSigmaMotion": 0.1,
+    "biasSigmaRest": 0.03,
+}
 
 
 def recordings(folder: Path) -> dict[str, list[xr.Dataset]]:
