@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from pages import ROOT, Page, load_page
+from simulated import simulated
 
 from estimators import create, names
 from estimators.evaluate import Evaluation, evaluate
@@ -25,31 +26,21 @@ from estimators.metrics import attitude_error
 from estimators.protocol import run_quietly
 from estimators.tuned import load_tuning
 from quadsim.console import progress_bar
-from quadsim.dataset import generate, open_dataset
 from quadsim.figures import STYLE
-from quadsim.recipe import flight_config, load_recipe
 from quadsim.vehicle import Vehicle, load_vehicle
 
 Array = NDArray[np.float64]
 DOMAINS = {
-    "hummingbird-adis16448": ("hummingbird", 3, "test.zarr"),
-    "px4-quad-px4-mini": ("px4", 6, "test-px4.zarr"),
+    "hummingbird-adis16448": "test",
+    "px4-quad-px4-mini": "test-px4",
 }
-"""Domain to recipe, seed and file of its 16 test flights of 100 s."""
+"""Domain to its test flights."""
 LEFT_OUT = ("truth", "att-snn")
 """The truth has no error, and att-snn is att-snn-loihi in floats."""
 SLOW_FLIGHTS = 2
 OTHERS = ("hummingbird", "px4-quad", "crazyflie")
 """Vehicles whose constants are given to ekf-drag in place of the right ones."""
 EXPLAINED = ("mahony", "madgwick", "ekf", "eskf", "vqf", "ekf-drag")
-
-
-def test_flights(domain: str, data: Path) -> xr.Dataset:
-    """The domain's test flights, generated if they are missing."""
-    recipe, seed, file = DOMAINS[domain]
-    if not (data / file).exists():
-        generate(flight_config(load_recipe(recipe)), 16, 100.0, data / file, seed=seed)
-    return open_dataset(data / file)
 
 
 def tuning_of(name: str, domain: str) -> str | None:
@@ -201,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     matplotlib.rcParams.update(STYLE)
     page = load_page("filters")
     tables: dict[str, list[str]] = {}
-    sets = {domain: test_flights(domain, given.data) for domain in DOMAINS}
+    sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
         done = compared(page, domain, dataset)
         tables |= {

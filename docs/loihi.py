@@ -16,6 +16,7 @@ import torch
 from norse.torch.utils import import_nir
 from numpy.typing import NDArray
 from pages import ROOT, Page, load_page
+from simulated import simulated
 
 from estimators.chip import LIMITS
 from estimators.encoder import scaled_inputs
@@ -31,14 +32,10 @@ from estimators.pruning import error_deg
 from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
 from estimators.weights_file import Tensors, shipped_network
-from quadsim.dataset import generate, open_dataset
 from quadsim.figures import STYLE
-from quadsim.recipe import flight_config, load_recipe
 
 ROUNDING = 1e-12
 """Sines are the C library's: an angle may differ by that much [rad]."""
-VALIDATION, VALIDATION_FLIGHTS, VALIDATION_SEED = "val.zarr", 8, 2
-"""Flights of recipe `hummingbird`, not trained on."""
 PROFILES = (128, 64, 48, 32, 24)
 SHOWN_EVERY = 2
 """Of the shares of neurons in the ablation curve, every second is in the table."""
@@ -47,15 +44,6 @@ SHOWN_EVERY = 2
 def row(*cells: object) -> str:
     """A line of a table."""
     return "| " + " | ".join(map(str, cells)) + " |"
-
-
-def validation_flights(data: Path) -> Flights:
-    """The flights of this page, generated if they are missing."""
-    path = data / VALIDATION
-    if not path.exists():
-        config = flight_config(load_recipe("hummingbird"))
-        generate(config, VALIDATION_FLIGHTS, 100.0, path, seed=VALIDATION_SEED)
-    return load_flights([open_dataset(path)])
 
 
 def golden_rows() -> list[str]:
@@ -255,7 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=60, help="turns of 100 calls for the latency")
     given = parser.parse_args(arguments)
     page = load_page("loihi")
-    flights = validation_flights(given.data)
+    flights = load_flights([simulated("val", given.data)])
     name, config, tensors = load_spiking()
     found = inspect(name, config, tensors, flights)
     silenced_deg = f"{error_deg(config, silenced(config, tensors), flights):.2f}"

@@ -126,7 +126,7 @@ class Page:
         if not block.search(text):
             raise ValueError(f"{path.name}: no block from {begin.strip()} to a stamp")
         table = "\n".join(rows)
-        path.write_text(block.sub(lambda _: f"{begin}{table}\n<!-- {self.stamp} -->\n", text))
+        path.write_text(block.sub(lambda _: f"{begin}\n{table}\n\n<!-- {self.stamp} -->\n", text))
         self.note()
 
     def sign(self, path: Path) -> None:

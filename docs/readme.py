@@ -6,18 +6,18 @@ from pathlib import Path
 
 from pages import ROOT, load_page
 from recordings import BROAD, FOLDER, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
-from training_page import VEHICLE, estimate_of, test_flights
+from simulated import estimate_of, simulated
 
 from estimators.evaluate import made_of, silenced_twin
 from estimators.flights import Flights, load_flights
 from estimators.metrics import attitude_error
 from estimators.recorded import RAW
-from quadsim.dataset import open_dataset
 from quadsim.estimator import AttitudeEstimator
 
 BLOCK = "errors, by docs/readme.py"
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 DRAG, CHIP, GRU = "ekf-drag", "att-snn-loihi", "att-rnn"
+VEHICLE = "hummingbird"
 HEAD = (
     "| roll and pitch from | Hummingbird, simulated [°] | the same, silenced [°] | BROAD, real [°] "
     "| Phantom 4, real [°] |",
@@ -52,12 +52,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--recordings", type=Path, default=FOLDER, help="folder of broad/ and phantom4/")
     given = parser.parse_args(arguments)
     page = load_page("readme")
-    flights = load_flights([open_dataset(test_flights(given.data))])
+    flights = load_flights([simulated("test", given.data)])
     filters = made_of(WITHOUT_DRAG, RATE_HZ) | {"vqf, package's parameters": vqf_with_defaults()}
     both = filters | made_of([CHIP, GRU], RATE_HZ)
     sets = recordings(given.recordings)
     scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
-    simulated = best({name: error_deg(est, flights) for name, est in filters.items()})
+    in_simulation = best({name: error_deg(est, flights) for name, est in filters.items()})
     real = [best({name: each.mean(name, RAW) for name in filters}) for each in scores]
     drag = error_deg(made_of([DRAG], RATE_HZ, vehicle=VEHICLE)[DRAG], flights)
     networks = {
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for name in (CHIP, GRU)
     }
     rows = {
-        "the best filter that does not know the drag": [simulated, "–", *real],
+        "the best filter that does not know the drag": [in_simulation, "–", *real],
         "`ekf-drag`, given the vehicle": [f"{drag:.2f}", "–", "–", "–"],
         "**Att-SNN on the emulated chip**": networks[CHIP],
         "Att-RNN, its twin of GRUs": networks[GRU],

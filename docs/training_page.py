@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import ROOT, load_page
 from scipy.signal import lfilter
+from simulated import estimate_of, simulated
 
-from estimators import create, names, run
+from estimators import create, names
 from estimators.activity import record
 from estimators.encoder import scaled_inputs
 from estimators.evaluate import made_of, silenced_twin, tilted_starts
@@ -29,17 +30,14 @@ from estimators.protocol import FILTERPY, NETWORKS
 from estimators.spiking import Weights
 from estimators.symmetry import OPERATIONS, is_symmetric, ties
 from estimators.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
-from quadsim.dataset import generate, open_dataset
+from quadsim.dataset import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.recipe import flight_config, load_recipe
 from training.augment import roll_pitch_of_up
 from training.config import TrainConfig, make_config
 
 VEHICLE, RATE_HZ = "hummingbird", 200.0
 LEFT_OUT = ("truth", "att-snn", *FILTERPY)
 """The truth has no error, att-snn is att-snn-loihi in floats, and filterpy's filters are ekf and slow."""
-TEST, TEST_FLIGHTS, TEST_SEED = "test.zarr", 16, 3
-"""The test flights, of recipe `hummingbird`."""
 DRAWS = 8
 STARTERS = ("att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "vqf", "mahony", "complementary")
 LINEAR = "best linear filter"
@@ -48,14 +46,6 @@ BANDED = ("att-snn-loihi", "att-rnn", "mahony", "eskf", "vqf", "ekf-drag")
 SETTLED_S = 5.0
 
 Array = NDArray[np.float64]
-
-
-def test_flights(data: Path) -> Path:
-    """The test flights, generated if they are missing."""
-    path = data / TEST
-    if not path.exists():
-        generate(flight_config(load_recipe("hummingbird")), TEST_FLIGHTS, 100.0, path, seed=TEST_SEED)
-    return path
 
 
 def made() -> dict[str, AttitudeEstimator]:
@@ -73,11 +63,6 @@ def without_rounding(name: str) -> NetworkEstimator:
     weights, taus = real_weights(config, tensors)
     real = dict(zip(Weights._fields, [*weights, *taus], strict=True))
     return NetworkEstimator(Spiking(config.model_copy(update={"quantised": False}), real), config.rate_hz)
-
-
-def estimate_of(est: AttitudeEstimator, flights: Flights) -> Array:
-    """Roll and pitch (n, T, 2) [rad], from the start that the flights have."""
-    return run(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)
 
 
 def within(est: AttitudeEstimator, pieces: Flights) -> Array:
@@ -292,7 +277,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=5, help="turns of the speed benchmark")
     given = parser.parse_args(arguments)
     page = load_page("training")
-    data = open_dataset(test_flights(given.data))
+    data = simulated("test", given.data)
     flights = load_flights([data])
     perfect = Flights(
         data["ang_vel"].to_numpy().astype(float), data["specific_force"].to_numpy().astype(float),
