@@ -297,6 +297,9 @@ def main() -> None:
         {
             "verdict": verdict(results.rows).headline,
             "suite": suite_text(results, minutes),
+            "seeds": str(SEEDS),
+            "breaking_seeds": str(BREAKING_SEEDS),
+            "long_s": f"{LONG_S:g}",
             "standings": standing_rows(results, without, files),
             "breaking": breaking_rows(points),
             "long": [*long_rows(long, files), *bias_rows(long), *bound_rows(long)],

@@ -30,6 +30,8 @@ ROOT = Path(__file__).parents[1]
 STAMP = re.compile(r"made by: (?P<command>[^;]+); digest (?P<digest>[0-9a-f]+)")
 LINE = re.compile(rf"<!-- {STAMP.pattern} -->\n?")
 KEY = re.compile(r"\{([a-z][a-z0-9_:-]*)\}")
+LISTED = 8
+"""Names that a line of the check has at most."""
 NOTICE = "> Made by code and weights of {made_at}, before the networks lost their host; it will be remade."
 """First line of an archived page."""
 
@@ -221,8 +223,9 @@ def problems(pages: Mapping[str, Page]) -> Iterator[tuple[Page, str]]:
     for page in pages.values():
         stale = [path for path in page.stale() if not page.excused(path)]
         if stale:
-            names = ", ".join(path.relative_to(page.root).as_posix() for path in stale)
-            why = ", ".join(page.changed()) or "no stamp of these inputs"
+            names = _listed([path.relative_to(page.root).as_posix() for path in stale])
+            never = page.name not in read_lock(page.root)
+            why = "never stamped" if never else _listed(page.changed()) or "no stamp of these inputs"
             yield page, f"{names}: out of date ({why}); {page.entry.command}"
 
 
@@ -231,7 +234,13 @@ def archived(pages: Mapping[str, Page]) -> Iterator[str]:
     for page in pages.values():
         files = [path.relative_to(page.root).as_posix() for path in page.made if page.excused(path)]
         if files:
-            yield f"{', '.join(files)}: archived: {page.entry.archived}"
+            yield f"{_listed(files)}: archived: {page.entry.archived}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in a line, the first of many."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
 
 
 def main() -> int:

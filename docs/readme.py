@@ -73,7 +73,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     page.write_block(
         ROOT / "README.md",
         BLOCK,
-        [*HEAD, *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items())],
+        [
+            *HEAD,
+            *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items()),
+            "",
+            f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} simulated "
+            f"flights of {flights.gyro.shape[1] / flights.rate_hz:g} s, unknown start.",
+            "  Networks were trained and filters tuned in the same simulator, on other flights.",
+            f"- *BROAD* ({len(sets[BROAD])} trials of a sensor moved by hand) and *Phantom 4* "
+            f"({len(sets[PHANTOM4])} flights): inclination RMSE on real recordings, unknown start",
+            "  ([docs/logs.md](docs/logs.md)). Nothing was trained or tuned on them.",
+        ],
     )
 
 
