@@ -81,57 +81,59 @@ STATE = np.dtype(
 """What the filter keeps of a vehicle."""
 
 PARAMETERS = {
-    "gyro_noise": Parameter(1e-3, 1e-4, 0.01, searched=False),
+    # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
     "drag_noise": Parameter(0.015, 3e-3, 0.1, minimum=1e-9),
     "model_noise": Parameter(0.004, 1e-3, 0.03),
+    # Wind: initial noise density [m/s/√s]; gain of its adaptation, share of the removed variance at which it
+    # neither rises nor falls, its memory [s]; variances that a low-passed innovation has at a gust front.
     "wind_noise": Parameter(0.17, 0.01, 2.0),
-    "wind_gain": Parameter(1.7, 0.2, 10.0),
+    "wind_gain": Parameter(1.0, 0.2, 3.0),
     "wind_share": Parameter(0.6, 0.3, 0.9, scale="linear"),
     "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3),
-    "gust_ratio": Parameter(1.3, 1.0, 4.0),
+    "gust_ratio": Parameter(2.0, 1.5, 4.0),
+    # The measurement v = 0: least standard deviation [m/s], correlation time [s], its growth with the mean
+    # square of the velocity [s²/m²], memory of that square [s]; noise density of the climb [m/s·√s].
     "speed_least": Parameter(0.2, 0.03, 1.0, minimum=1e-6),
     "speed_time": Parameter(0.33, 0.05, 3.0, minimum=1e-6),
     "speed_growth": Parameter(10.9, 1.0, 50.0),
-    "speed_memory": Parameter(1.0, 0.3, 5.0, minimum=1e-3),
+    "speed_memory": Parameter(2.0, 0.3, 5.0, minimum=1e-3),
     "climb_noise": Parameter(2.0, 0.1, 10.0, minimum=1e-9),
-    "step_ratio": Parameter(3.0, 1.5, 20.0),
+    # Initial standard deviations: of an unknown tilt [rad], of velocity and of wind [m/s].
     "attitude_sigma": Parameter(0.3, 0.1, 0.8),
     "speed_sigma": Parameter(0.6, 0.2, 4.0),
     "wind_sigma": Parameter(4.0, 1.0, 10.0),
-    "bias_noise": Parameter(1.2e-4, 1e-6, 1e-3, searched=False),
+    # Not searched: noise densities of the rate [rad/√s] and of the specific force [m/s/√s], of the walks of
+    # both biases [rad/s/√s], [m/s²/√s], and the least of the wind [m/s/√s].
+    "gyro_noise": Parameter(1e-3, 1e-4, 0.01, searched=False),
     "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
+    "bias_noise": Parameter(3e-4, 1e-6, 1e-3, searched=False),
     "accel_bias_noise": Parameter(0.0085, 1e-4, 0.1, searched=False),
     "wind_noise_least": Parameter(0.013, 1e-4, 0.1, searched=False),
+    # Memories of the wind's corrections, of a gust front, of vibration and of acceleration [s].
     "wind_window": Parameter(0.1, 0.02, 1.0, minimum=1e-3, searched=False),
     "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
     "accel_memory": Parameter(2.7, 0.5, 10.0, minimum=1e-3, searched=False),
+    # A step of the gyroscope's bias, which no recipe flies: variances that its corrections may sum up to
+    # before one is detected, gain of the inflation, memory of the sum [s].
+    "step_ratio": Parameter(2.5, 1.5, 20.0, searched=False),
     "step_gain": Parameter(40.0, 1.0, 200.0, searched=False),
     "step_window": Parameter(1.0, 0.1, 5.0, minimum=1e-3, searched=False),
+    # At rest: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise density of
+    # the zero-rate update [rad/√s], time until it (and of the slow low-pass) and of the fast low-pass [s].
     "rest_rate": Parameter(0.005, 1e-3, 0.1, searched=False),
     "rest_accel": Parameter(0.05, 0.01, 1.0, searched=False),
     "rest_rate_most": Parameter(0.1, 0.01, 1.0, searched=False),
     "rest_noise": Parameter(0.002, 1e-4, 0.1, minimum=1e-9, searched=False),
     "rest_delay": Parameter(1.5, 0.1, 5.0, minimum=1e-3, searched=False),
     "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
+    # Of the IMU: initial standard deviations of the biases [rad/s], [m/s²]. Of the vehicle: τ [s], f [1/m].
     "bias_sigma": Parameter(0.0087, 1e-4, 0.1, searched=False),
     "accel_bias_sigma": Parameter(0.196, 1e-3, 1.0, searched=False),
     "drag_time": Parameter(FROM_VEHICLE, 1.0, 20.0, minimum=1e-3, searched=False),
     "frame_drag": Parameter(FROM_VEHICLE, 1e-4, 1.0, searched=False),
 }
-"""Noise density of the rate [rad/√s]; least noise density of the drag measurement [m/s²·√s], and further in
-proportion to acceleration [√s]. Wind: initial noise density [m/s/√s], gain of its adaptation, share of the
-removed variance at which it neither rises nor falls, its memory [s]; variances that a low-passed innovation
-may have before it is a gust front. Velocity: least standard deviation [m/s] and correlation time [s] of
-v = 0, growth of that time with the mean square velocity [s²/m²], memory of that [s]; noise density of a
-vertical velocity of zero [m/s·√s]. Variances that corrections of the gyroscope's bias may sum up to before
-it has stepped. Initial standard deviations of the tilt [rad], where it is not known, of velocity and wind
-[m/s]. Further, not searched: noise densities of both biases' walks [rad/s/√s], [m/s²/√s] and of the specific
-force [m/s/√s]; least noise density of the wind [m/s/√s]; memories of the wind's corrections, of the gust
-front, of vibration and of acceleration [s]; gain and memory [s] of the bias step; at rest: largest difference
-of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise density of the zero-rate update [rad/√s], time
-before it and time constants of the slow (the same) and the fast low-pass [s]; initial standard deviations of
-the biases [rad/s], [m/s²]. Of the vehicle: τ [s] and f [1/m]."""
+"""What a user or `quadsim tune` may change; units in the comments."""
 
 PARAMS = np.dtype([(name, "f8") for name in PARAMETERS])
 

@@ -6,7 +6,7 @@ import pytest
 from estimators import create, parameters, run_batch
 from estimators.flights import load_flights
 from estimators.metrics import absolute_error
-from estimators.protocol import COMPILED
+from estimators.protocol import COMPILED, airframe_constants
 from estimators.tuned import load_tuning
 from estimators.tuning import PENALTY, evolution, mean_squared_error, swarm, tunable, tune, write_tuning
 
@@ -80,6 +80,7 @@ def test_sets_scored_side_by_side_are_those_run_one_by_one(flights, name):
     searched = {key: each for key, each in parameters(name).items() if each.searched}
     rng = np.random.default_rng(0)
     sets = {key: each.at(rng.uniform(0.2, 0.8, 18)) for key, each in searched.items()}
+    sets |= {key: np.full(18, value) for key, value in airframe_constants(name, "hummingbird").items()}
     for start in (data, data.known()):
         cost = mean_squared_error(name, sets, start, workers=2)
         estimate = run_batch(name, sets, start.gyro, start.accel, start.rate_hz, start.start)
@@ -106,6 +107,31 @@ def test_swarm_and_scipy_find_the_same_optimum(flights):
     options = {"particles": 24, "iterations": 15, "flights": 2}
     found = [tune("mahony", [flights], search=search, **options) for search in ("swarm", "evolution")]
     assert found[0].rmse_deg == pytest.approx(found[1].rmse_deg, rel=0.02)
+
+
+@pytest.mark.parametrize("name", list(COMPILED))
+def test_a_position_in_the_search_is_the_inverse_of_its_value(name):
+    for each in parameters(name).values():
+        for x in (0.0, 0.3, 1.0):
+            assert each.position(float(each.at(x))) == pytest.approx(x, abs=1e-12)
+
+
+def test_pieces_are_the_flights_started_anew_in_motion(flights):
+    whole = load_flights([flights], 2)
+    cut = whole.pieces(3)
+    assert cut.gyro.shape == (6, 1333, 3)
+    np.testing.assert_array_equal(cut.truth[4], whole.truth[1, 1333:2666])
+    assert cut.start is None
+    with pytest.raises(ValueError, match="pieces: 5000 of flights of 4000 samples"):
+        whole.pieces(5000)
+
+
+def test_the_default_parameters_are_among_those_tried(flights):
+    tuned = tune("mahony", [flights], particles=2, iterations=1, flights=1)
+    default = {key: np.array([each.default]) for key, each in parameters("mahony").items()}
+    data = load_flights([flights], 1)
+    at_default = float(np.degrees(np.sqrt(mean_squared_error("mahony", default, data)[0])))
+    assert tuned.rmse_deg <= at_default + 1e-5
 
 
 @pytest.mark.parametrize("name", ["complementary", "eskf", "vqf"])
