@@ -133,7 +133,8 @@ def evaluate(
 
     With a known start the estimator is given the attitude at the first sample and scored from the second on;
     networks are never given it and have no such row. A network, known by its name or the path of its weights,
-    has beside its error that of the same network with output weights of zero. An estimator is compared with the best one flight by flight.
+    has beside its error that of the same network with output weights of zero. An estimator is compared with
+    the best one flight by flight.
 
     Args:
         dataset: Flights with gyro, accel, quat and the attribute rate_hz.

@@ -121,11 +121,14 @@ def offline_table(rows: Sequence[Row]) -> Table:
         "estimator", title="On recorded flights: error of roll and pitch, mean ± SD over flights, °"
     )
     starts = {"level": "first attitude unknown", "known": "first attitude known"}
-    for heading in starts.values():
+    for heading in (*starts.values(), "silenced"):
         table.add_column(heading, justify="right")
     errors = {(row["estimator"], row["start"]): _error(row) for row in rows}
+    silenced = {row["estimator"]: row.get("silenced_deg") for row in rows}
     for name in dict.fromkeys(row["estimator"] for row in rows):
-        table.add_row(str(name), *(errors.get((name, start), "–") for start in starts))
+        silent = silenced[name]
+        text = f"{silent:.2f}" if isinstance(silent, float) else "–"
+        table.add_row(str(name), *(errors.get((name, start), "–") for start in starts), text)
     return table
 
 
