@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: install run test check clean
+.PHONY: install run test check pages clean
 
 run: install  ## Generate flights, score the estimators, fly them through four scenarios, write the report
 	$(BIN)/quadsim demo --out reports/demo
@@ -9,11 +9,15 @@ run: install  ## Generate flights, score the estimators, fly them through four s
 test: install  ## The whole suite
 	$(BIN)/pytest -n auto
 
-check: install  ## Linter, formatter, type checker and import contract
+check: install  ## Linter, formatter, type checker, import contract, and pages that are out of date
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+	$(BIN)/python docs/pages.py --check
+
+pages: install  ## Make every page that is out of date again
+	$(BIN)/python docs/pages.py --remake
 
 install: .venv/installed
 

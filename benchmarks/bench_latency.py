@@ -2,7 +2,9 @@
 
     python benchmarks/bench_latency.py [--out FOLDER]
 
-The measurement is `estimators.latency`. Writes latency.csv and latency.png (after the paper's Fig. 9).
+The measurement is `estimators.latency`. Beside the estimators stands the host's part of att-snn-loihi: the
+scaled readings and the currents of the encoding layer. Writes latency.csv and
+latency.png (after the paper's Fig. 9).
 """
 
 import argparse
@@ -12,15 +14,40 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from numba import njit
 from numpy.typing import NDArray
 
-from estimators.latency import CALLS, PAPER_US, RATE_HZ, contenders, measure
+from estimators.encoder import INPUT_STATE, encode_sample
+from estimators.latency import CALLS, PAPER_US, RATE_HZ, Update, contenders, measure
+from estimators.networks import OnLoihi, create_network, drive
 from estimators.protocol import NETWORKS
 from quadsim.figures import STYLE
 
+HOST = "att-snn-loihi, host alone"
 
-def draw(taken: dict[str, NDArray[np.float64]], path: Path) -> None:
-    """Median and 99th percentile of each, and the paper's figures apart."""
+
+@njit(cache=True)
+def _on_host(gyro, accel, offset, gain, w_in, du, inputs, current, bias):
+    encode_sample(gyro[0], accel[0], offset, gain, inputs)
+    drive(inputs, w_in, du, current, bias)
+
+
+def host_part() -> Update:
+    """What the host does in one update of att-snn-loihi."""
+    core = create_network("att-snn-loihi", RATE_HZ).core
+    assert isinstance(core, OnLoihi)
+    neurons = core.chip.sizes[0]
+    states = np.zeros(INPUT_STATE), np.zeros(neurons, np.int64), np.zeros(neurons, np.int64)
+    return lambda gyro, accel: _on_host(gyro, accel, *core.host, *states)
+
+
+def every_contender() -> dict[str, Update]:
+    """All estimators, PyTorch's networks, and the host's part of the chip's network."""
+    return contenders() | {HOST: host_part()}
+
+
+def draw(taken: dict[str, NDArray[np.float64]]) -> Figure:
+    """Median and 99th percentile of each; apart the paper's figures, of its recurrent layer alone."""
     order = sorted(taken, key=lambda name: float(np.median(taken[name])))
     colours = {True: "#c0563b", False: "#33658a"}
     with matplotlib.rc_context(STYLE):
@@ -28,7 +55,7 @@ def draw(taken: dict[str, NDArray[np.float64]], path: Path) -> None:
         axes = figure.subplots()
         for place, name in enumerate(order):
             low, middle, high = np.percentile(taken[name], [1, 50, 99])
-            colour = colours[name in NETWORKS or "PyTorch" in name]
+            colour = colours[name.startswith(NETWORKS) or "PyTorch" in name]
             axes.plot([low, high], [place, place], color=colour, lw=3, alpha=0.35, solid_capstyle="butt")
             axes.plot(middle, place, "o", color=colour, ms=5)
             axes.annotate(
@@ -59,7 +86,7 @@ def draw(taken: dict[str, NDArray[np.float64]], path: Path) -> None:
         axes.set(
             xscale="log", xlabel="one update of one vehicle from Python [µs]: median, 1st to 99th percentile"
         )
-        figure.savefig(path, dpi=130)
+    return figure
 
 
 def main() -> None:
@@ -67,7 +94,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("reports/latency"), help="folder for the results")
     parser.add_argument("--rounds", type=int, default=100, help=f"turns of {CALLS} calls")
     arguments = parser.parse_args()
-    taken = measure(contenders(), arguments.rounds)
+    taken = measure(every_contender(), arguments.rounds)
     arguments.out.mkdir(parents=True, exist_ok=True)
     chip = float(np.median(taken["att-snn-loihi"]))
     with (arguments.out / "latency.csv").open("w", newline="") as file:
@@ -78,7 +105,7 @@ def main() -> None:
             middle, high = (float(x) for x in np.percentile(taken[name], [50, 99]))
             writer.writerow([name, taken[name].size, f"{middle:.3f}", f"{high:.3f}", f"{middle / chip:.3f}"])
             print(f"{name:24}{middle:>9.2f} µs{high:>9.2f} µs{middle / chip:>22.2f}")
-    draw(taken, arguments.out / "latency.png")
+    draw(taken).savefig(arguments.out / "latency.png", dpi=130)
     print(arguments.out / "latency.png")
 
 

@@ -6,7 +6,7 @@ A run that is cut short goes on where it stopped, as `quadsim bench` does.
 import json
 import resource
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -16,9 +16,12 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
+from pages import Page, load_page
 
 import estimators
+from estimators.networks import silenced
+from estimators.protocol import NETWORKS
+from estimators.weights_file import load_network, save_network
 from quadsim import loops
 from quadsim.console import progress_bar
 from quadsim.figures import STYLE
@@ -37,9 +40,7 @@ from scenarios.publish import publish
 from scenarios.runner import Results, bench, code_digest
 from scenarios.verdict import TRUTH, total, verdict
 
-HERE = Path(__file__).parent
-IMAGES = HERE / "img"
-OUT = HERE.parent / "reports" / "closed-loop"
+OUT = Path(__file__).parents[1] / "reports" / "closed-loop"
 SEEDS, BREAKING_SEEDS = 20, 10
 LONG = ("hover", "figure-8", "dryden-moderate", "wind-8")
 LONG_S = 100.0
@@ -82,12 +83,12 @@ def suite_text(results: Results, minutes: float) -> str:
     hours = SEEDS * len(s.estimators) * sum(each.duration_s for each in s.scenarios.values()) / 3600
     return (
         f"{len(s.scenarios)} scenarios × {len(s.estimators)} estimators × {SEEDS} seeds: {flights} flights, "
-        f"{hours:.0f} hours\nin the air, in {minutes:.1f} minutes of processor time, half that on two cores."
+        f"{hours:.0f} hours\nof flight, in {minutes:.1f} minutes of processor time."
     )
 
 
-def heat_map(results: Results) -> None:
-    """Mean error of every estimator in every scenario, best estimators first; crashes in red."""
+def heat_map(results: Results) -> Figure:
+    """Mean error of every estimator in every scenario, best estimators first; crashes in bold."""
     names = [s["estimator"] for s in verdict(results.rows).standings if s["estimator"] != TRUTH]
     scenarios = list(results.settings.scenarios)
     rows = {(row["estimator"], row["scenario"]): row for row in results.rows}
@@ -112,11 +113,17 @@ def heat_map(results: Results) -> None:
     bar = figure.colorbar(picture, label="error of roll and pitch [°]", fraction=0.02, pad=0.01)
     bar.set_ticks([0.3, 1, 3, 10, 30], labels=["0.3", "1", "3", "10", "30"])
     bar.ax.minorticks_off()
-    save(figure, "heat-map.png")
+    return figure
 
 
-def standing_rows(results: Results) -> list[str]:
-    """Estimators from best to worst over the whole suite, paired with the best on the same seeds."""
+def standing_rows(results: Results, without: Results, files: Mapping[str, str]) -> list[str]:
+    """Estimators from best to worst over the whole suite, paired with the best on the same seeds.
+
+    Args:
+        results: Of the suite.
+        without: Of the suite flown with silenced networks.
+        files: Networks to the files of their silenced weights.
+    """
     standings = [s["estimator"] for s in verdict(results.rows).standings]
     best = standings[0]
     pairs = {
@@ -133,7 +140,9 @@ def standing_rows(results: Results) -> list[str]:
             middle, half = sign * pair["difference"], (_float(pair["high"]) - _float(pair["low"])) / 2
             difference = f"{middle:+.2f} ± {half:.2f}"
         crashed = f"{sums.crashes} of {sums.flights}"
-        rows.append(f"| {name} | {crashed} | {sums.error:.2f} | {difference} | {sums.attitude:.2f} |")
+        silent = silenced_text(without, files.get(name))
+        cells = (name, crashed, f"{sums.error:.2f}", silent, difference, f"{sums.attitude:.2f}")
+        rows.append("| " + " | ".join(cells) + " |")
     return rows
 
 
@@ -148,40 +157,40 @@ def breaking_rows(points: list[Breaking]) -> list[str]:
     return [f"| {name} | " + " | ".join(text[name, kind] for kind in DISTURBANCES) + " |" for name in names]
 
 
-class TruthButBias:
-    """The true roll and pitch, off by what the accelerometer's turn-on bias feigns in hover."""
+class BiasedTruth:
+    """The true roll and pitch with the error that the accelerometer's turn-on bias makes in hover."""
 
     rate_hz = 200.0
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
         """Draw the bias of n vehicles."""
         spread = load_imu("adis16448").accel.turn_on / GRAVITY
-        self._off = np.random.default_rng(0).normal(0.0, spread, (n, 2))
+        self._error = np.random.default_rng(0).normal(0.0, spread, (n, 2))
 
     def observe(self, quat: NDArray[np.float64]) -> None:
         """Take the truth."""
         self._true = roll_pitch_from_quat(quat)
 
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give it, off by the bias."""
-        return self._true + self._off
+        """The truth with the error."""
+        return self._true + self._error
 
 
 def bias_rows(results: Results) -> list[str]:
-    """The row of `TruthButBias`, in the form of `long_rows`."""
+    """The row of `BiasedTruth`, in the form of `long_rows`."""
     truth = {row["scenario"]: row for row in results.rows if row["estimator"] == TRUTH}
     entries = []
     for name, scenario in results.settings.scenarios.items():
-        mission = Mission(scenario, TruthButBias(), SEEDS)
+        mission = Mission(scenario, BiasedTruth(), SEEDS)
         log, end = fly_mission(mission, 0)
         found = {key: each.mean() for key, each in flight_metrics(log, end, 200.0, mission.vehicle).items()}
         ratio, place = (found[key] / _float(truth[name][key]) for key in ("attitude_deg", "position_m"))
         entries.append(f"{ratio:.2f} ({found['error_deg']:.2f}°, {place:.2f})")
-    return ["| *truth, but for the accelerometer's bias* | " + " | ".join(entries) + " |"]
+    return ["| *truth with the error of the accelerometer's bias* | " + " | ".join(entries) + " |"]
 
 
 def bound_rows(results: Results) -> list[str]:
-    """The rows of the best linear estimator, which knows nothing of its speed or something."""
+    """The rows of the best linear estimator, with its speed unknown and known to a standard deviation."""
     imu, vehicle = load_imu("adis16448"), load_vehicle("hummingbird")
     truth = {
         row["scenario"]: _float(row["attitude_deg"]) for row in results.rows if row["estimator"] == TRUTH
@@ -190,15 +199,16 @@ def bound_rows(results: Results) -> list[str]:
     for speed_sd in SPEEDS_KNOWN:
         entries = []
         for name, scenario in results.settings.scenarios.items():
-            off = np.degrees(least_error(imu, vehicle, scenario, LONG_S, speed_sd))
-            entries.append(f"{np.hypot(1.0, off / truth[name]):.2f} ({off:.2f}° RMS)")
+            error = np.degrees(least_error(imu, vehicle, scenario, LONG_S, speed_sd))
+            entries.append(f"{np.hypot(1.0, error / truth[name]):.2f} ({error:.2f}° RMS)")
         known = "speed unknown" if np.isinf(speed_sd) else f"speed known to {speed_sd:g} m/s"
         rows.append(f"| *best possible, {known}* | " + " | ".join(entries) + " |")
     return rows
 
 
-def long_rows(results: Results) -> list[str]:
-    """Crashes and attitude tracking over that of the truth, in the long flights."""
+def long_rows(results: Results, files: Mapping[str, str]) -> list[str]:
+    """Crashes and attitude tracking over that of the truth, in the long flights; silenced networks last."""
+    shown = {path: f"*{name}, silenced*" for name, path in files.items()}
     rows = {(row["estimator"], row["scenario"]): row for row in results.rows}
 
     def entry(name: str, scenario: str) -> str:
@@ -210,7 +220,10 @@ def long_rows(results: Results) -> list[str]:
         place = _float(row["position_m"]) / _float(truth["position_m"])
         return f"{ratio:.2f} ({_float(row['error_deg']):.2f}°, {place:.2f}){crashes}"
 
-    return [f"| {n} | " + " | ".join(entry(n, s) for s in LONG) + " |" for n in results.settings.estimators]
+    return [
+        f"| {shown.get(name, name)} | " + " | ".join(entry(name, each) for each in LONG) + " |"
+        for name in results.settings.estimators
+    ]
 
 
 @cache
@@ -227,54 +240,73 @@ def loop_price() -> list[str]:
     phase = none.margins.phase_deg - paid.margins.phase_deg
     gain = none.margins.gain_db - paid.margins.gain_db
     return [
-        f"So 15 ms cost {phase:.0f}° of phase margin and {gain:.1f} dB of gain margin, and leave "
-        f"{paid.margins.phase_deg:.0f}° and {paid.margins.gain_db:.1f} dB: the",
-        f"loop would stand {paid.margins.delay_ms:.0f} ms more. A design for no delay at all could be "
-        f"{100 * (none.redesigned / paid.redesigned - 1):.0f} % faster.",
+        f"15 ms cost {phase:.0f}° of phase margin and {gain:.1f} dB of gain margin. "
+        f"{paid.margins.phase_deg:.0f}° and {paid.margins.gain_db:.1f} dB are left, and a spare delay",
+        f"of {paid.margins.delay_ms:.0f} ms. A design without delay could have a crossover "
+        f"{100 * (none.redesigned / paid.redesigned - 1):.0f} % higher.",
     ]
 
 
-def loop_rows() -> list[str]:
+def loop_rows(page: Page) -> list[str]:
     """The loop at each delay, with its picture."""
     found = attitude_loop()
-    save(loops.draw(found, title="hummingbird, gains designed for 15 ms"), "attitude-loop.png")
+    figure = loops.draw(found, title="hummingbird, gains designed for 15 ms")
+    page.save(figure, "attitude-loop.png", colours=128)
     return ["| " + " | ".join(row.values()) + " |" for row in loops.table(found)]
 
 
-def save(figure: Figure, name: str) -> None:
-    """Write a figure, with few colours: line drawings need no more."""
-    IMAGES.mkdir(exist_ok=True)
-    figure.savefig(IMAGES / name, dpi=130)
-    Image.open(IMAGES / name).convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(
-        IMAGES / name, optimize=True
-    )
+def silenced_files() -> dict[str, str]:
+    """Each network of the suite to a file of its weights with output weights of zero."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    found = {}
+    for name in NETWORKS:
+        weights = name.removesuffix("-loihi")
+        config, tensors = load_network(weights)
+        path = OUT / f"{weights}-silenced.safetensors"
+        save_network(path, config, silenced(config, tensors))
+        found[name] = str(path)
+    return found
+
+
+def silenced_text(results: Results, path: str | None) -> str:
+    """Error and crashes of a network that was flown silenced; a dash for other estimators."""
+    if path is None:
+        return "–"
+    sums = total([row for row in results.rows if row["estimator"] == path])
+    return f"{sums.error:.2f}, ✕ {sums.crashes}"
 
 
 def main() -> None:
     """Fly everything and write the page."""
+    page = load_page("closed-loop")
     names = [name for name in estimators.names() if name not in SLOW]
+    files = silenced_files()
     results, minutes = fly("suite", scenarios=scenario_names(), names=names)
-    long, _ = fly("long", scenarios=LONG, names=LONG_NAMES, duration_s=LONG_S)
+    without, _ = fly("silenced", scenarios=scenario_names(), names=sorted(set(files.values())))
+    long_names = (*LONG_NAMES, *dict.fromkeys(files[name] for name in LONG_NAMES if name in files))
+    long, _ = fly("long", scenarios=LONG, names=long_names, duration_s=LONG_S)
     with progress_bar("break", "points") as progress:
         points = breaking_points(
             list(DISTURBANCES), names, BREAKING_SEEDS, OUT / "suite", code=code_digest(), progress=progress
         )
     publish(OUT / "suite", results, points)
     with matplotlib.rc_context(STYLE):
-        heat_map(results)
-    parts: dict[str, Callable[[], list[str]]] = {
-        "verdict": lambda: [verdict(results.rows).headline],
-        "suite": lambda: [suite_text(results, minutes)],
-        "standings": lambda: standing_rows(results),
-        "breaking": lambda: breaking_rows(points),
-        "long": lambda: [*long_rows(long), *bias_rows(long), *bound_rows(long)],
-        "loop": loop_rows,
-        "price": loop_price,
-    }
-    page = (HERE / "closed-loop.template.md").read_text()
-    for name, rows in parts.items():
-        page = page.replace(f"{{{name}}}", "\n".join(rows()))
-    (HERE / "closed-loop.md").write_text(page)
+        page.save(heat_map(results), "heat-map.png", colours=128)
+        loop = loop_rows(page)
+    page.write(
+        {
+            "verdict": verdict(results.rows).headline,
+            "suite": suite_text(results, minutes),
+            "seeds": str(SEEDS),
+            "breaking_seeds": str(BREAKING_SEEDS),
+            "long_s": f"{LONG_S:g}",
+            "standings": standing_rows(results, without, files),
+            "breaking": breaking_rows(points),
+            "long": [*long_rows(long, files), *bias_rows(long), *bound_rows(long)],
+            "loop": loop,
+            "price": loop_price(),
+        }
+    )
 
 
 if __name__ == "__main__":

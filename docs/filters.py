@@ -1,66 +1,65 @@
-"""Compare the estimators on flights held out from tuning and training: `python docs/filters.py`.
+"""Compare the estimators on flights held out from tuning and training.
 
-Writes filters.md and its figures. The flights are those of the commands in filters.md; those that are missing
-are generated.
+`python docs/filters.py [--data FOLDER]` writes filters.md and its figures. The flights are
+those of the commands in filters.md; those that are missing are generated.
 """
 
+import argparse
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
-from PIL import Image
+from pages import ROOT, Page, load_page
+from simulated import simulated
 
 from estimators import create, names
 from estimators.evaluate import Evaluation, evaluate
 from estimators.figures import settling, violins
-from estimators.flights import Flights, load_flights
+from estimators.flights import Flights, load_flights, vehicle_of
 from estimators.metrics import attitude_error
 from estimators.protocol import run_quietly
 from estimators.tuned import load_tuning
 from quadsim.console import progress_bar
-from quadsim.dataset import generate, open_dataset
 from quadsim.figures import STYLE
-from quadsim.recipe import flight_config, load_recipe
-from scenarios.summary import behind
+from quadsim.vehicle import Vehicle, load_vehicle
 
 Array = NDArray[np.float64]
-HERE = Path(__file__).parent
-IMAGES = HERE / "img"
-DATA = HERE.parent / "data"
-
 DOMAINS = {
-    "hummingbird-adis16448": ("hummingbird", 3, DATA / "test.zarr"),
-    "px4-quad-px4-mini": ("px4", 6, DATA / "test-px4.zarr"),
+    "hummingbird-adis16448": "test",
+    "px4-quad-px4-mini": "test-px4",
 }
-"""Domain to recipe, seed and place of its 16 test flights of 100 s."""
+"""Domain to its test flights."""
 LEFT_OUT = ("truth", "att-snn")
 """The truth has no error, and att-snn is att-snn-loihi in floats."""
 SLOW_FLIGHTS = 2
+OTHERS = ("hummingbird", "px4-quad", "crazyflie")
+"""Vehicles whose constants are given to ekf-drag in place of the right ones."""
 EXPLAINED = ("mahony", "madgwick", "ekf", "eskf", "vqf", "ekf-drag")
 
 
-def compress(path: Path) -> None:
-    """Line drawings need few colours."""
-    Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=96).save(path, optimize=True)
+def tuning_of(name: str, domain: str) -> str | None:
+    """The domain whose tuned parameters a filter has; None where it has its defaults."""
+    return domain if name in load_tuning(domain) else None
 
 
-def compared(domain: str) -> Evaluation:
+def compared(page: Page, domain: str, dataset: xr.Dataset) -> Evaluation:
     """All estimators on the domain's test flights; draws the figures."""
-    recipe, seed, path = DOMAINS[domain]
-    if not path.exists():
-        generate(flight_config(load_recipe(recipe)), 16, 100.0, path, seed=seed)
-    shown = [name for name in names() if name not in LEFT_OUT]
+    vehicle, rate_hz = vehicle_of(dataset), float(dataset.attrs["rate_hz"])
+    made = {
+        name: create(name, rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
+        for name in names()
+        if name not in LEFT_OUT
+    }
     with progress_bar(domain, "runs") as bar:
-        done = evaluate(open_dataset(path), shown, tuning=domain, slow_flights=SLOW_FLIGHTS, progress=bar)
-    figures = {"violins": violins(done), "convergence": settling(done)}
-    for name, figure in figures.items():
-        figure.savefig(IMAGES / f"filters-{name}-{domain}.png", dpi=110)
-        compress(IMAGES / f"filters-{name}-{domain}.png")
+        done = evaluate(dataset, made, slow_flights=SLOW_FLIGHTS, progress=bar)
+    for name, figure in {"violins": violins(done), "convergence": settling(done)}.items():
+        page.save(figure, f"filters-{name}-{domain}.png", dpi=110)
     return done
 
 
@@ -71,7 +70,7 @@ def result_rows(done: Evaluation) -> list[str]:
         settled = [f"{s:.1f}" if np.isfinite(s) else "never" for s in (row.settle_20_s, row.settle_45_s)]
         name = row.estimator + ("*" if row.flights < max(each.flights for each in done.rows) else "")
         mean = f"{row.mean_deg:.2f} ({row.mean_low_deg:.2f}–{row.mean_high_deg:.2f})"
-        numbers = [f"{row.median_deg:.2f}", mean, f"{row.sd_deg:.2f}", behind(row)]
+        numbers = [f"{row.median_deg:.2f}", mean, f"{row.sd_deg:.2f}", row.silenced, row.behind]
         shown = [name, row.initial, *numbers, f"{row.inclination_rmse_deg:.2f}", *settled]
         rows.append(f"| {' | '.join(shown)} |")
     return rows
@@ -110,86 +109,101 @@ def without(flights: Flights, gyro_bias: Array, accel_bias: Array) -> dict[str, 
     }
 
 
-def mean_error(name: str, flights: Flights, domain: str, **params: float) -> float:
+def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None, **params: float) -> float:
     """Mean over flights of the mean absolute error [deg]."""
-    est = create(name, flights.rate_hz, tuning=domain, **params)
+    est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle, **params)
     return attitude_error(run_quietly(est, flights.gyro, flights.accel, flights.start), flights.truth).mean
 
 
 def both_starts(
-    name: str, flights: Flights, domain: str, changes: Mapping[str, dict[str, float]]
-) -> list[str]:
-    """Error with each change of parameters, from an unknown and from a known start."""
-    known, rows = flights.known(), []
-    for what, params in changes.items():
-        errors = [mean_error(name, each, domain, **params) for each in (flights, known)]
-        rows.append(f"| {what} | {errors[0]:.2f} | {errors[1]:.2f} |")
-    return rows
+    what: str, name: str, flights: Flights, domain: str, vehicle: Vehicle | None, **params
+) -> str:
+    """A row: error from an unknown and from a known start."""
+    errors = [mean_error(name, each, domain, vehicle, **params) for each in (flights, flights.known())]
+    return f"| {what} | {errors[0]:.2f} | {errors[1]:.2f} |"
 
 
-def cause_rows(domain: str) -> list[str]:
+def cause_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     """Error of filters when one cause of error is taken away."""
-    dataset = open_dataset(DOMAINS[domain][2])
     biases = (dataset[name].to_numpy().astype(np.float64) for name in ("gyro_bias", "accel_bias"))
     kinds = {what: each.known() for what, each in without(load_flights([dataset]), *biases).items()}
-    return [
-        f"| {name} | {' | '.join(f'{mean_error(name, each, domain):.2f}' for each in kinds.values())} |"
-        for name in EXPLAINED
+    vehicle = vehicle_of(dataset)
+    errors = {
+        name: [mean_error(name, each, domain, vehicle) for each in kinds.values()] for name in EXPLAINED
+    }
+    return [f"| {name} | {' | '.join(f'{each:.2f}' for each in found)} |" for name, found in errors.items()]
+
+
+def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
+    """A vehicle's file with rotor and frame drag multiplied by a factor."""
+    motor = vehicle.motor.model_copy(update={"rotor_drag": factor * vehicle.motor.rotor_drag})
+    x, y, z = (factor * area for area in vehicle.frame.drag_area)
+    frame = vehicle.frame.model_copy(update={"drag_area": (x, y, z)})
+    return vehicle.model_copy(update={"motor": motor, "frame": frame})
+
+
+def drag_rows(domain: str, dataset: xr.Dataset) -> list[str]:
+    """Error of ekf-drag with wrong airframe constants, without its drag, and without its other parts."""
+    flights, vehicle = load_flights([dataset]), vehicle_of(dataset)
+    assert vehicle is not None
+    vehicles = {
+        f"of its vehicle, {vehicle.name}": vehicle,
+        "half the drag": with_drag(vehicle, 0.5),
+        "twice the drag": with_drag(vehicle, 2.0),
+    }
+    vehicles |= {f"of another vehicle, {name}": load_vehicle(name) for name in OTHERS if name != vehicle.name}
+    rows = [both_starts(what, "ekf-drag", flights, domain, each) for what, each in vehicles.items()]
+    changes: dict[str, dict[str, float]] = {
+        "drag measurement off (`drag_noise` 100)": {"drag_noise": 100.0},
+        "accelerometer bias not estimated (`accel_bias_sigma` 0.001)": {"accel_bias_sigma": 0.001},
+    }
+    return rows + [
+        both_starts(what, "ekf-drag", flights, domain, vehicle, **params) for what, params in changes.items()
     ]
 
 
-def drag_rows(domain: str) -> list[str]:
-    """Error of ekf-drag when what it knows of drag is wrong, or not used."""
-    flights = load_flights([open_dataset(DOMAINS[domain][2])])
-    exact = load_tuning(domain)["ekf-drag"].values
-    free = {"speed_noise": 1e3, "climb_noise": 1e3}
-    changes: Mapping[str, dict[str, float]] = {
-        "drag as it is": {},
-        "drag taken for half of what it is": {"drag_time": 2.0 * exact["drag_time"]},
-        "drag taken for twice what it is": {"drag_time": 0.5 * exact["drag_time"]},
-        "drag not used (`drag_noise` 100)": {"drag_noise": 100.0},
-        "velocity taken for free (`speed_noise`, `climb_noise` 1000)": free,
-        "neither drag nor velocity used": {"drag_noise": 100.0} | free,
-        "accelerometer bias not estimated (`accel_bias_sigma` 0.001)": {"accel_bias_sigma": 0.001},
-    }
-    return both_starts("ekf-drag", flights, domain, changes)
-
-
-def vqf_rows(domain: str) -> list[str]:
+def vqf_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     """VQF with its package's own parameters and tuned, with and without its bias estimation."""
-    flights = load_flights([open_dataset(DOMAINS[domain][2])])
+    flights = load_flights([dataset])
     own = {"tauAcc": 3.0, "biasForgettingTime": 100.0, "biasSigmaInit": 0.5, "biasSigmaMotion": 0.1}
+    tuned = load_tuning(domain)["vqf"].values["tauAcc"]
     changes: Mapping[str, dict[str, float]] = {
         "tuned": {},
         "the package's defaults": own | {"biasSigmaRest": 0.03},
         "tuned, without estimating the bias": {"motionBiasEstEnabled": 0.0, "restBiasEstEnabled": 0.0},
-        "tuned, `tauAcc` a third": {"tauAcc": load_tuning(domain)["vqf"].values["tauAcc"] / 3.0},
-        "tuned, `tauAcc` three times": {"tauAcc": load_tuning(domain)["vqf"].values["tauAcc"] * 3.0},
+        "tuned, `tauAcc` a third": {"tauAcc": tuned / 3.0},
+        "tuned, `tauAcc` three times": {"tauAcc": tuned * 3.0},
     }
-    return both_starts("vqf", flights, domain, changes)
+    return [both_starts(what, "vqf", flights, domain, None, **params) for what, params in changes.items()]
 
 
 def speeds() -> list[str]:
     """What the benchmark prints."""
-    bench = HERE.parent / "benchmarks" / "bench_filters.py"
-    command = [sys.executable, str(bench), "--tuning", "mahony", "ekf"]
+    bench = ROOT / "benchmarks" / "bench_filters.py"
+    command = [sys.executable, str(bench), "--tuning", "mahony"]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
+    given = parser.parse_args(arguments)
     matplotlib.rcParams.update(STYLE)
-    IMAGES.mkdir(exist_ok=True)
-    first = next(iter(DOMAINS))
-    tables = {f"results:{domain}": result_rows(compared(domain)) for domain in DOMAINS}
-    tables |= {f"parameters:{domain}": parameter_rows(domain) for domain in DOMAINS}
-    for domain in DOMAINS:
-        tables |= {f"causes:{domain}": cause_rows(domain), f"drag:{domain}": drag_rows(domain)}
-    tables |= {"vqf": vqf_rows(first), "speed": speeds()}
-    page = (HERE / "filters.template.md").read_text()
-    for name, rows in tables.items():
-        page = page.replace(f"{{{name}}}", "\n".join(rows))
-    (HERE / "filters.md").write_text(page)
+    page = load_page("filters")
+    tables: dict[str, list[str]] = {}
+    sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
+    for domain, dataset in sets.items():
+        done = compared(page, domain, dataset)
+        tables |= {
+            f"results:{domain}": result_rows(done),
+            f"parameters:{domain}": parameter_rows(domain),
+            f"causes:{domain}": cause_rows(domain, dataset),
+            f"drag:{domain}": drag_rows(domain, dataset),
+        }
+    first, dataset = next(iter(sets.items()))
+    counts = {"flights": str(dataset.sizes["flight"]), "slow": str(SLOW_FLIGHTS)}
+    page.write(tables | counts | {"vqf": vqf_rows(first, dataset), "speed": speeds()})
 
 
 if __name__ == "__main__":

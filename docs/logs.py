@@ -1,24 +1,29 @@
-"""Measure what the page on real logs says: `QUADSIM_REALDATA=folder python docs/logs.py` writes logs.md."""
+"""Measure what the page on real logs says: `python docs/logs.py [--recordings FOLDER]` writes logs.md."""
 
+import argparse
 import os
+import subprocess
+import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
-from PIL import Image
-from typer.testing import CliRunner
+from pages import ROOT, Page, load_page
+from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
 
-from estimators import create, run
+from estimators import run
+from estimators.evaluate import made_of, silenced_twin
 from estimators.metrics import inclination_error
-from estimators.recorded import KNOWN, RAW, LogScores, default_names, draw_log, score_logs
-from quadsim.cli import app
+from estimators.recorded import KNOWN, RAW, LogScores, draw_log
 from quadsim.dataset import generate, open_dataset
+from quadsim.estimator import AttitudeEstimator
 from quadsim.export import export
 from quadsim.figures import STYLE
 from quadsim.imu import load_imu, simulate_imu
-from quadsim.logs import read_log
 from quadsim.logs.allan import calibrate, draw
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
@@ -26,27 +31,20 @@ from quadsim.recipe import flight_config, load_recipe
 from quadsim.rotation import roll_pitch_from_quat
 
 Array = NDArray[np.float64]
-HERE = Path(__file__).parent
-IMAGES, DATA = HERE / "img", HERE.parent / "data"
 RATE = 200.0
-BIAS = np.radians([4.1, -1.2, -1.6])
-SHOWN = "10_undisturbed_slow_translation_A"
-COMPARED = ("mahony", "eskf", "vqf", "att-snn", "att-snn-robust")
+BIAS_DEG = (4.1, -1.2, -1.6)
+"""A gyroscope's bias as uncalibrated sensors have it [°/s]."""
+SHOWN = {
+    BROAD: ("10_undisturbed_slow_translation_A", (60.0, 100.0)),
+    PHANTOM4: ("horizontal_02", (5.0, 25.0)),
+}
+"""Recording that is drawn, and the part of it [s]."""
+FILTERS = ("vqf", "eskf", "mahony")
+NETS = ("att-snn", "att-rnn")
 FLIGHTS = 4
-
-
-def trials() -> list[Path]:
-    """Files of the benchmark's trials."""
-    found = sorted((Path(os.environ.get("QUADSIM_REALDATA", "realdata")) / "broad").glob("*.npz"))
-    if not found:
-        raise SystemExit("set QUADSIM_REALDATA to the folder that holds broad/")
-    return found
-
-
-def said(*arguments: str, last: int | None = None) -> str:
-    """What a command prints, or its last lines."""
-    lines = CliRunner().invoke(app, list(arguments)).stdout.rstrip().splitlines()
-    return "\n".join(line.rstrip() for line in (lines if last is None else lines[-last:]))
+SIMULATED = (("hummingbird", "hummingbird", 3), ("windy", "hummingbird", 43))
+ROUGH = (("robust", "hummingbird", 40), ("robust", "px4-quad", 41), ("robust", "crazyflie", 42))
+"""Recipe, vehicle and seed of the simulated flights."""
 
 
 def info(folder: Path) -> str:
@@ -55,10 +53,13 @@ def info(folder: Path) -> str:
     csv = export(data, folder / "flight", "csv") / "flight_000" / "mav0" / "imu0" / "data.csv"
     rows = csv.read_text().splitlines(keepends=True)
     csv.write_text("".join(rows[:1000] + rows[1050:2000] + rows[2001:3000] + rows[3001:]))
-    return said("logs", "info", str(folder / "flight")).replace(str(folder) + "/", "")
+    command = [sys.executable, "-m", "quadsim.cli", "logs", "info", "flight"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
+    return "\n".join(line.rstrip() for line in done.stdout.rstrip().splitlines())
 
 
-def resampling() -> list[str]:
+def resampling_rows() -> list[str]:
     """How much of a tone is lost, or folds down."""
     lines = []
     for rate in (100.0, 200.0, 285.7, 500.0, 1000.0):
@@ -72,25 +73,32 @@ def resampling() -> list[str]:
             even, _ = resample(Recording("tone", "", time, wave, wave), RATE)
             grid, found = even["time"].to_numpy(), even["gyro"].to_numpy()[0, :, 0]
             expected = np.sin(2 * np.pi * tone * grid) if tone < 0.45 * RATE else 0.0
-            off = np.sqrt(np.mean((found - expected)[200:-200] ** 2) * 2)
-            cells.append(f"{100 * off:.2f} %")
+            error = np.sqrt(np.mean((found - expected)[200:-200] ** 2) * 2)
+            cells.append(f"{100 * error:.2f} %")
         lines.append(f"| {rate:g} Hz | " + " | ".join(cells) + " |")
     return lines
 
 
-def broad(logs: list) -> tuple[list[str], LogScores]:
-    """Every estimator on the real trials."""
-    scores = score_logs(logs, default_names())
-    figure = draw_log(scores, SHOWN, (60.0, 100.0))
-    save(figure, "broad.png")
-    rows = [
-        f"| {name} | {scores.mean(name, RAW):.2f} | {scores.mean(name, KNOWN):.2f} |"
+def made() -> dict[str, AttitudeEstimator]:
+    """What is scored on real recordings: filters that need no vehicle, and the networks."""
+    return made_of([*FILTERS, *NETS], RATE) | {"vqf, package's parameters": vqf_with_defaults()}
+
+
+def recorded_rows(scores: LogScores) -> list[str]:
+    """Errors on a set of recordings, the smallest first."""
+    return [
+        f"| {name} | {scores.mean(name, RAW):.2f} | {number(scores.silenced(name))} "
+        f"| {scores.mean(name, KNOWN):.2f} |"
         for name in scores.estimators
     ]
-    return rows, scores
 
 
-def calibration() -> list[str]:
+def number(value: float) -> str:
+    """A number of a table, or a dash where there is none."""
+    return "–" if np.isnan(value) else f"{value:.2f}"
+
+
+def calibration_rows(page: Page) -> list[str]:
     """An hour at rest of two sensors, calibrated."""
     lines = []
     steps = int(3600 * RATE)
@@ -100,7 +108,7 @@ def calibration() -> list[str]:
         gyro, accel = simulate_imu(imu, np.zeros_like(force), force, RATE, seed=1)
         found = calibrate([Recording(preset, "", np.arange(steps) / RATE, gyro[0], accel[0])])
         if preset == "adis16448":
-            save(draw(found), "calibration.png")
+            page.save(draw(found), "calibration.png", dpi=100, colours=48)
         for name, mine, true in (("gyro", found.gyro, imu.gyro), ("accel", found.accel, imu.accel)):
             tau = mine.time_constant / (true.time_constant or np.nan)
             lines.append(
@@ -110,89 +118,77 @@ def calibration() -> list[str]:
     return lines
 
 
-def robust() -> list[str]:
-    """Weights against filters on flights with good and bad sensors."""
-    sets = [
-        [flights("hummingbird", None, 3, FLIGHTS)],
-        [flights("windy", None, 43, FLIGHTS)],
-        [flights("windy", None, 43, FLIGHTS)],
-        [
-            flights("robust", v, 40 + k, FLIGHTS)
-            for k, v in enumerate(("hummingbird", "px4-quad", "crazyflie"))
-        ],
-    ]
+def simulated_rows(data: Path) -> list[str]:
+    """Estimators on simulated flights of other sensors and airframes; `ekf-drag` knows each vehicle."""
+    clean, windy = ([flights(data, *each)] for each in SIMULATED)
+    rough = [flights(data, *each) for each in ROUGH]
+    sets = [(clean, np.zeros(3)), (windy, np.zeros(3)), (windy, np.radians(BIAS_DEG)), (rough, np.zeros(3))]
     lines = []
-    for name in COMPARED:
-        est = create(name)
+    for name in ("ekf-drag", *FILTERS, *NETS):
         cells = []
-        for k, each in enumerate(sets):
-            errors = [rmse(est, path, BIAS if k == 2 else np.zeros(3)) for path in each]
+        for paths, bias in sets:
+            errors = [rmse(made_of([name], RATE, vehicle=v)[name], path, bias) for path, v in paths]
             cells.append(f"{np.mean(errors):.2f}")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return lines
+    twin = silenced_twin(NETS[0])
+    assert twin is not None
+    cells = [f"{np.mean([rmse(twin, path, bias) for path, _ in paths]):.2f}" for paths, bias in sets]
+    return [*lines, "| *att-snn, silenced* | " + " | ".join(cells) + " |"]
 
 
-def flights(recipe: str, vehicle: str | None, seed: int, count: int) -> Path:
-    """Flights that nothing is trained on; those of an earlier run if they are there."""
-    chosen = load_recipe(recipe)
-    if vehicle is not None:
-        chosen = chosen.model_copy(update={"vehicle": vehicle})
-    name = f"docs-{recipe}-{vehicle or chosen.vehicle}.zarr"
-    return generate(flight_config(chosen), count, 100.0, DATA / name, seed=seed, workers=1)
+def flights(data: Path, recipe: str, vehicle: str, seed: int) -> tuple[Path, str]:
+    """Flights on which nothing is trained, and their vehicle; those of an earlier run if they are there."""
+    chosen = load_recipe(recipe).model_copy(update={"vehicle": vehicle})
+    path = data / f"docs-{recipe}-{vehicle}.zarr"
+    return generate(flight_config(chosen), FLIGHTS, 100.0, path, seed=seed, workers=1), vehicle
 
 
-def rmse(est, path: Path, bias: Array) -> float:
-    """Inclination RMSE over the first flights of a dataset, after 3 s [deg]."""
-    data = open_dataset(path).isel(flight=slice(FLIGHTS))
+def rmse(est: AttitudeEstimator, path: Path, bias: Array) -> float:
+    """Inclination RMSE over the flights of a dataset, after 3 s [deg]."""
+    data = open_dataset(path)
     gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    truth = roll_pitch_from_quat(quat)
-    error = inclination_error(run(est, gyro + bias, accel), truth)[:, round(3 * RATE) :]
+    error = inclination_error(run(est, gyro + bias, accel), roll_pitch_from_quat(quat))[:, round(3 * RATE) :]
     return float(np.sqrt(np.mean(error**2, axis=1)).mean())
 
 
-def tuned(folder: Path) -> str:
-    """Weights trained on, on the real trials."""
-    said("logs", "convert", *map(str, trials()), "--out", str(folder / "broad.zarr"))
-    arguments = ["--data", str(folder / "broad.zarr"), "--out", str(folder / "tuned")]
-    return said("train", "--preset", "tune", "--init", "att-snn-robust", *arguments, last=2).replace(
-        str(folder), "runs"
-    )
+def seconds(logs: Sequence[xr.Dataset]) -> str:
+    """Length of all logs together."""
+    return f"{sum(float(log.attrs['duration_s']) for log in logs):.0f}"
 
 
-def save(figure, name: str) -> None:
-    """Line drawings need few colours: a fifth of the size."""
-    figure.savefig(IMAGES / name, dpi=100)
-    Image.open(IMAGES / name).convert("P", palette=Image.Palette.ADAPTIVE, colors=48).save(
-        IMAGES / name, optimize=True
-    )
-
-
-def columns() -> str:
-    """An example of a column map, read by the reader itself before it is shown."""
-    return (HERE / "columns.toml").read_text().rstrip()
-
-
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--recordings", type=Path, default=FOLDER, help="folder of broad/ and phantom4/")
+    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
+    given = parser.parse_args(arguments)
     matplotlib.rcParams.update(STYLE)
-    logs = [read_log(path) for path in trials()]
-    with tempfile.TemporaryDirectory() as drafts:
-        folder = Path(drafts)
-        values = {
-            "info": info(folder),
-            "resampling": "\n".join(resampling()),
-            "columns": columns(),
-            "broad": "\n".join(broad(logs)[0]),
-            "broad_count": str(len(logs)),
-            "calibration": "\n".join(calibration()),
-            "robust": "\n".join(robust()),
-            "robust_count": str(FLIGHTS),
-            "tuned": tuned(folder),
+    page = load_page("logs")
+    sets = recordings(given.recordings)
+    scores = {name: score(name, logs, made()) for name, logs in sets.items()}
+    for name, (log, part) in SHOWN.items():
+        file = name.lower().replace(" ", "") + ".png"
+        page.save(draw_log(scores[name], log, part), file, dpi=100, colours=48)
+    with tempfile.TemporaryDirectory() as folder:
+        example = info(Path(folder))
+    page.write(
+        {
+            "info": example,
+            "resampling": resampling_rows(),
+            "columns": (ROOT / "docs" / "columns.toml").read_text().rstrip(),
+            "broad": recorded_rows(scores[BROAD]),
+            "broad_count": str(len(sets[BROAD])),
+            "broad_s": seconds(sets[BROAD]),
+            "phantom4": recorded_rows(scores[PHANTOM4]),
+            "phantom4_count": str(len(sets[PHANTOM4])),
+            "phantom4_s": seconds(sets[PHANTOM4]),
+            "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
+            "calibration": calibration_rows(page),
+            "simulated": simulated_rows(given.data),
+            "simulated_count": str(FLIGHTS),
+            "bias": ", ".join(f"{each:g}" for each in BIAS_DEG),
         }
-    page = (HERE / "logs.template.md").read_text()
-    for name, text in values.items():
-        page = page.replace(f"{{{name}}}", text)
-    (HERE / "logs.md").write_text(page)
+    )
 
 
 if __name__ == "__main__":

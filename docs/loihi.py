@@ -1,16 +1,10 @@
-"""Everything about the chip: `python docs/loihi.py [--train]` writes loihi.md and its figures.
-
-It takes some minutes; with --train the small and the pruned networks are trained first, about an hour on one
-core, into runs/size-* and runs/prune, where finished runs are kept.
-"""
+"""Everything about the chip: `python docs/loihi.py [--data FOLDER]` writes loihi.md and its figures."""
 
 import argparse
-import csv
-import runpy
 import subprocess
+import sys
 import tempfile
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -19,50 +13,37 @@ import norse.torch
 import numpy as np
 import onnxruntime
 import torch
-from matplotlib.figure import Figure
 from norse.torch.utils import import_nir
 from numpy.typing import NDArray
-from PIL import Image
+from pages import ROOT, Page, load_page
+from simulated import simulated
 
 from estimators.chip import LIMITS
 from estimators.encoder import scaled_inputs
-from estimators.energy import PAPER_MEASURED, gru_flops, snn_flops
+from estimators.energy import HOST_PICOJOULES, PAPER_MEASURED, gru_flops, host_costs, snn_flops
 from estimators.flights import Flights, load_flights
 from estimators.inspection import FRACTIONS, Inspection, inspect, load_spiking, write_page
 from estimators.inspection_figures import ablation_curve
+from estimators.latency import PAPER_US, measure
 from estimators.loihi import LoihiLayer, LoihiNetwork
-from estimators.networks import OnLoihi, create_network, real_weights
+from estimators.networks import OnLoihi, create_network, real_weights, silenced
 from estimators.profiles import share_profiles
-from estimators.pruning import CRITERIA, ablation, error_deg, importance
+from estimators.pruning import error_deg
 from estimators.spiking import Weights, forward
 from estimators.weights_export import export_weights
-from estimators.weights_file import Tensors, load_network, parameters, shipped_network
-from quadsim.dataset import open_dataset
+from estimators.weights_file import Tensors, shipped_network
 from quadsim.figures import STYLE
-from training.loop import train
-from training.pruning import prune
 
-HERE = Path(__file__).parent
 ROUNDING = 1e-12
 """Sines are the C library's: an angle may differ by that much [rad]."""
-ROOT, IMAGES = HERE.parent, HERE / "img"
-TRAIN = tuple(f"data/{name}.zarr" for name in ("train", "train-windy", "train-varied"))
-VALIDATION = tuple(f"data/{name}.zarr" for name in ("val", "val-windy", "val-varied"))
-SIZES, SIZE_EPOCHS, PRUNE_EPOCHS, PRUNE_STAGES = (12, 20, 28, 44), 40, 8, 2
-PRUNE_LR = 0.005
-RATES = {"rate_cost": 0.003, "rate_targets": (0.2, 0.4)}
-"""Of small and of pruned networks: few neurons say less where they hardly spike."""
-BEST_OF_PAPER = 2.79
+PROFILES = (128, 64, 48, 32, 24)
+SHOWN_EVERY = 2
+"""Of the shares of neurons in the ablation curve, every second is in the table."""
 
 
 def row(*cells: object) -> str:
     """A line of a table."""
     return "| " + " | ".join(map(str, cells)) + " |"
-
-
-def compress(path: Path) -> None:
-    """Line drawings need few colours."""
-    Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=64).save(path, optimize=True)
 
 
 def golden_rows() -> list[str]:
@@ -101,32 +82,41 @@ def core_rows(core: OnLoihi) -> list[str]:
     ]
 
 
-def profile_rows(flights: Flights) -> list[str]:
+def profile_rows(tensors: Tensors, flights: Flights, silenced_deg: str) -> list[str]:
     """What sharing decay profiles costs."""
-    config, tensors = shipped_network("att-snn")
-    rows = [
-        row("one a neuron", len(OnLoihi(config, tensors).cores), f"{error_deg(config, tensors, flights):.2f}")
+    config, _ = shipped_network("att-snn")
+    shared = {"one a neuron": tensors} | {str(k): share_profiles(tensors, k) for k in PROFILES}
+    return [
+        row(name, len(OnLoihi(config, each).cores), f"{error_deg(config, each, flights):.2f}", silenced_deg)
+        for name, each in shared.items()
     ]
-    for profiles in (128, 64, 48, 32, 24):
-        shared = share_profiles(tensors, profiles)
-        cores = len(OnLoihi(config, shared).cores)
-        rows.append(row(profiles, cores, f"{error_deg(config, shared, flights):.2f}"))
-    return rows
 
 
-def latency_rows(rounds: int) -> list[str]:
-    """Latency of every estimator in turns, and its figure."""
-    bench = runpy.run_path(str(ROOT / "benchmarks" / "bench_latency.py"))
-    taken = bench["measure"](bench["contenders"](), rounds)
-    bench["draw"](taken, IMAGES / "loihi-latency.png")
-    compress(IMAGES / "loihi-latency.png")
+def latency_rows(page: Page, rounds: int) -> tuple[list[str], str]:
+    """Latency of every estimator in turns, with its figure; and the share of the host."""
+    sys.path.insert(0, str(ROOT))
+    from benchmarks.bench_latency import HOST, draw, every_contender
+
+    taken = measure(every_contender(), rounds)
+    page.save(draw(taken), "loihi-latency.png", colours=64)
     chip = float(np.median(taken["att-snn-loihi"]))
     found = sorted((*np.percentile(each, [50, 99]), name) for name, each in taken.items())
-    return [row(name, f"{middle:.2f}", f"{high:.2f}", f"{middle / chip:.2f}") for middle, high, name in found]
+    rows = [row(name, f"{middle:.2f}", f"{high:.2f}", f"{middle / chip:.2f}") for middle, high, name in found]
+    return rows, f"{100 * float(np.median(taken[HOST])) / chip:.0f}"
+
+
+def host_rows(found: Inspection) -> list[str]:
+    """Operations of the host, with their modelled energy, and their sum."""
+    lines = host_costs(found.config)
+    sums = [
+        sum(getattr(each, name) for each in lines) for name in ("multiplications", "additions", "nanojoules")
+    ]
+    rows = [row(each.part, each.multiplications, each.additions, f"{each.nanojoules:.2f}") for each in lines]
+    return [*rows, row("sum", *sums[:2], f"{sums[2]:.2f}")]
 
 
 def energy_rows(found: Inspection) -> list[str]:
-    """The energy model line by line, and its sum."""
+    """The energy model of the chip line by line, and its sum."""
     rows = [
         row(
             each.operation, f"{each.count:.1f}", f"{each.picojoules:g}", f"{each.nanojoules:.2f}",
@@ -134,21 +124,40 @@ def energy_rows(found: Inspection) -> list[str]:
         )
         for each in found.costs
     ]  # fmt: skip
-    return [*rows, row("sum", "", "", f"{sum(each.nanojoules for each in found.costs):.1f}", "")]
+    return [*rows, row("sum", "", "", f"{sum(each.nanojoules for each in found.costs):.2f}", "")]
 
 
 def flop_rows(found: Inspection) -> list[str]:
-    """Floating-point operations of both networks."""
+    """Floating-point operations of both networks, of the host and of the layers behind it."""
     config = found.config
     first, second = (float(found.layer_rates(k).sum()) for k in (0, 1))
     snn = snn_flops(config.encoding, config.hidden, (first, second))
+    host = sum(each.multiplications + each.additions for each in host_costs(config))
+    encoder = 2 * 6 * config.encoding
     twin, _ = shipped_network("att-rnn")
     gru = gru_flops(twin.encoding, twin.hidden)
     return [
-        row(f"Att-SNN, {first:.1f} + {second:.1f} spikes", f"{snn['sparse']:.0f}"),
-        row("Att-SNN, zeros multiplied too", f"{snn['dense']:.0f}"),
-        row(f"Att-RNN, {gru / snn['sparse']:.0f} times the first", f"{gru:.0f}"),
+        row(f"Att-SNN, {first:.1f} + {second:.1f} spikes a step", host, f"{snn['sparse'] - encoder:.0f}"),
+        row("Att-SNN, zeros multiplied too", host, f"{snn['dense'] - encoder:.0f}"),
+        row("Att-RNN", "12", f"{gru:.0f}"),
     ]
+
+
+def pruning_rows(found: Inspection, silenced_deg: str) -> list[str]:
+    """Errors with neurons removed, by each criterion."""
+    places = range(0, len(FRACTIONS), SHOWN_EVERY)
+    return [
+        row(
+            f"{FRACTIONS[k]:.0%}", *(f"{errors[k]:.2f}" for errors in found.ablation.values()), silenced_deg
+        )
+        for k in places
+    ]  # fmt: skip
+
+
+def summary_rows(found: Inspection) -> list[str]:
+    """The terminal's summary, without what other tables of the page show."""
+    others = ("error", "removed", "modelled")
+    return [row(key, text) for key, text in found.summary() if not key.startswith(others)]
 
 
 def export_rows(flights: Flights) -> list[str]:
@@ -194,7 +203,7 @@ def _nir_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]
         nodes[name].v_threshold += 1e-11
     import_nir._to_tensor = lambda x: torch.as_tensor(x, dtype=torch.float64)
     net = norse.torch.from_nir(nir.NIRGraph(nodes, edges), dt=float(graph.metadata["dt"])).double()
-    x = torch.tensor(scaled_inputs(config.inputs, config.rate_hz, gyro, accel)[0])
+    x = torch.tensor(scaled_inputs(config.inputs, gyro, accel))
     weights, taus = real_weights(config, tensors)
     own = Weights(*map(torch.tensor, (*weights, *taus)))
     _, _, floats = forward(x, own)
@@ -205,9 +214,9 @@ def _nir_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]
             spike, state = net(x[:, t], state)
             spikes.append(spike)
     wrong = int((torch.stack(spikes, 1)[:, :-1] != floats[:, 1:]).sum())
-    apart = float((floats != chip).double().mean())
-    said = f"{wrong} differ (without the chip's rounding; {apart:.1%} of the chip's own differ from those)"
-    return row("NIR", "Norse", f"{floats[:, 1:].numel()} hidden spikes", said)
+    rounding = float((floats != chip).double().mean())
+    result = f"{wrong} differ (both without the chip's rounding, which changes {rounding:.1%} of the spikes)"
+    return row("NIR", "Norse", f"{floats[:, 1:].numel()} hidden spikes", result)
 
 
 def _onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:
@@ -227,170 +236,54 @@ def _onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64
     return row("ONNX", "ONNX Runtime", f"{theirs.size} outputs", f"largest difference {worst:.1e}°")
 
 
-def train_sizes() -> None:
-    """Train the small networks, and score them."""
-    common = {"preset": "best", "data": TRAIN, "validation": VALIDATION, **RATES}
-    common |= {"parameters": 0, "revive": 0.6}  # nothing to take away: all the epochs may revive
-    rows = []
-    for size in SIZES:
-        result = train(
-            "att-snn", out=f"runs/size-{2 * size}", encoding=size, hidden=size, epochs=SIZE_EPOCHS, **common
-        )
-        rows.append(result.weights)
-    alone, every = flights_of(VALIDATION[:1]), flights_of(VALIDATION)
-    with (HERE / "loihi-size.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["neurons", "parameters", "val_deg", "all_deg"])
-        for path in rows:
-            config, tensors = load_network(path)
-            size = parameters(tensors)
-            errors = [f"{error_deg(config, tensors, flights):.3f}" for flights in (alone, every)]
-            writer.writerow([config.encoding + config.hidden, size, *errors])
-
-
-def train_pruned() -> None:
-    """Prune the shipped network step by step."""
-    stages = prune(
-        TRAIN, VALIDATION, "runs/prune", fraction=0.4, stages=PRUNE_STAGES, epochs=PRUNE_EPOCHS,
-        seed=1, optimiser_lr=PRUNE_LR,
-    )  # fmt: skip
-    with (HERE / "loihi-pruning.csv").open("w", newline="") as file:
-        names = [*(name for name in asdict(stages[0]) if name != "weights"), "epochs"]
-        writer = csv.DictWriter(file, names, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(asdict(stage) | {"epochs": PRUNE_EPOCHS} for stage in stages)
-
-
-def table_of(name: str) -> list[dict[str, str]]:
-    """A table that a training left."""
-    with (HERE / f"{name}.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def size_rows(shipped: Sequence[float]) -> list[str]:
-    """The front of error against size, and its figure."""
-    found = table_of("loihi-size")
-    config, tensors = shipped_network("att-snn")
-    whole = (config.encoding + config.hidden, parameters(tensors))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(6.0, 3.0), layout="constrained")
-        axes = figure.subplots()
-        x = [*(int(each["parameters"]) for each in found), whole[1]]
-        for k, (name, mark) in enumerate((("val_deg", "o"), ("all_deg", "s"))):
-            y = [*(float(each[name]) for each in found), shipped[k]]
-            label = ("val.zarr", "all validation flights")[k]
-            axes.plot(x, y, mark, color=("#33658a", "#c0563b")[k], mfc="none" if k else None, label=label)
-        for each in found:
-            axes.annotate(
-                each["neurons"],
-                (int(each["parameters"]), float(each["val_deg"])),
-                (4, 5),
-                textcoords="offset points",
-                fontsize=7,
-            )
-        axes.annotate(
-            f"{whole[0]}, shipped",
-            (whole[1], shipped[0]),
-            (-6, -3),
-            textcoords="offset points",
-            fontsize=7,
-            ha="right",
-        )
-        axes.axhline(BEST_OF_PAPER, color="#111111", lw=0.8, ls=":")
-        axes.annotate(
-            "the paper's 2.79°", (x[0], BEST_OF_PAPER), (0, -9), textcoords="offset points", fontsize=7
-        )
-        axes.axvline(5000, color="#999999", lw=0.8, ls=":")
-        axes.set(xscale="log", xlabel="parameters", ylabel="mean absolute error [°]")
-        axes.legend(fontsize=8)
-    save(figure, "size")
-    rows = [row(*(each[name] for name in ("neurons", "parameters")), *_degrees(each)) for each in found]
-    return [*rows, row(f"{whole[0]}, shipped", whole[1], *(f"{error:.2f}" for error in shipped))]
-
-
-def _degrees(each: dict[str, str]) -> list[str]:
-    return [f"{float(each[name]):.2f}" for name in ("val_deg", "all_deg")]
-
-
-def pruning_rows(found: Inspection, tensors: Tensors, flights: Flights) -> list[str]:
-    """The pruned networks, and the ablation figure with them."""
-    stages = table_of("loihi-pruning")
-    tuned = [(float(each["removed"]), float(each["tuned_deg"])) for each in stages]
-    curves = {
-        by: ablation(found.config, tensors, importance(tensors, found.activity, by), FRACTIONS, flights)
-        for by in CRITERIA
-    }
-    save(ablation_curve(FRACTIONS, curves, tuned), "ablation")
-    return [
-        row(
-            f"{float(each['removed']):.0%}", f"{each['encoding']} + {each['hidden']}", each["parameters"],
-            f"{float(each['cut_deg']):.2f}", f"{float(each['tuned_deg']):.2f}",
-        )
-        for each in stages
-    ]  # fmt: skip
-
-
-def save(figure: Figure, name: str) -> None:
-    """Write a figure of the page."""
-    figure.savefig(IMAGES / f"loihi-{name}.png", dpi=130)
-    compress(IMAGES / f"loihi-{name}.png")
-
-
-def flights_of(paths: Iterable[str]) -> Flights:
-    """Whole datasets as arrays."""
-    return load_flights([open_dataset(ROOT / path) for path in paths])
-
-
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--train", action="store_true", help="train the small and the pruned networks first")
+    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
     parser.add_argument("--rounds", type=int, default=60, help="turns of 100 calls for the latency")
-    arguments = parser.parse_args()
-    if arguments.train:
-        train_sizes()
-        train_pruned()
-    alone, every = flights_of(VALIDATION[:1]), flights_of(VALIDATION)
+    given = parser.parse_args(arguments)
+    page = load_page("loihi")
+    flights = load_flights([simulated("val", given.data)])
     name, config, tensors = load_spiking()
-    found = inspect(name, config, tensors, alone)
+    found = inspect(name, config, tensors, flights)
+    silenced_deg = f"{error_deg(config, silenced(config, tensors), flights):.2f}"
     with tempfile.TemporaryDirectory() as folder:
         write_page(folder, found)
         for picture in ("rates", "raster", "membranes", "inputs", "tuning"):
-            (IMAGES / f"loihi-{picture}.png").write_bytes((Path(folder) / f"{picture}.png").read_bytes())
-            compress(IMAGES / f"loihi-{picture}.png")
-    texts = {
-        "golden": golden_rows(),
-        "cores": core_rows(found.core),
-        "profiles": profile_rows(alone),
-        "latency": latency_rows(arguments.rounds),
-        "energy": energy_rows(found),
-        "flops": flop_rows(found),
-        "summary": [row(*each) for each in found.summary()],
-        "inputs": [
-            row(key, f"{each.error_deg:.2f}", f"{each.gain:.2f}") for key, each in found.responses.items()
-        ],
-        "pruning": pruning_rows(found, tensors, every),
-        "sizes": size_rows([error_deg(config, tensors, flights) for flights in (alone, every)]),
-        "exports": export_rows(alone),
-    }
-    smallest = table_of("training/thinning")[-1]
-    words = {key: "\n".join(rows) for key, rows in texts.items()} | {
-        "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),
-        "limit_lines": "|".join("---" for _ in LIMITS),
-        "flights": str(len(alone.gyro)),
-        "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " a step",
-        "prune_epochs": table_of("loihi-pruning")[-1]["epochs"],
-        "size_epochs": str(SIZE_EPOCHS),
-        "thin_parameters": smallest["parameters"],
-        "thin_neurons": smallest["neurons"],
-        "thin_deg": f"{float(smallest['val_error_deg']):.2f}",
-        "thin_epochs": smallest["epochs"],
-        "thin_most": smallest["keeps"],
-    }
-    page = (HERE / "loihi.template.md").read_text()
-    for key, text in words.items():
-        page = page.replace(f"{{{key}}}", text)
-    (HERE / "loihi.md").write_text(page)
+            path = page.root / "docs" / "img" / f"loihi-{picture}.png"
+            path.write_bytes((Path(folder) / f"{picture}.png").read_bytes())
+            page.sign_image(path, 64)
+    with matplotlib.rc_context(STYLE):
+        page.save(ablation_curve(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
+    latency, host_share = latency_rows(page, given.rounds)
+    page.write(
+        {
+            "golden": golden_rows(),
+            "cores": core_rows(found.core),
+            "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),
+            "limit_lines": "|".join("---" for _ in LIMITS),
+            "profiles": profile_rows(tensors, flights, silenced_deg),
+            "latency": latency,
+            "host_share": host_share,
+            "paper_us": f"{next(iter(PAPER_US.values())):g}",
+            "flights": str(len(flights.gyro)),
+            "host": host_rows(found),
+            "multiplication": f"{HOST_PICOJOULES['multiplication']:g}",
+            "addition": f"{HOST_PICOJOULES['addition']:g}",
+            "energy": energy_rows(found),
+            "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " a step",
+            "flops": flop_rows(found),
+            "summary": summary_rows(found),
+            "inputs": [
+                row(key, f"{each.error_deg:.2f}", silenced_deg, f"{each.gain:.2f}")
+                for key, each in found.responses.items()
+            ],
+            "criteria": " | ".join(f"by {name} [°]" for name in found.ablation),
+            "criteria_lines": "|".join("---" for _ in found.ablation),
+            "pruning": pruning_rows(found, silenced_deg),
+            "exports": export_rows(flights),
+        }
+    )
 
 
 if __name__ == "__main__":

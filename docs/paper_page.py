@@ -3,22 +3,25 @@
 import sys
 from pathlib import Path
 
-from PIL import Image
+from pages import load_page
 
 from paper.run import load_settings, write_results
-
-HERE = Path(__file__).parent
 
 
 def main() -> None:
     """Write paper.md, the three pages beside it and their figures, these with few colours."""
+    page = load_page("paper")
+    docs = page.root / "docs"
     parts = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/paper") / "full"
-    page, _ = write_results(
-        parts, HERE, load_settings(parts), "paper-", "img", ("png",), "python docs/paper_page.py"
+    path, _ = write_results(
+        parts, docs, load_settings(parts), "paper-", "img", ("png",), "python docs/paper_page.py"
     )
-    for path in (HERE / "img").glob("paper-*.png"):
-        Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=64).save(path, optimize=True)
-    print(page)
+    for written in page.made:
+        if written.suffix == ".md":
+            page.sign(written)
+        else:
+            page.sign_image(written, 64)
+    print(path)
 
 
 if __name__ == "__main__":

@@ -1,24 +1,24 @@
 """Make the README's picture: python docs/pictures.py [ESTIMATOR]."""
 
 import sys
-from pathlib import Path
 
+from pages import load_page
 from PIL import Image
 
 from quadsim.vehicle import load_vehicle
 from scenarios.picture import flight_picture
 from scenarios.single import fly_scenario
 
-IMAGES = Path(__file__).parent / "img"
-
 
 def main() -> None:
     """Fly the step scenario and draw the first jump."""
+    page = load_page("picture")
     estimator = sys.argv[1] if len(sys.argv) > 1 else "att-snn-loihi"
-    flown = fly_scenario("step", estimator, IMAGES.parent.parent / "reports" / "picture")
+    flown = fly_scenario("step", estimator, page.root / "reports" / "picture")
     image = flight_picture(flown.results.cells[0], load_vehicle("hummingbird"), 1.9, 4.2, exposures=6)
-    IMAGES.mkdir(exist_ok=True)
-    Image.fromarray(image).save(IMAGES / "step.jpg", quality=85, optimize=True)
+    path = page.root / "docs" / "img" / "step.jpg"
+    Image.fromarray(image).save(path, quality=85, optimize=True, comment=page.stamp)
+    page.note()
 
 
 if __name__ == "__main__":

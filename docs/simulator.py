@@ -1,5 +1,7 @@
 """Validate the simulator against theory: `python docs/simulator.py` writes simulator.md and its figures."""
 
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import allantools
@@ -7,7 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
+from pages import ROOT, Page, load_page
 from scipy.signal import welch
 
 from quadsim.dataset import generate
@@ -21,14 +23,7 @@ from quadsim.vehicle import load_vehicle
 from quadsim.wind import dryden, dryden_scales
 
 Array = NDArray[np.float64]
-HERE = Path(__file__).parent
-IMAGES = HERE / "img"
 RATE = 200.0
-
-
-def compress(path: Path) -> None:
-    """Line drawings need few colours: a fifth of the size."""
-    Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=48).save(path, optimize=True)
 
 
 def allan_theory(sensor: Sensor, t: Array) -> Array:
@@ -38,7 +33,7 @@ def allan_theory(sensor: Sensor, t: Array) -> Array:
     return np.sqrt(n**2 / t + sigma**2 * tau**2 / t * (1 - tau / (2 * t) * decay))
 
 
-def allan_figure() -> list[str]:
+def allan_figure(page: Page) -> list[str]:
     """Allan deviation of both presets against the formula; returns table rows of the ratio."""
     figure = Figure(figsize=(7.2, 3.0), layout="constrained")
     axes = figure.subplots(1, 2)
@@ -71,12 +66,11 @@ def allan_figure() -> list[str]:
     for axis, title, unit in zip(axes, ("Gyroscope", "Accelerometer"), ("rad/s", "m/s²"), strict=True):
         axis.set(title=title, xlabel="averaging time [s]", ylabel=f"Allan deviation [{unit}]")
         axis.legend(fontsize=7)
-    figure.savefig(IMAGES / "allan.png", dpi=130)
-    compress(IMAGES / "allan.png")
+    page.save(figure, "allan.png", colours=48)
     return rows
 
 
-def dryden_figure() -> list[str]:
+def dryden_figure(page: Page) -> list[str]:
     """Spectra of simulated turbulence against MIL-F-8785C; rows: the error in three bands."""
     airspeed, altitude, wind_20ft = 10.0, 20.0, 15.0
     series = dryden(64, 2**16, 20.0, airspeed, altitude, wind_20ft, seed=2)
@@ -103,8 +97,7 @@ def dryden_figure() -> list[str]:
         axis.legend(fontsize=7)
         if k == 0:
             axis.set_ylabel("power [m²/s² / Hz]")
-    figure.savefig(IMAGES / "dryden.png", dpi=130)
-    compress(IMAGES / "dryden.png")
+    page.save(figure, "dryden.png", colours=48)
     return rows
 
 
@@ -160,30 +153,32 @@ def margin_rows() -> list[str]:
     return rows
 
 
-def flight_picture() -> None:
+def flight_picture(page: Page, data: Path) -> None:
     """Distributions of a few flights."""
     config = flight_config(load_recipe("hummingbird"))
-    dataset = generate(config, 8, 100.0, HERE.parent / "data" / "docs-flights.zarr", seed=0)
-    plot(dataset, IMAGES / "flights.png")
-    compress(IMAGES / "flights.png")
+    dataset = generate(config, 8, 100.0, data / "docs-flights.zarr", seed=0)
+    path = page.root / "docs" / "img" / "flights.png"
+    plot(dataset, path)
+    page.sign_image(path, 48)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
+    given = parser.parse_args(arguments)
     matplotlib.rcParams.update(STYLE)
-    IMAGES.mkdir(exist_ok=True)
-    flight_picture()
-    page = (HERE / "simulator.template.md").read_text()
-    tables = {
-        "allan": allan_figure,
-        "dryden": dryden_figure,
-        "bias": bias_rows,
-        "engine": engine_rows,
-        "margins": margin_rows,
-    }
-    for name, rows in tables.items():
-        page = page.replace(f"{{{name}}}", "\n".join(rows()))
-    (HERE / "simulator.md").write_text(page)
+    page = load_page("simulator")
+    flight_picture(page, given.data)
+    page.write(
+        {
+            "allan": allan_figure(page),
+            "dryden": dryden_figure(page),
+            "bias": bias_rows(),
+            "engine": engine_rows(),
+            "margins": margin_rows(),
+        }
+    )
 
 
 if __name__ == "__main__":

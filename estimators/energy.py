@@ -1,7 +1,8 @@
-"""What an update costs: operations counted on real flights, and a modelled energy with named coefficients.
+"""What an update costs: operations counted on flights, and a modelled energy with named coefficients.
 
-The energies are those of Davies et al. 2018, simulated before there was a chip: a lower bound, dynamic only,
-without the host that encodes and reads, without leakage. They are not a measurement and compare with none.
+The chip's energies are those of Davies et al. 2018, simulated before there was a chip: a lower bound, dynamic
+only, without leakage. The host, which scales the readings and drives the encoding layer, is counted apart.
+Neither is a measurement.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from .activity import Activity
 from .chip import Core
 from .networks import OnLoihi
+from .weights_file import NetworkConfig
 
 PICOJOULES = {
     "synaptic event": 23.6,
@@ -24,9 +26,40 @@ PICOJOULES = {
     "hop between tiles": 3.5,
 }
 """Energy of one operation [pJ]; a hop is 3.0 east-west and 4.0 north-south."""
+HOST_PICOJOULES = {"multiplication": 3.1, "addition": 0.1}
+"""Energy of one operation on 32-bit integers in 45 nm [pJ] (Horowitz, ISSCC 2014). Fetching and decoding its
+instruction, some 70 pJ in the same process, is not in it."""
 CORES_PER_TILE = 4
 PAPER_MEASURED = {"µJ": 13.2, "µs": 10.0}
-"""Energy and time of a step that the paper measured, on a board of 32 chips."""
+"""Energy and time of a step of the recurrent layer alone that the paper measured, on a board of 32 chips."""
+
+
+@dataclass(frozen=True)
+class HostCost:
+    """Work of the host for one sample."""
+
+    part: str
+    multiplications: int
+    additions: int
+
+    @property
+    def nanojoules(self) -> float:
+        """Modelled energy of the arithmetic alone."""
+        return (
+            self.multiplications * HOST_PICOJOULES["multiplication"]
+            + self.additions * HOST_PICOJOULES["addition"]
+        ) / 1e3
+
+
+def host_costs(config: NetworkConfig) -> list[HostCost]:
+    """Operations of the host for one sample: those of `encoder.encode_sample` and of `networks.drive`.
+
+    Each of six readings takes a subtraction and a multiplication. In each step of the network the current of
+    each encoding neuron takes six products, their sums, and a multiplication and an addition for its decay.
+    Comparisons and shifts are not counted.
+    """
+    currents = 7 * config.encoding * config.steps_per_sample
+    return [HostCost("scaled readings", 6, 6), HostCost("currents of the encoding layer", currents, currents)]
 
 
 @dataclass(frozen=True)

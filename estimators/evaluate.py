@@ -1,4 +1,4 @@
-"""Offline comparison of estimators on recorded flights, with and without knowing how they start."""
+"""Offline comparison of estimators on recorded flights, from an unknown and from a known initial attitude."""
 
 import csv
 import time
@@ -16,7 +16,9 @@ from quadsim.vehicle import Vehicle
 
 from .flights import Flights, Initial, load_flights, vehicle_of
 from .metrics import Summary, absolute_error, attitude_error, inclination_error, inclination_rmse
-from .protocol import FILTERPY, create, missing_samples, run_quietly
+from .networks import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
+from .protocol import FILTERPY, NETWORKS, create, is_weights, missing_samples, run_quietly
+from .weights_file import load_network, shipped_names
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -42,7 +44,7 @@ class Row:
 
     estimator: str
     initial: str
-    """Whether the estimator was told the attitude at the start."""
+    """Whether the initial attitude was given: "known" or "unknown". Networks are never given it."""
     median_deg: float
     """Over sequences, like mean and SD."""
     mean_deg: float
@@ -50,6 +52,8 @@ class Row:
     mean_low_deg: float
     """Ends of the bootstrap 95 % confidence interval of the mean."""
     mean_high_deg: float
+    silenced_deg: float
+    """Of a network: mean with its output weights at zero; NaN for other estimators."""
     behind_deg: float
     """Mean over sequences of the error less that of the best estimator with the same start."""
     behind_low_deg: float
@@ -70,8 +74,23 @@ class Row:
 
     @property
     def tied(self) -> bool:
-        """Whether these flights cannot tell it from the best."""
+        """Whether it is not significantly different from the best (the paired interval includes 0)."""
         return self.behind_low_deg <= 0.0
+
+    @property
+    def behind(self) -> str:
+        """The paired difference from the best estimator with its interval, as tables show it."""
+        if self.estimator == "truth":
+            return "–"
+        if self.behind_low_deg == self.behind_high_deg == 0.0:
+            return "the best"
+        text = f"{self.behind_deg:.2f} ({self.behind_low_deg:.2f}–{self.behind_high_deg:.2f})"
+        return f"tied {text}" if self.tied else text
+
+    @property
+    def silenced(self) -> str:
+        """The error of the silenced network, as tables show it; a dash for other estimators."""
+        return "–" if np.isnan(self.silenced_deg) else f"{self.silenced_deg:.2f}"
 
 
 @dataclass
@@ -104,6 +123,7 @@ def evaluate(
     *,
     initial: Sequence[Initial] = ("unknown", "known"),
     tuning: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
     settle_s: float = 40.0,
     slow_flights: int | None = None,
     seed: int = 0,
@@ -111,14 +131,18 @@ def evaluate(
 ) -> Evaluation:
     """Run estimators over the flights of a dataset and compare them with the truth.
 
-    With a known start the estimator is told the attitude at the first sample and scored from the second on.
-    An estimator is compared with the best flight by flight: that difference tells more than two means.
+    With a known start the estimator is given the attitude at the first sample and scored from the second on;
+    networks are never given it and have no such row. A network, known by its name or the path of its weights,
+    has beside its error that of the same network with output weights of zero. An estimator is compared with
+    the best one flight by flight.
 
     Args:
         dataset: Flights with gyro, accel, quat and the attribute rate_hz.
         estimators: Names, or estimators under the names they are to have.
         initial: Which rows to make.
         tuning: Parameters of the estimators given by name, as in `create`.
+        vehicle: The vehicle of the flights, for estimators given by name; None: the one that the dataset
+            names.
         settle_s: Time that an estimator started in a tilt is given to recover [s].
         slow_flights: Flights that those in `SLOW` are run on; None for all.
         seed: Of the bootstrap and of the choice of those starts.
@@ -132,12 +156,13 @@ def evaluate(
     made = (
         estimators
         if isinstance(estimators, Mapping)
-        else _made(estimators, rate_hz, tuning, vehicle_of(dataset))
+        else made_of(estimators, rate_hz, tuning, vehicle or vehicle_of(dataset))
     )
     result = Evaluation(time_s=_block_times(flights.gyro.shape[1], rate_hz), rate_hz=rate_hz)
     steps = min(round(settle_s * rate_hz), flights.gyro.shape[1])
     measured: list[dict[str, Any]] = []
-    runs, done = len(made) * (len(TILTS_DEG) + len(initial)), 0
+    starts = {name: _starts_of(est, initial) for name, est in made.items()}
+    runs, done = sum(len(TILTS_DEG) + len(each) for each in starts.values()), 0
     for name, est in made.items():
         flown = flights.first(slow_flights) if slow_flights and name in SLOW else flights
         run_quietly(est, flown.gyro[:, :2], flown.accel[:, :2], quat=flown.quat[:, :2])  # compiles
@@ -148,7 +173,8 @@ def evaluate(
             done += 1
             result.settling[name, tilt] = _settling(est, tilted_starts(flown, tilt, steps, seed))
             times.append(_time_below(result.settling[name, tilt]))
-        for start in initial:
+        without = silenced_twin(name, rate_hz)
+        for start in starts[name]:
             if progress is not None:
                 progress(done, runs, name)
             done += 1
@@ -162,6 +188,7 @@ def evaluate(
             measured.append(
                 _errors(name, start, error, seed)
                 | {
+                    "silenced_deg": float("nan") if without is None else _mean_error(without, chosen),
                     "inclination_rmse_deg": inclination_rmse(estimate, chosen.truth).mean,
                     "settle_20_s": times[0],
                     "settle_45_s": times[1],
@@ -207,10 +234,31 @@ def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) 
     return Flights(gyro, accel, quat, truth, flights.rate_hz)
 
 
-def _made(
-    estimators: Sequence[str], rate_hz: float, tuning: str | Path | None, vehicle: Vehicle | None
+def made_of(
+    names: Sequence[str],
+    rate_hz: float,
+    tuning: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
 ) -> dict[str, AttitudeEstimator]:
-    return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in estimators}
+    """Estimators by name, or by the path of a network's weights; the arguments are those of `create`."""
+    return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in names}
+
+
+def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
+    """The network of a name or of a path of weights, with output weights of zero; None for others."""
+    if name not in (*NETWORKS, *shipped_names()) and not is_weights(name):
+        return None
+    config, tensors = load_network(name.removesuffix("-loihi"))
+    core = {"att-rnn": Recurrent, "att-snn": OnLoihi if name.endswith("-loihi") else Spiking}[config.model]
+    return NetworkEstimator(core(config, silenced(config, tensors)), rate_hz)
+
+
+def _starts_of(est: AttitudeEstimator, initial: Sequence[Initial]) -> list[Initial]:
+    return [start for start in initial if start == "unknown" or not isinstance(est, NetworkEstimator)]
+
+
+def _mean_error(est: AttitudeEstimator, flights: Flights) -> float:
+    return attitude_error(_run(est, flights), flights.truth).mean
 
 
 def _run(est: AttitudeEstimator, flights: Flights) -> Array:
@@ -267,7 +315,7 @@ def _errors(name: str, start: str, error: Summary, seed: int) -> dict[str, Any]:
 def _behind(
     sequences: Mapping[tuple[str, str], Array], name: str, start: str, seed: int
 ) -> tuple[float, float, float]:
-    """How far an estimator is behind the best of its start on the flights of both, with the interval."""
+    """Difference from the best estimator of the same start on the flights of both, with its interval."""
     own = sequences[name, start]
     rivals = {other: error for (other, at), error in sequences.items() if at == start and other != "truth"}
     most = max((error.size for error in rivals.values()), default=0)

@@ -26,8 +26,9 @@ def violins(evaluation: Evaluation) -> Figure:
     axes = figure.subplots()
     width = 0.8 / len(starts)
     for k, start in enumerate(starts):
-        places = np.arange(len(names)) + (k - 0.5 * (len(starts) - 1)) * width
-        data = [evaluation.sequences[name, start] for name in names]
+        there = [place for place, name in enumerate(names) if (name, start) in evaluation.sequences]
+        places = np.array(there) + (k - 0.5 * (len(starts) - 1)) * width
+        data = [evaluation.sequences[names[place], start] for place in there]
         parts = axes.violinplot(data, positions=places, widths=0.9 * width, showmedians=True)
         for body in parts["bodies"]:  # type: ignore[union-attr]  # matplotlib's stub names one collection
             body.set(facecolor=COLOURS[start], alpha=0.5)

@@ -77,9 +77,8 @@ def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Fl
 
 def vehicle_of(dataset: xr.Dataset) -> Vehicle | None:
     """The airframe that flew a dataset, as its recipe has it; None where the dataset does not say."""
-    if "config" not in dataset.attrs:
-        return None
-    return Vehicle.model_validate(json.loads(dataset.attrs["config"])["vehicle"])
+    config = json.loads(dataset.attrs.get("config", "{}"))
+    return Vehicle.model_validate(config["vehicle"]) if "vehicle" in config else None
 
 
 def _arrays(dataset: xr.Dataset) -> tuple[Array, Array, Array, float, NDArray[np.bool_]]:

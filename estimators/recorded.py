@@ -6,7 +6,7 @@ sample (`scored`), the first seconds are over, and the vehicle is tilted less th
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from quadsim.estimator import AttitudeEstimator
 from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
 
+from .evaluate import made_of, silenced_twin
 from .metrics import absolute_error, inclination_error
-from .protocol import create, names, needs_vehicle, run
+from .protocol import names, needs_vehicle, run
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -51,6 +52,8 @@ class LogRow:
     """Mean absolute error of roll and of pitch, pooled, over the same samples."""
     scored_s: float
     """Length of what is scored [s]."""
+    silenced_deg: float = float("nan")
+    """Of a network: inclination RMSE with its output weights at zero; NaN for other estimators."""
 
 
 @dataclass
@@ -78,9 +81,13 @@ class LogScores:
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over logs of the inclination RMSE [deg]."""
-        found = [r.inclination_rmse_deg for r in self.rows if (r.estimator, r.bias) == (estimator, bias)]
-        known = np.array(found)[np.isfinite(found)]
-        return float(known.mean()) if known.size else float("nan")
+        return _mean(
+            [r.inclination_rmse_deg for r in self.rows if (r.estimator, r.bias) == (estimator, bias)]
+        )
+
+    def silenced(self, estimator: str) -> float:
+        """Mean over logs of the inclination RMSE of the network silenced, raw; NaN for others [deg]."""
+        return _mean([r.silenced_deg for r in self.rows if (r.estimator, r.bias) == (estimator, RAW)])
 
     @property
     def estimators(self) -> list[str]:
@@ -96,16 +103,18 @@ def score_logs(
     within_deg: float = 45.0,
     skip_s: float = SKIP_S,
     tuning: str | Path | None = None,
+    vehicle: str | Path | None = None,
     progress: Progress | None = None,
 ) -> LogScores:
     """Run estimators over logs, each from an unknown attitude, with the raw gyroscope and without its bias.
 
     Args:
         logs: From `quadsim.logs.read_log`.
-        estimators: Names, or estimators under the names they are to have; none: all but the slow ones.
+        estimators: Names, or estimators under the names they are to have; none: `default_names`.
         within_deg: Largest true inclination that is scored [deg].
         skip_s: Time at the start that is not scored [s].
         tuning: Parameters of the estimators given by name, as in `create`.
+        vehicle: The vehicle that carried the sensor, for estimators given by name that need one.
         progress: Called before every run.
 
     Raises:
@@ -114,17 +123,13 @@ def score_logs(
     titles = [str(log.attrs["source"]) for log in logs]
     if len(set(titles)) < len(titles):
         raise ValueError(f"logs must differ in name: {', '.join(titles)}")
-    chosen = estimators or default_names()
+    chosen = estimators or default_names(vehicle is not None)
     scores, done = LogScores(), 0
     if not any(np.isfinite(log["quat"]).any() for log in logs):
         raise ValueError(f"no attitude in {', '.join(titles)}: nothing to score against")
     for title, log in zip(titles, logs, strict=True):
         rate = float(log.attrs["rate_hz"])
-        made = (
-            chosen
-            if isinstance(chosen, Mapping)
-            else {name: create(name, rate, tuning=tuning) for name in chosen}
-        )
+        made = chosen if isinstance(chosen, Mapping) else made_of(chosen, rate, tuning, vehicle)
         gyro, accel, quat = (log[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
         truth = roll_pitch_from_quat(quat)
         scores.time_s[title], scores.truth[title] = log["time"].to_numpy(), truth[0]
@@ -139,7 +144,11 @@ def score_logs(
                 estimate = np.full_like(truth, np.nan)
                 if np.isfinite(offset).all():
                     estimate = run(est, gyro - offset, accel, quat=quat)
-                scores.rows.append(_row(title, name, which, estimate[0], truth[0], counted, rate))
+                row = _row(title, name, which, estimate[0], truth[0], counted, rate)
+                if which == RAW and (twin := silenced_twin(name, rate)) is not None:
+                    without = _row(title, name, which, run(twin, gyro, accel)[0], truth[0], counted, rate)
+                    row = replace(row, silenced_deg=without.inclination_rmse_deg)
+                scores.rows.append(row)
                 if which == RAW:
                     scores.estimates[title, name] = estimate[0]
             done += 1
@@ -204,6 +213,12 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
         axes.grid(alpha=0.3)
         axes.margins(x=0)
     return figure
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Mean of the values that are finite; NaN if none is."""
+    known = np.array(values)[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
 
 
 def _counted(log: xr.Dataset, truth: Array, within_deg: float, skip_s: float) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import estimators
+from estimators.evaluate import silenced_twin
 from estimators.flights import vehicle_of
 from estimators.metrics import attitude_error, inclination_rmse
 from quadsim.dataset import open_dataset
@@ -15,7 +16,9 @@ Row = dict[str, float | int | str | None]
 
 
 def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
-    """Errors of estimators on all flights of a dataset, each with its start known and not known.
+    """Errors of estimators on all flights of a dataset, from a known and from an unknown start.
+
+    Networks are never given the initial attitude: they have the unknown start alone.
 
     Args:
         dataset: Path of a dataset.
@@ -23,8 +26,8 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
 
     Returns:
         One row per estimator and start: estimator, start, median_deg, mean_deg, sd_deg over flights of the
-        mean absolute error of roll and pitch, inclination_rmse_deg. An estimator that fails has its reason
-        in `note`.
+        mean absolute error of roll and pitch, inclination_rmse_deg; of a network silenced_deg, the mean with
+        output weights of zero. An estimator that fails has its reason in `note`.
     """
     data = open_dataset(dataset)
     rate_hz = float(data.attrs["rate_hz"])
@@ -34,7 +37,9 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
     counted = np.where(flown[..., None], truth, np.nan)
     rows: list[Row] = []
     for name in names:
-        for start, roll_pitch in (("known", truth[:, 0]), ("level", None)):
+        twin = silenced_twin(name, rate_hz)
+        starts = {"level": None} if twin else {"known": truth[:, 0], "level": None}
+        for start, roll_pitch in starts.items():
             row: Row = {"estimator": name, "start": start}
             try:
                 estimator = estimators.create(name, rate_hz, vehicle=vehicle_of(data))
@@ -44,5 +49,9 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
                 continue
             error = attitude_error(estimate, counted)
             row |= {"median_deg": error.median, "mean_deg": error.mean, "sd_deg": error.sd}
-            rows.append(row | {"inclination_rmse_deg": inclination_rmse(estimate, counted).mean})
+            silent = None if twin is None else attitude_error(estimators.run(twin, gyro, accel), counted).mean
+            rows.append(
+                row
+                | {"silenced_deg": silent, "inclination_rmse_deg": inclination_rmse(estimate, counted).mean}
+            )
     return rows

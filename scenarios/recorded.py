@@ -22,7 +22,7 @@ def made_of(
     tuning: str | None,
     vehicle: str | Path | Vehicle | None = None,
 ) -> dict[str, AttitudeEstimator]:
-    """Estimators by name, and spiking networks by the paths of their weights.
+    """Estimators by name, and networks by the paths of their weights.
 
     Raises:
         ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle without
@@ -55,9 +55,16 @@ def evaluate_logs(
     scores.write_csv(out / "logs.csv")
     for log in scores.truth:
         draw_log(scores, log).savefig(out / f"{log}.png", dpi=110)
-    table = Table("estimator", "raw, °", "bias removed, °", title=f"Inclination RMSE within ±{within_deg:g}°")
+    headings = ("estimator", "raw, °", "silenced, °", "bias removed, °")
+    table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°")
     for name in scores.estimators:
-        table.add_row(name, f"{scores.mean(name, RAW):.2f}", f"{scores.mean(name, KNOWN):.2f}")
+        silenced = scores.silenced(name)
+        table.add_row(
+            name,
+            f"{scores.mean(name, RAW):.2f}",
+            "–" if math.isnan(silenced) else f"{silenced:.2f}",
+            f"{scores.mean(name, KNOWN):.2f}",
+        )
     output.print(table)
     for log, bias in scores.gyro_bias.items():
         found = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)

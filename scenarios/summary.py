@@ -14,7 +14,7 @@ from estimators.pruning import Pruned
 from .breaking import DISTURBANCES, Breaking
 from .offline import Row
 from .runner import Results
-from .verdict import TRUTH, verdict
+from .verdict import verdict
 
 
 def closed_loop_table(results: Results) -> Table:
@@ -49,7 +49,9 @@ def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
     table.add_column("estimator", no_wrap=True)
     table.add_column("start", no_wrap=True)
-    for heading in ("median°", "mean° (95 %)", "SD°", "behind the best°", "20→2° s", "45→2° s", "ns"):
+    for heading in (
+        "median°", "mean° (95 %)", "SD°", "silenced°", "behind the best°", "20→2° s", "45→2° s", "ns",
+    ):  # fmt: skip
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         settling = ["never" if math.isnan(s) else f"{s:.1f}" for s in (row.settle_20_s, row.settle_45_s)]
@@ -60,21 +62,12 @@ def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
             f"{row.median_deg:.2f}",
             mean,
             f"{row.sd_deg:.2f}",
-            behind(row),
+            row.silenced,
+            row.behind,
             *settling,
             f"{row.runtime_ns:.0f}",
         )
     return table
-
-
-def behind(row: Evaluated) -> str:
-    """The paired difference to the best estimator, with its interval."""
-    if row.estimator == TRUTH:
-        return "–"
-    if row.behind_low_deg == row.behind_high_deg == 0.0:
-        return "the best"
-    text = f"{row.behind_deg:.2f} ({row.behind_low_deg:.2f}–{row.behind_high_deg:.2f})"
-    return f"tied {text}" if row.tied else text
 
 
 def evaluation_columns(rows: Sequence[Evaluated]) -> list[dict[str, object]]:
@@ -87,7 +80,8 @@ def evaluation_columns(rows: Sequence[Evaluated]) -> list[dict[str, object]]:
             "mean_deg": row.mean_deg,
             "95 % interval": f"{row.mean_low_deg:.2f}–{row.mean_high_deg:.2f}",
             "sd_deg": row.sd_deg,
-            "behind the best": behind(row),
+            "silenced_deg": None if math.isnan(row.silenced_deg) else row.silenced_deg,
+            "behind the best": row.behind,
             "inclination_rmse_deg": row.inclination_rmse_deg,
             "20° to 2° [s]": None if math.isnan(row.settle_20_s) else row.settle_20_s,
             "45° to 2° [s]": None if math.isnan(row.settle_45_s) else row.settle_45_s,
@@ -99,9 +93,11 @@ def evaluation_columns(rows: Sequence[Evaluated]) -> list[dict[str, object]]:
 
 EVALUATION_METHOD = (
     "Errors are the mean absolute error of roll and pitch of each flight; median, mean and SD are over "
-    "flights, the interval of the mean is a bootstrap's, 95 %. Behind the best: the paired difference of each"
-    " flight to the best estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
-    "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never."
+    "flights, the interval of the mean is a bootstrap's, 95 %. Silenced: the mean error of the same network "
+    "with output weights of zero. Behind the best: the paired difference of each flight from the best "
+    "estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
+    "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never. "
+    "Networks are never given the initial attitude: they have no row with a known start."
 )
 
 
@@ -125,11 +121,14 @@ def offline_table(rows: Sequence[Row]) -> Table:
         "estimator", title="On recorded flights: error of roll and pitch, mean ± SD over flights, °"
     )
     starts = {"level": "first attitude unknown", "known": "first attitude known"}
-    for heading in starts.values():
+    for heading in (*starts.values(), "silenced"):
         table.add_column(heading, justify="right")
     errors = {(row["estimator"], row["start"]): _error(row) for row in rows}
+    silenced = {row["estimator"]: row.get("silenced_deg") for row in rows}
     for name in dict.fromkeys(row["estimator"] for row in rows):
-        table.add_row(str(name), *(errors.get((name, start), "–") for start in starts))
+        silent = silenced[name]
+        text = f"{silent:.2f}" if isinstance(silent, float) else "–"
+        table.add_row(str(name), *(errors.get((name, start), "–") for start in starts), text)
     return table
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimators.activity import record
-from estimators.energy import PICOJOULES, costs, counts, gru_flops, snn_flops, synapses
+from estimators.energy import PICOJOULES, costs, counts, gru_flops, host_costs, snn_flops, synapses
 from estimators.networks import OnLoihi, create_network
 from estimators.weights_file import shipped_network
 
@@ -105,3 +105,15 @@ def test_neurobench_counts_the_same(network, activity):
     stored = sum(np.count_nonzero(tensors[name]) for name in names)
     whole = sum(tensors[name].size for name in names)
     assert ConnectionSparsity()(model) == pytest.approx(1 - stored / whole, abs=1e-3)
+
+
+def test_the_host_scales_six_readings_and_drives_each_encoding_neuron():
+    config, _ = shipped_network("att-snn")
+    one = config.model_copy(update={"encoding": 1, "steps_per_sample": 1})
+    readings, currents = host_costs(one)
+    assert (readings.multiplications, readings.additions) == (6, 6)
+    assert (currents.multiplications, currents.additions) == (6 + 1, 6 + 1)
+    assert currents.nanojoules == pytest.approx(7 * (3.1 + 0.1) / 1e3)
+    twice = host_costs(one.model_copy(update={"encoding": 50, "steps_per_sample": 2}))
+    assert twice[0] == readings
+    assert twice[1].multiplications == 2 * 50 * 7

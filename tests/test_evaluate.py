@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimators import create, run
-from estimators.evaluate import BLOCK_S, evaluate, tilted_starts
+from estimators.evaluate import BLOCK_S, evaluate, silenced_twin, tilted_starts
 from estimators.figures import error_over_time, settling, violins
 from estimators.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
@@ -85,6 +85,25 @@ def test_recovery_time_is_where_the_curve_stays_below(evaluation):
     else:
         assert curve[-1] >= 2.0
     assert curve[0] > 2.0
+
+
+def test_a_silenced_network_estimates_level(flights):
+    gyro, accel = flights.gyro.values[:1, :400], flights.accel.values[:1, :400]
+    for name in ("att-snn", "att-snn-loihi", "att-rnn"):
+        twin = silenced_twin(name)
+        np.testing.assert_array_equal(run(twin, gyro, accel), np.zeros((1, 400, 2)))
+    assert silenced_twin("mahony") is None
+
+
+def test_a_network_has_its_silenced_error_beside_it_and_no_known_start(flights):
+    rows = evaluate(flights, ["att-snn", "mahony"], settle_s=2.0).rows
+    assert [(row.estimator, row.initial) for row in rows] == [
+        ("att-snn", "unknown"), ("mahony", "unknown"), ("mahony", "known"),
+    ]  # fmt: skip
+    truth = roll_pitch_from_quat(flights.quat.values)
+    assert rows[0].silenced_deg == pytest.approx(attitude_error(np.zeros_like(truth), truth).mean)
+    assert rows[0].silenced == f"{rows[0].silenced_deg:.2f}"
+    assert all(np.isnan(row.silenced_deg) and row.silenced == "–" for row in rows[1:])
 
 
 def test_table_goes_to_csv(evaluation, tmp_path):

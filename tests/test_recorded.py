@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimators import create
-from estimators.recorded import KNOWN, LEVEL, RAW, draw_log, gyro_bias, score_logs
+from estimators.recorded import KNOWN, LEVEL, RAW, default_names, draw_log, gyro_bias, score_logs
 from quadsim.logs import read_log
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
@@ -63,6 +63,17 @@ def test_a_fast_turn_has_the_bias_of_a_slow_one():
     gyro = np.tile([0.0, 0.0, 0.4], (2000, 1)) + BIAS
     np.testing.assert_allclose(gyro_bias(gyro, quat, 200.0), BIAS, atol=1e-6)
     assert np.isnan(gyro_bias(gyro[:100], quat[:100], 200.0)).all()
+
+
+def test_a_network_has_the_error_of_itself_silenced_beside_its_own(log):
+    scores = score_logs([log], ["att-snn", "mahony"])
+    assert scores.silenced("att-snn") == pytest.approx(scores.mean(LEVEL, RAW))
+    assert np.isnan(scores.silenced("mahony"))
+
+
+def test_estimators_that_need_a_vehicle_are_left_out_without_one():
+    assert "ekf-drag" not in default_names()
+    assert "ekf-drag" in default_names(vehicle_known=True)
 
 
 def test_rows_and_pictures_are_written(log, tmp_path):

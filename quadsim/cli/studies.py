@@ -49,8 +49,9 @@ def evaluate(
 ) -> None:
     """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
 
-    Each is also compared with the best one flight by flight; those that the flights cannot tell from it are
-    tied. Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html;
+    Each is also compared with the best one flight by flight; those that are not significantly different from
+    it are tied. Beside a network's error stands that of the same network silenced: with output weights of
+    zero. Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html;
     of real logs logs.csv and a picture each, with a row "level" that shows how hard the log is.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
@@ -69,6 +70,7 @@ def evaluate(
     from estimators import figures
     from estimators.evaluate import evaluate as evaluate_estimators
     from estimators.flights import vehicle_of
+    from estimators.protocol import needs_vehicle
     from scenarios.recorded import made_of
     from scenarios.report import write_report
     from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
@@ -78,7 +80,8 @@ def evaluate(
     flown = open_dataset(data)
     airframe = vehicle or vehicle_of(flown)
     rate_hz = float(flown.attrs["rate_hz"])
-    made = made_of(estimator or estimators.names(), weights or [], rate_hz, tuning, airframe)
+    every = [name for name in estimators.names() if airframe is not None or not needs_vehicle(name)]
+    made = made_of(estimator or every, weights or [], rate_hz, tuning, airframe)
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate_estimators(
             flown,
@@ -118,7 +121,7 @@ def evaluate(
     tied = [row.estimator for row in flying if row.tied and row is not best and row.flights == best.flights]
     console.print(
         f"{page}: the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
-        + (f", not told apart from {', '.join(tied)}" if tied else ""),
+        + (f", not significantly different from {', '.join(tied)}" if tied else ""),
         soft_wrap=True,
     )
 

@@ -1,0 +1,91 @@
+"""Measure the README's first table: `python docs/readme.py [--data FOLDER] [--recordings FOLDER]`."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pages import ROOT, load_page
+from recordings import BROAD, FOLDER, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
+from simulated import estimate_of, simulated
+
+from estimators.evaluate import made_of, silenced_twin
+from estimators.flights import Flights, load_flights
+from estimators.metrics import attitude_error
+from estimators.recorded import RAW
+from quadsim.estimator import AttitudeEstimator
+
+BLOCK = "errors, by docs/readme.py"
+WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
+DRAG, CHIP, GRU = "ekf-drag", "att-snn-loihi", "att-rnn"
+VEHICLE = "hummingbird"
+HEAD = (
+    "| roll and pitch from | Hummingbird, simulated [°] | the same, silenced [°] | BROAD, real [°] "
+    "| Phantom 4, real [°] |",
+    "|---|---|---|---|---|",
+)
+
+
+def error_deg(est: AttitudeEstimator, flights: Flights) -> float:
+    """Mean absolute error of roll and pitch from an unknown start [deg]."""
+    return attitude_error(estimate_of(est, flights), flights.truth).mean
+
+
+def best(errors: Mapping[str, float]) -> str:
+    """The smallest error, and whose it is."""
+    name = min(errors, key=errors.__getitem__)
+    return f"{errors[name]:.2f} ({name})"
+
+
+def network_cells(name: str, flights: Flights, errors: Sequence[tuple[float, float]]) -> list[str]:
+    """Errors of a network, silenced beside it; `errors` on the recordings and silenced there."""
+    twin = silenced_twin(name)
+    assert twin is not None
+    own = made_of([name], RATE_HZ)[name]
+    real = [f"{error:.2f} (silenced {silent:.2f})" for error, silent in errors]
+    return [f"{error_deg(own, flights):.2f}", f"{error_deg(twin, flights):.2f}", *real]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, and replace the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
+    parser.add_argument("--recordings", type=Path, default=FOLDER, help="folder of broad/ and phantom4/")
+    given = parser.parse_args(arguments)
+    page = load_page("readme")
+    flights = load_flights([simulated("test", given.data)])
+    filters = made_of(WITHOUT_DRAG, RATE_HZ) | {"vqf, package's parameters": vqf_with_defaults()}
+    both = filters | made_of([CHIP, GRU], RATE_HZ)
+    sets = recordings(given.recordings)
+    scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
+    in_simulation = best({name: error_deg(est, flights) for name, est in filters.items()})
+    real = [best({name: each.mean(name, RAW) for name in filters}) for each in scores]
+    drag = error_deg(made_of([DRAG], RATE_HZ, vehicle=VEHICLE)[DRAG], flights)
+    networks = {
+        name: network_cells(name, flights, [(s.mean(name, RAW), s.silenced(name)) for s in scores])
+        for name in (CHIP, GRU)
+    }
+    rows = {
+        "the best filter that does not know the drag": [in_simulation, "–", *real],
+        "`ekf-drag`, given the vehicle": [f"{drag:.2f}", "–", "–", "–"],
+        "**Att-SNN on the emulated chip**": networks[CHIP],
+        "Att-RNN, its twin of GRUs": networks[GRU],
+    }
+    page.write_block(
+        ROOT / "README.md",
+        BLOCK,
+        [
+            *HEAD,
+            *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items()),
+            "",
+            f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} simulated "
+            f"flights of {flights.gyro.shape[1] / flights.rate_hz:g} s, unknown start.",
+            "  Networks were trained and filters tuned in the same simulator, on other flights.",
+            f"- *BROAD* ({len(sets[BROAD])} trials of a sensor moved by hand) and *Phantom 4* "
+            f"({len(sets[PHANTOM4])} flights): inclination RMSE on real recordings, unknown start",
+            "  ([docs/logs.md](docs/logs.md)). Nothing was trained or tuned on them.",
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""The real recordings that pages score estimators on. They are not part of the repository.
+
+A folder holds `broad/` (trials of the BROAD benchmark, Laidig et al. 2021, CC BY 4.0: hand-moved, 286 Hz,
+optical truth) and `phantom4/` (flights of a DJI Phantom 4 RTK, Hurwitz & Klein 2023, CC BY 4.0: 120 Hz, truth
+by the sensor's own filter).
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from pages import ROOT
+
+from estimators import create
+from estimators.recorded import LogScores, score_logs
+from quadsim.estimator import AttitudeEstimator
+from quadsim.logs import read_log
+from quadsim.logs.recording import Recording
+from quadsim.logs.resample import resample
+
+FOLDER = ROOT.parent / "shared" / "realdata"
+BROAD, PHANTOM4 = "BROAD", "Phantom 4"
+SKIP_S = {BROAD: 3.0, PHANTOM4: 5.0}
+"""Time at the start of a recording that is not scored [s]."""
+WITHIN_DEG = 180.0
+RATE_HZ = 200.0
+VQF_DEFAULTS = {
+    "tauAcc": 3.0,
+    "biasForgettingTime": 100.0,
+    "biasSigmaInit": 0.5,
+    "biasSigmaMotion": 0.1,
+    "biasSigmaRest": 0.03,
+}
+
+
+def recordings(folder: Path) -> dict[str, list[xr.Dataset]]:
+    """Both sets, resampled to 200 Hz.
+
+    Raises:
+        SystemExit: A set is not in the folder.
+    """
+    sets = {
+        BROAD: sorted((folder / "broad").glob("*.npz")),
+        PHANTOM4: sorted((folder / "phantom4").glob("*.npz")),
+    }
+    if missing := [name for name, paths in sets.items() if not paths]:
+        raise SystemExit(
+            f"{folder}: no recordings of {', '.join(missing)}; give their folder with --recordings"
+        )
+    return {
+        BROAD: [read_log(path, RATE_HZ) for path in sets[BROAD]],
+        PHANTOM4: [read_phantom4(path) for path in sets[PHANTOM4]],
+    }
+
+
+def read_phantom4(path: Path) -> xr.Dataset:
+    """One flight; its sensor's axes have z up, as ours."""
+    with np.load(path) as file:
+        time, gyro, accel, quat = (file[name].astype(float) for name in ("t", "gyro", "acc", "quat"))
+    kind, truth = "Phantom 4 flight", "the attitude by the sensor's own filter"
+    return resample(Recording(path.stem, kind, time, gyro, accel, truth, time, quat), RATE_HZ)[0]
+
+
+def score(name: str, logs: Sequence[xr.Dataset], estimators: Mapping[str, AttitudeEstimator]) -> LogScores:
+    """Estimators on a set, from an unknown start."""
+    return score_logs(logs, estimators, within_deg=WITHIN_DEG, skip_s=SKIP_S[name])
+
+
+def vqf_with_defaults() -> AttitudeEstimator:
+    """VQF with the parameters of its package in place of the tuned ones."""
+    return create("vqf", RATE_HZ, **VQF_DEFAULTS)
