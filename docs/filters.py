@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from pages import ROOT, Page, load_page
-from simulated import simulated
+from simulated import DURATION_S, simulated
 
 from estimators import create, names
 from estimators.evaluate import Evaluation, evaluate
@@ -38,6 +38,17 @@ DOMAINS = {
 LEFT_OUT = ("truth", "att-snn")
 """The truth has no error, and att-snn is att-snn-loihi in floats."""
 SLOW_FLIGHTS = 2
+PIECES = 4
+"""Pieces into which flights are cut, so that they start in motion."""
+ELSEWHERE = {
+    "val": ("still air, aggressive", "hummingbird-adis16448"),
+    "val-windy": ("steady wind, drag off by up to 20 %", "hummingbird-adis16448"),
+    "val-gusty": ("1−cosine gusts", "hummingbird-adis16448"),
+    "val-turbulent": ("Dryden turbulence", "hummingbird-adis16448"),
+    "val-rough": ("rough IMU: vibration, mounting, large biases", "hummingbird-adis16448"),
+    "val-px4": ("px4-quad, still air, aggressive", "px4-quad-px4-mini"),
+}
+"""Dataset to what its flights are, and the domain of the tuned parameters."""
 OTHERS = ("hummingbird", "px4-quad", "crazyflie")
 """Vehicles whose constants are given to ekf-drag in place of the right ones."""
 EXPLAINED = ("mahony", "madgwick", "ekf", "eskf", "vqf", "ekf-drag")
@@ -162,6 +173,21 @@ def drag_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     ]
 
 
+def elsewhere_rows(data: Path) -> list[str]:
+    """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
+    rows = []
+    for name, (what, domain) in ELSEWHERE.items():
+        dataset = simulated(name, data)
+        flights, vehicle = load_flights([dataset]).pieces(PIECES), vehicle_of(dataset)
+        assert vehicle is not None
+        errors = [
+            mean_error("ekf-drag", flights, domain, with_drag(vehicle, k)) for k in (1.0, 0.5, 2.0, 0.01)
+        ]
+        errors += [mean_error(each, flights, domain, None) for each in ("vqf", "eskf")]
+        rows.append(f"| {what} | {' | '.join(f'{error:.2f}' for error in errors)} |")
+    return rows
+
+
 def vqf_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     """VQF with its package's own parameters and tuned, with and without its bias estimation."""
     flights = load_flights([dataset])
@@ -202,8 +228,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"drag:{domain}": drag_rows(domain, dataset),
         }
     first, dataset = next(iter(sets.items()))
-    counts = {"flights": str(dataset.sizes["flight"]), "slow": str(SLOW_FLIGHTS)}
-    page.write(tables | counts | {"vqf": vqf_rows(first, dataset), "speed": speeds()})
+    counts = {
+        "flights": str(dataset.sizes["flight"]),
+        "slow": str(SLOW_FLIGHTS),
+        "pieces": str(PIECES),
+        "piece_s": f"{DURATION_S / PIECES:g}",
+    }
+    page.write(
+        tables
+        | counts
+        | {"elsewhere": elsewhere_rows(given.data), "vqf": vqf_rows(first, dataset), "speed": speeds()}
+    )
 
 
 if __name__ == "__main__":

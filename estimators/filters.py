@@ -108,8 +108,10 @@ class Algorithm:
 
 def record_columns(state: np.dtype, field: str) -> slice:
     """Columns of float64 that a field takes in a filter's own state, where that is a record."""
-    dtype, offset = state.fields[field][:2]
-    return slice(offset // 8, (offset + dtype.itemsize) // 8)
+    names = list(state.names or ())
+    ends = np.cumsum([state[name].itemsize // 8 for name in names])
+    last = int(ends[names.index(field)])
+    return slice(last - state[field].itemsize // 8, last)
 
 
 class Filter:

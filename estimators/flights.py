@@ -51,11 +51,11 @@ class Flights:
         steps = self.gyro.shape[1] // count
         if steps < 1:
             raise ValueError(f"pieces: {count} of flights of {self.gyro.shape[1]} samples")
-        parts = (
+        gyro, accel, quat, truth = (
             each[:, : count * steps].reshape(-1, steps, each.shape[2])
             for each in (self.gyro, self.accel, self.quat, self.truth)
         )
-        return Flights(*parts, self.rate_hz)
+        return Flights(gyro, accel, quat, truth, self.rate_hz)
 
 
 def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Flights:
