@@ -309,7 +309,7 @@ def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
     monkeypatch.setattr(
         cell_module.estimators,
         "create",
-        lambda name, rate_hz: Broken() if name == "mahony" else create(name, rate_hz),
+        lambda name, *args, **known: Broken() if name == "mahony" else create(name, *args, **known),
     )
     results = small(tmp_path)
     reasons = [row["reason"] for row in results.rows]

@@ -202,7 +202,8 @@ def test_shipped_parameters_are_the_defaults():
     shipped = load_tuning("hummingbird-adis16448")
     for name, table in shipped.items():
         if not name.endswith("filterpy"):
-            assert create(name, table.rate_hz).values.items() >= table.values.items()
+            est = create(name, table.rate_hz, vehicle="hummingbird")
+            assert est.values.items() >= table.values.items()
 
 
 def test_estimators_without_parameters_and_broken_datasets_are_named(flights):
