@@ -37,7 +37,7 @@ from scenarios.demo import SLOW
 from scenarios.metrics import flight_metrics
 from scenarios.pairs import ALL, paired_differences
 from scenarios.publish import publish
-from scenarios.runner import Results, bench, code_digest
+from scenarios.runner import Results, bench, suite_digest
 from scenarios.verdict import TRUTH, total, verdict
 
 OUT = Path(__file__).parents[1] / "reports" / "closed-loop"
@@ -70,7 +70,7 @@ def fly(name: str, **arguments: object) -> tuple[Results, float]:
     """A benchmark in a folder of its own, and the minutes of processor time that all its cells took."""
     folder = OUT / name
     folder.mkdir(parents=True, exist_ok=True)
-    note = folder / f"time-{code_digest()[:12]}.json"
+    note = folder / f"time-{suite_digest()[:12]}.json"
     with timed(note), progress_bar(name, "cells") as progress:
         results = bench(seeds=SEEDS, out=folder, progress=progress, **arguments)
     return results, json.loads(note.read_text())["cpu_s"] / 60
@@ -287,7 +287,7 @@ def main() -> None:
     long, _ = fly("long", scenarios=LONG, names=long_names, duration_s=LONG_S)
     with progress_bar("break", "points") as progress:
         points = breaking_points(
-            list(DISTURBANCES), names, BREAKING_SEEDS, OUT / "suite", code=code_digest(), progress=progress
+            list(DISTURBANCES), names, BREAKING_SEEDS, OUT / "suite", code=suite_digest(), progress=progress
         )
     publish(OUT / "suite", results, points)
     with matplotlib.rc_context(STYLE):

@@ -22,14 +22,16 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-from sources import closure, digest_of, file_digest
 
 from quadsim.config import Strict, parse
+from quadsim.runs import closure, file_digest, fingerprint
 
 ROOT = Path(__file__).parents[1]
 STAMP = re.compile(r"made by: (?P<command>[^;]+); digest (?P<digest>[0-9a-f]+)")
 LINE = re.compile(rf"<!-- {STAMP.pattern} -->\n?")
 KEY = re.compile(r"\{([a-z][a-z0-9_:-]*)\}")
+LENGTH = 12
+"""Hexadecimal digits of a digest."""
 LISTED = 8
 """Names that a line of the check has at most."""
 NOTICE = "> Made by code and weights of {made_at}, before the networks lost their host; it will be remade."
@@ -79,12 +81,12 @@ class Page:
         """
         code = closure(self._found(self.entry.code), self.root)
         files = sorted({*code, *self._found(self.entry.files)} - {self.root / each for each in self.ignored})
-        return {path.relative_to(self.root).as_posix(): file_digest(path) for path in files}
+        return {path.relative_to(self.root).as_posix(): file_digest(path)[:LENGTH] for path in files}
 
     @cached_property
     def digest(self) -> str:
         """One digest of all inputs."""
-        return digest_of(json.dumps(self.inputs, sort_keys=True))
+        return fingerprint(self.inputs)[:LENGTH]
 
     @property
     def stamp(self) -> str:

@@ -9,8 +9,11 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.runs import write_whole
+
 from .encoder import INPUT_MAX, input_scaling
 from .loihi import DECAY_ONE, STATE_ONE
+from .sanitise import FORCE_MAX, RATE_MAX
 from .weights_file import NetworkConfig, Tensors, parameters
 
 
@@ -42,22 +45,24 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "scale": repr(config.output_scale / STATE_ONE),
         "steps": config.steps_per_sample,
         "input_max": INPUT_MAX,
+        "rate_max": RATE_MAX,
+        "force_max": FORCE_MAX,
         "offset": _braces(offset),
         "gain": _braces(gain),
         **arrays,
     }
     folder = files("assets") / "c99"
     return {
-        name: Template((folder / name).read_text()).substitute(values) for name in ("att_snn.h", "att_snn.c")
+        name: Template((folder / name).read_text(encoding="utf-8")).substitute(values)
+        for name in ("att_snn.h", "att_snn.c")
     }
 
 
 def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
     """Write both files into a folder, which is made where it is missing."""
     texts = c_files(config, tensors)
-    Path(folder).mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
-        (Path(folder) / name).write_text(text)
+        write_whole(Path(folder) / name, text)
 
 
 def _braces(values: NDArray) -> str:

@@ -11,25 +11,27 @@ from numba import njit
 from quadsim.rotation import roll_pitch_from_quat
 
 from .filters import Algorithm, Array, Parameter
-from .sample import LANES, by_lanes, by_rows, tilt_of_force_core, wrap_core
+from .sample import LANES, by_lanes, by_rows, regain, tilt_of_force_core, wrap_core
 
 CALM_RATE = 0.1
 """Body rate below which the adaptive filter leans on the accelerometer [rad/s]."""
 
-SIZE = 2
+SIZE = 3
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
-    """State: roll, pitch. Params: γ, and k_a for the adaptive one. See `filters` for the arguments."""
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
+    """State: roll, pitch, doubt after a gap. Params: γ, k_a if adaptive; arguments as in `filters`."""
     gamma, k_a = p[0, k], p[1, k] if p.shape[0] > 1 else 0.0
     roll, pitch = s[0, k] + gx * dt, s[1, k] + gy * dt
     acc_roll, acc_pitch = tilt_of_force_core(ax, ay, az)
     d_roll, d_pitch = wrap_core(acc_roll - roll), acc_pitch - pitch
     calm = k_a if gx * gx + gy * gy + gz * gz < CALM_RATE * CALM_RATE else 0.0
     found = 1.0 if ax != 0.0 or ay != 0.0 or az != 0.0 else 0.0
-    roll += found * min(1.0 - gamma + calm * abs(d_roll), 1.0) * d_roll
-    pitch += found * min(1.0 - gamma + calm * abs(d_pitch), 1.0) * d_pitch
+    share, s[2, k] = regain(s[2, k], unseen, ax, ay, az, dt)
+    weight = max(1.0 - gamma, share)
+    roll += found * min(weight + calm * abs(d_roll), 1.0) * d_roll
+    pitch += found * min(weight + calm * abs(d_pitch), 1.0) * d_pitch
     s[0, k], s[1, k] = wrap_core(roll), pitch
     return s[0, k], pitch
 
@@ -47,7 +49,7 @@ def score(states, params, dt, gyro, accel, target, squared_error):
 
 
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
-    own[:] = roll_pitch_from_quat(quat)
+    own[:, :2] = roll_pitch_from_quat(quat)
 
 
 _GAMMA = Parameter(0.998, 0.9, 1.0 - 1e-6, "one-minus-log", maximum=1.0, per_sample="memory")

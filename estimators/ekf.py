@@ -90,7 +90,7 @@ def corrected(P0, P1, P2, P3, dx, h, residual, variance):
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
     """State: q, P by rows. Params: noise densities N of the rate [rad/√s], σ of the measured direction [√s].
 
     The noises of the measurement's axes are independent, so that correcting by one after the other equals
@@ -99,7 +99,7 @@ def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
     """
     step = exp_core(gx * dt, gy * dt, gz * dt)
     q = times(four(s, 0, k), step)
-    noise, found = 0.25 * p[0, k] * p[0, k] * dt, ax != 0.0 or ay != 0.0 or az != 0.0
+    noise, found = 0.25 * (p[0, k] * p[0, k] * dt + unseen), ax != 0.0 or ay != 0.0 or az != 0.0
     variance = p[1, k] * p[1, k] / dt + (0.0 if found else NOTHING_KNOWN)
     P0, P1, P2, P3 = predicted(four(s, 4, k), four(s, 8, k), four(s, 12, k), four(s, 16, k), step, noise)
     ax, ay, az = direction_core(ax, ay, az)

@@ -47,7 +47,7 @@ from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 from .ekf import SIGMA_KNOWN
 from .eskf import turned
 from .filters import FROM_VEHICLE, Algorithm, Array, Parameter, record_columns
-from .sample import COMMON, roll_pitch_core, usable_between, wrap_core
+from .sample import COMMON, roll_pitch_core, square_of_error, usable_between
 
 ERRORS = 13
 TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS = 0, 2, 5, 7, 10
@@ -139,6 +139,12 @@ PARAMS = np.dtype([(name, "f8") for name in PARAMETERS])
 
 INNOVATION_MAX = 5.0
 """Innovations count no further: one bad reading does no lasting harm [m/s²]."""
+GAP_SPEED = 3.0
+"""Change of velocity in a gap, for each radian that may have been turned unseen [m/s]."""
+BIAS_MAX = math.radians(30.0)
+"""Bias that no gyroscope has [rad/s]; a filter that estimates one has diverged, and starts again."""
+SPEED_MAX = 60.0
+"""The same of a velocity or a wind [m/s]."""
 FIRST_S = 0.1
 """Time for which the first value of a mean square counts [s]."""
 
@@ -363,14 +369,14 @@ def measure(s, p, dt, gyro, accel, quat, matrix, dx, column, innovation):
 
 
 @njit
-def advance(s, p, dt, gyro, accel, scratch):
+def advance(s, p, dt, gyro, accel, unseen, scratch):
     """Take one sample; s is a vehicle's record, p its parameters."""
     T, dx, column, walks, innovation = scratch
     v, w, b, c = s.velocity, s.wind, s.gyro_bias, s.accel_bias
     s.time += dt
     noise = max(s.vibration, p.drag_noise**2 / dt)
-    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt
-    walks[VELOCITY:WIND] = p.accel_noise**2 * dt
+    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + unseen
+    walks[VELOCITY:WIND] = p.accel_noise**2 * dt + GAP_SPEED**2 * unseen
     walks[WIND:GYRO_BIAS] = max(s.wind_noise, gust_noise(s, p, noise, dt, 1.0 / p.drag_time)) * dt
     walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
     walks[ACCEL_BIAS:] = p.accel_bias_noise**2 * dt
@@ -403,40 +409,88 @@ def advance(s, p, dt, gyro, accel, scratch):
 
 
 @njit
+def diverged(s):
+    """Whether a state is beyond what can be; a NaN is."""
+    for value in s.gyro_bias:
+        if not abs(value) <= BIAS_MAX:
+            return True
+    for value in s.velocity:
+        if not abs(value) <= SPEED_MAX:
+            return True
+    return not (abs(s.wind[0]) <= SPEED_MAX and abs(s.wind[1]) <= SPEED_MAX)
+
+
+@njit
+def begin(s, p, known):
+    """Put a record, whose attitude is there, at the start: known, or level with an unknown tilt."""
+    P = s.covariance
+    P[:] = 0.0
+    for k in range(ERRORS):
+        sigma = p.accel_bias_sigma
+        if k < VELOCITY:
+            sigma = SIGMA_KNOWN if known else p.attitude_sigma
+        elif k < WIND:
+            sigma = p.speed_sigma
+        elif k < GYRO_BIAS:
+            sigma = p.wind_sigma
+        elif k < ACCEL_BIAS:
+            sigma = p.bias_sigma
+        P[k, k] = sigma**2
+    s.wind_noise, s.speed_square = p.wind_noise**2, p.speed_sigma**2
+
+
+@njit
 def scratch():
     """Arrays for `advance`."""
     return np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(2)
 
 
+@njit
+def step(common, own, s, p, dt, gyro, accel, i, t, work):
+    """Sanitise and take sample t of flight i; a filter that has diverged starts again, level."""
+    gx, gy, gz, ax, ay, az, unseen = usable_between(common, dt, gyro, accel, i, t)
+    roll_pitch = advance(s, p, dt, (gx, gy, gz), (ax, ay, az), unseen, work)
+    if diverged(s):
+        own[:] = 0.0
+        s.quat[0] = 1.0
+        begin(s, p, False)
+        return 0.0, 0.0
+    return roll_pitch
+
+
 @njit(cache=True, nogil=True)
-def _sequence(common, states, params, dt, gyro, accel, out):
+def _sequence(common, own, states, params, dt, gyro, accel, out):
     n, steps = gyro.shape[:2]
     work = scratch()
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(common[row], dt, gyro, accel, i, t)
-            out[row, t, 0], out[row, t, 1] = advance(s, p, dt, (gx, gy, gz), (ax, ay, az), work)
+            out[row, t, 0], out[row, t, 1] = step(common[row], own[row], s, p, dt, gyro, accel, i, t, work)
 
 
 @njit(cache=True, nogil=True)
-def _score(common, states, params, dt, gyro, accel, target, squared_error):
+def _score(common, own, states, params, dt, gyro, accel, target, squared_error):
     n, steps = gyro.shape[:2]
     work = scratch()
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         total = 0.0
         for t in range(steps):
-            gx, gy, gz, ax, ay, az = usable_between(common[row], dt, gyro, accel, i, t)
-            roll, pitch = advance(s, p, dt, (gx, gy, gz), (ax, ay, az), work)
-            error = wrap_core(roll - target[i, t, 0]) ** 2 + (pitch - target[i, t, 1]) ** 2
-            total += error if math.isfinite(target[i, t, 0] + target[i, t, 1]) else 0.0
+            roll, pitch = step(common[row], own[row], s, p, dt, gyro, accel, i, t, work)
+            total += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
         squared_error[row // n, i] = total
 
 
-def records(states: Array, params: Array) -> tuple[Array, np.ndarray, np.ndarray]:
-    """Common columns (rows, COMMON), and views of rows and parameter sets as records."""
-    return states[:, :COMMON], states[:, COMMON:].view(STATE)[:, 0], params.view(PARAMS)[:, 0]
+@njit(cache=True)
+def _begin(states, params, known):
+    for i in range(len(states)):
+        begin(states[i], params[i], known)
+
+
+def records(states: Array, params: Array) -> tuple[Array, Array, np.ndarray, np.ndarray]:
+    """Common columns (rows, COMMON), the filter's own, those and the parameter sets as records."""
+    own = states[:, COMMON:]
+    return states[:, :COMMON], own, own.view(STATE)[:, 0], params.view(PARAMS)[:, 0]
 
 
 def sequence(states: Array, params: Array, dt: float, gyro: Array, accel: Array, out: Array) -> None:
@@ -452,19 +506,8 @@ def score(
 
 
 def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
-    s, p = own.view(STATE)[:, 0], params.view(PARAMS)[:, 0]
-    s["quat"] = quat
-    s["wind_noise"] = p["wind_noise"] ** 2
-    s["speed_square"] = p["speed_sigma"] ** 2
-    for first, last, sigma in (
-        (TILT, VELOCITY, SIGMA_KNOWN if known else p["attitude_sigma"]),
-        (VELOCITY, WIND, p["speed_sigma"]),
-        (WIND, GYRO_BIAS, p["wind_sigma"]),
-        (GYRO_BIAS, ACCEL_BIAS, p["bias_sigma"]),
-        (ACCEL_BIAS, ERRORS, p["accel_bias_sigma"]),
-    ):
-        for k in range(first, last):
-            s["covariance"][:, k, k] = np.square(sigma)
+    own[:, :4] = quat
+    _begin(own.view(STATE)[:, 0], np.ascontiguousarray(params).view(PARAMS)[:, 0], known)
 
 
 EKF_DRAG = Algorithm(

@@ -2,8 +2,8 @@
 
     x = clip(round(1024 (reading − offset) / range), ±32767) / 1024
 
-A gyroscope sample is missing where it is not finite, an accelerometer sample where it is not finite or
-exactly zero. The host does this before the chip; its only memory is the last good inputs.
+A sample is missing where `sanitise` refuses it. The host does this before the chip; its only memory is the
+last good inputs.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from .sanitise import force_usable, rate_usable
 from .weights_file import InputScaling
 
 Array = NDArray[np.float64]
@@ -64,9 +65,8 @@ def _integer(value, gain):
 @njit(cache=True)
 def encode_sample(gyro, accel, offset, gain, state):
     """Scale one sample, (3,) [rad/s] and (3,) [m/s²], into the state (7,) of the encoder."""
-    rate_found = np.isfinite(gyro[0] + gyro[1] + gyro[2])
-    force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2]
-    force_found = np.isfinite(force) and force > 0.0
+    rate_found = rate_usable(gyro[0], gyro[1], gyro[2])
+    force_found = force_usable(accel[0], accel[1], accel[2])
     if rate_found:
         for k in range(3):
             state[k] = _integer(gyro[k] - offset[k], gain[k])

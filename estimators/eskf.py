@@ -124,12 +124,12 @@ def corrected(P0, P1, P2, P3, P4, dx, column, residual, total):
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
     """State: q, bias, P by rows. Params as in `PARAMETERS`. See `filters` for the arguments.
 
     A missing specific force has the variance of nothing known: a branch would keep the compiler from vectors.
     """
-    walk, bias_walk = p[0, k] * p[0, k] * dt, p[3, k] * p[3, k] * dt
+    walk, bias_walk = p[0, k] * p[0, k] * dt + unseen, p[3, k] * p[3, k] * dt
     bx, by, bz = s[4, k], s[5, k], s[6, k]
     ew, ex, ey, ez = exp_core((gx - bx) * dt, (gy - by) * dt, (gz - bz) * dt)
     qw, qx, qy, qz = multiply_core(s[0, k], s[1, k], s[2, k], s[3, k], ew, ex, ey, ez)

@@ -1,9 +1,8 @@
 """Offline comparison of estimators on recorded flights, from an unknown and from a known initial attitude."""
 
-import csv
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,19 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator
+from quadsim.imu import ImuSpec
+from quadsim.runs import write_csv
 from quadsim.vehicle import Vehicle
 
 from .flights import Flights, Initial, load_flights, vehicle_of
-from .metrics import Summary, absolute_error, attitude_error, inclination_error, inclination_rmse
+from .metrics import (
+    Summary,
+    absolute_error,
+    attitude_error,
+    inclination_error,
+    inclination_rmse,
+    share_without_number,
+)
 from .networks import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
 from .protocol import FILTERPY, NETWORKS, create, is_weights, missing_samples, run_quietly
 from .weights_file import load_network, shipped_names
@@ -70,7 +78,9 @@ class Row:
     flights: int
     """Flights it was run on."""
     missing: int
-    """Samples of these that were missing in part or whole, and bridged."""
+    """Samples of these that were missing or refused in part or whole, and bridged."""
+    without_number: float
+    """Share of estimates that are no finite number, each counted as an error of 180°."""
 
     @property
     def tied(self) -> bool:
@@ -110,11 +120,7 @@ class Evaluation:
 
     def write_csv(self, path: Path) -> None:
         """Write the table, one line a row, the header being the fields of `Row`."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [each.name for each in fields(Row)])
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in self.rows)
+        write_csv(path, [asdict(row) for row in self.rows])
 
 
 def evaluate(
@@ -195,6 +201,7 @@ def evaluate(
                     "runtime_ns": runtime,
                     "flights": len(chosen.gyro),
                     "missing": missing_samples(est),
+                    "without_number": share_without_number(estimate, chosen.truth),
                 }
             )
     if progress is not None:
@@ -239,9 +246,10 @@ def made_of(
     rate_hz: float,
     tuning: str | Path | None = None,
     vehicle: str | Path | Vehicle | None = None,
+    imu: str | Path | ImuSpec | None = None,
 ) -> dict[str, AttitudeEstimator]:
     """Estimators by name, or by the path of a network's weights; the arguments are those of `create`."""
-    return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in names}
+    return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle, imu=imu) for name in names}
 
 
 def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:

@@ -14,7 +14,7 @@ from quadsim.rotation import quat_from_rotvec, roll_pitch_from_quat
 
 from .ekf import SIGMA_KNOWN, SIGMA_UNKNOWN
 from .filters import initial_quat, paired
-from .sample import SKIPPED, clean, fresh
+from .sample import SKIPPED, fresh, sanitise
 
 Array = NDArray[np.float64]
 
@@ -82,12 +82,13 @@ class FilterpyFilter:
         gyro, accel = paired(gyro, accel)
         if len(gyro) != len(self.filters):
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {len(self.filters)}")
-        rate, force = np.empty_like(gyro), np.empty_like(accel)
-        clean(self._samples, self._dt, gyro, accel, rate, force, True)
+        rate, force, unseen = np.empty_like(gyro), np.empty_like(accel), np.empty(gyro.shape[:2])
+        sanitise(self._samples, self._dt, gyro, accel, rate, force, unseen, True)
         step = quat_from_rotvec(rate * self._dt)
         quats = np.empty((*gyro.shape[:2], 4))
         for i, kf in enumerate(self.filters):
             for t in range(gyro.shape[1]):
+                kf.Q = self._process + 0.25 * unseen[i, t] * np.eye(4)
                 quats[i, t] = self._step(kf, product_matrix(step[i, t]), force[i, t])
         return roll_pitch_from_quat(quats)
 

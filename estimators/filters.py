@@ -2,9 +2,10 @@
 
 An algorithm is one compiled step, `advance`, and two functions that loop over it, both of numba:
 
-    advance(s, p, k, dt, gx, gy, gz, ax, ay, az) -> roll, pitch
-        Takes one sample: body rate [rad/s], and specific force [m/s²], zero if it is missing. The state, size
-        numbers, is column k of s, and is updated; the parameters are column k of p.
+    advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen) -> roll, pitch
+        Takes one sample: body rate [rad/s], and specific force [m/s²], zero if it is missing, and the
+        variance of what the vehicle turned unseen since the last sample [rad²], zero unless a rate is
+        missing. The state, size numbers, is column k of s, and is updated; the parameters are column k of p.
     sequence(states, params, dt, gyro, accel, out)
         Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. states
         (p·n, COMMON + size) and params (p, k): parameter set i flies flight j in row i·n + j; params in the

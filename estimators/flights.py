@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from quadsim.imu import ImuSpec
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import Vehicle
 
@@ -79,6 +80,12 @@ def vehicle_of(dataset: xr.Dataset) -> Vehicle | None:
     """The airframe that flew a dataset, as its recipe has it; None where the dataset does not say."""
     config = json.loads(dataset.attrs.get("config", "{}"))
     return Vehicle.model_validate(config["vehicle"]) if "vehicle" in config else None
+
+
+def imu_of(dataset: xr.Dataset) -> ImuSpec | None:
+    """The IMU of a dataset; None where the dataset does not say, or it was recorded."""
+    config = json.loads(dataset.attrs.get("config", "{}"))
+    return ImuSpec.model_validate(config["imu"]) if "vehicle" in config and "imu" in config else None
 
 
 def _arrays(dataset: xr.Dataset) -> tuple[Array, Array, Array, float, NDArray[np.bool_]]:

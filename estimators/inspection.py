@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.runs import save_figure, write_whole
+
 from . import inspection_figures as figures
 from .activity import Activity, record
 from .encoding_study import Response, Tuning, preferred, responses, tuning_curves
@@ -130,7 +132,6 @@ def inspect(
 def write_page(out: str | Path, found: Inspection) -> Path:
     """Draw everything into a folder, with a page of it; the page's path."""
     out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
     activity, rate = found.activity, found.config.rate_hz * found.config.steps_per_sample
     drawn = {
         "rates": ("How often neurons spike", figures.rate_histograms(activity)),
@@ -145,8 +146,7 @@ def write_page(out: str | Path, found: Inspection) -> Path:
     }
     sections = []
     for key, (title, figure) in drawn.items():
-        figure.savefig(out / f"{key}.png", dpi=130)
-        image = base64.b64encode((out / f"{key}.png").read_bytes()).decode()
+        image = base64.b64encode(save_figure(out / f"{key}.png", figure, dpi=130).read_bytes()).decode()
         sections.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{image}">')
     energy = [
         (
@@ -162,9 +162,7 @@ def write_page(out: str | Path, found: Inspection) -> Path:
         _table(("operation", "per step", "pJ each", "nJ", "share, %"), energy),
         *sections,
     ]
-    page = out / "inspection.html"
-    page.write_text(PAGE.format(body="\n".join(body)), encoding="utf-8")
-    return page
+    return write_whole(out / "inspection.html", PAGE.format(body="\n".join(body)))
 
 
 PAGE = """<!doctype html>

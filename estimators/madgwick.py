@@ -14,14 +14,14 @@ from numba import njit
 from quadsim.rotation import multiply_core, normalize_core
 
 from .filters import Algorithm, Array, Parameter
-from .sample import LANES, by_lanes, by_rows, direction_core, roll_pitch_core
+from .sample import LANES, by_lanes, by_rows, direction_core, regain, roll_pitch_core
 
-SIZE = 4
+SIZE = 5
 
 
 @njit(error_model="numpy")
 def descent(qw, qx, qy, qz, ax, ay, az):
-    """Direction of steepest ascent Jᵀf / ‖Jᵀf‖ at q; zero where the gradient or the specific force is."""
+    """Direction of steepest ascent Jᵀf / ‖Jᵀf‖ at q, zero where the gradient or the force is, and ‖f‖."""
     ax, ay, az = direction_core(ax, ay, az)
     fx = 2.0 * (qx * qz - qw * qy) - ax
     fy = 2.0 * (qw * qx + qy * qz) - ay
@@ -33,16 +33,17 @@ def descent(qw, qx, qy, qz, ax, ay, az):
     length = math.sqrt(w * w + x * x + y * y + z * z)
     known = length > 0.0 and (ax != 0.0 or ay != 0.0 or az != 0.0)
     scale = 1.0 / length if known else 0.0
-    return w * scale, x * scale, y * scale, z * scale
+    return w * scale, x * scale, y * scale, z * scale, math.sqrt(fx * fx + fy * fy + fz * fz)
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
-    """State: quaternion. Params: β [rad/s]. See `filters` for the arguments."""
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
+    """State: quaternion, doubt after a gap. Params: β [rad/s]. See `filters` for the arguments."""
     qw, qx, qy, qz = s[0, k], s[1, k], s[2, k], s[3, k]
     dw, dx, dy, dz = multiply_core(qw, qx, qy, qz, 0.0, 0.5 * gx, 0.5 * gy, 0.5 * gz)
-    fw, fx, fy, fz = descent(qw, qx, qy, qz, ax, ay, az)
-    beta = p[0, k]
+    fw, fx, fy, fz, error = descent(qw, qx, qy, qz, ax, ay, az)
+    share, s[4, k] = regain(s[4, k], unseen, ax, ay, az, dt)
+    beta = max(p[0, k], 0.5 * share * error / dt)
     qw, qx, qy, qz = normalize_core(
         qw + (dw - beta * fw) * dt,
         qx + (dx - beta * fx) * dt,

@@ -12,20 +12,22 @@ from numba import njit
 from quadsim.rotation import multiply_core, normalize_core, rotate_inverse_core
 
 from .filters import Algorithm, Array, Parameter
-from .sample import LANES, by_lanes, by_rows, direction_core, roll_pitch_core
+from .sample import LANES, by_lanes, by_rows, direction_core, regain, roll_pitch_core
 
-SIZE = 7
+SIZE = 8
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az):
-    """State: quaternion, bias. Params: k_P [rad/s], k_I [rad/s²]. See `filters` for the arguments."""
+def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
+    """State: quaternion, bias, doubt after a gap. Params: k_P [rad/s], k_I [rad/s²]; see `filters`."""
     k_p, k_i = p[0, k], p[1, k]
     qw, qx, qy, qz = s[0, k], s[1, k], s[2, k], s[3, k]
     ax, ay, az = direction_core(ax, ay, az)
     vx, vy, vz = rotate_inverse_core(qw, qx, qy, qz, 0.0, 0.0, 1.0)
     ex, ey, ez = ay * vz - az * vy, az * vx - ax * vz, ax * vy - ay * vx
     bx, by, bz = s[4, k] - k_i * ex * dt, s[5, k] - k_i * ey * dt, s[6, k] - k_i * ez * dt
+    share, s[7, k] = regain(s[7, k], unseen, ax, ay, az, dt)
+    k_p = max(k_p, share / dt)
     dw, dx, dy, dz = multiply_core(
         qw, qx, qy, qz, 0.0, gx - bx + k_p * ex, gy - by + k_p * ey, gz - bz + k_p * ez
     )

@@ -1,4 +1,8 @@
-"""How wrong an attitude estimate is. One set of functions for every table and figure."""
+"""How wrong an attitude estimate is. One set of functions for every table and figure.
+
+An estimate that is no finite number where the truth is known is 180° wrong. Where the truth is not known,
+NaN, there is no error, and nothing is counted.
+"""
 
 from dataclasses import dataclass
 
@@ -43,7 +47,7 @@ class Summary:
 def absolute_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
     """Absolute error of roll and of pitch [deg], shape (..., 2), from angles in radians; at most 180."""
     estimate, truth = _pair(estimate, truth)
-    difference = estimate - truth
+    difference = np.where(_number(estimate)[..., None], estimate, truth + np.pi) - truth
     return np.degrees(np.abs(difference - 2.0 * np.pi * np.round(difference / (2.0 * np.pi))))
 
 
@@ -68,7 +72,9 @@ def inclination_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
         truth: The same, true; NaN gives NaN.
     """
     estimate, truth = _pair(estimate, truth)
-    a, b = up_in_body(estimate), up_in_body(truth)
+    number = _number(estimate)[..., None]
+    b = up_in_body(truth)
+    a = np.where(number, up_in_body(np.where(number, estimate, 0.0)), -b)
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
@@ -77,11 +83,27 @@ def inclination_rmse(estimate: ArrayLike, truth: ArrayLike) -> Summary:
     return Summary(np.sqrt(np.nanmean(inclination_error(estimate, truth) ** 2, axis=-1)).reshape(-1))
 
 
+def share_without_number(estimate: ArrayLike, truth: ArrayLike) -> float:
+    """Share of the samples with a known truth where the estimate is no finite number, 0…1; 0 without any.
+
+    Args:
+        estimate: Roll and pitch (..., 2) [rad].
+        truth: The same, true; NaN where it is not known.
+    """
+    estimate, truth = _pair(estimate, truth)
+    known = _number(truth)
+    return float(np.mean(~_number(estimate)[known])) if known.any() else 0.0
+
+
 def up_in_body(roll_pitch: ArrayLike) -> Array:
     """Direction of the world's z axis in body axes, (..., 3), of roll and pitch (..., 2) [rad]."""
     angles = np.asarray(roll_pitch, dtype=np.float64)
     roll, pitch = angles[..., 0], angles[..., 1]
     return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=-1)
+
+
+def _number(angles: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(angles).all(axis=-1))
 
 
 def _pair(estimate: ArrayLike, truth: ArrayLike) -> tuple[Array, Array]:

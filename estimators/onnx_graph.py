@@ -9,6 +9,8 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from quadsim.runs import write_whole
+
 from .encoder import INPUT_MAX, INPUT_ONE, input_scaling
 from .weights_file import NetworkConfig, Tensors
 
@@ -77,7 +79,7 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
 
 def write_onnx(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
     """Write the graph."""
-    onnx.save(onnx_graph(config, tensors), str(path))
+    write_whole(path, onnx_graph(config, tensors).SerializeToString())
 
 
 def _gru(tensors: Tensors, layer: int, units: int) -> list[NDArray]:

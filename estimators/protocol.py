@@ -1,5 +1,6 @@
 """Estimators by name: make one, run it over sequences, run many parameter sets at once."""
 
+import importlib
 import logging
 import math
 from collections.abc import Mapping
@@ -10,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.config import nearest
 from quadsim.estimator import AttitudeEstimator
+from quadsim.imu import ImuSpec, load_imu
+from quadsim.ranges import SAMPLE_RATE
 from quadsim.vehicle import Vehicle, load_vehicle
 
 from . import ekf
@@ -21,7 +24,7 @@ from .filters import Algorithm, Filter, Parameter, checked, paired, start
 from .madgwick import MADGWICK
 from .mahony import MAHONY
 from .truth import Truth
-from .tuned import tuned_for
+from .tuned import misfit, tuned_for
 
 Array = NDArray[np.float64]
 
@@ -70,17 +73,20 @@ def create(
     *,
     tuning: str | Path | None = None,
     vehicle: str | Path | Vehicle | None = None,
+    imu: str | Path | ImuSpec | None = None,
     **params: float | str | Path | None,
 ) -> AttitudeEstimator:
     """Make an estimator.
 
     Args:
-        name: One of `names()`, or the path of a network's weights, which ends in .safetensors.
+        name: One of `names()`, the path of a network's weights, which ends in .safetensors, or
+            "module:Class" of your own estimator, which is made with `rate_hz`.
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
-            `quadsim tune`; None for the shipped default domain.
-        vehicle: The airframe, by its name, file or model: ekf-drag takes its drag from there. The others need
-            none.
+            `quadsim tune`; None for the shipped domain of the vehicle and the IMU.
+        vehicle: The airframe, by its name, file or model: shipped parameters are those tuned for it, where
+            there are such, and ekf-drag takes its drag from there. The others need none.
+        imu: The IMU, likewise.
         params: The filter's own parameters; for a network `weights`.
 
     Raises:
@@ -90,16 +96,18 @@ def create(
         from .weights_file import load_network
 
         return _network(load_network(name)[0].model, rate_hz, params | {"weights": name})
+    if ":" in name:
+        return own(name, rate_hz)
     _known(name)
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise ValueError(f"rate_hz = {rate_hz} must be a positive number")
+    SAMPLE_RATE.of("rate_hz", rate_hz)
     if name == "truth":
         checked(name, {}, params)
         return Truth(rate_hz)
     if name in NETWORKS:
         return _network(name, rate_hz, params)
-    known = airframe_constants(name, vehicle)
-    values = _values(name, rate_hz, known | params, tuning)
+    airframe, sensor = loaded(vehicle, imu)
+    known = airframe_constants(name, airframe)
+    values = _values(name, rate_hz, known | params, tuning, airframe, sensor)
     if name in FILTERPY:
         from .filterpy_filters import FilterpyFilter
 
@@ -109,6 +117,57 @@ def create(
 
         return VqfFilter(rate_hz, values)
     return Filter(COMPILED[name], rate_hz, values)
+
+
+def loaded(
+    vehicle: str | Path | Vehicle | None, imu: str | Path | ImuSpec | None
+) -> tuple[Vehicle | None, ImuSpec | None]:
+    """A vehicle and an IMU, each given by its name, file or model.
+
+    Raises:
+        ValueError: There is no such one, or what was given is neither.
+    """
+    for key, value, model in (("vehicle", vehicle, Vehicle), ("imu", imu, ImuSpec)):
+        if not isinstance(value, str | Path | model | None):
+            raise ValueError(f"{key} = {value!r}: should be a name, the path of a TOML file, or the model")
+    return (
+        load_vehicle(vehicle) if isinstance(vehicle, str | Path) else vehicle,
+        load_imu(imu) if isinstance(imu, str | Path) else imu,
+    )
+
+
+def own(name: str, rate_hz: float) -> AttitudeEstimator:
+    """A user's estimator, "module:Class".
+
+    Raises:
+        ValueError: No such module or class, or it is no estimator.
+    """
+    module, _, attribute = name.partition(":")
+    try:
+        made = getattr(importlib.import_module(module), attribute)(rate_hz)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"{name}: {error}") from error
+    if missing := [each for each in ("reset", "update") if not callable(getattr(made, each, None))]:
+        raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
+    return made
+
+
+def tuning_misfit(
+    name: str, tuning: str | Path | None, vehicle: str | Path | Vehicle, imu: str | Path | ImuSpec
+) -> str:
+    """In words, what an estimator's parameters were tuned for and does not fly; empty where all is as tuned.
+
+    Args:
+        name: Estimator.
+        tuning: As in `create`.
+        vehicle: What is flown, as in `create`.
+        imu: What it carries, as in `create`.
+    """
+    airframe, sensor = loaded(vehicle, imu)
+    if name not in names() or not parameters(name) or airframe is None or sensor is None:
+        return ""
+    tuned = tuned_for(name, tuning, airframe, sensor)
+    return "" if tuned is None else misfit(tuned, airframe, sensor)
 
 
 def run(
@@ -137,7 +196,8 @@ def run(
     skipped = missing_samples(est)
     if skipped > 0:
         logger.warning(
-            "%d of %d samples were missing; the estimator went on from its prediction",
+            "%d of %d samples were missing or beyond any sensor's range; the estimator went on from its "
+            "prediction",
             skipped,
             out[..., 0].size,
         )
@@ -194,7 +254,8 @@ def run_batch(
     gyro, accel = paired(gyro, accel)
     if name not in COMPILED:
         estimators = [
-            create(name, rate_hz, tuning=None, vehicle=None, **each) for each in parameter_sets(params)
+            create(name, rate_hz, tuning=None, vehicle=None, imu=None, **each)
+            for each in parameter_sets(params)
         ]
         return np.stack([run(est, gyro, accel, roll_pitch) for est in estimators])
     matrix = parameter_matrix(name, params, rate_hz, airframe_constants(name, vehicle))
@@ -233,12 +294,17 @@ def _known(name: str) -> None:
 
 
 def _values(
-    name: str, rate_hz: float, params: Mapping[str, object], tuning: str | Path | None
+    name: str,
+    rate_hz: float,
+    params: Mapping[str, object],
+    tuning: str | Path | None,
+    vehicle: Vehicle | None = None,
+    imu: ImuSpec | None = None,
 ) -> dict[str, float]:
     """Every parameter of a filter, in order: what is given, else tuned, else the default."""
     spec = parameters(name)
     given = checked(name, spec, params)
-    tuned = tuned_for(name, tuning)
+    tuned = tuned_for(name, tuning, vehicle, imu)
     found = {} if tuned is None else checked(f"{tuning or 'tuning'}: {name}", spec, tuned.values)
     tuned_rate = DEFAULT_RATE_HZ if tuned is None else tuned.rate_hz
     elsewhere = {key: found.get(key, each.default) for key, each in spec.items()}
@@ -246,8 +312,8 @@ def _values(
     values = {key: given.get(key, spec[key].carried(value, ratio)) for key, value in elsewhere.items()}
     if missing := [key for key, value in values.items() if math.isnan(value)]:
         raise ValueError(
-            f"{name} needs a vehicle, for its drag: give vehicle=, a shipped name or a TOML file, or "
-            + " and ".join(missing)
+            f"{name} needs a vehicle, for its drag: give --vehicle (in Python vehicle=), a shipped name or a "
+            f"TOML file, or {' and '.join(missing)}"
         )
     return values
 
@@ -258,9 +324,8 @@ def airframe_constants(name: str, vehicle: str | Path | Vehicle | None) -> dict[
     Raises:
         ValueError: No such vehicle, or a file that is not one.
     """
-    if name != "ekf-drag" or vehicle is None:
-        return {}
-    return drag_of(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle))
+    airframe, _ = loaded(vehicle, None)
+    return {} if name != "ekf-drag" or airframe is None else drag_of(airframe)
 
 
 def needs_vehicle(name: str) -> bool:

@@ -4,9 +4,8 @@ Inclination error, as a root mean square over the samples that count: the attitu
 sample (`scored`), the first seconds are over, and the vehicle is tilted less than a limit.
 """
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +15,10 @@ from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator
 from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
+from quadsim.runs import write_csv
 
 from .evaluate import made_of, silenced_twin
-from .metrics import absolute_error, inclination_error
+from .metrics import absolute_error, inclination_error, share_without_number
 from .protocol import names, needs_vehicle, run
 
 Array = NDArray[np.float64]
@@ -52,6 +52,8 @@ class LogRow:
     """Mean absolute error of roll and of pitch, pooled, over the same samples."""
     scored_s: float
     """Length of what is scored [s]."""
+    without_number: float
+    """Share of the estimates scored that are no finite number, each counted as an error of 180°."""
     silenced_deg: float = float("nan")
     """Of a network: inclination RMSE with its output weights at zero; NaN for other estimators."""
 
@@ -73,11 +75,7 @@ class LogScores:
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [each.name for each in fields(LogRow)])
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in self.rows)
+        write_csv(path, [asdict(row) for row in self.rows])
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over logs of the inclination RMSE [deg]."""
@@ -141,9 +139,10 @@ def score_logs(
             if progress is not None:
                 progress(done, len(logs) * len(made), name)
             for which, offset in ((RAW, np.zeros(3)), (KNOWN, bias)):
-                estimate = np.full_like(truth, np.nan)
-                if np.isfinite(offset).all():
-                    estimate = run(est, gyro - offset, accel, quat=quat)
+                if not np.isfinite(offset).all():
+                    scores.rows.append(LogRow(title, name, which, float("nan"), float("nan"), 0.0, 0.0))
+                    continue
+                estimate = run(est, gyro - offset, accel, quat=quat)
                 row = _row(title, name, which, estimate[0], truth[0], counted, rate)
                 if which == RAW and (twin := silenced_twin(name, rate)) is not None:
                     without = _row(title, name, which, run(twin, gyro, accel)[0], truth[0], counted, rate)
@@ -232,9 +231,10 @@ def _counted(log: xr.Dataset, truth: Array, within_deg: float, skip_s: float) ->
 def _row(
     log: str, name: str, bias: str, estimate: Array, truth: Array, counted: NDArray[np.bool_], rate: float
 ) -> LogRow:
-    use = counted & np.isfinite(estimate).all(axis=1)
+    estimate, truth = estimate[counted], truth[counted]
     rmse = mean = float("nan")
-    if use.any():
-        rmse = float(np.sqrt(np.mean(inclination_error(estimate[use], truth[use]) ** 2)))
-        mean = float(absolute_error(estimate[use], truth[use]).mean())
-    return LogRow(log, name, bias, rmse, mean, float(use.sum()) / rate)
+    if counted.any():
+        rmse = float(np.sqrt(np.mean(inclination_error(estimate, truth) ** 2)))
+        mean = float(absolute_error(estimate, truth).mean())
+    share = share_without_number(estimate, truth)
+    return LogRow(log, name, bias, rmse, mean, float(counted.sum()) / rate, share)

@@ -19,6 +19,10 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
+from quadsim.config import preset_names
+from quadsim.imu import ImuSpec, load_imu
+from quadsim.runs import write_whole
+
 from .filters import start
 from .flights import Flights, Initial, load_flights, vehicle_of
 from .metrics import absolute_error
@@ -236,6 +240,7 @@ def tune(
     )
     return Tuned(
         command=command,
+        **flown_on(datasets),
         rate_hz=data.rate_hz,
         rmse_deg=round(float(np.degrees(np.sqrt(found.cost))), 6),
         evaluations=found.evaluations,
@@ -258,6 +263,18 @@ def tunable() -> list[str]:
         for name in names()
         if name not in FILTERPY and any(each.searched for each in parameters(name).values())
     ]
+
+
+def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
+    """Fields `vehicle` and `imu` of `Tuned`; empty where datasets differ, or the IMU is none that ships."""
+    configs = [json.loads(each.attrs.get("config", "{}")) for each in datasets]
+    vehicles = {(config.get("vehicle") or {}).get("name", "") for config in configs}
+    imus = [ImuSpec.model_validate_json(json.dumps(config["imu"])) for config in configs if "imu" in config]
+    shipped = [name for name in preset_names("imus") if imus and all(load_imu(name) == each for each in imus)]
+    return {
+        "vehicle": vehicles.pop() if len(vehicles) == 1 else "",
+        "imu": shipped[0] if len(imus) == len(configs) and shipped else "",
+    }
 
 
 def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
@@ -290,5 +307,4 @@ def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
     if name == "ekf":
         shared = tuned.model_copy(update={"command": f"the values of ekf: {tuned.command}"})
         tables |= dict.fromkeys(FILTERPY, shared)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(to_toml(tables, comment), encoding="utf-8")
+    write_whole(path, to_toml(tables, comment))

@@ -38,6 +38,5 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
         raise ValueError(
             f'this export needs the package {error.name}: pip install "quadsim[export]"'
         ) from error
-    out.parent.mkdir(parents=True, exist_ok=True)
     write(out, config, tensors)
     return out

@@ -6,15 +6,17 @@ import re
 from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, PositiveFloat, ValidationError
+from pydantic import Field, JsonValue, ValidationError
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from quadsim.config import Strict, describe
+from quadsim.ranges import Between, ForceVector, SampleRate
+from quadsim.runs import write_whole
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
@@ -22,14 +24,20 @@ FORMAT = "2"
 """Version of the files, in their metadata. Files of quadsim 0.1 have none."""
 
 
+ForceRange = Annotated[float, Between(1e-3, 1e4, "m/s²")]
+Neurons = Annotated[int, Between(1, 4096)]
+OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
+StepsPerSample = Annotated[int, Between(1, 16)]
+
+
 class InputScaling(Strict):
     """What the network's inputs are: (reading - offset) / range, gyroscope first."""
 
-    gyro: float = Field(default=2.5, gt=0)
+    gyro: Annotated[float, Between(1e-3, 1e4, "rad/s")] = 2.5
     """Body rate of an input of 1.0 [rad/s]."""
-    accel: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (1.0, 1.0, 4.0)
+    accel: tuple[ForceRange, ForceRange, ForceRange] = (1.0, 1.0, 4.0)
     """Specific force, less the offset, of an input of 1.0 [m/s²]."""
-    accel_offset: tuple[float, float, float] = (0.0, 0.0, 9.81)
+    accel_offset: ForceVector = (0.0, 0.0, 9.81)
     """Specific force of an input of 0 [m/s²]."""
 
 
@@ -40,20 +48,20 @@ class NetworkConfig(Strict):
     """How a network is run, and where its weights come from."""
 
     model: Literal["att-snn", "att-rnn"]
-    rate_hz: float = Field(default=200.0, gt=0)
+    rate_hz: SampleRate = 200.0
     """Samples per second that it was trained for."""
-    encoding: int = Field(default=100, ge=1)
+    encoding: Neurons = 100
     """Neurons of the encoding layer (att-rnn: units of the first GRU)."""
-    hidden: int = Field(default=100, ge=1)
+    hidden: Neurons = 100
     """Neurons of the recurrent layer (att-rnn: units of the second GRU)."""
     inputs: InputScaling = InputScaling()
     quantised: bool = True
     """Whole numbers in the chip's ranges (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
-    steps_per_sample: int = Field(default=1, ge=1, le=16)
+    steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample."""
-    output_scale: float = 1.0
+    output_scale: OutputScale = 1.0
     """Radians for an output potential of 1.0."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
     """Data, seed, epochs, commit, validation error."""
@@ -95,7 +103,8 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     """
     _check(Path(path), config, dict(tensors))
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    save_file(plain, path, metadata={"format": FORMAT, "config": config.model_dump_json()})
+    metadata = {"format": FORMAT, "config": config.model_dump_json()}
+    write_whole(path, save(plain, metadata=metadata))
 
 
 def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
@@ -119,6 +128,8 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
     except SafetensorError as error:
         raise ValueError(f"{path}: not a safetensors file ({error})") from error
+    except Exception as error:  # of a type that NumPy does not have, such as bfloat16
+        raise ValueError(f"{path}: its tensors cannot be read: {error}") from error
     if "config" not in metadata:
         raise ValueError(f"{path}: no network configuration in the metadata")
     _check_format(path, metadata)

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadsim.figures import STYLE
+from quadsim.runs import save_figure, write_whole
 
 from . import figures, tables
 from .claims import Judgement, Numbers, judge
@@ -54,7 +55,6 @@ def write_pages(
         kinds: Formats; the pages show the first.
         then: A further command that these pages are made with.
     """
-    (folder / images).mkdir(parents=True, exist_ok=True)
     judged, texts = judge(numbers), sections()
     bodies = {}
     for item in shown:
@@ -68,7 +68,7 @@ def write_pages(
     for item in OWN_PAGES:
         if item in bodies:
             head = f"# {texts[item][0]}\n\n{_made_by(settings, then)}\n\n{texts['domains'][1]}"
-            (folder / f"{prefix}{item}.md").write_text(f"{head}\n\n{bodies[item]}\n", encoding="utf-8")
+            write_whole(folder / f"{prefix}{item}.md", f"{head}\n\n{bodies[item]}\n")
     missing = "Not made in this run."
     whole = [f"## {texts[item][0]}\n\n{bodies.get(item, missing)}" for item in ITEMS if item not in OWN_PAGES]
     beyond = [
@@ -82,9 +82,7 @@ def write_pages(
         beyond="\n".join(beyond),
         **_sizes(settings),
     )  # fmt: skip
-    path = folder / "paper.md"
-    path.write_text(f"# {title}\n\n{filled}\n", encoding="utf-8")
-    return path
+    return write_whole(folder / "paper.md", f"# {title}\n\n{filled}\n")
 
 
 def sections() -> dict[str, tuple[str, str]]:
@@ -104,7 +102,7 @@ def _save(
     with matplotlib.rc_context(STYLE):
         figure = make(numbers, settings)
         for path in paths:
-            figure.savefig(path, dpi=130, metadata={"Date": None} if path.suffix == ".svg" else None)
+            save_figure(path, figure, dpi=130, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
 def _checklist(judged: Sequence[Judgement]) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from quadsim.runs import write_whole
+
 from .claims import Judgement, Numbers, judge
 from .pages import write_pages
 from .plan import chosen, stages_of
@@ -73,7 +75,7 @@ def paper(
     parts.mkdir(parents=True, exist_ok=True)
     stages, shows = stages_of(settings)
     wanted = with_inputs(stages, [name for item in items for name in shows[item]])
-    (parts / SETTINGS).write_text(settings.model_dump_json(indent=1))
+    write_whole(parts / SETTINGS, settings.model_dump_json(indent=1))
     made = run_stages(wanted, parts, workers, progress)
     page, judged = write_results(parts, out, settings)
     return Paper(page, judged, made)
@@ -113,7 +115,7 @@ def load_settings(parts: Path) -> Settings:
         ValueError: There is no run in the folder.
     """
     try:
-        return Settings.model_validate_json((parts / SETTINGS).read_text())
+        return Settings.model_validate_json((parts / SETTINGS).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ValueError(f"{parts}: no run of quadsim paper (there is no {SETTINGS})") from None
 
@@ -121,4 +123,6 @@ def load_settings(parts: Path) -> Settings:
 def numbers_of(parts: Path, stages: Sequence[Stage]) -> Numbers:
     """What finished stages found, where they found numbers."""
     files = {stage.name: parts / stage.name / NUMBERS for stage in stages}
-    return {name: json.loads(file.read_text()) for name, file in files.items() if file.is_file()}
+    return {
+        name: json.loads(file.read_text(encoding="utf-8")) for name, file in files.items() if file.is_file()
+    }

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated
 
 from quadsim.config import Strict
+from quadsim.ranges import Between, SampleRate
+
+Number = Annotated[int, Between(1, 1_000_000)]
+Seconds = Annotated[float, Between(0.01, 3600.0, "s")]
 
 
 class Budget(Strict):
     """Length of a training."""
 
-    epochs: int = Field(ge=1)
-    batches: int = Field(ge=1)
+    epochs: Number
+    batches: Number
     """Updates in an epoch."""
-    window_s: float = 5.0
+    window_s: Seconds = 5.0
     """Length of a window [s]."""
-    windows_per_stream: int = 3
+    windows_per_stream: Number = 3
     """Windows that follow one another with the state carried over."""
-    batch_size: int = 40
+    batch_size: Number = 40
     """Windows in a batch."""
 
     @property
@@ -34,20 +38,20 @@ class Settings(Strict):
     """Sizes of everything that `quadsim paper` does."""
 
     preset: str
-    seed: int = Field(default=0, ge=0)
-    sim_flights: int = 35
+    seed: Annotated[int, Between(0, 2**63 - 1)] = 0
+    sim_flights: Number = 35
     """Training flights of the Hummingbird, as many as the paper simulated."""
-    real_flights: int = 11
+    real_flights: Number = 11
     """Training flights of the second airframe, as many as the paper flew."""
-    validation_flights: tuple[int, int] = (4, 2)
+    validation_flights: tuple[Number, Number] = (4, 2)
     """Further flights of both, which choose epochs."""
-    test_flights: tuple[int, int] = (12, 12)
+    test_flights: tuple[Number, Number] = (12, 12)
     """Further flights of both, for scoring alone."""
-    flight_s: float = 100.0
-    folds: int = 5
-    particles: int = 100
+    flight_s: Seconds = 100.0
+    folds: Number = 5
+    particles: Number = 100
     """Parameter sets that a filter's tuning tries at once."""
-    iterations: int = 20
+    iterations: Number = 20
     """How often."""
     main: Budget
     """Att-SNN of Table 2 and of everything after it, and its twin in floats."""
@@ -59,19 +63,19 @@ class Settings(Strict):
     fold_rnn: Budget
     study: Budget
     """Each network of the pages on size and on minutes of flight."""
-    rates_hz: tuple[float, ...] = (100.0, 200.0, 500.0, 1000.0)
-    rate_flights: tuple[int, int, int] = (16, 3, 8)
+    rates_hz: tuple[SampleRate, ...] = (100.0, 200.0, 500.0, 1000.0)
+    rate_flights: tuple[Number, Number, Number] = (16, 3, 8)
     """Flights at each rate: training, validation, test."""
     rate: Budget
     """Training on, at each rate."""
-    sizes: tuple[int, ...] = (20, 40, 80, 120, 160, 200)
+    sizes: tuple[Number, ...] = (20, 40, 80, 120, 160, 200)
     """Neurons of both layers together; the last is the whole network."""
-    minutes_flights: tuple[int, ...] = (1, 2, 5, 10, 20, 35)
+    minutes_flights: tuple[Number, ...] = (1, 2, 5, 10, 20, 35)
     """Training flights; the last is all of the Hummingbird's."""
-    latency_rounds: int = 40
+    latency_rounds: Number = 40
     """Turns of a hundred calls."""
-    loop_seeds: int = 8
-    loop_s: float = 100.0
+    loop_seeds: Number = 8
+    loop_s: Seconds = 100.0
     """Length of the closed-loop flights [s]."""
 
 

@@ -7,21 +7,17 @@ on in its folder (trainings from their checkpoints); another fingerprint begins 
 
 from __future__ import annotations
 
-import hashlib
 import json
-import multiprocessing
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from quadsim.dataset import end_with_parent
-from scenarios.jobs import one_thread_each
+from quadsim.runs import code_digest, fingerprint, worker_pool, write_whole
 
 POLL_S = 1.0
 RECORD = "stage.json"
@@ -66,18 +62,20 @@ def fingerprints(stages: Sequence[Stage]) -> dict[str, str]:
     """Of every stage; inputs come before what needs them."""
     found: dict[str, str] = {}
     for stage in stages:
-        content = [
-            stage.name, stage.make.__qualname__, dict(stage.settings), [found[name] for name in stage.inputs],
-            version("quadsim"),
-        ]  # fmt: skip
-        found[stage.name] = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        found[stage.name] = fingerprint(
+            stage.name,
+            stage.make.__qualname__,
+            dict(stage.settings),
+            [found[name] for name in stage.inputs],
+            code_digest(stage.make.__module__, "estimators"),
+        )[:16]
     return found
 
 
 def record_of(folder: Path) -> dict[str, Any]:
     """What a stage's folder says of itself; empty where there is none."""
     try:
-        return json.loads((folder / RECORD).read_text())
+        return json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
         return {}
 
@@ -124,10 +122,8 @@ def run_stages(
             say.done.add(name)
             say(())
     else:
-        with one_thread_each():
-            context = multiprocessing.get_context("spawn")
-            with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
-                _side_by_side(pool, workers, jobs, say)
+        with worker_pool(workers) as pool:
+            _side_by_side(pool, workers, jobs, say)
     return list(jobs)
 
 
@@ -164,7 +160,7 @@ def _share(folder: Path, epochs: int | None) -> float:
     if not epochs:
         return 0.0
     try:
-        return min(1.0, (len((folder / "log.csv").read_text().splitlines()) - 1) / epochs)
+        return min(1.0, (len((folder / "log.csv").read_text(encoding="utf-8").splitlines()) - 1) / epochs)
     except FileNotFoundError:
         return 0.0
 
@@ -184,9 +180,6 @@ def _side_by_side(pool: ProcessPoolExecutor, workers: int, jobs: Mapping[str, tu
         raise ChildProcessError(
             "a worker process died (out of memory, or killed); what is finished is kept: rerun to go on"
         ) from error
-    finally:
-        for future in running:
-            future.cancel()
 
 
 def _startable(
@@ -202,6 +195,4 @@ def _startable(
 
 
 def _write(folder: Path, record: Mapping[str, Any]) -> None:
-    part = folder / f"{RECORD}.part"
-    part.write_text(json.dumps(record))
-    part.replace(folder / RECORD)
+    write_whole(folder / RECORD, json.dumps(record))

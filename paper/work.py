@@ -16,6 +16,7 @@ from quadsim.dataset import generate, open_dataset
 from quadsim.flight import FlightConfig
 from quadsim.recipe import flight_config, load_recipe
 from quadsim.rotation import roll_pitch_from_quat
+from quadsim.runs import write_whole
 from quadsim.trajectory import Hover
 from training.config import make_config
 from training.kfold import Job, run_fold
@@ -31,7 +32,7 @@ Inputs = Mapping[str, Path]
 
 def write_numbers(folder: Path, numbers: Mapping[str, Any]) -> None:
     """Keep what a stage found."""
-    (folder / NUMBERS).write_text(json.dumps(numbers))
+    write_whole(folder / NUMBERS, json.dumps(numbers))
 
 
 def fly(

@@ -2,6 +2,10 @@
 
 from gymnasium.envs.registration import register
 
+from .surroundings import settle
+
+settle()
+
 register(
     id="quadsim/Quadrotor-v0",
     entry_point="quadsim.env:QuadrotorEnv",

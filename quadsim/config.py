@@ -6,12 +6,13 @@ to JSON and back without loss with pydantic's own `model_dump_json` and `model_v
 
 import difflib
 import json
+import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -26,6 +27,9 @@ class Strict(BaseModel):
 
 
 Model = TypeVar("Model", bound=BaseModel)
+TOO_DEEP = "tables or lists are nested too deeply to be read"
+DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
+"""A key of more parts than any file has."""
 
 
 def preset_names(folder: str) -> list[str]:
@@ -46,17 +50,91 @@ def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
     """
     file = _find(source, folder)
     label = str(source) if isinstance(file, Path) else f"{folder}/{source}"
+    text = read_text(file, label) if isinstance(file, Path) else file.read_text(encoding="utf-8")
+    return parse(read_toml(text, label), model, label)
+
+
+def read_toml(text: str, label: str) -> dict[str, Any]:
+    """Tables of a TOML text.
+
+    Args:
+        text: The text.
+        label: What to call it in an error.
+
+    Raises:
+        ValueError: One line: it is not valid TOML, or nested too deeply.
+    """
+    if deep := DEEP_KEY.search(text):  # tomllib takes time and memory with the square of a key's parts
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ValueError(f"{label}: line {line}: {TOO_DEEP}")
     try:
-        data = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{label}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise ValueError(f"{label}: {TOO_DEEP}") from error
+
+
+def located(found: Model, source: str | Path) -> Model:
+    """A model with the relative paths in it taken from the folder of the file that it was loaded from.
+
+    Paths are texts in the fields `vehicle`, `imu` and `external`, unless they are names of presets, and in
+    the field `path` of a part.
+
+    Args:
+        found: What `load_toml` made of it.
+        source: Name of a preset, which has no such paths, or a path.
+    """
+    folder = Path(source).expanduser().parent
+    return found if _is_preset(source) else _located(found, folder)
+
+
+def _located(value: Any, folder: Path) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_located(each, folder) for each in value)
+    if not isinstance(value, BaseModel):
+        return value
+    changes = {}
+    for name in type(value).model_fields:
+        inner = getattr(value, name)
+        if isinstance(inner, str):
+            if name == "path" or (name in ("vehicle", "imu", "external") and not _is_preset(inner)):
+                changes[name] = str(folder / Path(inner).expanduser())
+        elif (moved := _located(inner, folder)) is not inner:
+            changes[name] = moved
+    return value.model_copy(update=changes) if changes else value
+
+
+def _is_preset(source: str | Path) -> bool:
+    """Whether a source is a name, not a path: no Path, no suffix of TOML and no folder."""
+    path = Path(source)
+    return not (isinstance(source, Path) or path.suffix == ".toml" or len(path.parts) > 1)
+
+
+def read_text(path: Path, label: str = "", most_mb: float = 1.0) -> str:
+    """Text of a user's file in UTF-8.
+
+    Args:
+        path: The file.
+        label: What to call it in an error; the path if left out.
+        most_mb: Largest size that makes sense for it [MB].
+
+    Raises:
+        ValueError: One line: it is not a plain file, too large, not text, or cannot be read.
+    """
+    label = label or str(path)
+    try:
+        if path.exists() and not path.is_file():
+            raise ValueError(f"{label}: is not a plain file")
+        if (size := path.stat().st_size) > most_mb * 1e6:
+            raise ValueError(f"{label}: {size / 1e6:.0f} MB; at most {most_mb:g} MB are read")
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{label}: not a text file in UTF-8 ({error.reason} at byte {error.start})"
         ) from error
     except OSError as error:
         raise ValueError(f"{label}: cannot be read: {error.strerror}") from error
-    return parse(data, model, label)
 
 
 def parse(data: dict[str, object], model: type[Model], label: str) -> Model:
@@ -74,6 +152,25 @@ def parse(data: dict[str, object], model: type[Model], label: str) -> Model:
         return model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise ValueError(f"{label}: {describe(error, model)}") from error
+    except RecursionError as error:
+        raise ValueError(f"{label}: {TOO_DEEP}") from error
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Values with some of them changed; of a table, only the keys that a change names.
+
+    Args:
+        base: Values, of which tables are models or mappings.
+        changes: What differs from them.
+    """
+    out = dict(base)
+    for name, value in changes.items():
+        table = out.get(name)
+        table = table.model_dump() if isinstance(table, BaseModel) else table
+        if isinstance(table, Mapping) and isinstance(value, Mapping):
+            value = merged(table, value)
+        out[name] = value
+    return out
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
@@ -102,7 +199,7 @@ def _toml_files(folder: str) -> list[Traversable]:
 def _find(source: str | Path, folder: str) -> Traversable:
     """File of a preset name or of a path."""
     path = Path(source).expanduser()
-    if isinstance(source, Path) or path.suffix == ".toml" or len(path.parts) > 1:
+    if not _is_preset(source):
         if path.is_file():
             return path
         reason = "is a directory, not a TOML file" if path.is_dir() else "no such file"
@@ -122,7 +219,9 @@ def _describe_one(error: ErrorDetails, model: type[BaseModel]) -> str:
     match error["type"]:
         case "extra_forbidden":
             valid = [name for owner in models for name in _field_names(owner)]
-            return f'unknown key "{path}"; {nearest(key, valid)}'
+            inside = [name for owner in models for name in _dotted(owner) if name.endswith(f".{key}")]
+            hint = f'did you mean "{inside[0]}"?' if inside else nearest(key, valid)
+            return f'unknown key "{_shorten(path)[1:-1]}"; {hint}'
         case "missing":
             return f'missing key "{path}"'
         case "union_tag_not_found":
@@ -155,6 +254,16 @@ def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[st
 
 def _field_names(model: type[BaseModel]) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _dotted(model: type[BaseModel]) -> list[str]:
+    """Keys of the tables in a model, as "table.key"."""
+    return [
+        f"{name}.{key}"
+        for name in _field_names(model)
+        for inner in _models_in_field(model, name)
+        for key in _field_names(inner)
+    ]
 
 
 def _models_in_field(model: type[BaseModel], key: str) -> list[type[BaseModel]]:

@@ -1,5 +1,6 @@
 """What long work shows on a terminal, and where it runs."""
 
+import logging
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -71,6 +72,9 @@ def executor_of(cluster: str | None) -> Iterator[Executor | None]:
         from distributed import Client
     except ImportError:
         raise ValueError("--cluster needs Dask: pip install 'quadsim[cluster]'") from None
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.startswith("distributed"):  # a lost cluster is said in one line, by us
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(cluster, timeout="10s")
     except (OSError, ValueError) as error:

@@ -2,16 +2,12 @@
 
 import json
 import logging
-import multiprocessing
 import os
 import shutil
-import signal
-import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
 from contextlib import closing
 from importlib.metadata import version
-from multiprocessing.connection import wait
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +17,9 @@ from numpy.typing import NDArray
 from . import dataset_store
 from .dataset_store import Plan, partial_folder, read_attributes
 from .flight import FlightConfig
+from .ranges import steps_of
 from .rotation import quat_rotate, roll_pitch_from_quat
+from .runs import CLUSTER_LOST, alone, code_digest, give_up, worker_pool
 
 log = logging.getLogger(__name__)
 
@@ -46,10 +44,10 @@ def generate(
 ) -> Path:
     """Simulate flights and write them as a labelled Zarr store.
 
-    The files depend on the configuration, the seed and the version alone, not on the number of workers. An
+    The files depend on the configuration, the seed and the code alone, not on the number of workers. An
     interrupted run goes on where it stopped when it is called again with the same arguments; a finished one
-    returns at once. Worker processes import the caller's main module, so a script calls this under
-    `if __name__ == "__main__":`.
+    returns at once, unless the code has changed since. Worker processes import the caller's main module, so
+    a script calls this under `if __name__ == "__main__":`.
 
     Args:
         config: What is flown.
@@ -69,16 +67,17 @@ def generate(
         The path of the dataset.
 
     Raises:
-        ValueError: A bad argument, or another dataset in the way.
+        ValueError: A bad argument, another dataset in the way, or another process that writes it.
         OSError: The dataset cannot be written, or workers keep dying; what is done is kept.
     """
     plan = _plan(config, flights, duration_s, seed, rate_hz)
     workers = _available_cpus() if workers is None else _at_least("workers", workers, 1)
     out = Path(out).expanduser().absolute()
     try:
-        if _make_way(plan, out, overwrite):
-            _fly_all(plan, partial_folder(out), workers, executor, progress)
-            dataset_store.finish(partial_folder(out), plan, out)
+        with alone(out):
+            if _make_way(plan, out, overwrite):
+                _fly_all(plan, partial_folder(out), workers, executor, progress)
+                dataset_store.finish(partial_folder(out), plan, out)
     except ChildProcessError:
         raise
     except OSError as error:
@@ -98,16 +97,22 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         Variables over (flight, time, axis | quat_axis | rotor) in SI units, and coordinates per flight, of
         which `valid_steps` and `end_reason` tell how it went: samples from `valid_steps` on repeat the last.
 
+    Every number is compared with its checksum the first time, and again when a file has changed since.
+
     Raises:
         FileNotFoundError: There is nothing at the path.
-        ValueError: Not a dataset, unfinished, truncated or from a newer version.
+        ValueError: Not a dataset, unfinished, damaged or from a newer version.
     """
     path = Path(path).expanduser()
-    dataset_store.refuse_truncated(path, read_attributes(path))
-    dataset = xr.open_dataset(path, engine="zarr", chunks=None, consolidated=True)
-    dataset = dataset.set_coords(dataset_store.PER_FLIGHT)
-    strings = [name for name, values in dataset.coords.items() if values.dtype.kind not in "if"]
-    return dataset.assign_coords({name: dataset[name].astype(object) for name in strings})
+    attributes = read_attributes(path)
+    with dataset_store.damage_in_words(path):
+        dataset_store.refuse_truncated(path, attributes)
+        dataset = xr.open_dataset(path, engine="zarr", chunks=None, consolidated=True)
+        dataset = dataset.set_coords(dataset_store.PER_FLIGHT)
+        strings = [name for name, values in dataset.coords.items() if values.dtype.kind not in "if"]
+        dataset = dataset.assign_coords({name: dataset[name].astype(object) for name in strings})
+        dataset_store.refuse_damaged(path, attributes, dataset)
+    return dataset
 
 
 def verify(path: str | Path, progress: Progress | None = None) -> int:
@@ -139,9 +144,18 @@ def dataset_info(path: str | Path) -> dict[str, object]:
     Returns:
         Size, rate, seed and configuration, and how widely it flew: standard deviation of roll and of pitch
         over all samples, largest tilt, body rate and speed.
+
+    Raises:
+        ValueError: Not a dataset, or one without a single valid sample.
     """
     path = Path(path).expanduser()
     dataset = open_dataset(path)
+    samples = int(dataset["valid_steps"].sum())
+    if not samples:
+        raise ValueError(
+            f"{path}: none of {dataset.sizes['flight']} flights has a valid sample; the first: "
+            f"{dataset['end_reason'].to_numpy()[0]}. Is a number of the configuration too large?"
+        )
     tilt, rate, speed, angles = [], [], [], []
     for flight in range(dataset.sizes["flight"]):
         one = dataset.isel(flight=flight, time=slice(int(dataset["valid_steps"][flight])))
@@ -157,7 +171,7 @@ def dataset_info(path: str | Path) -> dict[str, object]:
         "flights_ended_early": int((dataset["end_reason"] != "").sum()),
         "duration_s": dataset.attrs["duration_s"],
         "rate_hz": dataset.attrs["rate_hz"],
-        "samples": int(dataset["valid_steps"].sum()),
+        "samples": samples,
         "roll_sd_deg": float(np.degrees(roll_sd)),
         "pitch_sd_deg": float(np.degrees(pitch_sd)),
         "max_tilt_deg": float(np.degrees(max(tilt))),
@@ -194,16 +208,13 @@ def split_flights(
 
 
 def _plan(config: FlightConfig, flights: int, duration_s: float, seed: int, rate_hz: float) -> Plan:
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise ValueError(f"rate_hz = {rate_hz}: more than 0 is allowed")
-    if not (np.isfinite(duration_s) and round(duration_s * rate_hz) >= 1):
-        raise ValueError(f"duration_s = {duration_s}: at least one sample ({1 / rate_hz:g} s) is allowed")
     return Plan(
         quadsim_version=version("quadsim"),
         seed=_at_least("seed", seed, 0),
         flights=_at_least("flights", flights, 1),
-        steps=round(duration_s * rate_hz),
+        steps=steps_of(duration_s, rate_hz),
         rate_hz=rate_hz,
+        code=code_digest("quadsim.dataset_store"),
         config=config,
     )
 
@@ -249,10 +260,11 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
 def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
     """Name the first setting in which a dataset differs from the plan, if there is one."""
     wanted, found = _flat(plan.model_dump(mode="json")), _flat(other)
-    for key in sorted(wanted.keys() | found.keys()):
+    for key in sorted(wanted.keys() | found.keys(), key=lambda name: (name == "code", name)):
         if wanted.get(key) != found.get(key):
+            differs = f"{key} is {found.get(key)}, not {wanted.get(key)}"
             raise ValueError(
-                f"{what} another dataset ({key} is {found.get(key)}, not {wanted.get(key)}): "
+                f"{what} another dataset ({'it was made by other code' if key == 'code' else differs}): "
                 "choose another --out, or --overwrite it"
             )
 
@@ -316,8 +328,7 @@ def _fly(
         for batch in batches:
             yield dataset_store.fly_batch(plan, folder, batch)
     else:
-        context = multiprocessing.get_context("spawn")  # no threads or locks are inherited half way
-        with ProcessPoolExecutor(min(workers, len(batches)), context, end_with_parent) as pool:
+        with worker_pool(min(workers, len(batches))) as pool:
             yield from _completed(pool, plan, folder, batches)
 
 
@@ -328,19 +339,7 @@ def _completed(
     try:
         for future in as_completed(futures):
             yield future.result()
+    except CancelledError as error:
+        raise ChildProcessError(CLUSTER_LOST) from error
     finally:
-        for future in futures:
-            future.cancel()
-
-
-def end_with_parent() -> None:
-    """Let a worker die with its parent, and quietly at Ctrl-C; half a flight leaves nothing behind."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            wait([parent.sentinel])
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+        give_up(executor, futures)

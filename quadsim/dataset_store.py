@@ -12,18 +12,20 @@ byte for byte however they came to be.
 
 import hashlib
 import json
-import os
 import shutil
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numcodecs.blosc
 import numpy as np
+import xarray as xr
 import zarr
 from numcodecs import Blosc
 from numpy.typing import NDArray
+from platformdirs import user_cache_dir
 from pydantic import BaseModel
 from zarr.codecs import BloscCodec
 from zarr.errors import ZarrUserWarning
@@ -31,6 +33,8 @@ from zarr.errors import ZarrUserWarning
 from .config import Strict
 from .flight import FlightConfig, simulate_flights
 from .imu import ImuSpec
+from .ranges import Between, SampleRate
+from .runs import PART, fingerprint, write_whole
 
 FORMAT: Literal["quadsim flights"] = "quadsim flights"
 FORMAT_VERSION = 1
@@ -69,15 +73,22 @@ LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": [
 PER_FLIGHT = ("valid_steps", "end_reason", "checksum", "stored_bytes")
 
 
+Seed = Annotated[int, Between(0, 2**63 - 1)]
+Flights = Annotated[int, Between(1, 10_000_000)]
+Samples = Annotated[int, Between(1, 1_000_000_000)]
+
+
 class Plan(Strict):
     """All that the numbers of a dataset depend on."""
 
-    format_version: int = FORMAT_VERSION
+    format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
     quadsim_version: str
-    seed: int
-    flights: int
-    steps: int
-    rate_hz: float
+    seed: Seed
+    flights: Flights
+    steps: Samples
+    rate_hz: SampleRate
+    code: str
+    """Digest of the code that simulates."""
     config: FlightConfig
 
 
@@ -86,7 +97,7 @@ class Recorded(Strict):
 
     logs: tuple[str, ...]
     """Names of the logs."""
-    piece_s: float
+    piece_s: Annotated[float, Between(0.0, 1e7, "s")]
     """Length of the pieces that they were cut into [s]."""
     unknown: tuple[str, ...]
     """Variables that no log holds: zeros."""
@@ -97,12 +108,14 @@ class Recorded(Strict):
 class RecordedPlan(Strict):
     """What a dataset of recorded flights says of itself."""
 
-    format_version: int = FORMAT_VERSION
+    format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
     quadsim_version: str
-    seed: int = 0
-    flights: int
-    steps: int
-    rate_hz: float
+    seed: Seed = 0
+    flights: Flights
+    steps: Samples
+    rate_hz: SampleRate
+    code: str = ""
+    """None: the numbers are a sensor's."""
     config: Recorded
 
 
@@ -110,13 +123,15 @@ class Attributes(BaseModel):
     """What a finished dataset says of itself, in the attributes of its Zarr group."""
 
     format: Literal["quadsim flights"] = FORMAT
-    format_version: int = FORMAT_VERSION
+    format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
     quadsim_version: str
-    seed: int
-    flights: int
-    steps: int
-    rate_hz: float
-    duration_s: float
+    seed: Seed
+    flights: Flights
+    steps: Samples
+    rate_hz: SampleRate
+    duration_s: Annotated[float, Between(0.0, 1e7, "s")]
+    code: str = ""
+    """Digest of the code that simulated them; empty in datasets of versions that kept none."""
     config: str
     """The configuration, as JSON."""
 
@@ -158,7 +173,7 @@ def begin(folder: Path, plan: Plan | RecordedPlan) -> None:
             attributes={"units": variable.units, "long_name": variable.long_name},
             config={"write_empty_chunks": True},
         )
-    _write_whole(folder / "plan.json", plan.model_dump_json().encode())
+    write_whole(folder / "plan.json", plan.model_dump_json().encode())
 
 
 def read_plan(folder: Path) -> str | None:
@@ -209,7 +224,7 @@ def finish(folder: Path, plan: Plan | RecordedPlan, out: Path) -> None:
     store = folder / "data"
     records = whole_flights(folder)
     _write_coordinates(store, plan, [records[flight] for flight in range(plan.flights)])
-    for stray in store.glob("*/*.tmp"):  # a chunk that a killed worker left half written
+    for stray in store.glob(f"*/.*{PART}*"):  # a chunk that a killed worker left half written
         stray.unlink()
     if out.exists():
         out.rename(folder / "replaced")
@@ -240,7 +255,7 @@ def read_attributes(path: Path) -> Attributes:
             raise ValueError(f"format {found['format']}")
         if found["format_version"] <= FORMAT_VERSION:
             return Attributes.model_validate(found)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is not a dataset of quadsim; `quadsim generate` makes one") from error
     raise ValueError(
         f"{path} has format version {found['format_version']}, newer than the {FORMAT_VERSION} that this "
@@ -269,22 +284,71 @@ def refuse_truncated(path: Path, attributes: Attributes) -> None:
         ) from error
 
 
+@contextmanager
+def damage_in_words(path: Path) -> Iterator[None]:
+    """Turn whatever a library says of a damaged dataset into one line that names it."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, ValueError | OSError) and str(path) in str(error):
+            raise
+        raise ValueError(
+            f"{path} is damaged: {type(error).__name__}: {error}; copy or generate it again"
+        ) from error
+
+
+def refuse_damaged(path: Path, attributes: Attributes, dataset: xr.Dataset) -> None:
+    """Compare shapes with the attributes, and every number with its checksum if a file has changed.
+
+    Args:
+        path: The dataset.
+        attributes: Its attributes.
+        dataset: The dataset as xarray opened it.
+
+    Raises:
+        ValueError: Something differs, or cannot be read.
+    """
+    for name, variable in VARIABLES.items():
+        shape = (attributes.flights, attributes.steps, len(LABELS[variable.dim]))
+        if name not in dataset or dataset[name].shape != shape or dataset[name].dtype != np.float32:
+            raise ValueError(f"{path} is damaged: {name} is not {shape} numbers of 32 bits")
+    valid = dataset["valid_steps"].to_numpy()
+    if valid.dtype.kind not in "iu" or not ((valid >= 0) & (valid <= attributes.steps)).all():
+        raise ValueError(f"{path} is damaged: valid_steps is not from 0 to {attributes.steps}")
+    if not isinstance(json.loads(attributes.config), dict):
+        raise ValueError(f"{path} is damaged: its configuration is no table")
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    stamps = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+    known = Path(user_cache_dir("quadsim")) / "verified" / fingerprint(str(path.absolute()), stamps)
+    if known.exists():
+        return
+    for flight in range(attributes.flights):
+        if found := fault(path, flight):
+            raise ValueError(
+                f"{path} is damaged: flight {flight}: {found}; quadsim dataset verify lists all; copy or "
+                "generate it again"
+            )
+    with suppress(OSError):  # without a cache it is verified again the next time
+        write_whole(known, "")
+
+
 def fault(path: Path, flight: int) -> str:
     """Read one flight of a dataset and name the first thing wrong with it; empty if all is well."""
-    group = zarr.open_group(path, mode="r", zarr_format=3)
     for name in VARIABLES:
         if not chunk_file(path, name, flight).exists():
             return f"{name} is missing"
-    if stored_bytes(path, flight) != _array(group, "stored_bytes")[flight]:
-        return "a file is cut short"
     try:
+        group = zarr.open_group(path, mode="r", zarr_format=3)
+        if stored_bytes(path, flight) != _array(group, "stored_bytes")[flight]:
+            return "a file is cut short"
         values = {name: np.asarray(_array(group, name)[flight]) for name in VARIABLES}
-    except (RuntimeError, ValueError) as error:
+        kept = str(_array(group, "checksum")[flight])
+    except Exception as error:  # whatever a codec says of what it cannot decode
         return f"it cannot be read: {error}"
     for name, array in values.items():
         if not np.isfinite(array).all():
             return f"{name} is not finite"
-    return "" if checksum(values) == str(_array(group, "checksum")[flight]) else "its checksum differs"
+    return "" if checksum(values) == kept else "its checksum differs"
 
 
 def checksum(values: Mapping[str, NDArray[np.float32]]) -> str:
@@ -318,9 +382,9 @@ def write_flight(
     valid_steps, end_reason = _hold_after_end(values, end_step, end_reason)
     numcodecs.blosc.use_threads = False  # several threads would order the blocks of a chunk by chance
     for name, array in values.items():  # as Zarr would, without its event loop: a tenth of the time
-        _write_whole(chunk_file(folder / "data", name, flight), CODEC.encode(array))
+        write_whole(chunk_file(folder / "data", name, flight), CODEC.encode(array))
     record = Record(valid_steps, end_reason, checksum(values), stored_bytes(folder / "data", flight))
-    _write_whole(folder / "flights" / f"{flight:05d}.json", json.dumps(record._asdict()).encode())
+    write_whole(folder / "flights" / f"{flight:05d}.json", json.dumps(record._asdict()).encode())
 
 
 def _hold_after_end(
@@ -384,13 +448,3 @@ def _write_coordinates(store: Path, plan: Plan | RecordedPlan, records: Sequence
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)  # says that other readers may ignore it
         zarr.consolidate_metadata(group.store)
-
-
-def _write_whole(file: Path, content: bytes) -> None:
-    """Write a file so that it is never seen half written."""
-    draft = file.with_name(f"{file.name}.{os.getpid()}.tmp")
-    try:
-        draft.write_bytes(content)
-        draft.replace(file)
-    finally:
-        draft.unlink(missing_ok=True)  # still there if the disk is full

@@ -2,7 +2,11 @@
 
 import copy
 import time
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from types import FunctionType, MethodType
+from typing import Any, NoReturn, TypeAlias, cast
 
 import gymnasium
 import numpy as np
@@ -32,6 +36,8 @@ ACTION_SCALE: dict[Level, tuple[float, ...]] = {
 }
 """What an action of 1 stands for at each level; rotors: from hover speed to the highest."""
 
+Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
+"""An estimator, or what makes one: see `made_for`."""
 FPS = 50
 """Pictures per second of flight in a window."""
 
@@ -98,7 +104,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     | argument      | default    | meaning                                                                |
     |---------------|------------|------------------------------------------------------------------------|
-    | `estimator`   | None       | an `AttitudeEstimator`, made for `rate_hz`; None for the true attitude |
+    | `estimator`   | None       | whose roll and pitch are flown on; None for the true ones              |
     | `scenario`    | "hover"    | a `Scenario`, the name of a shipped one or the path of a TOML file     |
     | `level`       | "attitude" | where the action enters the controller                                 |
     | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
@@ -108,6 +114,9 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     `gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, ...)` makes the batched twin: sub-environment i
     is, number for number, this environment reset with `seed + i`. It restarts finished episodes in the next
     step.
+
+    `estimator` is a name or weights, as in `estimators.create`, "module:Class", a function of `rate_hz` that
+    makes one, or an `AttitudeEstimator`, which is copied: no two environments share one.
 
     ## Version history
 
@@ -119,7 +128,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     def __init__(
         self,
-        estimator: AttitudeEstimator | None = None,
+        estimator: Made = None,
         scenario: Scenario | str = "hover",
         level: Level = "attitude",
         rate_hz: float = 200.0,
@@ -129,22 +138,31 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         self._flights = Flights(estimator, scenario, level, 1, rate_hz, duration_s, render_mode)
         self.render_mode = render_mode
         self.observation_space, self.action_space = spaces()
+        self._over = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin an episode."""
-        super().reset(seed=seed)
+        super().reset(seed=_whole(seed))
         self._flights.begin([flight_seed(self.np_random)], afresh=seed is not None)
+        self._over = False
         return self._flights.observe()[0][0], {}
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Fly one sample with an action of four numbers."""
+        """Fly one sample with an action of four numbers.
+
+        Raises:
+            ValueError: An action of another shape or that is not finite, or the episode is over.
+        """
         flights = self._flights
-        flights.action[0] = _finite(action).reshape(4)
+        if self._over:
+            raise ValueError("the episode is over; call reset to begin another")
+        flights.action[0] = _finite(action, (4,))
         observation, reward = flights.step()
         mission = flights.mission
         cause, over = mission.cause.item(), mission.k.item() >= mission.steps
+        self._over = cause != FLYING or over
         info = {"cause": CAUSES[cause]} if cause != FLYING else {}
         return observation[0], reward.item(), cause != FLYING, over, info
 
@@ -169,15 +187,13 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     def __init__(
         self,
         num_envs: int = 1,
-        estimator: AttitudeEstimator | None = None,
+        estimator: Made = None,
         scenario: Scenario | str = "hover",
         level: Level = "attitude",
         rate_hz: float = 200.0,
         duration_s: float | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if estimator is not None and num_envs > 1 and not hasattr(estimator, "restart"):
-            estimator = OnePerVehicle(estimator)
         self._flights = Flights(estimator, scenario, level, num_envs, rate_hz, duration_s, render_mode)
         self.num_envs, self.render_mode = num_envs, render_mode
         self.single_observation_space, self.single_action_space = spaces()
@@ -190,7 +206,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin all episodes."""
-        super().reset(seed=seed)
+        super().reset(seed=_whole(seed))
         if seed is not None or not self._random:
             first = int(self.np_random.integers(2**31)) if seed is None else seed
             self._random = [np_random(first + i)[0] for i in range(self.num_envs)]
@@ -205,7 +221,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         flights, mission = self._flights, self._flights.mission
         again = np.flatnonzero(self._done)
         seeds = [flight_seed(self._random[i]) for i in again]
-        flights.action[:] = _finite(actions).reshape(self.num_envs, 4)
+        flights.action[:] = _finite(actions, (self.num_envs, 4))
         observation, reward = flights.step(again, seeds)
         terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
         reward[again] = 0.0
@@ -229,7 +245,7 @@ class Flights:
 
     def __init__(
         self,
-        estimator: AttitudeEstimator | None,
+        estimator: Made,
         scenario: Scenario | str,
         level: Level,
         n: int,
@@ -241,11 +257,12 @@ class Flights:
             raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
         if render_mode not in (None, "rgb_array", "human"):
             raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, human, or None')
-        if isinstance(estimator, str):
-            raise ValueError(f'estimator is a name; give estimators.create("{estimator}", {rate_hz:g})')
         self._live, self._frame = render_mode == "human", max(round(rate_hz / FPS), 1)
         scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
-        self.mission = Mission(scenario, estimator, n, rate_hz, duration_s)
+        made = made_for(estimator, scenario, rate_hz)
+        if made is not None and n > 1 and not hasattr(made, "restart"):
+            made = OnePerVehicle(made)
+        self.mission = Mission(scenario, made, n, rate_hz, duration_s)
         self._level: Level = level
         self._index, self._command = LEVELS.index(level), np.zeros((n, WIDTH[level]))
         self.action = np.zeros((n, 4))
@@ -329,6 +346,47 @@ class Flights:
         time.sleep(max(self._shown_at + 1 / FPS - time.perf_counter(), 0.0))
         self._shown_at = time.perf_counter()
 
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: the arrays are views of the engine's memory, which a copy lacks."""
+        raise TypeError(
+            "an environment in flight cannot be copied or pickled, for its arrays are views of the engine's "
+            "memory; make another one with the same arguments and reset it with the same seed"
+        )
+
+
+def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEstimator | None:
+    """An environment's own estimator.
+
+    Args:
+        estimator: A name, weights or "module:Class", as `estimators.create` takes them, made for the
+            scenario's vehicle and IMU; a function or class that makes one of `rate_hz`; an estimator, which
+            is copied; None for the true attitude.
+        scenario: What is flown.
+        rate_hz: Samples per second.
+
+    Raises:
+        ValueError: No such estimator, or one that cannot be copied.
+    """
+    if estimator is None:
+        return None
+    if isinstance(estimator, str | Path):
+        import estimators
+
+        return estimators.create(str(estimator), rate_hz, vehicle=scenario.vehicle, imu=scenario.imu)
+    if isinstance(estimator, type | FunctionType | MethodType | partial):
+        return estimator(rate_hz)
+    if not hasattr(estimator, "update"):
+        raise ValueError(
+            f"estimator = {estimator!r}: should be a name, an estimator, or a function that makes one"
+        )
+    try:
+        return copy.deepcopy(cast(AttitudeEstimator, estimator))
+    except Exception as error:  # whatever a user's class does
+        raise ValueError(
+            f"{type(estimator).__name__} cannot be copied, and environments do not share an estimator: give "
+            f"a function that makes one, lambda rate_hz: ... ({error})"
+        ) from error
+
 
 class OnePerVehicle:
     """An estimator for n vehicles made of n copies, for one that cannot restart single vehicles."""
@@ -371,11 +429,19 @@ def spaces() -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     )
 
 
-def _finite(action: ArrayLike) -> NDArray[np.float64]:
+def _finite(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     action = np.asarray(action, dtype=np.float64)
-    if np.isnan(action).any():
-        raise ValueError("an action is not a number; has the policy diverged?")
+    if action.shape != shape:
+        raise ValueError(f"an action has shape {action.shape}; it must be {shape}")
+    if not np.isfinite(action).all():
+        raise ValueError("an action is not a finite number; has the policy diverged?")
     return action
+
+
+def _whole(seed: int | None) -> int | None:
+    if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
+        raise ValueError(f"seed = {seed!r}: a whole number from 0 on is allowed")
+    return seed
 
 
 def flight_seed(random: np.random.Generator) -> np.random.SeedSequence:

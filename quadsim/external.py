@@ -10,13 +10,12 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
 
 from .config import Strict, load_toml
+from .ranges import Between, Delay, Speed
 from .seeding import Seed, vehicle_seeds
 
 Array = NDArray[np.float64]
-NonNegative = Annotated[float, Field(ge=0)]
 
 BLOCK = 64
 """Measurements for which noise is drawn at once."""
@@ -26,15 +25,15 @@ _POSITION, _VELOCITY, _YAW, _WIDTH = 0, 3, 6, 7  # columns of a measurement
 class ExternalSpec(Strict):
     """An external sensor; the defaults mean an ideal one: no noise, no delay, a measurement every sample."""
 
-    rate_hz: Annotated[float, Field(gt=0)] | None = None
+    rate_hz: Annotated[float, Between(0.01, 1e5, "Hz")] | None = None
     """Measurements per second; left out, or above the loop's rate, one for every sample."""
-    delay_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    delay_s: Delay = 0.0
     """From the measurement until it can be used [s]; rounded to whole samples of the loop."""
-    position_noise: NonNegative = 0.0
+    position_noise: Annotated[float, Between(0.0, 100.0, "m")] = 0.0
     """Standard deviation on each axis [m]."""
-    velocity_noise: NonNegative = 0.0
+    velocity_noise: Speed = 0.0
     """Standard deviation on each axis [m/s], of what the sensor's own filter makes of its positions."""
-    yaw_noise_deg: NonNegative = 0.0
+    yaw_noise_deg: Annotated[float, Between(0.0, 180.0, "°")] = 0.0
     """Standard deviation [deg]."""
 
 

@@ -13,23 +13,21 @@ from pydantic import Field
 
 from .config import Strict
 from .plant import Plant
+from .ranges import Between, Duration, Force, ForceVector, Frequency, Instant, Mass, RateDeg, Share
 from .rotors import MASS
 from .seeding import Seed, child, vehicle_seeds
 
 Array = NDArray[np.float64]
-Vector: TypeAlias = tuple[float, float, float]
-Time = Annotated[float, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
+BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
 
 
 class GyroBiasStep(Strict):
     """The gyroscope's bias jumps."""
 
     kind: Literal["gyro-bias-step"]
-    bias_deg: Vector
+    bias_deg: tuple[BiasDeg, BiasDeg, BiasDeg]
     """Change of the bias, body axes [deg/s]."""
-    at_s: Time = 5.0
+    at_s: Instant = 5.0
     """When [s]."""
 
 
@@ -37,9 +35,9 @@ class AccelBiasStep(Strict):
     """The accelerometer's bias jumps."""
 
     kind: Literal["accel-bias-step"]
-    bias: Vector
+    bias: ForceVector
     """Change of the bias, body axes [m/s²]."""
-    at_s: Time = 5.0
+    at_s: Instant = 5.0
     """When [s]."""
 
 
@@ -47,13 +45,13 @@ class Vibration(Strict):
     """A vibration of the whole sensor, its phases drawn for each seed; above half the rate it aliases."""
 
     kind: Literal["vibration"]
-    frequency_hz: Positive
+    frequency_hz: Frequency
     """Frequency [Hz]."""
-    accel: Annotated[float, Field(ge=0)] = 0.0
+    accel: Force = 0.0
     """Amplitude on each axis of the accelerometer [m/s²]."""
-    gyro_deg: Annotated[float, Field(ge=0)] = 0.0
+    gyro_deg: RateDeg = 0.0
     """Amplitude on each axis of the gyroscope [deg/s]."""
-    at_s: Time = 0.0
+    at_s: Instant = 0.0
     """From when on [s]."""
 
 
@@ -63,9 +61,9 @@ class Dropout(Strict):
     kind: Literal["dropout"]
     probability: Share
     """Chance that a dropout begins at a sample."""
-    length_s: Time = 0.0
+    length_s: Instant = 0.0
     """Length of a dropout [s]; 0 for single samples."""
-    at_s: Time = 0.0
+    at_s: Instant = 0.0
     """From when on [s]."""
 
 
@@ -73,11 +71,11 @@ class Stuck(Strict):
     """The sensor repeats its last sample for a while."""
 
     kind: Literal["stuck"]
-    at_s: Time = 5.0
+    at_s: Instant = 5.0
     """When [s]."""
-    length_s: Positive = 0.2
+    length_s: Duration = 0.2
     """For how long [s]."""
-    every_s: Positive | None = None
+    every_s: Duration | None = None
     """Again after so long [s]; left out, once."""
 
 
@@ -85,9 +83,9 @@ class Saturation(Strict):
     """The measuring range is smaller than the motion."""
 
     kind: Literal["saturation"]
-    gyro_deg: Positive | None = None
+    gyro_deg: Annotated[float, Between(0.1, 4000.0, "°/s")] | None = None
     """Largest body rate that can be read [deg/s]."""
-    accel: Positive | None = None
+    accel: Annotated[float, Between(0.1, 1000.0, "m/s²")] | None = None
     """Largest specific force that can be read [m/s²]."""
 
 
@@ -95,7 +93,7 @@ class Delay(Strict):
     """Samples arrive late."""
 
     kind: Literal["delay"]
-    delay_s: Time
+    delay_s: Annotated[float, Between(0.0, 1.0, "s")]
     """By how much; rounded to whole samples [s]."""
 
 
@@ -103,9 +101,9 @@ class PayloadDrop(Strict):
     """The vehicle starts with a payload that its controller does not know of, and drops it."""
 
     kind: Literal["payload-drop"]
-    mass: Positive
+    mass: Mass
     """Mass of the payload [kg]."""
-    at_s: Time = 5.0
+    at_s: Instant = 5.0
     """When it falls [s]."""
 
 
@@ -113,11 +111,11 @@ class RotorLoss(Strict):
     """One rotor gives less thrust from some time on: a chipped blade, a tired motor."""
 
     kind: Literal["rotor-loss"]
-    rotor: Annotated[int, Field(ge=0, le=3)] = 0
+    rotor: Annotated[int, Between(0, 3)] = 0
     """Which, in the order of the vehicle's file."""
     effect: Share = 0.7
     """Thrust left, as a share of a healthy rotor's."""
-    at_s: Time = 5.0
+    at_s: Instant = 5.0
     """When [s]."""
 
 
@@ -127,9 +125,9 @@ class LowBattery(Strict):
     kind: Literal["low-battery"]
     effect: Share = 0.7
     """Thrust left at the end, as a share."""
-    at_s: Time = 2.0
+    at_s: Instant = 2.0
     """When it begins to fade [s]."""
-    fade_s: Positive = 10.0
+    fade_s: Duration = 10.0
     """How long that takes [s]."""
 
 

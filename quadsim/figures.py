@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .dataset import open_dataset
 from .rotation import roll_pitch_from_quat
+from .runs import save_figure
 
 Array = NDArray[np.float64]
 
@@ -80,8 +81,7 @@ def plot(path: str | Path, out_png: str | Path) -> Path:
         for axes, quantity in zip(stack, _quantities(shown), strict=True):
             _draw_series(axes, shown["time"].to_numpy(), quantity)
         stack[-1].set_xlabel("time [s]")
-        out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out, dpi=160)
+        save_figure(out, figure, dpi=160)
     return out
 
 

@@ -7,7 +7,7 @@ attitude and records.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,6 +22,7 @@ from .external import ExternalSensor
 from .imu import ImuSpec, ImuStream, simulate_imu_with_bias
 from .imu_kernel import ACCEL, GYRO, measure
 from .plant import Plant, actuate, sense
+from .ranges import Between
 from .rotation import euler_core
 from .seeding import child
 from .trajectory import Mix, Trajectory, reference
@@ -240,8 +241,12 @@ class AttitudeError(Strict):
     First-order Gauss-Markov on each angle. The vehicle then swings as it does on a real estimator.
     """
 
-    sd_deg: float = Field(default=0.0, ge=0, le=15, description="Standard deviation [deg].")
-    time_s: float = Field(default=0.3, gt=0, le=60, description="Correlation time [s].")
+    sd_deg: Annotated[float, Between(0.0, 15.0, "°")] = Field(
+        default=0.0, description="Standard deviation [deg]."
+    )
+    time_s: Annotated[float, Between(1e-3, 60.0, "s")] = Field(
+        default=0.3, description="Correlation time [s]."
+    )
 
     def series(self, n_steps: int, rate_hz: float, seeds: Sequence[np.random.SeedSequence]) -> Array:
         """Errors of roll and pitch of one flight per seed, (n, steps, 2) [rad], stationary from the start."""
@@ -264,10 +269,8 @@ class FlightConfig(Strict):
     attitude_error: AttitudeError = Field(
         default=AttitudeError(), description="What the controller is told wrongly; nothing by default."
     )
-    warmup_s: float = Field(
+    warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
         default=4.0,
-        ge=0,
-        le=60,
         description="Flown before recording, so that flights begin in the midst of motion [s].",
     )
 

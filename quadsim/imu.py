@@ -20,18 +20,19 @@ from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from scipy.special import ndtri
 
 from .config import Strict, load_toml, nearest
 from .imu_kernel import ACCEL, GYRO, NOISES, ROTORS, VEHICLE, low_pass_coefficients, measure
+from .ranges import SAMPLE_RATE, Arm, Between, ForceVector, Rotation, RotorSpeed
 from .rotation import matrix_from_quat, quat_from_euler
 from .seeding import Seed, child, vehicle_seeds
 
 Array = NDArray[np.float64]
-Vector: TypeAlias = tuple[float, float, float]
-Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
-NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+Noise: TypeAlias = Annotated[float, Between(0.0, 1000.0)]
+Spread: TypeAlias = Annotated[float, Between(0.0, 0.5)]
+RatePart: TypeAlias = Annotated[float, Between(-70.0, 70.0, "rad/s")]
 
 BLOCK = 128
 """Samples for which noise is drawn at once."""
@@ -40,25 +41,25 @@ BLOCK = 128
 class Sensor(Strict):
     """Errors of one three-axis sensor in its own unit (rad/s or m/s²); every default means none."""
 
-    noise: NotNegative = 0.0
+    noise: Noise = 0.0
     """White noise density N [unit/√Hz]."""
-    random_walk: NotNegative = 0.0
+    random_walk: Noise = 0.0
     """Bias random walk σ_b [unit/√s]."""
-    time_constant: Positive | None = None
+    time_constant: Annotated[float, Between(1e-3, 1e7, "s")] | None = None
     """Correlation time τ of the bias random walk [s]."""
-    turn_on: NotNegative = 0.0
+    turn_on: Annotated[float, Between(0.0, 50.0)] = 0.0
     """Standard deviation of the bias that is drawn at turn-on and then stays [unit]."""
-    scale_factor: NotNegative = 0.0
+    scale_factor: Spread = 0.0
     """Standard deviation of the relative scale error of each axis."""
-    misalignment: NotNegative = 0.0
+    misalignment: Spread = 0.0
     """Standard deviation of the part of another axis that an axis sees [rad]."""
-    low_pass_hz: NotNegative = 0.0
+    low_pass_hz: Annotated[float, Between(0.0, 1e5, "Hz")] = 0.0
     """Corner (−3 dB) of the Butterworth low-pass [Hz]; 0 for none."""
     low_pass_order: Literal[1, 2] = 2
     """Order of the low-pass."""
-    resolution: NotNegative = 0.0
+    resolution: Annotated[float, Between(0.0, 50.0)] = 0.0
     """Step of the digital output [unit]; 0 for none."""
-    saturation: Positive | None = None
+    saturation: Annotated[float, Between(1e-3, 1e5)] | None = None
     """Largest reading [unit]; left out, there is none."""
 
     @model_validator(mode="after")
@@ -73,11 +74,11 @@ class Sensor(Strict):
 class Vibration(Strict):
     """What the imbalance of each rotor shakes; a property of the airframe more than of the sensor."""
 
-    rotor_vel: Positive
+    rotor_vel: RotorSpeed
     """Rotor speed at which the amplitudes hold [rad/s]; elsewhere they go with its square."""
-    gyro: Vector = (0.0, 0.0, 0.0)
+    gyro: tuple[RatePart, RatePart, RatePart] = (0.0, 0.0, 0.0)
     """Amplitude of each rotor [rad/s]."""
-    accel: Vector = (0.0, 0.0, 0.0)
+    accel: ForceVector = (0.0, 0.0, 0.0)
     """Amplitude of each rotor [m/s²]."""
 
 
@@ -88,15 +89,15 @@ class ImuSpec(Strict):
     """Gyroscope [rad/s]."""
     accel: Sensor = Sensor()
     """Accelerometer [m/s²]."""
-    lever_arm: Vector = (0.0, 0.0, 0.0)
+    lever_arm: Arm = (0.0, 0.0, 0.0)
     """Where the sensor sits, from the centre of mass, in body axes [m]."""
-    mounting_deg: Vector = (0.0, 0.0, 0.0)
+    mounting_deg: Rotation = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the sensor with respect to the body [deg]; readings are in sensor axes."""
-    g_sensitivity: NotNegative = 0.0
+    g_sensitivity: Annotated[float, Between(0.0, 1.0, "rad/s per m/s²")] = 0.0
     """Standard deviation of each element of the gyro's sensitivity to specific force [rad/s per m/s²]."""
     vibration: Vibration | None = None
     """Vibration of the rotors; left out, there is none."""
-    dropped: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    dropped: Annotated[float, Between(0.0, 0.99)] = 0.0
     """Share of the samples that are lost; the reading is then the one before."""
 
     def without(self, *parts: str) -> "ImuSpec":
@@ -166,8 +167,9 @@ class ImuStream:
         Raises:
             ValueError: An argument is out of range.
         """
-        if n < 1 or not (rate_hz > 0.0 and math.isfinite(rate_hz)):
-            raise ValueError(f"n={n}, rate_hz={rate_hz}; need n ≥ 1 and rate_hz > 0")
+        if n < 1:
+            raise ValueError(f"n = {n}: at least one vehicle is allowed")
+        SAMPLE_RATE.of("rate_hz", rate_hz)
         self.spec = spec
         self.rate_hz = rate_hz
         self._seeds = vehicle_seeds(seed, n)

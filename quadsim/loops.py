@@ -25,6 +25,7 @@ from .design import PHASE_MARGIN_DEG, Margins, attitude_loop, blocks, margins, r
 from .figures import STYLE
 from .flight import FlightLoop
 from .rotation import roll_pitch_from_quat
+from .runs import save_figure
 from .vehicle import GRAVITY, Gains, Vehicle
 
 Array = NDArray[np.float64]
@@ -132,10 +133,7 @@ def draw(found: Sequence[Response], rate_hz: float = 200.0, title: str = "") -> 
 
 def save(found: Sequence[Response], path: str | Path, rate_hz: float = 200.0, title: str = "") -> Path:
     """`draw`, as a file; its ending chooses the format."""
-    path = Path(path).expanduser()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draw(found, rate_hz, title).savefig(path, dpi=130)
-    return path
+    return save_figure(Path(path).expanduser(), draw(found, rate_hz, title), dpi=130)
 
 
 def table(found: Sequence[Response]) -> list[dict[str, str]]:

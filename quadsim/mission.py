@@ -17,6 +17,7 @@ from .external import ExternalSensor, ExternalSpec, load_external
 from .faults import VehicleFaults, sensor_faults
 from .flight import FlightLoop
 from .imu import load_imu
+from .ranges import steps_of
 from .rotation import quat_from_euler, quat_from_rotvec, quat_multiply
 from .scenario import Scenario
 from .seeding import child
@@ -63,9 +64,7 @@ class Mission:
     ) -> None:
         self.scenario, self.n, self.rate_hz = scenario, n, rate_hz
         self.vehicle = load_vehicle(scenario.vehicle)
-        self.steps = round((duration_s or scenario.duration_s) * rate_hz)
-        if self.steps < 1:
-            raise ValueError(f"a flight of {duration_s} s has no sample at {rate_hz:g} Hz")
+        self.steps = steps_of(scenario.duration_s if duration_s is None else duration_s, rate_hz)
         self._imu, self._estimator = load_imu(scenario.imu), estimator
         self._external = load_external(scenario.external)
         self._limits = np.array(

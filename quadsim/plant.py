@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from . import rotors
+from .ranges import SAMPLE_RATE
 from .rotation import rotate_inverse_core
 from .vehicle import GRAVITY, Vehicle
 
@@ -43,7 +44,7 @@ def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bo
     """The MuJoCo model of one vehicle as XML."""
     return (
         (resources.files("assets") / "quadrotor.xml")
-        .read_text()
+        .read_text(encoding="utf-8")
         .format(
             name=vehicle.name,
             timestep=repr(timestep),
@@ -144,8 +145,7 @@ class Plant:
     ) -> None:
         if n < 1:
             raise ValueError(f"n is {n}; a plant needs at least one vehicle")
-        if not (math.isfinite(rate_hz) and rate_hz > 0):
-            raise ValueError(f"rate_hz is {rate_hz}; it must be a positive number")
+        SAMPLE_RATE.of("rate_hz", rate_hz)
         integrators = [name.removeprefix("mjINT_") for name in mujoco.mjtIntegrator.__members__]
         if integrator.upper() not in [name.upper() for name in integrators]:
             raise ValueError(

@@ -1,12 +1,14 @@
 """Recipes: what a dataset's flights are made of, as a TOML file of names and numbers."""
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
-from .config import Strict, load_toml
+from .config import Strict, load_toml, located
 from .flight import AttitudeError, FlightConfig
 from .imu import load_imu
+from .ranges import Between
 from .trajectory import Mix, Trajectory
 from .vehicle import Randomisation, load_vehicle
 from .wind import WindSpec
@@ -26,12 +28,14 @@ class Recipe(Strict):
     attitude_error: AttitudeError = Field(
         default=AttitudeError(), description="What the controller is told wrongly."
     )
-    warmup_s: float = Field(default=4.0, ge=0, le=60, description="Flown before recording [s].")
+    warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
+        default=4.0, description="Flown before recording [s]."
+    )
 
 
 def load_recipe(source: str | Path) -> Recipe:
-    """Read a recipe: a shipped name ("hummingbird") or the path of a TOML file."""
-    return load_toml(source, "recipes", Recipe)
+    """Read a recipe: a shipped name ("hummingbird") or a TOML file, from whose folder its paths count."""
+    return located(load_toml(source, "recipes", Recipe), source)
 
 
 def flight_config(recipe: Recipe) -> FlightConfig:

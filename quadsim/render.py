@@ -280,7 +280,7 @@ def film(
 
 def scene_model(vehicle: Vehicle, copies: int, width: int, height: int, samples: int) -> mujoco.MjModel:
     """The scene with quadrotors that can be placed anywhere (mocap bodies); samples: for each pixel."""
-    spec = mujoco.MjSpec.from_string((resources.files("assets") / "scene.xml").read_text())
+    spec = mujoco.MjSpec.from_string((resources.files("assets") / "scene.xml").read_text(encoding="utf-8"))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.quality.offsamples = samples
     for index in range(copies):

@@ -3,31 +3,29 @@
 A scenario is a TOML file that stands alone; `load_scenario` takes the name of a shipped one or a path.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import ValidationError
 
-from .config import Strict, load_toml, preset_names
+from .config import Strict, describe, load_toml, located, preset_names
 from .faults import Fault
+from .ranges import Between, Coordinate, Distance, Position, RateDeg, Speed
 from .trajectory import Hover, Trajectory
 from .wind import WindSpec
-
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Start(Strict):
     """How a flight begins: at its first set-point, unless displaced or tilted."""
 
-    offset: Vector = (0.0, 0.0, 0.0)
+    offset: Position = (0.0, 0.0, 0.0)
     """Displacement from the first set-point, world axes [m]."""
-    speed: NonNegative = 0.0
+    speed: Speed = 0.0
     """Horizontal speed on top of the set-point's, in a direction drawn for each seed [m/s]."""
-    tilt_deg: Annotated[float, Field(ge=0, le=90)] = 0.0
+    tilt_deg: Annotated[float, Between(0.0, 90.0, "°")] = 0.0
     """Tilt, about a horizontal axis drawn for each seed [deg]."""
-    rate_deg: NonNegative = 0.0
+    rate_deg: RateDeg = 0.0
     """Size of the body rate, about a horizontal axis drawn for each seed [deg/s]."""
     known_attitude: bool = False
     """Whether the estimator is told its attitude; otherwise it starts level."""
@@ -36,11 +34,11 @@ class Start(Strict):
 class Crash(Strict):
     """A flight has crashed at the first instant at which any of these holds; what follows is not counted."""
 
-    tilt_deg: Annotated[float, Field(gt=0, le=180)] = 75.0
+    tilt_deg: Annotated[float, Between(1.0, 180.0, "°")] = 75.0
     """Tilt beyond which a flight counts as lost: the controller asks for 60° at most [deg]."""
-    altitude: float = 0.0
+    altitude: Coordinate = 0.0
     """Height of the centre of mass below which the ground is hit, world z [m]."""
-    distance: Positive = 10.0
+    distance: Distance = 10.0
     """Distance from the set-point beyond which the vehicle has flown away [m]."""
 
 
@@ -49,7 +47,7 @@ class Scenario(Strict):
 
     description: str
     """What it asks of an estimator, in a sentence; shown in reports."""
-    duration_s: Annotated[float, Field(gt=0, le=3600)] = 20.0
+    duration_s: Annotated[float, Between(1e-3, 3600.0, "s")] = 20.0
     """Length of a flight [s]."""
     vehicle: str = "hummingbird"
     """A shipped vehicle, or the path of a TOML file."""
@@ -74,10 +72,24 @@ class Scenario(Strict):
 def load_scenario(source: str | Path) -> Scenario:
     """Read a scenario: a shipped name ("hover") or the path of a TOML file.
 
+    Relative paths in a file are from its folder.
+
     Raises:
         ValueError: One line with the file, the key, its value and what is allowed.
     """
-    return load_toml(source, "scenarios", Scenario)
+    return located(load_toml(source, "scenarios", Scenario), source)
+
+
+def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """A scenario with some of its fields changed, and checked.
+
+    Raises:
+        ValueError: A value that the field cannot have.
+    """
+    try:
+        return Scenario.model_validate(scenario.model_dump() | dict(changes))
+    except ValidationError as error:
+        raise ValueError(describe(error, Scenario)) from error
 
 
 def scenario_names() -> list[str]:

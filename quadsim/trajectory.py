@@ -13,66 +13,73 @@ from typing import Annotated, Literal
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field
+from pydantic import Field, model_validator
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
-from .config import Strict
+from .config import Strict, read_text
+from .ranges import (
+    COORDINATE,
+    Between,
+    Distance,
+    Duration,
+    Heading,
+    Instant,
+    PeakTilt,
+    Position,
+    Rising,
+    Share,
+)
 from .vehicle import GRAVITY
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
 COLUMNS = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "yaw", "yaw_rate")
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-TiltDeg = Annotated[float, Field(gt=0, le=55)]
-
-
-def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
-    if ends[0] > ends[1]:
-        raise ValueError("should be the least and then the largest")
-    return ends
-
-
-Range = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
+Manoeuvre = Annotated[float, Between(0.05, 3600.0, "s")]
+ManoeuvreRange = Annotated[tuple[Manoeuvre, Manoeuvre], Rising]
+LEAST_PEAK_DEG = 25.0
+MOST_POINTS = 10_000
+Multiple = Annotated[int, Between(-100, 100)]
 
 
 class Hover(Strict):
     """Stay at one place."""
 
     kind: Literal["hover"] = "hover"
-    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Where [m].")
-    yaw_deg: float = Field(default=0.0, description="Heading [deg].")
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Where [m].")
+    yaw_deg: Heading = Field(default=0.0, description="Heading [deg].")
 
 
 class Step(Strict):
     """Hover, then jump: the set-point moves at once, there and back."""
 
     kind: Literal["step"] = "step"
-    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
-    offset: Vector = Field(default=(2.0, 0.0, 0.0), description="Size of the jump [m].")
-    yaw_deg: float = Field(default=0.0, description="Jump of the heading [deg].")
-    at_s: float = Field(default=2.0, ge=0, description="Time of the first jump [s].")
-    hold_s: Positive = Field(default=6.0, description="Time until the next jump, back or there again [s].")
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
+    offset: Position = Field(default=(2.0, 0.0, 0.0), description="Size of the jump [m].")
+    yaw_deg: Heading = Field(default=0.0, description="Jump of the heading [deg].")
+    at_s: Instant = Field(default=2.0, description="Time of the first jump [s].")
+    hold_s: Duration = Field(default=6.0, description="Time until the next jump, back or there again [s].")
 
 
 class Move(Strict):
     """From one place to another and to stay there, rest to rest with minimum snap: take-off and landing."""
 
     kind: Literal["move"] = "move"
-    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
-    offset: Vector = Field(default=(0.0, 0.0, 1.0), description="How far [m].")
-    at_s: float = Field(default=2.0, ge=0, description="When it begins [s].")
-    length_s: Positive = Field(default=4.0, description="How long it takes [s].")
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
+    offset: Position = Field(default=(0.0, 0.0, 1.0), description="How far [m].")
+    at_s: Instant = Field(default=2.0, description="When it begins [s].")
+    length_s: Manoeuvre = Field(default=4.0, description="How long it takes [s].")
 
 
 class Lissajous(Strict):
     """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. It grows over one period."""
 
     kind: Literal["lissajous"] = "lissajous"
-    position: Vector = Field(default=(0.0, 0.0, 2.0), description="Centre [m].")
-    amplitude: Vector = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
-    ratio: tuple[int, int, int] = Field(default=(1, 2, 1), description="Frequencies over the basic one.")
-    period_s: Positive = Field(default=6.0, description="Period of the basic frequency [s].")
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Centre [m].")
+    amplitude: Position = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
+    ratio: tuple[Multiple, Multiple, Multiple] = Field(
+        default=(1, 2, 1), description="Frequencies over the basic one."
+    )
+    period_s: Manoeuvre = Field(default=6.0, description="Period of the basic frequency [s].")
     yaw_along: bool = Field(default=False, description="Turn the nose into the direction of flight.")
 
 
@@ -84,13 +91,23 @@ class Waypoints(Strict):
     """
 
     kind: Literal["waypoints"] = "waypoints"
-    points: tuple[Vector, ...] = Field(
+    points: tuple[Position, ...] = Field(
         default=(), description="Waypoints [m]; none draws random ones for each flight."
     )
-    random_points: int = Field(default=8, ge=2, le=100, description="How many to draw.")
-    box: Vector = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
-    position: Vector = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
-    speed: Positive = Field(default=2.5, description="Mean speed along straight legs [m/s].")
+    random_points: Annotated[int, Between(2, 100)] = Field(default=8, description="How many to draw.")
+    box: Position = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
+    position: Position = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
+    speed: Annotated[float, Between(0.01, 100.0, "m/s")] = Field(
+        default=2.5, description="Mean speed along straight legs [m/s]."
+    )
+
+    @model_validator(mode="after")
+    def _leads_somewhere(self) -> "Waypoints":
+        if len(self.points) == 1 or len(self.points) > MOST_POINTS:
+            raise ValueError(
+                f"points: {len(self.points)} given; 2 to {MOST_POINTS} make a path, none draws random ones"
+            )
+        return self
 
 
 class Mix(Strict):
@@ -101,36 +118,56 @@ class Mix(Strict):
     """
 
     kind: Literal["mix"] = "mix"
-    position: Vector = Field(
+    position: Position = Field(
         default=(0.0, 0.0, 20.0), description="Start and centre of the flown volume [m]."
     )
-    max_tilt_deg: TiltDeg = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
-    min_tilt_deg: float = Field(default=25.0, ge=0, description="Smallest peak tilt of a dash [deg].")
-    dash_s: Range = Field(default=(1.0, 2.6), description="Range of the length of a dash [s].")
-    circle_share: float = Field(
-        default=0.25, ge=0, le=1, description="Share of circles among the manoeuvres."
+    max_tilt_deg: PeakTilt = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
+    min_tilt_deg: Annotated[float, Between(0.0, 55.0, "°")] = Field(
+        default_factory=lambda given: min(LEAST_PEAK_DEG, given.get("max_tilt_deg", LEAST_PEAK_DEG)),
+        description="Smallest peak tilt of a dash [deg]; 25, or the largest where that is less.",
     )
-    circle_s: Range = Field(default=(1.6, 3.5), description="Range of the period of a circle [s].")
-    eight_share: float = Field(default=0.0, ge=0, le=1, description="Share of figures of eight.")
-    eight_s: Range = Field(default=(3.0, 8.0), description="Range of the time of a lap of them [s].")
-    jump_share: float = Field(default=0.0, ge=0, le=1, description="Share of jumps of the set-point.")
-    jump_m: Range = Field(default=(0.5, 2.5), description="Range of their size [m].")
-    pause_share: float = Field(default=0.1, ge=0, le=1, description="Share of hovering pauses.")
-    pause_s: Range = Field(default=(0.2, 1.5), description="Range of their length [s].")
-    max_yaw_rate: float = Field(default=1.5, ge=0, description="Largest yaw rate of a turn [rad/s].")
-    radius: Positive = Field(
+    dash_s: ManoeuvreRange = Field(default=(1.0, 2.6), description="Range of the length of a dash [s].")
+    circle_share: Share = Field(default=0.25, description="Share of circles among the manoeuvres.")
+    circle_s: ManoeuvreRange = Field(default=(1.6, 3.5), description="Range of the period of a circle [s].")
+    eight_share: Share = Field(default=0.0, description="Share of figures of eight.")
+    eight_s: ManoeuvreRange = Field(default=(3.0, 8.0), description="Range of the time of a lap of them [s].")
+    jump_share: Share = Field(default=0.0, description="Share of jumps of the set-point.")
+    jump_m: Annotated[tuple[Distance, Distance], Rising] = Field(
+        default=(0.5, 2.5), description="Range of their size [m]."
+    )
+    pause_share: Share = Field(default=0.1, description="Share of hovering pauses.")
+    pause_s: ManoeuvreRange = Field(default=(0.2, 1.5), description="Range of their length [s].")
+    max_yaw_rate: Annotated[float, Between(0.0, 70.0, "rad/s")] = Field(
+        default=1.5, description="Largest yaw rate of a turn [rad/s]."
+    )
+    radius: Distance = Field(
         default=15.0, description="Beyond this distance from the centre, dashes lead back [m]."
     )
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Mix":
+        if self.min_tilt_deg > self.max_tilt_deg:
+            raise ValueError(
+                f"min_tilt_deg = {self.min_tilt_deg:g} is above max_tilt_deg = {self.max_tilt_deg:g}; "
+                "peaks are drawn between them"
+            )
+        total = self.circle_share + self.eight_share + self.jump_share + self.pause_share
+        if total > 1.0 + 1e-9:
+            raise ValueError(
+                f"circle_share + eight_share + jump_share + pause_share = {total:g}; shares of "
+                "manoeuvres add up to 1 at most, and dashes are the rest"
+            )
+        return self
 
 
 class Doublets(Strict):
     """Tilt one way, then the other, on roll and pitch in turn: the identification manoeuvre."""
 
     kind: Literal["doublets"] = "doublets"
-    position: Vector = Field(default=(0.0, 0.0, 5.0), description="Start [m].")
-    tilt_deg: TiltDeg = Field(default=30.0, description="Peak tilt [deg].")
-    swing_s: Positive = Field(default=1.2, description="Length of one doublet [s].")
-    pause_s: float = Field(default=1.0, ge=0, description="Hover between doublets [s].")
+    position: Position = Field(default=(0.0, 0.0, 5.0), description="Start [m].")
+    tilt_deg: PeakTilt = Field(default=30.0, description="Peak tilt [deg].")
+    swing_s: Manoeuvre = Field(default=1.2, description="Length of one doublet [s].")
+    pause_s: Instant = Field(default=1.0, description="Hover between doublets [s].")
 
 
 class SetPointFile(Strict):
@@ -203,7 +240,7 @@ def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, tim
     return out
 
 
-def _still(position: Vector, yaw: float, time: Array) -> Array:
+def _still(position: Position, yaw: float, time: Array) -> Array:
     out = np.zeros((time.size, len(COLUMNS)))
     out[:, :3], out[:, 9] = position, yaw
     return out
@@ -257,10 +294,9 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> Array:
 
 def _from_file(path: Path, time: Array) -> Array:
     try:
-        with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot read the set-points: {error.strerror}") from None
+        rows = list(csv.DictReader(read_text(path, most_mb=100.0).splitlines()))
+    except csv.Error as error:
+        raise ValueError(f"{path}: cannot read the set-points: {error}") from None
     try:
         table = np.array([[float(row[name]) for name in ("t", "x", "y", "z")] for row in rows])
         yaw = np.array([float(row.get("yaw") or 0.0) for row in rows])
@@ -270,6 +306,8 @@ def _from_file(path: Path, time: Array) -> Array:
         ) from None
     if len(table) < 2 or not np.all(np.isfinite(table)) or np.any(np.diff(table[:, 0]) <= 0):
         raise ValueError(f"{path}: set-points need two rows or more, finite, with rising t")
+    for name, values in zip("xyz", table[:, 1:].T, strict=True):
+        COORDINATE.of(f"{path}: {name}", values[np.argmax(np.abs(values))])
     at = np.clip(time, table[0, 0], table[-1, 0])
     curve = CubicSpline(table[:, 0], np.column_stack([table[:, 1:], np.unwrap(yaw)]), bc_type="clamped")
     value, slope, bend = (curve(at, nu) for nu in range(3))

@@ -7,60 +7,67 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from .config import Strict, load_toml
+from .ranges import Arm, Between, Mass, RotorSpeed, Size
 
 GRAVITY = 9.81  # m/s², along −z of the world
 AIR_DENSITY = 1.225  # kg/m³, ISA sea level
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Inertia = Annotated[float, Between(1e-9, 1000.0, "kg m²")]
+Area = Annotated[float, Between(0.0, 10.0, "m²")]
+Lag = Annotated[float, Between(1e-4, 1.0, "s")]
+Gain = Annotated[float, Between(1e-3, 1000.0, "1/s")]
+IntegralGain = Annotated[float, Between(0.0, 1e4, "1/s²")]
+GYRATION_M = 1e-3, 5.0
+"""Radii of gyration that a vehicle can have [m]."""
 
 
 class Rotor(Strict):
     """One rotor: where it sits and which way it turns."""
 
-    position: tuple[Finite, Finite, Finite] = Field(
-        description="Hub w.r.t. the centre of mass, body axes [m]."
-    )
+    position: Arm = Field(description="Hub w.r.t. the centre of mass, body axes [m].")
     spin: Literal["cw", "ccw"] = Field(description="Sense of rotation seen from above.")
 
 
 class Motor(Strict):
     """Constants shared by all rotors."""
 
-    k_f: Positive = Field(description="Thrust constant, thrust = k_f ω² [N s²].")
-    k_m: Positive = Field(description="Yaw torque per thrust [m].")
-    omega_max: Positive = Field(description="Highest rotor speed [rad/s].")
-    tau_up: Positive = Field(description="Time constant of the first-order lag when spinning up [s].")
-    tau_down: Positive = Field(description="The same when spinning down [s].")
-    rotor_drag: NonNegative = Field(description="H-force constant c of −c |ω| V⊥ [N s²/m].")
-    rolling_moment: NonNegative = Field(description="Rolling-moment constant of −c_r |ω| V⊥ [N s²].")
+    k_f: Annotated[float, Between(1e-12, 1.0, "N s²")] = Field(
+        description="Thrust constant, thrust = k_f ω² [N s²]."
+    )
+    k_m: Annotated[float, Between(1e-6, 10.0, "m")] = Field(description="Yaw torque per thrust [m].")
+    omega_max: RotorSpeed = Field(description="Highest rotor speed [rad/s].")
+    tau_up: Lag = Field(description="Time constant of the first-order lag when spinning up [s].")
+    tau_down: Lag = Field(description="The same when spinning down [s].")
+    rotor_drag: Annotated[float, Between(0.0, 1.0, "N s²/m")] = Field(
+        description="H-force constant c of −c |ω| V⊥ [N s²/m]."
+    )
+    rolling_moment: Annotated[float, Between(0.0, 1.0, "N s²")] = Field(
+        description="Rolling-moment constant of −c_r |ω| V⊥ [N s²]."
+    )
 
 
 class Frame(Strict):
     """The airframe: drag and outline."""
 
-    drag_area: tuple[NonNegative, NonNegative, NonNegative] = Field(
+    drag_area: tuple[Area, Area, Area] = Field(
         description="C_d A per body axis of the quadratic drag −½ ρ C_d A |v| v [m²]."
     )
-    size: tuple[Positive, Positive, Positive] = Field(
-        description="Half extents of the box that touches ground [m]."
-    )
-    prop_radius: Positive = Field(description="Propeller radius, for pictures [m].")
+    size: tuple[Size, Size, Size] = Field(description="Half extents of the box that touches ground [m].")
+    prop_radius: Size = Field(description="Propeller radius, for pictures [m].")
 
 
 class Gains(Strict):
     """Gains of the cascaded controller, made by `quadsim design` from phase margins."""
 
-    rate: Positive = Field(description="Roll and pitch rate error to angular acceleration [1/s].")
-    rate_integral: NonNegative = Field(description="Its integral action [1/s²].")
-    yaw_rate: Positive = Field(description="Yaw rate error to angular acceleration [1/s].")
-    yaw_rate_integral: NonNegative = Field(description="Its integral action [1/s²].")
-    attitude: Positive = Field(description="Tilt error to roll and pitch rate [1/s].")
-    yaw: Positive = Field(description="Yaw error to yaw rate [1/s].")
-    velocity: Positive = Field(description="Velocity error to acceleration [1/s].")
-    velocity_integral: NonNegative = Field(description="Its integral action [1/s²].")
-    position: Positive = Field(description="Position error to velocity [1/s].")
+    rate: Gain = Field(description="Roll and pitch rate error to angular acceleration [1/s].")
+    rate_integral: IntegralGain = Field(description="Its integral action [1/s²].")
+    yaw_rate: Gain = Field(description="Yaw rate error to angular acceleration [1/s].")
+    yaw_rate_integral: IntegralGain = Field(description="Its integral action [1/s²].")
+    attitude: Gain = Field(description="Tilt error to roll and pitch rate [1/s].")
+    yaw: Gain = Field(description="Yaw error to yaw rate [1/s].")
+    velocity: Gain = Field(description="Velocity error to acceleration [1/s].")
+    velocity_integral: IntegralGain = Field(description="Its integral action [1/s²].")
+    position: Gain = Field(description="Position error to velocity [1/s].")
 
 
 class Vehicle(Strict):
@@ -68,8 +75,8 @@ class Vehicle(Strict):
 
     name: str = Field(description="Name shown in reports.")
     source: str = Field(description="Where the numbers come from.")
-    mass: Positive = Field(description="Mass [kg].")
-    inertia: tuple[Positive, Positive, Positive] = Field(description="Principal moments of inertia [kg m²].")
+    mass: Mass = Field(description="Mass [kg].")
+    inertia: tuple[Inertia, Inertia, Inertia] = Field(description="Principal moments of inertia [kg m²].")
     rotors: tuple[Rotor, Rotor, Rotor, Rotor] = Field(description="The four rotors.")
     motor: Motor
     frame: Frame
@@ -82,6 +89,12 @@ class Vehicle(Strict):
         if self.thrust_to_weight <= 1.1:
             raise ValueError(
                 f"thrust-to-weight is {self.thrust_to_weight:.2f}; a vehicle needs more than 1.1 to fly"
+            )
+        radii = np.sqrt(np.array(self.inertia) / self.mass)
+        if radii.min() < GYRATION_M[0] or radii.max() > GYRATION_M[1]:
+            raise ValueError(
+                f"inertia {self.inertia} kg m² is that of {self.mass:g} kg at {radii.min():.2g} to "
+                f"{radii.max():.2g} m from the axes; {GYRATION_M[0]:g} to {GYRATION_M[1]:g} m make sense"
             )
         a, b, c = sorted(self.inertia)
         if a + b < c * (1 - 1e-9):

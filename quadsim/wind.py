@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.special import gammainc
 
-from .config import Strict
+from .config import Strict, read_text
+from .ranges import SAMPLE_RATE, WIND, Between, Duration, Heading, Instant, Speed, Wind
 from .seeding import Seed, child, vehicle_seeds
 
 Array = NDArray[np.float64]
-Vector: TypeAlias = tuple[float, float, float]
 
 FOOT = 0.3048
 LOW_ALTITUDE = (10.0 * FOOT, 1000.0 * FOOT)
@@ -33,7 +33,7 @@ class Constant(Strict):
     """Wind that does not change."""
 
     kind: Literal["constant"] = "constant"
-    velocity: Vector
+    velocity: Wind
     """Velocity of the air in world axes [m/s]."""
 
 
@@ -41,13 +41,13 @@ class Gust(Strict):
     """A 1−cosine gust (MIL-F-8785C 3.7.3): up, hold, and down again as it came."""
 
     kind: Literal["gust"] = "gust"
-    velocity: Vector
+    velocity: Wind
     """Velocity of the air at the peak, in world axes [m/s]."""
-    start: Annotated[float, Field(ge=0.0)] = 0.0
+    start: Instant = 0.0
     """When it begins [s]."""
-    rise: Annotated[float, Field(gt=0.0)]
+    rise: Duration
     """Time from nothing to the peak [s]: the gust length d_m over the airspeed."""
-    hold: Annotated[float, Field(ge=0.0)] | None = None
+    hold: Instant | None = None
     """Time at the peak [s]; left out, the gust stays, as in the specification."""
 
 
@@ -55,13 +55,13 @@ class Dryden(Strict):
     """Dryden turbulence at low altitude (MIL-F-8785C), with zero mean."""
 
     kind: Literal["dryden"] = "dryden"
-    airspeed: Annotated[float, Field(ge=0.0)]
+    airspeed: Speed
     """Speed of the vehicle through the air [m/s]; in hover, the mean wind speed. At least 1 m/s is used."""
-    altitude: Annotated[float, Field(ge=0.0)]
+    altitude: Annotated[float, Between(0.0, 2e4, "m")]
     """Height above ground [m]; 3.05 m to 304.8 m are used."""
-    wind_20ft: Annotated[float, Field(ge=0.0)]
+    wind_20ft: Speed
     """Wind speed at 20 ft [m/s], the strength: 7.7 light, 15.4 moderate, 23.2 severe."""
-    heading_deg: float = 0.0
+    heading_deg: Heading = 0.0
     """Direction of flight through the air, counter-clockwise from world x [deg]."""
 
 
@@ -310,17 +310,19 @@ def read_recording(path: str | Path) -> tuple[Array, Array]:
         ValueError: The file or one of its rows is not as described; the line is named.
     """
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
-            rows = [(line, row) for line, row in enumerate(csv.reader(file), start=1) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise ValueError(f"{path}: cannot be read: {reason}") from error
+        text = read_text(Path(path), most_mb=100.0)
+        rows = [(line, row) for line, row in enumerate(csv.reader(text.splitlines()), start=1) if row]
+    except csv.Error as error:
+        raise ValueError(f"{path}: cannot be read: {error}") from error
     header = [name.strip() for name in rows[0][1]] if rows else []
     if header != ["t", "x", "y", "z"]:
         raise ValueError(f'{path}: the first line is "{",".join(header)}"; it must be "t,x,y,z"')
     table = np.array([_numbers(path, line, row) for line, row in rows[1:]]).reshape(-1, 4)
     if len(table) < 2:
         raise ValueError(f"{path}: {len(table)} rows of wind; at least 2 are needed")
+    strongest = int(np.argmax(np.abs(table[:, 1:]).max(axis=1)))
+    for speed in table[strongest, 1:]:
+        WIND.of(f"{path}, line {rows[strongest + 1][0]}: wind", speed)
     late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
     if late.size:
         line = rows[int(late[0]) + 2][0]
@@ -359,8 +361,9 @@ def _function_of_time(spec: Constant | Gust | Recording) -> Callable[[Array], Ar
 
 
 def _check_grid(n: int, steps: int, rate_hz: float) -> None:
-    if n < 1 or steps < 0 or not (rate_hz > 0.0 and np.isfinite(rate_hz)):
-        raise ValueError(f"n={n}, steps={steps}, rate_hz={rate_hz}; need n ≥ 1, steps ≥ 0 and rate_hz > 0")
+    if n < 1 or steps < 0:
+        raise ValueError(f"n={n}, steps={steps}; need n ≥ 1 and steps ≥ 0")
+    SAMPLE_RATE.of("rate_hz", rate_hz)
 
 
 def _per_vehicle(name: str, value: ArrayLike, n: int, lowest: float = 0.0) -> Array:

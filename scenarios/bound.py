@@ -3,6 +3,7 @@
 import numpy as np
 
 from quadsim.imu import ImuSpec
+from quadsim.ranges import steps_of
 from quadsim.scenario import Scenario
 from quadsim.vehicle import GRAVITY, Vehicle
 from quadsim.wind import Dryden, dryden_scales
@@ -41,8 +42,7 @@ def least_error(
     Raises:
         ValueError: A duration of no sample, or a speed known to less than nothing.
     """
-    if not (np.isfinite(duration_s) and round(duration_s * rate_hz) >= 1):
-        raise ValueError(f"duration_s: {duration_s:g} s at {rate_hz:g} Hz, should be a sample at least")
+    steps = steps_of(duration_s, rate_hz)
     if not speed_sd > 0:
         raise ValueError(f"speed_sd: {speed_sd:g} m/s, should be above 0, or inf where nothing is known")
     step, drag = 1 / rate_hz, 1 / vehicle.drag_time_constant
@@ -61,7 +61,7 @@ def least_error(
     added = step * np.diag(np.square(walks))
     spread = np.diag(np.square([0.0, 0.0, imu.gyro.turn_on, imu.accel.turn_on, STEADY_WIND, sigma]))
     readings = [(np.array([-drag, 0.0, 0.0, 1.0, drag, drag]), imu.accel.noise), (np.eye(6)[0], speed_sd)]
-    total, steps = 0.0, round(duration_s * rate_hz)
+    total = 0.0
     for _ in range(steps):
         spread = move @ spread @ move.T + added
         for row, noise in readings:

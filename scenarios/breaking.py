@@ -4,8 +4,6 @@ A level of disturbance counts as flown if none of the flights crashes; the break
 at which one does, to within a tolerance, if more is worse.
 """
 
-import hashlib
-import json
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -16,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from quadsim.faults import Dropout, GyroBiasStep
-from quadsim.scenario import Scenario, load_scenario
+from quadsim.runs import fingerprint, read_json, write_json
+from quadsim.scenario import Scenario, changed, load_scenario
 from quadsim.wind import Constant
 
-from .cell import file_name, fly_cell, weights_digest
+from .cell import digest_if_there, file_name, fly_cell, weights_digest
 from .jobs import spread
 
 log = logging.getLogger(__name__)
@@ -121,7 +120,10 @@ def breaking_points(
     code: str,
     seed: int = 0,
     rate_hz: float = 200.0,
+    vehicle: str | None = None,
+    imu: str | None = None,
     external: str | None = None,
+    tuning: str | None = None,
     duration_s: float | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
@@ -137,6 +139,9 @@ def breaking_points(
         code: Digest of the code, so that points of other code are not taken for these.
         seed: Seed of everything random.
         rate_hz: Samples per second.
+        vehicle: Another vehicle, as in `runner.bench`.
+        imu: Another IMU.
+        tuning: Tuned parameters in place of the shipped ones.
         external: External sensor instead of the scenarios' own.
         duration_s: Length of the flights, instead of the scenarios' [s].
         workers: Processes, as in `spread`.
@@ -148,13 +153,19 @@ def breaking_points(
         OSError: If the results cannot be written.
     """
     disturbances = chosen(disturbances, duration_s)
-    changes = {"external": external, "duration_s": duration_s}
+    changes = {"vehicle": vehicle, "imu": imu, "external": external, "duration_s": duration_s}
     changes = {key: value for key, value in changes.items() if value is not None}
-    jobs = [(d, e, seeds, seed, rate_hz, changes) for d in disturbances for e in names]
+    jobs = [(d, e, seeds, seed, rate_hz, changes, tuning) for d in disturbances for e in names]
     folder = Path(out).expanduser() / "breaking"
     folder.mkdir(parents=True, exist_ok=True)
     prints = [
-        hashlib.sha256(json.dumps([job, code, weights_digest(job[1])]).encode()).hexdigest() for job in jobs
+        fingerprint(
+            job,
+            code,
+            weights_digest(job[1]),
+            [digest_if_there(each) for each in (vehicle, imu, external, tuning) if each],
+        )
+        for job in jobs
     ]
     files = [folder / f"{disturbance}--{file_name(name)}.json" for disturbance, name, *_ in jobs]
     found: dict[int, Breaking] = {}
@@ -172,9 +183,7 @@ def breaking_points(
         if point.reason:
             log.warning("%s under %s did not run: %s", point.estimator, point.disturbance, point.reason)
         else:
-            partial = files[i].with_suffix(".partial")
-            partial.write_text(json.dumps({"fingerprint": prints[i], "point": asdict(point)}))
-            partial.replace(files[i])
+            write_json(files[i], {"fingerprint": prints[i], "point": asdict(point)})
         found[i] = point
         if progress:
             progress(len(found), len(jobs))
@@ -182,16 +191,22 @@ def breaking_points(
 
 
 def break_point(
-    disturbance: str, estimator: str, seeds: int, seed: int, rate_hz: float, changes: dict[str, object]
+    disturbance: str,
+    estimator: str,
+    seeds: int,
+    seed: int,
+    rate_hz: float,
+    changes: dict[str, object],
+    tuning: str | None = None,
 ) -> Breaking:
     """Find one breaking point; an estimator that fails is one with its reason."""
     kind = DISTURBANCES[disturbance]
-    base = load_scenario(kind.scenario).model_copy(update=changes)
+    base = changed(load_scenario(kind.scenario), changes)
     causes: dict[float, str] = {}
     reasons: list[str] = []
 
     def crashes(level: float) -> bool:
-        cell = fly_cell(disturbance, kind.change(base, level), estimator, seeds, seed, rate_hz, "")
+        cell = fly_cell(disturbance, kind.change(base, level), estimator, seeds, seed, rate_hz, "", tuning)
         if cell.reason:
             reasons.append(cell.reason)
             return True
@@ -237,7 +252,7 @@ def load_points(out: str | Path) -> list[Breaking]:
 
 def _load(file: Path, fingerprint: str | None = None) -> Breaking | None:
     try:
-        content = json.loads(file.read_text())
+        content = read_json(file)
         point = Breaking(**content["point"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

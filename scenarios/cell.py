@@ -1,9 +1,7 @@
 """One cell of the benchmark: a scenario flown on an estimator with many seeds, and the file it is kept in."""
 
 import base64
-import hashlib
-import json
-import os
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypedDict
@@ -13,7 +11,9 @@ from numpy.typing import NDArray
 
 import estimators
 from estimators.protocol import is_weights
+from estimators.tuned import load_tuning
 from quadsim.mission import CAUSES, Mission
+from quadsim.runs import content_digest, read_json, write_json
 from quadsim.scenario import Scenario
 from quadsim.seeding import vehicle_seeds
 
@@ -65,28 +65,24 @@ class Cell:
 
     def save(self, path: Path) -> None:
         """Write the cell, whole or not at all."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-        partial.write_text(json.dumps(asdict(self), allow_nan=False))
-        partial.replace(path)
+        write_json(path, asdict(self))
 
 
-def file_name(estimator: str) -> str:
-    """An estimator's name as a part of a file's: of weights, their own name and a digest."""
-    if not is_weights(estimator):
-        return estimator
-    return f"{Path(estimator).stem}-{hashlib.sha256(estimator.encode()).hexdigest()[:8]}"
+def file_name(name: str) -> str:
+    """A name as a part of a file's: of what is a path, or no plain name, its stem and a digest."""
+    plain = re.sub(r"[^\w.-]", "-", Path(name).stem)
+    return name if re.fullmatch(r"[\w-]+", name) else f"{plain}-{content_digest(name)[:8]}"
 
 
 def weights_digest(estimator: str) -> str:
     """Digest of the weights that an estimator's name is the path of; none of other names."""
-    return file_digest(estimator) if is_weights(estimator) else ""
+    return digest_if_there(estimator) if is_weights(estimator) else ""
 
 
-def file_digest(path: str) -> str:
+def digest_if_there(path: str) -> str:
     """Digest of a file that a cell reads; none where it cannot be read, of which the cell will tell."""
     try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        return content_digest(Path(path).read_bytes())
     except OSError:
         return ""
 
@@ -94,23 +90,45 @@ def file_digest(path: str) -> str:
 def load_cell(path: Path) -> Cell | None:
     """A cell from its file; None where there is no whole one."""
     try:
-        return Cell(**json.loads(path.read_text()))
+        return Cell(**read_json(path))
     except (OSError, ValueError, TypeError):
         return None
 
 
 def fly_cell(
-    name: str, scenario: Scenario, estimator: str, seeds: int, seed: int, rate_hz: float, fingerprint: str
+    name: str,
+    scenario: Scenario,
+    estimator: str,
+    seeds: int,
+    seed: int,
+    rate_hz: float,
+    fingerprint: str,
+    tuning: str | None = None,
 ) -> Cell:
     """Fly a scenario with seeds 0 … seeds − 1 of `seed`, all at once; a failure is a cell with its reason."""
     try:
-        made = estimators.create(estimator, rate_hz, vehicle=scenario.vehicle)
+        made = estimators.create(
+            estimator,
+            rate_hz,
+            tuning=tuning_of(estimator, tuning),
+            vehicle=scenario.vehicle,
+            imu=scenario.imu,
+        )
         mission = Mission(scenario, made, seeds, rate_hz)
         log, end = fly(mission, seed)
         return make_cell(name, estimator, fingerprint, mission, log, end)
     except Exception as error:  # whatever an estimator does, the other cells go on
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
         return Cell(name, estimator, fingerprint, f"{kind}{error}", [], [], None)
+
+
+def tuning_of(estimator: str, tuning: str | None) -> str | None:
+    """The tuning that holds for an estimator: the file that was given, where it has a table for it.
+
+    Raises:
+        ValueError: The file cannot be read.
+    """
+    return tuning if tuning is not None and estimator in load_tuning(tuning) else None
 
 
 def make_cell(

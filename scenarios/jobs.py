@@ -1,13 +1,11 @@
 """Work spread over processes, or over any other executor."""
 
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
 from typing import TypeVar
 
-from quadsim.dataset import end_with_parent
+from quadsim.runs import CLUSTER_LOST, give_up, worker_pool
 
 Result = TypeVar("Result")
 
@@ -47,12 +45,11 @@ def _in_processes(
     Jobs begin in order, so that this is one of the first that are unfinished: they run again, in a pool each,
     and all others in a new one.
     """
-    context = multiprocessing.get_context("spawn")
     groups = [(workers, list(range(len(jobs))))]
     while groups:
         size, group = groups.pop(0)
         unfinished: list[int] = []
-        with one_thread_each(), ProcessPoolExecutor(size, context, end_with_parent) as pool:
+        with worker_pool(size) as pool:
             for at, result in _submit(pool, function, [jobs[i] for i in group]):
                 if isinstance(result, BrokenExecutor) and len(group) > 1:
                     unfinished.append(group[at])
@@ -72,20 +69,7 @@ def _submit(
         for future in as_completed(pending):
             error = future.exception()
             yield pending[future], future.result() if error is None else error
+    except CancelledError as error:
+        raise ChildProcessError(CLUSTER_LOST) from error
     finally:
-        for future in pending:
-            future.cancel()
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes started inside use one thread for linear algebra: they share the cores among themselves."""
-    before = os.environ.get("OMP_NUM_THREADS")
-    os.environ["OMP_NUM_THREADS"] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["OMP_NUM_THREADS"]
-        else:
-            os.environ["OMP_NUM_THREADS"] = before
+        give_up(executor, pending)

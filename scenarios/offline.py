@@ -7,8 +7,8 @@ import numpy as np
 
 import estimators
 from estimators.evaluate import silenced_twin
-from estimators.flights import vehicle_of
-from estimators.metrics import attitude_error, inclination_rmse
+from estimators.flights import imu_of, vehicle_of
+from estimators.metrics import attitude_error, inclination_rmse, share_without_number
 from quadsim.dataset import open_dataset
 from quadsim.rotation import roll_pitch_from_quat
 
@@ -27,7 +27,8 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
     Returns:
         One row per estimator and start: estimator, start, median_deg, mean_deg, sd_deg over flights of the
         mean absolute error of roll and pitch, inclination_rmse_deg; of a network silenced_deg, the mean with
-        output weights of zero. An estimator that fails has its reason in `note`.
+        output weights of zero. without_number is the share of estimates that are no finite number, each of
+        which counts as 180°. An estimator that fails has its reason in `note`.
     """
     data = open_dataset(dataset)
     rate_hz = float(data.attrs["rate_hz"])
@@ -42,13 +43,14 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
         for start, roll_pitch in starts.items():
             row: Row = {"estimator": name, "start": start}
             try:
-                estimator = estimators.create(name, rate_hz, vehicle=vehicle_of(data))
+                estimator = estimators.create(name, rate_hz, vehicle=vehicle_of(data), imu=imu_of(data))
                 estimate = estimators.run(estimator, gyro, accel, roll_pitch=roll_pitch, quat=quat)
             except (ValueError, OSError) as error:
                 rows.append(row | {"note": str(error)})
                 continue
             error = attitude_error(estimate, counted)
             row |= {"median_deg": error.median, "mean_deg": error.mean, "sd_deg": error.sd}
+            row |= {"without_number": share_without_number(estimate, counted)}
             silent = None if twin is None else attitude_error(estimators.run(twin, gyro, accel), counted).mean
             rows.append(
                 row

@@ -11,7 +11,9 @@ from estimators.recorded import KNOWN, RAW, default_names, draw_log, score_logs
 from estimators.weights_file import load_network
 from quadsim.console import output, progress_bar
 from quadsim.estimator import AttitudeEstimator
-from quadsim.logs import read_log
+from quadsim.imu import ImuSpec
+from quadsim.logs import read_log_and_report
+from quadsim.runs import save_figure
 from quadsim.vehicle import Vehicle
 
 
@@ -21,6 +23,7 @@ def made_of(
     rate_hz: float,
     tuning: str | None,
     vehicle: str | Path | Vehicle | None = None,
+    imu: str | Path | ImuSpec | None = None,
 ) -> dict[str, AttitudeEstimator]:
     """Estimators by name, and networks by the paths of their weights.
 
@@ -28,7 +31,7 @@ def made_of(
         ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle without
             one.
     """
-    made = {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle) for name in names}
+    made = {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle, imu=imu) for name in names}
     for path in weights:
         if path in made:
             raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
@@ -45,16 +48,28 @@ def evaluate_logs(
     tuning: str | None,
     vehicle: str | None,
     out: Path,
+    force: bool = False,
 ) -> None:
-    """Score estimators on logs: `quadsim evaluate --logs`."""
-    logs = [read_log(path, axes=axes) for path in paths]
+    """Score estimators on logs: `quadsim evaluate --logs`.
+
+    Raises:
+        ValueError: What a log holds cannot be right, and it is not to be scored by force.
+    """
+    read = {path: read_log_and_report(path, axes=axes) for path in paths}
+    faults = [f"{path}: {fault}" for path, (_, report) in read.items() for fault in report.faults]
+    if faults and not force:
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        raise ValueError(f"{faults[0]}{more}; --force scores it all the same")
+    for fault in faults:
+        output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
+    logs = [log for log, _ in read.values()]
     rate = float(logs[0].attrs["rate_hz"])
     made = made_of(estimators or default_names(vehicle is not None), weights, rate, tuning, vehicle)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
     scores.write_csv(out / "logs.csv")
     for log in scores.truth:
-        draw_log(scores, log).savefig(out / f"{log}.png", dpi=110)
+        save_figure(out / f"{log}.png", draw_log(scores, log), dpi=110)
     headings = ("estimator", "raw, °", "silenced, °", "bias removed, °")
     table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°")
     for name in scores.estimators:
@@ -66,6 +81,13 @@ def evaluate_logs(
             f"{scores.mean(name, KNOWN):.2f}",
         )
     output.print(table)
+    for row in scores.rows:
+        if row.without_number > 0.0 and row.bias == RAW:
+            output.print(
+                f"{row.log}: {100.0 * row.without_number:.1f} % of the estimates of {row.estimator} are "
+                "no number; each counts as 180°",
+                soft_wrap=True,
+            )
     for log, bias in scores.gyro_bias.items():
         found = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
         seconds = scores.counted[log].sum() / rate

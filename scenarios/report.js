@@ -4,6 +4,16 @@ const $ = (id) => document.getElementById(id);
 const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 const RAD = Math.PI / 180;
 
+/* Names are the user's: they enter the page as text nodes and attributes, never as markup. */
+function node(tag, attributes = {}, ...children) {
+  const made = SVG.has(tag) ? document.createElementNS(document.querySelector("svg").namespaceURI, tag) : document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+const SVG = new Set(["svg", "g", "line", "text", "title", "circle", "polygon"]);
+const dotOf = (name) => { const dot = node("i", { class: "dot" }); dot.style.setProperty("--colour", colour[name]); return dot; };
+
 /* One colour per estimator, the same in every chart; after Paul Tol's and Okabe & Ito's colour-blind safe sets. */
 const PALETTE = ["#8a8f98", "#0072b2", "#56b4e9", "#e69f00", "#009e73", "#7b5cd6", "#b294e8", "#cc79a7", "#a6761d", "#c9a27a", "#12aebd", "#7f9f2f", "#ff8a75", "#d62728"];
 const DASHES = [[], [7, 3], [2, 2]]; // the palette a second and a third time over
@@ -58,10 +68,8 @@ function closedLoop() {
   for (const name of data.estimators) {
     const chip = document.createElement("button");
     chip.type = "button";
-    chip.innerHTML = `<i class="dot"></i>`;
-    chip.append(name);
+    chip.append(dotOf(name), name);
     chip.style.setProperty("--colour", colour[name]);
-    chip.firstChild.style.setProperty("--colour", colour[name]);
     chip.onclick = () => { state.shown.has(name) ? state.shown.delete(name) : state.shown.add(name); redraw(); };
     chip.dataset.estimator = name;
     $("chips").append(chip);
@@ -233,7 +241,10 @@ function zoomable(canvas) {
     const t = time(x), rows = frame.lines.map((l) => [l.name, l.main[Math.round(t / l.dt)]]).filter(([, v]) => v !== undefined);
     const box = $("readout");
     box.hidden = t < frame.t0 || t > frame.t1;
-    box.innerHTML = `<b>${t.toFixed(2)} s</b>` + rows.map(([n, v]) => `<div><span><i class="dot" style="--colour:${colour[n]}"></i>${n}</span><span>${v.toFixed(2)}</span></div>`).join("");
+    box.replaceChildren(
+      node("b", {}, `${t.toFixed(2)} s`),
+      ...rows.map(([n, v]) => node("div", {}, node("span", {}, dotOf(n), n), node("span", {}, v.toFixed(2)))),
+    );
     box.style.left = (x > frame.width / 2 ? x - box.offsetWidth - 12 : x + 12) + "px"; box.style.top = "14px";
   };
   canvas.onpointerup = (event) => {
@@ -257,22 +268,26 @@ function drawViolins() {
   }).filter(([, , n]) => n > 0);
   const [left, width, tall] = [165, 900, 46], bottom = 26, height = rows.length * tall + bottom;
   const X = (decade) => left + ((decade - low) / (high - low)) * (width - left - 20);
-  let svg = `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="Distribution of errors by estimator">`;
-  for (const v of [0.01, 0.1, 1, 10, 100]) {
-    const x = X(Math.log10(v));
-    svg += `<line class="grid" x1="${x}" x2="${x}" y1="0" y2="${height - bottom}"/><text class="axis" x="${x}" y="${height - 8}" text-anchor="middle">${v}°</text>`;
-  }
+  const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Distribution of errors by estimator" });
+  for (const v of [0.01, 0.1, 1, 10, 100]) svg.append(...mark(X(Math.log10(v)), height, bottom, `${v}°`));
   rows.forEach(([name, counts, n], i) => {
     const smooth = blur(counts), peak = Math.max(...smooth), middle = (i + 0.5) * tall, step = (high - low) / bins;
     const edge = (sign) => [...smooth].map((c, k) => `${X(low + (k + 0.5) * step).toFixed(1)},${(middle + sign * (c / peak) * tall * 0.42).toFixed(1)}`);
     const at = (p) => { let sum = 0; for (let k = 0; k < bins; k++) { if (sum + counts[k] >= p * n) return X(low + (k + (p * n - sum) / counts[k]) * step); sum += counts[k]; } return X(high); };
     const median = at(0.5);
-    svg += `<g><title>${name}</title><text x="${left - 12}" y="${middle + 4}" text-anchor="end">${name}</text>`
-      + `<polygon points="${[...edge(-1), ...edge(1).reverse()].join(" ")}" fill="${colour[name]}" fill-opacity=".35" stroke="${colour[name]}"/>`
-      + `<line x1="${at(0.25)}" x2="${at(0.75)}" y1="${middle}" y2="${middle}" stroke="${colour[name]}" stroke-width="5" stroke-linecap="round"/>`
-      + `<line x1="${median}" x2="${median}" y1="${middle - 11}" y2="${middle + 11}" stroke="${css("--ink")}" stroke-width="2"/></g>`;
+    svg.append(node("g", {}, ...label(name, left - 12, middle + 4),
+      node("polygon", { points: [...edge(-1), ...edge(1).reverse()].join(" "), fill: colour[name], "fill-opacity": 0.35, stroke: colour[name] }),
+      node("line", { x1: at(0.25), x2: at(0.75), y1: middle, y2: middle, stroke: colour[name], "stroke-width": 5, "stroke-linecap": "round" }),
+      node("line", { x1: median, x2: median, y1: middle - 11, y2: middle + 11, stroke: css("--ink"), "stroke-width": 2 })));
   });
-  $("violins").innerHTML = svg + "</svg>";
+  $("violins").replaceChildren(svg);
+}
+function mark(x, height, bottom, text) {
+  return [node("line", { class: "grid", x1: x, x2: x, y1: 0, y2: height - bottom }),
+    node("text", { class: "axis", x, y: height - 8, "text-anchor": "middle" }, text)];
+}
+function label(name, x, y) {
+  return [node("title", {}, name), node("text", { x, y, "text-anchor": "end" }, name)];
 }
 
 /* ---- paired differences ---- */
@@ -286,22 +301,23 @@ function drawForest() {
   const pad = 0.05 * (to - from || 1); from -= pad; to += pad;
   const [left, right, width, tall] = [165, 235, 900, 26], bottom = 26, height = rows.length * tall + bottom;
   const X = (v) => left + ((v - from) / (to - from)) * (width - left - right);
-  let svg = `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="Paired differences from ${base}">`;
+  const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Paired differences from ${base}` });
   const [marks, digits] = ticks(from, to, 6);
-  for (const v of marks) svg += `<line class="grid" x1="${X(v)}" x2="${X(v)}" y1="0" y2="${height - bottom}"/><text class="axis" x="${X(v)}" y="${height - 8}" text-anchor="middle">${v > 0 ? "+" : ""}${v.toFixed(digits)} ${unit}</text>`;
-  svg += `<line x1="${X(0)}" x2="${X(0)}" y1="0" y2="${height - bottom}" stroke="${css("--ink")}" stroke-width="1.5"/>`;
+  for (const v of marks) svg.append(...mark(X(v), height, bottom, `${v > 0 ? "+" : ""}${v.toFixed(digits)} ${unit}`));
+  svg.append(node("line", { x1: X(0), x2: X(0), y1: 0, y2: height - bottom, stroke: css("--ink"), "stroke-width": 1.5 }));
   rows.forEach(([name, mean, low, high, n, only, other], i) => {
     const y = (i + 0.5) * tall;
-    svg += `<g><title>${name}</title><text x="${left - 12}" y="${y + 4}" text-anchor="end">${name}</text>`;
+    const row = node("g", {}, ...label(name, left - 12, y + 4));
     if (mean !== null) {
-      if (low !== null) svg += `<line x1="${X(low)}" x2="${X(high)}" y1="${y}" y2="${y}" stroke="${colour[name]}" stroke-width="3" stroke-linecap="round"/>`;
-      svg += `<circle cx="${X(mean)}" cy="${y}" r="5" fill="${colour[name]}"/>`;
+      if (low !== null) row.append(node("line", { x1: X(low), x2: X(high), y1: y, y2: y, stroke: colour[name], "stroke-width": 3, "stroke-linecap": "round" }));
+      row.append(node("circle", { cx: X(mean), cy: y, r: 5, fill: colour[name] }));
     }
     const text = mean === null ? "no flight that both flew" : `${mean > 0 ? "+" : ""}${mean.toFixed(2)}` + (low === null ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)})`);
     const crashes = only || other ? `, ✕ ${only} : ${other}` : "";
-    svg += `<text class="value" x="${width - right + 14}" y="${y + 4}">${text}${crashes}</text></g>`;
+    row.append(node("text", { class: "value", x: width - right + 14, y: y + 4 }, text + crashes));
+    svg.append(row);
   });
-  $("forest").innerHTML = svg + "</svg>";
+  $("forest").replaceChildren(svg);
 }
 function blur(counts) {
   const kernel = [1, 4, 7, 4, 1];

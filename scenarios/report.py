@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.runs import write_whole
 from quadsim.vehicle import load_vehicle
 
 from .breaking import DISTURBANCES, Breaking
@@ -65,6 +66,7 @@ def write_report(
     context = {
         "title": title,
         "verdict": verdict(rows, focus, pairs) if rows else offline_verdict(offline),
+        "warnings": results.warnings if results else [],
         "rows": rows,
         "metrics": METRICS if rows else (),
         "scenarios": _scenarios(results),
@@ -86,10 +88,7 @@ def write_report(
         "footer": footer or _footer(results),
         "payload": _payload(results, offline, focus, pairs),
     }
-    path = Path(path).expanduser()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(_environment().get_template("report.html").render(context), encoding="utf-8")
-    return path
+    return write_whole(Path(path).expanduser(), _environment().get_template("report.html").render(context))
 
 
 def _jpeg(image: NDArray[np.uint8]) -> str:

@@ -1,24 +1,24 @@
 """The closed-loop benchmark: scenarios × estimators × seeds, resumable, the same on any number of workers."""
 
-import csv
-import hashlib
 import json
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from importlib.metadata import version
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
 
 import estimators
+from estimators.protocol import tuning_misfit
+from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.imu import load_imu
-from quadsim.scenario import Scenario, load_scenario
+from quadsim.runs import ROOT, code_digest, file_digest, fingerprint, read_json, write_csv, write_json
+from quadsim.scenario import Scenario, changed, load_scenario
 from quadsim.vehicle import load_vehicle
 
-from .cell import Cell, Row, file_digest, file_name, fly_cell, load_cell, weights_digest
+from .cell import Cell, Row, digest_if_there, file_name, fly_cell, load_cell, tuning_of, weights_digest
 from .jobs import spread
 
 log = logging.getLogger(__name__)
@@ -35,6 +35,8 @@ class Settings:
     seeds: int
     seed: int
     rate_hz: float
+    tuning: str | None = None
+    """Tuned parameters, in place of the shipped ones."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,20 @@ class Results:
         return [cell.row for cell in self.cells]
 
     @property
+    def warnings(self) -> list[str]:
+        """What to know of parameters that were tuned for something else than was flown."""
+        s, found = self.settings, dict[str, dict[str, None]]()
+        for scenario in s.scenarios.values():
+            for name in s.estimators:
+                if other := tuning_misfit(name, tuning_of(name, s.tuning), scenario.vehicle, scenario.imu):
+                    flown = f"{Path(scenario.vehicle).stem} with {Path(scenario.imu).stem}"
+                    found.setdefault(f"for {other}, not for the {flown} that flew", {})[name] = None
+        return [
+            f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of that vehicle, then --tuning FILE."
+            for text, who in found.items()
+        ]
+
+    @property
     def flights(self) -> list[Row]:
         """One row per flight."""
         return [flight for cell in self.cells for flight in cell.flights]
@@ -63,7 +79,10 @@ def bench(
     *,
     seed: int = 0,
     duration_s: float | None = None,
+    vehicle: str | None = None,
+    imu: str | None = None,
     external: str | None = None,
+    tuning: str | None = None,
     rate_hz: float = 200.0,
     workers: int | None = None,
     executor: Executor | None = None,
@@ -83,6 +102,11 @@ def bench(
         out: Folder for the results.
         seed: Seed of everything random; flight i has its i-th child.
         duration_s: Length of the flights, instead of each scenario's own [s].
+        vehicle: Another vehicle for all scenarios: a shipped name or a TOML file; shipped parameters of
+            filters are those tuned for it, where there are such, and ekf-drag has its drag.
+        imu: Another IMU for all scenarios, likewise.
+        tuning: Tuned parameters in place of the shipped ones: a shipped domain or a file of `quadsim tune`;
+            estimators that it has no table of keep theirs.
         external: External sensor instead of each scenario's own, for example "ideal".
         rate_hz: Samples per second.
         workers: Processes, by default one for each CPU; 1 stays in this process.
@@ -94,10 +118,12 @@ def bench(
         ValueError: For a bad argument or scenario file.
         OSError: If the results cannot be written.
     """
-    settings = _settings(scenarios, names, seeds, seed, duration_s, external, rate_hz)
+    changes = {"duration_s": duration_s, "vehicle": vehicle, "imu": imu, "external": external}
+    changes = {key: value for key, value in changes.items() if value is not None}
+    settings = _settings(scenarios, names, seeds, seed, changes, tuning, rate_hz)
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
-    code = code_digest()
+    code = suite_digest()
     wanted = [(s, e) for s in settings.scenarios for e in settings.estimators]
     prints = {pair: _fingerprint(settings, *pair, code) for pair in wanted}
     found = {pair: load_cell(cell_path(out, *pair)) for pair in wanted}
@@ -128,7 +154,7 @@ def load_results(out: str | Path) -> Results:
     """
     out = Path(out).expanduser()
     try:
-        index = json.loads((out / "bench.json").read_text())
+        index = read_json(out / "bench.json")
         settings = Settings(**(index["settings"] | {"scenarios": _parse(index["settings"]["scenarios"])}))
         failed = {(f["scenario"], f["estimator"]): Cell(**f) for f in index["failed"]}
         fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
@@ -154,53 +180,34 @@ def cell_path(out: Path, scenario: str, estimator: str) -> Path:
     return out / "cells" / f"{scenario}--{file_name(estimator)}.json"
 
 
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows under the union of their keys; numbers in full."""
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns, restval="")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def code_digest() -> str:
-    """Digest of the code and data that numbers come from: change these, and cells are flown anew."""
-    digest = hashlib.sha256(f"{version('numpy')} {version('mujoco')} {version('numba')}".encode())
-    for package in ("quadsim", "estimators", "assets"):
-        for name, item in sorted(_files(files(package))):
-            digest.update(f"{package}/{name}".encode() + item.read_bytes())
-    for name in ("cell.py", "metrics.py"):
-        digest.update((files("scenarios") / name).read_bytes())
-    return digest.hexdigest()
-
-
-def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, Traversable]]:
-    for item in folder.iterdir():
-        if item.is_dir() and item.name != "__pycache__":
-            yield from _files(item, f"{prefix}{item.name}/")
-        elif item.is_file() and not item.name.startswith("."):
-            yield prefix + item.name, item
+def suite_digest() -> str:
+    """Digest of the code and data that a cell's numbers come from: change these, and cells are flown anew."""
+    files = [path for path in (ROOT / "assets").rglob("*.*") if "__pycache__" not in path.parts]
+    assets = {path.relative_to(ROOT).as_posix(): file_digest(path) for path in files}
+    return fingerprint(code_digest("scenarios.cell", "estimators"), assets)
 
 
 def _settings(
-    scenarios: Sequence[str | Path], names: Sequence[str], seeds: int, seed: int, duration_s: float | None,
-    external: str | None, rate_hz: float,
-) -> Settings:  # fmt: skip
+    scenarios: Sequence[str | Path],
+    names: Sequence[str],
+    seeds: int,
+    seed: int,
+    changes: Mapping[str, Any],
+    tuning: str | None,
+    rate_hz: float,
+) -> Settings:
     loaded: dict[str, Scenario] = {}
     for source in scenarios:
         scenario, name = load_scenario(source), Path(source).name.removesuffix(".toml")
-        if duration_s is not None:
-            if not 0 < duration_s <= 3600:
-                raise ValueError(f"duration is {duration_s} s; it must be above 0 and at most 3600")
-            scenario = scenario.model_copy(update={"duration_s": duration_s})
-        if external is not None:
-            scenario = scenario.model_copy(update={"external": external})
+        scenario = changed(scenario, changes)
         if name in loaded:
             raise ValueError(f'two scenarios are called "{name}"; give one of the files another name')
         load_vehicle(scenario.vehicle)  # a mistake in these is the user's, not a cell's
         load_imu(scenario.imu)
         load_external(scenario.external)
         loaded[name] = scenario
+    if tuning is not None and not set(names) & set(load_tuning(tuning)):
+        raise ValueError(f"{tuning}: it has no table of {', '.join(names)}")
     for name in names:
         if name not in estimators.names():
             estimators.create(name, rate_hz)  # says which names there are, or what is wrong with the weights
@@ -208,7 +215,7 @@ def _settings(
         raise ValueError(f"nothing to fly: give at least one {'estimator' if loaded else 'scenario'}")
     if seeds < 1:
         raise ValueError(f"seeds is {seeds}; at least one flight is needed")
-    return Settings(loaded, list(dict.fromkeys(names)), seeds, seed, rate_hz)
+    return Settings(loaded, list(dict.fromkeys(names)), seeds, seed, rate_hz, tuning)
 
 
 def _fingerprint(settings: Settings, name: str, estimator: str, code: str) -> str:
@@ -219,12 +226,17 @@ def _fingerprint(settings: Settings, name: str, estimator: str, code: str) -> st
         "imu": load_imu(scenario.imu).model_dump(mode="json"),
         "external": load_external(scenario.external).model_dump(mode="json"),
         "files": [
-            file_digest(part.path) for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"
+            digest_if_there(part.path)
+            for part in (scenario.trajectory, *scenario.wind)
+            if part.kind == "file"
         ],
         "weights": weights_digest(estimator),
+        "tuning": tuning and load_tuning(tuning)[estimator].model_dump()
+        if (tuning := tuning_of(estimator, settings.tuning))
+        else None,
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return fingerprint(content)
 
 
 def _fly_all(
@@ -235,7 +247,16 @@ def _fly_all(
     executor: Executor | None,
 ) -> Iterator[Cell]:
     jobs = [
-        (s, settings.scenarios[s], e, settings.seeds, settings.seed, settings.rate_hz, prints[s, e])
+        (
+            s,
+            settings.scenarios[s],
+            e,
+            settings.seeds,
+            settings.seed,
+            settings.rate_hz,
+            prints[s, e],
+            settings.tuning,
+        )
         for s, e in missing
     ]
     for i, cell in spread(fly_cell, jobs, workers, executor):
@@ -255,12 +276,11 @@ def _save_index(out: Path, results: Results) -> None:
     settings = {
         "scenarios": {name: each.model_dump(mode="json") for name, each in s.scenarios.items()},
         "estimators": s.estimators, "seeds": s.seeds, "seed": s.seed, "rate_hz": s.rate_hz,
+        "tuning": s.tuning,
     }  # fmt: skip
     index = {
         "version": version("quadsim"), "settings": settings,
         "fingerprints": [[cell.scenario, cell.estimator, cell.fingerprint] for cell in results.cells],
         "failed": [vars(cell) for cell in results.cells if cell.reason],
     }  # fmt: skip
-    partial = out / "bench.json.partial"
-    partial.write_text(json.dumps(index))
-    partial.replace(out / "bench.json")
+    write_json(out / "bench.json", index)

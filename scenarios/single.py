@@ -9,7 +9,7 @@ import estimators
 from quadsim.mission import Mission
 from quadsim.render import film, replay
 from quadsim.rotation import quat_from_euler
-from quadsim.scenario import load_scenario
+from quadsim.scenario import changed, load_scenario
 
 from .cell import fly, make_cell
 from .metrics import LAYOUT
@@ -38,6 +38,9 @@ def fly_scenario(
     seed: int = 0,
     flight: int = 0,
     duration_s: float | None = None,
+    vehicle: str | None = None,
+    imu: str | None = None,
+    tuning: str | None = None,
     rate_hz: float = 200.0,
     video: bool = False,
     view: bool = False,
@@ -52,6 +55,9 @@ def fly_scenario(
         seed: Seed of everything random.
         flight: Number of the first flight, as in the flights.csv of a benchmark of the same seed.
         duration_s: Length, instead of the scenario's [s].
+        vehicle: Another vehicle than the scenario's, as in `runner.bench`.
+        imu: Another IMU.
+        tuning: Tuned parameters in place of the shipped ones.
         rate_hz: Samples per second.
         video: Whether to make a video of the first flight.
         view: Whether to show the first flight in MuJoCo's viewer, in real time, until it is closed.
@@ -67,11 +73,13 @@ def fly_scenario(
     if flight < 0:
         raise ValueError(f"flight is {flight}; flights count from 0")
     scenario, name = load_scenario(source), Path(source).name.removesuffix(".toml")
-    made = estimators.create(estimator, rate_hz, vehicle=scenario.vehicle)
-    mission = Mission(scenario, made, seeds, rate_hz, duration_s)
+    changes = {"duration_s": duration_s, "vehicle": vehicle, "imu": imu}
+    scenario = changed(scenario, {key: value for key, value in changes.items() if value is not None})
+    made = estimators.create(estimator, rate_hz, tuning=tuning, vehicle=scenario.vehicle, imu=scenario.imu)
+    mission = Mission(scenario, made, seeds, rate_hz)
     log, end = fly(mission, seed, flight)
     cell = make_cell(name, estimator, "", mission, log, end)
-    results = Results(Settings({name: scenario}, [estimator], seeds, seed, rate_hz), [cell])
+    results = Results(Settings({name: scenario}, [estimator], seeds, seed, rate_hz, tuning), [cell])
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
     first = log[0, : max(end[0], 1)]

@@ -111,7 +111,16 @@ def evaluation_notes(rows: Sequence[Evaluated]) -> list[str]:
         notes.append(f"Slow ones were run on fewer flights: {flights}; --slow-flights changes that.")
     missing = max(row.missing for row in rows)
     if missing > 0:
-        notes.append(f"{missing} samples were missing; estimators went on from their predictions there.")
+        notes.append(
+            f"{missing} samples were missing or beyond any sensor's range; estimators went on from their "
+            "predictions there."
+        )
+    for row in rows:
+        if row.without_number > 0.0:
+            notes.append(
+                f"{row.estimator}, {row.initial} start: {100.0 * row.without_number:.1f} % of its estimates "
+                "are no number; each counts as 180°."
+            )
     return notes
 
 

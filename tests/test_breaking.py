@@ -42,7 +42,7 @@ def brittle(monkeypatch):
     """Cells in which `truth` breaks at 10 m/s of wind, and `mahony` does not run."""
     flown = []
 
-    def fly(name, scenario, estimator, seeds, seed, rate_hz, fingerprint):
+    def fly(name, scenario, estimator, seeds, seed, rate_hz, fingerprint, tuning):
         flown.append((estimator, scenario.wind[0].velocity[0]))
         if estimator == "mahony":
             return Cell(name, estimator, "", "no idea", [], [], None)

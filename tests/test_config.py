@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from quadsim.config import Strict, load_toml, preset_names
+from quadsim.config import Strict, load_toml, merged, preset_names, read_text
 
 
 class Rotor(Strict):
@@ -148,3 +148,34 @@ def test_preset_names_are_sorted():
 
 def test_folder_without_presets_has_no_names():
     assert preset_names("nothing-here") == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a" + ".a" * 100_000 + " = 1",
+        "[" + "a" + ".a" * 100_000 + "]",
+        '"a"' + ' . "a"' * 100_000 + " = 1",
+        "x = " + "[" * 5000,
+        "x = " + "{a = " * 5000,
+    ],
+    ids=["key", "table", "quoted", "lists", "tables"],
+)
+def test_nesting_without_an_end_is_refused(tmp_path, text):
+    assert "nested too deeply" in error_line(tmp_path, text)
+
+
+def test_what_is_no_plain_file_or_too_large_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="not a plain file"):
+        read_text(Path("/dev/zero"))
+    (tmp_path / "large.toml").write_bytes(b"#" * 1_100_000)
+    with pytest.raises(ValueError, match="at most 1 MB are read"):
+        read_text(tmp_path / "large.toml")
+
+
+def test_changes_of_a_table_leave_its_other_keys():
+    base = {"rotor": Rotor(radius=0.1), "mass": 1.0}
+    assert merged(base, {"rotor": {"radius": 0.2}}) == {
+        "rotor": {"radius": 0.2, "position": (0.0, 0.0, 0.0)},
+        "mass": 1.0,
+    }

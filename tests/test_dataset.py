@@ -32,8 +32,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def own(finished: Path, tmp_path: Path) -> Path:
-    """A copy that a test may damage."""
+def own(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy that a test may damage, and a cache of its own for what has been verified."""
+    monkeypatch.setattr(dataset_store, "user_cache_dir", lambda name: str(tmp_path / "cache"))
     subprocess.run(["cp", "-r", str(finished), str(tmp_path)], check=True)
     return tmp_path / "x.zarr"
 
@@ -450,3 +451,75 @@ def test_a_split_needs_three_flights_and_shares_that_add_up():
         split_flights(2)
     with pytest.raises(ValueError, match="add up to 1"):
         split_flights(10, 0, (0.5, 0.2, 0.1))
+
+
+# --- damage ---
+
+
+def test_a_chunk_that_still_decodes_to_other_numbers_is_refused_on_opening(own):
+    chunk = dataset_store.chunk_file(own, "gyro", 1)
+    values = np.frombuffer(dataset_store.CODEC.decode(chunk.read_bytes()), "<f4").copy()
+    values[7] += 1e-3
+    damaged = dataset_store.CODEC.encode(values)
+    chunk.write_bytes(damaged + bytes(max(chunk.stat().st_size - len(damaged), 0)))
+    with pytest.raises(ValueError, match=r"\.zarr is damaged: flight 1"):
+        open_dataset(own)
+
+
+@pytest.mark.parametrize("name", ["gyro", "quat"])
+def test_a_chunk_that_does_not_decode_is_one_line(own, name):
+    chunk = dataset_store.chunk_file(own, name, 0)
+    chunk.write_bytes(bytes(chunk.stat().st_size))
+    with pytest.raises(ValueError, match=r"\.zarr is damaged: flight 0: it cannot be read") as caught:
+        open_dataset(own)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["seed", "flights", "steps", "rate_hz", "duration_s", "config"])
+@pytest.mark.parametrize("value", ["x", None, [1], {"a": 1}, -1, 1e300])
+def test_attributes_of_the_wrong_type_are_one_line(own, key, value):
+    metadata = json.loads((own / "zarr.json").read_text())
+    metadata["attributes"][key] = value
+    (own / "zarr.json").write_text(json.dumps(metadata))
+    with pytest.raises(ValueError, match=r"\.zarr"):
+        dataset_info(own)
+
+
+def test_metadata_of_arrays_of_the_wrong_type_are_one_line(own):
+    whole = json.loads((own / "zarr.json").read_text())
+    for key, value in (
+        ("shape", "x"),
+        ("shape", [1, 2]),
+        ("data_type", "int8"),
+        ("codecs", 3),
+        ("shape", None),
+    ):
+        metadata = json.loads(json.dumps(whole))
+        metadata["consolidated_metadata"]["metadata"]["gyro"][key] = value
+        (own / "zarr.json").write_text(json.dumps(metadata))
+        with pytest.raises(ValueError, match=r"\.zarr"):
+            open_dataset(own)
+
+
+def test_checksums_are_looked_at_once_and_again_when_a_file_changes(own, monkeypatch):
+    looked = []
+    fault = dataset_store.fault
+    monkeypatch.setattr(
+        dataset_store, "fault", lambda path, flight: looked.append(flight) or fault(path, flight)
+    )
+    open_dataset(own)
+    open_dataset(own)
+    assert looked == list(range(FLIGHTS))
+    chunk = dataset_store.chunk_file(own, "gyro", 2)
+    os.utime(chunk, ns=(0, 0))
+    open_dataset(own)
+    assert looked == 2 * list(range(FLIGHTS))
+
+
+def test_a_dataset_of_other_code_is_not_taken_for_this_one(tmp_path, monkeypatch):
+    generate(CONFIG, 1, 0.1, tmp_path / "x.zarr", workers=1)
+    generate(CONFIG, 1, 0.1, tmp_path / "x.zarr", workers=1)
+    monkeypatch.setattr(dataset, "code_digest", lambda *names: "other")
+    with pytest.raises(ValueError, match="it was made by other code"):
+        generate(CONFIG, 1, 0.1, tmp_path / "x.zarr", workers=1)
+    generate(CONFIG, 1, 0.1, tmp_path / "x.zarr", workers=1, overwrite=True)

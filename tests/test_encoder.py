@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from estimators.encoder import INPUT_MAX, INPUT_ONE, INPUT_STATE, scaled_inputs
+from estimators.sanitise import FORCE_MAX, RATE_MAX
 from estimators.weights_file import PAPER_SCALING, InputScaling
 
 SCALINGS = (InputScaling(), PAPER_SCALING)
@@ -27,15 +28,15 @@ def test_inputs_are_readings_less_the_offset_over_the_range_in_steps_of_a_1024th
 
 
 def test_inputs_end_where_16_bits_do():
-    gyro, accel = np.full((1, 1, 3), 1e9), np.full((1, 1, 3), -1e9)
-    x = scaled_inputs(InputScaling(), gyro, accel) * INPUT_ONE
+    gyro, accel = np.full((1, 1, 3), RATE_MAX), np.full((1, 1, 3), -FORCE_MAX)
+    x = scaled_inputs(InputScaling(gyro=0.1, accel=(0.1, 0.1, 0.1)), gyro, accel) * INPUT_ONE
     np.testing.assert_array_equal(x[0, 0], [INPUT_MAX] * 3 + [-INPUT_MAX] * 3)
 
 
 def test_the_last_good_sample_stands_for_a_missing_one_and_is_counted():
     gyro, accel = samples(1, 10)
     whole = scaled_inputs(InputScaling(), gyro, accel)
-    gyro[0, 3, 1], gyro[0, 4], accel[0, 6], accel[0, 7, 2], accel[0, 8] = np.nan, np.inf, 0.0, np.nan, np.nan
+    gyro[0, 3, 1], gyro[0, 4], accel[0, 6], accel[0, 7, 2], accel[0, 8] = np.nan, 1e30, 0.0, np.nan, -1000.0
     state = np.zeros((1, INPUT_STATE))
     x = scaled_inputs(InputScaling(), gyro, accel, state)
     whole[0, 3:5, :3], whole[0, 6:9, 3:] = whole[0, 2, :3], whole[0, 5, 3:]

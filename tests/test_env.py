@@ -1,3 +1,5 @@
+import copy
+import pickle
 import warnings
 
 import gymnasium
@@ -161,8 +163,10 @@ def test_observation_never_leaves_its_space():
     env = gymnasium.make(ID, scenario=TILTING.model_copy(update={"duration_s": 5.0}), level="rate")
     env.reset(seed=0)
     for _ in range(200):
-        observation, *_ = env.step(np.ones(4, dtype=np.float32))
+        observation, _, crashed, over, _ = env.step(np.ones(4, dtype=np.float32))
         assert env.observation_space.contains(observation)
+        if crashed or over:
+            env.reset()
     assert OBSERVATION_LIMIT.shape == env.observation_space.shape
     assert set(ACTION_SCALE) == set(LEVELS)
 
@@ -173,7 +177,12 @@ def test_observation_never_leaves_its_space():
         ({"level": "moment"}, 'unknown level "moment"; valid: position, velocity'),
         ({"scenario": "hoover"}, 'unknown scenario "hoover"; did you mean "hover"'),
         ({"render_mode": "ansi"}, "unknown render_mode"),
-        ({"estimator": "mahony"}, 'is a name; give estimators.create\\("mahony", 200\\)'),
+        ({"estimator": "mahoni"}, 'did you mean "mahony"'),
+        ({"estimator": "no.module:Filter"}, "No module named"),
+        ({"estimator": 3}, "estimator = 3: should be a name"),
+        ({"duration_s": 0.0}, "duration_s = 0.0: should be"),
+        ({"duration_s": np.inf}, "duration_s = inf: should be"),
+        ({"rate_hz": 1e9}, "rate_hz = 1000000000.0: should be 0.001 to 100000 Hz"),
         ({"estimator": estimators.create("mahony", rate_hz=100.0)}, "runs at 100 Hz and the loop at 200 Hz"),
     ],
 )
@@ -182,14 +191,111 @@ def test_bad_arguments_are_named(arguments, message):
         gymnasium.make(ID, **arguments).reset(seed=0)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("n", [1, 3])
-def test_an_action_that_is_no_number_is_refused(n):
+def test_an_action_that_is_no_finite_number_is_refused(n, value):
     env = gymnasium.make(ID).unwrapped if n == 1 else gymnasium.make_vec(ID, num_envs=n)
     env.reset(seed=0)
     action = np.zeros((n, 4)).squeeze()
-    action[..., 1] = np.nan
-    with pytest.raises(ValueError, match="not a number"):
+    action[..., 1] = value
+    with pytest.raises(ValueError, match="not a finite number"):
         env.step(action)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3,), (1, 4), ()])
+def test_an_action_of_another_shape_is_refused(shape):
+    env = gymnasium.make(ID).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"an action has shape .*; it must be \(4,\)"):
+        env.step(np.zeros(shape))
+    batch = gymnasium.make_vec(ID, num_envs=2)
+    batch.reset(seed=0)
+    with pytest.raises(ValueError, match=r"it must be \(2, 4\)"):
+        batch.step(np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("seed", [1.5, -1, "a"])
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_seed_that_is_no_whole_number_is_refused(n, seed):
+    env = gymnasium.make(ID).unwrapped if n == 1 else gymnasium.make_vec(ID, num_envs=n)
+    with pytest.raises(ValueError, match="a whole number from 0 on"):
+        env.reset(seed=seed)
+
+
+def test_a_step_after_the_end_is_refused():
+    env = gymnasium.make(ID, duration_s=0.02).unwrapped
+    env.reset(seed=0)
+    for _ in range(4):
+        *_, over, _ = env.step(np.zeros(4))
+    assert over
+    with pytest.raises(ValueError, match="the episode is over"):
+        env.step(np.zeros(4))
+    env.reset()
+    env.step(np.zeros(4))
+
+
+class Still:
+    """An estimator of a user's: level."""
+
+    def __init__(self, rate_hz):
+        self.rate_hz, self.n, self.updates = rate_hz, 0, 0
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+        self.n = n
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        self.updates += 1
+        return np.zeros((self.n, 2))
+
+
+@pytest.mark.parametrize("made", ["env:name", "env:object", "env:class", "env:function", "env:own"])
+def test_estimators_are_given_by_name_object_class_function_or_module(made):
+    given = {
+        "env:name": "mahony",
+        "env:object": estimators.create("mahony"),
+        "env:class": Still,
+        "env:function": lambda rate_hz: estimators.create("mahony", rate_hz),
+        "env:own": "test_env:Still",
+    }[made]
+    env = gymnasium.make(ID, estimator=given, duration_s=0.1).unwrapped
+    env.reset(seed=1)
+    (one, *_), named = env.step(np.zeros(4)), gymnasium.make(ID, estimator="mahony", duration_s=0.1).unwrapped
+    named.reset(seed=1)
+    other, *_ = named.step(np.zeros(4))
+    assert (one[9:11] == 0).all() if made in ("env:class", "env:own") else (one == other).all()
+
+
+@pytest.mark.parametrize("name", ["mahony", "ekf-drag", "vqf", "att-snn-loihi"])
+def test_environments_given_one_object_fly_as_if_each_had_its_own(name):
+    shared = estimators.create(name, vehicle="hummingbird")
+    alone = [gymnasium.make(ID, estimator=name, scenario="step") for _ in range(3)]
+    together = [gymnasium.make(ID, estimator=shared, scenario="step") for _ in range(3)]
+    for k in range(3):
+        alone[k].reset(seed=k)
+        together[k].reset(seed=k)
+    for _ in range(100):
+        for one, other in zip(alone, together, strict=True):
+            assert (one.step(np.zeros(4, np.float32))[0] == other.step(np.zeros(4, np.float32))[0]).all()
+
+
+def test_an_estimator_that_cannot_be_copied_is_refused_in_words():
+    class Held(Still):
+        def __deepcopy__(self, memo):
+            raise TypeError("a handle of a device")
+
+    with pytest.raises(ValueError, match=r"Held cannot be copied.*give a function"):
+        gymnasium.make(ID, estimator=Held(200.0))
+
+
+def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():
+    env = gymnasium.make(ID).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(TypeError, match="make another one with the same arguments"):
+        copy.deepcopy(env)
+    with pytest.raises(TypeError, match="make another one with the same arguments"):
+        pickle.dumps(env)
 
 
 def test_step_before_reset_is_refused():

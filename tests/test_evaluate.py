@@ -14,6 +14,19 @@ from quadsim.rotation import roll_pitch_from_quat
 from scenarios.summary import evaluation_notes
 
 
+class _Failing:
+    """Level, and no number from ten seconds on."""
+
+    rate_hz = 200.0
+
+    def reset(self, n=1, roll_pitch=None):
+        self.samples, self.n = 0, n
+
+    def update(self, gyro, accel):
+        self.samples += 1
+        return np.full((self.n, 2), 0.0 if self.samples < 2000 else np.nan)
+
+
 @pytest.fixture(scope="module")
 def evaluation(flights):
     return evaluate(flights, ["truth", "mahony", "eskf"], settle_s=10.0)
@@ -60,6 +73,16 @@ def test_slow_estimators_are_run_on_fewer_flights_and_missing_samples_are_counte
     assert not caplog.records  # the table says it once
     assert any("3 samples were missing" in note for note in evaluation_notes(done.rows))
     assert any("ekf-filterpy on the first 1" in note for note in evaluation_notes(done.rows))
+
+
+def test_an_estimator_that_fails_half_way_does_not_win(flights):
+    done = evaluate(flights, {"failing": _Failing(), "mahony": create("mahony")}, initial=("unknown",))
+    failing, mahony = done.rows
+    assert failing.without_number == pytest.approx(0.5, abs=0.1)
+    assert mahony.without_number == 0.0
+    assert failing.mean_deg > 80.0 > mahony.mean_deg
+    notes = " ".join(evaluation_notes(done.rows))
+    assert "failing, unknown start: 50.0 % of its estimates are no number" in notes
 
 
 def test_error_over_time_averages_to_the_sequence_error(evaluation):

@@ -1,5 +1,8 @@
 """The filters against independent software, and the facts that hold for every one of them."""
 
+import copy
+import pickle
+
 import ahrs
 import numpy as np
 import pytest
@@ -8,6 +11,7 @@ from hypothesis import strategies as st
 
 from estimators import create, names, parameters, run, run_batch
 from estimators.metrics import inclination_error
+from estimators.protocol import tuning_misfit
 from estimators.sample import atan2_core, exp_core, sincos_core
 from quadsim.rotation import (
     quat_from_euler,
@@ -16,6 +20,7 @@ from quadsim.rotation import (
     quat_rotate_inverse,
     roll_pitch_from_quat,
 )
+from quadsim.vehicle import load_vehicle
 
 COMPILED = ["complementary", "complementary-adaptive", "mahony", "madgwick", "ekf", "eskf", "ekf-drag"]
 QUATERNION = ["mahony", "madgwick", "ekf", "eskf", "ekf-drag", "ekf-filterpy", "ukf-filterpy", "vqf"]
@@ -214,7 +219,7 @@ def test_at_rest_every_attitude_is_found_from_every_start(name, tilt, start_tilt
         angles[0] = min(angles[0], np.radians(70.0))  # Euler angles; at 90° of pitch there is no roll
     truth = quat_multiply(quat_from_euler(0.0, 0.0, angles[3]), quat_from_rotvec(angles[0] * axis))
     start = roll_pitch_from_quat(quat_from_rotvec(-0.3 * angles[1] * axis))
-    accel = np.tile(quat_rotate_inverse(truth, [0.0, 0.0, 9.81]), (1, 6000, 1))
+    accel = np.tile(quat_rotate_inverse(truth, [0.0, 0.0, 9.81]), (1, 8000, 1))
     out = run(make(name, 20.0, **settled(name)), np.zeros_like(accel), accel, roll_pitch=start)
     assert inclination_error(out[0, -1], roll_pitch_from_quat(truth)) < 0.5
 
@@ -290,6 +295,68 @@ def test_one_vehicle_can_be_started_again_while_the_others_fly_on(flights):
         assert np.degrees(np.abs(both[1] - [0.1, 0.2])).max() < 2.0
 
 
+FAULTS = {
+    "two rates of 1e30": ("gyro", 2, 1e30),
+    "a force of 1e30": ("accel", 1, 1e30),
+    "a force of 1000 m/s²": ("accel", 1, 1000.0),
+    "a force of 300 m/s²": ("accel", 1, 300.0),
+    "a rate of 1000 rad/s": ("gyro", 1, 1000.0),
+    "a rate of 60 rad/s": ("gyro", 1, 60.0),
+    "no samples for half a second": ("both", 100, np.nan),
+}
+"""The sensor, the number of samples and their reading, on every axis."""
+
+
+@pytest.fixture(scope="module")
+def disturbed(make_flights):
+    """Two flights without and with every fault from 12 s on: flights and faults side by side."""
+    clean = make_flights(2, 23.0)
+    gyro, accel = (clean[name].values[None].repeat(1 + len(FAULTS), 0) for name in ("gyro", "accel"))
+    for k, (sensor, samples, reading) in enumerate(FAULTS.values(), start=1):
+        for name, values in (("gyro", gyro), ("accel", accel)):
+            if sensor in (name, "both"):
+                values[k, :, 2400 : 2400 + samples] = reading
+    return gyro, accel
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*CLASSICAL, "att-snn", "att-rnn", "att-snn-loihi"])
+def test_ten_seconds_after_a_bad_sample_or_a_gap_an_estimate_is_within_two_degrees(disturbed, name):
+    gyro, accel = (each.reshape(-1, *each.shape[2:]) for each in disturbed)
+    est = make(name)
+    out = run(est, gyro, accel).reshape(*disturbed[0].shape[:3], 2)
+    assert np.isfinite(out).all()
+    away = inclination_error(out, out[:1].repeat(len(out), 0))[1:, :, -200:].mean(axis=2)
+    assert dict(zip(FAULTS, away.max(axis=1), strict=True)) == dict.fromkeys(FAULTS, pytest.approx(0, abs=2))
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_gaps_and_bad_samples_are_the_same_in_streaming_and_in_sequence(flights, name):
+    gyro, accel, _ = (each.copy() for each in arrays(flights, 2, 300))
+    gyro[0, 40:120], accel[0, 40:120], gyro[1, 90], accel[1, 200] = np.nan, np.nan, 1e30, 1000.0
+    est = make(name)
+    whole = run(est, gyro, accel)
+    est.reset(2)
+    steps = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(300)], axis=1)
+    np.testing.assert_array_equal(whole, steps)
+
+
+@pytest.mark.parametrize("name", ["complementary", "complementary-adaptive"])
+def test_angles_stay_within_half_a_turn(name):
+    rolling = np.tile([3.0, 0.0, 0.0], (1, 2000, 1))
+    out = run(make(name), rolling, np.zeros_like(rolling))
+    assert np.abs(out).max() <= np.pi
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf-drag", "mahony"])
+def test_readings_that_no_sensor_gives_count_as_missing(flights, name):
+    gyro, accel, _ = (each.copy() for each in arrays(flights, 1, 200))
+    missing = gyro.copy(), accel.copy()
+    gyro[0, 50:52, 1], accel[0, 90, 2] = 1e30, -1000.0
+    missing[0][0, 50:52], missing[1][0, 90] = np.nan, np.nan
+    np.testing.assert_array_equal(run(make(name), gyro, accel), run(make(name), *missing))
+
+
 # --- truth, and mistakes ----------------------------------------------------------------------------
 
 
@@ -309,7 +376,7 @@ def test_truth_has_no_error(flights):
         (lambda: create("ekf-drag", drag_time=4.9), "or frame_drag"),
         (lambda: create("ekf-drag", vehicle="hummingbrid"), 'did you mean "hummingbird"'),
         (lambda: create("complementary", gamma=1.2), "gamma = 1.2 is outside 0 to 1"),
-        (lambda: create("ekf", rate_hz=0.0), "rate_hz = 0.0 must be a positive number"),
+        (lambda: create("ekf", rate_hz=0.0), "rate_hz = 0.0: should be 0.001 to 100000 Hz"),
         (lambda: create("ekf", tuning="nowhere.toml"), "nowhere.toml: no such file"),
         (lambda: run(create("truth"), np.zeros((1, 2, 3)), np.zeros((1, 2, 3))), "observes the truth"),
         (lambda: run(create("ekf"), np.zeros((1, 2, 3)), np.zeros((1, 3, 3))), "must both have one shape"),
@@ -321,3 +388,40 @@ def test_truth_has_no_error(flights):
 def test_mistakes_are_named(call, message):
     with pytest.raises(ValueError, match=message.replace("(", r"\(")):
         call()
+
+
+@pytest.mark.parametrize("name", [name for name in names() if name != "truth"])
+def test_copies_and_pickles_of_an_estimator_go_on_from_its_state(name):
+    est = create(name, vehicle="hummingbird")
+    est.reset(2)
+    gyro, accel = np.full((2, 3), 0.2), np.array([[0.5, -0.2, 9.7], [1.0, 2.0, 9.0]])
+    for _ in range(30):
+        est.update(gyro, accel)
+    copied, pickled = copy.deepcopy(est), pickle.loads(pickle.dumps(est))
+    wanted = est.update(accel, gyro)
+    np.testing.assert_array_equal(copied.update(accel, gyro), wanted)
+    np.testing.assert_array_equal(pickled.update(accel, gyro), wanted)
+
+
+def test_shipped_parameters_are_those_of_the_vehicle_and_the_imu():
+    px4 = load_vehicle("px4-quad")
+    assert create("vqf", vehicle="px4-quad").values == create("vqf", tuning="px4-quad-px4-mini").values
+    assert create("vqf", vehicle=px4, imu="rough").values == create("vqf", vehicle=px4).values
+    assert create("vqf", vehicle="crazyflie").values == create("vqf").values
+    assert create("vqf", vehicle="px4-quad").values != create("vqf").values
+
+
+def test_a_tuning_for_another_vehicle_or_imu_is_named():
+    assert tuning_misfit("vqf", None, "hummingbird", "adis16448") == ""
+    assert tuning_misfit("vqf", None, "px4-quad", "px4-mini") == ""
+    assert tuning_misfit("vqf", None, "crazyflie", "adis16448") == "the hummingbird"
+    assert tuning_misfit("vqf", None, "hummingbird", "rough") == "the IMU adis16448"
+    assert "hummingbird and the IMU" in tuning_misfit("vqf", "hummingbird-adis16448", "px4-quad", "px4-mini")
+    assert tuning_misfit("att-snn", None, "crazyflie", "rough") == ""
+
+
+def test_a_vehicle_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="vehicle = 3: should be a name"):
+        create("ekf-drag", vehicle=3)
+    with pytest.raises(ValueError, match="give --vehicle"):
+        create("ekf-drag")

@@ -444,7 +444,7 @@ def test_numbers_that_are_not_finite_are_refused(name, value):
         ({"rotor_vel": np.zeros((2, 5, 3))}, r"it must be \(2, 5, 4\)"),
         ({"ang_acc": None}, "sits off the centre of mass and needs ang_acc"),
         ({"rotor_vel": None}, "needs rotor_vel"),
-        ({"rate_hz": 0.0}, "rate_hz=0"),
+        ({"rate_hz": 0.0}, "rate_hz = 0"),
         ({"seed": -3}, "seed is -3"),
     ],
 )
@@ -481,11 +481,11 @@ def test_no_motion_gives_a_reading_out_of_range(size, rate_hz, low_pass_hz, seed
     ("text", "message"),
     [
         ("[gyro]\nnois = 1", 'unknown key "gyro.nois"; did you mean "noise"'),
-        ("[gyro]\nnoise = -1", "gyro.noise = -1: should be greater than or equal to 0"),
+        ("[gyro]\nnoise = -1", "gyro.noise = -1: should be 0 to 1000; the nearest is 0"),
         ("[accel]\nrandom_walk = 0.1", "needs a time_constant"),
         ("[accel]\nresolution = 2\nsaturation = 1", "must not exceed saturation"),
         ("[accel]\nlow_pass_order = 3", "low_pass_order = 3"),
-        ("dropped = 1.0", "dropped = 1.0: should be less than 1"),
+        ("dropped = 1.0", "dropped = 1.0: should be 0 to 0.99"),
         ("lever_arm = [1, 2]", "lever_arm"),
     ],
 )

@@ -1,10 +1,11 @@
 """Logs of other tools: every format gives the same flight back, in our frames, with what is odd counted."""
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
+from ulog_file import write_ulog
 
 from quadsim.cli import app
 from quadsim.dataset import generate, open_dataset
@@ -15,7 +16,7 @@ from quadsim.logs import read_log, read_log_and_report
 from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
 from quadsim.logs.convert import convert
 from quadsim.logs.recording import Recording, axes_matrix, turned
-from quadsim.logs.resample import resample
+from quadsim.logs.resample import resample, split
 from quadsim.rotation import (
     canonical,
     quat_from_euler,
@@ -141,26 +142,6 @@ def test_px4_logs_are_turned_from_frd_and_ned(tmp_path):
     assert np.abs(roll_pitch_from_quat(own["quat"][0])).max() < 1e-6
     assert "no independent truth" in report.truth
     assert "frames disagree" in report.warnings[0]
-
-
-def write_ulog(path: Path, topics: dict[str, tuple[str, np.ndarray, np.ndarray]]) -> None:
-    """A minimal ULog file: definitions, one subscription a topic, then all samples in order of time."""
-
-    def message(kind: str, content: bytes) -> bytes:
-        return len(content).to_bytes(2, "little") + kind.encode() + content
-
-    out = [b"ULog\x01\x12\x35\x01" + (0).to_bytes(8, "little"), message("B", bytes(40))]
-    out += [message("F", f"{name}:{fields}".encode()) for name, (fields, _, _) in topics.items()]
-    out += [message("A", bytes([0, k, 0]) + name.encode()) for k, name in enumerate(topics)]
-    samples = [
-        (int(stamp), k, values.astype("<f4").tobytes())
-        for k, (_, stamps, rows) in enumerate(topics.values())
-        for stamp, values in zip(stamps, rows, strict=True)
-    ]
-    out += [
-        message("D", bytes([k, 0]) + s.to_bytes(8, "little") + values) for s, k, values in sorted(samples)
-    ]
-    path.write_bytes(b"".join(out))
 
 
 def test_broad_trials_in_hdf5_and_mat_are_one_and_the_same(tmp_path):
@@ -404,3 +385,136 @@ def test_a_truth_in_swapped_axes_is_doubted_and_one_at_rest_is_not_judged():
     still = np.broadcast_to(quat[:1], quat.shape)
     _, calm = resample(Recording("x", "test", time, 0 * gyro, accel, "mocap", time, still))
     assert calm.truth_delay_s is None
+
+
+# --- what cannot be right ---
+
+
+def wrong(name: str) -> Recording:
+    """A minute of a sensor that turns, and one thing wrong with the log of it."""
+    time, gyro, accel, quat = turning(seconds=20.0)
+    upside = np.array([1.0, -1.0, -1.0])
+    changed = {
+        "nothing": {},
+        "deg/s": {"gyro": np.degrees(gyro)},
+        "ten times the rate": {"gyro": 10 * gyro},
+        "no rate": {"gyro": 0 * gyro},
+        "constant force": {"accel": np.broadcast_to([0.0, 0.0, 9.81], accel.shape)},
+        "twice the time": {"time": 2 * time, "truth_time": 2 * time},
+        "norm": {"quat": 0.7 * quat},
+        "g": {"accel": accel / 9.81},
+        "mg": {"accel": accel / 9.81e-3},
+        "frame": {"gyro": upside * gyro, "accel": upside * accel},
+        "axes": {"gyro": gyro[:, [1, 2, 0]], "accel": accel[:, [1, 2, 0]]},
+    }[name]
+    fields = {"time": time, "gyro": gyro, "accel": accel, "truth_time": time, "quat": quat}
+    return Recording("x", "test", truth="truth", **(fields | changed))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("deg/s", "is it in deg/s?"),
+        ("ten times the rate", "is it ten times too large?"),
+        ("no rate", "the gyroscope reads the same number all the time"),
+        ("constant force", "the accelerometer reads the same number all the time"),
+        ("twice the time", "look at its unit, and at that of the stamps"),
+        ("norm", "quaternions have a length of 0.7, not 1"),
+        ("g", "is it in g?"),
+        ("mg", "is it in mg?"),
+        ("frame", "look at frame and axes"),
+        ("axes", "look at frame and axes"),
+    ],
+)
+def test_units_norms_and_frames_that_cannot_be_right_are_said(name, said):
+    assert resample(wrong("nothing"))[1].faults == []
+    _, report = resample(wrong(name))
+    assert any(said in fault for fault in report.faults)
+    assert report.faults[0] in report.warnings
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("g", "is it in g?"), ("mg", "is it in mg?"), ("frame", "is the frame FLU")]
+)
+def test_without_truth_the_length_and_direction_of_the_force_are_looked_at(name, said):
+    log = replace(wrong(name), truth="none", truth_time=None, quat=None)
+    assert said in resample(log)[1].faults[0]
+    assert resample(replace(wrong("nothing"), truth="none", truth_time=None, quat=None))[1].faults == []
+
+
+def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path, monkeypatch):
+    time, gyro, accel, quat = turning(seconds=20.0)
+    rows = np.column_stack([time, np.degrees(gyro), accel, quat])
+    np.savetxt(tmp_path / "x.csv", rows, delimiter=",", header="t,p,q,r,x,y,z,qw,qx,qy,qz", comments="")
+    (tmp_path / "x.toml").write_text(
+        'file = "x.csv"\ntime = {column = "t"}\ngyro = {columns = ["p", "q", "r"]}\n'
+        'accel = {columns = ["x", "y", "z"]}\nquat = {columns = ["qw", "qx", "qy", "qz"]}\n'
+    )
+    command = [
+        "evaluate",
+        "--logs",
+        str(tmp_path / "x.toml"),
+        "--estimator",
+        "mahony",
+        "--out",
+        str(tmp_path),
+    ]
+    with pytest.raises(ValueError, match=r"57.3 times the rate.*--force"):
+        CliRunner().invoke(app, command, catch_exceptions=False)
+    assert CliRunner().invoke(app, [*command, "--force"], catch_exceptions=False).exit_code == 0
+
+
+def test_real_recordings_raise_no_false_alarm(broad):
+    realdata = broad[0].parents[1]
+    for path in sorted((realdata / "broad").glob("*.npz")):
+        assert read_log_and_report(path)[1].faults == []
+    for path in [*(realdata / "phantom4").glob("*.npz"), *(realdata / "crazyflie-imu").glob("*.npz")]:
+        with np.load(path) as file:
+            quat = file["quat"].astype(float) if "quat" in file else None
+            log = Recording(
+                path.stem, "real", file["t"], file["gyro"].astype(float), file["acc"].astype(float),
+                truth="none" if quat is None else "filter", truth_time=file["t"], quat=quat,
+            )  # fmt: skip
+        assert resample(log)[1].faults == []
+
+
+def test_one_wrong_stamp_costs_one_sample():
+    time, gyro, accel, quat = turning(seconds=20.0)
+    for jump in (1e6, -1e6, 1e18):
+        stamps = time.copy()
+        stamps[700] += jump
+        log = Recording("x", "test", stamps, gyro, accel, "truth", time, quat)
+        dataset, report = resample(log)
+        assert dataset.sizes["time"] == time.size
+        assert report.gaps == 1
+        consistent(dataset.isel(time=slice(100, 600)))
+
+
+def test_long_gaps_split_a_log_and_every_part_is_converted(tmp_path):
+    time, gyro, accel, quat = turning(seconds=20.0)
+    stamps = time + np.where(time >= 12.0, 1e6, 0.0)
+    log = Recording("x", "test", stamps, gyro, accel, "truth", stamps, quat)
+    dataset, report = resample(log)
+    assert report.parts == 2
+    assert dataset.sizes["time"] == 2400
+    assert "cut this log into 2 parts" in report.warnings[0]
+    assert [part.time.size for part in split(log)] == [2400, 1600]
+
+
+def test_a_log_with_hardly_a_sample_is_refused():
+    time, gyro, accel, _ = turning(seconds=20.0)
+    pairs = np.repeat(np.arange(time.size / 2), 2) * 20.0 + np.tile([0.0, 0.005], time.size // 2)
+    with pytest.raises(ValueError, match="most of the log is missing"):
+        resample(Recording("x", "test", pairs, gyro, accel))
+
+
+def test_doublets_of_stamps_are_one_sample_each():
+    time, gyro, accel, quat = turning(seconds=20.0)
+    doublets = np.repeat(time, 2) + np.tile([0.0, 1e-9], time.size)
+    noise = np.tile([0.0, 1.0], time.size)[:, None]
+    log = Recording(
+        "x", "test", doublets, np.repeat(gyro, 2, 0) + noise, np.repeat(accel, 2, 0), "truth", time, quat
+    )
+    dataset, report = resample(log)
+    assert report.stamps_back == time.size
+    consistent(dataset)

@@ -9,6 +9,7 @@ from estimators.metrics import (
     attitude_error,
     inclination_error,
     inclination_rmse,
+    share_without_number,
 )
 from quadsim.rotation import quat_conjugate, quat_multiply, quat_normalize, roll_pitch_from_quat
 
@@ -49,6 +50,18 @@ def test_samples_without_truth_are_not_scored():
     estimate = np.radians([[[1.0, 1.0], [1.0, 1.0], [50.0, 50.0], [50.0, 50.0]]])
     assert attitude_error(estimate, truth).mean == pytest.approx(1.0)
     assert inclination_rmse(estimate, truth).mean == pytest.approx(np.sqrt(2.0), rel=1e-3)
+
+
+def test_an_estimate_that_is_no_number_is_180_degrees_wrong():
+    truth = np.radians([[[10.0, -20.0]] * 4])
+    truth[0, 3] = np.nan
+    estimate = np.zeros_like(truth)
+    estimate[0, :2] = truth[0, :2]
+    estimate[0, 2:] = np.nan, np.inf
+    assert attitude_error(estimate, truth).mean == pytest.approx(60.0)
+    np.testing.assert_allclose(inclination_error(estimate, truth)[0, :3], [0.0, 0.0, 180.0], atol=1e-6)
+    assert np.isnan(inclination_error(estimate, truth)[0, 3])
+    assert share_without_number(estimate, truth) == pytest.approx(1 / 3)
 
 
 def test_bootstrap_interval_covers_the_mean_and_shrinks_with_more_sequences():

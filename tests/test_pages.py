@@ -46,10 +46,8 @@ def load(name: str):
 
 @pytest.fixture(scope="module")
 def pages():
-    load("sources")
     yield load("pages")
-    for name in ("sources", "pages"):
-        del sys.modules[name]
+    del sys.modules["pages"]
 
 
 @pytest.fixture

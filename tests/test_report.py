@@ -335,3 +335,58 @@ def test_theme_switches_the_colours(page):
     before = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.locator("#theme").click()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before
+
+
+HOSTILE = (
+    "<img src=x onerror=hurt()>.safetensors",
+    "<script>hurt()</script>",
+    '"><svg onload=hurt()>',
+    "' onmouseover='hurt()",
+    "</script><script>hurt()</script>",
+    "__proto__",
+    "{{ 7 * 7 }}",
+)
+
+
+def test_names_of_users_run_nothing(browser, results, tmp_path):
+    """Hostile names in every field that a user can fill."""
+    cells, names = [], list(HOSTILE)
+    for scenario in HOSTILE[:3]:
+        for name in names:
+            of = {"scenario": scenario, "estimator": name}
+            flights = [{**each, **of, "cause": HOSTILE[0]} for each in results.cells[1].flights]
+            cells.append(
+                Cell(scenario, name, "", "", flights, results.cells[1].histogram, results.cells[1].series)
+            )
+        cells[-1] = Cell(scenario, names[-1], "", HOSTILE[0], [], [], None)
+    described = Scenario(description=HOSTILE[1], duration_s=2.0)
+    settings = Settings(dict.fromkeys(HOSTILE[:3], described), names, 2, 0, 200.0)
+    path = write_report(
+        tmp_path / "report.html",
+        Results(settings, cells),
+        title=HOSTILE[4],
+        offline=[{"estimator": name, "note": name, "start": name, "mean_deg": 1.0} for name in names],
+        offline_caption=HOSTILE[0],
+        csv=[HOSTILE[2]],
+        focus=names[0],
+        pairs=paired_differences(Results(settings, cells).flights),
+        points=[Breaking("wind", name, "m/s", 1.0, 2.0, name, 2, name) for name in names],
+        footer=HOSTILE[4],
+    )
+    page = browser.new_page()
+    hurt, noise = [], []
+    page.expose_function("hurt", lambda: hurt.append(True))
+    page.on("pageerror", lambda error: noise.append(str(error)))
+    page.goto(path.as_uri())
+    for chip in page.locator("#chips button").all():
+        chip.click()
+    page.locator("#plot").hover()
+    for select in page.locator("select").all():
+        for k in range(select.locator("option").count()):
+            select.select_option(index=k)
+    page.wait_for_timeout(300)
+    assert (hurt, noise) == ([], [])
+    assert page.locator("main img[src=x], main script, main svg[onload]").count() == 0
+    assert page.locator("#chips button").all_inner_texts() == names
+    assert names[0] in page.locator("#violins text").all_text_contents()
+    page.close()

@@ -12,7 +12,7 @@ from processes import alive, await_true, children, square
 
 import estimators
 from quadsim.mission import Mission
-from quadsim.scenario import Scenario, Start
+from quadsim.scenario import Scenario, Start, load_scenario
 from quadsim.vehicle import load_vehicle
 from scenarios import cell as cell_module
 from scenarios import runner
@@ -268,13 +268,10 @@ def test_a_dying_worker_ends_no_other_job(deadly):
     assert found == {i: i**2 for i in range(8) if i != deadly}
 
 
-def test_numbers_beyond_all_bounds_are_a_row_with_its_reason(tmp_path):
-    (tmp_path / "huge.toml").write_text(
-        "description = 'huge'\n[[faults]]\nkind = 'gyro-bias-step'\nat_s = 0.1\nbias_deg = [1e300, 0, 0]\n"
-    )
-    huge, hover = small(tmp_path, scenarios=[tmp_path / "huge.toml", "hover"], names=["mahony"]).rows
-    assert "beyond all bounds" in huge["reason"]
-    assert hover["reason"] == ""
+def test_numbers_beyond_all_bounds_are_a_row_with_its_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr(cell_module, "BOUNDLESS", 1.0)
+    (hover,) = small(tmp_path, scenarios=["hover"], names=["mahony"]).rows
+    assert "beyond all bounds" in hover["reason"]
 
 
 def test_cells_of_two_runs_are_no_results(tmp_path):
@@ -289,7 +286,7 @@ def test_cells_of_two_runs_are_no_results(tmp_path):
 def test_cells_are_flown_anew_when_the_code_has_changed(tmp_path, monkeypatch):
     small(tmp_path)
     again = []
-    monkeypatch.setattr(runner, "code_digest", lambda: "other code")
+    monkeypatch.setattr(runner, "suite_digest", lambda: "other code")
     monkeypatch.setattr(runner, "fly_cell", lambda *job: again.append(job) or fly_cell(*job))
     small(tmp_path)
     assert len(again) == 4
@@ -358,7 +355,7 @@ def test_results_load_as_they_were(tmp_path):
         ({"scenarios": []}, "at least one scenario"),
         ({"seeds": 0}, "seeds is 0"),
         ({"external": "vicon"}, 'unknown external "vicon"'),
-        ({"duration_s": -1.0}, "duration is -1.0 s"),
+        ({"duration_s": -1.0}, "duration_s = -1.0: should be 0.001 to 3600 s"),
     ],
 )
 def test_bad_arguments_are_named(tmp_path, change, message):
@@ -402,3 +399,43 @@ def test_any_flight_of_a_benchmark_can_be_looked_at(tmp_path):
     benchmark = small(tmp_path / "bench", names=["mahony"], scenarios=["hover"], seeds=3)
     alone = fly_scenario("hover", "mahony", tmp_path, flight=2, duration_s=SHORT)
     assert alone.results.flights[0] | {"seed": 2} == benchmark.flights[2]
+
+
+def test_another_vehicle_is_flown_with_its_own_tuning_and_a_mismatch_is_warned_of(tmp_path):
+    def flown(**changes):
+        return small(tmp_path / "-".join(changes.values()), scenarios=["hover"], names=["vqf"], **changes)
+
+    assert flown().warnings == []
+    assert flown(vehicle="px4-quad", imu="px4-mini").warnings == []
+    (line,) = flown(vehicle="crazyflie").warnings
+    assert "for the hummingbird, not for the crazyflie with adis16448 that flew: vqf" in line
+    (line,) = flown(vehicle="px4-quad", imu="px4-mini", tuning="hummingbird-adis16448").warnings
+    assert "quadsim tune" in line
+    ours, given = flown(vehicle="px4-quad").rows[0], flown(vehicle="px4-quad", tuning="px4-quad-px4-mini")
+    assert ours["error_deg"] == given.rows[0]["error_deg"]
+    with pytest.raises(ValueError, match="has no table of truth"):
+        bench(["hover"], ["truth"], 1, tmp_path, tuning="px4-quad-px4-mini")
+
+
+def test_a_changed_scenario_is_checked(tmp_path):
+    with pytest.raises(ValueError, match="duration_s = 0"):
+        bench(["hover"], ["truth"], 1, tmp_path, duration_s=0.0)
+    with pytest.raises(ValueError, match='unknown vehicle "px5-quad"; did you mean "px4-quad"'):
+        bench(["hover"], ["truth"], 1, tmp_path, vehicle="px5-quad")
+
+
+def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
+    (tmp_path / "airframes").mkdir()
+    (tmp_path / "airframes" / "mine.toml").write_text(
+        (files("assets") / "vehicles" / "px4-quad.toml").read_text()
+    )
+    (tmp_path / "wind.csv").write_text("t,x,y,z\n0,1,0,0\n9,1,0,0\n")
+    (tmp_path / "own.toml").write_text(
+        "description = 'own'\nvehicle = 'airframes/mine.toml'\n[[wind]]\nkind = 'file'\npath = 'wind.csv'\n"
+    )
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    found = load_scenario("../own.toml")
+    assert load_vehicle(found.vehicle).name == load_vehicle("px4-quad").name
+    (row,) = small(tmp_path / "out", scenarios=["../own.toml"], names=["truth"]).rows
+    assert row["reason"] == ""

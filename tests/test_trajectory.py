@@ -149,7 +149,8 @@ def test_a_tilt_beyond_the_controller_is_refused():
     st.floats(0, 3),
 )
 def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, yaw_rate):
-    spec = Mix(max_tilt_deg=tilt, circle_share=circles, pause_share=pauses, max_yaw_rate=yaw_rate)
+    rest = (1.0 - circles) * pauses
+    spec = Mix(max_tilt_deg=tilt, circle_share=circles, pause_share=rest, max_yaw_rate=yaw_rate)
     path = fly(spec, seconds=20, n=1, seed=seed)
     assert np.all(np.isfinite(path))
     assert np.abs(path[..., 10]).max() <= yaw_rate + 1e-9

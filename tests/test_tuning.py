@@ -1,5 +1,7 @@
 """The searches, the cost they lower, and the files they end in."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from estimators import create, parameters, run_batch
 from estimators.flights import load_flights
 from estimators.metrics import absolute_error
 from estimators.protocol import COMPILED, airframe_constants
+from estimators.sample import square_of_error
 from estimators.tuned import load_tuning
 from estimators.tuning import PENALTY, evolution, mean_squared_error, swarm, tunable, tune, write_tuning
 
@@ -70,6 +73,13 @@ def test_cost_is_the_mean_squared_error_averaged_over_flights(flights):
         absolute_error(run_batch("mahony", gains, data.gyro, data.accel), data.truth[None].repeat(3, 0))
     )
     np.testing.assert_allclose(cost, np.nanmean(error**2, axis=(2, 3)).mean(axis=1), rtol=1e-12)
+
+
+def test_an_estimate_that_is_no_number_costs_as_much_as_180_degrees():
+    for roll, pitch in ((math.nan, 0.0), (0.0, math.inf), (math.inf, math.nan)):
+        assert square_of_error(roll, pitch, 0.1, 0.2) == pytest.approx(2.0 * math.pi**2)
+        assert square_of_error(roll, pitch, math.nan, math.nan) == 0.0
+    assert square_of_error(0.3, 0.2, 0.1, 0.2) == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize("name", list(COMPILED))

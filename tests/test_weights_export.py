@@ -6,6 +6,8 @@ import subprocess
 
 import numpy as np
 import pytest
+import torch
+from safetensors.torch import save_file
 
 from estimators.encoder import scaled_inputs
 from estimators.networks import OnLoihi, Recurrent, real_weights
@@ -14,6 +16,7 @@ from estimators.weights_export import export_weights
 from estimators.weights_file import (
     NetworkConfig,
     expected_shapes,
+    load_network,
     save_network,
     shipped_network,
 )
@@ -53,7 +56,8 @@ def compiled(tmp_path, request):
         subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
         sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
         fields = [(name, np.int32, size) for name, size in sizes]
-        state = np.dtype([*fields, ("s0", np.uint8, h0), ("s1", np.uint8, h1)], align=True)
+        spikes = [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
+        state = np.dtype([*fields, *spikes, ("skipped", np.uint32)], align=True)
         layout = np.dtype([("state", state), ("roll_pitch", float, 2)])
 
         def run(samples):
@@ -91,7 +95,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
         expected = {
             "input": inputs[0, :6],             "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:],
             "v0": v[0, :h0], "v1": v[0, h0:-2], "v2": v[0, -2:],
-            "s0": after[0, :h0], "s1": after[0, h0:-2],
+            "s0": after[0, :h0], "s1": after[0, h0:-2], "skipped": inputs[0, 6],
         }  # fmt: skip
         for name, value in expected.items():
             np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
@@ -196,3 +200,14 @@ def test_the_c_header_names_the_scale_of_its_output(tmp_path):
     header = (tmp_path / "c" / "att_snn.h").read_text()
     scale = OnLoihi(*shipped_network("att-snn")).scale
     assert f"#define ATT_SNN_UNITS_PER_RADIAN {round(1 / scale)}\n" in header
+
+
+def test_weights_of_a_type_that_numpy_lacks_are_one_line(tmp_path):
+    _, tensors = shipped_network("att-snn")
+    path = tmp_path / "x.safetensors"
+    half = {
+        name: torch.as_tensor(each.astype(np.float32)).to(torch.bfloat16) for name, each in tensors.items()
+    }
+    save_file(half, path, metadata={"format": "2", "config": "{}"})
+    with pytest.raises(ValueError, match=r"x\.safetensors"):
+        load_network(path)

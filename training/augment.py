@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat
 
 from quadsim.config import Strict
+from quadsim.ranges import Between, Delay, Force, Frequency, Rising, Share
 from quadsim.vehicle import GRAVITY
 
 Array = NDArray[np.floating]
@@ -22,50 +22,49 @@ CARRIED_HZ = 1.0
 """Corner of the accelerations of a sensor that is carried by hand."""
 
 
-def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
-    if limits[0] > limits[1]:
-        raise ValueError("the least comes first")
-    return limits
+RateError = Annotated[float, Between(0.0, 10.0, "rad/s")]
+ForceError = Annotated[float, Between(0.0, 50.0, "m/s²")]
+Mounting = Annotated[float, Between(0.0, 45.0, "°")]
 
 
 class Augmentation(Strict):
     """Errors that are added to the true signals, one draw for each stream; defaults: RotorS' ADIS16448."""
 
-    gyro_noise: float = Field(default=3.394e-4, ge=0)
+    gyro_noise: RateError = 3.394e-4
     """Noise density of the gyroscope [rad/s/√Hz]."""
-    accel_noise: float = Field(default=0.004, ge=0)
+    accel_noise: ForceError = 0.004
     """Noise density of the accelerometer [m/s²/√Hz]."""
-    gyro_bias: float = Field(default=0.0, ge=0)
+    gyro_bias: RateError = 0.0
     """Standard deviation of the gyroscope's constant bias [rad/s]."""
-    accel_bias: float = Field(default=0.196, ge=0)
+    accel_bias: ForceError = 0.196
     """Standard deviation of the accelerometer's turn-on bias [m/s²]."""
     yaw_symmetry: bool = False
     """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
-    mounting_deg: float = Field(default=0.0, ge=0, le=45)
+    mounting_deg: Mounting = 0.0
     """Standard deviation of each angle of a small rotation of the IMU against the body [deg]."""
 
     # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream,
     # this times the square of an even share (of a gyro bias: times the share), then each axis, even within
     # ± that size, so that small errors are more frequent.
-    gyro_bias_max: float = Field(default=0.0, ge=0)
+    gyro_bias_max: RateError = 0.0
     """Further bias of the gyroscope [rad/s]."""
-    accel_bias_max: float = Field(default=0.0, ge=0)
+    accel_bias_max: ForceError = 0.0
     """Further bias of the accelerometer [m/s²]."""
-    scale_max: float = Field(default=0.0, ge=0, lt=1)
+    scale_max: Annotated[float, Between(0.0, 0.9)] = 0.0
     """Relative error of scale of each axis of both sensors."""
-    mounting_max_deg: float = Field(default=0.0, ge=0, le=45)
+    mounting_max_deg: Mounting = 0.0
     """Further rotation of the IMU against the body [deg]."""
-    noise_factor_max: float = Field(default=1.0, ge=1)
+    noise_factor_max: Annotated[float, Between(1.0, 1000.0)] = 1.0
     """White noise of a stream is multiplied by 1 to this, evenly in its logarithm."""
-    vibration: Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_ascending)] = (0.0, 0.0)
+    vibration: Annotated[tuple[Force, Force], Rising] = (0.0, 0.0)
     """Amplitude of the rotors' vibration in the accelerometer, least and largest [m/s²]."""
-    vibration_share: float = Field(default=0.0, ge=0, le=1)
+    vibration_share: Share = 0.0
     """Share of the streams that vibrate."""
-    low_pass_hz: Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ascending)] | None = None
+    low_pass_hz: Annotated[tuple[Frequency, Frequency], Rising] | None = None
     """Corner of a first-order low-pass over both sensors, least and largest [Hz]."""
-    delay_max_s: float = Field(default=0.0, ge=0)
+    delay_max_s: Delay = 0.0
     """Readings come late by 0 to this, in whole samples [s]."""
-    carried: float = Field(default=0.0, ge=0, le=1)
+    carried: Share = 0.0
     """Share of the streams that are carried by hand: the same attitudes, but no thrust in the force."""
 
 

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, ValidationError, model_validator
+from pydantic import ValidationError, model_validator
 
 from estimators.symmetry import is_symmetric
-from estimators.weights_file import PAPER_SCALING, InputScaling, load_network
-from quadsim.config import Strict, describe
+from estimators.weights_file import (
+    PAPER_SCALING,
+    InputScaling,
+    Neurons,
+    OutputScale,
+    StepsPerSample,
+    load_network,
+)
+from quadsim.config import Strict, describe, merged
+from quadsim.ranges import Between, Share
 
 from .augment import Augmentation
+
+Number = Annotated[int, Between(1, 1_000_000)]
+Step = Annotated[float, Between(1e-6, 1e6)]
 
 
 class TrainConfig(Strict):
@@ -23,18 +34,18 @@ class TrainConfig(Strict):
     """Datasets to train on."""
     validation: tuple[str, ...] = ()
     """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
-    folds: int = Field(default=0, ge=0)
+    folds: Annotated[int, Between(0, 1000)] = 0
     """Parts into which the flights of `data` are dealt, one of them held out as a test; 0: none is."""
-    fold: int = Field(default=0, ge=0)
+    fold: Annotated[int, Between(0, 999)] = 0
     """The part that is held out, counted from 0."""
-    seed: int = 0
+    seed: Annotated[int, Between(0, 2**63 - 1)] = 0
     """Of the initial weights, the split, the windows and the sensor errors."""
     preset: Literal["paper", "best", "robust", "tune"] = "paper"
     """What the other values started from."""
 
-    encoding: int = Field(default=100, ge=1)
+    encoding: Neurons = 100
     """Neurons of the encoding layer."""
-    hidden: int = Field(default=100, ge=1)
+    hidden: Neurons = 100
     """Neurons of the recurrent layer."""
     quantised: bool = True
     """Train the network that the chip will run, weights, decays and states rounded (att-snn)."""
@@ -42,65 +53,65 @@ class TrainConfig(Strict):
     """Share the weights that quarter turns and mirror images of the body map onto each other (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
-    steps_per_sample: int = Field(default=1, ge=1, le=16)
+    steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
-    output_scale: float = Field(default=1.0, gt=0)
+    output_scale: OutputScale = 1.0
     """Radians for an output potential of 1.0 (att-snn)."""
     start: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
 
     init: str = ""
     """Weights to go on from, in place of `start`: a file or a shipped name; shape and scaling are theirs."""
-    revive: float = Field(default=0.0, ge=0, le=1)
+    revive: Share = 0.0
     """Share of the epochs, from the first, that begin with new inputs for hidden neurons that never or always
     spike (att-snn)."""
-    parameters: int = Field(default=0, ge=0)
+    parameters: Annotated[int, Between(0, 10**8)] = 0
     """Most connections and time constants in the end: training begins with every connection and takes away
     those that matter least (att-snn); 0: all stay."""
-    thinning: tuple[float, float] = (0.25, 0.7)
+    thinning: tuple[Share, Share] = (0.25, 0.7)
     """Shares of the epochs between which connections are taken away."""
     train_decays: bool = True
     """Whether the time constants are trained too (att-snn)."""
 
-    optimiser_lr: float = Field(default=0.005, gt=0)
+    optimiser_lr: Annotated[float, Between(1e-9, 10.0)] = 0.005
     """Learning rate of Adam."""
-    layer_steps: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (1.0, 1.0, 1.0)
+    layer_steps: tuple[Step, Step, Step] = (1.0, 1.0, 1.0)
     """Its factors for the encoding, the hidden and the output weights (att-snn)."""
-    adam_beta2: float = Field(default=0.999, gt=0, lt=1)
+    adam_beta2: Annotated[float, Between(1e-3, 1.0 - 1e-6)] = 0.999
     """Decay of Adam's second moment."""
     decay: Literal["none", "cosine"] = "none"
     """Learning rate over the epochs: constant, or half a cosine down to a hundredth."""
-    clip: float = Field(default=0.0, ge=0)
+    clip: Annotated[float, Between(0.0, 1e6)] = 0.0
     """Largest norm of the gradient; 0: no limit."""
-    lookahead_k: int = Field(default=6, ge=1)
+    lookahead_k: Number = 6
     """Steps of the fast weights for one of the slow."""
-    lookahead_alpha: float = Field(default=0.5, gt=0, le=1)
+    lookahead_alpha: Annotated[float, Between(1e-3, 1.0)] = 0.5
     """How far the slow weights follow."""
 
-    epochs: int = Field(default=500, ge=1)
+    epochs: Number = 500
     """Most epochs."""
-    batches: int = Field(default=15, ge=1)
+    batches: Number = 15
     """Updates in an epoch."""
-    batch_size: int = Field(default=40, ge=1)
+    batch_size: Number = 40
     """Windows in a batch."""
-    window_s: float = Field(default=10.0, gt=0)
+    window_s: Annotated[float, Between(0.01, 3600.0, "s")] = 10.0
     """Length of a window [s]."""
-    windows_per_stream: int = Field(default=1, ge=1)
+    windows_per_stream: Number = 1
     """Most windows that follow one another with the state carried over (truncated backpropagation)."""
     stop_early: bool = True
     """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
     augmentation: Augmentation = Augmentation()
     """Sensor errors and symmetries, drawn anew for every window or stream."""
-    knee: float = Field(default=0.0, ge=0)
+    knee: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
     """Error beyond which it counts in proportion, not by its square: what no network could have known, as
     right after an unknown start, then decides less [rad]; 0: all count by their square."""
-    rate_cost: float = Field(default=0.0, ge=0)
+    rate_cost: Annotated[float, Between(0.0, 1e6)] = 0.0
     """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
-    rate_targets: tuple[float, float] = (0.1, 0.1)
+    rate_targets: tuple[Share, Share] = (0.1, 0.1)
     """Spikes per neuron and step that cost nothing, encoding and hidden layer."""
-    threads: int = Field(default=1, ge=1)
+    threads: Annotated[int, Between(1, 1024)] = 1
     """Threads that share a batch; the result depends on their number in the last digits only."""
 
     @model_validator(mode="after")
@@ -202,6 +213,9 @@ RNN: dict[str, dict[str, Any]] = {
 """What the presets change further for att-rnn."""
 
 
+TABLES = ("inputs", "augmentation")
+"""Fields that are tables; a choice changes the keys that it names."""
+
 KEPT = ("encoding", "hidden", "quantised", "recurrent_delay", "steps_per_sample", "output_scale")
 """What a run that goes on from weights takes over from them."""
 
@@ -225,7 +239,8 @@ def make_config(preset: str = "paper", **choices: Any) -> TrainConfig:
     elif preset == "tune":
         raise ValueError("preset tune goes on from weights: give init, a shipped name or a file")
     try:
-        config = TrainConfig.model_validate(values | choices | {"preset": preset})
+        defaults = {name: field.default for name, field in TrainConfig.model_fields.items() if name in TABLES}
+        config = TrainConfig.model_validate(merged(defaults | values, choices) | {"preset": preset})
     except ValidationError as error:
         raise ValueError(f"training: {describe(error, TrainConfig)}") from error
     paths = [Path(path).resolve() for path in (*config.data, *config.validation)]

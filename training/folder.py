@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import math
-import os
 import subprocess
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from estimators.weights_file import load_network
+from quadsim.runs import code_digest, save_figure, write_csv, write_whole
 
 from .config import TrainConfig
 from .data import Flights
@@ -60,26 +58,30 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file():
         try:
-            there = TrainConfig.model_validate_json(file.read_text())
+            there = TrainConfig.model_validate_json(file.read_text(encoding="utf-8"))
         except ValidationError as error:
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
             ) from error
         if there != config:
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
-    replace(file, lambda path: path.write_text(text))
+    write_whole(file, text)
     if contents is None:
         return
     kept = out / "contents.json"
-    if kept.is_file() and (old := json.loads(kept.read_text())) != contents:
+    if kept.is_file() and (old := json.loads(kept.read_text(encoding="utf-8"))) != contents:
         changed = ", ".join(name for name in contents if old.get(name) != contents[name])
         raise ValueError(f"{out}: holds a run on other files ({changed} changed), choose another folder")
-    replace(kept, lambda path: path.write_text(json.dumps(contents, indent=2)))
+    write_whole(kept, json.dumps(contents, indent=2))
 
 
 def contents_of(config: TrainConfig, flights: Flights, validation: Flights) -> dict[str, str]:
     """Digests of what a run reads, so that going on with it on other files is noticed."""
-    found = {"data": flights.digest(), "validation": validation.digest()}
+    found = {
+        "data": flights.digest(),
+        "validation": validation.digest(),
+        "code": code_digest("training.loop"),
+    }
     if config.init:
         digest = hashlib.blake2b(digest_size=16)
         for name, tensor in sorted(load_network(config.init)[1].items()):
@@ -90,14 +92,7 @@ def contents_of(config: TrainConfig, flights: Flights, validation: Flights) -> d
 
 def write_log(out: Path, history: list[Epoch]) -> None:
     """A row of `log.csv` for each epoch."""
-
-    def write(path: Path) -> None:
-        with path.open("w", newline="") as file:
-            writer = csv.DictWriter(file, [f.name for f in fields(Epoch)])
-            writer.writeheader()
-            writer.writerows(asdict(epoch) for epoch in history)
-
-    replace(out / "log.csv", write)
+    write_csv(out / "log.csv", [asdict(epoch) for epoch in history])
 
 
 def plot(out: Path, history: list[Epoch]) -> None:
@@ -111,14 +106,7 @@ def plot(out: Path, history: list[Epoch]) -> None:
     axes.set(xlabel="epoch", ylabel="mean square error [rad²]")
     axes.legend()
     axes.grid(alpha=0.3)
-    figure.savefig(out / "curve.png", dpi=150, bbox_inches="tight")
-
-
-def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file so that it is either the old one or whole."""
-    part = path.with_name(path.name + ".part")
-    write(part)
-    os.replace(part, path)
+    save_figure(out / "curve.png", figure, dpi=150, bbox_inches="tight")
 
 
 def commit() -> str:

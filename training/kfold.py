@@ -6,25 +6,23 @@ flights that it was trained on, on those that it was not shown, and on the whole
 
 from __future__ import annotations
 
-import json
 import logging
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from estimators.metrics import attitude_error
 from estimators.networks import create_network
-from quadsim.dataset import end_with_parent
+from quadsim.runs import CLUSTER_LOST, give_up, read_json, worker_pool, write_csv, write_json
 
 from .config import TrainConfig, make_config
 from .data import Flights, load_flights
-from .folder import claim, contents_of, replace
+from .folder import claim, contents_of
 from .loop import INTERRUPTED, flights_of, run
-from .table1 import TEST, TRAIN, Score, plot, table, write_rows
+from .table1 import TEST, TRAIN, Score, plot, table
 
 log = logging.getLogger(__name__)
 
@@ -99,8 +97,8 @@ def kfold(
         claim(job.out, job.config)
     scores = [score for found in _run_all(jobs, workers, executor, progress) for score in found]
     scores.sort(key=lambda s: (s.model, s.trained_on, s.fold))
-    write_rows(out / "kfold.csv", scores)
-    write_rows(out / "table1.csv", table(scores))
+    write_csv(out / "kfold.csv", [asdict(score) for score in scores])
+    write_csv(out / "table1.csv", [asdict(cell) for cell in table(scores)])
     plot(out / "kfold.png", scores)
     return scores
 
@@ -122,9 +120,7 @@ def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[Score
         for name, flights in sets.items()
         for errors in [_errors(job.config.model, result.weights, flights)]
     ]
-    replace(
-        job.out / "scores.json", lambda p: p.write_text(json.dumps([asdict(s) for s in scores], indent=1))
-    )
+    write_json(job.out / "scores.json", [asdict(score) for score in scores])
     return scores
 
 
@@ -152,7 +148,7 @@ def _jobs(
 def _finished(job: Job) -> list[Score] | None:
     """The scores of a fold that is done, if they are for the same domains."""
     try:
-        scores = [Score(**row) for row in json.loads((job.out / "scores.json").read_text())]
+        scores = [Score(**row) for row in read_json(job.out / "scores.json")]
     except (FileNotFoundError, ValueError, TypeError):
         return None
     return scores if [s.tested_on for s in scores] == [TRAIN, TEST, *job.others] else None
@@ -187,8 +183,7 @@ def _run_all(
             yield run_fold(job, say)
         say()
     else:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
+        with worker_pool(workers) as pool:
             yield from _submit(pool, jobs, say)
 
 
@@ -205,14 +200,15 @@ def _submit(executor: Executor, jobs: Sequence[Job], say: Callable[[], None]) ->
         raise ChildProcessError(
             "a worker process died (out of memory, or killed); what is trained is kept: rerun to resume"
         ) from error
+    except CancelledError as error:
+        raise ChildProcessError(CLUSTER_LOST) from error
     finally:
-        for future in pending:
-            future.cancel()
+        give_up(executor, pending)
 
 
 def _epochs(out: Path) -> int:
     """Epochs that a run has behind it."""
     try:
-        return len((out / "log.csv").read_text().splitlines()) - 1
+        return len((out / "log.csv").read_text(encoding="utf-8").splitlines()) - 1
     except FileNotFoundError:
         return 0

@@ -6,6 +6,7 @@ A run's folder holds `config.json`, `log.csv` (a row per epoch), `checkpoint.pt`
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -27,10 +28,11 @@ from estimators.pruning import connected
 from estimators.spiking import MATRICES
 from estimators.symmetry import OPERATIONS
 from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
+from quadsim.runs import write_whole
 
 from .config import TrainConfig, make_config
 from .data import Batch, Flights, fold_split, load_flights, split, windows
-from .folder import Epoch, claim, commit, contents_of, plot, replace, write_log
+from .folder import Epoch, claim, commit, contents_of, plot, write_log
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, thin
 from .optim import Lookahead, changed
@@ -313,7 +315,7 @@ def _go_on(run: _Run, out: Path, progress: Progress | None) -> str:
             run.history.append(epoch)
             if _rank(config, epoch) <= min(_rank(config, e) for e in run.history):
                 _save_best(run, out, epoch)
-            replace(out / "checkpoint.pt", lambda path: torch.save(run.checkpoint(), path))
+            write_whole(out / "checkpoint.pt", _bytes(run.checkpoint()))
             write_log(out, run.history)
             if progress:
                 progress(epoch, config)
@@ -323,6 +325,12 @@ def _go_on(run: _Run, out: Path, progress: Progress | None) -> str:
         log.error("%s: training stopped, the best weights so far are kept", error)
         return str(error)
     return f"all {config.epochs} epochs done"
+
+
+def _bytes(checkpoint: dict[str, Any]) -> bytes:
+    """A checkpoint as PyTorch writes it; in memory, since it says of a full disk that its writer failed."""
+    torch.save(checkpoint, buffer := io.BytesIO())
+    return buffer.getvalue()
 
 
 def _save_best(run: _Run, out: Path, epoch: Epoch) -> None:
@@ -340,7 +348,7 @@ def _save_best(run: _Run, out: Path, epoch: Epoch) -> None:
         network, tensors = exported(run.model, run.config, run.flights.rate_hz, note)
     if run.config.thinned:
         network, tensors = connected(network, tensors)
-    replace(out / "best.safetensors", lambda path: save_network(path, network, tensors))
+    save_network(out / "best.safetensors", network, tensors)
 
 
 def flights_of(config: TrainConfig) -> tuple[Flights, Flights, Flights]:

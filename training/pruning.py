@@ -59,7 +59,6 @@ def prune(
     flights, scored = _flights(data, RANKED_ON), _flights(validation)
     full = config.encoding, config.hidden
     start = Path(out) / "whole.safetensors"
-    start.parent.mkdir(parents=True, exist_ok=True)
     save_network(start, config, tensors)
     error = error_deg(config, tensors, scored)
     done = [Pruned(0.0, *full, parameters(tensors), error, error, start)]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from estimators.networks import real_weights
 from estimators.spiking import TIME_CONSTANTS, Weights
 from estimators.weights_file import NetworkConfig, Tensors
+from quadsim.ranges import SAMPLE_RATE
 
 
 def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[NetworkConfig, Tensors]:
@@ -25,8 +26,7 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     """
     if config.model != "att-snn":
         raise ValueError(f"{config.model} has no time constants to rescale, att-snn has")
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise ValueError(f"rate_hz = {rate_hz}: more than 0 is allowed")
+    SAMPLE_RATE.of("rate_hz", rate_hz)
     k = rate_hz / config.rate_hz
     weights, taus = real_weights(config, tensors)
     clipped = [np.clip(tau, 0.0, 4095 / 4096) for tau in taus]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from quadsim.figures import LINES, STYLE
+from quadsim.runs import save_figure
 
 TRAIN, TEST = "(train)", "(test)"
 
@@ -73,14 +73,6 @@ def terminal_table(cells: Sequence[Cell]) -> Table:
     return shown
 
 
-def write_rows(path: Path, rows: Sequence[Score] | Sequence[Cell]) -> None:
-    """Write rows of one kind as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
 def plot(path: Path, scores: Sequence[Score]) -> None:
     """Every fold's error as a dot, one column for each entry of Table 1, with mean and standard deviation."""
     cells = table(scores)
@@ -107,4 +99,4 @@ def plot(path: Path, scores: Sequence[Score]) -> None:
         axes.set_xlim(-0.6, len(cells) - 0.4)
         axes.grid(axis="x", visible=False)
         axes.legend(title="folds (dots), mean ± SD")
-        figure.savefig(path, dpi=150)
+        save_figure(path, figure, dpi=150)

@@ -16,6 +16,9 @@ static const uint16_t KEEP_V_OUTPUT = $mem2;
 
 static const double OFFSET[ATT_SNN_INPUTS] = $offset;
 static const double GAIN[ATT_SNN_INPUTS] = $gain;
+/* Beyond these a reading is not one of an IMU [rad/s, m/s^2]. */
+static const double RATE_MAX = $rate_max;
+static const double FORCE_MAX = $force_max;
 static const double SCALE = $scale; /* radians for a potential of 1 */
 
 enum {
@@ -87,7 +90,14 @@ static int32_t nearest(double x)
     return rest > 0.5 || (rest == 0.5 && (down & 1)) ? down + 1 : down;
 }
 
-static int finite(double x) { return x - x == 0.0; }
+/* Whether a reading is one that an IMU can have measured; a NaN is not. */
+static int within(const double reading[3], double most)
+{
+    for (int k = 0; k < 3; ++k)
+        if (!(reading[k] >= -most && reading[k] <= most))
+            return 0;
+    return 1;
+}
 
 void att_snn_reset(att_snn_state *state)
 {
@@ -97,13 +107,16 @@ void att_snn_reset(att_snn_state *state)
 
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3])
 {
-    const double force = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
-    if (finite(gyro[0] + gyro[1] + gyro[2]))
+    const int rate = within(gyro, RATE_MAX);
+    const int force = within(accel, FORCE_MAX) && (accel[0] != 0.0 || accel[1] != 0.0 || accel[2] != 0.0);
+    if (rate)
         for (int k = 0; k < 3; ++k)
             state->input[k] = nearest((gyro[k] - OFFSET[k]) * GAIN[k]);
-    if (finite(force) && force > 0.0)
+    if (force)
         for (int k = 0; k < 3; ++k)
             state->input[3 + k] = nearest((accel[k] - OFFSET[3 + k]) * GAIN[3 + k]);
+    if (!(rate && force))
+        ++state->skipped;
 }
 
 /* One step: every layer reads the spikes of the step before, so the last layer goes first. */

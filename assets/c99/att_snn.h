@@ -24,13 +24,15 @@ typedef struct {
     int32_t v_output[ATT_SNN_OUTPUTS];
     uint8_t s_encoding[ATT_SNN_ENCODING]; /* spikes of the last step, 0 or 1 */
     uint8_t s_hidden[ATT_SNN_HIDDEN];
+    uint32_t skipped; /* samples with a reading that was not used */
 } att_snn_state;
 
 /* Start at rest. */
 void att_snn_reset(att_snn_state *state);
 
 /* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading that
- * is not finite, or a force of exactly zero, is missing and leaves the last good one. */
+ * is not finite or beyond 4000 deg/s or 32 g, or a force of exactly zero, leaves the last good one and is counted
+ * in `skipped`. */
 void att_snn_encode(att_snn_state *state, const double gyro[3], const double accel[3]);
 
 /* Run the network for one sample. */

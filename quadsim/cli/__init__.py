@@ -6,6 +6,7 @@ fast.
 
 import logging
 import sys
+from io import TextIOWrapper
 
 import typer
 from rich.console import Console
@@ -44,6 +45,9 @@ for verb in (
 
 def main() -> None:
     """Run the command line: a user's mistake is one line and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # "°" in a locale without it
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     try:
         app(prog_name="quadsim")

@@ -57,8 +57,9 @@ def generate(
             overwrite=overwrite,
         )
     info = dataset_info(path)
+    early = f", {info['flights_ended_early']} of them ended early" if info["flights_ended_early"] else ""
     console.print(
-        f"{path}: {info['flights']} flights of {info['duration_s']:g} s at {info['rate_hz']:g} Hz, "
+        f"{path}: {info['flights']} flights of {info['duration_s']:g} s at {info['rate_hz']:g} Hz{early}, "
         f"roll SD {info['roll_sd_deg']:.1f}°, pitch SD {info['pitch_sd_deg']:.1f}°, "
         f"largest tilt {info['max_tilt_deg']:.0f}°, {info['size_MB']:.1f} MB",
         soft_wrap=True,

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from ..console import executor_of, progress_bar
 from ..console import output as console
-from .options import Rate, Seed, Workers, headline
+from .options import ImuToo, Rate, Seed, Tuning, VehicleToo, Workers, headline, warn_of
 
 
 def design(
@@ -70,6 +70,9 @@ def fly(
         float | None, typer.Option(min=0.1, help="Length in seconds, not the scenario's.")
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 1,
+    vehicle: VehicleToo = None,
+    imu: ImuToo = None,
+    tuning: Tuning = None,
     rate: Rate = 200.0,
     seed: Seed = 0,
     flight: Annotated[
@@ -85,9 +88,10 @@ def fly(
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
     """
+    from scenarios.cell import file_name
     from scenarios.single import fly_scenario
 
-    folder = out or Path("reports") / f"fly-{Path(scenario).stem}-{Path(estimator).stem}"
+    folder = out or Path("reports") / f"fly-{file_name(scenario)}-{file_name(estimator)}"
     try:
         flown = fly_scenario(
             scenario,
@@ -97,6 +101,9 @@ def fly(
             seed=seed,
             flight=flight,
             duration_s=duration,
+            vehicle=vehicle,
+            imu=imu,
+            tuning=tuning,
             rate_hz=rate,
             video=video,
             view=view,
@@ -106,6 +113,7 @@ def fly(
     row = flown.results.rows[0]
     if row["reason"]:
         raise ValueError(f"{estimator} did not fly {scenario}: {row['reason']}")
+    warn_of(flown.results)
     error = "no error to speak of" if row["error_deg"] is None else f"error {row['error_deg']:.2f}°"
     console.print(f"{flown.report}: {row['crashes']} of {row['flights']} crashed, {error}", soft_wrap=True)
 
@@ -128,6 +136,9 @@ def bench(
         str | None,
         typer.Option(help="External sensor instead of the scenarios': ideal, motion-capture or a TOML file."),
     ] = None,
+    vehicle: VehicleToo = None,
+    imu: ImuToo = None,
+    tuning: Tuning = None,
     breaking_point: Annotated[
         list[str] | None,
         typer.Option(
@@ -150,7 +161,7 @@ def bench(
     from scenarios.breaking import breaking_points, chosen
     from scenarios.publish import publish
     from scenarios.runner import bench as run_bench
-    from scenarios.runner import code_digest
+    from scenarios.runner import suite_digest
     from scenarios.summary import breaking_table, closed_loop_table
 
     from ..scenario import scenario_names
@@ -166,7 +177,10 @@ def bench(
                 out,
                 seed=seed,
                 duration_s=duration,
+                vehicle=vehicle,
+                imu=imu,
                 external=external,
+                tuning=tuning,
                 rate_hz=rate,
                 workers=workers,
                 executor=executor,
@@ -180,10 +194,13 @@ def bench(
                     names,
                     seeds,
                     out,
-                    code=code_digest(),
+                    code=suite_digest(),
                     seed=seed,
                     duration_s=duration,
+                    vehicle=vehicle,
+                    imu=imu,
                     external=external,
+                    tuning=tuning,
                     rate_hz=rate,
                     workers=workers,
                     executor=executor,
@@ -195,6 +212,7 @@ def bench(
         console.print(breaking_table(points))
     if note:
         console.print(note, soft_wrap=True)
+    warn_of(results)
     console.print(headline(page, results), soft_wrap=True)
     if all(cell.reason for cell in results.cells):
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")

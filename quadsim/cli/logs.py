@@ -7,6 +7,7 @@ import typer
 from rich.table import Table
 
 from ..console import output
+from ..runs import save_figure
 
 app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
 
@@ -53,6 +54,10 @@ def info(
         rows["mean force in the world"] = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s²"
     if report.truth_delay_s is not None:
         rows["truth late by"] = f"{1e3 * report.truth_delay_s:.1f} ms, correlation {report.agreement:.3f}"
+        rows["gyroscope over truth"] = f"{report.slope:.3f}"
+    rows["specific force"] = (
+        f"median {report.weight:.2f} m/s², {100 * report.upright:.0f} % of it along body z"
+    )
     for key, value in rows.items():
         table.add_row(key, value)
     for note in report.notes:
@@ -79,10 +84,10 @@ def convert(
 
     Example: quadsim logs convert flight.ulg --out data/mine.zarr
     """
-    from ..logs import read_log
+    from ..logs import read_parts
     from ..logs.convert import convert as convert_logs
 
-    logs = [read_log(file, rate, axes=axes, truth=truth, imu=imu) for file in files]
+    logs = [log for file in files for log in read_parts(file, rate, axes=axes, truth=truth, imu=imu)]
     path = convert_logs(logs, out, piece)
     from ..dataset import open_dataset
 
@@ -114,7 +119,7 @@ def calibrate(
     found = calibrate_imu([read_recording(file, axes=axes, imu=imu) for file in files], gravity)
     write_imu(found, out)
     if plot is not None:
-        draw(found).savefig(plot, dpi=130)
+        save_figure(plot, draw(found), dpi=130)
     table = Table("sensor", "noise density", "bias random walk", "time constant, s", "turn-on bias")
     for name, sensor in (("gyro, rad/s", found.gyro), ("accel, m/s²", found.accel)):
         tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"

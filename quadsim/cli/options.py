@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from ..config import merged
+from ..console import output
+
 if TYPE_CHECKING:
     from scenarios.runner import Results
 
@@ -23,9 +26,32 @@ Preset = Annotated[
 ]
 Fields = Annotated[
     list[str] | None,
-    typer.Option("--set", help="Any other field of the training, as name=value; an unknown one lists them."),
+    typer.Option(
+        "--set",
+        help="Any other field of the training, as name=value or table.name=value; an unknown one lists them.",
+    ),
+]
+VehicleToo = Annotated[
+    str | None,
+    typer.Option(help="Vehicle in place of the scenarios': a shipped name or a TOML file. Filters follow."),
+]
+ImuToo = Annotated[
+    str | None, typer.Option(help="IMU in place of the scenarios': a shipped name or a TOML file.")
+]
+Tuning = Annotated[
+    str | None,
+    typer.Option(
+        help="Tuned parameters of filters: a shipped domain or a file of quadsim tune; those shipped for the "
+        "vehicle when left out."
+    ),
 ]
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
+
+
+def warn_of(results: Results) -> None:
+    """Say what the parameters of filters were tuned for, where something else was flown."""
+    for line in results.warnings:
+        output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
 
 
 def headline(path: Path, results: Results) -> str:
@@ -47,7 +73,11 @@ def time_left(seconds: float, done: int, total: int) -> str:
 
 def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
     """The settings given by --set; what has an option of its own, or follows from others, is refused."""
-    fields = dict(map(pair_of, texts or []))
+    fields: dict[str, object] = {}
+    for name, value in map(pair_of, texts or []):
+        for table in reversed(name.split(".")[1:]):
+            value = {table: value}
+        fields = merged(fields, {name.split(".")[0]: value})
     for name in options:
         if name in fields:
             raise ValueError(f"--set {name}: it has an option of its own, or follows from the others")
@@ -58,7 +88,9 @@ def pair_of(text: str) -> tuple[str, object]:
     """A setting given as name=value; the value is read as TOML, or as it stands."""
     name, equals, value = text.partition("=")
     if not equals:
-        raise ValueError(f"--set takes name=value, not {text!r}")
+        raise ValueError(f"--set takes name=value or table.name=value, not {text!r}")
+    if name.count(".") > 2:
+        raise ValueError(f"--set {name[:40]}: tables are not nested so deeply")
     try:
         return name, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:

@@ -7,6 +7,7 @@ import typer
 
 from ..console import output as console
 from ..console import progress_bar
+from ..runs import save_figure
 from .options import Seed, Workers
 
 
@@ -45,6 +46,10 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the report.")] = Path(
         "reports/evaluate"
     ),
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="With --logs: score them although a unit or frame cannot be right."),
+    ] = False,
     seed: Seed = 0,
 ) -> None:
     """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
@@ -61,7 +66,7 @@ def evaluate(
     if logs:
         from scenarios.recorded import evaluate_logs
 
-        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, vehicle, out)
+        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, vehicle, out, force)
         return
     if axes is not None:
         raise ValueError("--axes turns the sensors of --logs; a dataset has body axes")
@@ -69,7 +74,7 @@ def evaluate(
     import estimators
     from estimators import figures
     from estimators.evaluate import evaluate as evaluate_estimators
-    from estimators.flights import vehicle_of
+    from estimators.flights import imu_of, vehicle_of
     from estimators.protocol import needs_vehicle
     from scenarios.recorded import made_of
     from scenarios.report import write_report
@@ -81,7 +86,7 @@ def evaluate(
     airframe = vehicle or vehicle_of(flown)
     rate_hz = float(flown.attrs["rate_hz"])
     every = [name for name in estimators.names() if airframe is not None or not needs_vehicle(name)]
-    made = made_of(estimator or every, weights or [], rate_hz, tuning, airframe)
+    made = made_of(estimator or every, weights or [], rate_hz, tuning, airframe, imu_of(flown))
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate_estimators(
             flown,
@@ -98,7 +103,7 @@ def evaluate(
         ("convergence", figures.settling),
     ):
         pictures[name] = out / f"{name}.png"
-        draw(done).savefig(pictures[name], dpi=130)
+        save_figure(pictures[name], draw(done), dpi=130)
     caption = f"{flown.sizes['flight']} flights of {data}, without a loop."
     notes = evaluation_notes(done.rows)
     page = write_report(

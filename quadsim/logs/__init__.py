@@ -1,5 +1,6 @@
 """Flight logs of other tools, in the layout of the simulator's datasets."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import xarray as xr
@@ -7,12 +8,20 @@ import xarray as xr
 from .broad import read_broad
 from .euroc import euroc_folder, euroc_sequences, read_euroc
 from .recording import Recording, turned
-from .resample import LogReport, resample
+from .resample import LogReport, resample, split
 from .rosbag import read_rosbag
 from .table import read_table
 from .ulog import read_ulog
 
-__all__ = ["LogReport", "Recording", "euroc_sequences", "read_log", "read_log_and_report", "read_recording"]
+__all__ = [
+    "LogReport",
+    "Recording",
+    "euroc_sequences",
+    "read_log",
+    "read_log_and_report",
+    "read_parts",
+    "read_recording",
+]
 
 FORMATS = (
     ".ulg (PX4), an EuRoC folder, .hdf5, .mat or .npz (BROAD), .bag, .db3, .mcap or a bag's folder (ROS), "
@@ -59,6 +68,20 @@ def read_log_and_report(
 ) -> tuple[xr.Dataset, LogReport]:
     """As `read_log`, and what was found."""
     return resample(read_recording(path, axes=axes, truth=truth, imu=imu), rate_hz)
+
+
+def read_parts(
+    path: str | Path,
+    rate_hz: float = 200.0,
+    *,
+    axes: str | None = None,
+    truth: str | None = None,
+    imu: str | None = None,
+) -> list[xr.Dataset]:
+    """As `read_log`, every part of a log that long gaps cut, in its order; parts too short are left out."""
+    parts = split(read_recording(path, axes=axes, truth=truth, imu=imu))
+    names = [part.name if len(parts) == 1 else f"{part.name}, part {k + 1}" for k, part in enumerate(parts)]
+    return [resample(replace(part, name=name), rate_hz)[0] for part, name in zip(parts, names, strict=True)]
 
 
 def read_recording(

@@ -1,5 +1,7 @@
 """How late the truth of a log is: its body rates beside those of the gyroscope."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,8 +16,19 @@ MOVING = 0.05
 """Rates that spread by less say nothing about a delay [rad/s]."""
 
 
-def truth_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[float, float] | None:
-    """Delay at which the truth turns most as the gyroscope says, by correlation over all three axes.
+class Alignment(NamedTuple):
+    """How the turns of the truth and of the gyroscope belong together."""
+
+    delay_s: float
+    """How late the truth is [s] (negative: early), to a fraction of a sample."""
+    agreement: float
+    """Correlation over all three axes at that delay: 1 where both turn alike."""
+    slope: float
+    """Readings over the truth's rates, the line of best fit at that delay: 1 where units agree."""
+
+
+def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
+    """Find the delay at which the truth turns most as the gyroscope says, and compare both there.
 
     Args:
         gyro: Body rates (T, 3) [rad/s], NaN where missing.
@@ -23,8 +36,7 @@ def truth_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[float, float]
         rate_hz: Samples per second.
 
     Returns:
-        How late the truth is [s] (negative: early), to a fraction of a sample, and the correlation there,
-        1.0 where both turn alike; None where there is too little motion to tell.
+        What was found; None where there is too little motion to tell.
     """
     known = np.asarray(np.isfinite(quat).all(axis=1))
     span = max(round(SPAN_S * rate_hz), 1)
@@ -42,17 +54,21 @@ def truth_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[float, float]
     if min(np.nanstd(a, axis=0).max(), np.nanstd(b, axis=0).max()) < MOVING:
         return None
     most = round(SEARCH_S * rate_hz)
-    fit = np.array([_correlation(a, b, lag) for lag in range(-most, most + 1)])
+    fit = np.array([_fit(a, b, lag)[0] for lag in range(-most, most + 1)])
     peak = int(np.clip(np.argmax(fit), 1, fit.size - 2))
     left, top, right = fit[peak - 1 : peak + 2]
     bend = left - 2 * top + right
     beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return float((peak - most + beside) / rate_hz), float(top)
+    return Alignment(float((peak - most + beside) / rate_hz), float(top), _fit(a, b, peak - most)[1])
 
 
-def _correlation(a: Array, b: Array, lag: int) -> float:
-    """Correlation of a[k] with b[k + lag], all axes together, over the samples where both are known."""
+def _fit(a: Array, b: Array, lag: int) -> tuple[float, float]:
+    """Correlation of a[k] with b[k + lag], all axes together, where both are known, and the slope a over b.
+
+    The slope is the ratio of the spreads, which noise in either one alone hardly biases.
+    """
     a, b = (a[: a.shape[0] - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
     both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     a, b = (x[both] - x[both].mean(axis=0) for x in (a, b))
-    return float((a * b).sum() / np.sqrt(max((a**2).sum() * (b**2).sum(), 1e-30)))
+    power_a, power_b = max(float((a**2).sum()), 1e-30), max(float((b**2).sum()), 1e-30)
+    return float((a * b).sum()) / np.sqrt(power_a * power_b), float(np.sqrt(power_a / power_b))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
+from ..runs import write_whole
 from ..vehicle import GRAVITY
 from .recording import Array, Recording
 
@@ -170,8 +171,7 @@ def write_imu(calibration: Calibration, out: Path) -> None:
                 f"time_constant = {sensor.time_constant:.5g} # s{sure}",
             ]
         lines += [f"turn_on = {sensor.turn_on:.5g} # {unit}, from a mean of {bias}"]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(out, "\n".join(lines) + "\n")
 
 
 def _calmest(log: Recording, second: int, count: int) -> NDArray[np.int64]:

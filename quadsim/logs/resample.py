@@ -4,7 +4,8 @@ Nothing is bridged in silence: where the log has a gap the samples are NaN, whic
 missing, and where the truth is not known it is NaN, which no score counts.
 """
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..dataset_store import LABELS, VARIABLES
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
-from .alignment import truth_delay
+from .alignment import align
 from .recording import Array, Recording
 
 PASS = 0.8
@@ -34,10 +35,28 @@ EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
 GRAVITY_TOLERANCE = 1.0
 """Mean specific force in world axes may differ from gravity by this before it is reported [m/s²]."""
+GRAVITY_WRONG = 3.0
+"""and by this before the log is no longer scored: a frame that is turned by 18°."""
 DELAY_TOLERANCE_S = 0.01
 """The truth may be this late or early before it is reported: two samples of the network's."""
 AGREEMENT = 0.7
 """Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
+SLOPES = (0.8, 1.25)
+"""Gyroscope's rates over the truth's between which units agree."""
+WEIGHTS = (7.0, 13.0)
+"""Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
+UPRIGHT = 0.2
+"""Share of the specific force along body z below which a log without truth is taken for no flight."""
+UNIT_NORM = 0.02
+"""Quaternions of the truth may be longer or shorter than one by this."""
+LONGEST_GAP_S = 30.0
+"""A longer gap ends a recording, and what follows is another part of it."""
+FEWEST = 8
+"""Samples that a part has at least."""
+SPARSE = 20.0
+"""A part may last this many times as long as its samples fill at their rate."""
+CLOSEST = 0.05
+"""Samples closer than this share of the sample period are one."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +93,83 @@ class LogReport:
     """How late the truth is, by its body rates [s]; None where there is too little motion to tell."""
     agreement: float | None
     """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
+    slope: float | None
+    """The gyroscope's rates over the truth's: 1 where units agree."""
+    truth_norm: float | None
+    """Median length of the truth's quaternions as recorded."""
+    weight: float
+    """Median length of the specific force [m/s²]: near 9.8 in flight and in the hand."""
+    upright: float
+    """Its mean along body z, over that length: near 1 in a flight."""
+    still: tuple[str, ...]
+    """Sensors that read the same number on all axes all the time."""
+    parts: int
+    """Parts into which gaps of more than half a minute cut the log; the longest is the one that was read."""
     filter_hz: float | None
     """−6 dB corner of the anti-alias filter; None where there was none to apply."""
     notes: tuple[str, ...]
 
     @property
+    def faults(self) -> list[str]:
+        """Why scores on this log would mean nothing, in sentences; none where all is well."""
+        found = [f"the {sensor} reads the same number all the time" for sensor in self.still]
+        low, high = WEIGHTS
+        if "accelerometer" not in self.still and not low <= self.weight <= high:
+            unit = _unit_of(
+                self.weight / 9.81, {1 / 9.81: "in g", 1e3 / 9.81: "in mg", 10.0: "ten times too large"}
+            )
+            found.append(
+                f"the specific force has a median of {self.weight:.4g} m/s², and gravity alone is 9.8: {unit}"
+            )
+        elif self.truth == "none" and self.upright < UPRIGHT:
+            found.append(
+                f"body z carries {self.upright:.2f} of the specific force, and in a flight it carries nearly "
+                "all: is the frame FLU, and is gravity's sign right? (frame, axes, negate)"
+            )
+        if self.slope is not None and "gyroscope" not in self.still:
+            low, high = SLOPES
+            if not low <= self.slope <= high:
+                known = {
+                    180 / np.pi: "in deg/s",
+                    np.pi / 180: "turned into rad/s twice",
+                    10.0: "ten times too large",
+                }
+                found.append(
+                    f"the gyroscope reads {self.slope:.3g} times the rate at which the truth turns: "
+                    f"{_unit_of(self.slope, known)}"
+                )
+        if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
+            found.append(f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1")
+        if self.agreement is not None and self.agreement < AGREEMENT:
+            found.append(
+                f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
+                "look at frame and axes"
+            )
+        if self.gravity is not None and self._off_gravity > GRAVITY_WRONG:
+            found.append(self._where_gravity)
+        return found
+
+    @property
+    def _off_gravity(self) -> float:
+        return float(np.linalg.norm(np.array(self.gravity or (0.0, 0.0, 9.81)) - (0.0, 0.0, 9.81)))
+
+    @property
+    def _where_gravity(self) -> str:
+        x, y, z = self.gravity or (0.0, 0.0, 9.81)
+        return (
+            f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, {z:.1f}) "
+            "m/s², not (0, 0, 9.8): look at frame and axes"
+        )
+
+    @property
     def warnings(self) -> list[str]:
         """What a user ought to look into, in sentences."""
-        found = []
+        found = self.faults
+        if self.parts > 1:
+            found.append(
+                f"gaps of more than {LONGEST_GAP_S:g} s cut this log into {self.parts} parts: the "
+                "longest was read"
+            )
         if self.stamps_back:
             found.append(f"{self.stamps_back} samples do not follow the one before in time: left out")
         if self.gaps:
@@ -97,23 +185,18 @@ class LogReport:
             found.append(f"{self.missing} samples are not numbers: left out")
         if self.truth == "none":
             found.append("no attitude in this log: it can be run, not scored")
-        if self.gravity is not None:
-            off = np.linalg.norm(np.array(self.gravity) - (0.0, 0.0, 9.81))
-            if off > GRAVITY_TOLERANCE:
-                x, y, z = self.gravity
-                found.append(
-                    f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, "
-                    f"{z:.1f}) m/s², not (0, 0, 9.8): look at frame and axes"
-                )
-        if self.agreement is not None and self.agreement < AGREEMENT:
-            found.append(
-                f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
-                "look at frame and axes"
-            )
-        elif self.truth_delay_s is not None and abs(self.truth_delay_s) > DELAY_TOLERANCE_S:
+        if self.gravity is not None and GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
+            found.append(self._where_gravity)
+        if self.truth_delay_s is not None and abs(self.truth_delay_s) > DELAY_TOLERANCE_S:
             ms, which = abs(self.truth_delay_s) * 1e3, "late" if self.truth_delay_s > 0 else "early"
             found.append(f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators")
         return found
+
+
+def _unit_of(ratio: float, known: Mapping[float, str]) -> str:
+    """What a factor looks like."""
+    found = next((name for factor, name in known.items() if abs(np.log(ratio / factor)) < 0.25), None)
+    return f"is it {found}?" if found else "look at its unit, and at that of the stamps"
 
 
 def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogReport]:
@@ -132,6 +215,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
     """
+    parts = split(log)
+    log = max(parts, key=lambda part: part.time.size)
     gyro, accel, time, counted = _cleaned(log)
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -139,6 +224,11 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     if not RATES_HZ[0] <= source_rate <= RATES_HZ[1]:
         raise ValueError(
             f"{log.name}: {source_rate:.1f} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are allowed"
+        )
+    if time[-1] - time[0] > SPARSE * period * time.size:
+        raise ValueError(
+            f"{log.name}: {time.size} samples at {source_rate:.0f} Hz are spread over "
+            f"{time[-1] - time[0]:.0f} s: most of the log is missing"
         )
     gap = steps > GAP * period
     grid = time[0] + np.arange(int((time[-1] - time[0]) * rate_hz * (1 + 1e-12) + 1e-6) + 1) / rate_hz
@@ -155,7 +245,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     quat = variables["quat"]
     known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
     gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
-    found = truth_delay(even[:, :3], quat, rate_hz)
+    found = align(even[:, :3], quat, rate_hz)
+    force = np.linalg.norm(accel, axis=1)
     report = LogReport(
         format=log.format,
         truth=log.truth,
@@ -170,8 +261,18 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         truth_rate_hz=truth_rate,
         truth_share=float(np.isfinite(quat).all(axis=1).mean()),
         gravity=None if gravity is None else (float(gravity[0]), float(gravity[1]), float(gravity[2])),
-        truth_delay_s=None if found is None else found[0],
-        agreement=None if found is None else found[1],
+        truth_delay_s=None if found is None else found.delay_s,
+        agreement=None if found is None else found.agreement,
+        slope=None if found is None else found.slope,
+        truth_norm=_median_norm(log.quat),
+        weight=float(np.median(force)),
+        upright=float(accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
+        still=tuple(
+            name
+            for name, readings in (("gyroscope", gyro), ("accelerometer", accel))
+            if (readings == readings[0]).all()
+        ),
+        parts=len(parts),
         filter_hz=corner,
         notes=log.notes,
         **counted,
@@ -180,17 +281,61 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     return dataset, report
 
 
+def split(log: Recording) -> list[Recording]:
+    """The parts of a recording between gaps of more than `LONGEST_GAP_S`, in the order of the log.
+
+    Stamps that are far from those on both sides belong to no part: a clock that jumped once makes no new one.
+
+    Args:
+        log: A recording on its own stamps.
+
+    Raises:
+        ValueError: No part has enough samples.
+    """
+    good = np.flatnonzero(np.isfinite(log.time))
+    good = good[_together(log.time[good])]
+    cuts = np.flatnonzero(np.abs(np.diff(log.time[good])) > LONGEST_GAP_S) + 1
+    parts = [part for part in np.split(good, cuts) if part.size >= FEWEST]
+    if not parts:
+        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are wanted")
+    if len(parts) == 1 and parts[0].size == log.time.size:
+        return [log]
+    return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]
+
+
+def _together(time: Array) -> NDArray[np.bool_]:
+    """Stamps with `FEWEST` neighbours in the log that are near in time; the others are a clock's mistakes."""
+    cuts = np.flatnonzero(np.abs(np.diff(time)) > LONGEST_GAP_S) + 1
+    runs = np.split(np.arange(time.size), cuts)
+    kept = np.zeros(time.size, bool)
+    for run in runs:
+        kept[run] = run.size >= FEWEST
+    return kept
+
+
+def _median_norm(quat: Array | None) -> float | None:
+    """Median length of the quaternions that are known; None where none is."""
+    if quat is None:
+        return None
+    length = np.linalg.norm(quat, axis=1)
+    known = np.isfinite(length) & (length > 0)
+    return float(np.median(length[known])) if known.any() else None
+
+
 def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
     """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
     readings = np.concatenate([log.gyro, log.accel], axis=1)
     finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
     readings, time = readings[finite], log.time[finite]
-    if time.size < 8:
-        raise ValueError(f"{log.name}: {time.size} usable samples; at least 8 are wanted")
+    if time.size < FEWEST:
+        raise ValueError(f"{log.name}: {time.size} usable samples; at least {FEWEST} are wanted")
+    steps = np.diff(time)
+    apart = steps[steps > EXACT_S]
+    least = max(EXACT_S, CLOSEST * float(np.median(apart))) if apart.size else EXACT_S
     latest = np.maximum.accumulate(time)
-    forward = np.concatenate([[True], time[1:] > latest[:-1]])
+    forward = np.concatenate([[True], time[1:] > latest[:-1] + least])
     readings, time = readings[forward], time[forward]
-    if time.size < 8:
+    if time.size < FEWEST:
         raise ValueError(f"{log.name}: only {time.size} of its stamps go forward")
     same = (readings[1:] == readings[:-1]).all(axis=1)
     counted = {
@@ -246,6 +391,7 @@ def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
     length = np.linalg.norm(log.quat, axis=1)
     good = np.isfinite(length) & (length > 0.5) & np.isfinite(log.truth_time)
     good[1:] &= np.diff(log.truth_time) > 0
+    good &= (log.truth_time >= grid[0] - LONGEST_GAP_S) & (log.truth_time <= grid[-1] + LONGEST_GAP_S)
     time, quat = log.truth_time[good], log.quat[good]
     forward = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
     time, quat = time[forward], quat[forward]

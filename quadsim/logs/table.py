@@ -3,16 +3,17 @@
 import csv
 import math
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from ..config import Strict, load_toml, nearest
+from ..ranges import Between, SampleRate
 from ..rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
 from .recording import Array, Frame, Recording, axes_matrix, from_frd
 
-Column = str | int
+Column = str | Annotated[int, Between(0, 9999)]
 """A name in the header, or a number counted from 0."""
 Three = tuple[Column, Column, Column]
 Four = tuple[Column, Column, Column, Column]
@@ -28,7 +29,7 @@ class Time(Strict):
 
     column: Column | None = None
     unit: Literal["s", "ms", "us", "ns"] = "s"
-    rate_hz: float | None = Field(default=None, gt=0)
+    rate_hz: SampleRate | None = None
     """Samples per second of a file without stamps."""
 
     @model_validator(mode="after")
@@ -77,7 +78,7 @@ class Table(Strict):
     delimiter: str = ","
     header: bool = True
     """The first row that is read holds names."""
-    skip_rows: int = Field(default=0, ge=0)
+    skip_rows: Annotated[int, Between(0, 10**6)] = 0
     """Rows before that."""
     frame: Frame = "flu"
     """flu: body forward-left-up, world z up; frd: forward-right-down in north-east-down."""

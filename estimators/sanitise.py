@@ -1,0 +1,34 @@
+"""Which readings of an IMU can be used: asked of every sample before any estimator takes it.
+
+A reading is refused, as a missing one is, where it is not finite or is beyond what any IMU of a flying robot
+can measure; an accelerometer's also where it is exactly zero, which no working sensor on a vehicle under
+thrust gives. A rate of exactly zero is a good measurement. Filters and networks share these functions, in
+streaming and in whole sequences; `assets/c99/att_snn.c` says the same in C.
+"""
+
+import math
+
+from numba import njit
+
+RATE_MAX = math.radians(4000.0)
+"""Largest rate of an axis that is believed [rad/s]: the widest range among IMUs of flight controllers."""
+FORCE_MAX = 32.0 * 9.80665
+"""Largest specific force of an axis that is believed [m/s²]: likewise, 32 g."""
+
+
+@njit(inline="always")
+def within(x, y, z, most):
+    """Whether three numbers are within ± a limit; a NaN is not."""
+    return abs(x) <= most and abs(y) <= most and abs(z) <= most
+
+
+@njit(inline="always")
+def rate_usable(x, y, z):
+    """Whether a gyroscope can have measured this rate [rad/s]."""
+    return within(x, y, z, RATE_MAX)
+
+
+@njit(inline="always")
+def force_usable(x, y, z):
+    """Whether an accelerometer can have measured this specific force [m/s²]."""
+    return within(x, y, z, FORCE_MAX) and (x != 0.0 or y != 0.0 or z != 0.0)

@@ -1,0 +1,114 @@
+"""Numbers of a configuration: each kind has its unit and the range in which it makes sense.
+
+The ends are wide: a value beyond them is a slip of the pen or of the unit, and no vehicle, sensor or weather.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeAlias
+
+from pydantic import AfterValidator, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+
+@dataclass(frozen=True)
+class Between:
+    """A range with both its ends, and the unit that the message of a number outside it names."""
+
+    low: float
+    high: float
+    unit: str = ""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Check a number after pydantic's own checks."""
+        return core_schema.no_info_after_validator_function(self.check, handler(source))
+
+    def check(self, value: float) -> float:
+        """The value.
+
+        Raises:
+            ValueError: It is outside the range.
+        """
+        if self.low <= value <= self.high:
+            return value
+        ends = f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+        near = "" if value != value else f"; the nearest is {min(max(value, self.low), self.high):g}"
+        raise ValueError(f"should be {ends}{near}")
+
+    def of(self, name: str, value: float) -> float:
+        """The value of an argument of this name.
+
+        Raises:
+            ValueError: It is outside the range, or no number.
+        """
+        try:
+            return self.check(value)
+        except ValueError as error:
+            raise ValueError(f"{name} = {value}: {error}") from None
+
+
+SAMPLE_RATE = Between(1e-3, 1e5, "Hz")
+SAMPLES = Between(1, 4_000_000, "samples")
+"""Length of a flight."""
+
+
+def steps_of(duration_s: float, rate_hz: float) -> int:
+    """Samples of a flight.
+
+    Args:
+        duration_s: Its length [s].
+        rate_hz: Samples per second.
+
+    Raises:
+        ValueError: The rate makes no sense, or the flight has no sample, or too many.
+    """
+    SAMPLE_RATE.of("rate_hz", rate_hz)
+    longest = SAMPLES.high / rate_hz
+    Between(0.5 / rate_hz, longest, f"s (1 to {SAMPLES.high:g} samples)").of("duration_s", duration_s)
+    return max(1, min(round(duration_s * rate_hz), int(SAMPLES.high)))
+
+
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError("should be the least and then the largest")
+    return ends
+
+
+Rising = AfterValidator(_rising)
+"""For a pair: the least and the largest of what is drawn."""
+
+Share: TypeAlias = Annotated[float, Between(0.0, 1.0)]
+SampleRate: TypeAlias = Annotated[float, SAMPLE_RATE]
+Frequency: TypeAlias = Annotated[float, Between(1e-3, 1e5, "Hz")]
+
+Instant: TypeAlias = Annotated[float, Between(0.0, 86400.0, "s")]
+"""A time after the start, or a length of time that may be nothing."""
+Duration: TypeAlias = Annotated[float, Between(1e-3, 86400.0, "s")]
+Delay: TypeAlias = Annotated[float, Between(0.0, 1.0, "s")]
+
+COORDINATE = Between(-1e4, 1e4, "m")
+Coordinate: TypeAlias = Annotated[float, COORDINATE]
+Position: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
+Distance: TypeAlias = Annotated[float, Between(1e-3, 1e4, "m")]
+_ArmPart: TypeAlias = Annotated[float, Between(-5.0, 5.0, "m")]
+Arm: TypeAlias = tuple[_ArmPart, _ArmPart, _ArmPart]
+"""From the centre of mass to a part of the vehicle."""
+Size: TypeAlias = Annotated[float, Between(1e-3, 5.0, "m")]
+
+Speed: TypeAlias = Annotated[float, Between(0.0, 100.0, "m/s")]
+WIND = Between(-100.0, 100.0, "m/s")
+_WindPart: TypeAlias = Annotated[float, WIND]
+Wind: TypeAlias = tuple[_WindPart, _WindPart, _WindPart]
+"""Faster air is met in a tornado; no quadrotor flies there."""
+
+Heading: TypeAlias = Annotated[float, Between(-3600.0, 3600.0, "°")]
+_Turn: TypeAlias = Annotated[float, Between(-360.0, 360.0, "°")]
+Rotation: TypeAlias = tuple[_Turn, _Turn, _Turn]
+PeakTilt: TypeAlias = Annotated[float, Between(0.1, 55.0, "°")]
+"""Tilt that a trajectory asks for; the controller stops at 60°."""
+RateDeg: TypeAlias = Annotated[float, Between(0.0, 4000.0, "°/s")]
+Force: TypeAlias = Annotated[float, Between(0.0, 1000.0, "m/s²")]
+_ForcePart: TypeAlias = Annotated[float, Between(-1000.0, 1000.0, "m/s²")]
+ForceVector: TypeAlias = tuple[_ForcePart, _ForcePart, _ForcePart]
+
+Mass: TypeAlias = Annotated[float, Between(1e-3, 1000.0, "kg")]
+RotorSpeed: TypeAlias = Annotated[float, Between(1.0, 1e5, "rad/s")]

@@ -1,0 +1,131 @@
+"""Files are whole or as they were, jobs hold what they write, and digests follow the code alone."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimators.tuned import Tuned, Tuning, to_toml
+from quadsim import surroundings
+from quadsim.config import parse, read_toml
+from quadsim.runs import alone, code_digest, fingerprint, replace, source_digest, write_csv, write_whole
+
+
+def full_disk(part: Path) -> None:
+    """Write half a file, and find the disk full."""
+    part.write_bytes(b"half")
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path):
+    path = write_whole(tmp_path / "deep" / "x.txt", "before °")
+    with pytest.raises(OSError, match=r"x\.txt") as caught:
+        replace(path, full_disk)
+    assert caught.value.errno == errno.ENOSPC
+    assert path.read_text("utf-8") == "before °"
+    assert os.listdir(path.parent) == ["x.txt"]
+    write_whole(path, b"after")
+    assert path.read_bytes() == b"after"
+
+
+def test_permissions_are_as_the_umask_says(tmp_path):
+    before = os.umask(0o027)
+    try:
+        assert write_whole(tmp_path / "x", "").stat().st_mode & 0o777 == 0o640
+    finally:
+        os.umask(before)
+
+
+def test_a_folder_that_is_a_file_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError, match="Not a directory"):
+        write_whole(tmp_path / "file" / "x", "")
+
+
+def test_rows_are_written_under_the_union_of_their_keys(tmp_path):
+    path = write_csv(tmp_path / "x.csv", [{"a": 0.1, "b": "x,y"}, {"a": 2, "c": None}])
+    assert path.read_text() == 'a,b,c\n0.1,"x,y",\n2,,\n'
+
+
+def test_what_one_process_writes_no_other_does(tmp_path):
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom quadsim.runs import alone\n"
+        "with alone(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()"
+    )
+    held = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "x")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert held.stdout is not None
+    held.stdout.readline()
+    with pytest.raises(ValueError, match="is being written by another process"), alone(tmp_path / "x"):
+        pass
+    held.kill()
+    held.wait()
+    with alone(tmp_path / "x"):
+        pass
+
+
+def test_digest_follows_the_code_and_not_its_comments():
+    before = source_digest('def f(x):\n    """Doc."""\n    return x + 1\n')
+    assert source_digest("def f(x):  # a comment\n    return (x +\n            1)\n") == before
+    assert source_digest("def f(x):\n    return x + 2\n") != before
+    assert code_digest("quadsim.flight") != code_digest("quadsim.flight", "training.loop")
+    assert fingerprint({"a": 1, "b": [2.5]}) == fingerprint({"b": [2.5], "a": 1})
+
+
+@given(comment=st.text(), command=st.text(), value=st.floats(-1e9, 1e9))
+def test_tuned_parameters_are_read_back_whatever_the_text_beside_them(comment, command, value):
+    if any(0xD800 <= ord(each) < 0xE000 for each in comment + command):
+        return  # half a character, which no file in UTF-8 holds
+    tuned = Tuned(command=command, rate_hz=200.0, rmse_deg=1.0, evaluations=3, values={"k_p": value})
+    text = to_toml({"mahony": tuned}, comment)
+    assert parse(read_toml(text, "x"), Tuning, "x").root == {"mahony": tuned}
+
+
+# --- surroundings -----------------------------------------------------------------------------------
+
+
+def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+
+
+def test_a_mistyped_opengl_is_one_warning():
+    done = run("import quadsim.plant; print('flies')", MUJOCO_GL="bogus")
+    assert done.stdout == "flies\n"
+    assert done.stderr == "MUJOCO_GL=bogus is ignored: egl, glfw, osmesa, glx, wgl, cgl are allowed\n"
+
+
+def test_a_locale_without_the_degree_sign_prints_another():
+    code = "import sys; sys.argv[1:] = ['evaluate', '--help']; from quadsim.cli import main; main()"
+    done = run(code, LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0", PYTHONIOENCODING="ascii")
+    assert done.returncode == 0, done.stderr
+    assert "in ?" in done.stdout
+
+
+def test_without_a_folder_for_compiled_code_there_is_one_warning(monkeypatch, caplog):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(surroundings, "is_writable", lambda folder: False)
+    monkeypatch.setattr(sys, "modules", {key: each for key, each in sys.modules.items() if key != "numba"})
+    surroundings.settle()
+    assert Path(os.environ["NUMBA_CACHE_DIR"]).is_dir()
+    assert len(caplog.records) == 1
+    surroundings.settle()
+    assert len(caplog.records) == 1
+
+
+def test_a_folder_that_takes_no_file_is_not_writable(tmp_path):
+    assert surroundings.is_writable(tmp_path / "new")
+    (tmp_path / "file").touch()
+    assert not surroundings.is_writable(tmp_path / "file")
