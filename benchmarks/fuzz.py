@@ -10,6 +10,7 @@ one and shows its error.
 """
 
 import argparse
+import copy
 import json
 import multiprocessing
 import random
@@ -140,7 +141,7 @@ def mutated_tree(tree: Any, draw: random.Random) -> Any:
     """One value of nested tables and lists replaced, left out, renamed or nested deeply."""
     places = list(_places(tree))
     if not places:
-        return draw.choice(HOSTILE)
+        return copy.deepcopy(draw.choice(HOSTILE))
     owner, key = draw.choice(places)
     match draw.randrange(8):
         case 0:
@@ -157,15 +158,18 @@ def mutated_tree(tree: Any, draw: random.Random) -> Any:
         case 4 if isinstance(owner[key], list) and owner[key]:
             owner[key] = owner[key] * draw.choice((0, 2, 50))
         case _:
-            owner[key] = draw.choice(HOSTILE)
+            owner[key] = copy.deepcopy(draw.choice(HOSTILE))
     return tree
 
 
 def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
-    if isinstance(tree, dict | list):
-        for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
-            yield tree, key
-            yield from _places(value)
+    waiting = [tree]
+    while waiting:
+        each = waiting.pop()
+        if isinstance(each, dict | list):
+            for key, value in each.items() if isinstance(each, dict) else enumerate(each):
+                yield each, key
+                waiting.append(value)
 
 
 def mutated_text(text: str, draw: random.Random, read: Callable, write: Callable) -> bytes:

@@ -490,6 +490,12 @@ def test_one_wrong_stamp_costs_one_sample():
         consistent(dataset.isel(time=slice(100, 600)))
 
 
+def test_a_truth_of_another_time_is_no_truth():
+    time, gyro, accel, quat = turning(seconds=20.0)
+    log = Recording("x", "test", time, gyro, accel, "truth", time + 1e5, quat)
+    assert resample(log)[1].truth_share == 0.0
+
+
 def test_long_gaps_split_a_log_and_every_part_is_converted(tmp_path):
     time, gyro, accel, quat = turning(seconds=20.0)
     stamps = time + np.where(time >= 12.0, 1e6, 0.0)

@@ -339,7 +339,6 @@ def _save_best(run: _Run, out: Path, epoch: Epoch) -> None:
         "commit": commit(),
         "epoch": epoch.epoch + 1,
         "updates": epoch.updates,
-        "seconds": round(epoch.seconds, 1),
         "training_flights": len(run.flights),
         "validation_flights": len(run.validation),
         "validation_error_deg": round(epoch.val_error_deg, 4),

@@ -393,7 +393,7 @@ def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
     good[1:] &= np.diff(log.truth_time) > 0
     good &= (log.truth_time >= grid[0] - LONGEST_GAP_S) & (log.truth_time <= grid[-1] + LONGEST_GAP_S)
     time, quat = log.truth_time[good], log.quat[good]
-    forward = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
+    forward = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0
     time, quat = time[forward], quat[forward]
     if time.size < 2:
         return out, 0.0
