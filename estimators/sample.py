@@ -24,8 +24,8 @@ WORST = 2.0 * math.pi**2
 HOLD_S = 0.1
 """A missing gyroscope sample is replaced by the last good one for this long [s], and after that by zero."""
 RATE_STEP, ACCELERATION_MAX = 10.0, 2000.0
-"""Largest change of a rate from one sample to the next that is believed at once: the larger of this many
-rad/s, and what so many rad/s² would make."""
+"""Largest change of a rate since the last good sample that is believed: the larger of this many rad/s, and what
+so many rad/s² would make in that time."""
 GAP_RATE = 2.0
 """Standard deviation of the rate at which a vehicle turns unseen in a gap longer than `HOLD_S` [rad/s]."""
 
@@ -74,7 +74,7 @@ def regain(doubt, unseen, ax, ay, az, dt):
 def usable(state, dt, gyro, accel, i, t):
     """The sample to use for one that may be missing: rate held, specific force zero for "no correction".
 
-    A rate that no vehicle can have reached since the last sample is taken for missing; the next is believed.
+    A rate that no vehicle can have reached since the last good sample is taken for missing.
 
     Args:
         state: The vehicle's row; its common columns are updated.
@@ -90,7 +90,7 @@ def usable(state, dt, gyro, accel, i, t):
     """
     gx, gy, gz = gyro[i, t, 0], gyro[i, t, 1], gyro[i, t, 2]
     ax, ay, az = accel[i, t, 0], accel[i, t, 1], accel[i, t, 2]
-    step = max(RATE_STEP, ACCELERATION_MAX * dt) if state[AGE] == 0.0 else math.inf
+    step = max(RATE_STEP, ACCELERATION_MAX * (state[AGE] + dt))
     steady = within(gx - state[RATE_X], gy - state[RATE_Y], gz - state[RATE_Z], step)
     rate_found, force_found, unseen = steady and rate_usable(gx, gy, gz), force_usable(ax, ay, az), 0.0
     if rate_found:

@@ -114,15 +114,47 @@ def test_a_locale_without_the_degree_sign_prints_another():
     assert "in ?" in done.stdout
 
 
-def test_without_a_folder_for_compiled_code_there_is_one_warning(monkeypatch, caplog):
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(surroundings, "is_writable", lambda folder: False)
+@pytest.fixture
+def cache(monkeypatch):
+    """Numba's settings as they are before any import, and again afterwards."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.setattr(sys, "modules", {key: each for key, each in sys.modules.items() if key != "numba"})
-    surroundings.settle()
-    assert Path(os.environ["NUMBA_CACHE_DIR"]).is_dir()
+
+
+def test_without_a_folder_for_compiled_code_there_is_one_warning(monkeypatch, caplog, cache):
+    with monkeypatch.context() as patch:
+        patch.setattr(surroundings, "is_writable", lambda folder: False)
+        surroundings.settle()
+    place = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert place.parent.is_dir()
     assert len(caplog.records) == 1
-    surroundings.settle()
+    surroundings.settle()  # as a process does that this one starts
+    assert Path(os.environ["NUMBA_CACHE_DIR"]) == place
     assert len(caplog.records) == 1
+
+
+def test_compiled_code_is_kept_for_one_state_of_all_compiled_files(tmp_path):
+    kernel, caller, plain = (tmp_path / "quadsim" / f"{name}.py" for name in ("kernel", "caller", "plain"))
+    kernel.parent.mkdir()
+    kernel.write_text("@njit\ndef f(x):\n    return x + 1\n")
+    caller.write_text("@njit(cache=True)\ndef g(x):\n    return f(x)\n")
+    plain.write_text("x = 1\n")
+    before = surroundings.compiled_digest(tmp_path)
+    plain.write_text("x = 2\n")
+    assert surroundings.compiled_digest(tmp_path) == before
+    kernel.write_text("@njit\ndef f(x):\n    return x + 2\n")
+    assert surroundings.compiled_digest(tmp_path) != before
+
+
+def test_old_compiled_code_is_dropped_and_nothing_else(tmp_path, monkeypatch, cache):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    for age in range(5):
+        (tmp_path / f"quadsim-{age}").mkdir()
+        os.utime(tmp_path / f"quadsim-{age}", (1e9 - age, 1e9 - age))
+    (tmp_path / "others").mkdir()
+    surroundings.settle()
+    new = Path(os.environ["NUMBA_CACHE_DIR"]).name
+    assert {each.name for each in tmp_path.iterdir()} == {new, "quadsim-0", "quadsim-1", "others"}
 
 
 def test_a_folder_that_takes_no_file_is_not_writable(tmp_path):
