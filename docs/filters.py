@@ -22,8 +22,8 @@ from estimators import create, names
 from estimators.evaluate import Evaluation, evaluate
 from estimators.figures import settling, violins
 from estimators.flights import Flights, load_flights, vehicle_of
-from estimators.metrics import attitude_error
-from estimators.protocol import run_quietly
+from estimators.metrics import attitude_error, inclination_error
+from estimators.protocol import FILTERPY, run_quietly
 from estimators.tuned import load_tuning
 from quadsim.console import progress_bar
 from quadsim.figures import STYLE
@@ -51,6 +51,16 @@ ELSEWHERE = {
 """Dataset to what its flights are, and the domain of the tuned parameters."""
 OTHERS = ("hummingbird", "px4-quad", "crazyflie")
 """Vehicles whose constants are given to ekf-drag in place of the right ones."""
+SPOILT = {
+    "one rate of 1e30 rad/s": ("gyro", 1, 1e30),
+    "one rate of 60 rad/s": ("gyro", 1, 60.0),
+    "one force of 1000 m/s²": ("accel", 1, 1000.0),
+    "one force of 300 m/s²": ("accel", 1, 300.0),
+    "nothing for 0.5 s": ("both", 100, np.nan),
+}
+"""Sensor, samples and their reading on every axis."""
+SPOILT_AT_S, RECOVERED_S = 20.0, 10.0
+"""When that is, and how much later the estimate is compared with that of the undisturbed readings [s]."""
 EXPLAINED = ("mahony", "madgwick", "ekf", "eskf", "vqf", "ekf-drag")
 
 
@@ -188,6 +198,29 @@ def elsewhere_rows(data: Path) -> list[str]:
     return rows
 
 
+def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
+    """Angle to the run on undisturbed readings, some time after bad samples and a gap."""
+    flights, vehicle = load_flights([dataset]), vehicle_of(dataset)
+    at, end = (round(s * flights.rate_hz) for s in (SPOILT_AT_S, SPOILT_AT_S + RECOVERED_S + 0.5))
+    second = round(flights.rate_hz)
+    clean = flights.gyro[:, :end], flights.accel[:, :end]
+    rows = []
+    for name in names():
+        if name in (*LEFT_OUT, *FILTERPY):
+            continue
+        est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
+        wanted, cells = run_quietly(est, *clean), []
+        for sensor, samples, reading in SPOILT.values():
+            gyro, accel = (each.copy() for each in clean)
+            for kind, values in (("gyro", gyro), ("accel", accel)):
+                if sensor in (kind, "both"):
+                    values[:, at : at + samples] = reading
+            away = inclination_error(run_quietly(est, gyro, accel), wanted)[:, -second:].mean(axis=1)
+            cells.append(f"{np.median(away):.2f} / {away.max():.2f}")
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return rows
+
+
 def vqf_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     """VQF with its package's own parameters and tuned, with and without its bias estimation."""
     flights = load_flights([dataset])
@@ -226,6 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"parameters:{domain}": parameter_rows(domain),
             f"causes:{domain}": cause_rows(domain, dataset),
             f"drag:{domain}": drag_rows(domain, dataset),
+            f"spoilt:{domain}": spoilt_rows(dataset, domain),
         }
     first, dataset = next(iter(sets.items()))
     counts = {
@@ -233,6 +267,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "slow": str(SLOW_FLIGHTS),
         "pieces": str(PIECES),
         "piece_s": f"{DURATION_S / PIECES:g}",
+        "recovered": f"{RECOVERED_S:g}",
+        "spoilt": f"| estimator | {' | '.join(SPOILT)} |",
     }
     page.write(
         tables

@@ -26,7 +26,7 @@ from quadsim.figures import STYLE
 from quadsim.imu import load_imu, simulate_imu
 from quadsim.logs.allan import calibrate, draw
 from quadsim.logs.recording import Recording
-from quadsim.logs.resample import resample
+from quadsim.logs.resample import AGREEMENT, UPRIGHT, resample
 from quadsim.recipe import flight_config, load_recipe
 from quadsim.rotation import roll_pitch_from_quat
 
@@ -186,6 +186,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "calibration": calibration_rows(page),
             "simulated": simulated_rows(given.data),
             "simulated_count": str(FLIGHTS),
+            "agreement": f"{AGREEMENT:g}",
+            "upright": f"{UPRIGHT:g}",
             "bias": ", ".join(f"{each:g}" for each in BIAS_DEG),
         }
     )

@@ -40,13 +40,11 @@ SETS = {
 
 def simulated(name: str, data: Path) -> xr.Dataset:
     """One of `SETS` from the folder of the datasets."""
-    path = data / f"{name}.zarr"
-    if not path.exists():
-        made = SETS[name]
-        recipe = load_recipe(made.recipe)
-        if made.imu is not None:
-            recipe = recipe.model_copy(update={"imu": made.imu})
-        generate(flight_config(recipe), made.flights, DURATION_S, path, seed=made.seed)
+    made = SETS[name]
+    recipe = load_recipe(made.recipe)
+    if made.imu is not None:
+        recipe = recipe.model_copy(update={"imu": made.imu})
+    path = generate(flight_config(recipe), made.flights, DURATION_S, data / f"{name}.zarr", seed=made.seed)
     return open_dataset(path)
 
 

@@ -24,8 +24,8 @@ WORST = 2.0 * math.pi**2
 HOLD_S = 0.1
 """A missing gyroscope sample is replaced by the last good one for this long [s], and after that by zero."""
 RATE_STEP, ACCELERATION_MAX = 10.0, 2000.0
-"""Largest change of a rate since the last good sample that is believed: the larger of this many rad/s, and what
-so many rad/s² would make in that time."""
+"""Largest change of a rate since the last good sample that is believed: the larger of this many rad/s, and
+what so many rad/s² would make in that time."""
 GAP_RATE = 2.0
 """Standard deviation of the rate at which a vehicle turns unseen in a gap longer than `HOLD_S` [rad/s]."""
 
