@@ -1,8 +1,8 @@
 """What of the surroundings would stop an import, or let compiled code be older than its source.
 
 Numba keeps compiled functions in files, and compiles one again when its own source file has changed, but not
-when that of a function that it calls has. So the cache is in a folder whose name is a digest of every file with
-compiled functions: another digest, another folder.
+when that of a function that it calls has. So the cache is in a folder whose name is a digest of every file
+with compiled functions: another digest, another folder.
 """
 
 import atexit
