@@ -345,7 +345,7 @@ def run_cases(cases: list[tuple[str, int]], seed: int, samples: Path) -> Iterato
             worker = context.Process(target=_worker, args=(theirs, seed, samples), daemon=True)
             worker.start()
             theirs.close()
-            warm = 60.0  # importing and compiling count for no case
+            warm = 300.0  # importing and compiling count for no case
         ours.send((kind, number))
         try:
             if ours.poll(LIMIT_S + warm):

@@ -12,6 +12,7 @@ import argparse
 import csv
 import hashlib
 import io
+import math
 import os
 import random
 import shutil
@@ -128,9 +129,11 @@ def main() -> int:
             place = folder / name
             place.mkdir()
             out = place / {"tune": "out.toml", "generate": "out.zarr"}.get(name, "out")
-            run_job(arguments, out)  # compiles
-            shutil.rmtree(out) if out.is_dir() else out.unlink()
-            whole_s = run_job(arguments, out)
+            whole_s = math.inf
+            for _ in range(3):  # the first one compiles
+                shutil.rmtree(place)
+                place.mkdir()
+                whole_s = min(whole_s, run_job(arguments, out))
             kept = contents(out)
             for number in track(range(asked.times), name, transient=True):
                 shutil.rmtree(place)

@@ -1,9 +1,10 @@
 """Estimators by name: make one, run it over sequences, run many parameter sets at once."""
 
 import importlib
+import importlib.util
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from quadsim.config import nearest
 from quadsim.estimator import AttitudeEstimator
 from quadsim.imu import ImuSpec, load_imu
 from quadsim.ranges import SAMPLE_RATE
-from quadsim.vehicle import Vehicle, load_vehicle
+from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
 
 from . import ekf
 from .complementary import ADAPTIVE, COMPLEMENTARY
@@ -144,12 +145,46 @@ def own(name: str, rate_hz: float) -> AttitudeEstimator:
     """
     module, _, attribute = name.partition(":")
     try:
-        made = getattr(importlib.import_module(module), attribute)(rate_hz)
+        made = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
         raise ValueError(f"{name}: {error}") from error
-    if missing := [each for each in ("reset", "update") if not callable(getattr(made, each, None))]:
+    try:
+        return tried(name, made(rate_hz))
+    except TypeError as error:
+        raise ValueError(f"{name} is made with one argument, rate_hz: {error}") from error
+
+
+def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
+    """A user's estimator, after a reset of two vehicles and an update at rest.
+
+    Raises:
+        ValueError: It is no estimator: what it lacks, or what it did.
+    """
+    if missing := [each for each in ("reset", "update") if not callable(getattr(est, each, None))]:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
-    return made
+    try:
+        est.reset(n=2, roll_pitch=None)
+        found = np.asarray(est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1))), np.float64)
+    except Exception as error:  # whatever a user's class does
+        raise ValueError(
+            f"{name}: reset(n=2, roll_pitch=None) and update(gyro, accel), each (2, 3), end with "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    if found.shape != (2, 2):
+        raise ValueError(
+            f"{name}: update returns an array of shape {found.shape} for two vehicles; roll and pitch, "
+            "(2, 2) [rad], are required"
+        )
+    return est
+
+
+def own_source(name: str) -> Path | None:
+    """File of the module that "module:Class" names; None for other names, and where there is none."""
+    try:
+        spec = importlib.util.find_spec(name.partition(":")[0]) if ":" in name else None
+    except (ImportError, ValueError):
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin is not None else None
 
 
 def tuning_misfit(
@@ -168,6 +203,28 @@ def tuning_misfit(
         return ""
     tuned = tuned_for(name, tuning, airframe, sensor)
     return "" if tuned is None else misfit(tuned, airframe, sensor)
+
+
+def tuned_elsewhere(
+    estimators: Iterable[str],
+    tuning: str | Path | None,
+    vehicle: str | Path | Vehicle | None,
+    imu: str | Path | ImuSpec | None,
+) -> list[str]:
+    """A sentence for each other vehicle or IMU that parameters were tuned for; none where that is not known.
+
+    Args:
+        estimators: Names of estimators.
+        tuning: As in `create`.
+        vehicle: What flew, as in `create`.
+        imu: What it carried, as in `create`.
+    """
+    found: dict[str, list[str]] = {}
+    if vehicle is not None and imu is not None:
+        for name in estimators:
+            if other := tuning_misfit(name, tuning, vehicle, imu):
+                found.setdefault(other, []).append(name)
+    return [f"Tuned for {other}, not for what flew: {', '.join(who)}." for other, who in found.items()]
 
 
 def run(
@@ -220,7 +277,10 @@ def run_quietly(
         return _run_observing(est, observe, gyro, accel, quat)
     if sequence is not None:
         return sequence(gyro, accel)
-    return np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(gyro.shape[1])], axis=1)
+    steps = zip(np.moveaxis(gyro, 1, 0), np.moveaxis(accel, 1, 0), strict=True)
+    return np.stack(
+        [est.update(rate.copy(), force.copy()) for rate, force in steps], axis=1
+    )  # its own to change
 
 
 def missing_samples(est: AttitudeEstimator) -> int:

@@ -21,7 +21,7 @@ from scipy.optimize import OptimizeResult, differential_evolution
 
 from quadsim.config import preset_names
 from quadsim.imu import ImuSpec, load_imu
-from quadsim.runs import write_whole
+from quadsim.runs import drop_parts, write_whole
 
 from .filters import start
 from .flights import Flights, Initial, load_flights, vehicle_of
@@ -299,6 +299,7 @@ def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
         tuned: Its parameters.
         comment: Text for the top of a new file; an old one keeps its own.
     """
+    drop_parts(path)
     tables = load_tuning(path) if path.exists() else {}
     if path.exists():
         top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())

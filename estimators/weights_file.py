@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from importlib.resources import as_file, files
@@ -104,7 +105,15 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     _check(Path(path), config, dict(tensors))
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
     metadata = {"format": FORMAT, "config": config.model_dump_json()}
-    write_whole(path, save(plain, metadata=metadata))
+    write_whole(path, _ordered(save(plain, metadata=metadata)))
+
+
+def _ordered(content: bytes) -> bytes:
+    """A safetensors file with the keys of its header sorted; the library's order of metadata is random."""
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    text = json.dumps(header, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    return content[:8] + text.ljust(size) + content[8 + size :]
 
 
 def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:

@@ -369,12 +369,24 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
     """
     if estimator is None:
         return None
-    if isinstance(estimator, str | Path):
-        import estimators
+    import estimators
 
+    if isinstance(estimator, str | Path):
         return estimators.create(str(estimator), rate_hz, vehicle=scenario.vehicle, imu=scenario.imu)
+    return estimators.protocol.tried(_name_of(estimator), _own_copy(estimator, rate_hz))
+
+
+def _own_copy(
+    estimator: AttitudeEstimator | Callable[[float], AttitudeEstimator], rate_hz: float
+) -> AttitudeEstimator:
+    """What a function makes, or a copy of an estimator."""
     if isinstance(estimator, type | FunctionType | MethodType | partial):
-        return estimator(rate_hz)
+        try:
+            return estimator(rate_hz)
+        except TypeError as error:
+            raise ValueError(
+                f"{_name_of(estimator)} is called with one argument, rate_hz: {error}"
+            ) from error
     if not hasattr(estimator, "update"):
         raise ValueError(
             f"estimator = {estimator!r}: should be a name, an estimator, or a function that makes one"
@@ -383,9 +395,13 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
         return copy.deepcopy(cast(AttitudeEstimator, estimator))
     except Exception as error:  # whatever a user's class does
         raise ValueError(
-            f"{type(estimator).__name__} cannot be copied, and environments do not share an estimator: give "
+            f"{_name_of(estimator)} cannot be copied, and environments do not share an estimator: give "
             f"a function that makes one, lambda rate_hz: ... ({error})"
         ) from error
+
+
+def _name_of(estimator: object) -> str:
+    return getattr(estimator, "__name__", type(estimator).__name__)
 
 
 class OnePerVehicle:

@@ -57,6 +57,28 @@ def replace(path: str | Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
+def drop_parts(path: str | Path) -> None:
+    """Remove what processes that were killed left half written at a path, or anywhere in a folder."""
+    path = Path(path)
+    found = (
+        path.rglob(f".*{PART}*") if path.is_dir() else path.parent.glob(f".{path.stem}.*{PART}{path.suffix}")
+    )
+    for part in found:
+        writer = part.name.split(PART)[0].rsplit(".", 1)[-1]
+        if writer.isdigit() and not _is_alive(int(writer)):
+            part.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # somebody else's
+        return True
+    return True
+
+
 def write_whole(path: str | Path, content: str | bytes) -> Path:
     """Write text in UTF-8, or bytes, as `replace` does."""
     data = content.encode() if isinstance(content, str) else content

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import estimators
-from estimators.protocol import is_weights
+from estimators.protocol import is_weights, own_source
 from estimators.tuned import load_tuning
 from quadsim.mission import CAUSES, Mission
 from quadsim.runs import content_digest, read_json, write_json
@@ -75,11 +75,12 @@ def file_name(name: str) -> str:
 
 
 def weights_digest(estimator: str) -> str:
-    """Digest of the weights that an estimator's name is the path of; none of other names."""
-    return digest_if_there(estimator) if is_weights(estimator) else ""
+    """Digest of the weights, or of the user's module, that an estimator's name stands for; none of others."""
+    source = estimator if is_weights(estimator) else own_source(estimator)
+    return digest_if_there(source) if source else ""
 
 
-def digest_if_there(path: str) -> str:
+def digest_if_there(path: str | Path) -> str:
     """Digest of a file that a cell reads; none where it cannot be read, of which the cell will tell."""
     try:
         return content_digest(Path(path).read_bytes())

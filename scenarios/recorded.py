@@ -12,7 +12,7 @@ from estimators.weights_file import load_network
 from quadsim.console import output, progress_bar
 from quadsim.estimator import AttitudeEstimator
 from quadsim.imu import ImuSpec
-from quadsim.logs import read_log_and_report
+from quadsim.logs import read_log_and_report, refused
 from quadsim.runs import save_figure
 from quadsim.vehicle import Vehicle
 
@@ -56,11 +56,7 @@ def evaluate_logs(
         ValueError: What a log holds cannot be right, and it is not to be scored by force.
     """
     read = {path: read_log_and_report(path, axes=axes) for path in paths}
-    faults = [f"{path}: {fault}" for path, (_, report) in read.items() for fault in report.faults]
-    if faults and not force:
-        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        raise ValueError(f"{faults[0]}{more}; --force scores it all the same")
-    for fault in faults:
+    for fault in refused([(path, report) for path, (_, report) in read.items()], force):
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for log, _ in read.values()]
     rate = float(logs[0].attrs["rate_hz"])

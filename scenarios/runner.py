@@ -14,7 +14,16 @@ from estimators.protocol import tuning_misfit
 from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.imu import load_imu
-from quadsim.runs import ROOT, code_digest, file_digest, fingerprint, read_json, write_csv, write_json
+from quadsim.runs import (
+    ROOT,
+    code_digest,
+    drop_parts,
+    file_digest,
+    fingerprint,
+    read_json,
+    write_csv,
+    write_json,
+)
 from quadsim.scenario import Scenario, changed, load_scenario
 from quadsim.vehicle import load_vehicle
 
@@ -123,6 +132,7 @@ def bench(
     settings = _settings(scenarios, names, seeds, seed, changes, tuning, rate_hz)
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
+    drop_parts(out)
     code = suite_digest()
     wanted = [(s, e) for s in settings.scenarios for e in settings.estimators]
     prints = {pair: _fingerprint(settings, *pair, code) for pair in wanted}

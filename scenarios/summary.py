@@ -47,12 +47,12 @@ def breaking_table(points: Sequence[Breaking]) -> Table:
 def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
     """Errors on recorded flights with their confidence, convergence from an initial tilt, and run time."""
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
-    table.add_column("estimator", no_wrap=True)
-    table.add_column("start", no_wrap=True)
+    table.add_column("estimator", overflow="fold")
+    table.add_column("start", overflow="fold")
     for heading in (
         "median°", "mean° (95 %)", "SD°", "silenced°", "behind the best°", "20→2° s", "45→2° s", "ns",
     ):  # fmt: skip
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(heading, justify="right", overflow="fold")
     for row in rows:
         settling = ["never" if math.isnan(s) else f"{s:.1f}" for s in (row.settle_20_s, row.settle_45_s)]
         mean = f"{row.mean_deg:.2f} ({row.mean_low_deg:.2f}–{row.mean_high_deg:.2f})"

@@ -289,6 +289,53 @@ def test_an_estimator_that_cannot_be_copied_is_refused_in_words():
         gymnasium.make(ID, estimator=Held(200.0))
 
 
+class WithoutKnownStart(Still):
+    """Its reset has another argument."""
+
+    def reset(self, n=1, attitude=None):
+        """Start."""
+        self.n = n
+
+
+class Three(Still):
+    """It also estimates yaw."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return np.zeros((self.n, 3))
+
+
+class NoRate(Still):
+    """Made with no argument."""
+
+    def __init__(self):
+        super().__init__(200.0)
+
+
+class Failing(Still):
+    """Its update raises an error."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        raise KeyError("gain")
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (WithoutKnownStart, "unexpected keyword argument 'roll_pitch'"),
+        (Three, r"shape \(2, 3\) for two vehicles; roll and pitch, \(2, 2\)"),
+        (NoRate, "with one argument, rate_hz"),
+        (Failing, "end with KeyError: 'gain'"),
+    ],
+)
+def test_what_is_no_estimator_is_said_before_the_first_flight(made, said):
+    with pytest.raises(ValueError, match=f"{made.__name__}.*{said}"):
+        gymnasium.make(ID, estimator=made)
+    with pytest.raises(ValueError, match=f"test_env:{made.__name__}.*{said}"):
+        estimators.create(f"test_env:{made.__name__}")
+
+
 def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():
     env = gymnasium.make(ID).unwrapped
     env.reset(seed=0)

@@ -178,3 +178,21 @@ def test_filters_on_real_recordings_with_optical_truth(broad):
     assert np.mean(errors["vqf"]) < 1.0
     assert np.mean(errors["madgwick"]) < 2.5
     assert np.mean(errors["ekf"]) < 3.0
+
+
+class Careless:
+    """An estimator that changes what it is given."""
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        gyro[:], accel[:] = np.nan, np.nan
+        return np.zeros((len(gyro), 2))
+
+
+def test_an_estimator_that_changes_its_input_changes_that_of_no_other(flights):
+    alone = evaluate(flights, {"mahony": create("mahony")}).rows
+    after = evaluate(flights, {"careless": Careless(), "mahony": create("mahony")}).rows
+    assert [row.mean_deg for row in alone] == [row.mean_deg for row in after if row.estimator == "mahony"]

@@ -91,6 +91,13 @@ def test_shipped_network_and_emulator_spike_alike_over_2000_steps():
     same_spikes_for(None, 2000, 3)
 
 
+def test_the_same_network_is_the_same_bytes(tmp_path, snn_file):
+    config, tensors = load_network(snn_file)
+    for _ in range(20):
+        save_network(tmp_path / "again", config, tensors)
+        assert (tmp_path / "again").read_bytes() == snn_file.read_bytes()
+
+
 @pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
 def test_streaming_equals_the_whole_sequence(name, snn_file, rnn_file):
     est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)

@@ -439,3 +439,18 @@ def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
     assert load_vehicle(found.vehicle).name == load_vehicle("px4-quad").name
     (row,) = small(tmp_path / "out", scenarios=["../own.toml"], names=["truth"]).rows
     assert row["reason"] == ""
+
+
+def test_a_changed_module_of_the_user_is_flown_anew(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    source = tmp_path / "mine_of_test_runner.py"
+    source.write_text(
+        "import numpy as np\nclass Mine:\n    def __init__(self, rate_hz): pass\n"
+        "    def reset(self, n=1, roll_pitch=None): self.n = n\n"
+        "    def update(self, gyro, accel): return np.full((self.n, 2), 0.0)\n"
+    )
+    name = "mine_of_test_runner:Mine"
+    before = small(tmp_path / "out", scenarios=["hover"], names=[name]).cells[0].fingerprint
+    assert small(tmp_path / "out", scenarios=["hover"], names=[name]).cells[0].fingerprint == before
+    source.write_text(source.read_text().replace("0.0)", "0.1)"))
+    assert small(tmp_path / "out", scenarios=["hover"], names=[name]).cells[0].fingerprint != before

@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from estimators.weights_file import load_network
-from quadsim.runs import code_digest, save_figure, write_csv, write_whole
+from quadsim.runs import code_digest, drop_parts, save_figure, write_csv, write_whole
 
 from .config import TrainConfig
 from .data import Flights
@@ -55,6 +55,7 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
             changed.
     """
     out.mkdir(parents=True, exist_ok=True)
+    drop_parts(out)
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file():
         try:

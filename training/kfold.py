@@ -16,7 +16,7 @@ from typing import Any
 
 from estimators.metrics import attitude_error
 from estimators.networks import create_network
-from quadsim.runs import CLUSTER_LOST, give_up, read_json, worker_pool, write_csv, write_json
+from quadsim.runs import CLUSTER_LOST, drop_parts, give_up, read_json, worker_pool, write_csv, write_json
 
 from .config import TrainConfig, make_config
 from .data import Flights, load_flights
@@ -92,6 +92,7 @@ def kfold(
         ChildProcessError: Worker processes keep dying.
     """
     out = Path(out)
+    drop_parts(out)
     jobs = _jobs(domains, out, models, preset, folds, choices)
     for job in jobs:  # a mistake in them is said before the first is trained
         claim(job.out, job.config)

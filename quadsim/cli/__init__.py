@@ -5,6 +5,7 @@ fast.
 """
 
 import logging
+import os
 import sys
 from io import TextIOWrapper
 
@@ -48,6 +49,8 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # "°" in a locale without it
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # for "module:Class" of the user's
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     try:
         app(prog_name="quadsim")

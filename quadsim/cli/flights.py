@@ -91,7 +91,8 @@ def fly(
     from scenarios.cell import file_name
     from scenarios.single import fly_scenario
 
-    folder = out or Path("reports") / f"fly-{file_name(scenario)}-{file_name(estimator)}"
+    parts = (scenario, estimator, *(each for each in (vehicle, imu, tuning) if each is not None))
+    folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
         flown = fly_scenario(
             scenario,

@@ -79,15 +79,21 @@ def convert(
     axes: Axes = None,
     truth: Truth = None,
     imu: Imu = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Convert them although a unit or frame cannot be right.")
+    ] = False,
 ) -> None:
     """Make a dataset of logs: pieces of one length, without gaps and with a known attitude.
 
     Example: quadsim logs convert flight.ulg --out data/mine.zarr
     """
-    from ..logs import read_parts
+    from ..logs import read_parts, refused
     from ..logs.convert import convert as convert_logs
 
-    logs = [log for file in files for log in read_parts(file, rate, axes=axes, truth=truth, imu=imu)]
+    read = [(file, read_parts(file, rate, axes=axes, truth=truth, imu=imu)) for file in files]
+    for fault in refused([(file, report) for file, parts in read for _, report in parts], force):
+        output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
+    logs = [log for _, parts in read for log, _ in parts]
     path = convert_logs(logs, out, piece)
     from ..dataset import open_dataset
 

@@ -75,7 +75,7 @@ def evaluate(
     from estimators import figures
     from estimators.evaluate import evaluate as evaluate_estimators
     from estimators.flights import imu_of, vehicle_of
-    from estimators.protocol import needs_vehicle
+    from estimators.protocol import needs_vehicle, tuned_elsewhere
     from scenarios.recorded import made_of
     from scenarios.report import write_report
     from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
@@ -105,7 +105,7 @@ def evaluate(
         pictures[name] = out / f"{name}.png"
         save_figure(pictures[name], draw(done), dpi=130)
     caption = f"{flown.sizes['flight']} flights of {data}, without a loop."
-    notes = evaluation_notes(done.rows)
+    notes = [*evaluation_notes(done.rows), *tuned_elsewhere(made, tuning, airframe, imu_of(flown))]
     page = write_report(
         out / "report.html",
         title="Attitude estimators on recorded flights",

@@ -1,5 +1,6 @@
 """Flight logs of other tools, in the layout of the simulator's datasets."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ __all__ = [
     "read_log_and_report",
     "read_parts",
     "read_recording",
+    "refused",
 ]
 
 FORMATS = (
@@ -77,11 +79,28 @@ def read_parts(
     axes: str | None = None,
     truth: str | None = None,
     imu: str | None = None,
-) -> list[xr.Dataset]:
-    """As `read_log`, every part of a log that long gaps cut, in its order; parts too short are left out."""
+) -> list[tuple[xr.Dataset, LogReport]]:
+    """As `read_log_and_report`, every part of a log that long gaps cut; parts too short are left out."""
     parts = split(read_recording(path, axes=axes, truth=truth, imu=imu))
     names = [part.name if len(parts) == 1 else f"{part.name}, part {k + 1}" for k, part in enumerate(parts)]
-    return [resample(replace(part, name=name), rate_hz)[0] for part, name in zip(parts, names, strict=True)]
+    return [resample(replace(part, name=name), rate_hz) for part, name in zip(parts, names, strict=True)]
+
+
+def refused(reports: Iterable[tuple[str | Path, LogReport]], force: bool = False) -> list[str]:
+    """What cannot be right in logs, a sentence each.
+
+    Args:
+        reports: Paths of logs, and what reading them, or a part of them, found.
+        force: Whether they are used all the same.
+
+    Raises:
+        ValueError: The first of them, and how many more there are, unless they are used all the same.
+    """
+    faults = list(dict.fromkeys(f"{path}: {fault}" for path, report in reports for fault in report.faults))
+    if faults and not force:
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        raise ValueError(f"{faults[0]}{more}; --force uses it all the same")
+    return faults
 
 
 def read_recording(

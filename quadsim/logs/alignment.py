@@ -12,8 +12,8 @@ SEARCH_S = 0.5
 """Delays of more than this are not looked for."""
 SPAN_S = 0.1
 """Turns over this time are compared, so that the truth's noise does not count."""
-MOVING = 0.05
-"""Rates that spread by less say nothing about a delay [rad/s]."""
+MOVING, SURELY_MOVING = 0.05, 0.25
+"""Least standard deviations of the rates, of both and of one alone, that say something [rad/s]."""
 
 
 class Alignment(NamedTuple):
@@ -51,7 +51,8 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
     if both.sum() < 4 * SEARCH_S * rate_hz:
         return None
     a, b = (np.where(both[:, None], x, np.nan) for x in (measured, turn))
-    if min(np.nanstd(a, axis=0).max(), np.nanstd(b, axis=0).max()) < MOVING:
+    spreads = [np.nanstd(x, axis=0).max() for x in (a, b)]
+    if min(spreads) < MOVING and max(spreads) < SURELY_MOVING:
         return None
     most = round(SEARCH_S * rate_hz)
     fit = np.array([_fit(a, b, lag)[0] for lag in range(-most, most + 1)])
@@ -65,7 +66,7 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
 def _fit(a: Array, b: Array, lag: int) -> tuple[float, float]:
     """Correlation of a[k] with b[k + lag], all axes together, where both are known, and the slope a over b.
 
-    The slope is the ratio of the spreads, which noise in either one alone hardly biases.
+    The slope is the ratio of the standard deviations, which noise in either one alone hardly biases.
     """
     a, b = (a[: a.shape[0] - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
     both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])

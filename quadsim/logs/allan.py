@@ -111,6 +111,12 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY) -> Calibratio
     # A level is unknown to a sensor at rest: only the length of what it reads tells of its bias.
     down = np.stack([accel.mean(axis=0) for accel in accels])
     length = np.linalg.norm(down, axis=1, keepdims=True)
+    for log, found in zip(logs, length[:, 0], strict=True):
+        if not 0.9 * gravity <= found <= 1.1 * gravity:
+            raise ValueError(
+                f"{log.name}: at rest it reads a specific force of {found:.4g} m/s², and gravity is "
+                f"{gravity:g}: look at its unit (g, mg?)"
+            )
     along = down / length * (length - gravity)
     return Calibration(
         gyro=_fitted(gyros, rate, means, float(np.sqrt(np.mean(means**2)))),

@@ -43,6 +43,8 @@ AGREEMENT = 0.7
 """Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
 SLOPES = (0.8, 1.25)
 """Gyroscope's rates over the truth's between which units agree."""
+NO_TURN = 200.0
+"""and above which the truth is no attitude of this sensor: more than any mistake of units."""
 WEIGHTS = (7.0, 13.0)
 """Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
 UPRIGHT = 0.2
@@ -128,10 +130,12 @@ class LogReport:
             )
         if self.slope is not None and "gyroscope" not in self.still:
             low, high = SLOPES
-            if not low <= self.slope <= high:
+            if self.slope > NO_TURN:
+                found.append("the truth hardly turns where the gyroscope does")
+            elif not low <= self.slope <= high:
                 known = {
-                    180 / np.pi: "in deg/s",
-                    np.pi / 180: "turned into rad/s twice",
+                    180 / np.pi: "in deg/s, or the truth in rad",
+                    np.pi / 180: "in rad/s, or the truth in deg",
                     10.0: "ten times too large",
                 }
                 found.append(
@@ -223,7 +227,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     source_rate = 1.0 / period
     if not RATES_HZ[0] <= source_rate <= RATES_HZ[1]:
         raise ValueError(
-            f"{log.name}: {source_rate:.1f} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are allowed"
+            f"{log.name}: {source_rate:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
+            "allowed: look at the unit of the stamps"
         )
     if time[-1] - time[0] > SPARSE * period * time.size:
         raise ValueError(

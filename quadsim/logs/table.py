@@ -152,10 +152,17 @@ def _rows(file: Path, spec: Table) -> tuple[list[str], Array]:
     widths = {len(row) for row in rows}
     if len(rows) < 2 or len(widths) != 1:
         raise ValueError(f"{file}: at least 2 rows of one width are wanted, found widths {sorted(widths)}")
-    try:
-        return names, np.array([[float(cell) if cell.strip() else math.nan for cell in row] for row in rows])
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from error
+    numbers = np.full((len(rows), widths.pop()), math.nan)
+    for r, row in enumerate(rows):
+        for c, cell in enumerate(row):
+            try:
+                numbers[r, c] = float(cell) if cell.strip() else math.nan
+            except ValueError as error:
+                hint = '; is delimiter = ";" what it has?' if ";" in cell else ""
+                raise ValueError(
+                    f"{file}: row {r + 1} of the numbers, column {c + 1}: {cell[:40]!r} is no number{hint}"
+                ) from error
+    return names, numbers
 
 
 def _index(file: Path, names: list[str], width: int, column: Column) -> int:

@@ -1,5 +1,7 @@
 """PX4 logs (ULog), through pyulog."""
 
+import errno
+import io
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,22 @@ TRUTHS = {
 """Topics that hold an attitude `q` (FRD body in NED world), the best first."""
 
 
+class Bounded(io.BufferedReader):
+    """A file that can be read a few times over: in some damaged ones pyulog seeks back without an end."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self.path, self.left = path, 4 * path.stat().st_size + 1_000_000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Bytes, as long as there are any to spend."""
+        found = super().read(size)
+        self.left -= len(found) + 1
+        if self.left < 0:  # pyulog takes a ValueError for a damaged message, and goes on
+            raise OSError(errno.EIO, "damaged: no end of the log is found", str(self.path))
+        return found
+
+
 def read_ulog(path: Path, truth: str | None = None) -> Recording:
     """Read sensor_combined (or vehicle_imu) and the best attitude topic.
 
@@ -24,7 +42,7 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
         truth: Topic to take for the true attitude; None for the first of TRUTHS that is there.
     """
     ulog = needed("pyulog", "logs").ULog
-    log = ulog(str(path))
+    log = ulog(Bounded(path))
     topics = {each.name: each.data for each in reversed(log.data_list)}  # the first instance of each
     notes = []
     if "sensor_combined" in topics:
