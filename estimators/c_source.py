@@ -9,11 +9,11 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.ranges import FORCE_MAX, RATE_MAX
 from quadsim.runs import write_whole
 
 from .encoder import INPUT_MAX, input_scaling
 from .loihi import DECAY_ONE, STATE_ONE
-from .sanitise import FORCE_MAX, RATE_MAX
 from .weights_file import NetworkConfig, Tensors, parameters
 
 

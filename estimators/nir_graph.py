@@ -17,6 +17,8 @@ import nir
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.runs import replace
+
 from .dynamics import BIAS_EXP, THRESHOLD
 from .encoder import input_scaling
 from .networks import real_weights
@@ -63,7 +65,8 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
 
 def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
     """Write the graph as an HDF5 file that `nir.read` reads."""
-    nir.write(str(path), nir_graph(config, tensors))
+    graph = nir_graph(config, tensors)
+    replace(path, lambda part: nir.write(str(part), graph))
 
 
 def _neurons(

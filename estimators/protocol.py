@@ -146,8 +146,8 @@ def own(name: str, rate_hz: float) -> AttitudeEstimator:
     module, _, attribute = name.partition(":")
     try:
         made = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"{name}: {error}") from error
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"{name} is no module:Class: {error}") from error
     try:
         return tried(name, made(rate_hz))
     except TypeError as error:

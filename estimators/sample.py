@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from .sanitise import force_usable, rate_usable, within
 
-SKIPPED, AGE, RATE_X, RATE_Y, RATE_Z = range(5)
-COMMON = 5
-"""Columns of a state row: samples skipped, age of the last good rate [s] (infinite at first), that rate."""
+SKIPPED, AGE, RATE_X, RATE_Y, RATE_Z, TRUSTED = range(6)
+COMMON = 6
+"""Columns of a state row: samples skipped, age of the last good rate [s] (infinite at first), that rate, and
+for how long there have been good ones [s]."""
 
 LANES = 16
 """Parameter sets that `by_lanes` takes together."""
@@ -24,8 +25,8 @@ WORST = 2.0 * math.pi**2
 HOLD_S = 0.1
 """A missing gyroscope sample is replaced by the last good one for this long [s], and after that by zero."""
 RATE_STEP, ACCELERATION_MAX = 10.0, 2000.0
-"""Largest change of a rate since the last good sample that is believed: the larger of this many rad/s, and
-what so many rad/s² would make in that time."""
+"""Largest change of a rate from the last good sample: the larger of this many rad/s, and what so many rad/s²
+make in a sample. What differs by more is missing, for `HOLD_S`, or as long as there had been good ones."""
 GAP_RATE = 2.0
 """Standard deviation of the rate at which a vehicle turns unseen in a gap longer than `HOLD_S` [rad/s]."""
 
@@ -74,7 +75,7 @@ def regain(doubt, unseen, ax, ay, az, dt):
 def usable(state, dt, gyro, accel, i, t):
     """The sample to use for one that may be missing: rate held, specific force zero for "no correction".
 
-    A rate that no vehicle can have reached since the last good sample is taken for missing.
+    A rate that jumps as no vehicle can turn is taken for missing, until it has lasted.
 
     Args:
         state: The vehicle's row; its common columns are updated.
@@ -90,11 +91,13 @@ def usable(state, dt, gyro, accel, i, t):
     """
     gx, gy, gz = gyro[i, t, 0], gyro[i, t, 1], gyro[i, t, 2]
     ax, ay, az = accel[i, t, 0], accel[i, t, 1], accel[i, t, 2]
-    step = max(RATE_STEP, ACCELERATION_MAX * (state[AGE] + dt))
+    doubtful = state[AGE] < min(HOLD_S, state[TRUSTED])
+    step = max(RATE_STEP, ACCELERATION_MAX * dt) if doubtful else math.inf
     steady = within(gx - state[RATE_X], gy - state[RATE_Y], gz - state[RATE_Z], step)
     rate_found, force_found, unseen = steady and rate_usable(gx, gy, gz), force_usable(ax, ay, az), 0.0
     if rate_found:
         state[AGE] = 0.0
+        state[TRUSTED] += dt
         state[RATE_X], state[RATE_Y], state[RATE_Z] = gx, gy, gz
     else:
         unseen = turned_unseen(state[AGE] + dt) - turned_unseen(state[AGE]) if state[AGE] < math.inf else 0.0

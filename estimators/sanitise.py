@@ -6,14 +6,9 @@ thrust gives. A rate of exactly zero is a good measurement. Filters and networks
 streaming and in whole sequences; `assets/c99/att_snn.c` says the same in C.
 """
 
-import math
-
 from numba import njit
 
-RATE_MAX = math.radians(4000.0)
-"""Largest rate of an axis that is believed [rad/s]: the widest range among IMUs of flight controllers."""
-FORCE_MAX = 32.0 * 9.80665
-"""Largest specific force of an axis that is believed [m/s²]: likewise, 32 g."""
+from quadsim.ranges import FORCE_MAX, RATE_MAX
 
 
 @njit(inline="always")

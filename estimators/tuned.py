@@ -98,4 +98,5 @@ def to_toml(tables: dict[str, Tuned], comment: str) -> str:
     """Text of a tuning file, with a comment on top; what may not stand in a comment is left out."""
     shown = "".join(each for each in comment if each.isprintable() or each in "\n\t")
     head = "".join(f"# {line}".rstrip() + "\n" for line in shown.split("\n"))
-    return head + "\n" + tomli_w.dumps({name: table.model_dump() for name, table in tables.items()})
+    text = head + "\n" + tomli_w.dumps({name: table.model_dump() for name, table in tables.items()})
+    return text.encode("utf-8", "replace").decode()  # bytes of a path that are no UTF-8

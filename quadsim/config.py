@@ -69,8 +69,8 @@ def read_toml(text: str, label: str) -> dict[str, Any]:
         raise ValueError(f"{label}: line {line}: {TOO_DEEP}")
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{label}: not valid TOML: {error}") from error
+    except ValueError as error:  # of TOML, or of Python for a whole number of thousands of digits
+        raise ValueError(f"{label}: not valid TOML: {str(error).split(';')[0]}") from error
     except RecursionError as error:
         raise ValueError(f"{label}: {TOO_DEEP}") from error
 

@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from . import dataset_store
-from .dataset_store import Plan, partial_folder, read_attributes
+from .dataset_store import FLIGHTS, Plan, partial_folder, read_attributes
 from .flight import FlightConfig
 from .ranges import steps_of
 from .rotation import quat_rotate, roll_pitch_from_quat
@@ -211,7 +211,7 @@ def _plan(config: FlightConfig, flights: int, duration_s: float, seed: int, rate
     return Plan(
         quadsim_version=version("quadsim"),
         seed=_at_least("seed", seed, 0),
-        flights=_at_least("flights", flights, 1),
+        flights=int(FLIGHTS.of("flights", _at_least("flights", flights, 1))),
         steps=steps_of(duration_s, rate_hz),
         rate_hz=rate_hz,
         code=code_digest("quadsim.dataset_store"),

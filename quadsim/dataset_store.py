@@ -74,7 +74,8 @@ PER_FLIGHT = ("valid_steps", "end_reason", "checksum", "stored_bytes")
 
 
 Seed = Annotated[int, Between(0, 2**63 - 1)]
-Flights = Annotated[int, Between(1, 10_000_000)]
+FLIGHTS = Between(1, 10_000_000)
+Flights = Annotated[int, FLIGHTS]
 Samples = Annotated[int, Between(1, 1_000_000_000)]
 
 
@@ -315,6 +316,13 @@ def refuse_damaged(path: Path, attributes: Attributes, dataset: xr.Dataset) -> N
     valid = dataset["valid_steps"].to_numpy()
     if valid.dtype.kind not in "iu" or not ((valid >= 0) & (valid <= attributes.steps)).all():
         raise ValueError(f"{path} is damaged: valid_steps is not from 0 to {attributes.steps}")
+    times = np.arange(attributes.steps) / attributes.rate_hz
+    if not (
+        "time" in dataset
+        and np.allclose(dataset["time"], times, rtol=1e-6, atol=1e-9)
+        and np.isclose(attributes.duration_s, attributes.steps / attributes.rate_hz)
+    ):
+        raise ValueError(f"{path} is damaged: rate_hz, duration_s and time do not belong together")
     if not isinstance(json.loads(attributes.config), dict):
         raise ValueError(f"{path} is damaged: its configuration is no table")
     files = sorted(file for file in path.rglob("*") if file.is_file())

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from .controller import LEVELS, WIDTH, Level
 from .estimator import AttitudeEstimator
 from .mission import CAUSES, FLYING, Mission, follow
+from .ranges import SAMPLE_RATE
 from .render import Image, Scene, View, Window
 from .scenario import Scenario, load_scenario
 from .vehicle import GRAVITY
@@ -38,6 +39,8 @@ ACTION_SCALE: dict[Level, tuple[float, ...]] = {
 
 Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
 """An estimator, or what makes one: see `made_for`."""
+MOST = 100_000
+"""Environments in a batch."""
 FPS = 50
 """Pictures per second of flight in a window."""
 
@@ -257,6 +260,9 @@ class Flights:
             raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
         if render_mode not in (None, "rgb_array", "human"):
             raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, human, or None')
+        SAMPLE_RATE.of("rate_hz", rate_hz)
+        if not isinstance(n, int) or not 1 <= n <= MOST:
+            raise ValueError(f"num_envs = {n!r}: a whole number from 1 to {MOST} is allowed")
         self._live, self._frame = render_mode == "human", max(round(rate_hz / FPS), 1)
         scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
         made = made_for(estimator, scenario, rate_hz)

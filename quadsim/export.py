@@ -6,6 +6,7 @@ start of each flight.
 
 import importlib
 import json
+import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -69,8 +70,9 @@ def export(path: str | Path, out: str | Path, format: str, progress: Progress | 
             draft = Path(drafts) / out.name
             FORMATS[format](dataset, draft, progress or (lambda done, total: None))
             draft.rename(out)
-    except OSError as error:
-        raise OSError(f"cannot write {out}: {error.strerror or error}") from error
+    except (OSError, sqlite3.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise OSError(f"cannot write {out}: {reason or error}") from error
     return out
 
 

@@ -3,6 +3,7 @@
 The ends are wide: a value beyond them is a slip of the pen or of the unit, and no vehicle, sensor or weather.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
@@ -49,6 +50,12 @@ class Between:
 SAMPLE_RATE = Between(1e-3, 1e5, "Hz")
 SAMPLES = Between(1, 4_000_000, "samples")
 """Length of a flight."""
+
+
+RATE_MAX = math.radians(4000.0)
+"""Largest rate of an axis that is taken for a reading [rad/s]: that of the widest IMU, TDK's ICM-20649."""
+FORCE_MAX = 32.0 * 9.80665
+"""Largest specific force of an axis that is taken for a reading [m/s²]: that IMU's 30 g, rounded up."""
 
 
 def steps_of(duration_s: float, rate_hz: float) -> int:

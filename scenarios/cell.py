@@ -141,6 +141,8 @@ def make_cell(
         ValueError: If numbers of the flight grew beyond all bounds.
     """
     flown = np.arange(mission.steps) < end[:, None]
+    if not np.isfinite(log[flown][:, LAYOUT.estimate]).all():
+        raise ValueError(f"{estimator} estimated a roll or pitch that is no finite number")
     if not (np.abs(log[flown]) < BOUNDLESS).all():
         raise ValueError("numbers of the flight grew beyond all bounds; is one of the scenario too large?")
     metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)

@@ -302,7 +302,8 @@ FAULTS = {
     "a force of 300 m/s²": ("accel", 1, 300.0),
     "a rate of 1000 rad/s": ("gyro", 1, 1000.0),
     "a rate of 60 rad/s": ("gyro", 1, 60.0),
-    "four rates of 60 rad/s": ("gyro", 4, 60.0),
+    "ten rates of 60 rad/s": ("gyro", 10, 60.0),
+    "two rates of 35 rad/s": ("gyro", 2, 35.0),
     "no samples for half a second": ("both", 100, np.nan),
 }
 """The sensor, the number of samples and their reading, on every axis."""

@@ -407,6 +407,7 @@ def wrong(name: str) -> Recording:
         "g": {"accel": accel / 9.81},
         "mg": {"accel": accel / 9.81e-3},
         "frame": {"gyro": upside * gyro, "accel": upside * accel},
+        "sign of z": {"gyro": gyro * [1.0, 1.0, -1.0]},
         "axes": {"gyro": gyro[:, [1, 2, 0]], "accel": accel[:, [1, 2, 0]]},
     }[name]
     fields = {"time": time, "gyro": gyro, "accel": accel, "truth_time": time, "quat": quat}
@@ -427,6 +428,7 @@ def wrong(name: str) -> Recording:
         ("mg", "is it in mg?"),
         ("frame", "look at frame and axes"),
         ("axes", "look at frame and axes"),
+        ("sign of z", "the gyroscope's z does not read how the truth turns about that axis (correlation -"),
     ],
 )
 def test_units_norms_and_frames_that_cannot_be_right_are_said(name, said):
@@ -461,6 +463,16 @@ def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path, monkeypat
         with pytest.raises(ValueError, match=r"57.3 times the rate.*--force"):
             CliRunner().invoke(app, command, catch_exceptions=False)
         assert CliRunner().invoke(app, [*command, "--force"], catch_exceptions=False).exit_code == 0
+
+
+@pytest.mark.parametrize(("sensor", "reading"), [("gyro", 1000.0), ("gyro", 1e30), ("accel", 1e30)])
+def test_a_spike_is_left_out_and_condemns_no_log(sensor, reading):
+    log = wrong("nothing")
+    spoilt = getattr(log, sensor).copy()
+    spoilt[900] = reading
+    _, report = resample(replace(log, **{sensor: spoilt}))
+    assert report.faults == []
+    assert report.missing == 1
 
 
 def test_a_damaged_ulog_that_the_library_reads_for_ever_is_refused(tmp_path):

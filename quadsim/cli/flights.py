@@ -69,7 +69,7 @@ def fly(
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, not the scenario's.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
     vehicle: VehicleToo = None,
     imu: ImuToo = None,
     tuning: Tuning = None,
@@ -129,7 +129,7 @@ def bench(
     estimator: Annotated[
         list[str] | None, typer.Option(help="Estimator, or a network's weights (.safetensors); likewise.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="Flights in each cell.")] = 10,
+    seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Flights in each cell.")] = 10,
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, not the scenarios'.")
     ] = None,

@@ -93,7 +93,9 @@ def pair_of(text: str) -> tuple[str, object]:
         raise ValueError(f"--set {name[:40]}: tables are not nested so deeply")
     try:
         return name, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except RecursionError:
+        raise ValueError(f"--set {name[:40]}: nested too deeply") from None
+    except ValueError:  # not TOML, or a whole number of thousands of digits
         if value.strip()[:1] in ("(", "[", "{"):
             raise ValueError(
                 f"--set {name}: cannot read {value}; lists are [1, 2], tables {{a = 1}}"

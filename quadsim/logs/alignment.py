@@ -14,6 +14,8 @@ SPAN_S = 0.1
 """Turns over this time are compared, so that the truth's noise does not count."""
 MOVING, SURELY_MOVING = 0.05, 0.25
 """Least standard deviations of the rates, of both and of one alone, that say something [rad/s]."""
+TURNING = 0.1
+"""The same of the truth about an axis, for a correlation of that axis alone [rad/s]."""
 
 
 class Alignment(NamedTuple):
@@ -23,6 +25,8 @@ class Alignment(NamedTuple):
     """How late the truth is [s] (negative: early), to a fraction of a sample."""
     agreement: float
     """Correlation over all three axes at that delay: 1 where both turn alike."""
+    axes: tuple[float, float, float]
+    """The same of each axis; 1 where the truth hardly turns about it."""
     slope: float
     """Readings over the truth's rates, the line of best fit at that delay: 1 where units agree."""
 
@@ -60,7 +64,12 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
     left, top, right = fit[peak - 1 : peak + 2]
     bend = left - 2 * top + right
     beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return Alignment(float((peak - most + beside) / rate_hz), float(top), _fit(a, b, peak - most)[1])
+    lag = peak - most
+    x, y, z = (
+        _fit(a[:, k : k + 1], b[:, k : k + 1], lag)[0] if np.nanstd(b[:, k]) > TURNING else 1.0
+        for k in range(3)
+    )
+    return Alignment(float((lag + beside) / rate_hz), float(top), (x, y, z), _fit(a, b, lag)[1])
 
 
 def _fit(a: Array, b: Array, lag: int) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from scipy.signal import firwin, oaconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..dataset_store import LABELS, VARIABLES
+from ..ranges import FORCE_MAX, RATE_MAX
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
 from .alignment import align
 from .recording import Array, Recording
@@ -53,6 +54,8 @@ UNIT_NORM = 0.02
 """Quaternions of the truth may be longer or shorter than one by this."""
 LONGEST_GAP_S = 30.0
 """A longer gap ends a recording, and what follows is another part of it."""
+RARE = 0.01
+"""Share of readings beyond any sensor's range up to which they are left out as spikes."""
 FEWEST = 8
 """Samples that a part has at least."""
 SPARSE = 20.0
@@ -97,6 +100,8 @@ class LogReport:
     """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
     slope: float | None
     """The gyroscope's rates over the truth's: 1 where units agree."""
+    axes: tuple[float, float, float] | None
+    """Correlation of each axis; 1 where it hardly turns."""
     truth_norm: float | None
     """Median length of the truth's quaternions as recorded."""
     weight: float
@@ -149,6 +154,12 @@ class LogReport:
                 f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
                 "look at frame and axes"
             )
+        elif self.axes is not None and min(self.axes) < AGREEMENT:
+            worst = int(np.argmin(self.axes))
+            found.append(
+                f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
+                f"(correlation {self.axes[worst]:.2f}): look at frame and axes"
+            )
         if self.gravity is not None and self._off_gravity > GRAVITY_WRONG:
             found.append(self._where_gravity)
         return found
@@ -186,7 +197,7 @@ class LogReport:
         if self.saturated:
             found.append(f"{self.saturated} samples are stuck at the end of the sensor's range")
         if self.missing:
-            found.append(f"{self.missing} samples are not numbers: left out")
+            found.append(f"{self.missing} samples are not numbers, or beyond any sensor's range: left out")
         if self.truth == "none":
             found.append("no attitude in this log: it can be run, not scored")
         if self.gravity is not None and GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
@@ -269,6 +280,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         truth_delay_s=None if found is None else found.delay_s,
         agreement=None if found is None else found.agreement,
         slope=None if found is None else found.slope,
+        axes=None if found is None else found.axes,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
         upright=float(accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
@@ -331,6 +343,9 @@ def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
     """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
     readings = np.concatenate([log.gyro, log.accel], axis=1)
     finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
+    beyond = finite & (np.abs(readings) > np.repeat([RATE_MAX, FORCE_MAX], 3)).any(axis=1)
+    if beyond.sum() <= RARE * finite.sum():  # many are no spikes, but of another unit
+        finite &= ~beyond
     readings, time = readings[finite], log.time[finite]
     if time.size < FEWEST:
         raise ValueError(f"{log.name}: {time.size} usable samples; at least {FEWEST} are wanted")
