@@ -61,10 +61,14 @@ def fly(
         str, typer.Argument(help="A shipped scenario, for example wind-gust, or a TOML file.")
     ],
     estimator: Annotated[
-        str, typer.Option(help="Estimator to fly on, or a network's weights (.safetensors).")
+        str,
+        typer.Option(
+            help="Estimator whose attitude is used: a name, weights (.safetensors) or your module:Class."
+        ),
     ] = "att-snn-loihi",
     out: Annotated[
-        Path | None, typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out.")
+        Path | None,
+        typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out, and what else was chosen."),
     ] = None,
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, not the scenario's.")
@@ -127,7 +131,8 @@ def bench(
         list[str] | None, typer.Option(help="Scenario; give it again for more. All if left out.")
     ] = None,
     estimator: Annotated[
-        list[str] | None, typer.Option(help="Estimator, or a network's weights (.safetensors); likewise.")
+        list[str] | None,
+        typer.Option(help="Estimator: a name, weights (.safetensors) or your module:Class; again for more."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Flights in each cell.")] = 10,
     duration: Annotated[

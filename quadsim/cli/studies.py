@@ -19,7 +19,8 @@ def evaluate(
         list[Path] | None, typer.Option(help="Real log in place of --data; give it again for more.")
     ] = None,
     estimator: Annotated[
-        list[str] | None, typer.Option(help="Estimator; give it again for more. All if left out.")
+        list[str] | None,
+        typer.Option(help="Estimator: a name or your module:Class; again for more. All if left out."),
     ] = None,
     weights: Annotated[
         list[str] | None, typer.Option(help="Weights file to score too, named by its path; again for more.")
@@ -31,7 +32,11 @@ def evaluate(
         str | None, typer.Option(help='With --logs: body x, y, z as its axes ("z,-y,x").')
     ] = None,
     tuning: Annotated[
-        str | None, typer.Option(help="Tuned parameters: a shipped domain or a TOML file.")
+        str | None,
+        typer.Option(
+            help="Tuned parameters: a shipped domain or a TOML file; those shipped for the dataset's vehicle "
+            "when left out."
+        ),
     ] = None,
     vehicle: Annotated[
         str | None,
