@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from quadsim.compiled import njit
 
 from .encoder import encode_sample
 from .loihi import step_arrays

@@ -6,8 +6,7 @@ The adaptive one trusts the accelerometer more while the vehicle hardly turns: f
 weight 1 − γ grows by k_a |θ̂ − θ_acc|.
 """
 
-from numba import njit
-
+from quadsim.compiled import njit
 from quadsim.rotation import roll_pitch_from_quat
 
 from .filters import Algorithm, Array, Parameter

@@ -13,8 +13,9 @@ whole, float64 holds them exactly, and the result is what `estimators.loihi` com
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from quadsim.compiled import njit
 
 THRESHOLD = 0.5
 STATE_ONE = 16384.0

@@ -9,8 +9,7 @@ covariance σ² / dt I. Noises are densities, so that the filter acts alike at a
 of the last two samples. `filterpy_filters` holds the same filter on filterpy's classes.
 """
 
-from numba import njit
-
+from quadsim.compiled import njit
 from quadsim.rotation import multiply_core, normalize_core
 
 from .filters import Algorithm, Array, Parameter

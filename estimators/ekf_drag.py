@@ -39,8 +39,8 @@ estimation and magnetic disturbance rejection", Information Fusion 91, 2023).
 import math
 
 import numpy as np
-from numba import njit
 
+from quadsim.compiled import njit
 from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotate_core
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 

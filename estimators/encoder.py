@@ -9,8 +9,9 @@ last good inputs.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from quadsim.compiled import njit
 
 from .sanitise import force_usable, rate_usable
 from .weights_file import InputScaling

@@ -14,8 +14,7 @@ magnitude is from gravity: σ² / dt (1 + (κ (|a| / g − 1))²).
 
 import math
 
-from numba import njit
-
+from quadsim.compiled import njit
 from quadsim.rotation import matrix_core, multiply_core, normalize_core, rotate_core
 from quadsim.vehicle import GRAVITY
 

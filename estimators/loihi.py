@@ -17,8 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from quadsim.compiled import njit
 
 STATE_ONE = 1 << 14
 """State units of 1.0."""

@@ -9,8 +9,7 @@ force (eq. 25) and J its Jacobian (eq. 26):
 
 import math
 
-from numba import njit
-
+from quadsim.compiled import njit
 from quadsim.rotation import multiply_core, normalize_core
 
 from .filters import Algorithm, Array, Parameter

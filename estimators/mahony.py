@@ -7,8 +7,7 @@ the specific force in body axes, and e = a × v̂:
     ḃ = −k_I e,    q̇ = ½ q ⊗ (0, ω − b̂ + k_P e)
 """
 
-from numba import njit
-
+from quadsim.compiled import njit
 from quadsim.rotation import multiply_core, normalize_core, rotate_inverse_core
 
 from .filters import Algorithm, Array, Parameter

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from quadsim.compiled import njit
 
 from .chip import partition
 from .dynamics import BIAS_EXP, run_network, zero_state

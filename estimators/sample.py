@@ -7,8 +7,9 @@ own state follows from column `COMMON` on.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from quadsim.compiled import njit
 
 from .sanitise import force_usable, rate_usable, within
 

@@ -11,10 +11,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from vqf import VQF
 
+from quadsim.compiled import njit
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import GRAVITY
 

@@ -18,9 +18,9 @@ import math
 from typing import Literal, get_args
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .compiled import njit
 from .rotation import from_euler_core, rotate_core, rotate_inverse_core
 from .vehicle import GRAVITY, Gains, Vehicle
 

@@ -13,9 +13,9 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from .compiled import njit
 from .controller import LEVELS, WIDTH, Level
 from .estimator import AttitudeEstimator
 from .mission import CAUSES, FLYING, Mission, follow

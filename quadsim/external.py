@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .compiled import njit
 from .config import Strict, load_toml
 from .ranges import Between, Delay, Speed
 from .seeding import Seed, vehicle_seeds

@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.signal import lfilter
 
+from .compiled import njit
 from .config import Strict
 from .controller import LEVELS, Controller, Level, control
 from .estimator import AttitudeEstimator

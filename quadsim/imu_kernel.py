@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import expm
+
+from .compiled import njit
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .compiled import njit
 from .controller import WIDTH, Level
 from .estimator import AttitudeEstimator
 from .external import ExternalSensor, ExternalSpec, load_external

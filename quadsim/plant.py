@@ -9,10 +9,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from . import rotors
+from .compiled import njit
 from .ranges import SAMPLE_RATE
 from .rotation import rotate_inverse_core
 from .vehicle import GRAVITY, Vehicle

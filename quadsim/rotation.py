@@ -10,8 +10,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import float64, guvectorize, njit
 from numpy.typing import ArrayLike, NDArray
+
+from .compiled import float64, guvectorize, njit
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ have its own; the indices below name the columns.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .compiled import njit
 from .vehicle import AIR_DENSITY, Vehicle
 
 MASS, IXX, IYY, IZZ, K_F, K_M, OMEGA_MAX, TAU_UP, TAU_DOWN, ROTOR_DRAG, ROLLING, DRAG_X, DRAG_Y, DRAG_Z = (

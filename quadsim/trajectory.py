@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
+from .compiled import njit
 from .config import Strict, read_text
 from .ranges import (
     COORDINATE,

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.special import gammainc
 
+from .compiled import njit
 from .config import Strict, read_text
 from .ranges import SAMPLE_RATE, WIND, Between, Duration, Heading, Instant, Speed, Wind
 from .seeding import Seed, child, vehicle_seeds

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from estimators.metrics import absolute_error, attitude_error, inclination_error
+from quadsim.compiled import njit
 from quadsim.vehicle import Vehicle
 
 Array = NDArray[np.float64]

@@ -4,14 +4,17 @@ import errno
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
 
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim import surroundings
+from quadsim.compiled import OneWriter
 from quadsim.config import parse, read_toml
 from quadsim.runs import (
     alone,
@@ -169,6 +172,20 @@ def test_compiled_code_is_kept_for_one_state_of_all_compiled_files(tmp_path):
     assert surroundings.compiled_digest(tmp_path) == before
     kernel.write_text("@njit\ndef f(x):\n    return x + 2\n")
     assert surroundings.compiled_digest(tmp_path) != before
+
+
+def test_processes_that_compile_different_variants_take_different_files(tmp_path):
+    first, second = (OneWriter(str(tmp_path), "f", 0.0) for _ in range(2))
+    with FileLock(f"{tmp_path}/f.nbi.lock"):
+        waiting = threading.Thread(target=first.save, args=("for floats", b"1"))
+        waiting.start()
+        waiting.join(0.3)
+        assert waiting.is_alive()
+        assert not list(tmp_path.glob("*.nb?"))
+    waiting.join()
+    second.save("for whole numbers", b"2")
+    assert first.load("for floats") == second.load("for floats") == b"1"
+    assert first.load("for whole numbers") == b"2"
 
 
 def test_old_compiled_code_is_dropped_and_nothing_else(tmp_path, monkeypatch, cache):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from quadsim.compiled import njit
 from quadsim.config import Strict
 from quadsim.ranges import Between, Delay, Force, Frequency, Rising, Share
 from quadsim.vehicle import GRAVITY

@@ -15,12 +15,12 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.dynamics import STATE_ONE, THRESHOLD, _list_spikes, advance
 from estimators.spiking import MATRICES, SURROGATE_WIDTH, Weights
+from quadsim.compiled import njit
 
 Floats = NDArray[np.floating]
 
