@@ -139,7 +139,7 @@ _QUAT = np.zeros(4)
 
 def _over_arrays(layout: str) -> Callable[[Callable[..., None]], Callable[..., Array]]:
     """Decorator: a generalized ufunc of float64 operands with the given layout."""
-    return guvectorize([(float64[:],) * layout.count("(")], layout, cache=True)
+    return guvectorize([(float64[:],) * layout.count("(")], layout)
 
 
 @_over_arrays("(q),(q)->(q)")
