@@ -7,6 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 from filelock import FileLock
 from hypothesis import given
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim import surroundings
-from quadsim.compiled import OneWriter
+from quadsim.compiled import OneWriter, float64, guvectorize
 from quadsim.config import parse, read_toml
 from quadsim.runs import (
     alone,
@@ -186,6 +187,22 @@ def test_processes_that_compile_different_variants_take_different_files(tmp_path
     second.save("for whole numbers", b"2")
     assert first.load("for floats") == second.load("for floats") == b"1"
     assert first.load("for whole numbers") == b"2"
+
+
+def test_a_generalized_ufunc_is_compiled_by_one_process_at_a_time():
+    made = []
+    decorate = guvectorize([(float64[:], float64[:])], "(k)->(k)")
+
+    def double(x, out):
+        out[:] = 2.0 * x
+
+    with FileLock(Path(os.environ["NUMBA_CACHE_DIR"]) / "gufuncs.lock"):
+        waiting = threading.Thread(target=lambda: made.append(decorate(double)))
+        waiting.start()
+        waiting.join(0.3)
+        assert not made
+    waiting.join()
+    assert made[0](np.array([1.0, 2.0])).tolist() == [2.0, 4.0]
 
 
 def test_old_compiled_code_is_dropped_and_nothing_else(tmp_path, monkeypatch, cache):
