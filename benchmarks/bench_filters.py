@@ -17,8 +17,8 @@ import xarray as xr
 from vqf import VQF
 
 from estimators import create, names, run
-from estimators.protocol import COMPILED, NETWORKS
-from estimators.tuning import tune
+from estimators.registry import COMPILED, NETWORKS
+from estimators.tuning.search import tune
 
 RATE_HZ = 200.0
 

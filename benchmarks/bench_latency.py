@@ -2,9 +2,9 @@
 
     python benchmarks/bench_latency.py [--out FOLDER]
 
-The measurement is `estimators.latency`. Beside the estimators stands the host's part of att-snn-loihi: the
-scaled readings and the currents of the encoding layer. Writes latency.csv and
-latency.png (after the paper's Fig. 9).
+The measurement is `estimators.analysis.latency`. It also times the host's part of
+att-snn-loihi: scaled readings and the currents of the encoding layer. Writes latency.csv and latency.png
+(after the paper's Fig. 9).
 """
 
 import argparse
@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.encoder import INPUT_STATE, encode_sample
-from estimators.latency import CALLS, PAPER_US, RATE_HZ, Update, contenders, measure
-from estimators.networks import OnLoihi, create_network, drive
-from estimators.protocol import NETWORKS
-from quadsim.figures import STYLE
+from estimators.analysis.latency import CALLS, PAPER_US, RATE_HZ, Update, contenders, measure
+from estimators.networks.encoder import INPUT_STATE, encode_sample
+from estimators.networks.network import OnLoihi, create_network, drive
+from estimators.registry import NETWORKS
+from quadsim.dataset.figures import STYLE
 
 HOST = "att-snn-loihi, host alone"
 

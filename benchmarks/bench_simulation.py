@@ -23,9 +23,9 @@ from rich.console import Console
 from rich.table import Table
 
 import quadsim  # noqa: F401  registers the environment
-from quadsim.dataset import generate
-from quadsim.flight import FlightConfig, simulate_flights
-from quadsim.imu import load_imu
+from quadsim.dataset.generation import generate
+from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.imu.spec import load_imu
 from quadsim.plant import Plant
 from quadsim.vehicle import load_vehicle
 

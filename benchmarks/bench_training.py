@@ -29,15 +29,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.spiking import (
-    THRESHOLD,
-    TIME_CONSTANTS,
-    Weights,
-    forward,
-    quantise_decay,
-    quantise_weights,
-)
-from training.kernels import Workspace, attsnn
+from estimators.spiking import THRESHOLD, TIME_CONSTANTS, Weights, forward, quantise_decay, quantise_weights
+from training.backends.fused import Workspace, attsnn
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"

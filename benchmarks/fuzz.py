@@ -35,23 +35,24 @@ from rich.table import Table
 from ulog_file import write_ulog
 
 import estimators
-from estimators.tuned import load_tuning
-from estimators.weights_file import load_network
-from quadsim.config import preset_names
-from quadsim.console import output
-from quadsim.dataset import dataset_info, generate, open_dataset
-from quadsim.export import export
+from estimators.networks.weights_file import load_network
+from estimators.tuning.tuned import load_tuning
+from quadsim.config.toml import preset_names
+from quadsim.dataset.export import export
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import dataset_info, open_dataset
 from quadsim.external import load_external
-from quadsim.flight import FlightConfig
-from quadsim.imu import load_imu
+from quadsim.flight.mission import Mission
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.scenario import Scenario, load_scenario
+from quadsim.flight.simulate import FlightConfig
+from quadsim.imu.spec import load_imu
 from quadsim.logs import read_log_and_report
-from quadsim.mission import Mission
-from quadsim.recipe import flight_config, load_recipe
-from quadsim.scenario import Scenario, load_scenario
+from quadsim.runs.console import output
 from quadsim.seeding import vehicle_seeds
 from quadsim.vehicle import load_vehicle
-from scenarios.publish import publish
-from scenarios.runner import bench, load_results
+from scenarios.bench.runner import bench, load_results
+from scenarios.report.publish import publish
 
 LIMIT_S, LIMIT_BYTES = 10.0, 2e9
 FLOWN = 20

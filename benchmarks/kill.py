@@ -27,8 +27,8 @@ from pathlib import Path
 from rich.progress import track
 from rich.table import Table
 
-from quadsim.console import output
-from quadsim.runs import PART
+from quadsim.runs.console import output
+from quadsim.runs.files import PART
 
 QUADSIM = (sys.executable, "-m", "quadsim.cli")
 TIMES = {"log.csv": "seconds"}

@@ -19,26 +19,26 @@ from numpy.typing import ArrayLike, NDArray
 from pages import Page, load_page
 
 import estimators
-from estimators.networks import silenced
-from estimators.protocol import NETWORKS
-from estimators.weights_file import load_network, save_network
-from quadsim import loops
-from quadsim.console import progress_bar
-from quadsim.figures import STYLE
-from quadsim.imu import load_imu
-from quadsim.mission import Mission
+from estimators.networks.network import silenced
+from estimators.networks.weights_file import load_network, save_network
+from estimators.registry import NETWORKS
+from quadsim.control import delay as loops
+from quadsim.dataset.figures import STYLE
+from quadsim.flight.mission import Mission
+from quadsim.flight.scenario import scenario_names
+from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
-from quadsim.scenario import scenario_names
+from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, load_vehicle
-from scenarios.bound import least_error
-from scenarios.breaking import DISTURBANCES, Breaking, breaking_points
-from scenarios.cell import fly as fly_mission
-from scenarios.demo import SLOW
-from scenarios.metrics import flight_metrics
-from scenarios.pairs import ALL, paired_differences
-from scenarios.publish import publish
-from scenarios.runner import Results, bench, suite_digest
-from scenarios.verdict import TRUTH, total, verdict
+from scenarios.bench.breaking import DISTURBANCES, Breaking, breaking_points
+from scenarios.bench.cell import fly as fly_mission
+from scenarios.bench.demo import SLOW
+from scenarios.bench.flight_metrics import flight_metrics
+from scenarios.bench.linear_bound import least_error
+from scenarios.bench.pairs import ALL, paired_differences
+from scenarios.bench.runner import Results, bench, suite_digest
+from scenarios.bench.verdict import TRUTH, total, verdict
+from scenarios.report.publish import publish
 
 OUT = Path(__file__).parents[1] / "reports" / "closed-loop"
 SEEDS, BREAKING_SEEDS = 20, 10

@@ -19,14 +19,15 @@ from pages import ROOT, Page, load_page
 from simulated import DURATION_S, simulated
 
 from estimators import create, names
-from estimators.evaluate import Evaluation, evaluate
-from estimators.figures import settling, violins
-from estimators.flights import Flights, load_flights, vehicle_of
+from estimators.evaluation.comparison import Evaluation, evaluate
+from estimators.evaluation.figures import settling, violins
+from estimators.evaluation.flights import Flights, load_flights, vehicle_of
 from estimators.metrics import attitude_error, inclination_error
-from estimators.protocol import FILTERPY, run_quietly
-from estimators.tuned import load_tuning
-from quadsim.console import progress_bar
-from quadsim.figures import STYLE
+from estimators.registry import FILTERPY
+from estimators.running import run_quietly
+from estimators.tuning.tuned import load_tuning
+from quadsim.dataset.figures import STYLE
+from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, load_vehicle
 
 Array = NDArray[np.float64]

@@ -16,18 +16,20 @@ from pages import ROOT, Page, load_page
 from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
 
 from estimators import run
-from estimators.evaluate import made_of, silenced_twin
+from estimators.evaluation.comparison import made_of, silenced_twin
+from estimators.evaluation.logs import KNOWN, RAW, LogScores, draw_log
 from estimators.metrics import inclination_error
-from estimators.recorded import KNOWN, RAW, LogScores, draw_log
-from quadsim.dataset import generate, open_dataset
+from quadsim.dataset.export import export
+from quadsim.dataset.figures import STYLE
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.export import export
-from quadsim.figures import STYLE
-from quadsim.imu import load_imu, simulate_imu
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.imu.spec import load_imu
+from quadsim.imu.stream import simulate_imu
 from quadsim.logs.allan import calibrate, draw
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import AGREEMENT, UPRIGHT, resample
-from quadsim.recipe import flight_config, load_recipe
 from quadsim.rotation import roll_pitch_from_quat
 
 Array = NDArray[np.float64]

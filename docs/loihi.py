@@ -18,21 +18,21 @@ from numpy.typing import NDArray
 from pages import ROOT, Page, load_page
 from simulated import simulated
 
-from estimators.chip import LIMITS
-from estimators.encoder import scaled_inputs
-from estimators.energy import HOST_PICOJOULES, PAPER_MEASURED, gru_flops, host_costs, snn_flops
-from estimators.flights import Flights, load_flights
-from estimators.inspection import FRACTIONS, Inspection, inspect, load_spiking, write_page
-from estimators.inspection_figures import ablation_curve
-from estimators.latency import PAPER_US, measure
-from estimators.loihi import LoihiLayer, LoihiNetwork
-from estimators.networks import OnLoihi, create_network, real_weights, silenced
-from estimators.profiles import share_profiles
-from estimators.pruning import error_deg
+from estimators.analysis.ablation import error_deg
+from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, gru_flops, host_costs, snn_flops
+from estimators.analysis.inspection import FRACTIONS, Inspection, inspect, load_spiking, write_page
+from estimators.analysis.inspection_figures import ablation_curve
+from estimators.analysis.latency import PAPER_US, measure
+from estimators.evaluation.flights import Flights, load_flights
+from estimators.export.formats import export_weights
+from estimators.loihi.chip import LIMITS
+from estimators.loihi.neurons import LoihiLayer, LoihiNetwork
+from estimators.loihi.profiles import share_profiles
+from estimators.networks.encoder import scaled_inputs
+from estimators.networks.network import OnLoihi, create_network, real_weights, silenced
+from estimators.networks.weights_file import Tensors, shipped_network
 from estimators.spiking import Weights, forward
-from estimators.weights_export import export_weights
-from estimators.weights_file import Tensors, shipped_network
-from quadsim.figures import STYLE
+from quadsim.dataset.figures import STYLE
 
 ROUNDING = 1e-12
 """Sines are the C library's: an angle may differ by that much [rad]."""

@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from quadsim.config import Strict, parse
-from quadsim.runs import closure, file_digest, fingerprint
+from quadsim.config.toml import Strict, parse
+from quadsim.runs.fingerprint import closure, file_digest, fingerprint
 
 ROOT = Path(__file__).parents[1]
 STAMP = re.compile(r"made by: (?P<command>[^;]+); digest (?P<digest>[0-9a-f]+)")

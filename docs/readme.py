@@ -8,10 +8,10 @@ from pages import ROOT, load_page
 from recordings import BROAD, FOLDER, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
 from simulated import estimate_of, simulated
 
-from estimators.evaluate import made_of, silenced_twin
-from estimators.flights import Flights, load_flights
+from estimators.evaluation.comparison import made_of, silenced_twin
+from estimators.evaluation.flights import Flights, load_flights
+from estimators.evaluation.logs import RAW
 from estimators.metrics import attitude_error
-from estimators.recorded import RAW
 from quadsim.estimator import AttitudeEstimator
 
 BLOCK = "errors, by docs/readme.py"

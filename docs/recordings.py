@@ -13,7 +13,7 @@ import xarray as xr
 from pages import ROOT
 
 from estimators import create
-from estimators.recorded import LogScores, score_logs
+from estimators.evaluation.logs import LogScores, score_logs
 from quadsim.estimator import AttitudeEstimator
 from quadsim.logs import read_log
 from quadsim.logs.recording import Recording

@@ -7,10 +7,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from estimators import run
-from estimators.flights import Flights
-from quadsim.dataset import generate, open_dataset
+from estimators.evaluation.flights import Flights
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import flight_config, load_recipe
 
 DURATION_S = 100.0
 

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from pages import ROOT, Page, load_page
 from scipy.signal import welch
 
-from quadsim.dataset import generate
-from quadsim.design import loop_margins
-from quadsim.figures import LINES, STYLE, plot
-from quadsim.imu import Sensor, load_imu, simulate_imu, simulate_imu_with_bias
+from quadsim.control.gains import loop_margins
+from quadsim.dataset.figures import LINES, STYLE, plot
+from quadsim.dataset.generation import generate
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.imu.spec import Sensor, load_imu
+from quadsim.imu.stream import simulate_imu, simulate_imu_with_bias
 from quadsim.plant import Plant
-from quadsim.recipe import flight_config, load_recipe
 from quadsim.rotation import quat_conjugate, quat_multiply
 from quadsim.vehicle import load_vehicle
 from quadsim.wind import dryden, dryden_scales

@@ -20,17 +20,17 @@ from scipy.signal import lfilter
 from simulated import estimate_of, simulated
 
 from estimators import create, names
-from estimators.activity import record
-from estimators.encoder import scaled_inputs
-from estimators.evaluate import made_of, silenced_twin, tilted_starts
-from estimators.flights import Flights, load_flights
+from estimators.analysis.activity import record
+from estimators.evaluation.comparison import made_of, silenced_twin, tilted_starts
+from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
-from estimators.networks import NetworkEstimator, OnLoihi, Spiking, real_weights
-from estimators.protocol import FILTERPY, NETWORKS
+from estimators.networks.encoder import scaled_inputs
+from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking, real_weights
+from estimators.networks.symmetry import OPERATIONS, is_symmetric, ties
+from estimators.networks.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
+from estimators.registry import FILTERPY, NETWORKS
 from estimators.spiking import Weights
-from estimators.symmetry import OPERATIONS, is_symmetric, ties
-from estimators.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
-from quadsim.dataset import open_dataset
+from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
 from training.augment import roll_pitch_of_up
 from training.config import TrainConfig, make_config

@@ -6,8 +6,8 @@ thrust gives. A rate of exactly zero is a good measurement. Filters and networks
 streaming and in whole sequences; `assets/c99/att_snn.c` says the same in C.
 """
 
-from quadsim.compiled import njit
-from quadsim.ranges import FORCE_MAX, RATE_MAX
+from quadsim.config.ranges import FORCE_MAX, RATE_MAX
+from quadsim.runs.compiled import njit
 
 
 @njit(inline="always")

@@ -1,7 +1,7 @@
 """Att-SNN in plain PyTorch: the readable reference of the compiled kernels, on any device.
 
-The equations, and what is whole in the quantised variant, are those of `estimators.dynamics`. Rounding passes
-gradients straight through; the reset does not carry a gradient.
+The equations, and what is whole in the quantised variant, are those of `estimators.networks.forward`.
+Rounding passes gradients straight through; the reset does not carry a gradient.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .dynamics import BIAS_EXP
+from .networks.forward import BIAS_EXP
 
 THRESHOLD = 0.5
 STATE_ONE = 2.0**14

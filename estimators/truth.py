@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.rotation import roll_pitch_from_quat
 
-from .filters import initial_quat
+from .filters.algorithm import initial_quat
 
 Array = NDArray[np.float64]
 

@@ -28,8 +28,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import estimators
 import quadsim  # noqa: F401  registers the environment
-from quadsim.controller import Level
-from quadsim.scenario import load_scenario
+from quadsim.control.cascade import Level
+from quadsim.flight.scenario import load_scenario
 
 ENVIRONMENTS = 8
 REPEAT = 10  # samples of 5 ms for which an action holds

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from quadsim.figures import LINES
+from quadsim.dataset.figures import LINES
 
 from .claims import Numbers, by_rate, pooled, scatter
 from .plan import FLOAT, PAPER, RNN, SNN

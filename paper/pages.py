@@ -11,8 +11,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadsim.figures import STYLE
-from quadsim.runs import save_figure, write_whole
+from quadsim.dataset.figures import STYLE
+from quadsim.runs.files import save_figure, write_whole
 
 from . import figures, tables
 from .claims import Judgement, Numbers, judge

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
-from quadsim.config import nearest
+from quadsim.config.toml import nearest
 
 from . import scores, work
 from .scores import FILTERS, SHIPPED

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from quadsim.runs import write_whole
+from quadsim.runs.files import write_whole
 
 from .claims import Judgement, Numbers, judge
 from .pages import write_pages

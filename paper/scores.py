@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators import create, run
-from estimators.evaluate import evaluate, tilted_starts
-from estimators.flights import Flights, load_flights
+from estimators.evaluation.comparison import evaluate, tilted_starts
+from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import absolute_error, attitude_error, inclination_error
-from estimators.weights_file import load_network
-from quadsim.dataset import open_dataset
+from estimators.networks.weights_file import load_network
+from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.mission import Mission
-from quadsim.scenario import load_scenario
-from scenarios.cell import fly as fly_mission
-from scenarios.metrics import LAYOUT, flight_metrics
+from quadsim.flight.mission import Mission
+from quadsim.flight.scenario import load_scenario
+from scenarios.bench.cell import fly as fly_mission
+from scenarios.bench.flight_metrics import LAYOUT, flight_metrics
 
 from .work import FLIGHTS, TUNING, WEIGHTS, Inputs, write_numbers
 
@@ -176,7 +176,7 @@ def error_in_parts(log: Array, end: NDArray[np.int64], rate_hz: float) -> list[f
 
 def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> None:
     """Time of one update of every estimator (Fig. 9), in turns."""
-    from estimators.latency import contenders, measure
+    from estimators.analysis.latency import contenders, measure
 
     taken = measure(contenders(), rounds)
     found = {name: [float(x) for x in np.percentile(each, [1, 50, 99])] for name, each in taken.items()}
@@ -185,8 +185,8 @@ def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> None:
 
 def look_inside(folder: Path, inputs: Inputs, *, flights: str, network: str, rnn: str) -> None:
     """Spikes, ablation, manipulated inputs and operations of a network (Figs. 7, 8, 9, FLOPs)."""
-    from estimators.energy import gru_flops, snn_flops
-    from estimators.inspection import FRACTIONS, inspect
+    from estimators.analysis.energy import gru_flops, snn_flops
+    from estimators.analysis.inspection import FRACTIONS, inspect
 
     config, tensors = load_network(inputs[network] / WEIGHTS)
     flown = flights_of(inputs, flights)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from quadsim.config import Strict
-from quadsim.ranges import Between, SampleRate
+from quadsim.config.ranges import Between, SampleRate
+from quadsim.config.toml import Strict
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Seconds = Annotated[float, Between(0.01, 3600.0, "s")]

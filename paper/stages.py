@@ -17,7 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from quadsim.runs import code_digest, fingerprint, worker_pool, write_whole
+from quadsim.runs.files import write_whole
+from quadsim.runs.fingerprint import code_digest, fingerprint
+from quadsim.runs.pool import worker_pool
 
 POLL_S = 1.0
 RECORD = "stage.json"

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from training.table1 import TEST, TRAIN, Score
-from training.table1 import table as cells_of
+from training.cross_domain import TEST, TRAIN, Score
+from training.cross_domain import table as cells_of
 
 from .claims import NETWORKS, Numbers, by_rate, pooled
 from .figures import CURVES, DOMAIN_TITLES

@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from estimators.tuning import tune, write_tuning
-from estimators.weights_file import load_network, save_network
-from quadsim.dataset import generate, open_dataset
-from quadsim.flight import FlightConfig
-from quadsim.recipe import flight_config, load_recipe
+from estimators.networks.weights_file import load_network, save_network
+from estimators.tuning.search import tune, write_tuning
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.simulate import FlightConfig
 from quadsim.rotation import roll_pitch_from_quat
-from quadsim.runs import write_whole
-from quadsim.trajectory import Hover
+from quadsim.runs.files import write_whole
+from quadsim.trajectory.specs import Hover
 from training.config import make_config
 from training.kfold import Job, run_fold
 from training.loop import run

@@ -2,7 +2,7 @@
 
 from gymnasium.envs.registration import register
 
-from .surroundings import settle
+from .runs.surroundings import settle
 
 settle()
 

@@ -15,13 +15,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from .compiled import njit
-from .controller import LEVELS, WIDTH, Level
+from .config.ranges import SAMPLE_RATE
+from .control.cascade import LEVELS, WIDTH, Level
 from .estimator import AttitudeEstimator
-from .mission import CAUSES, FLYING, Mission, follow
-from .ranges import SAMPLE_RATE
+from .flight.mission import CAUSES, FLYING, Mission, follow
+from .flight.scenario import Scenario, load_scenario
 from .render import Image, Scene, View, Window
-from .scenario import Scenario, load_scenario
+from .runs.compiled import njit
 from .vehicle import GRAVITY
 
 Array = NDArray[np.float64]
@@ -50,10 +50,10 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     ## Description
 
-    The vehicle flies a scenario of `quadsim.scenario`: a trajectory of set-points, with wind, sensor errors
-    and faults. A cascaded controller flies it on the estimate; the action enters that cascade at the level
-    of your choice, so that an agent may correct the set-point, or do all of the control itself. One step is
-    one sample, 5 ms at the default 200 Hz. The closed-loop benchmark flies the very same `Mission`.
+    The vehicle flies a scenario (`quadsim.flight.scenario`): a trajectory of set-points, with wind, sensor
+    errors and faults. A cascaded controller flies it on the estimate; the action enters that cascade at the
+    level of your choice, so that an agent may correct the set-point, or do all of the control itself. One
+    step is one sample, 5 ms at the default 200 Hz. The closed-loop benchmark flies the very same `Mission`.
 
     ## Action space
 
@@ -100,7 +100,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     - Termination: a crash by the scenario's criteria (by default a tilt above 75°, the ground, or 10 m from
       the set-point); `info["cause"]` tells which, in words; in the batched twin by their index in
-      `quadsim.mission.CAUSES`.
+      `quadsim.flight.mission.CAUSES`.
     - Truncation: the scenario's duration is over.
 
     ## Arguments
@@ -376,10 +376,11 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
     if estimator is None:
         return None
     import estimators
+    from estimators.custom import tried
 
     if isinstance(estimator, str | Path):
         return estimators.create(str(estimator), rate_hz, vehicle=scenario.vehicle, imu=scenario.imu)
-    return estimators.protocol.tried(_name_of(estimator), _own_copy(estimator, rate_hz))
+    return tried(_name_of(estimator), _own_copy(estimator, rate_hz))
 
 
 def _own_copy(

@@ -10,9 +10,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import njit
-from .config import Strict, load_toml
-from .ranges import Between, Delay, Speed
+from .config.ranges import Between, Delay, Speed
+from .config.toml import Strict, load_toml
+from .runs.compiled import njit
 from .seeding import Seed, vehicle_seeds
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from mujoco.batch import Batch
 from numpy.typing import ArrayLike, NDArray
 
 from . import rotors
-from .compiled import njit
-from .ranges import SAMPLE_RATE
+from .config.ranges import SAMPLE_RATE
 from .rotation import rotate_inverse_core
+from .runs.compiled import njit
 from .vehicle import GRAVITY, Vehicle
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .compiled import float64, guvectorize, njit
+from .runs.compiled import float64, guvectorize, njit
 
 Array = NDArray[np.float64]
 

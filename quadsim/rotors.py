@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import njit
+from .runs.compiled import njit
 from .vehicle import AIR_DENSITY, Vehicle
 
 MASS, IXX, IYY, IZZ, K_F, K_M, OMEGA_MAX, TAU_UP, TAU_DOWN, ROTOR_DRAG, ROLLING, DRAG_X, DRAG_Y, DRAG_Z = (

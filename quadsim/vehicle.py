@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from .config import Strict, load_toml
-from .ranges import Arm, Between, Mass, RotorSpeed, Size
+from .config.ranges import Arm, Between, Mass, RotorSpeed, Size
+from .config.toml import Strict, load_toml
 
 GRAVITY = 9.81  # m/s², along −z of the world
 AIR_DENSITY = 1.225  # kg/m³, ISA sea level

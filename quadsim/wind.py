@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.special import gammainc
 
-from .compiled import njit
-from .config import Strict, read_text
-from .ranges import SAMPLE_RATE, WIND, Between, Duration, Heading, Instant, Speed, Wind
+from .config.ranges import SAMPLE_RATE, WIND, Between, Duration, Heading, Instant, Speed, Wind
+from .config.toml import Strict, read_text
+from .runs.compiled import njit
 from .seeding import Seed, child, vehicle_seeds
 
 Array = NDArray[np.float64]

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from quadsim.imu import Sensor, load_imu
-from quadsim.scenario import load_scenario
+from quadsim.flight.scenario import load_scenario
+from quadsim.imu.spec import Sensor, load_imu
 from quadsim.vehicle import GRAVITY, load_vehicle
-from scenarios.bound import least_error
+from scenarios.bench.linear_bound import least_error
 
 HOVER, VEHICLE, PERFECT = load_scenario("hover"), load_vehicle("hummingbird"), load_imu("perfect")
 

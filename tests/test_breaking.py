@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from quadsim.scenario import load_scenario
-from scenarios import breaking
-from scenarios.breaking import DISTURBANCES, bisect, breaking_points, load_points
-from scenarios.cell import Cell
-from scenarios.pairs import paired_differences
+from quadsim.flight.scenario import load_scenario
+from scenarios.bench import breaking
+from scenarios.bench.breaking import DISTURBANCES, bisect, breaking_points, load_points
+from scenarios.bench.cell import Cell
+from scenarios.bench.pairs import paired_differences
 
 
 @pytest.mark.parametrize("true", [0.3, 7.77, 31.9])

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from estimators.chip import LIMITS, decay_profiles, partition, synaptic_bits
-from estimators.loihi import LoihiLayer
-from estimators.networks import OnLoihi
-from estimators.profiles import share_profiles
-from estimators.weights_file import shipped_network
+from estimators.loihi.chip import LIMITS, decay_profiles, partition, synaptic_bits
+from estimators.loihi.neurons import LoihiLayer
+from estimators.loihi.profiles import share_profiles
+from estimators.networks.network import OnLoihi
+from estimators.networks.weights_file import shipped_network
 
 
 def ones(out, inputs):

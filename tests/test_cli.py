@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from estimators.weights_file import shipped_network
+from estimators.networks.weights_file import shipped_network
 from quadsim.cli import app, main
 from quadsim.cli.options import pair_of
 

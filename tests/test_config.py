@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from quadsim.config import Strict, load_toml, merged, preset_names, read_text
+from quadsim.config.toml import Strict, load_toml, merged, preset_names, read_text
 
 
 class Rotor(Strict):

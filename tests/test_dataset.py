@@ -14,11 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from processes import alive, await_true, children
 
-from quadsim import dataset, dataset_store
-from quadsim.dataset import dataset_info, generate, open_dataset, split_flights, verify
-from quadsim.dataset_store import VARIABLES, partial_folder
-from quadsim.flight import FlightConfig, simulate_flights
-from quadsim.imu import load_imu
+from quadsim.dataset import generation as dataset
+from quadsim.dataset import store as dataset_store
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import dataset_info, open_dataset, split_flights, verify
+from quadsim.dataset.store import VARIABLES, partial_folder
+from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import load_vehicle
 

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators import create, run
-from estimators.ekf_drag import ERRORS, STATE, drag_of, propagate
+from estimators.filters.ekf_drag import ERRORS, STATE, drag_of, propagate
+from estimators.filters.samples import COMMON
 from estimators.metrics import attitude_error
-from estimators.sample import COMMON
 from quadsim.rotation import (
     matrix_from_quat,
     quat_from_rotvec,

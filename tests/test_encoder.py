@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from estimators.encoder import INPUT_MAX, INPUT_ONE, INPUT_STATE, scaled_inputs
+from estimators.networks.encoder import INPUT_MAX, INPUT_ONE, INPUT_STATE, scaled_inputs
+from estimators.networks.weights_file import PAPER_SCALING, InputScaling
 from estimators.sanitise import FORCE_MAX, RATE_MAX
-from estimators.weights_file import PAPER_SCALING, InputScaling
 
 SCALINGS = (InputScaling(), PAPER_SCALING)
 READINGS = arrays(np.float64, (1, 8, 3), elements=st.floats(-1e6, 1e6) | st.just(np.nan) | st.just(np.inf))

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.activity import record
-from estimators.energy import PICOJOULES, costs, counts, gru_flops, host_costs, snn_flops, synapses
-from estimators.networks import OnLoihi, create_network
-from estimators.weights_file import shipped_network
+from estimators.analysis.activity import record
+from estimators.analysis.energy import PICOJOULES, costs, counts, gru_flops, host_costs, snn_flops, synapses
+from estimators.networks.network import OnLoihi, create_network
+from estimators.networks.weights_file import shipped_network
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ from gymnasium.utils.env_checker import check_env
 
 import estimators
 import quadsim  # noqa: F401  registers the environment
-from quadsim.controller import LEVELS
+from quadsim.control.cascade import LEVELS
 from quadsim.env import ACTION_SCALE, OBSERVATION_LIMIT, OnePerVehicle
+from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario
 from quadsim.render import Scene
-from quadsim.scenario import Crash, Scenario, Start, load_scenario
-from quadsim.trajectory import Hover
+from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import load_vehicle
 
 ID = "quadsim/Quadrotor-v0"

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from estimators import create, run
-from estimators.evaluate import BLOCK_S, evaluate, silenced_twin, tilted_starts
-from estimators.figures import error_over_time, settling, violins
-from estimators.flights import load_flights
+from estimators.evaluation.comparison import BLOCK_S, evaluate, silenced_twin, tilted_starts
+from estimators.evaluation.figures import error_over_time, settling, violins
+from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
 from quadsim.rotation import roll_pitch_from_quat
-from scenarios.summary import evaluation_notes
+from scenarios.report.terminal import evaluation_notes
 
 
 class _Failing:

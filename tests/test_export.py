@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from quadsim import dataset_store
-from quadsim.dataset import generate, open_dataset
-from quadsim.dataset_store import VARIABLES
-from quadsim.export import FORMATS, export, timestamps
-from quadsim.flight import FlightConfig, simulate_flights
-from quadsim.imu import load_imu
+from quadsim.dataset import store as dataset_store
+from quadsim.dataset.export import FORMATS, export, timestamps
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.dataset.store import VARIABLES
+from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.imu.spec import load_imu
 from quadsim.vehicle import load_vehicle
 
 FLIGHTS, STEPS, ENDS = 3, 60, [60, 25, 60]

@@ -4,11 +4,11 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 
-from quadsim import dataset_store
-from quadsim.dataset import generate
-from quadsim.figures import plot
-from quadsim.flight import FlightConfig, simulate_flights
-from quadsim.imu import ImuSpec, load_imu
+from quadsim.dataset import store as dataset_store
+from quadsim.dataset.figures import plot
+from quadsim.dataset.generation import generate
+from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.vehicle import load_vehicle
 
 CONFIG = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.5)

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators import create, names, parameters, run, run_batch
+from estimators.filters.inline_math import atan2_core, exp_core, sincos_core
 from estimators.metrics import inclination_error
-from estimators.protocol import tuning_misfit
-from estimators.sample import atan2_core, exp_core, sincos_core
+from estimators.registry import tuning_misfit
 from quadsim.rotation import (
     quat_from_euler,
     quat_from_rotvec,

@@ -5,12 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadsim.controller import LEVELS, Controller
-from quadsim.design import loop_margins
-from quadsim.flight import AttitudeError, FlightConfig, FlightLoop, simulate_flights
-from quadsim.imu import load_imu
+from quadsim.control.cascade import LEVELS, Controller
+from quadsim.control.gains import loop_margins
+from quadsim.flight.loop import FlightLoop
+from quadsim.flight.simulate import AttitudeError, FlightConfig, simulate_flights
+from quadsim.imu.spec import load_imu
 from quadsim.rotation import quat_conjugate, quat_from_euler, quat_multiply, roll_pitch_from_quat
-from quadsim.trajectory import Hover, Mix
+from quadsim.trajectory.specs import Hover, Mix
 from quadsim.vehicle import GRAVITY, Randomisation, load_vehicle
 from quadsim.wind import Constant, Dryden
 

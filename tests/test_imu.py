@@ -5,18 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from quadsim.config import preset_names
-from quadsim.imu import (
-    BLOCK,
-    PARTS,
-    ImuSpec,
-    ImuStream,
-    Sensor,
-    Vibration,
-    load_imu,
-    simulate_imu,
-    simulate_imu_with_bias,
-)
+from quadsim.config.toml import preset_names
+from quadsim.imu.spec import PARTS, ImuSpec, Sensor, Vibration, load_imu
+from quadsim.imu.stream import BLOCK, ImuStream, simulate_imu, simulate_imu_with_bias
 from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
 
 RATE = 200.0

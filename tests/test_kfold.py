@@ -9,15 +9,15 @@ import pytest
 
 from quadsim.cli import main
 from quadsim.cli.options import time_left
-from quadsim.dataset import generate
-from quadsim.recipe import flight_config, load_recipe
+from quadsim.dataset.generation import generate
+from quadsim.flight.recipe import flight_config, load_recipe
 from training import kfold as kfold_module
 from training.config import make_config
+from training.cross_domain import TEST, TRAIN, Score, table
 from training.data import fold_split, load_flights
 from training.kfold import kfold
 from training.loop import flights_of
 from training.loop import run as run_training
-from training.table1 import TEST, TRAIN, Score, table
 
 TINY = {
     "epochs": 2, "batches": 2, "batch_size": 2, "window_s": 0.5, "encoding": 12, "hidden": 10, "folds": 3,

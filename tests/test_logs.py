@@ -8,10 +8,12 @@ from typer.testing import CliRunner
 from ulog_file import write_ulog
 
 from quadsim.cli import app
-from quadsim.dataset import generate, open_dataset
-from quadsim.export import export
-from quadsim.flight import FlightConfig
-from quadsim.imu import load_imu, simulate_imu
+from quadsim.dataset.export import export
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.simulate import FlightConfig
+from quadsim.imu.spec import load_imu
+from quadsim.imu.stream import simulate_imu
 from quadsim.logs import read_log, read_log_and_report, read_recording
 from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
 from quadsim.logs.convert import convert

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.loihi import LoihiLayer, LoihiNetwork, decay, wrap
+from estimators.loihi.neurons import LoihiLayer, LoihiNetwork, decay, wrap
 
 GOLDEN = Path(__file__).parent / "data" / "loihi"
 CASES = ["a_single_bias", "b_rec100_het", "c_att_like"]

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators.loihi import LoihiLayer, LoihiNetwork
+from estimators.loihi.neurons import LoihiLayer, LoihiNetwork
 
 
 def decayed(x, d):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from quadsim import loops
+from quadsim.control import delay as loops
 from quadsim.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("hummingbird")

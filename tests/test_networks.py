@@ -8,11 +8,17 @@ import pytest
 import torch
 from safetensors.numpy import save_file
 
-from estimators.activity import record
-from estimators.encoder import scaled_inputs
-from estimators.networks import NetworkEstimator, OnLoihi, Recurrent, Spiking, create_network, silenced
-from estimators.spiking import Weights, forward
-from estimators.weights_file import (
+from estimators.analysis.activity import record
+from estimators.networks.encoder import scaled_inputs
+from estimators.networks.network import (
+    NetworkEstimator,
+    OnLoihi,
+    Recurrent,
+    Spiking,
+    create_network,
+    silenced,
+)
+from estimators.networks.weights_file import (
     NetworkConfig,
     expected_shapes,
     load_network,
@@ -20,6 +26,7 @@ from estimators.weights_file import (
     save_network,
     shipped_network,
 )
+from estimators.spiking import Weights, forward
 
 
 def random_snn(config, seed=0):
@@ -160,7 +167,7 @@ def test_gru_equals_torch(rnn_file):
 
 def test_inference_does_not_import_torch(snn_file):
     code = (
-        "import sys, numpy as np; from estimators.networks import create_network; "
+        "import sys, numpy as np; from estimators.networks.network import create_network; "
         f"est = create_network('att-snn-loihi', weights={str(snn_file)!r}); "
         "est.update(np.zeros((1, 3)), np.ones((1, 3))); "
         "assert 'torch' not in sys.modules"

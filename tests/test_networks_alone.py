@@ -5,13 +5,14 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from estimators.encoder import INPUT_STATE, scaled_inputs
-from estimators.flights import load_flights
+from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error
-from estimators.networks import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
-from estimators.weights_file import NetworkConfig, load_network
-from quadsim.dataset import generate, open_dataset
-from quadsim.recipe import flight_config, load_recipe
+from estimators.networks.encoder import INPUT_STATE, scaled_inputs
+from estimators.networks.network import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
+from estimators.networks.weights_file import NetworkConfig, load_network
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.recipe import flight_config, load_recipe
 
 FACTOR = 3.0
 """Least ratio of the silenced error to the network's error."""

@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from estimators.activity import record
-from estimators.encoding_study import manipulations, preferred, responses, tuning_curves
-from estimators.flights import load_flights
-from estimators.networks import NetworkEstimator, OnLoihi, Spiking
-from estimators.pruning import CRITERIA, ablation, error_deg, importance, pruned, without
-from estimators.symmetry import OPERATIONS
-from estimators.weights_file import load_network, parameters, shipped_network
-from quadsim.dataset import generate
-from quadsim.recipe import flight_config, load_recipe
+from estimators.analysis.ablation import CRITERIA, ablation, error_deg, importance, pruned, without
+from estimators.analysis.activity import record
+from estimators.analysis.encoding_study import manipulations, preferred, responses, tuning_curves
+from estimators.evaluation.flights import load_flights
+from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking
+from estimators.networks.symmetry import OPERATIONS
+from estimators.networks.weights_file import load_network, parameters, shipped_network
+from quadsim.dataset.generation import generate
+from quadsim.flight.recipe import flight_config, load_recipe
 from training.pruning import prune
 
 

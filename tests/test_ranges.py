@@ -12,16 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadsim import dataset_store
 from quadsim.cli import main
-from quadsim.config import Strict, parse
-from quadsim.dataset import dataset_info, generate
-from quadsim.flight import simulate_flights
-from quadsim.imu import ImuSpec
-from quadsim.ranges import SAMPLES, Between, steps_of
-from quadsim.recipe import Recipe, flight_config
-from quadsim.scenario import Scenario
-from quadsim.trajectory import Mix
+from quadsim.config.ranges import SAMPLES, Between, steps_of
+from quadsim.config.toml import Strict, parse
+from quadsim.dataset import store as dataset_store
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import dataset_info
+from quadsim.flight.recipe import Recipe, flight_config
+from quadsim.flight.scenario import Scenario
+from quadsim.flight.simulate import simulate_flights
+from quadsim.imu.spec import ImuSpec
+from quadsim.trajectory.specs import Mix
 from quadsim.vehicle import Vehicle, load_vehicle
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimators import create
-from estimators.recorded import KNOWN, LEVEL, RAW, default_names, draw_log, gyro_bias, score_logs
+from estimators.evaluation.logs import KNOWN, LEVEL, RAW, default_names, draw_log, gyro_bias, score_logs
 from quadsim.logs import read_log
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample

@@ -6,12 +6,12 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 
+from quadsim.flight.scenario import Scenario
 from quadsim.render import NO_OPENGL, Scene, View, film, quadrotor_geoms, still
 from quadsim.rotation import quat_from_euler
-from quadsim.scenario import Scenario
 from quadsim.vehicle import load_vehicle
-from scenarios.cell import fly_cell
-from scenarios.picture import cover, flight_picture
+from scenarios.bench.cell import fly_cell
+from scenarios.report.flight_picture import cover, flight_picture
 
 VEHICLE = load_vehicle("hummingbird")
 LEVEL = (1.0, 0.0, 0.0, 0.0)

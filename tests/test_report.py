@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import estimators
-from quadsim.mission import Mission
-from quadsim.scenario import Scenario
-from scenarios.breaking import Breaking
-from scenarios.cell import Cell, fly, make_cell
-from scenarios.pairs import paired_differences
-from scenarios.picture import Picture
-from scenarios.report import write_report
-from scenarios.runner import Results, Settings
-from scenarios.verdict import offline_verdict, verdict
+from quadsim.flight.mission import Mission
+from quadsim.flight.scenario import Scenario
+from scenarios.bench.breaking import Breaking
+from scenarios.bench.cell import Cell, fly, make_cell
+from scenarios.bench.pairs import paired_differences
+from scenarios.bench.runner import Results, Settings
+from scenarios.bench.verdict import offline_verdict, verdict
+from scenarios.report.flight_picture import Picture
+from scenarios.report.page import write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 OFFLINE = [

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from estimators.networks import NetworkEstimator, Spiking
-from estimators.weights_file import shipped_network
+from estimators.networks.network import NetworkEstimator, Spiking
+from estimators.networks.weights_file import shipped_network
 from training.rescale import rescaled
 
 STILL = np.array([0.0, 0.0, 9.81])

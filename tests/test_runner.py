@@ -11,14 +11,14 @@ import pytest
 from processes import alive, await_true, children, square
 
 import estimators
-from quadsim.mission import Mission
-from quadsim.scenario import Scenario, Start, load_scenario
+from quadsim.flight.mission import Mission
+from quadsim.flight.scenario import Scenario, Start, load_scenario
+from quadsim.runs.spread import spread
 from quadsim.vehicle import load_vehicle
-from scenarios import cell as cell_module
-from scenarios import runner
-from scenarios.cell import fly, fly_cell, load_cell
-from scenarios.jobs import spread
-from scenarios.metrics import (
+from scenarios.bench import cell as cell_module
+from scenarios.bench import runner
+from scenarios.bench.cell import fly, fly_cell, load_cell
+from scenarios.bench.flight_metrics import (
     LAYOUT,
     METRICS,
     WIDTH,
@@ -29,10 +29,10 @@ from scenarios.metrics import (
     summarise,
     wilson,
 )
-from scenarios.picture import unpack_series
-from scenarios.runner import bench, load_results
-from scenarios.single import fly_scenario
-from scenarios.summary import closed_loop_table
+from scenarios.bench.runner import bench, load_results
+from scenarios.bench.single import fly_scenario
+from scenarios.report.flight_picture import unpack_series
+from scenarios.report.terminal import closed_loop_table
 
 SHORT = 0.3
 TOO_TILTED = (

@@ -13,20 +13,12 @@ from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimators.tuned import Tuned, Tuning, to_toml
-from quadsim import surroundings
-from quadsim.compiled import OneWriter, float64, guvectorize
-from quadsim.config import parse, read_toml
-from quadsim.runs import (
-    alone,
-    code_digest,
-    drop_parts,
-    fingerprint,
-    replace,
-    source_digest,
-    write_csv,
-    write_whole,
-)
+from estimators.tuning.tuned import Tuned, Tuning, to_toml
+from quadsim.config.toml import parse, read_toml
+from quadsim.runs import surroundings
+from quadsim.runs.compiled import OneWriter, float64, guvectorize
+from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
+from quadsim.runs.fingerprint import code_digest, fingerprint, source_digest
 
 
 def full_disk(part: Path) -> None:
@@ -83,7 +75,7 @@ def test_rows_are_written_under_the_union_of_their_keys(tmp_path):
 
 def test_what_one_process_writes_no_other_does(tmp_path):
     code = (
-        "import sys\nfrom pathlib import Path\nfrom quadsim.runs import alone\n"
+        "import sys\nfrom pathlib import Path\nfrom quadsim.runs.fingerprint import alone\n"
         "with alone(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()"
     )
     held = subprocess.Popen(

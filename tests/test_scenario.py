@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadsim.config import parse
+from quadsim.config.toml import parse
 from quadsim.external import ExternalSensor, ExternalSpec
-from quadsim.faults import sensor_faults
-from quadsim.mission import AWAY, CAUSES, GROUNDED, TILTED, Mission
-from quadsim.scenario import Crash, Scenario, Start, load_scenario, scenario_names
+from quadsim.flight.faults import sensor_faults
+from quadsim.flight.mission import AWAY, CAUSES, GROUNDED, TILTED, Mission
+from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario, scenario_names
 from quadsim.seeding import vehicle_seeds
-from quadsim.trajectory import Hover
+from quadsim.trajectory.specs import Hover
 
 HOVER = Scenario(description="", duration_s=1.0, start=Start(known_attitude=True))
 

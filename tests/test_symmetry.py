@@ -6,17 +6,17 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from estimators.activity import record
-from estimators.networks import OnLoihi
-from estimators.pruning import connected, pruned
+from estimators.analysis.ablation import connected, pruned
+from estimators.analysis.activity import record
+from estimators.networks.network import OnLoihi
+from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
+from estimators.networks.weights_file import save_network
 from estimators.spiking import MATRICES
-from estimators.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
-from estimators.weights_file import save_network
 from training.augment import roll_pitch_of_up
 from training.config import make_config
+from training.init import start_from_data
 from training.loop import exported
 from training.models import AttSNN, thin
-from training.starts import start_from_data
 
 G = 9.81
 

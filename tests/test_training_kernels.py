@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
-from training.kernels import Workspace, attsnn
+from training.backends.fused import Workspace, attsnn
 
 
 def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0):

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 import torch
 
-from estimators.networks import create_network
-from estimators.symmetry import is_symmetric
-from estimators.weights_file import load_network, parameters
+from estimators.networks.network import create_network
+from estimators.networks.symmetry import is_symmetric
+from estimators.networks.weights_file import load_network, parameters
 from quadsim.cli.options import fields_of
-from quadsim.dataset import generate
-from quadsim.recipe import flight_config, load_recipe
+from quadsim.dataset.generation import generate
+from quadsim.flight.recipe import flight_config, load_recipe
 from training import loop
 from training.augment import Augmentation, augment, roll_pitch_of_up
 from training.config import TrainConfig, make_config
 from training.data import load_flights, split, windows
-from training.folder import commit
+from training.init import IDLE, _spikes, revive, start_from_data
 from training.loop import _inputs, train
 from training.loss import finished
 from training.models import CURRENT_MAX, AttSNN, thin
-from training.starts import IDLE, _spikes, revive, start_from_data
+from training.run_folder import commit
 
 TINY = {
     "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,

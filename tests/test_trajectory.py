@@ -4,17 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from quadsim.trajectory import (
-    Doublets,
-    Hover,
-    Lissajous,
-    Mix,
-    Move,
-    SetPointFile,
-    Step,
-    Waypoints,
-    reference,
-)
+from quadsim.trajectory.reference import reference
+from quadsim.trajectory.specs import Doublets, Hover, Lissajous, Mix, Move, SetPointFile, Step, Waypoints
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0

@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 
 from estimators import create, parameters, run_batch
-from estimators.flights import load_flights
+from estimators.evaluation.flights import load_flights
+from estimators.filters.samples import square_of_error
 from estimators.metrics import absolute_error
-from estimators.protocol import COMPILED, airframe_constants
-from estimators.sample import square_of_error
-from estimators.tuned import load_tuning
-from estimators.tuning import PENALTY, evolution, mean_squared_error, swarm, tunable, tune, write_tuning
+from estimators.registry import COMPILED, airframe_constants
+from estimators.tuning.search import (
+    PENALTY,
+    evolution,
+    mean_squared_error,
+    swarm,
+    tunable,
+    tune,
+    write_tuning,
+)
+from estimators.tuning.tuned import load_tuning
 
 
 def bowl(x):

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadsim.config import preset_names
-from quadsim.design import PHASE_MARGIN_DEG, design, loop_margins
+from quadsim.config.toml import preset_names
+from quadsim.control.gains import PHASE_MARGIN_DEG, design, loop_margins
 from quadsim.vehicle import GRAVITY, Randomisation, load_vehicle, randomise
 
 VEHICLES = preset_names("vehicles")

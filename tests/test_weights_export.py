@@ -9,17 +9,17 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from estimators.encoder import scaled_inputs
-from estimators.networks import OnLoihi, Recurrent, real_weights
-from estimators.spiking import Weights, forward
-from estimators.weights_export import export_weights
-from estimators.weights_file import (
+from estimators.export.formats import export_weights
+from estimators.networks.encoder import scaled_inputs
+from estimators.networks.network import OnLoihi, Recurrent, real_weights
+from estimators.networks.weights_file import (
     NetworkConfig,
     expected_shapes,
     load_network,
     save_network,
     shipped_network,
 )
+from estimators.spiking import Weights, forward
 
 
 def random_snn(config, seed=0):

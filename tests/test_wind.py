@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, signal
 
-from quadsim.config import Strict, load_toml
+from quadsim.config.toml import Strict, load_toml
 from quadsim.wind import (
     Constant,
     Dryden,

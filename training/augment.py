@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.compiled import njit
-from quadsim.config import Strict
-from quadsim.ranges import Between, Delay, Force, Frequency, Rising, Share
+from quadsim.config.ranges import Between, Delay, Force, Frequency, Rising, Share
+from quadsim.config.toml import Strict
+from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 Array = NDArray[np.floating]

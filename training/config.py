@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ValidationError, model_validator
 
-from estimators.symmetry import is_symmetric
-from estimators.weights_file import (
+from estimators.networks.symmetry import is_symmetric
+from estimators.networks.weights_file import (
     PAPER_SCALING,
     InputScaling,
     Neurons,
@@ -16,8 +16,8 @@ from estimators.weights_file import (
     StepsPerSample,
     load_network,
 )
-from quadsim.config import Strict, describe, merged
-from quadsim.ranges import Between, Share
+from quadsim.config.ranges import Between, Share
+from quadsim.config.toml import Strict, describe, merged
 
 from .augment import Augmentation
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.dataset import open_dataset
+from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import quat_rotate_inverse
 
 from .augment import Augmentation, augment, roll_pitch_of_up

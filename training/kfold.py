@@ -15,14 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from estimators.metrics import attitude_error
-from estimators.networks import create_network
-from quadsim.runs import CLUSTER_LOST, drop_parts, give_up, read_json, worker_pool, write_csv, write_json
+from estimators.networks.network import create_network
+from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
+from quadsim.runs.pool import CLUSTER_LOST, give_up, worker_pool
 
 from .config import TrainConfig, make_config
+from .cross_domain import TEST, TRAIN, Score, plot, table
 from .data import Flights, load_flights
-from .folder import claim, contents_of
 from .loop import INTERRUPTED, flights_of, run
-from .table1 import TEST, TRAIN, Score, plot, table
+from .run_folder import claim, contents_of
 
 log = logging.getLogger(__name__)
 

@@ -22,21 +22,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.encoder import INPUT_STATE, scaled_inputs
-from estimators.networks import NetworkEstimator, Recurrent, Spiking
-from estimators.pruning import connected
+from estimators.analysis.ablation import connected
+from estimators.networks.encoder import INPUT_STATE, scaled_inputs
+from estimators.networks.network import NetworkEstimator, Recurrent, Spiking
+from estimators.networks.symmetry import OPERATIONS
+from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, save_network
 from estimators.spiking import MATRICES
-from estimators.symmetry import OPERATIONS
-from estimators.weights_file import NetworkConfig, Tensors, load_network, save_network
-from quadsim.runs import write_whole
+from quadsim.runs.files import write_whole
 
 from .config import TrainConfig, make_config
 from .data import Batch, Flights, fold_split, load_flights, split, windows
-from .folder import Epoch, claim, commit, contents_of, plot, write_log
+from .init import revive, start_from_data, start_from_weights, start_like_the_paper
 from .loss import attitude_loss, finished, rate_cost
 from .models import AttRNN, AttSNN, thin
 from .optim import Lookahead, changed
-from .starts import revive, start_from_data, start_from_weights, start_like_the_paper
+from .run_folder import Epoch, claim, commit, contents_of, plot, write_log
 
 log = logging.getLogger(__name__)
 

@@ -12,11 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from estimators.pruning import living
+from estimators.analysis.ablation import living
+from estimators.networks.symmetry import Ties, ties
 from estimators.spiking import MATRICES, TIME_CONSTANTS, Weights, quantise_decay, quantise_weights
-from estimators.symmetry import Ties, ties
 
-from .kernels import Workspace, attsnn
+from .backends.fused import Workspace, attsnn
 
 OUTPUTS = 2
 Values = TypeVar("Values", Tensor, NDArray[np.floating])
@@ -43,7 +43,7 @@ class AttSNN(nn.Module):
         recurrent_delay: 1 (the chip) or 2 (the paper's equations).
         output_scale: Radians for an output potential of 1.0.
         threads: Parts of a batch that run side by side.
-        symmetric: Whether weights are shared as `estimators.symmetry` says.
+        symmetric: Whether weights are shared as `estimators.networks.symmetry` says.
     """
 
     def __init__(

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from estimators.activity import record
-from estimators.flights import Flights, load_flights
-from estimators.networks import OnLoihi
-from estimators.pruning import Pruned, error_deg, importance, pruned
-from estimators.weights_file import load_network, parameters, save_network, shipped_network
-from quadsim.dataset import open_dataset
+from estimators.analysis.ablation import Pruned, error_deg, importance, pruned
+from estimators.analysis.activity import record
+from estimators.evaluation.flights import Flights, load_flights
+from estimators.networks.network import OnLoihi
+from estimators.networks.weights_file import load_network, parameters, save_network, shipped_network
+from quadsim.dataset.reading import open_dataset
 
 from .loop import Progress, train
 
@@ -41,7 +41,7 @@ def prune(
         out: Folder; a run in it for each stage, which goes on where it was stopped.
         fraction: Share of the neurons to remove in the end.
         stages: Steps to get there.
-        by: How neurons are ranked, see `estimators.pruning.importance`.
+        by: How neurons are ranked, see `estimators.analysis.ablation.importance`.
         weights: Of an Att-SNN for the chip; None: the ones that ship.
         progress: Called after every epoch.
         stage_done: Called after every stage.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.networks import real_weights
+from estimators.networks.network import real_weights
+from estimators.networks.weights_file import NetworkConfig, Tensors
 from estimators.spiking import TIME_CONSTANTS, Weights
-from estimators.weights_file import NetworkConfig, Tensors
-from quadsim.ranges import SAMPLE_RATE
+from quadsim.config.ranges import SAMPLE_RATE
 
 
 def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[NetworkConfig, Tensors]:

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..console import executor_of, progress_bar
-from ..console import output as console
+from ..runs.console import executor_of, progress_bar
+from ..runs.console import output as console
 from .options import Rate, Seed, Workers
 
 dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
@@ -37,9 +37,9 @@ def generate(
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """
-    from ..dataset import dataset_info
-    from ..dataset import generate as generate_dataset
-    from ..recipe import flight_config, load_recipe
+    from ..dataset.generation import generate as generate_dataset
+    from ..dataset.reading import dataset_info
+    from ..flight.recipe import flight_config, load_recipe
 
     changes = {name: value for name, value in {"vehicle": vehicle, "imu": imu}.items() if value is not None}
     config = flight_config(load_recipe(recipe).model_copy(update=changes))
@@ -69,7 +69,7 @@ def generate(
 @dataset_app.command("info")
 def dataset_info_verb(path: Annotated[Path, typer.Argument(help="A dataset.")]) -> None:
     """Say what a dataset holds."""
-    from ..dataset import dataset_info
+    from ..dataset.reading import dataset_info
 
     info = dataset_info(path)
     table = Table(show_header=False)
@@ -82,7 +82,7 @@ def dataset_info_verb(path: Annotated[Path, typer.Argument(help="A dataset.")]) 
 @dataset_app.command("verify")
 def dataset_verify(path: Annotated[Path, typer.Argument(help="A dataset.")]) -> None:
     """Recompute the checksums and look for numbers that are not finite."""
-    from ..dataset import verify
+    from ..dataset.reading import verify
 
     with progress_bar("verify", "flights") as progress:
         total = verify(path, progress)
@@ -95,7 +95,7 @@ def dataset_plot(
     out: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("dataset.png"),
 ) -> None:
     """Draw the distributions of sensors and attitude (the paper's Fig. 3) and one flight."""
-    from ..figures import plot
+    from ..dataset.figures import plot
 
     plot(path, out)
     console.print(f"{out}", soft_wrap=True)
@@ -118,9 +118,9 @@ def export(
 
     Example: quadsim export att-snn --format c99 --out firmware/att_snn
     """
-    from estimators.weights_export import FORMATS, export_weights
+    from estimators.export.formats import FORMATS, export_weights
 
-    from ..export import export as export_dataset
+    from ..dataset.export import export as export_dataset
 
     if format in FORMATS:
         export_weights(source, out, format)

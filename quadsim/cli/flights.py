@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..console import executor_of, progress_bar
-from ..console import output as console
+from ..runs.console import executor_of, progress_bar
+from ..runs.console import output as console
 from .options import ImuToo, Rate, Seed, Tuning, VehicleToo, Workers, headline, warn_of
 
 
@@ -27,8 +27,8 @@ def design(
     With --out, the attitude loop with these gains is shown at other delays of the estimator: margins,
     disturbance rejection, and steps as flown.
     """
-    from ..design import design as design_gains
-    from ..design import loop_margins
+    from ..control.gains import design as design_gains
+    from ..control.gains import loop_margins
     from ..vehicle import load_vehicle
 
     airframe = load_vehicle(vehicle)
@@ -44,7 +44,7 @@ def design(
     for name, value in gains.model_dump().items():
         console.print(f"{name} = {value:.4g}", highlight=False)
     if out:
-        from .. import loops
+        from ..control import delay as loops
 
         found = loops.responses(airframe, gains, rate)
         rows = loops.table(found)
@@ -92,8 +92,8 @@ def fly(
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
     """
-    from scenarios.cell import file_name
-    from scenarios.single import fly_scenario
+    from scenarios.bench.cell import file_name
+    from scenarios.bench.single import fly_scenario
 
     parts = (scenario, estimator, *(each for each in (vehicle, imu, tuning) if each is not None))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
@@ -164,13 +164,13 @@ def bench(
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
     """
     import estimators
-    from scenarios.breaking import breaking_points, chosen
-    from scenarios.publish import publish
-    from scenarios.runner import bench as run_bench
-    from scenarios.runner import suite_digest
-    from scenarios.summary import breaking_table, closed_loop_table
+    from scenarios.bench.breaking import breaking_points, chosen
+    from scenarios.bench.runner import bench as run_bench
+    from scenarios.bench.runner import suite_digest
+    from scenarios.report.publish import publish
+    from scenarios.report.terminal import breaking_table, closed_loop_table
 
-    from ..scenario import scenario_names
+    from ..flight.scenario import scenario_names
 
     names = estimator or estimators.names()
     searched = chosen(breaking_point or [], duration)
@@ -229,9 +229,9 @@ def report(
     out: Annotated[Path | None, typer.Option(help="HTML file; FOLDER/report.html when left out.")] = None,
 ) -> None:
     """Write the report of finished closed-loop flights again."""
-    from scenarios.breaking import load_points
-    from scenarios.publish import publish
-    from scenarios.runner import load_results
+    from scenarios.bench.breaking import load_points
+    from scenarios.bench.runner import load_results
+    from scenarios.report.publish import publish
 
     results = load_results(folder)
     reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
@@ -249,8 +249,8 @@ def demo(
     workers: Workers = None,
 ) -> None:
     """Do all of it in small: generate flights, score the estimators on them, fly them, write the report."""
-    from scenarios.demo import demo as run_demo
-    from scenarios.summary import closed_loop_table, offline_table
+    from scenarios.bench.demo import demo as run_demo
+    from scenarios.report.terminal import closed_loop_table, offline_table
 
     done = run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers, stage=progress_bar)
     console.print(offline_table(done.offline))

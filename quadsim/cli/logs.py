@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..console import output
-from ..runs import save_figure
+from ..runs.console import output
+from ..runs.files import save_figure
 
 app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
 
@@ -95,7 +95,7 @@ def convert(
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for _, parts in read for log, _ in parts]
     path = convert_logs(logs, out, piece)
-    from ..dataset import open_dataset
+    from ..dataset.reading import open_dataset
 
     pieces = open_dataset(path).sizes["flight"]
     total = sum(float(log.attrs["duration_s"]) for log in logs)

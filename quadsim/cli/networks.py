@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..console import Bar, executor_of, progress_bar
-from ..console import output as console
+from ..runs.console import Bar, executor_of, progress_bar
+from ..runs.console import output as console
 from .options import Criterion, Fields, Initial, Preset, Search, Seed, Workers, fields_of, time_left
 
 if TYPE_CHECKING:
@@ -44,9 +44,9 @@ def train(
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
     """
-    from training.folder import Epoch
     from training.loop import INTERRUPTED
     from training.loop import train as train_network
+    from training.run_folder import Epoch
 
     choices = fields_of(set_, "model", "preset", "data", "validation", "seed", "threads", "out", "progress")
     if epochs is not None:
@@ -110,9 +110,9 @@ def kfold(
 
     Example: quadsim kfold --domain data/train.zarr --domain data/train-px4.zarr --out runs/kfold
     """
+    from training.cross_domain import TEST, table, terminal_table
     from training.kfold import FOLDED
     from training.kfold import kfold as run_folds
-    from training.table1 import TEST, table, terminal_table
 
     choices = fields_of(set_, *FOLDED)
     if epochs is not None:
@@ -169,10 +169,10 @@ def tune(
 
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """
-    from estimators.tuning import tunable, write_tuning
-    from estimators.tuning import tune as tune_filter
+    from estimators.tuning.search import tunable, write_tuning
+    from estimators.tuning.search import tune as tune_filter
 
-    from ..dataset import open_dataset
+    from ..dataset.reading import open_dataset
 
     flown = [open_dataset(path) for path in data]
     options = [f"--data {path}" for path in data]
@@ -239,14 +239,14 @@ def inspect(
 
     Example: quadsim inspect --data data/val.zarr
     """
-    from estimators.flights import load_flights
-    from estimators.inspection import inspect as look_inside
-    from estimators.inspection import load_spiking, write_page
-    from estimators.networks import OnLoihi
-    from estimators.weights_file import save_network
-    from scenarios.summary import cores_table, plain_table, stages_table
+    from estimators.analysis.inspection import inspect as look_inside
+    from estimators.analysis.inspection import load_spiking, write_page
+    from estimators.evaluation.flights import load_flights
+    from estimators.networks.network import OnLoihi
+    from estimators.networks.weights_file import save_network
+    from scenarios.report.terminal import cores_table, plain_table, stages_table
 
-    from ..dataset import open_dataset
+    from ..dataset.reading import open_dataset
 
     if prune is None and train_data:
         raise ValueError("--train trains on after a cut: it needs --prune")

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..config import merged
-from ..console import output
+from ..config.toml import merged
+from ..runs.console import output
 
 if TYPE_CHECKING:
-    from scenarios.runner import Results
+    from scenarios.bench.runner import Results
 
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
@@ -56,8 +56,8 @@ def warn_of(results: Results) -> None:
 
 def headline(path: Path, results: Results) -> str:
     """Where the report is, and what its verdict says."""
-    from scenarios.pairs import paired_differences
-    from scenarios.verdict import verdict
+    from scenarios.bench.pairs import paired_differences
+    from scenarios.bench.verdict import verdict
 
     found = verdict(results.rows, pairs=paired_differences(results.flights))
     return f"{path}: {found.headline}\n{found.doubt}".rstrip()

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from ..console import output as console
-from ..console import progress_bar
-from ..runs import save_figure
+from ..runs.console import output as console
+from ..runs.console import progress_bar
+from ..runs.files import save_figure
 from .options import Seed, Workers
 
 
@@ -69,7 +69,7 @@ def evaluate(
     if (data is None) == (not logs):
         raise ValueError("one of --data and --logs is wanted")
     if logs:
-        from scenarios.recorded import evaluate_logs
+        from scenarios.report.logs import evaluate_logs
 
         evaluate_logs(logs, estimator, weights or [], within, axes, tuning, vehicle, out, force)
         return
@@ -77,15 +77,20 @@ def evaluate(
         raise ValueError("--axes turns the sensors of --logs; a dataset has body axes")
     assert data is not None
     import estimators
-    from estimators import figures
-    from estimators.evaluate import evaluate as evaluate_estimators
-    from estimators.flights import imu_of, vehicle_of
-    from estimators.protocol import needs_vehicle, tuned_elsewhere
-    from scenarios.recorded import made_of
-    from scenarios.report import write_report
-    from scenarios.summary import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
+    from estimators.evaluation import figures
+    from estimators.evaluation.comparison import evaluate as evaluate_estimators
+    from estimators.evaluation.flights import imu_of, vehicle_of
+    from estimators.registry import needs_vehicle, tuned_elsewhere
+    from scenarios.report.logs import made_of
+    from scenarios.report.page import write_report
+    from scenarios.report.terminal import (
+        EVALUATION_METHOD,
+        evaluation_columns,
+        evaluation_notes,
+        evaluation_table,
+    )
 
-    from ..dataset import open_dataset
+    from ..dataset.reading import open_dataset
 
     flown = open_dataset(data)
     airframe = vehicle or vehicle_of(flown)
@@ -162,7 +167,7 @@ def paper(
     Example: quadsim paper --out reports/paper --only table2,fig6
     """
     from paper.run import paper as make_paper
-    from scenarios.summary import plain_table
+    from scenarios.report.terminal import plain_table
 
     with progress_bar("paper", "s of work") as bar:
         done = make_paper(out, only, preset, seed, workers, bar)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
-from ..runs import write_whole
+from ..runs.files import write_whole
 from ..vehicle import GRAVITY
 from .recording import Array, Recording
 

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from .. import dataset_store
-from ..dataset_store import LABELS, VARIABLES, Recorded, RecordedPlan, partial_folder
+from ..dataset import store as dataset_store
+from ..dataset.store import LABELS, VARIABLES, Recorded, RecordedPlan, partial_folder
 from .recording import Array
 
 READ = {"gyro": "gyro", "accel": "accel", "ang_vel": "gyro", "specific_force": "accel", "quat": "quat"}

@@ -14,11 +14,11 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import firwin, oaconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..dataset_store import LABELS, VARIABLES
-from ..ranges import FORCE_MAX, RATE_MAX
+from ..config.ranges import FORCE_MAX, RATE_MAX
+from ..dataset.store import LABELS, VARIABLES
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
-from .alignment import align
 from .recording import Array, Recording
+from .truth_delay import align
 
 PASS = 0.8
 """Share of the new Nyquist frequency that the anti-alias filter lets through; −6 dB is midway to it."""

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import model_validator
 
-from ..config import Strict, load_toml, nearest
-from ..ranges import Between, SampleRate
+from ..config.ranges import Between, SampleRate
+from ..config.toml import Strict, load_toml, nearest
 from ..rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
 from .recording import Array, Frame, Recording, axes_matrix, from_frd
 

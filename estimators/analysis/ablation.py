@@ -1,0 +1,173 @@
+"""Networks without some of their neurons: which to leave out, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..evaluation.flights import Flights
+from ..metrics import attitude_error
+from ..networks.network import NetworkEstimator, Spiking
+from ..networks.symmetry import is_symmetric, ties
+from ..networks.weights_file import NetworkConfig, Tensors
+from .activity import Activity
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+CRITERIA = ("activity", "magnitude", "contribution", "random")
+
+
+@dataclass(frozen=True)
+class Pruned:
+    """A network on the way, errors on the validation flights from an unknown start."""
+
+    removed: float
+    """Share of all encoding and hidden neurons that are gone."""
+    encoding: int
+    hidden: int
+    parameters: int
+    cut_deg: float
+    """Error right after the cut."""
+    tuned_deg: float
+    """Error after training on."""
+    weights: Path
+
+
+def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> tuple[Array, Array]:
+    """How much each neuron of the encoding and of the hidden layer matters; the least goes first.
+
+    activity: its spike rate. magnitude: the root sum of squares of the weights it sends out. contribution:
+    that times the standard deviation of its spikes, √(r (1 − r)), for a neuron that is always silent or
+    always on says nothing. random: drawn, to compare with.
+
+    Raises:
+        ValueError: No such criterion.
+    """
+    rates = activity.of_layer(activity.rates, 0), activity.of_layer(activity.rates, 1)
+    outgoing = (["w_ff"], ["w_rec", "w_out"])
+    sizes = [
+        np.sqrt(sum((tensors[name].astype(np.float64) ** 2).sum(axis=0) for name in names))
+        for names in outgoing
+    ]
+    rng = np.random.default_rng(seed)
+    values = {
+        "activity": rates,
+        "magnitude": sizes,
+        "contribution": [size * np.sqrt(rate * (1 - rate)) for size, rate in zip(sizes, rates, strict=True)],
+        "random": [rng.permutation(rate.size).astype(np.float64) for rate in rates],
+    }
+    if by not in values:
+        raise ValueError(f"criterion is {by!r}; choose {', '.join(CRITERIA)}")
+    first, second = values[by]
+    return first, second
+
+
+def without(
+    config: NetworkConfig, tensors: Tensors, keep: Sequence[NDArray[np.int64]]
+) -> tuple[NetworkConfig, Tensors]:
+    """The network of the neurons that are kept, indices of the encoding and of the hidden layer."""
+    encoding, hidden = (np.sort(np.asarray(ids, dtype=np.int64)) for ids in keep)
+    smaller = {
+        "w_in": tensors["w_in"][encoding],
+        "w_ff": tensors["w_ff"][np.ix_(hidden, encoding)],
+        "w_rec": tensors["w_rec"][np.ix_(hidden, hidden)],
+        "w_out": tensors["w_out"][:, hidden],
+        **{name: tensors[name][encoding] for name in ("syn0", "mem0")},
+        **{name: tensors[name][hidden] for name in ("syn1", "mem1")},
+        **{name: tensors[name] for name in ("syn2", "mem2")},
+    }
+    return config.model_copy(update={"encoding": encoding.size, "hidden": hidden.size}), smaller
+
+
+def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, Tensors]:
+    """The network without neurons that no input reaches, which never spike, or that reach no output.
+
+    Its outputs are the same to the last bit. At least one neuron, or where weights are shared one group,
+    stays in each layer.
+    """
+    keep = living([tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out")], _groups(tensors))
+    return without(config, tensors, keep)
+
+
+def living(connections: Sequence[Bools], groups: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+    """Neurons of the encoding and of the hidden layer that an input reaches and that reach an output.
+
+    Args:
+        connections: Which weights there are of w_in (h0, inputs), w_ff (h1, h0), w_rec (h1, h1) and w_out
+            (outputs, h1).
+        groups: For each neuron of both layers the first of those that share its weights; where a layer has
+            no such neuron, its first group stays.
+    """
+    w_in, w_ff, w_rec, w_out = connections
+    first, second = w_in.any(1), np.ones(len(w_ff), bool)
+    while True:
+        driven = w_ff[:, first].any(1) | w_rec[:, second].any(1)
+        heard = w_out.any(0) | w_rec[second].any(0)
+        stay = second & driven & heard
+        if (stay == second).all():
+            break
+        second = stay
+    first &= w_ff[second].any(0)
+    return [
+        np.flatnonzero(alive if alive.any() else group == group[0])
+        for alive, group in zip((first, second), groups, strict=True)
+    ]
+
+
+def pruned(
+    config: NetworkConfig, tensors: Tensors, values: Sequence[Array], fraction: float
+) -> tuple[NetworkConfig, Tensors]:
+    """The network without the least important fraction of all neurons; at least one stays in each layer.
+
+    Where weights are shared (`estimators.networks.symmetry`) so is the importance, and neurons go by whole
+    groups: the fraction is the least that goes, unless the last group of a layer would, and what stays
+    is symmetric.
+
+    Raises:
+        ValueError: A fraction outside [0, 1).
+    """
+    if not 0.0 <= fraction < 1.0:
+        raise ValueError(f"fraction: {fraction}, should be in [0, 1)")
+    encoding = values[0].size
+    first, second = _groups(tensors)
+    group = np.concatenate([first, second + encoding])
+    sizes = np.bincount(group)
+    sums = np.bincount(group, np.concatenate(list(values)))
+    whole = np.where(sizes > 0, sums / np.maximum(sizes, 1), -np.inf)
+    whole[[int(np.argmax(whole[:encoding])), encoding + int(np.argmax(whole[encoding:]))]] = np.inf
+    order = np.argsort(-whole, kind="stable")[: np.count_nonzero(sizes)]
+    stay = np.cumsum(sizes[order]) <= round(group.size * (1 - fraction))
+    stay[:2] = True
+    kept = np.flatnonzero(np.isin(group, order[stay]))
+    return without(config, tensors, [kept[kept < encoding], kept[kept >= encoding] - encoding])
+
+
+def _groups(tensors: Tensors) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """For each neuron of both layers the first of those that share its weights."""
+    encoding, hidden = len(tensors["mem0"]), len(tensors["mem1"])
+    if not is_symmetric(tensors):
+        return np.arange(encoding), np.arange(hidden)
+    shared = ties(encoding, hidden)
+    return shared["mem0"].first, shared["mem1"].first
+
+
+def ablation(
+    config: NetworkConfig,
+    tensors: Tensors,
+    values: Sequence[Array],
+    fractions: Sequence[float],
+    flights: Flights,
+) -> Array:
+    """Mean error [deg] with each fraction of the neurons removed, nothing trained again, (fractions,)."""
+    return np.array([error_deg(*pruned(config, tensors, values, each), flights) for each in fractions])
+
+
+def error_deg(config: NetworkConfig, tensors: Tensors, flights: Flights) -> float:
+    """Mean absolute error of roll and pitch from an unknown start [deg]."""
+    est = NetworkEstimator(Spiking(config, tensors), config.rate_hz)
+    est.reset(len(flights.gyro))
+    return attitude_error(est.sequence(flights.gyro, flights.accel), flights.truth).mean

@@ -1,0 +1,155 @@
+"""What an update costs: operations counted on flights, and a modelled energy with named coefficients.
+
+The chip's energies are those of Davies et al. 2018, simulated before there was a chip: a lower bound, dynamic
+only, without leakage. The host, which scales the readings and drives the encoding layer, is counted apart.
+Neither is a measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..loihi.chip import Core
+from ..networks.network import OnLoihi
+from ..networks.weights_file import NetworkConfig
+from .activity import Activity
+
+PICOJOULES = {
+    "synaptic event": 23.6,
+    "active neuron update": 81.0,
+    "inactive neuron update": 52.0,
+    "spike within a tile": 1.7,
+    "hop between tiles": 3.5,
+}
+"""Energy of one operation [pJ]; a hop is 3.0 east-west and 4.0 north-south."""
+HOST_PICOJOULES = {"multiplication": 3.1, "addition": 0.1}
+"""Energy of one operation on 32-bit integers in 45 nm [pJ] (Horowitz, ISSCC 2014). Fetching and decoding its
+instruction, some 70 pJ in the same process, is not in it."""
+CORES_PER_TILE = 4
+PAPER_MEASURED = {"µJ": 13.2, "µs": 10.0}
+"""Energy and time of a step of the recurrent layer alone that the paper measured, on a board of 32 chips."""
+
+
+@dataclass(frozen=True)
+class HostCost:
+    """Work of the host for one sample."""
+
+    part: str
+    multiplications: int
+    additions: int
+
+    @property
+    def nanojoules(self) -> float:
+        """Modelled energy of the arithmetic alone."""
+        return (
+            self.multiplications * HOST_PICOJOULES["multiplication"]
+            + self.additions * HOST_PICOJOULES["addition"]
+        ) / 1e3
+
+
+def host_costs(config: NetworkConfig) -> list[HostCost]:
+    """Operations of the host for one sample: those of `encoder.encode_sample` and of `networks.drive`.
+
+    Each of six readings takes a subtraction and a multiplication. In each step of the network the current of
+    each encoding neuron takes six products, their sums, and a multiplication and an addition for its decay.
+    Comparisons and shifts are not counted.
+    """
+    currents = 7 * config.encoding * config.steps_per_sample
+    return [HostCost("scaled readings", 6, 6), HostCost("currents of the encoding layer", currents, currents)]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """One line of the energy model."""
+
+    operation: str
+    count: float
+    """Per step."""
+    picojoules: float
+    """Of one."""
+    share: float
+    """Of the modelled energy: if the coefficient is wrong by x %, the sum is wrong by share times x %."""
+
+    @property
+    def nanojoules(self) -> float:
+        """Of all of them in a step."""
+        return self.count * self.picojoules / 1e3
+
+
+def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
+    """Operations per step on the chip, mean over the flights.
+
+    A spike causes one synaptic event for each of its synapses (weights of zero are not stored), and one
+    message to each core that holds any of them. Messages travel between tiles of four cores in a row.
+    """
+    spikes = activity.spikes.sum(axis=(0, 1)) / activity.steps
+    updates = float(sum(activity.sizes))
+    active = float(activity.active.sum() / activity.steps)
+    fan_out = synapses(core.cores, sum(activity.sizes))
+    home = _homes(core)
+    tile = np.arange(len(core.cores)) // CORES_PER_TILE
+    distance = np.abs(tile[home][:, None] - tile[None, :])  # (neurons, cores)
+    reached = fan_out > 0
+    return {
+        "synaptic event": float(spikes @ fan_out.sum(axis=1)),
+        "active neuron update": active,
+        "inactive neuron update": updates - active,
+        "spike within a tile": float(spikes @ reached.sum(axis=1)),
+        "hop between tiles": float(spikes @ (reached * distance).sum(axis=1)),
+    }
+
+
+def synapses(cores: Sequence[Core], neurons: int) -> NDArray[np.int64]:
+    """Synapses of each neuron on each core, (neurons, cores)."""
+    return np.stack([core.synapses[-neurons:] for core in cores], axis=1)
+
+
+def costs(counted: dict[str, float]) -> list[Cost]:
+    """The energy model, line by line."""
+    total = sum(counted[name] * each for name, each in PICOJOULES.items())
+    return [
+        Cost(name, counted[name], each, counted[name] * each / total) for name, each in PICOJOULES.items()
+    ]
+
+
+def snn_flops(encoding: int, hidden: int, spikes: tuple[float, float], outputs: int = 2) -> dict[str, float]:
+    """Floating-point operations of one update of the spiking network.
+
+    The encoder multiplies six inputs; a spike adds one row of weights; every neuron decays and adds twice and
+    compares once, an output neuron does not compare. "dense" is what it takes if no use is made of zeros.
+
+    Args:
+        encoding: Neurons of the encoding layer.
+        hidden: Neurons of the hidden layer.
+        spikes: Mean spikes per step of both layers.
+        outputs: Leaky integrators.
+    """
+    encoder = 2 * 6 * encoding
+    neurons = 5 * (encoding + hidden) + 4 * outputs
+    sparse = spikes[0] * hidden + spikes[1] * (hidden + outputs)
+    dense = 2 * (encoding * hidden + hidden * hidden + hidden * outputs)
+    return {"sparse": encoder + neurons + sparse, "dense": encoder + neurons + dense}
+
+
+def gru_flops(encoding: int, hidden: int, outputs: int = 2) -> float:
+    """Floating-point operations of one update of two GRU layers and a linear output.
+
+    A layer of h units on m inputs: 2 · 3h (m + h) for the products, 6h for the biases, 3h to join the parts
+    and gate one of them, 3h functions and 4h to mix; a function counts as one operation.
+    """
+    layers = ((6, encoding), (encoding, hidden))
+    return float(sum(6 * h * (m + h) + 16 * h for m, h in layers) + (2 * hidden + 1) * outputs)
+
+
+def _homes(core: OnLoihi) -> NDArray[np.int64]:
+    """The core of each neuron, (neurons,)."""
+    edges = np.cumsum((0, *core.chip.sizes))
+    home = np.empty(edges[-1], np.int64)
+    for number, placed in enumerate(core.cores):
+        for layer, ids in placed.neurons.items():
+            home[edges[layer] + np.array(ids)] = number
+    return home

@@ -1,0 +1,108 @@
+"""Latency of one update of one vehicle, for every estimator, PyTorch's networks beside them.
+
+Every call is timed on its own. The estimators take turns of 100 calls, many times over, so that whatever else
+the machine does falls on all of them alike.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..networks.encoder import INPUT_STATE, scaled_inputs
+from ..networks.network import real_weights
+from ..networks.weights_file import shipped_network
+from ..registry import create, names
+
+RATE_HZ = 200.0
+CALLS = 100
+"""In a turn."""
+PAPER_US = {"Loihi (the chip)": 10.0, "SNN, PyTorch": 555.0, "GRU, PyTorch": 150.0}
+"""What the paper measured, on other hardware [µs]."""
+
+Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
+
+
+class TorchSNN:
+    """Att-SNN as one would write it in PyTorch: a loop of tensor operations, float32."""
+
+    def __init__(self) -> None:
+        self.config, tensors = shipped_network("att-snn")
+        weights, taus = real_weights(self.config, tensors)
+        self.w_in, self.w_ff, self.w_rec, self.w_out = (
+            torch.tensor(w, dtype=torch.float32).T for w in weights
+        )
+        self.taus = [torch.tensor(tau, dtype=torch.float32) for tau in taus]
+        sizes = [self.config.encoding, self.config.hidden, 2]
+        self.inputs = np.zeros((1, INPUT_STATE))
+        self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
+
+    @torch.no_grad()
+    def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
+        """Roll and pitch (1, 2) [rad] after one sample."""
+        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.inputs)
+        sample = torch.from_numpy(x[:, 0].astype(np.float32))
+        drives = [
+            sample @ self.w_in,
+            self.s[0] @ self.w_ff + self.s[1] @ self.w_rec,
+            self.s[1] @ self.w_out,
+        ]
+        for k, drive in enumerate(drives):
+            self.u[k] = self.u[k] * self.taus[2 * k] + drive
+            self.v[k] = self.v[k] * self.taus[2 * k + 1] + self.u[k]
+            if k < 2:
+                self.s[k] = (self.v[k] > 0.5).float()
+                self.v[k] = self.v[k] * (1 - self.s[k])
+        return self.v[2].numpy() * self.config.output_scale
+
+
+class TorchGRU:
+    """Att-RNN with PyTorch's own GRU."""
+
+    def __init__(self) -> None:
+        self.config, tensors = shipped_network("att-rnn")
+        self.gru = torch.nn.GRU(6, self.config.hidden, 2, batch_first=True)
+        own = {name.removeprefix("gru."): torch.tensor(x) for name, x in tensors.items() if "gru" in name}
+        self.gru.load_state_dict(own)
+        self.weight, self.bias = (torch.tensor(tensors[f"out.{name}"]) for name in ("weight", "bias"))
+        self.state = torch.zeros(2, 1, self.config.hidden)
+
+    @torch.no_grad()
+    def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
+        """Roll and pitch (1, 2) [rad] after one sample."""
+        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None])
+        y, self.state = self.gru(torch.from_numpy(x.astype(np.float32)), self.state)
+        return (y[:, 0] @ self.weight.T + self.bias).numpy()
+
+
+def contenders() -> dict[str, Update]:
+    """`update` of every estimator but the truth, and of PyTorch's two networks."""
+    torch.set_num_threads(1)
+    found: dict[str, Update] = {
+        name: create(name, RATE_HZ, vehicle="hummingbird").update for name in names() if name != "truth"
+    }
+    return found | {"SNN, plain PyTorch": TorchSNN().update, "GRU, PyTorch": TorchGRU().update}
+
+
+def measure(updates: Mapping[str, Update], rounds: int) -> dict[str, NDArray[np.float64]]:
+    """Time of each call [µs], in turns."""
+    rng = np.random.default_rng(0)
+    gyro = rng.normal(0.0, 0.5, (CALLS, 1, 3))
+    accel = rng.normal([0.0, 0.0, 9.81], 0.5, (CALLS, 1, 3))
+    samples = list(zip(gyro, accel, strict=True))
+    taken: dict[str, list[int]] = {name: [] for name in updates}
+    for turn in range(rounds + 1):
+        for name, update in updates.items():
+            if turn > 1 and np.median(taken[name]) > 5e5 and turn % 10:
+                continue  # the slowest need no more than a tenth of the turns
+            for sample in samples:
+                begin = time.perf_counter_ns()
+                update(*sample)
+                end = time.perf_counter_ns()
+                if turn > 0:
+                    taken[name].append(end - begin)
+    return {name: np.array(each) / 1e3 for name, each in taken.items()}

@@ -1,0 +1,335 @@
+"""Offline comparison of estimators on recorded flights, from an unknown and from a known initial attitude."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from quadsim.estimator import AttitudeEstimator
+from quadsim.imu.spec import ImuSpec
+from quadsim.runs.files import write_csv
+from quadsim.vehicle import Vehicle
+
+from ..metrics import (
+    Summary,
+    absolute_error,
+    attitude_error,
+    inclination_error,
+    inclination_rmse,
+    share_without_number,
+)
+from ..networks.network import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
+from ..networks.weights_file import load_network, shipped_names
+from ..registry import FILTERPY, NETWORKS, create, is_weights
+from ..running import missing_samples, run_quietly
+from .flights import Flights, Initial, load_flights, vehicle_of
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+"""progress(runs done, runs in all, estimator that is next)."""
+
+TILTS_DEG = (20.0, 45.0)
+"""Tilts in which estimators that take themselves to be level are started, to time their recovery."""
+STARTS = 2
+"""How many such starts are taken of each flight."""
+SETTLED_DEG = 2.0
+"""Inclination error below which an estimator counts as converged."""
+BLOCK_S = 0.5
+"""Error over time is averaged over blocks of this length."""
+
+
+SLOW = FILTERPY
+"""Estimators that are hundreds of times as slow as the others, a Python object a vehicle."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table. Errors are of roll and pitch pooled, one mean absolute error a sequence."""
+
+    estimator: str
+    initial: str
+    """Whether the initial attitude was given: "known" or "unknown". Networks are never given it."""
+    median_deg: float
+    """Over sequences, like mean and SD."""
+    mean_deg: float
+    sd_deg: float
+    mean_low_deg: float
+    """Ends of the bootstrap 95 % confidence interval of the mean."""
+    mean_high_deg: float
+    silenced_deg: float
+    """Of a network: mean with its output weights at zero; NaN for other estimators."""
+    behind_deg: float
+    """Mean over sequences of the error less that of the best estimator with the same start."""
+    behind_low_deg: float
+    """Ends of the bootstrap interval of that: paired, so it is narrower than the means' own suggest."""
+    behind_high_deg: float
+    inclination_rmse_deg: float
+    """Mean over sequences of the inclination error's RMS."""
+    settle_20_s: float
+    """Started in an unknown tilt of 20°: time after which the median start stays below 2°; NaN: never."""
+    settle_45_s: float
+    """The same from 45°."""
+    runtime_ns: float
+    """Run time per sample of `run` over all flights."""
+    flights: int
+    """Flights it was run on."""
+    missing: int
+    """Samples of these that were missing or refused in part or whole, and bridged."""
+    without_number: float
+    """Share of estimates that are no finite number, each counted as an error of 180°."""
+
+    @property
+    def tied(self) -> bool:
+        """Whether it is not significantly different from the best (the paired interval includes 0)."""
+        return self.behind_low_deg <= 0.0
+
+    @property
+    def behind(self) -> str:
+        """The paired difference from the best estimator with its interval, as tables show it."""
+        if self.estimator == "truth":
+            return "–"
+        if self.behind_low_deg == self.behind_high_deg == 0.0:
+            return "the best"
+        text = f"{self.behind_deg:.2f} ({self.behind_low_deg:.2f}–{self.behind_high_deg:.2f})"
+        return f"tied {text}" if self.tied else text
+
+    @property
+    def silenced(self) -> str:
+        """The error of the silenced network, as tables show it; a dash for other estimators."""
+        return "–" if np.isnan(self.silenced_deg) else f"{self.silenced_deg:.2f}"
+
+
+@dataclass
+class Evaluation:
+    """The table, and what its figures are drawn from; keys are (estimator, initial)."""
+
+    rows: list[Row] = field(default_factory=list)
+    sequences: dict[tuple[str, str], Array] = field(default_factory=dict)
+    """Mean absolute error of each sequence (n,) [deg]."""
+    time_s: Array = field(default_factory=lambda: np.empty(0))
+    """Centres of the blocks of `over_time`."""
+    over_time: dict[tuple[str, str], Array] = field(default_factory=dict)
+    """Mean absolute error in each block of each sequence (n, blocks) [deg]."""
+    settling: dict[tuple[str, float], Array] = field(default_factory=dict)
+    """(estimator, tilt) to the median over starts of the inclination error in each block [deg]."""
+    rate_hz: float = 0.0
+
+    def write_csv(self, path: Path) -> None:
+        """Write the table, one line a row, the header being the fields of `Row`."""
+        write_csv(path, [asdict(row) for row in self.rows])
+
+
+def evaluate(
+    dataset: xr.Dataset,
+    estimators: Sequence[str] | Mapping[str, AttitudeEstimator],
+    *,
+    initial: Sequence[Initial] = ("unknown", "known"),
+    tuning: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
+    settle_s: float = 40.0,
+    slow_flights: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Run estimators over the flights of a dataset and compare them with the truth.
+
+    With a known start the estimator is given the attitude at the first sample and scored from the second on;
+    networks are never given it and have no such row. A network, known by its name or the path of its weights,
+    has beside its error that of the same network with output weights of zero. An estimator is compared with
+    the best one flight by flight.
+
+    Args:
+        dataset: Flights with gyro, accel, quat and the attribute rate_hz.
+        estimators: Names, or estimators under the names they are to have.
+        initial: Which rows to make.
+        tuning: Parameters of the estimators given by name, as in `create`.
+        vehicle: The vehicle of the flights, for estimators given by name; None: the one that the dataset
+            names.
+        settle_s: Time that an estimator started in a tilt is given to recover [s].
+        slow_flights: Flights that those in `SLOW` are run on; None for all.
+        seed: Of the bootstrap and of the choice of those starts.
+        progress: Called before every run.
+
+    Raises:
+        ValueError: For a dataset that is not one, or an unknown estimator.
+    """
+    flights = load_flights([dataset])
+    rate_hz = flights.rate_hz
+    made = (
+        estimators
+        if isinstance(estimators, Mapping)
+        else made_of(estimators, rate_hz, tuning, vehicle or vehicle_of(dataset))
+    )
+    result = Evaluation(time_s=_block_times(flights.gyro.shape[1], rate_hz), rate_hz=rate_hz)
+    steps = min(round(settle_s * rate_hz), flights.gyro.shape[1])
+    measured: list[dict[str, Any]] = []
+    starts = {name: _starts_of(est, initial) for name, est in made.items()}
+    runs, done = sum(len(TILTS_DEG) + len(each) for each in starts.values()), 0
+    for name, est in made.items():
+        flown = flights.first(slow_flights) if slow_flights and name in SLOW else flights
+        run_quietly(est, flown.gyro[:, :2], flown.accel[:, :2], quat=flown.quat[:, :2])  # compiles
+        times = []
+        for tilt in TILTS_DEG:
+            if progress is not None:
+                progress(done, runs, name)
+            done += 1
+            result.settling[name, tilt] = _settling(est, tilted_starts(flown, tilt, steps, seed))
+            times.append(_time_below(result.settling[name, tilt]))
+        without = silenced_twin(name, rate_hz)
+        for start in starts[name]:
+            if progress is not None:
+                progress(done, runs, name)
+            done += 1
+            chosen = flown.known() if start == "known" else flown
+            begin = time.perf_counter()
+            estimate = _run(est, chosen)
+            runtime = (time.perf_counter() - begin) / chosen.truth[..., 0].size * 1e9
+            error = attitude_error(estimate, chosen.truth)
+            result.sequences[name, start] = error.sequences
+            result.over_time[name, start] = _blocks(estimate, chosen.truth, result.time_s.size)
+            measured.append(
+                _errors(name, start, error, seed)
+                | {
+                    "silenced_deg": float("nan") if without is None else _mean_error(without, chosen),
+                    "inclination_rmse_deg": inclination_rmse(estimate, chosen.truth).mean,
+                    "settle_20_s": times[0],
+                    "settle_45_s": times[1],
+                    "runtime_ns": runtime,
+                    "flights": len(chosen.gyro),
+                    "missing": missing_samples(est),
+                    "without_number": share_without_number(estimate, chosen.truth),
+                }
+            )
+    if progress is not None:
+        progress(runs, runs, "")
+    for each in measured:
+        behind, low, high = _behind(result.sequences, each["estimator"], each["initial"], seed)
+        row = Row(**each, behind_deg=behind, behind_low_deg=low, behind_high_deg=high)
+        result.rows.append(row)
+    return result
+
+
+def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) -> Flights | None:
+    """Pieces of flights that begin where the vehicle is tilted by an angle, `STARTS` of each flight at most.
+
+    Args:
+        flights: Where to look.
+        tilt_deg: The tilt, met to 1°.
+        steps: Length of a piece.
+        seed: Of the choice among the places.
+
+    Returns:
+        The pieces with an unknown start, or None if there is no such place.
+    """
+    rng = np.random.default_rng(seed)
+    tilt = inclination_error(flights.truth, np.zeros_like(flights.truth))
+    places = []
+    for flight, each in enumerate(np.abs(tilt[:, : tilt.shape[1] - steps + 1] - tilt_deg) < 1.0):
+        found = np.flatnonzero(each)
+        chosen = rng.choice(found, min(STARTS, found.size), replace=False)
+        places += [(flight, slice(first, first + steps)) for first in np.sort(chosen)]
+    if not places:
+        return None
+    gyro, accel, quat, truth = (
+        np.stack([array[place] for place in places])
+        for array in (flights.gyro, flights.accel, flights.quat, flights.truth)
+    )
+    return Flights(gyro, accel, quat, truth, flights.rate_hz)
+
+
+def made_of(
+    names: Sequence[str],
+    rate_hz: float,
+    tuning: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
+    imu: str | Path | ImuSpec | None = None,
+) -> dict[str, AttitudeEstimator]:
+    """Estimators by name, or by the path of a network's weights; the arguments are those of `create`."""
+    return {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle, imu=imu) for name in names}
+
+
+def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
+    """The network of a name or of a path of weights, with output weights of zero; None for others."""
+    if name not in (*NETWORKS, *shipped_names()) and not is_weights(name):
+        return None
+    config, tensors = load_network(name.removesuffix("-loihi"))
+    core = {"att-rnn": Recurrent, "att-snn": OnLoihi if name.endswith("-loihi") else Spiking}[config.model]
+    return NetworkEstimator(core(config, silenced(config, tensors)), rate_hz)
+
+
+def _starts_of(est: AttitudeEstimator, initial: Sequence[Initial]) -> list[Initial]:
+    return [start for start in initial if start == "unknown" or not isinstance(est, NetworkEstimator)]
+
+
+def _mean_error(est: AttitudeEstimator, flights: Flights) -> float:
+    return attitude_error(_run(est, flights), flights.truth).mean
+
+
+def _run(est: AttitudeEstimator, flights: Flights) -> Array:
+    return run_quietly(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)
+
+
+def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:
+    """Median over pieces of the inclination error, averaged over each block, (blocks,) [deg]."""
+    if pieces is None:
+        return np.empty(0)
+    error = inclination_error(_run(est, pieces), pieces.truth)
+    blocks = _block_times(error.shape[1], pieces.rate_hz).size
+    means = [np.nanmean(part, axis=1) for part in np.array_split(error, blocks, axis=1)]
+    return np.asarray(np.nanmedian(np.stack(means, axis=1), axis=0), np.float64)
+
+
+def _time_below(curve: Array) -> float:
+    """Time after which a curve of blocks stays below `SETTLED_DEG` [s]; NaN if it never does."""
+    above = np.flatnonzero(~(curve < SETTLED_DEG))
+    if curve.size == 0 or (above.size > 0 and above[-1] == curve.size - 1):
+        return float("nan")
+    return 0.0 if above.size == 0 else (float(above[-1]) + 1.0) * BLOCK_S
+
+
+def _block(rate_hz: float) -> int:
+    return max(1, round(BLOCK_S * rate_hz))
+
+
+def _block_times(steps: int, rate_hz: float) -> Array:
+    size = _block(rate_hz)
+    return (np.arange(steps // size, dtype=np.float64) + 0.5) * size / rate_hz
+
+
+def _blocks(estimate: Array, truth: Array, blocks: int) -> Array:
+    """Mean absolute error in each block (n, blocks); the last takes what is missing at a known start."""
+    error = absolute_error(estimate, truth).mean(axis=-1)
+    parts = np.array_split(error, blocks, axis=1)
+    return np.stack([np.asarray(np.nanmean(part, axis=1), np.float64) for part in parts], axis=1)
+
+
+def _errors(name: str, start: str, error: Summary, seed: int) -> dict[str, Any]:
+    low, high = error.mean_interval(seed=seed)
+    return {
+        "estimator": name,
+        "initial": start,
+        "median_deg": error.median,
+        "mean_deg": error.mean,
+        "sd_deg": error.sd,
+        "mean_low_deg": low,
+        "mean_high_deg": high,
+    }
+
+
+def _behind(
+    sequences: Mapping[tuple[str, str], Array], name: str, start: str, seed: int
+) -> tuple[float, float, float]:
+    """Difference from the best estimator of the same start on the flights of both, with its interval."""
+    own = sequences[name, start]
+    rivals = {other: error for (other, at), error in sequences.items() if at == start and other != "truth"}
+    most = max((error.size for error in rivals.values()), default=0)
+    whole = [other for other, error in rivals.items() if error.size == most]
+    best = min(whole, key=lambda other: rivals[other].mean(), default=name)
+    common = min(own.size, sequences[best, start].size)
+    behind = Summary(own[:common] - sequences[best, start][:common])
+    return behind.mean, *behind.mean_interval(seed=seed)

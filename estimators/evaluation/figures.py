@@ -1,0 +1,89 @@
+"""Figures of the offline comparison. Each function returns a matplotlib figure that the caller saves."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from .comparison import BLOCK_S, SETTLED_DEG, TILTS_DEG, Evaluation
+
+COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
+PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
+MOST_BANDS = 6
+"""Lines that may have a band; more bands hide the lines."""
+STYLES = ("-", "--", ":")
+"""The colours of a line come again after ten, with the next style."""
+
+
+def violins(evaluation: Evaluation) -> Figure:
+    """Distribution over sequences of the mean absolute error, one violin an estimator and start."""
+    names = _shown(row.estimator for row in evaluation.rows)
+    starts = list(dict.fromkeys(row.initial for row in evaluation.rows))
+    figure = Figure(figsize=(1.5 + 0.9 * len(names), 4.2), layout="constrained")
+    axes = figure.subplots()
+    width = 0.8 / len(starts)
+    for k, start in enumerate(starts):
+        there = [place for place, name in enumerate(names) if (name, start) in evaluation.sequences]
+        places = np.array(there) + (k - 0.5 * (len(starts) - 1)) * width
+        data = [evaluation.sequences[names[place], start] for place in there]
+        parts = axes.violinplot(data, positions=places, widths=0.9 * width, showmedians=True)
+        for body in parts["bodies"]:  # type: ignore[union-attr]  # matplotlib's stub names one collection
+            body.set(facecolor=COLOURS[start], alpha=0.5)
+        for part in ("cmedians", "cmins", "cmaxes", "cbars"):
+            parts[part].set(color=COLOURS[start], linewidth=1.0)
+        axes.plot([], [], color=COLOURS[start], linewidth=6.0, alpha=0.5, label=f"{start} start")
+    axes.set_xticks(np.arange(len(names)), names, rotation=35, ha="right")
+    axes.set(ylabel="mean absolute error of roll and pitch [°]", yscale="log")
+    axes.yaxis.set_major_formatter(PLAIN)
+    axes.yaxis.set_minor_formatter(PLAIN_FEW)
+    axes.grid(axis="y", which="both", alpha=0.3)
+    axes.legend(frameon=False)
+    return figure
+
+
+def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
+    """Absolute error of roll and pitch over time: the median flight, and the middle half if lines are few."""
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    names = _shown(name for name, start in evaluation.over_time if start == initial)
+    for k, name in enumerate(names):
+        error = evaluation.over_time[name, initial]
+        low, middle, high = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
+        (line,) = axes.plot(
+            evaluation.time_s, middle, label=name, color=f"C{k % 10}", linestyle=STYLES[k // 10]
+        )
+        if len(names) <= MOST_BANDS:
+            axes.fill_between(evaluation.time_s, low, high, color=line.get_color(), alpha=0.12, linewidth=0.0)
+    _finish(axes, f"absolute error, {initial} start [°]")
+    return figure
+
+
+def settling(evaluation: Evaluation) -> Figure:
+    """Recovery after a start in an unknown tilt: inclination error of the median start, one panel a tilt."""
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    panels = figure.subplots(1, len(TILTS_DEG), sharey=True)
+    for axes, tilt in zip(panels, TILTS_DEG, strict=True):
+        for k, name in enumerate(_shown(name for name, start in evaluation.settling if start == tilt)):
+            curve = evaluation.settling[name, tilt]
+            style = {"color": f"C{k % 10}", "linestyle": STYLES[k // 10], "linewidth": 1.0}
+            axes.plot((np.arange(curve.size) + 0.5) * BLOCK_S, curve, label=name, **style)
+        axes.axhline(SETTLED_DEG, color="black", linewidth=0.8, linestyle=":")
+        axes.set_title(f"started in a tilt of {tilt:.0f}°")
+        _finish(axes, "inclination error [°]", legend=tilt == TILTS_DEG[-1])
+    return figure
+
+
+def _shown(names: Iterable[str]) -> list[str]:
+    """Each name once, without the truth, whose error of nothing has no place on a logarithmic axis."""
+    return [name for name in dict.fromkeys(names) if name != "truth"]
+
+
+def _finish(axes: Axes, label: str, legend: bool = True) -> None:
+    axes.set(xlabel="time [s]", ylabel=label, yscale="log")
+    axes.yaxis.set_major_formatter(PLAIN)
+    axes.grid(which="both", alpha=0.3)
+    if legend and axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -1,0 +1,241 @@
+"""Estimators on recorded logs: errors as benchmarks of inertial sensors count them, beside a level guess.
+
+Inclination error, as a root mean square over the samples that count: the attitude is known, the log marks the
+sample (`scored`), the first seconds are over, and the vehicle is tilted less than a limit.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from quadsim.estimator import AttitudeEstimator
+from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
+from quadsim.runs.files import write_csv
+
+from ..metrics import absolute_error, inclination_error, share_without_number
+from ..registry import names, needs_vehicle
+from ..running import run
+from .comparison import made_of, silenced_twin
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+
+LEVEL = "level"
+"""The row of a guess that never looks at the sensor: how far the log is from level."""
+RAW, KNOWN = "raw", "known"
+"""Gyroscope as it reads, and with its mean bias over the log taken off."""
+SLOW = ("ekf-filterpy", "ukf-filterpy")
+"""Not run unless asked for."""
+SKIP_S = 3.0
+"""Time at the start that is not scored [s]."""
+RATE_MAX = 2.0
+"""Samples at which the bias is read turn more slowly than this [rad/s]: fast ones hold the truth's delay."""
+LISTED = 6
+"""Estimators drawn in a picture, the best first."""
+
+
+@dataclass(frozen=True)
+class LogRow:
+    """One estimator on one log."""
+
+    log: str
+    estimator: str
+    bias: str
+    """raw or known."""
+    inclination_rmse_deg: float
+    """NaN where no sample counts."""
+    mean_deg: float
+    """Mean absolute error of roll and of pitch, pooled, over the same samples."""
+    scored_s: float
+    """Length of what is scored [s]."""
+    without_number: float
+    """Share of the estimates scored that are no finite number, each counted as an error of 180°."""
+    silenced_deg: float = float("nan")
+    """Of a network: inclination RMSE with its output weights at zero; NaN for other estimators."""
+
+
+@dataclass
+class LogScores:
+    """All rows, and what the pictures are drawn from."""
+
+    rows: list[LogRow] = field(default_factory=list)
+    gyro_bias: dict[str, Array] = field(default_factory=dict)
+    """Log to the mean bias of its gyroscope (3,) [rad/s]; NaN where the truth does not tell."""
+    time_s: dict[str, Array] = field(default_factory=dict)
+    truth: dict[str, Array] = field(default_factory=dict)
+    """Log to true roll and pitch (T, 2) [rad]."""
+    counted: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    """Log to the samples that count (T,)."""
+    estimates: dict[tuple[str, str], Array] = field(default_factory=dict)
+    """(log, estimator) to raw roll and pitch (T, 2) [rad]."""
+
+    def write_csv(self, path: Path) -> None:
+        """Write the rows; the header is the fields of `LogRow`."""
+        write_csv(path, [asdict(row) for row in self.rows])
+
+    def mean(self, estimator: str, bias: str) -> float:
+        """Mean over logs of the inclination RMSE [deg]."""
+        return _mean(
+            [r.inclination_rmse_deg for r in self.rows if (r.estimator, r.bias) == (estimator, bias)]
+        )
+
+    def silenced(self, estimator: str) -> float:
+        """Mean over logs of the inclination RMSE of the network silenced, raw; NaN for others [deg]."""
+        return _mean([r.silenced_deg for r in self.rows if (r.estimator, r.bias) == (estimator, RAW)])
+
+    @property
+    def estimators(self) -> list[str]:
+        """Estimators, the smallest raw error first."""
+        found = list(dict.fromkeys(row.estimator for row in self.rows))
+        return sorted(found, key=lambda name: np.nan_to_num(self.mean(name, RAW), nan=np.inf))
+
+
+def score_logs(
+    logs: Sequence[xr.Dataset],
+    estimators: Sequence[str] | Mapping[str, AttitudeEstimator] = (),
+    *,
+    within_deg: float = 45.0,
+    skip_s: float = SKIP_S,
+    tuning: str | Path | None = None,
+    vehicle: str | Path | None = None,
+    progress: Progress | None = None,
+) -> LogScores:
+    """Run estimators over logs, each from an unknown attitude, with the raw gyroscope and without its bias.
+
+    Args:
+        logs: From `quadsim.logs.read_log`.
+        estimators: Names, or estimators under the names they are to have; none: `default_names`.
+        within_deg: Largest true inclination that is scored [deg].
+        skip_s: Time at the start that is not scored [s].
+        tuning: Parameters of the estimators given by name, as in `create`.
+        vehicle: The vehicle that carried the sensor, for estimators given by name that need one.
+        progress: Called before every run.
+
+    Raises:
+        ValueError: Unknown estimators, or two logs of one name.
+    """
+    titles = [str(log.attrs["source"]) for log in logs]
+    if len(set(titles)) < len(titles):
+        raise ValueError(f"logs must differ in name: {', '.join(titles)}")
+    chosen = estimators or default_names(vehicle is not None)
+    scores, done = LogScores(), 0
+    if not any(np.isfinite(log["quat"]).any() for log in logs):
+        raise ValueError(f"no attitude in {', '.join(titles)}: nothing to score against")
+    for title, log in zip(titles, logs, strict=True):
+        rate = float(log.attrs["rate_hz"])
+        made = chosen if isinstance(chosen, Mapping) else made_of(chosen, rate, tuning, vehicle)
+        gyro, accel, quat = (log[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
+        truth = roll_pitch_from_quat(quat)
+        scores.time_s[title], scores.truth[title] = log["time"].to_numpy(), truth[0]
+        scores.counted[title] = counted = _counted(log, truth, within_deg, skip_s)
+        scores.gyro_bias[title] = bias = gyro_bias(gyro[0], quat[0], rate)
+        for which in (RAW, KNOWN):
+            scores.rows.append(_row(title, LEVEL, which, np.zeros_like(truth[0]), truth[0], counted, rate))
+        for name, est in made.items():
+            if progress is not None:
+                progress(done, len(logs) * len(made), name)
+            for which, offset in ((RAW, np.zeros(3)), (KNOWN, bias)):
+                if not np.isfinite(offset).all():
+                    scores.rows.append(LogRow(title, name, which, float("nan"), float("nan"), 0.0, 0.0))
+                    continue
+                estimate = run(est, gyro - offset, accel, quat=quat)
+                row = _row(title, name, which, estimate[0], truth[0], counted, rate)
+                if which == RAW and (twin := silenced_twin(name, rate)) is not None:
+                    without = _row(title, name, which, run(twin, gyro, accel)[0], truth[0], counted, rate)
+                    row = replace(row, silenced_deg=without.inclination_rmse_deg)
+                scores.rows.append(row)
+                if which == RAW:
+                    scores.estimates[title, name] = estimate[0]
+            done += 1
+    return scores
+
+
+def default_names(vehicle_known: bool = False) -> list[str]:
+    """Estimators scored unless others are asked for; ekf-drag only where the vehicle is known."""
+    return [
+        name
+        for name in names()
+        if name != "truth" and name not in SLOW and (vehicle_known or not needs_vehicle(name))
+    ]
+
+
+def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
+    """Mean of what a gyroscope reads above the rate at which the attitude turns.
+
+    Args:
+        gyro: (T, 3) [rad/s]; NaN where missing.
+        quat: quat_WB (T, 4); NaN where not known.
+        rate_hz: Samples per second.
+
+    Returns:
+        (3,) [rad/s]; NaN if fewer than a second of slow samples is known.
+    """
+    turn = canonical(quat_multiply(quat_conjugate(quat[:-1]), quat[1:]))
+    true = 2.0 * turn[:, 1:] * rate_hz  # the turn of one sample is small
+    above = 0.5 * (gyro[:-1] + gyro[1:]) - true
+    slow = np.isfinite(above).all(axis=1) & (np.linalg.norm(true, axis=1) < RATE_MAX)
+    return above[slow].mean(axis=0) if slow.sum() >= rate_hz else np.full(3, np.nan)
+
+
+def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:
+    """True roll and pitch of a log against the estimates, and the error of inclination.
+
+    Args:
+        scores: From `score_logs`.
+        log: Name of the log.
+        within: Part of it to draw [s]; None for all.
+    """
+    time, truth = scores.time_s[log], scores.truth[log]
+    part = slice(None) if within is None else slice(*np.searchsorted(time, within))
+    shown = [name for name in scores.estimators if (log, name) in scores.estimates][:LISTED]
+    figure = Figure(figsize=(11, 7.5), layout="constrained")
+    roll, pitch, error = figure.subplots(3, 1, sharex=True)
+    for k, axes in enumerate((roll, pitch)):
+        axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.0, label="truth")
+        axes.set_ylabel(("roll, °", "pitch, °")[k])
+    for name in shown:
+        estimate = scores.estimates[log, name]
+        for k, axes in enumerate((roll, pitch)):
+            axes.plot(time[part], np.degrees(estimate[part, k]), lw=1.0, label=name)
+        off = np.where(scores.counted[log], inclination_error(estimate, truth), np.nan)
+        error.plot(time[part], off[part], lw=1.0, label=name)
+    error.set(ylabel="inclination error, °\nwhere it counts", xlabel="time, s")
+    error.set_ylim(bottom=0)
+    figure.suptitle(f"{log}, raw readings: truth and the best of the estimators", fontsize="medium")
+    handles, labels = roll.get_legend_handles_labels()
+    figure.legend(handles, labels, ncols=len(labels), fontsize="small", loc="outside lower center")
+    for axes in (roll, pitch, error):
+        axes.grid(alpha=0.3)
+        axes.margins(x=0)
+    return figure
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Mean of the values that are finite; NaN if none is."""
+    known = np.array(values)[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def _counted(log: xr.Dataset, truth: Array, within_deg: float, skip_s: float) -> NDArray[np.bool_]:
+    known = np.isfinite(truth[0]).all(axis=1) & (log["time"].to_numpy() >= skip_s)
+    if "scored" in log:
+        known &= log["scored"].to_numpy()[0]
+    tilt = inclination_error(truth[0], np.zeros_like(truth[0]))
+    return known & (np.nan_to_num(tilt, nan=np.inf) <= within_deg)
+
+
+def _row(
+    log: str, name: str, bias: str, estimate: Array, truth: Array, counted: NDArray[np.bool_], rate: float
+) -> LogRow:
+    estimate, truth = estimate[counted], truth[counted]
+    rmse = mean = float("nan")
+    if counted.any():
+        rmse = float(np.sqrt(np.mean(inclination_error(estimate, truth) ** 2)))
+        mean = float(absolute_error(estimate, truth).mean())
+    share = share_without_number(estimate, truth)
+    return LogRow(log, name, bias, rmse, mean, float(counted.sum()) / rate, share)

@@ -1,0 +1,72 @@
+"""Att-SNN as C99 for a microcontroller: one header, one source, the emulator's numbers to the last bit."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.config.ranges import FORCE_MAX, RATE_MAX
+from quadsim.runs.files import write_whole
+
+from ..loihi.neurons import DECAY_ONE, STATE_ONE
+from ..networks.encoder import INPUT_MAX, input_scaling
+from ..networks.weights_file import NetworkConfig, Tensors, parameters
+
+
+def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
+    """The two files by name: `att_snn.h` and `att_snn.c`.
+
+    Args:
+        config: How the network is run.
+        tensors: Its weights, the chip's integers.
+
+    Raises:
+        ValueError: Not an Att-SNN for the chip.
+    """
+    if config.model != "att-snn" or not config.quantised or config.recurrent_delay != 1:
+        raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
+    offset, gain = input_scaling(config.inputs)
+    integers = {name: value.astype(np.int64) for name, value in tensors.items()}
+    halves = {name: integers[name] // 2 for name in ("w_in", "w_ff", "w_rec", "w_out")}
+    by_source = {name: value.T for name, value in halves.items()}
+    kept = {name: DECAY_ONE - value for name, value in integers.items() if name not in by_source}
+    arrays = {name: _braces(value) for name, value in (by_source | kept).items()}
+    arrays |= {name: str(kept[name][0]) for name in ("syn2", "mem2")}
+    values = {
+        "encoding": config.encoding,
+        "hidden": config.hidden,
+        "parameters": parameters(tensors),
+        "rate": f"{config.rate_hz:g}",
+        "units": round(STATE_ONE / config.output_scale),
+        "scale": repr(config.output_scale / STATE_ONE),
+        "steps": config.steps_per_sample,
+        "input_max": INPUT_MAX,
+        "rate_max": RATE_MAX,
+        "force_max": FORCE_MAX,
+        "offset": _braces(offset),
+        "gain": _braces(gain),
+        **arrays,
+    }
+    folder = files("assets") / "c99"
+    return {
+        name: Template((folder / name).read_text(encoding="utf-8")).substitute(values)
+        for name in ("att_snn.h", "att_snn.c")
+    }
+
+
+def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+    """Write both files into a folder, which is made where it is missing."""
+    texts = c_files(config, tensors)
+    for name, text in texts.items():
+        write_whole(Path(folder) / name, text)
+
+
+def _braces(values: NDArray) -> str:
+    """An initialiser; numbers as C and Python both read them."""
+    if values.ndim > 1:
+        return "{\n" + ",\n".join(_braces(row) for row in values) + "}"
+    return "{" + ", ".join(repr(value) for value in values.tolist()) + "}"

@@ -1,0 +1,42 @@
+"""Trained networks in the formats of other tools: NIR, C99, ONNX."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..networks.weights_file import load_network
+
+FORMATS = ("nir", "c99", "onnx")
+
+
+def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
+    """Write a network in another format.
+
+    Args:
+        weights: A weights file, or the name of weights that ship, such as "att-snn".
+        out: The file (nir, onnx) or folder (c99) to write; must not exist.
+        format: "nir" (spiking, HDF5), "c99" (spiking, header and source) or "onnx" (att-rnn).
+
+    Raises:
+        FileNotFoundError: No such weights.
+        ValueError: An unknown format, one that cannot hold this network, or `out` exists.
+    """
+    if format not in FORMATS:
+        raise ValueError(f"format is {format!r}; weights are exported as {', '.join(FORMATS)}")
+    out = Path(out)
+    if out.exists():
+        raise ValueError(f"{out}: exists already, choose another name")
+    config, tensors = load_network(weights)
+    try:
+        if format == "nir":
+            from .nir_graph import write_nir as write
+        elif format == "onnx":
+            from .onnx_graph import write_onnx as write
+        else:
+            from .c_source import write_c as write
+    except ImportError as error:
+        raise ValueError(
+            f'this export needs the package {error.name}: pip install "quadsim[export]"'
+        ) from error
+    write(out, config, tensors)
+    return out

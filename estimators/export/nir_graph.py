@@ -1,0 +1,97 @@
+"""Att-SNN as a graph of the Neuromorphic Intermediate Representation (NIR, Pedersen et al. 2024).
+
+NIR's neurons are differential equations; a simulator that integrates them with Euler steps of `dt` finds the
+network's own recursion again, with τ = 1 − dt / tau and gains that undo the dt / tau on the inputs:
+
+    u[t] = (1 − dt/tau_syn) u[t−1] + I[t],    v[t] = (1 − dt/tau_mem) v[t−1] + u[t]
+
+The integers of the chip stand in the metadata of each node. NIR delivers along a chain within a step and
+around a loop after one, so the hidden layer is one step ahead of the chip's, and the outputs two.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nir
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.runs.files import replace
+
+from ..networks.encoder import input_scaling
+from ..networks.forward import BIAS_EXP, THRESHOLD
+from ..networks.network import real_weights
+from ..networks.weights_file import NetworkConfig, Tensors
+
+LAYERS = {"encoding": ("syn0", "mem0"), "hidden": ("syn1", "mem1"), "output": ("syn2", "mem2")}
+CONNECTIONS = {
+    "w_in": ("input", "encoding"),
+    "w_ff": ("encoding", "hidden"),
+    "w_rec": ("hidden", "hidden"),
+    "w_out": ("hidden", "output"),
+}
+
+
+def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) -> nir.NIRGraph:
+    """The network between its scaled inputs (6) and its output potentials (2); scales are in its metadata.
+
+    Args:
+        config: How the network is run.
+        tensors: Its weights.
+        dt: Step to write the time constants for [s]; None: the network's own.
+
+    Raises:
+        ValueError: Not an Att-SNN in the chip's time convention.
+    """
+    if config.model != "att-snn" or config.recurrent_delay != 1:
+        raise ValueError("a NIR graph needs weights of att-snn with a recurrent delay of 1")
+    step = dt or 1.0 / (config.rate_hz * config.steps_per_sample)
+    weights, taus = real_weights(config, tensors)
+    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([6])})}
+    edges = []
+    for (name, (source, target)), weight in zip(CONNECTIONS.items(), weights, strict=True):
+        nodes[name] = nir.Linear(weight=weight, metadata=_integers(config, mantissa=tensors[name]))
+        edges += [(source, name), (name, target)]
+    sizes = (config.encoding, config.hidden, 2)
+    for k, (layer, names) in enumerate(LAYERS.items()):
+        syn, mem = (np.broadcast_to(tau, sizes[k]) for tau in taus[2 * k : 2 * k + 2])
+        decays = dict(zip(("du", "dv"), (tensors[name] for name in names), strict=True))
+        nodes[layer] = _neurons(layer, syn, mem, step, _integers(config, **decays))
+    nodes["finish"] = nir.Output({"output": np.array([2])})
+    edges.append(("output", "finish"))
+    return nir.NIRGraph(nodes=nodes, edges=edges, metadata=_about(config, step))
+
+
+def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+    """Write the graph as an HDF5 file that `nir.read` reads."""
+    graph = nir_graph(config, tensors)
+    replace(path, lambda part: nir.write(str(part), graph))
+
+
+def _neurons(
+    layer: str, syn: NDArray[np.float64], mem: NDArray[np.float64], dt: float, metadata: dict
+) -> nir.NIRNode:
+    tau_syn, tau_mem = dt / (1 - syn), dt / (1 - mem)
+    common = {"tau_syn": tau_syn, "tau_mem": tau_mem, "r": tau_mem / dt, "v_leak": np.zeros(len(syn))}
+    common |= {"w_in": tau_syn / dt, "metadata": metadata}
+    if layer == "output":
+        return nir.CubaLI(**common)
+    return nir.CubaLIF(v_threshold=np.full(len(syn), THRESHOLD), **common)
+
+
+def _integers(config: NetworkConfig, **values: NDArray) -> dict[str, NDArray]:
+    return values if config.quantised else {}
+
+
+def _about(config: NetworkConfig, dt: float) -> dict:
+    offset, gain = input_scaling(config.inputs)
+    integers = {"vth": 128, "bias_exp": BIAS_EXP} if config.quantised else {}
+    return {
+        "dt": dt,
+        "steps_per_sample": config.steps_per_sample,
+        "input_offset": offset,
+        "input_gain_1024": gain,
+        "output_scale": config.output_scale,
+        **integers,
+    }

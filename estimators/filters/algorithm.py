@@ -1,0 +1,270 @@
+"""Compiled filters: what an algorithm is, and the estimator that runs one on n vehicles.
+
+An algorithm is one compiled step, `advance`, and two functions that loop over it, both of numba:
+
+    advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen) -> roll, pitch
+        Takes one sample: body rate [rad/s], and specific force [m/s²], zero if it is missing, and the
+        variance of what the vehicle turned unseen since the last sample [rad²], zero unless a rate is
+        missing. The state, size numbers, is column k of s, and is updated; the parameters are column k of p.
+    sequence(states, params, dt, gyro, accel, out)
+        Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. states
+        (p·n, COMMON + size) and params (p, k): parameter set i flies flight j in row i·n + j; params in the
+        order of `Algorithm.parameters`. gyro, accel (n, T, 3); out (p·n, T, 2).
+    score(states, params, dt, gyro, accel, target, squared_error)
+        Only the sums of squared errors (p, n) [rad²] against target (n, T, 2), parameter sets side by side.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadsim.config.toml import nearest
+from quadsim.rotation import quat_from_roll_pitch, quat_normalize
+
+from .samples import COMMON, SKIPPED, fresh
+
+Array = NDArray[np.float64]
+Scale = Literal["linear", "log", "one-minus-log"]
+FROM_VEHICLE = math.nan
+"""Default of a parameter that has none, for it is known of the vehicle."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a filter: its default, what is allowed, and where a search looks for it."""
+
+    default: float
+    low: float
+    """Lower end of the search."""
+    high: float
+    """Upper end of the search."""
+    scale: Scale = "log"
+    """How the search's [0, 1] maps to low…high: evenly, by factors, or by factors of the distance from 1."""
+    minimum: float = 0.0
+    maximum: float = math.inf
+    searched: bool = True
+    """False for a known constant that tuning leaves alone."""
+    per_sample: Literal["", "weight", "memory"] = ""
+    """What a number that acts once a sample does, so that it can be carried over to another sample rate."""
+
+    def at(self, unit: ArrayLike) -> Array:
+        """Value at a position of the search, 0…1 -> low…high."""
+        x = np.asarray(unit, dtype=np.float64)
+        match self.scale:
+            case "linear":
+                return self.low + (self.high - self.low) * x
+            case "log":
+                return self.low * (self.high / self.low) ** x
+            case "one-minus-log":
+                return 1.0 - (1.0 - self.low) * ((1.0 - self.high) / (1.0 - self.low)) ** x
+
+    def position(self, value: float) -> float:
+        """Where a value lies in the search, the inverse of `at`, within 0…1."""
+        low, high = self.low, self.high
+        match self.scale:
+            case "linear":
+                x = (value - low) / (high - low)
+            case "log":
+                x = math.log(max(value, low) / low) / math.log(high / low)
+            case "one-minus-log":
+                x = math.log(max(1.0 - value, 1.0 - high) / (1.0 - low)) / math.log(
+                    (1.0 - high) / (1.0 - low)
+                )
+        return min(max(x, 0.0), 1.0)
+
+    def carried(self, value: float, rate_ratio: float) -> float:
+        """The value that acts alike at another sample rate, old rate / new rate given."""
+        match self.per_sample:
+            case "memory":
+                return value**rate_ratio
+            case "weight":
+                return value * rate_ratio
+            case _:
+                return value
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """A compiled filter without data."""
+
+    name: str
+    parameters: Mapping[str, Parameter]
+    sequence: Callable[..., None]
+    score: Callable[..., None]
+    size: int
+    """Columns of state after the common ones."""
+    start: Callable[[Array, Array, bool, Array], None]
+    """start(own, quat, known, params): fill (rows, size) from quat (rows, 4) and params (rows, k)."""
+    quat: slice | None = None
+    """The filter's own columns that hold quat_WB."""
+    gyro_bias: slice | None = None
+    """Those that hold the gyroscope's bias."""
+    velocity: slice | None = None
+    """Those that hold the velocity, world axes at the filter's own heading."""
+
+
+def record_columns(state: np.dtype, field: str) -> slice:
+    """Columns of float64 that a field takes in a filter's own state, where that is a record."""
+    names = list(state.names or ())
+    ends = np.cumsum([state[name].itemsize // 8 for name in names])
+    last = int(ends[names.index(field)])
+    return slice(last - state[field].itemsize // 8, last)
+
+
+class Filter:
+    """A compiled filter flying n vehicles; follows `quadsim.estimator.AttitudeEstimator`."""
+
+    def __init__(self, algorithm: Algorithm, rate_hz: float, values: Mapping[str, float]) -> None:
+        """Make the filter for one vehicle; `reset` changes their number.
+
+        Args:
+            algorithm: What to run.
+            rate_hz: Samples per second.
+            values: All its parameters.
+        """
+        self.algorithm, self.rate_hz, self.values = algorithm, rate_hz, dict(values)
+        self._params = np.array([[values[name] for name in algorithm.parameters]])
+        self._sequence, self._dt = algorithm.sequence, 1.0 / rate_hz
+        self.reset()
+
+    def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None) -> None:
+        """Forget everything and start n vehicles: level, or at a known attitude.
+
+        Args:
+            n: Number of vehicles.
+            roll_pitch: (n, 2) [rad] one sample before the first update, or one pair for all.
+            quat: The same as quat_WB (n, 4); yaw then counts from it.
+
+        Raises:
+            ValueError: For shapes that do not fit, or both attitudes at once.
+        """
+        self._states = start(self.algorithm, self._params, n, roll_pitch, quat)
+        self._shape, self._sample = (n, 3), (n, 1, 3)
+
+    def restart(
+        self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
+    ) -> None:
+        """Start some of the vehicles again, the others fly on; attitudes (len(ids), ·) as in `reset`."""
+        rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
+        if rows.size > 0:
+            self._states[rows] = start(self.algorithm, self._params, rows.size, roll_pitch, quat)
+
+    def update(self, gyro: Array, accel: Array) -> Array:
+        """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
+        gyro = np.ascontiguousarray(gyro, dtype=np.float64)
+        accel = np.ascontiguousarray(accel, dtype=np.float64)
+        if gyro.shape != self._shape or accel.shape != self._shape:
+            raise ValueError(
+                f"gyro {gyro.shape} and accel {accel.shape} must both be {self._shape}, as in reset"
+            )
+        out = np.empty((self._shape[0], 1, 2))
+        self._sequence(
+            self._states, self._params, self._dt, gyro.reshape(self._sample), accel.reshape(self._sample), out
+        )  # fmt: skip
+        return out[:, 0]
+
+    def sequence(self, gyro: Array, accel: Array) -> Array:
+        """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
+        gyro, accel = paired(gyro, accel)
+        if len(gyro) != self._shape[0]:
+            raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {self._shape[0]}")
+        out = np.empty((*gyro.shape[:2], 2))
+        self._sequence(self._states, self._params, self._dt, gyro, accel, out)
+        return out
+
+    @property
+    def skipped(self) -> NDArray[np.int64]:
+        """Samples since reset that were missing in part or whole, (n,)."""
+        return self._states[:, SKIPPED].astype(np.int64)
+
+    @property
+    def quat(self) -> Array:
+        """Estimated quat_WB (n, 4)."""
+        return self._part("quat", "a quaternion")
+
+    @property
+    def gyro_bias(self) -> Array:
+        """Estimated gyroscope bias (n, 3) [rad/s]."""
+        return self._part("gyro_bias", "a gyroscope bias")
+
+    @property
+    def velocity(self) -> Array:
+        """Estimated velocity in the world axes of `quat`, (n, 3) [m/s]."""
+        return self._part("velocity", "a velocity")
+
+    def _part(self, attribute: str, what: str) -> Array:
+        columns: slice | None = getattr(self.algorithm, attribute)
+        if columns is None:
+            raise AttributeError(f"{self.algorithm.name} does not estimate {what}")
+        return self._states[:, COMMON:][:, columns].copy()
+
+
+def start(
+    algorithm: Algorithm,
+    params: Array,
+    n: int,
+    roll_pitch: ArrayLike | None = None,
+    quat: ArrayLike | None = None,
+) -> Array:
+    """State rows of parameter sets (p, k) on n flights, (p·n, COMMON + size), from one attitude a flight."""
+    attitude, known = initial_quat(n, roll_pitch, quat)
+    sets = len(params)
+    states = fresh(sets * n, algorithm.size)
+    algorithm.start(states[:, COMMON:], np.tile(attitude, (sets, 1)), known, np.repeat(params, n, axis=0))
+    return states
+
+
+def initial_quat(n: int, roll_pitch: ArrayLike | None, quat: ArrayLike | None) -> tuple[Array, bool]:
+    """Attitude to start from, quat_WB (n, 4), level if none is given, and whether one was given."""
+    if n < 1:
+        raise ValueError(f"n = {n}: an estimator needs at least one vehicle")
+    if roll_pitch is not None and quat is not None:
+        raise ValueError("give roll_pitch or quat, not both")
+    if quat is not None:
+        return quat_normalize(broadcast("quat", quat, (n, 4))), True
+    if roll_pitch is not None:
+        return quat_from_roll_pitch(broadcast("roll_pitch", roll_pitch, (n, 2))), True
+    return np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), False
+
+
+def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Finite float64 array of a shape, or ValueError."""
+    array = np.asarray(value, dtype=np.float64)
+    try:
+        full = np.broadcast_to(array, shape).copy()
+    except ValueError:
+        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}") from None
+    if not np.isfinite(full).all():
+        raise ValueError(
+            f"{name} must be finite; it has {np.count_nonzero(~np.isfinite(full))} values that are not"
+        )
+    return full
+
+
+def paired(gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:
+    """Two contiguous float64 sequences of the same shape (n, T, 3), or ValueError."""
+    gyro = np.ascontiguousarray(gyro, dtype=np.float64)
+    accel = np.ascontiguousarray(accel, dtype=np.float64)
+    if gyro.ndim != 3 or gyro.shape[-1] != 3 or gyro.shape != accel.shape:
+        raise ValueError(f"gyro {gyro.shape} and accel {accel.shape} must both have one shape (n, T, 3)")
+    return gyro, accel
+
+
+def checked(owner: str, parameters: Mapping[str, Parameter], given: Mapping[str, object]) -> dict[str, float]:
+    """The given parameters as floats; ValueError for an unknown name or a value out of range."""
+    values = {}
+    for name, value in given.items():
+        if name not in parameters:
+            raise ValueError(f'{owner} has no parameter "{name}"; {nearest(name, parameters)}')
+        parameter = parameters[name]
+        if not (isinstance(value, int | float | np.number) and math.isfinite(value)):
+            raise ValueError(f"{owner}: {name} = {value!r} is not a finite number")
+        if not parameter.minimum <= value <= parameter.maximum:
+            allowed = f"{parameter.minimum:g} to {parameter.maximum:g}"
+            raise ValueError(f"{owner}: {name} = {value:g} is outside {allowed}")
+        values[name] = float(value)
+    return values

@@ -1,0 +1,169 @@
+"""Where a network's neurons go on a Loihi chip, and whether they fit.
+
+A chip has 128 cores. The limits of one: 1024 compartments, 128 KiB of synaptic memory, 4096 fan-in and 4096
+fan-out axons (Davies et al. 2018); 32 decay profiles and 16 thresholds (registers, as in nengo-loihi).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .neurons import DECAY_ONE, LoihiLayer
+
+Ints = NDArray[np.int64]
+
+CORES = 128
+LIMITS = {
+    "compartments": 1024,
+    "profiles": 32,
+    "thresholds": 16,
+    "fan-in axons": 4096,
+    "fan-out axons": 4096,
+    "synaptic bits": 128 * 1024 * 8,
+}
+"""What one core holds."""
+_WEIGHT_BITS, _HEADER_BITS, _BLOCK, _WORD_BITS = 8, 10, 64, 64
+_INDEX_BITS = (6, 7, 8, 9, 10)
+
+
+@dataclass
+class Core:
+    """The neurons of one core.
+
+    Args:
+        sources: Number of sources of spikes in the whole network.
+    """
+
+    sources: int
+    neurons: dict[int, list[int]] = field(default_factory=dict)
+    """Layer to the neurons of that layer."""
+    profiles: set[tuple[int, int]] = field(default_factory=set)
+    """Distinct (du, dv)."""
+    thresholds: set[int] = field(default_factory=set)
+    fan_out: int = 0
+    """Axons to other cores or to itself."""
+
+    def __post_init__(self) -> None:
+        """Start without synapses."""
+        self.synapses = np.zeros(self.sources, np.int64)
+        """Synapses of each source on this core."""
+
+    def used(self) -> dict[str, int]:
+        """How much of each limit is used."""
+        count = sum(map(len, self.neurons.values()))
+        return {
+            "compartments": count,
+            "profiles": len(self.profiles),
+            "thresholds": len(self.thresholds),
+            "fan-in axons": int(np.count_nonzero(self.synapses)),
+            "fan-out axons": self.fan_out,
+            "synaptic bits": synaptic_bits(self.synapses, count),
+        }
+
+    def with_neuron(self, layer: int, neuron: int, profile: tuple[int, int], vth: int, inputs: Ints) -> Core:
+        """A core that holds one neuron more, whose synapses come from the sources `inputs`."""
+        neurons = {**self.neurons, layer: [*self.neurons.get(layer, ()), neuron]}
+        core = Core(self.sources, neurons, self.profiles | {profile}, self.thresholds | {vth})
+        core.synapses = self.synapses.copy()
+        core.synapses[inputs] += 1
+        return core
+
+
+def synaptic_bits(synapses: Ints, compartments: int) -> int:
+    """Memory of a core's synapses, stored as lists of weight and target for each fan-in axon.
+
+    A weight takes 8 bits, its target 6 to 10; a list is cut into blocks of 64 with a head of 10 bits, padded
+    to words of 64 bits.
+
+    Args:
+        synapses: Number of synapses of each axon, (axons,).
+        compartments: Neurons on the core.
+    """
+    needed = max(compartments - 1, 0).bit_length()
+    each = _WEIGHT_BITS + next((bits for bits in _INDEX_BITS if bits >= needed), _INDEX_BITS[-1])
+    whole, rest = np.divmod(synapses, _BLOCK)
+
+    def words(count: Ints | int) -> Ints:
+        return -(-(np.asarray(count) * each + _HEADER_BITS) // _WORD_BITS)
+
+    return int(_WORD_BITS * np.sum(whole * words(_BLOCK) + np.where(rest > 0, words(rest), 0)))
+
+
+def excess(core: Core) -> list[str]:
+    """Every limit of a core that is exceeded, and by how much; empty where it fits."""
+    return [
+        f"{used} {name}, a core has {LIMITS[name]}: {used - LIMITS[name]} too many"
+        for name, used in core.used().items()
+        if used > LIMITS[name]
+    ]
+
+
+def partition(layers: Sequence[LoihiLayer]) -> list[Core]:
+    """Place a network: layer after layer, neurons of one profile together, a new core when the last is full.
+
+    Args:
+        layers: From the input to the output.
+
+    Returns:
+        The cores in use.
+
+    Raises:
+        ValueError: A limit of a core or of the chip is exceeded; the message says which, and by how much.
+    """
+    starts = _starts(layers)
+    sources = int(starts[-1])
+    core, cores = Core(sources), []
+    for k, layer in enumerate(layers):
+        fan_in, profiles, vth = _fan_in(layer, int(starts[k])), decay_profiles(layer), np.asarray(layer.vth)
+        for neuron in np.lexsort(profiles.T):
+            i = int(neuron)
+            profile = int(profiles[i, 0]), int(profiles[i, 1])
+            grown = core.with_neuron(k, i, profile, int(vth[i]), fan_in[i])
+            if excess(grown):
+                alone = Core(sources).with_neuron(k, i, profile, int(vth[i]), fan_in[i])
+                if wrong := excess(alone):
+                    raise ValueError(f"neuron {i} of layer {k}: {wrong[0]}")
+                cores.append(core)
+                grown = alone
+            core = grown
+    cores.append(core)
+    if len(cores) > CORES:
+        raise ValueError(
+            f"the network needs {len(cores)} cores, a chip has {CORES}: {len(cores) - CORES} too many"
+        )
+    _count_fan_out(cores, starts)
+    for number, placed in enumerate(cores):
+        if wrong := excess(placed):
+            raise ValueError(f"core {number}: {wrong[0]}")
+    return cores
+
+
+def decay_profiles(layer: LoihiLayer) -> Ints:
+    """(du, dv) of each neuron, (out, 2); du of a layer that no spike enters is free, and stands at 4096."""
+    driven = np.asarray(layer.w_in).shape[1] > 0 or layer.w_rec is not None
+    du = np.asarray(layer.du) if driven else np.full_like(np.asarray(layer.dv), DECAY_ONE)
+    return np.stack([du, np.asarray(layer.dv)], axis=1)
+
+
+def _starts(layers: Sequence[LoihiLayer]) -> Ints:
+    """First source of each layer, as in the emulator: the network's input comes first."""
+    widths = [np.asarray(layers[0].w_in).shape[1], *(np.asarray(layer.w_in).shape[0] for layer in layers)]
+    return np.cumsum(widths)
+
+
+def _fan_in(layer: LoihiLayer, start: int) -> list[Ints]:
+    """The sources that each neuron of a layer has synapses from."""
+    w_in = np.asarray(layer.w_in)
+    weights = w_in if layer.w_rec is None else np.concatenate([w_in, np.asarray(layer.w_rec)], axis=1)
+    return [start - w_in.shape[1] + np.flatnonzero(row) for row in weights]
+
+
+def _count_fan_out(cores: Sequence[Core], starts: Ints) -> None:
+    """Axons of each core: one for every neuron and every core that the neuron has synapses on."""
+    reached = np.sum([core.synapses > 0 for core in cores], axis=0)
+    for core in cores:
+        core.fan_out = sum(int(reached[starts[k] + np.array(each)].sum()) for k, each in core.neurons.items())

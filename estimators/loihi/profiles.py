@@ -1,0 +1,56 @@
+"""Few decay profiles instead of one a neuron, so that a network fits on fewer cores."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
+
+from ..networks.weights_file import Tensors
+
+Array = NDArray[np.float64]
+
+
+def share_profiles(tensors: Tensors, profiles: int = 32, seed: int = 0) -> Tensors:
+    """The weights of a quantised Att-SNN with at most so many distinct (du, dv) on the chip.
+
+    Time constants are grouped by their logarithms (k-means, 20 starts). The encoding layer's currents live on
+    the host, so it needs profiles for its membranes alone; the outputs need one. What is left is divided
+    between the two layers so that the logarithms move least.
+
+    Args:
+        tensors: Weights with `syn`, `mem` as the chip's decays.
+        profiles: Of the whole network, at least 3.
+        seed: Of the starts.
+
+    Raises:
+        ValueError: Fewer profiles.
+    """
+    if profiles < 3:
+        raise ValueError(f"profiles: {profiles}, should be at least 3, one for each layer")
+    left = profiles - 1
+    encoding = np.log(tensors["mem0"].astype(np.float64))[:, None]
+    hidden = np.log(np.stack([tensors["syn1"], tensors["mem1"]], 1).astype(np.float64))
+    best, least = (encoding, hidden), np.inf
+    for first in range(1, left):
+        moved = [_grouped(x, k, seed) for x, k in ((encoding, first), (hidden, left - first))]
+        cost = sum(float(np.sum((a - b) ** 2)) for a, b in zip(moved, (encoding, hidden), strict=True))
+        if cost < least:
+            best, least = (moved[0], moved[1]), cost
+    decays = {"mem0": best[0][:, 0], "syn1": best[1][:, 0], "mem1": best[1][:, 1]}
+    return tensors | {name: np.rint(np.exp(x)).astype(np.int16) for name, x in decays.items()}
+
+
+def _grouped(points: Array, groups: int, seed: int) -> Array:
+    """Each point (n, d) replaced by the centre of its group."""
+    distinct = np.unique(points, axis=0)
+    if len(distinct) <= groups:
+        return points
+    best, least = points, np.inf
+    for start in range(20):
+        rng = np.random.default_rng([seed, start])
+        centres, group = kmeans2(points, groups, minit="++", rng=rng, missing="warn")
+        cost = float(np.sum((points - centres[group]) ** 2))
+        if cost < least:
+            best, least = centres[group], cost
+    return best

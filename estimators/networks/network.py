@@ -1,0 +1,282 @@
+"""Trained networks as estimators: Att-SNN in float64 and on emulated Loihi, and its non-spiking twin Att-RNN.
+
+A network gets scaled readings and nothing else (`estimators.networks.encoder`): there is no filter in front
+of it and no connection from its inputs to its outputs beside the neurons. As in the paper, it never
+gets the initial attitude. Nothing here imports torch: inference is compiled.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadsim.runs.compiled import njit
+
+from ..loihi.chip import partition
+from ..loihi.neurons import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
+from .encoder import INPUT_STATE, encode_sample, encoded, input_scaling
+from .forward import BIAS_EXP, run_network, zero_state
+from .gru import run_gru
+from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
+
+Array = NDArray[np.float64]
+States = tuple[NDArray[np.generic], ...]
+
+
+def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
+    """Make a network estimator.
+
+    Args:
+        name: "att-snn" (float64), "att-snn-loihi" (the same network in integers) or "att-rnn".
+        rate_hz: Samples per second; the one that the weights were trained for.
+        weights: Weights file; None: the ones that ship.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: Unknown name, a file of another kind of network, or another sample rate.
+    """
+    if name not in ("att-snn", "att-snn-loihi", "att-rnn"):
+        raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
+    model = name.removesuffix("-loihi")
+    config, tensors = shipped_network(model) if weights is None else load_network(weights)
+    if config.model != model:
+        raise ValueError(f"{weights}: weights of {config.model}, {name} needs {model}")
+    if not np.isclose(rate_hz, config.rate_hz):
+        raise ValueError(f"{name}: the weights are for {config.rate_hz:g} Hz, not for {rate_hz:g} Hz")
+    if name == "att-rnn":
+        return NetworkEstimator(Recurrent(config, tensors), rate_hz)
+    if name == "att-snn":
+        return NetworkEstimator(Spiking(config, tensors), rate_hz)
+    return NetworkEstimator(OnLoihi(config, tensors), rate_hz)
+
+
+class Core(Protocol):
+    """A network without memory of its own: states go in, are changed, and outputs come back."""
+
+    def zero(self, n: int) -> States:
+        """States of `n` vehicles at the start, each array with one row per vehicle."""
+        ...
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        ...
+
+
+class NetworkEstimator:
+    """A network that estimates the attitude of n vehicles: the estimator protocol around a `Core`.
+
+    A network never gets the initial attitude, as in the paper: `reset` and `restart` accept one, as those of
+    every estimator do, and ignore it.
+
+    Args:
+        core: The network.
+        rate_hz: Samples per second.
+    """
+
+    def __init__(self, core: Core, rate_hz: float) -> None:
+        """Start with one vehicle of unknown attitude."""
+        self.core, self.rate_hz = core, rate_hz
+        self.reset()
+
+    def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
+        """Forget everything and start n vehicles.
+
+        Args:
+            n: How many.
+            roll_pitch: Initial attitude, shape (n, 2) [rad]; ignored.
+
+        Raises:
+            ValueError: An initial attitude of another shape, or not finite.
+        """
+        _check_attitude(roll_pitch, n)
+        self._states = self.core.zero(n)
+
+    def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
+        """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
+        rows = np.arange(len(self._states[0]))[np.asarray(ids)]
+        _check_attitude(roll_pitch, rows.size)
+        for mine, fresh in zip(self._states, self.core.zero(rows.size), strict=True):
+            mine[rows] = fresh
+
+    def update(self, gyro: Array, accel: Array) -> Array:
+        """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
+        n = len(self._states[0])
+        gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
+        if gyro.shape != (n, 3) or accel.shape != (n, 3):
+            raise ValueError(f"sample: gyro {gyro.shape} and accel {accel.shape}, should be ({n}, 3)")
+        out = np.empty((n, 1, 2))
+        self.core.run(self._states, gyro.reshape(n, 1, 3), accel.reshape(n, 1, 3), out)
+        return out[:, 0]
+
+    def sequence(self, gyro: ArrayLike, accel: ArrayLike) -> Array:
+        """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""
+        gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
+        n = len(self._states[0])
+        if gyro.ndim != 3 or gyro.shape != accel.shape or gyro.shape[0] != n or gyro.shape[2] != 3:
+            raise ValueError(f"sequence: gyro {gyro.shape} and accel {accel.shape}, should be ({n}, T, 3)")
+        out = np.empty((*gyro.shape[:2], 2))
+        self.core.run(self._states, gyro, accel, out)
+        return out
+
+    @property
+    def skipped(self) -> NDArray[np.int64]:
+        """Samples since the start that were missing in part or whole, shape (n,)."""
+        return self._states[0][:, 6].astype(np.int64)
+
+
+class Spiking:
+    """Att-SNN in float64; the quantised one with the numbers of the chip."""
+
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Lay the weights out for the kernel."""
+        one = 2.0**14 if config.quantised else 1.0
+        weights, taus = real_weights(config, tensors)
+        self._weights = np.concatenate([w.T.ravel() for w in weights]) * one
+        self._taus = np.concatenate(taus)
+        self._sizes = (config.encoding, config.hidden, config.recurrent_delay, config.steps_per_sample)
+        self._quantised, self._scale = config.quantised, config.output_scale / one
+        self._scaling = input_scaling(config.inputs)
+
+    def zero(self, n: int) -> States:
+        """Everything at rest."""
+        return (np.zeros((n, INPUT_STATE)), *zero_state(n, *self._sizes[:2]))
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        inputs, state, spikes = states
+        x = encoded(self._scaling, gyro, accel, inputs)
+        run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
+        out *= self._scale
+
+
+class OnLoihi:
+    """Att-SNN in integers: the encoding current on the host, all that spikes and the outputs on the chip.
+
+    Raises:
+        ValueError: The network is not quantised, not in the chip's time convention, or does not fit.
+    """
+
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Place the network on the chip."""
+        if not config.quantised or config.recurrent_delay != 1:
+            raise ValueError("att-snn-loihi needs quantised weights and a recurrent delay of 1")
+        w = {name: value.astype(np.int64) for name, value in tensors.items()}
+        self.chip = LoihiNetwork(
+            [
+                LoihiLayer(w_in=None, dv=w["mem0"], bias_exp=BIAS_EXP),
+                LoihiLayer(w_in=w["w_ff"], w_rec=w["w_rec"], du=w["syn1"], dv=w["mem1"]),
+                LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX),
+            ]
+        )
+        self.cores = partition(self.chip.layers)
+        self.host = *input_scaling(config.inputs), np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"]
+        """What the host encodes with: offset and gain of the inputs, weights (6, h0) and decays (h0,)."""
+        self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
+
+    def zero(self, n: int) -> States:
+        """Everything at rest."""
+        current = np.zeros((n, self.chip.sizes[0]), np.int64)
+        return (np.zeros((n, INPUT_STATE)), current, *self.chip.zero_state(n))
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        parameters = self.chip.parameters
+        _run_on_loihi(gyro, accel, *self.host, self.steps, self.scale, states, parameters, out)
+
+
+class Recurrent:
+    """Att-RNN: two GRU layers and a linear output, in float32."""
+
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Lay the weights out for the kernel."""
+        self._weights = tuple(
+            np.ascontiguousarray(tensors[f"gru.{kind}_l{layer}"].T, np.float32)
+            for layer in (0, 1)
+            for kind in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+        )
+        self._out = (
+            np.ascontiguousarray(tensors["out.weight"], np.float32),
+            tensors["out.bias"].astype(np.float32),
+        )
+        self._sizes, self._scale = (config.encoding, config.hidden), config.output_scale
+        self._scaling = input_scaling(config.inputs)
+
+    def zero(self, n: int) -> States:
+        """Everything at rest."""
+        return (np.zeros((n, INPUT_STATE)), *(np.zeros((n, units), np.float32) for units in self._sizes))
+
+    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        inputs, h0, h1 = states
+        x = encoded(self._scaling, gyro, accel, inputs)
+        run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
+        out *= self._scale
+
+
+def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], list[Array]]:
+    """Weights (4) and time constants (6) of a spiking network in units of 1.0, in the order of the layers."""
+    one = 256 if config.quantised else 1
+    weights = [tensors[name].astype(np.float64) / one for name in ("w_in", "w_ff", "w_rec", "w_out")]
+    taus = [tensors[name].astype(np.float64) for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2")]
+    return weights, [1 - tau / 4096 for tau in taus] if config.quantised else taus
+
+
+def silenced(config: NetworkConfig, tensors: Tensors) -> Tensors:
+    """The same weights with output weights of zero.
+
+    The error of that network, the *silenced error*, stands beside every error of a network: what the two have
+    in common is not the work of its neurons.
+    """
+    names = ("w_out",) if config.model == "att-snn" else ("out.weight", "out.bias")
+    return tensors | {name: np.zeros_like(tensors[name]) for name in names}
+
+
+def _check_attitude(roll_pitch: ArrayLike | None, n: int) -> None:
+    if roll_pitch is None:
+        return
+    known = np.asarray(roll_pitch, dtype=np.float64)
+    if known.shape != (n, 2):
+        raise ValueError(f"roll_pitch: shape {known.shape}, should be ({n}, 2)")
+    if not np.isfinite(known).all():
+        raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
+
+
+@njit(cache=True)
+def _run_on_loihi(gyro, accel, offset, gain, w_in, du, steps, scale, states, parameters, out):
+    inputs, current, before, after, u, v, bias = states
+    outputs = v[:, v.shape[1] - out.shape[2] :]
+    for t in range(gyro.shape[1]):
+        for n in range(gyro.shape[0]):
+            encode_sample(gyro[n, t], accel[n, t], offset, gain, inputs[n])
+        for _ in range(steps):
+            for n in range(gyro.shape[0]):
+                drive(inputs[n], w_in, du, current[n], bias[n])
+            step_arrays(before, after, u, v, bias, *parameters)
+        for n in range(gyro.shape[0]):
+            for k in range(out.shape[2]):
+                out[n, t, k] = outputs[n, k] * scale
+
+
+@njit(cache=True)
+def drive(x, w_in, du, current, bias):
+    """Advance the host's currents of the encoding layer by one step; write them as bias mantissas.
+
+    Args:
+        x: Integer inputs, shape (6,) or longer.
+        w_in: Mantissas of the encoding weights, shape (6, h0).
+        du: Decays of the currents, shape (h0,).
+        current: Currents [state units], shape (h0,); changed.
+        bias: Bias mantissas of the chip's neurons, whose first h0 are the encoding layer; changed.
+    """
+    total = np.zeros(current.size, np.int32)
+    for k in range(w_in.shape[0]):
+        value, row = np.int32(x[k]), w_in[k]
+        for i in range(total.size):
+            total[i] += value * row[i]
+    for i in range(current.size):
+        # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
+        current[i] = wrap(decay(current[i], du[i]) + shift(int(total[i]), 4), 23)
+        bias[i] = min(max(shift(current[i], BIAS_EXP), -BIAS_MANT_MAX), BIAS_MANT_MAX)

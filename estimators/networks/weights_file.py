@@ -1,0 +1,205 @@
+"""Networks on disk: safetensors files that say in their metadata how the network is to be run."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, JsonValue, ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from quadsim.config.ranges import Between, ForceVector, SampleRate
+from quadsim.config.toml import Strict, describe
+from quadsim.runs.files import write_whole
+
+Tensors = dict[str, NDArray[Any]]
+END = ".safetensors"
+FORMAT = "2"
+"""Version of the files, in their metadata. Files of quadsim 0.1 have none."""
+
+
+ForceRange = Annotated[float, Between(1e-3, 1e4, "m/s²")]
+Neurons = Annotated[int, Between(1, 4096)]
+OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
+StepsPerSample = Annotated[int, Between(1, 16)]
+
+
+class InputScaling(Strict):
+    """What the network's inputs are: (reading - offset) / range, gyroscope first."""
+
+    gyro: Annotated[float, Between(1e-3, 1e4, "rad/s")] = 2.5
+    """Body rate of an input of 1.0 [rad/s]."""
+    accel: tuple[ForceRange, ForceRange, ForceRange] = (1.0, 1.0, 4.0)
+    """Specific force, less the offset, of an input of 1.0 [m/s²]."""
+    accel_offset: ForceVector = (0.0, 0.0, 9.81)
+    """Specific force of an input of 0 [m/s²]."""
+
+
+PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))
+
+
+class NetworkConfig(Strict):
+    """How a network is run, and where its weights come from."""
+
+    model: Literal["att-snn", "att-rnn"]
+    rate_hz: SampleRate = 200.0
+    """Samples per second that it was trained for."""
+    encoding: Neurons = 100
+    """Neurons of the encoding layer (att-rnn: units of the first GRU)."""
+    hidden: Neurons = 100
+    """Neurons of the recurrent layer (att-rnn: units of the second GRU)."""
+    inputs: InputScaling = InputScaling()
+    quantised: bool = True
+    """Whole numbers in the chip's ranges (att-snn)."""
+    recurrent_delay: Literal[1, 2] = 1
+    """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
+    steps_per_sample: StepsPerSample = 1
+    """Network steps for each IMU sample."""
+    output_scale: OutputScale = 1.0
+    """Radians for an output potential of 1.0."""
+    training: dict[str, JsonValue] = Field(default_factory=dict)
+    """Data, seed, epochs, commit, validation error."""
+
+
+def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the tensors of a network."""
+    h0, h1 = config.encoding, config.hidden
+    if config.model == "att-snn":
+        weights = {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (2, h1)}
+        taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
+        return {**weights, **taus}
+    shapes: dict[str, tuple[int, ...]] = {"out.weight": (2, h1), "out.bias": (2,)}
+    for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
+        shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
+        shapes |= {f"gru.weight_hh_l{layer}": (3 * units, units), f"gru.bias_hh_l{layer}": (3 * units,)}
+    return shapes
+
+
+def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
+    """Numbers that a network is made of: connections (weights other than 0), time constants and biases."""
+    return sum(
+        int(np.count_nonzero(value)) if name.startswith("w_") else value.size
+        for name, value in tensors.items()
+    )
+
+
+def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
+    """Write a network.
+
+    Args:
+        path: File to write.
+        config: How to run it.
+        tensors: Its weights. Spiking: float time constants and weights where `quantised` is false; otherwise
+            int16, weights as mantissas of 1/256 and `syn`, `mem` as the chip's decays, 4096 (1 - τ).
+
+    Raises:
+        ValueError: Tensors that do not fit the configuration.
+    """
+    _check(Path(path), config, dict(tensors))
+    plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+    metadata = {"format": FORMAT, "config": config.model_dump_json()}
+    write_whole(path, _ordered(save(plain, metadata=metadata)))
+
+
+def _ordered(content: bytes) -> bytes:
+    """A safetensors file with the keys of its header sorted; the library's order of metadata is random."""
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    text = json.dumps(header, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    return content[:8] + text.ljust(size) + content[8 + size :]
+
+
+def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
+    """Read a network that `save_network` wrote.
+
+    Args:
+        path: The file, or the name of weights that ship, such as "att-snn".
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: One line: not such a file, or tensors of the wrong shape or type.
+    """
+    if str(path) in shipped_names():
+        return shipped_network(str(path))
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such weights file; shipped: {', '.join(shipped_names())}")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+    except SafetensorError as error:
+        raise ValueError(f"{path}: not a safetensors file ({error})") from error
+    except Exception as error:  # of a type that NumPy does not have, such as bfloat16
+        raise ValueError(f"{path}: its tensors cannot be read: {error}") from error
+    if "config" not in metadata:
+        raise ValueError(f"{path}: no network configuration in the metadata")
+    _check_format(path, metadata)
+    try:
+        config = NetworkConfig.model_validate_json(metadata["config"])
+    except ValidationError as error:
+        wrong = describe(error, NetworkConfig)
+        raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error
+    _check(path, config, tensors)
+    return config, tensors
+
+
+def shipped_names() -> list[str]:
+    """Names of the weights that ship with the package."""
+    found = (files("assets") / "weights").iterdir()
+    return sorted(each.name.removesuffix(END) for each in found if each.name.endswith(END))
+
+
+def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
+    """Weights that ship with the package, by one of `shipped_names()`."""
+    with as_file(files("assets") / "weights" / f"{model}.safetensors") as path:
+        return load_network(path)
+
+
+def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
+    found = metadata.get("format")
+    if found is None:
+        commit = re.search(r'"commit": ?"(\w+)"', metadata["config"])
+        code = f" (code at {commit[1]})" if commit else ""
+        raise ValueError(
+            f"{path}: weights of quadsim 0.1{code}, whose networks stood behind a filter on the host; "
+            "train them anew with `quadsim train`, or use quadsim 0.1"
+        )
+    if found != FORMAT:
+        raise ValueError(f"{path}: weights of format {found!r}, this version of quadsim reads {FORMAT!r}")
+
+
+def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
+    wanted = expected_shapes(config)
+    if missing := sorted(set(wanted) - set(tensors)):
+        raise ValueError(f"{path}: tensor {missing[0]} is missing")
+    if extra := sorted(set(tensors) - set(wanted)):
+        raise ValueError(f"{path}: unknown tensor {extra[0]}, {config.model} has {', '.join(wanted)}")
+    whole = config.model == "att-snn" and config.quantised
+    for name, shape in wanted.items():
+        value = tensors[name]
+        if value.shape != shape:
+            raise ValueError(f"{path}: tensor {name} has shape {value.shape}, should be {shape}")
+        if whole != (value.dtype == np.int16) or (not whole and value.dtype.kind != "f"):
+            raise ValueError(
+                f"{path}: tensor {name} is {value.dtype}, should be {'int16' if whole else 'float'}"
+            )
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"{path}: tensor {name} has values that are not finite")
+        if whole:
+            _check_chip(path, name, value)
+
+
+def _check_chip(path: Path, name: str, value: NDArray[np.int16]) -> None:
+    low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
+    if value.min() < low or value.max() > high:
+        raise ValueError(f"{path}: tensor {name} spans {value.min()}...{value.max()}, allowed {low}...{high}")
+    if name.startswith("w_") and np.any(value % 2):
+        raise ValueError(f"{path}: tensor {name} has odd mantissas, only even ones exist")

@@ -1,0 +1,253 @@
+"""Estimators by name: make one with its parameters."""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadsim.config.ranges import SAMPLE_RATE
+from quadsim.config.toml import nearest
+from quadsim.estimator import AttitudeEstimator
+from quadsim.imu.spec import ImuSpec, load_imu
+from quadsim.vehicle import Vehicle, load_vehicle
+
+from .custom import own
+from .filters import ekf
+from .filters.algorithm import Algorithm, Filter, Parameter, checked
+from .filters.complementary import ADAPTIVE, COMPLEMENTARY
+from .filters.ekf import EKF
+from .filters.ekf_drag import EKF_DRAG, drag_of
+from .filters.eskf import ESKF
+from .filters.madgwick import MADGWICK
+from .filters.mahony import MAHONY
+from .truth import Truth
+from .tuning.tuned import misfit, tuned_for
+
+Array = NDArray[np.float64]
+
+COMPILED: dict[str, Algorithm] = {
+    a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK, EKF, ESKF, EKF_DRAG)
+}
+FILTERPY = ("ekf-filterpy", "ukf-filterpy")
+NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
+DEFAULT_RATE_HZ = 200.0
+"""Sample rate to which the untuned defaults belong."""
+
+
+def names() -> list[str]:
+    """Every name that `create` knows."""
+    return ["truth", *COMPILED, *FILTERPY, "vqf", *NETWORKS]
+
+
+def parameters(name: str) -> Mapping[str, Parameter]:
+    """Numeric parameters of an estimator, with their defaults and the range in which tuning looks for them.
+
+    Raises:
+        ValueError: For an unknown name.
+    """
+    _known(name)
+    if name in COMPILED:
+        return COMPILED[name].parameters
+    if name in FILTERPY:
+        return ekf.PARAMETERS
+    if name == "vqf":
+        from .filters.vqf_filter import PARAMETERS
+
+        return PARAMETERS
+    return {}
+
+
+def is_weights(name: str) -> bool:
+    """Whether a name is the path of a network's weights."""
+    return name.endswith(".safetensors")
+
+
+def create(
+    name: str,
+    rate_hz: float = 200.0,
+    *,
+    tuning: str | Path | None = None,
+    vehicle: str | Path | Vehicle | None = None,
+    imu: str | Path | ImuSpec | None = None,
+    **params: float | str | Path | None,
+) -> AttitudeEstimator:
+    """Make an estimator.
+
+    Args:
+        name: One of `names()`, the path of a network's weights, which ends in .safetensors, or
+            "module:Class" of your own estimator, which is made with `rate_hz`.
+        rate_hz: Samples per second.
+        tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
+            `quadsim tune`; None for the shipped domain of the vehicle and the IMU.
+        vehicle: The airframe, by its name, file or model: shipped parameters are those tuned for it, where
+            there are such, and ekf-drag takes its drag from there. The others need none.
+        imu: The IMU, likewise.
+        params: The filter's own parameters; for a network `weights`.
+
+    Raises:
+        ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
+    """
+    if is_weights(name):
+        from .networks.weights_file import load_network
+
+        return _network(load_network(name)[0].model, rate_hz, params | {"weights": name})
+    if ":" in name:
+        return own(name, rate_hz)
+    _known(name)
+    SAMPLE_RATE.of("rate_hz", rate_hz)
+    if name == "truth":
+        checked(name, {}, params)
+        return Truth(rate_hz)
+    if name in NETWORKS:
+        return _network(name, rate_hz, params)
+    airframe, sensor = loaded(vehicle, imu)
+    known = airframe_constants(name, airframe)
+    values = _values(name, rate_hz, known | params, tuning, airframe, sensor)
+    if name in FILTERPY:
+        from .filters.filterpy_filters import FilterpyFilter
+
+        return FilterpyFilter("ekf" if name == "ekf-filterpy" else "ukf", rate_hz, **values)
+    if name == "vqf":
+        from .filters.vqf_filter import VqfFilter
+
+        return VqfFilter(rate_hz, values)
+    return Filter(COMPILED[name], rate_hz, values)
+
+
+def loaded(
+    vehicle: str | Path | Vehicle | None, imu: str | Path | ImuSpec | None
+) -> tuple[Vehicle | None, ImuSpec | None]:
+    """A vehicle and an IMU, each given by its name, file or model.
+
+    Raises:
+        ValueError: There is no such one, or what was given is neither.
+    """
+    for key, value, model in (("vehicle", vehicle, Vehicle), ("imu", imu, ImuSpec)):
+        if not isinstance(value, str | Path | model | None):
+            raise ValueError(f"{key} = {value!r}: should be a name, the path of a TOML file, or the model")
+    return (
+        load_vehicle(vehicle) if isinstance(vehicle, str | Path) else vehicle,
+        load_imu(imu) if isinstance(imu, str | Path) else imu,
+    )
+
+
+def tuning_misfit(
+    name: str, tuning: str | Path | None, vehicle: str | Path | Vehicle, imu: str | Path | ImuSpec
+) -> str:
+    """In words, what an estimator's parameters were tuned for and does not fly; empty where all is as tuned.
+
+    Args:
+        name: Estimator.
+        tuning: As in `create`.
+        vehicle: What is flown, as in `create`.
+        imu: What it carries, as in `create`.
+    """
+    airframe, sensor = loaded(vehicle, imu)
+    if name not in names() or not parameters(name) or airframe is None or sensor is None:
+        return ""
+    tuned = tuned_for(name, tuning, airframe, sensor)
+    return "" if tuned is None else misfit(tuned, airframe, sensor)
+
+
+def tuned_elsewhere(
+    estimators: Iterable[str],
+    tuning: str | Path | None,
+    vehicle: str | Path | Vehicle | None,
+    imu: str | Path | ImuSpec | None,
+) -> list[str]:
+    """A sentence for each other vehicle or IMU that parameters were tuned for; none where that is not known.
+
+    Args:
+        estimators: Names of estimators.
+        tuning: As in `create`.
+        vehicle: What flew, as in `create`.
+        imu: What it carried, as in `create`.
+    """
+    found: dict[str, list[str]] = {}
+    if vehicle is not None and imu is not None:
+        for name in estimators:
+            if other := tuning_misfit(name, tuning, vehicle, imu):
+                found.setdefault(other, []).append(name)
+    return [f"Tuned for {other}, not for what flew: {', '.join(who)}." for other, who in found.items()]
+
+
+def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
+    """Columns (p,) as p dictionaries.
+
+    Raises:
+        ValueError: If the columns differ in length.
+    """
+    if not params:
+        return [{}]
+    columns = [np.atleast_1d(np.asarray(column, dtype=np.float64)) for column in params.values()]
+    if len({column.shape for column in columns}) > 1 or columns[0].ndim != 1:
+        shapes = ", ".join(f"{key} {column.shape}" for key, column in zip(params, columns, strict=True))
+        raise ValueError(f"all parameters must have one shape (p,): {shapes}")
+    return [dict(zip(params, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
+
+
+def parameter_matrix(
+    name: str, params: Mapping[str, ArrayLike], rate_hz: float, known: Mapping[str, float] | None = None
+) -> Array:
+    """All parameters of p sets of a compiled filter, (p, k): given, else known, else tuned or default."""
+    sets = parameter_sets(params)
+    return np.array([list(_values(name, rate_hz, dict(known or {}) | each, None).values()) for each in sets])
+
+
+def _known(name: str) -> None:
+    if name not in names():
+        raise ValueError(f'unknown estimator "{name}"; {nearest(name, names())}')
+
+
+def _values(
+    name: str,
+    rate_hz: float,
+    params: Mapping[str, object],
+    tuning: str | Path | None,
+    vehicle: Vehicle | None = None,
+    imu: ImuSpec | None = None,
+) -> dict[str, float]:
+    """Every parameter of a filter, in order: what is given, else tuned, else the default."""
+    spec = parameters(name)
+    given = checked(name, spec, params)
+    tuned = tuned_for(name, tuning, vehicle, imu)
+    found = {} if tuned is None else checked(f"{tuning or 'tuning'}: {name}", spec, tuned.values)
+    tuned_rate = DEFAULT_RATE_HZ if tuned is None else tuned.rate_hz
+    elsewhere = {key: found.get(key, each.default) for key, each in spec.items()}
+    ratio = tuned_rate / rate_hz
+    values = {key: given.get(key, spec[key].carried(value, ratio)) for key, value in elsewhere.items()}
+    if missing := [key for key, value in values.items() if math.isnan(value)]:
+        raise ValueError(
+            f"{name} needs a vehicle, for its drag: give --vehicle (in Python vehicle=), a shipped name or a "
+            f"TOML file, or {' and '.join(missing)}"
+        )
+    return values
+
+
+def airframe_constants(name: str, vehicle: str | Path | Vehicle | None) -> dict[str, float]:
+    """Parameters of an estimator that are known of a vehicle, given by its name, file or model.
+
+    Raises:
+        ValueError: No such vehicle, or a file that is not one.
+    """
+    airframe, _ = loaded(vehicle, None)
+    return {} if name != "ekf-drag" or airframe is None else drag_of(airframe)
+
+
+def needs_vehicle(name: str) -> bool:
+    """Whether an estimator has parameters that only a vehicle gives."""
+    return any(math.isnan(each.default) for each in parameters(name).values())
+
+
+def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> AttitudeEstimator:
+    from .networks.network import create_network  # imports torch, which no other estimator needs
+
+    for key in params:
+        if key != "weights":
+            raise ValueError(f'{name} has no parameter "{key}"; {nearest(key, ["weights"])}')
+    weights = params.get("weights")
+    if not isinstance(weights, str | Path | None):
+        raise ValueError(f"{name}: weights = {weights!r} is not a path")
+    return create_network(name, rate_hz, weights=weights)

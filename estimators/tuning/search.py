@@ -1,0 +1,304 @@
+"""Tuning: search the parameters of a filter that estimates best on training flights.
+
+The search lives in the unit cube; `Parameter.at` maps each coordinate to a parameter, mostly by factors
+between `low` and `high`. The cost is that of the paper (Stroobants, Dupeyroux, de Croon 2022): the mean
+squared error of roll and pitch per sample [rad²], averaged over flights, and 10 more for a position outside
+the cube, which is scored at the nearest point inside.
+"""
+
+import itertools
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import OptimizeResult, differential_evolution
+
+from quadsim.config.toml import preset_names
+from quadsim.imu.spec import ImuSpec, load_imu
+from quadsim.runs.files import drop_parts, write_whole
+
+from ..evaluation.flights import Flights, Initial, load_flights, vehicle_of
+from ..filters.algorithm import start
+from ..filters.samples import LANES
+from ..metrics import absolute_error
+from ..registry import COMPILED, FILTERPY, airframe_constants, names, parameter_matrix, parameters
+from ..running import run_batch
+from .tuned import Tuned, load_tuning, to_toml
+
+Array = NDArray[np.float64]
+Cost = Callable[[Array], Array]
+Progress = Callable[[int, int, float], None]
+"""progress(iterations done, iterations in all, lowest cost so far [rad²])."""
+
+PENALTY = 10.0
+"""Added to the cost of a position outside the unit cube."""
+CHUNK = 2 * LANES
+"""Parameter sets that a thread takes at a time: few, so that all threads end together."""
+FIRST_SPEED = 0.1
+"""Initial velocities of the swarm are even in ± this."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a search in the unit cube."""
+
+    position: Array
+    """(d,)."""
+    cost: float
+    history: list[float]
+    """Lowest cost after each iteration."""
+    evaluations: int
+
+
+def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flights, workers: int = 1) -> Array:
+    """Cost of p parameter sets [rad²], shape (p,).
+
+    Args:
+        name: Estimator.
+        sets: Parameter name to values (p,); the others keep their default.
+        flights: What to score on.
+        workers: Threads that share the parameter sets of a compiled filter.
+    """
+    p = len(np.atleast_1d(next(iter(sets.values()))))
+    if name not in COMPILED:
+        return np.concatenate([_error_of_run(name, sets, flights, k) for k in range(p)])
+    matrix = parameter_matrix(name, sets, flights.rate_hz)
+    chunks = np.split(matrix, range(CHUNK, p, CHUNK))
+    with ThreadPoolExecutor(workers) as pool:
+        return np.concatenate(list(pool.map(lambda chunk: _error_of_sets(name, chunk, flights), chunks)))
+
+
+def _error_of_sets(name: str, matrix: Array, flights: Flights) -> Array:
+    """Parameter sets × flights in one compiled call that keeps only sums and no interpreter lock."""
+    n = len(flights.gyro)
+    states = start(COMPILED[name], matrix, n, flights.start)
+    total = np.empty((len(matrix), n))
+    COMPILED[name].score(
+        states, matrix, 1.0 / flights.rate_hz, flights.gyro, flights.accel, flights.truth, total
+    )
+    scored = np.isfinite(flights.truth).all(axis=-1).sum(axis=1) * 2
+    return (total / scored).mean(axis=1)
+
+
+def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k: int) -> Array:
+    one = {key: np.atleast_1d(column)[k : k + 1] for key, column in sets.items()}
+    estimate = run_batch(name, one, flights.gyro, flights.accel, flights.rate_hz, flights.start)[0]
+    error = np.radians(absolute_error(estimate, flights.truth))
+    return np.nanmean(error**2, axis=(1, 2)).mean(keepdims=True)
+
+
+def swarm(
+    cost: Cost,
+    first: ArrayLike,
+    *,
+    particles: int = 100,
+    iterations: int = 50,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Found:
+    """Particle swarm in the unit cube (Shi & Eberhart 1998), with the paper's weights.
+
+    v ← w v + c1 r1 (own best − x) + c2 r2 (swarm's best − x),  x ← x + v;  w = 0.8, c1 = 0.15, c2 = 0.05.
+
+    Args:
+        cost: Positions inside the cube (p, d) -> costs (p,).
+        first: Position of the first particle (d,); the others are random.
+        particles: Size of the swarm.
+        iterations: Evaluations of the whole swarm.
+        seed: Of the random numbers.
+        progress: Called after every iteration.
+    """
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0.0, 1.0, (particles, np.size(first)))
+    x[0] = first
+    v = rng.uniform(-FIRST_SPEED, FIRST_SPEED, x.shape)
+    own, own_cost = x.copy(), np.full(particles, np.inf)
+    history: list[float] = []
+    for iteration in range(iterations):
+        inside = np.clip(x, 0.0, 1.0)
+        now = cost(inside) + PENALTY * np.any(x != inside, axis=1)
+        better = now < own_cost
+        own[better], own_cost[better] = inside[better], now[better]
+        best = own[np.argmin(own_cost)]
+        history.append(float(own_cost.min()))
+        if progress is not None:
+            progress(iteration + 1, iterations, history[-1])
+        r1, r2 = rng.uniform(0.0, 1.0, (2, *x.shape))
+        v = 0.8 * v + 0.15 * r1 * (own - x) + 0.05 * r2 * (best - x)
+        x = x + v
+    return Found(own[np.argmin(own_cost)], float(own_cost.min()), history, particles * iterations)
+
+
+def evolution(
+    cost: Cost,
+    first: ArrayLike,
+    *,
+    particles: int = 100,
+    iterations: int = 50,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Found:
+    """The search of `swarm` by scipy's differential evolution: a check that the swarm is not stuck."""
+    history: list[float] = []
+    evaluations = 0
+
+    def counted(x: Array) -> Array:
+        nonlocal evaluations
+        evaluations += x.shape[1]
+        return cost(np.clip(x.T, 0.0, 1.0))
+
+    def report(intermediate_result: OptimizeResult) -> None:
+        history.append(float(intermediate_result.fun))
+        if progress is not None:
+            progress(len(history), iterations, history[-1])
+
+    result = differential_evolution(
+        counted,
+        [(0.0, 1.0)] * np.size(first),
+        x0=np.asarray(first),
+        popsize=max(1, particles // np.size(first)),
+        maxiter=iterations,
+        rng=seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        callback=report,
+    )
+    return Found(np.asarray(result.x), float(result.fun), history, evaluations)
+
+
+SEARCHES = {"swarm": swarm, "evolution": evolution}
+
+
+def tune(
+    name: str,
+    datasets: Sequence[xr.Dataset],
+    *,
+    particles: int = 100,
+    iterations: int = 50,
+    seed: int = 0,
+    initial: Initial = "unknown",
+    search: Literal["swarm", "evolution"] = "swarm",
+    flights: int | None = None,
+    pieces: int = 1,
+    workers: int = 1,
+    command: str = "estimators.tuning.search.tune",
+    progress: Progress | None = None,
+) -> Tuned:
+    """Tune one estimator on recorded flights.
+
+    Args:
+        name: Estimator with parameters to search.
+        datasets: Training flights; constants of the vehicle and IMU come from the first.
+        particles: Parameter sets tried at once.
+        iterations: How often.
+        seed: Of the search.
+        initial: Whether the filter is given the attitude it starts at.
+        search: Particle swarm, or differential evolution.
+        flights: How many flights of each dataset to use; None for all.
+        pieces: Parts into which each flight is cut, all of which but the first begin in motion.
+        workers: Threads.
+        command: What to write into the result as its origin.
+        progress: Called after every iteration.
+
+    Raises:
+        ValueError: For an estimator without parameters to search, or a dataset that is not one.
+    """
+    searched = [key for key, each in parameters(name).items() if each.searched]
+    if not searched:
+        raise ValueError(f"{name} has no parameters to tune")
+    data = load_flights(datasets, flights).pieces(pieces)
+    airframe = airframe_constants(name, vehicle_of(datasets[0]))
+    constants = airframe | imu_constants(name, datasets[0])
+    if initial == "known":
+        data = data.known()
+
+    def values(positions: Array) -> dict[str, Array]:
+        found = {key: parameters(name)[key].at(x) for key, x in zip(searched, positions.T, strict=True)}
+        return found | {key: np.full(len(positions), value) for key, value in constants.items()}
+
+    found = SEARCHES[search](
+        lambda positions: mean_squared_error(name, values(positions), data, workers),
+        [parameters(name)[key].position(parameters(name)[key].default) for key in searched],
+        particles=particles,
+        iterations=iterations,
+        seed=seed,
+        progress=progress,
+    )
+    return Tuned(
+        command=command,
+        **flown_on(datasets),
+        rate_hz=data.rate_hz,
+        rmse_deg=round(float(np.degrees(np.sqrt(found.cost))), 6),
+        evaluations=found.evaluations,
+        values={
+            key: float(f"{value:.6g}")
+            for key, value in zip(
+                parameters(name),
+                parameter_matrix(name, values(found.position[None]), data.rate_hz)[0],
+                strict=True,
+            )
+            if key not in airframe
+        },
+    )
+
+
+def tunable() -> list[str]:
+    """Every estimator worth tuning; filterpy's are left to `write_tuning`."""
+    return [
+        name
+        for name in names()
+        if name not in FILTERPY and any(each.searched for each in parameters(name).values())
+    ]
+
+
+def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
+    """Fields `vehicle` and `imu` of `Tuned`; empty where datasets differ, or the IMU is none that ships."""
+    configs = [json.loads(each.attrs.get("config", "{}")) for each in datasets]
+    vehicles = {(config.get("vehicle") or {}).get("name", "") for config in configs}
+    imus = [ImuSpec.model_validate_json(json.dumps(config["imu"])) for config in configs if "imu" in config]
+    shipped = [name for name in preset_names("imus") if imus and all(load_imu(name) == each for each in imus)]
+    return {
+        "vehicle": vehicles.pop() if len(vehicles) == 1 else "",
+        "imu": shipped[0] if len(imus) == len(configs) and shipped else "",
+    }
+
+
+def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
+    """Parameters known of the IMU rather than searched, from the dataset's configuration."""
+    if name != "ekf-drag" or "config" not in dataset.attrs:
+        return {}
+    imu = json.loads(dataset.attrs["config"])["imu"]
+    return {
+        "bias_sigma": float(imu["gyro"]["turn_on"]),
+        "accel_bias_sigma": float(imu["accel"]["turn_on"]),
+    }
+
+
+def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
+    """Put one estimator's table into a tuning file; the other tables of the file stay.
+
+    The table of ekf is also that of filterpy's filters, whose model it has and which are far slower.
+
+    Args:
+        path: TOML file, made if it is not there.
+        name: Estimator.
+        tuned: Its parameters.
+        comment: Text for the top of a new file; an old one keeps its own.
+    """
+    drop_parts(path)
+    tables = load_tuning(path) if path.exists() else {}
+    if path.exists():
+        top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
+        comment = "\n".join(line[1:].removeprefix(" ") for line in top) or comment
+    tables |= {name: tuned}
+    if name == "ekf":
+        shared = tuned.model_copy(update={"command": f"the values of ekf: {tuned.command}"})
+        tables |= dict.fromkeys(FILTERPY, shared)
+    write_whole(path, to_toml(tables, comment))

@@ -1,0 +1,102 @@
+"""Tuned parameters: TOML files, one a domain (vehicle and IMU), with one table per estimator."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tomli_w
+from pydantic import Field, RootModel
+
+from quadsim.config.ranges import Between, SampleRate
+from quadsim.config.toml import Strict, load_toml, preset_names
+from quadsim.imu.spec import ImuSpec, load_imu
+from quadsim.vehicle import Vehicle
+
+DEFAULT_DOMAIN = "hummingbird-adis16448"
+"""Domain whose shipped parameters an estimator has for a vehicle that none is for."""
+
+
+class Tuned(Strict):
+    """Parameters of one estimator, and how they were found."""
+
+    command: str = Field(description="What made this table.")
+    vehicle: str = Field(default="", description="Name of the vehicle that flew; empty: not known.")
+    imu: str = Field(default="", description="Its IMU, a shipped one; empty: not known, or another.")
+    rate_hz: SampleRate = Field(description="Sample rate of the data [Hz].")
+    rmse_deg: Annotated[float, Between(0.0, 360.0, "°")] = Field(
+        description="Root of the cost: of the mean squared error of roll and pitch [deg]."
+    )
+    evaluations: Annotated[int, Between(0, 10**12)] = Field(description="Parameter sets tried.")
+    values: dict[str, Annotated[float, Between(-1e9, 1e9)]] = Field(description="The parameters.")
+
+
+class Tuning(RootModel[dict[str, Tuned]]):
+    """A whole file: estimator name to its table."""
+
+
+def load_tuning(source: str | Path) -> dict[str, Tuned]:
+    """Tuned parameters of every estimator in a shipped domain or a file.
+
+    Raises:
+        ValueError: One line that says what is wrong with the file.
+    """
+    return load_toml(source, "tuning", Tuning).root
+
+
+def tuned_for(
+    name: str,
+    source: str | Path | None,
+    vehicle: Vehicle | None = None,
+    imu: ImuSpec | None = None,
+) -> Tuned | None:
+    """Table of one estimator; None where there is none and no file was asked for by name.
+
+    Args:
+        name: Estimator.
+        source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU.
+        vehicle: The airframe, if it is known.
+        imu: Its IMU, likewise.
+
+    Raises:
+        ValueError: A file was asked for and does not have the estimator, or cannot be read.
+    """
+    if source is None:
+        return shipped_for(name, vehicle, imu)
+    tables = load_tuning(source)
+    if name not in tables:
+        raise ValueError(f"{source}: no table [{name}]; it has {', '.join(tables) or 'none'}")
+    return tables[name]
+
+
+def shipped_for(name: str, vehicle: Vehicle | None, imu: ImuSpec | None) -> Tuned | None:
+    """Shipped table of one estimator: for vehicle and IMU, else for the vehicle, else of the default domain.
+
+    Args:
+        name: Estimator.
+        vehicle: The airframe; None where it is not known.
+        imu: Its IMU; None where it is not known.
+    """
+    tables = {domain: table for domain in preset_names("tuning") if (table := load_tuning(domain).get(name))}
+    ours = [each for each in tables.values() if vehicle is not None and each.vehicle == vehicle.name]
+    fitting = [each for each in ours if imu is not None and each.imu and load_imu(each.imu) == imu]
+    return next(iter([*fitting, *ours]), tables.get(DEFAULT_DOMAIN))
+
+
+def misfit(tuned: Tuned, vehicle: Vehicle, imu: ImuSpec) -> str:
+    """How a table's vehicle or IMU differs from those that are flown, in words; empty where neither does.
+
+    Args:
+        tuned: The table.
+        vehicle: What is flown.
+        imu: What it carries.
+    """
+    others = [f"the {tuned.vehicle}" * bool(tuned.vehicle and tuned.vehicle != vehicle.name)]
+    others += [f"the IMU {tuned.imu}" * bool(tuned.imu and load_imu(tuned.imu) != imu)]
+    return " and ".join(filter(None, others))
+
+
+def to_toml(tables: dict[str, Tuned], comment: str) -> str:
+    """Text of a tuning file, with a comment on top; what may not stand in a comment is left out."""
+    shown = "".join(each for each in comment if each.isprintable() or each in "\n\t")
+    head = "".join(f"# {line}".rstrip() + "\n" for line in shown.split("\n"))
+    text = head + "\n" + tomli_w.dumps({name: table.model_dump() for name, table in tables.items()})
+    return text.encode("utf-8", "replace").decode()  # bytes of a path that are no UTF-8

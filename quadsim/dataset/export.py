@@ -1,0 +1,249 @@
+"""Datasets in the formats of other tools: NetCDF, Parquet, EuRoC (ASL) folders of CSV, and ROS 2 bags.
+
+Only the samples flown are exported, except to NetCDF, which holds the whole dataset. Time counts from the
+start of each flight.
+"""
+
+import importlib
+import json
+import sqlite3
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from ..config.toml import describe, nearest
+from ..imu.spec import ImuSpec
+from ..rotation import matrix_from_quat, quat_from_euler
+from .generation import Progress
+from .reading import open_dataset
+from .store import VARIABLES
+
+Array = NDArray[np.float64]
+
+IMU_HEADER = "#timestamp [ns]," + ",".join(
+    f"{kind}_RS_S_{axis} [{unit}]" for kind, unit in (("w", "rad s^-1"), ("a", "m s^-2")) for axis in "xyz"
+)
+TRUTH_HEADER = "#timestamp," + ",".join(
+    f" {kind}_{label} [{unit}]"
+    for kind, labels, unit in (
+        ("p_RS_R", "xyz", "m"),
+        ("q_RS", "wxyz", ""),
+        ("v_RS_R", "xyz", "m s^-1"),
+        ("b_w_RS_S", "xyz", "rad s^-1"),
+        ("b_a_RS_S", "xyz", "m s^-2"),
+    )
+    for label in labels
+)
+TRUTH = ("position", "quat", "velocity", "gyro_bias", "accel_bias")
+
+
+def export(path: str | Path, out: str | Path, format: str, progress: Progress | None = None) -> Path:
+    """Write a dataset in another format.
+
+    Args:
+        path: A dataset.
+        out: The file (netcdf, parquet) or folder (csv, rosbag2) to write; must not exist.
+        format: One of FORMATS: "netcdf", "parquet", "csv" (EuRoC layout) or "rosbag2".
+        progress: Called with the flights written and their total.
+
+    Returns:
+        The path written.
+
+    Raises:
+        ValueError: Unknown format, `out` exists, a package is missing, or the dataset is not one.
+        OSError: `out` cannot be written.
+    """
+    if format not in FORMATS:
+        raise ValueError(f'unknown format "{format}"; {nearest(format, FORMATS)}')
+    out = Path(out).expanduser()
+    if out.exists():
+        raise ValueError(f"{out} exists already: move it, or choose another --out")
+    dataset = open_dataset(path)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as drafts:
+            draft = Path(drafts) / out.name
+            FORMATS[format](dataset, draft, progress or (lambda done, total: None))
+            draft.rename(out)
+    except (OSError, sqlite3.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise OSError(f"cannot write {out}: {reason or error}") from error
+    return out
+
+
+def timestamps(steps: int, rate_hz: float) -> NDArray[np.int64]:
+    """Time of each sample since the start of its flight, (steps,) [ns]."""
+    return np.rint(np.arange(steps) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def _netcdf(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
+    _needs("h5netcdf")
+    encoding = {
+        name: {"zlib": True, "complevel": 1, "shuffle": True, "chunksizes": (1, *dataset[name].shape[1:])}
+        for name in VARIABLES
+    }
+    dataset.drop_encoding().to_netcdf(out, engine="h5netcdf", encoding=encoding)
+    progress(dataset.sizes["flight"], dataset.sizes["flight"])
+
+
+def _parquet(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
+    """One row per sample and one row group per flight; units are in the metadata of each column."""
+    arrow, parquet = _needs("pyarrow"), _needs("pyarrow.parquet")
+    fields = [
+        arrow.field("flight", arrow.int32()),
+        arrow.field("time", arrow.float64(), metadata={"units": "s"}),
+    ]
+    for name, variable in VARIABLES.items():
+        labels = dataset[variable.dim].to_numpy()
+        metadata = {"units": variable.units, "long_name": variable.long_name}
+        fields += [arrow.field(f"{name}_{label}", arrow.float32(), metadata=metadata) for label in labels]
+    attributes = {key: str(value) for key, value in dataset.attrs.items()}
+    schema = arrow.schema(fields, metadata=attributes)
+    with parquet.ParquetWriter(out, schema, compression="zstd") as writer:
+        for flight, one in _flights(dataset, progress):
+            steps = one.sizes["time"]
+            columns = [np.full(steps, flight, "i4"), one["time"].to_numpy()]
+            columns += [column for name in VARIABLES for column in one[name].to_numpy().T]
+            writer.write_table(arrow.table([arrow.array(column) for column in columns], schema=schema))
+
+
+def _euroc(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
+    """A folder per flight, laid out as the EuRoC MAV dataset is; the body frame is at the centre of mass."""
+    rate_hz, imu = dataset.attrs["rate_hz"], _imu_of(dataset)
+    for flight, one in _flights(dataset, progress):
+        time = timestamps(one.sizes["time"], rate_hz)
+        mav = out / f"flight_{flight:03d}" / "mav0"
+        _write_sensor(
+            mav / "imu0",
+            _imu_yaml(imu, rate_hz),
+            IMU_HEADER,
+            time,
+            np.concatenate([one["gyro"], one["accel"]], axis=1),
+        )
+        _write_sensor(
+            mav / "state_groundtruth_estimate0",
+            _yaml("visual-inertial", "the simulated state itself", np.eye(4)),
+            TRUTH_HEADER,
+            time,
+            np.concatenate([one[name] for name in TRUTH], axis=1),
+        )
+        (mav / "body.yaml").write_text("%YAML:1.0\ncomment: simulated quadrotor\n", encoding="utf-8")
+
+
+def _write_sensor(folder: Path, sensor: str, header: str, time: NDArray[np.int64], values: Array) -> None:
+    folder.mkdir(parents=True)
+    (folder / "sensor.yaml").write_text(sensor, encoding="utf-8")
+    table = np.column_stack([time, values])  # float64 holds nanoseconds exactly for 104 days
+    formats = ["%d", *["%.9g"] * values.shape[1]]
+    np.savetxt(folder / "data.csv", table, formats, delimiter=",", header=header, comments="")
+
+
+def _yaml(sensor_type: str, comment: str, sensor_to_body: Array) -> str:
+    numbers = ", ".join(f"{value:.9g}" for value in sensor_to_body.ravel())
+    return (
+        f"%YAML:1.0\nsensor_type: {sensor_type}\ncomment: {comment}\n"
+        f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{numbers}]\n"
+    )
+
+
+def _imu_yaml(imu: ImuSpec, rate_hz: float) -> str:
+    sensor_to_body = np.eye(4)
+    sensor_to_body[:3, :3] = matrix_from_quat(quat_from_euler(*np.radians(imu.mounting_deg)))
+    sensor_to_body[:3, 3] = imu.lever_arm
+    return _yaml("imu", "simulated IMU", sensor_to_body) + (
+        f"rate_hz: {rate_hz:g}\n"
+        f"gyroscope_noise_density: {imu.gyro.noise:.9g}  # [ rad / s / sqrt(Hz) ]\n"
+        f"gyroscope_random_walk: {imu.gyro.random_walk:.9g}  # [ rad / s^2 / sqrt(Hz) ]\n"
+        f"accelerometer_noise_density: {imu.accel.noise:.9g}  # [ m / s^2 / sqrt(Hz) ]\n"
+        f"accelerometer_random_walk: {imu.accel.random_walk:.9g}  # [ m / s^3 / sqrt(Hz) ]\n"
+    )
+
+
+def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
+    """A bag per flight: `/imu` (sensor_msgs/Imu, in the frame `imu`) and `/pose`, the truth in `world`."""
+    bags, storage = _needs("rosbags.rosbag2"), _needs("rosbags.typesys")
+    store = storage.get_typestore(storage.Stores.ROS2_HUMBLE)
+    rate_hz, imu = dataset.attrs["rate_hz"], _imu_of(dataset)
+    kinds = {
+        name: store.types[f"{package}/msg/{name}"]
+        for package, names in (
+            ("builtin_interfaces", ("Time",)),
+            ("std_msgs", ("Header",)),
+            ("sensor_msgs", ("Imu",)),
+            ("geometry_msgs", ("Point", "Pose", "PoseStamped", "Quaternion", "Vector3")),
+        )
+        for name in names
+    }
+    absent = np.array([-1.0, *[0.0] * 8])  # by convention: the message holds no orientation
+    gyro_noise, accel_noise = (
+        np.diag([sensor.noise**2 * rate_hz] * 3).ravel() for sensor in (imu.gyro, imu.accel)
+    )
+    for flight, one in _flights(dataset, progress):
+        gyro, accel, position, quat = (
+            one[name].to_numpy().astype(float).tolist() for name in ("gyro", "accel", "position", "quat")
+        )
+        with bags.Writer(out / f"flight_{flight:03d}", version=9) as bag:
+            topics = {
+                name: bag.add_connection(topic, kinds[name].__msgtype__, typestore=store)
+                for name, topic in (("Imu", "/imu"), ("PoseStamped", "/pose"))
+            }
+            for k, time in enumerate(timestamps(one.sizes["time"], rate_hz).tolist()):
+                stamp = kinds["Time"](*divmod(time, 1_000_000_000))
+                w, x, y, z = quat[k]
+                messages = {
+                    "Imu": kinds["Imu"](
+                        kinds["Header"](stamp, "imu"),
+                        kinds["Quaternion"](0.0, 0.0, 0.0, 1.0),
+                        absent,
+                        kinds["Vector3"](*gyro[k]),
+                        gyro_noise,
+                        kinds["Vector3"](*accel[k]),
+                        accel_noise,
+                    ),
+                    "PoseStamped": kinds["PoseStamped"](
+                        kinds["Header"](stamp, "world"),
+                        kinds["Pose"](kinds["Point"](*position[k]), kinds["Quaternion"](x, y, z, w)),
+                    ),
+                }
+                for name, message in messages.items():
+                    bag.write(topics[name], time, store.serialize_cdr(message, message.__msgtype__))
+
+
+def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.Dataset]]:
+    """Each flight with the samples flown, loaded; reports progress when the caller asks for the next."""
+    total = dataset.sizes["flight"]
+    for flight in range(total):
+        one = dataset.isel(flight=flight)
+        yield flight, one.isel(time=slice(int(one["valid_steps"]))).load()
+        progress(flight + 1, total)
+
+
+def _imu_of(dataset: xr.Dataset) -> ImuSpec:
+    try:
+        return ImuSpec.model_validate(json.loads(dataset.attrs["config"])["imu"])
+    except ValidationError as error:
+        raise ValueError(
+            f"the IMU of this dataset is from another version: {describe(error, ImuSpec)}"
+        ) from error
+
+
+def _needs(package: str) -> ModuleType:
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        name = package.split(".")[0]
+        raise ValueError(f'this export needs the package {name}: pip install "quadsim[export]"') from error
+
+
+FORMATS: dict[str, Callable[[xr.Dataset, Path, Progress], None]] = {
+    "netcdf": _netcdf,
+    "csv": _euroc,
+    "parquet": _parquet,
+    "rosbag2": _rosbag2,
+}

@@ -1,0 +1,224 @@
+"""Generate a dataset over many processes; a killed run resumes."""
+
+import json
+import logging
+import os
+import shutil
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
+from contextlib import closing
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from ..config.ranges import steps_of
+from ..flight.simulate import FlightConfig
+from ..runs.files import alone
+from ..runs.fingerprint import code_digest
+from ..runs.pool import CLUSTER_LOST, give_up, worker_pool
+from . import store as dataset_store
+from .store import FLIGHTS, Plan, partial_folder, read_attributes
+
+log = logging.getLogger(__name__)
+
+Progress = Callable[[int, int], None]
+BATCH_FLIGHTS = 16  # more gain no speed
+BATCH_BYTES = 400e6  # memory that a worker may use for a batch,
+SAMPLE_BYTES = 600  # of which a sample of a flight takes this much while it is simulated
+ATTEMPTS = 4  # a worker may die this often
+
+
+def generate(
+    config: FlightConfig,
+    flights: int,
+    duration_s: float,
+    out: str | Path,
+    seed: int = 0,
+    rate_hz: float = 200.0,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Simulate flights and write them as a labelled Zarr store.
+
+    The files depend on the configuration, the seed and the code alone, not on the number of workers. An
+    interrupted run goes on where it stopped when it is called again with the same arguments; a finished one
+    returns at once, unless the code has changed since. Worker processes import the caller's main module, so
+    a script calls this under `if __name__ == "__main__":`.
+
+    Args:
+        config: What is flown.
+        flights: Number of flights; flight i has the i-th child of the seed.
+        duration_s: Length of each flight [s].
+        out: Path of the dataset; grows as `out.partial` until it is whole.
+        seed: Seed of everything random.
+        rate_hz: Samples per second.
+        workers: Processes, by default one for each CPU; 1 stays in this process. With an executor, how many
+            workers it has.
+        executor: Where to run in place of processes of our own, for instance a Dask client's
+            `get_executor()`; its workers need quadsim and the same file system.
+        progress: Called with the flights done and their total at the start and after each flight.
+        overwrite: Replace another dataset at `out`, finished or not.
+
+    Returns:
+        The path of the dataset.
+
+    Raises:
+        ValueError: A bad argument, another dataset in the way, or another process that writes it.
+        OSError: The dataset cannot be written, or workers keep dying; what is done is kept.
+    """
+    plan = _plan(config, flights, duration_s, seed, rate_hz)
+    workers = _available_cpus() if workers is None else _at_least("workers", workers, 1)
+    out = Path(out).expanduser().absolute()
+    try:
+        with alone(out):
+            if _make_way(plan, out, overwrite):
+                _fly_all(plan, partial_folder(out), workers, executor, progress)
+                dataset_store.finish(partial_folder(out), plan, out)
+    except ChildProcessError:
+        raise
+    except OSError as error:
+        raise OSError(
+            f"cannot write {out}: {error.strerror or error}; flights done so far are kept"
+        ) from error
+    return out
+
+
+def _plan(config: FlightConfig, flights: int, duration_s: float, seed: int, rate_hz: float) -> Plan:
+    return Plan(
+        quadsim_version=version("quadsim"),
+        seed=_at_least("seed", seed, 0),
+        flights=int(FLIGHTS.of("flights", _at_least("flights", flights, 1))),
+        steps=steps_of(duration_s, rate_hz),
+        rate_hz=rate_hz,
+        code=code_digest("quadsim.dataset.store"),
+        config=config,
+    )
+
+
+def _at_least(name: str, value: int, lowest: int) -> int:
+    if int(value) != value or value < lowest:
+        raise ValueError(f"{name} = {value}: a whole number from {lowest} on is allowed")
+    return int(value)
+
+
+def _available_cpus() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
+    """Prepare the unfinished dataset, new or to be continued; False if the finished one is there already.
+
+    Raises:
+        ValueError: Another dataset, or something else, is in the way.
+    """
+    folder = partial_folder(out)
+    if out.exists():
+        attributes = read_attributes(out)  # refuses to touch what is not a dataset
+        if not overwrite:
+            dataset_store.refuse_truncated(out, attributes)
+            found = attributes.model_dump(include=set(Plan.model_fields))
+            _refuse_other(plan, {**found, "config": json.loads(attributes.config)}, f"{out} holds")
+            shutil.rmtree(folder, ignore_errors=True)
+            return False
+    if folder.exists():
+        if not (folder / "flights").is_dir():
+            raise ValueError(f"{folder} is in the way and not from quadsim: move it, or choose another --out")
+        text = dataset_store.read_plan(folder)
+        if text == plan.model_dump_json():
+            return True
+        if text and not overwrite:
+            _refuse_other(plan, json.loads(text), f"{out} is unfinished and holds")
+        shutil.rmtree(folder)
+    dataset_store.begin(folder, plan)
+    return True
+
+
+def _refuse_other(plan: Plan, other: dict[str, object], what: str) -> None:
+    """Name the first setting in which a dataset differs from the plan, if there is one."""
+    wanted, found = _flat(plan.model_dump(mode="json")), _flat(other)
+    for key in sorted(wanted.keys() | found.keys(), key=lambda name: (name == "code", name)):
+        if wanted.get(key) != found.get(key):
+            differs = f"{key} is {found.get(key)}, not {wanted.get(key)}"
+            raise ValueError(
+                f"{what} another dataset ({'it was made by other code' if key == 'code' else differs}): "
+                "choose another --out, or --overwrite it"
+            )
+
+
+def _flat(tree: object, prefix: str = "") -> dict[str, object]:
+    """Leaves of nested dictionaries by dotted key."""
+    if not isinstance(tree, dict):
+        return {prefix: tree}
+    return {
+        name: leaf
+        for key, value in tree.items()
+        for name, leaf in _flat(value, f"{prefix}.{key}" if prefix else key).items()
+    }
+
+
+def _fly_all(
+    plan: Plan, folder: Path, workers: int, executor: Executor | None, progress: Progress | None
+) -> None:
+    """Fly what is missing; a pool of ours whose worker died is replaced, a few times."""
+    for attempt in range(ATTEMPTS):
+        whole = dataset_store.whole_flights(folder)
+        missing = [flight for flight in range(plan.flights) if flight not in whole]
+        batches = _batches(missing, plan.steps, workers)
+        done = plan.flights - len(missing)
+        if progress:
+            progress(done, plan.flights)
+        try:
+            with closing(_fly(plan, folder, batches, workers, executor)) as finished:
+                for batch in finished:
+                    for _ in batch:
+                        done += 1
+                        if progress:
+                            progress(done, plan.flights)
+            return
+        except BrokenExecutor as error:
+            if executor is not None or attempt == ATTEMPTS - 1:
+                raise ChildProcessError(
+                    f"worker processes keep dying (out of memory, or killed); {done} of {plan.flights} "
+                    "flights are kept: rerun to resume, with fewer workers"
+                ) from error
+            log.warning("a worker process died; starting again with the flights that are missing")
+
+
+def _batches(flights: list[int], steps: int, workers: int) -> list[list[int]]:
+    """Share flights out in batches that are alike in size, fit in memory and occupy every worker."""
+    if not flights:
+        return []
+    largest = int(np.clip(BATCH_BYTES // (steps * SAMPLE_BYTES), 1, BATCH_FLIGHTS))
+    rounds = -(-len(flights) // (largest * workers))
+    parts = np.array_split(flights, min(len(flights), rounds * workers))
+    return [part.tolist() for part in parts]
+
+
+def _fly(
+    plan: Plan, folder: Path, batches: list[list[int]], workers: int, executor: Executor | None
+) -> Generator[Sequence[int], None, None]:
+    """Fly batches wherever they are to be flown; yields each one when its flights are whole."""
+    if executor is not None:
+        yield from _completed(executor, plan, folder, batches)
+    elif min(workers, len(batches)) <= 1:
+        for batch in batches:
+            yield dataset_store.fly_batch(plan, folder, batch)
+    else:
+        with worker_pool(min(workers, len(batches))) as pool:
+            yield from _completed(pool, plan, folder, batches)
+
+
+def _completed(
+    executor: Executor, plan: Plan, folder: Path, batches: list[list[int]]
+) -> Iterator[Sequence[int]]:
+    futures = [executor.submit(dataset_store.fly_batch, plan, folder, batch) for batch in batches]
+    try:
+        for future in as_completed(futures):
+            yield future.result()
+    except CancelledError as error:
+        raise ChildProcessError(CLUSTER_LOST) from error
+    finally:
+        give_up(executor, futures)

@@ -1,0 +1,133 @@
+"""Open, check, summarise and split a dataset."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ..rotation import quat_rotate, roll_pitch_from_quat
+from . import store as dataset_store
+from .generation import Progress, _at_least
+from .store import read_attributes
+
+
+def open_dataset(path: str | Path) -> xr.Dataset:
+    """Open a dataset; its arrays are read when they are used.
+
+    Args:
+        path: A dataset that `generate` wrote.
+
+    Returns:
+        Variables over (flight, time, axis | quat_axis | rotor) in SI units, and coordinates per flight, of
+        which `valid_steps` and `end_reason` tell how it went: samples from `valid_steps` on repeat the last.
+
+    Every number is compared with its checksum the first time, and again when a file has changed since.
+
+    Raises:
+        FileNotFoundError: There is nothing at the path.
+        ValueError: Not a dataset, unfinished, damaged or from a newer version.
+    """
+    path = Path(path).expanduser()
+    attributes = read_attributes(path)
+    with dataset_store.damage_in_words(path):
+        dataset_store.refuse_truncated(path, attributes)
+        dataset = xr.open_dataset(path, engine="zarr", chunks=None, consolidated=True)
+        dataset = dataset.set_coords(dataset_store.PER_FLIGHT)
+        strings = [name for name, values in dataset.coords.items() if values.dtype.kind not in "if"]
+        dataset = dataset.assign_coords({name: dataset[name].astype(object) for name in strings})
+        dataset_store.refuse_damaged(path, attributes, dataset)
+    return dataset
+
+
+def verify(path: str | Path, progress: Progress | None = None) -> int:
+    """Read every number of a dataset, recompute the checksums and look for numbers that are not finite.
+
+    Returns:
+        How many flights were verified.
+
+    Raises:
+        ValueError: The damaged flights, each with the first thing wrong with it.
+    """
+    path = Path(path).expanduser()
+    total = read_attributes(path).flights
+    damage = {}
+    for flight in range(total):
+        if fault := dataset_store.fault(path, flight):
+            damage[flight] = fault
+        if progress:
+            progress(flight + 1, total)
+    if damage:
+        faults = ", ".join(f"flight {flight} ({fault})" for flight, fault in damage.items())
+        raise ValueError(f"{path}: {len(damage)} of {total} flights are damaged: {faults}")
+    return total
+
+
+def dataset_info(path: str | Path) -> dict[str, object]:
+    """Summary of a dataset, over the samples flown; keys end in their unit.
+
+    Returns:
+        Size, rate, seed and configuration, and how widely it flew: standard deviation of roll and of pitch
+        over all samples, largest tilt, body rate and speed.
+
+    Raises:
+        ValueError: Not a dataset, or one without a single valid sample.
+    """
+    path = Path(path).expanduser()
+    dataset = open_dataset(path)
+    samples = int(dataset["valid_steps"].sum())
+    if not samples:
+        raise ValueError(
+            f"{path}: none of {dataset.sizes['flight']} flights has a valid sample; the first: "
+            f"{dataset['end_reason'].to_numpy()[0]}. Is a number of the configuration too large?"
+        )
+    tilt, rate, speed, angles = [], [], [], []
+    for flight in range(dataset.sizes["flight"]):
+        one = dataset.isel(flight=flight, time=slice(int(dataset["valid_steps"][flight])))
+        quat = one["quat"].to_numpy().astype(float)
+        angles.append(roll_pitch_from_quat(quat))
+        tilt.append(np.arccos(quat_rotate(quat, (0.0, 0.0, 1.0))[:, 2].clip(-1, 1)).max(initial=0))
+        rate.append(np.linalg.norm(one["ang_vel"], axis=-1).max(initial=0))
+        speed.append(np.linalg.norm(one["velocity"], axis=-1).max(initial=0))
+    roll_sd, pitch_sd = np.std(np.concatenate(angles), axis=0)
+    return {
+        "path": str(path),
+        "flights": dataset.sizes["flight"],
+        "flights_ended_early": int((dataset["end_reason"] != "").sum()),
+        "duration_s": dataset.attrs["duration_s"],
+        "rate_hz": dataset.attrs["rate_hz"],
+        "samples": samples,
+        "roll_sd_deg": float(np.degrees(roll_sd)),
+        "pitch_sd_deg": float(np.degrees(pitch_sd)),
+        "max_tilt_deg": float(np.degrees(max(tilt))),
+        "max_rate_deg_s": float(np.degrees(max(rate))),
+        "max_speed_m_s": float(max(speed)),
+        "size_MB": float(dataset["stored_bytes"].sum()) / 1e6,
+        "seed": dataset.attrs["seed"],
+        "quadsim_version": dataset.attrs["quadsim_version"],
+        "config": json.loads(dataset.attrs["config"]),
+    }
+
+
+def split_flights(
+    n: int, seed: int = 0, fractions: tuple[float, float, float] = (0.7, 0.2, 0.1)
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Split flights at random into training, validation and test sets, none of them empty.
+
+    Args:
+        n: Number of flights, at least 3.
+        seed: Seed of the shuffle.
+        fractions: Shares of the three sets; they add up to 1.
+
+    Returns:
+        Numbers of the flights of each set, ascending.
+    """
+    _at_least("flights", n, 3)
+    if min(fractions) <= 0 or abs(sum(fractions) - 1) > 1e-9:
+        raise ValueError(f"fractions = {fractions}: three positive shares that add up to 1 are allowed")
+    validation = min(max(1, round(n * fractions[1])), n - 2)
+    test = min(max(1, round(n * fractions[2])), n - validation - 1)
+    shuffled = np.random.default_rng(seed).permutation(n)
+    train, rest = np.split(shuffled, [n - validation - test])
+    return np.sort(train), np.sort(rest[:validation]), np.sort(rest[validation:])

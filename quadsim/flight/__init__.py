@@ -1,0 +1,1 @@
+"""Flights: scenarios and recipes go in, samples of plant, IMU, estimator and controller come out."""

@@ -1,0 +1,290 @@
+"""Faults: what goes wrong with sensors and vehicle in flight, each a small model chosen by `kind` in TOML.
+
+Sensor faults act on an IMU sample after the IMU's own errors; they see nothing of the estimator. Vehicle
+faults act on the plant. Everything random is drawn from the flight's own seed.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ..config.ranges import Between, Duration, Force, ForceVector, Frequency, Instant, Mass, RateDeg, Share
+from ..config.toml import Strict
+from ..plant import Plant
+from ..rotors import MASS
+from ..seeding import Seed, child, vehicle_seeds
+
+Array = NDArray[np.float64]
+BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
+
+
+class GyroBiasStep(Strict):
+    """The gyroscope's bias jumps."""
+
+    kind: Literal["gyro-bias-step"]
+    bias_deg: tuple[BiasDeg, BiasDeg, BiasDeg]
+    """Change of the bias, body axes [deg/s]."""
+    at_s: Instant = 5.0
+    """When [s]."""
+
+
+class AccelBiasStep(Strict):
+    """The accelerometer's bias jumps."""
+
+    kind: Literal["accel-bias-step"]
+    bias: ForceVector
+    """Change of the bias, body axes [m/s²]."""
+    at_s: Instant = 5.0
+    """When [s]."""
+
+
+class Vibration(Strict):
+    """A vibration of the whole sensor, its phases drawn for each seed; above half the rate it aliases."""
+
+    kind: Literal["vibration"]
+    frequency_hz: Frequency
+    """Frequency [Hz]."""
+    accel: Force = 0.0
+    """Amplitude on each axis of the accelerometer [m/s²]."""
+    gyro_deg: RateDeg = 0.0
+    """Amplitude on each axis of the gyroscope [deg/s]."""
+    at_s: Instant = 0.0
+    """From when on [s]."""
+
+
+class Dropout(Strict):
+    """Samples are lost: each with a probability, for a time of its own length. The estimator gets NaN."""
+
+    kind: Literal["dropout"]
+    probability: Share
+    """Chance that a dropout begins at a sample."""
+    length_s: Instant = 0.0
+    """Length of a dropout [s]; 0 for single samples."""
+    at_s: Instant = 0.0
+    """From when on [s]."""
+
+
+class Stuck(Strict):
+    """The sensor repeats its last sample for a while."""
+
+    kind: Literal["stuck"]
+    at_s: Instant = 5.0
+    """When [s]."""
+    length_s: Duration = 0.2
+    """For how long [s]."""
+    every_s: Duration | None = None
+    """Again after so long [s]; left out, once."""
+
+
+class Saturation(Strict):
+    """The measuring range is smaller than the motion."""
+
+    kind: Literal["saturation"]
+    gyro_deg: Annotated[float, Between(0.1, 4000.0, "°/s")] | None = None
+    """Largest body rate that can be read [deg/s]."""
+    accel: Annotated[float, Between(0.1, 1000.0, "m/s²")] | None = None
+    """Largest specific force that can be read [m/s²]."""
+
+
+class Delay(Strict):
+    """Samples arrive late."""
+
+    kind: Literal["delay"]
+    delay_s: Annotated[float, Between(0.0, 1.0, "s")]
+    """By how much; rounded to whole samples [s]."""
+
+
+class PayloadDrop(Strict):
+    """The vehicle starts with a payload that its controller does not know of, and drops it."""
+
+    kind: Literal["payload-drop"]
+    mass: Mass
+    """Mass of the payload [kg]."""
+    at_s: Instant = 5.0
+    """When it falls [s]."""
+
+
+class RotorLoss(Strict):
+    """One rotor gives less thrust from some time on: a chipped blade, a tired motor."""
+
+    kind: Literal["rotor-loss"]
+    rotor: Annotated[int, Between(0, 3)] = 0
+    """Which, in the order of the vehicle's file."""
+    effect: Share = 0.7
+    """Thrust left, as a share of a healthy rotor's."""
+    at_s: Instant = 5.0
+    """When [s]."""
+
+
+class LowBattery(Strict):
+    """All rotors fade as the battery does."""
+
+    kind: Literal["low-battery"]
+    effect: Share = 0.7
+    """Thrust left at the end, as a share."""
+    at_s: Instant = 2.0
+    """When it begins to fade [s]."""
+    fade_s: Duration = 10.0
+    """How long that takes [s]."""
+
+
+SensorFault: TypeAlias = GyroBiasStep | AccelBiasStep | Vibration | Dropout | Stuck | Saturation | Delay
+VehicleFault: TypeAlias = PayloadDrop | RotorLoss | LowBattery
+Fault: TypeAlias = Annotated[SensorFault | VehicleFault, Field(discriminator="kind")]
+
+Corrupt: TypeAlias = Callable[[Array, Array, NDArray[np.int64]], None]
+"""corrupt(gyro, accel, k): change samples (n, 3) in place, each vehicle at its own count k (n,)."""
+
+
+def sensor_faults(
+    faults: Sequence[SensorFault | VehicleFault], n: int, rate_hz: float, seed: Seed
+) -> Corrupt | None:
+    """What the faults do to the IMU of n vehicles; None where they do nothing.
+
+    Every vehicle's samples must come in order; k = 0 starts a vehicle anew.
+
+    Args:
+        faults: All faults; those of the vehicle are passed over.
+        n: Number of vehicles.
+        rate_hz: Samples per second.
+        seed: Whole number, seed sequence, or one seed sequence per vehicle.
+    """
+    seeds = vehicle_seeds(seed, n)
+    chain = [
+        _corruption(fault, n, rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
+        for index, fault in enumerate(faults)
+        if isinstance(fault, SensorFault)
+    ]
+    if not chain:
+        return None
+
+    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+        for link in chain:
+            link(gyro, accel, k)
+
+    return corrupt
+
+
+class VehicleFaults:
+    """What the faults do to the plant: `apply` before every step, with every vehicle's count of samples."""
+
+    def __init__(self, faults: Sequence[SensorFault | VehicleFault], plant: Plant) -> None:
+        """Take the faults of the vehicle out of all; `any` tells whether there are some."""
+        self._plant = plant
+        self._payloads = [fault for fault in faults if isinstance(fault, PayloadDrop)]
+        self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery)]
+        self.any = bool(self._payloads or self._rotors)
+        self._empty = plant.params[:, MASS].copy()
+        self._mass = self._empty
+
+    def apply(self, k: NDArray[np.int64]) -> None:
+        """Set masses and rotors to what they are during the step from sample k (n,) on."""
+        time = k / self._plant.rate_hz
+        if self._payloads:
+            mass = self._empty + sum(fault.mass * (time < fault.at_s) for fault in self._payloads)
+            if not np.array_equal(mass, self._mass):
+                self._plant.set_mass(mass)
+                self._mass = mass
+        if self._rotors:
+            effect = self._plant.rotor_effect
+            effect[:] = 1.0
+            for fault in self._rotors:
+                if isinstance(fault, RotorLoss):
+                    effect[time >= fault.at_s, fault.rotor] *= fault.effect
+                else:
+                    faded = np.clip((time - fault.at_s) / fault.fade_s, 0.0, 1.0)
+                    effect *= 1.0 - (1.0 - fault.effect) * faded[:, None]
+
+
+def _corruption(fault: SensorFault, n: int, rate_hz: float, random: list[np.random.Generator]) -> Corrupt:
+    match fault:
+        case GyroBiasStep():
+            return _bias_step(np.radians(fault.bias_deg), np.zeros(3), round(fault.at_s * rate_hz))
+        case AccelBiasStep():
+            return _bias_step(np.zeros(3), np.array(fault.bias), round(fault.at_s * rate_hz))
+        case Vibration():
+            return _vibration(fault, rate_hz, np.stack([rng.uniform(0, 2 * np.pi, 6) for rng in random]))
+        case Dropout():
+            return _dropout(fault, rate_hz, random)
+        case Stuck():
+            return _stuck(fault, rate_hz, n)
+        case Saturation():
+            return _saturation(fault)
+        case Delay():
+            return _delay(round(fault.delay_s * rate_hz), n)
+
+
+def _bias_step(gyro_bias: Array, accel_bias: Array, start: int) -> Corrupt:
+    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+        on = (k >= start)[:, None]
+        gyro += on * gyro_bias
+        accel += on * accel_bias
+
+    return corrupt
+
+
+def _vibration(fault: Vibration, rate_hz: float, phase: Array) -> Corrupt:
+    rate, start = 2 * np.pi * fault.frequency_hz / rate_hz, round(fault.at_s * rate_hz)
+
+    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+        wave = (k >= start)[:, None] * np.sin(rate * k[:, None] + phase)
+        gyro += np.radians(fault.gyro_deg) * wave[:, :3]
+        accel += fault.accel * wave[:, 3:]
+
+    return corrupt
+
+
+def _dropout(fault: Dropout, rate_hz: float, random: list[np.random.Generator]) -> Corrupt:
+    start, length = round(fault.at_s * rate_hz), max(round(fault.length_s * rate_hz), 1)
+    left = np.zeros(len(random), dtype=np.int64)
+
+    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+        left[k == 0] = 0
+        begins = np.array([rng.random() < fault.probability for rng in random])
+        left[begins & (left == 0) & (k >= start)] = length
+        gyro[left > 0] = np.nan
+        accel[left > 0] = np.nan
+        np.maximum(left - 1, 0, out=left)
+
+    return corrupt
+
+
+def _stuck(fault: Stuck, rate_hz: float, n: int) -> Corrupt:
+    start, length = round(fault.at_s * rate_hz), max(round(fault.length_s * rate_hz), 1)
+    period = np.inf if fault.every_s is None else max(round(fault.every_s * rate_hz), length + 1)
+    held_gyro, held_accel = np.zeros((n, 3)), np.zeros((n, 3))
+
+    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+        holds = (k >= start) & (k > 0) & ((k - start) % period < length)
+        gyro[holds], accel[holds] = held_gyro[holds], held_accel[holds]
+        held_gyro[:], held_accel[:] = gyro, accel
+
+    return corrupt
+
+
+def _saturation(fault: Saturation) -> Corrupt:
+    rate = np.inf if fault.gyro_deg is None else np.radians(fault.gyro_deg)
+    force = np.inf if fault.accel is None else fault.accel
+
+    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+        np.clip(gyro, -rate, rate, out=gyro)
+        np.clip(accel, -force, force, out=accel)
+
+    return corrupt
+
+
+def _delay(samples: int, n: int) -> Corrupt:
+    line = np.zeros((samples + 1, n, 6))
+    rows = np.arange(n)
+
+    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+        now = np.hstack([gyro, accel])
+        line[:, k == 0] = now[k == 0]
+        line[k % (samples + 1), rows] = now
+        oldest = line[(k + 1) % (samples + 1), rows]
+        gyro[:], accel[:] = oldest[:, :3], oldest[:, 3:]
+
+    return corrupt

@@ -1,0 +1,97 @@
+"""Scenarios: what to fly, in which wind, from which start, with which faults, and what counts as a crash.
+
+A scenario is a TOML file that stands alone; `load_scenario` takes the name of a shipped one or a path.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import ValidationError
+
+from ..config.ranges import Between, Coordinate, Distance, Position, RateDeg, Speed
+from ..config.toml import Strict, describe, load_toml, located, preset_names
+from ..trajectory.specs import Hover, Trajectory
+from ..wind import WindSpec
+from .faults import Fault
+
+
+class Start(Strict):
+    """How a flight begins: at its first set-point, unless displaced or tilted."""
+
+    offset: Position = (0.0, 0.0, 0.0)
+    """Displacement from the first set-point, world axes [m]."""
+    speed: Speed = 0.0
+    """Horizontal speed on top of the set-point's, in a direction drawn for each seed [m/s]."""
+    tilt_deg: Annotated[float, Between(0.0, 90.0, "°")] = 0.0
+    """Tilt, about a horizontal axis drawn for each seed [deg]."""
+    rate_deg: RateDeg = 0.0
+    """Size of the body rate, about a horizontal axis drawn for each seed [deg/s]."""
+    known_attitude: bool = False
+    """Whether the estimator is told its attitude; otherwise it starts level."""
+
+
+class Crash(Strict):
+    """A flight has crashed at the first instant at which any of these holds; what follows is not counted."""
+
+    tilt_deg: Annotated[float, Between(1.0, 180.0, "°")] = 75.0
+    """Tilt beyond which a flight counts as lost: the controller asks for 60° at most [deg]."""
+    altitude: Coordinate = 0.0
+    """Height of the centre of mass below which the ground is hit, world z [m]."""
+    distance: Distance = 10.0
+    """Distance from the set-point beyond which the vehicle has flown away [m]."""
+
+
+class Scenario(Strict):
+    """One flight situation, to be flown on any estimator and any number of seeds."""
+
+    description: str
+    """What it asks of an estimator, in a sentence; shown in reports."""
+    duration_s: Annotated[float, Between(1e-3, 3600.0, "s")] = 20.0
+    """Length of a flight [s]."""
+    vehicle: str = "hummingbird"
+    """A shipped vehicle, or the path of a TOML file."""
+    imu: str = "adis16448"
+    """A shipped IMU, or the path of a TOML file."""
+    external: str = "ideal"
+    """Where position, velocity and yaw come from: a shipped external sensor, or the path of a TOML file."""
+    contact: bool = False
+    """Whether the ground can be touched, at five times the cost; otherwise to reach it is to crash."""
+    trajectory: Trajectory = Hover()
+    """The set-points."""
+    wind: tuple[WindSpec, ...] = ()
+    """Winds, added up."""
+    start: Start = Start()
+    """How a flight begins."""
+    faults: tuple[Fault, ...] = ()
+    """What goes wrong, in the order in which it acts on a sample."""
+    crash: Crash = Crash()
+    """What counts as a crash."""
+
+
+def load_scenario(source: str | Path) -> Scenario:
+    """Read a scenario: a shipped name ("hover") or the path of a TOML file.
+
+    Relative paths in a file are from its folder.
+
+    Raises:
+        ValueError: One line with the file, the key, its value and what is allowed.
+    """
+    return located(load_toml(source, "scenarios", Scenario), source)
+
+
+def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """A scenario with some of its fields changed, and checked.
+
+    Raises:
+        ValueError: A value that the field cannot have.
+    """
+    try:
+        return Scenario.model_validate(scenario.model_dump() | dict(changes))
+    except ValidationError as error:
+        raise ValueError(describe(error, Scenario)) from error
+
+
+def scenario_names() -> list[str]:
+    """Names of the shipped scenarios, sorted."""
+    return preset_names("scenarios")

@@ -1,0 +1,124 @@
+"""The errors of an IMU as a typed model, read from TOML."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias, TypeVar
+
+from pydantic import model_validator
+
+from ..config.ranges import Arm, Between, ForceVector, Rotation, RotorSpeed
+from ..config.toml import Strict, load_toml, nearest
+
+Noise: TypeAlias = Annotated[float, Between(0.0, 1000.0)]
+Spread: TypeAlias = Annotated[float, Between(0.0, 0.5)]
+RatePart: TypeAlias = Annotated[float, Between(-70.0, 70.0, "rad/s")]
+
+
+class Sensor(Strict):
+    """Errors of one three-axis sensor in its own unit (rad/s or m/s²); every default means none."""
+
+    noise: Noise = 0.0
+    """White noise density N [unit/√Hz]."""
+    random_walk: Noise = 0.0
+    """Bias random walk σ_b [unit/√s]."""
+    time_constant: Annotated[float, Between(1e-3, 1e7, "s")] | None = None
+    """Correlation time τ of the bias random walk [s]."""
+    turn_on: Annotated[float, Between(0.0, 50.0)] = 0.0
+    """Standard deviation of the bias that is drawn at turn-on and then stays [unit]."""
+    scale_factor: Spread = 0.0
+    """Standard deviation of the relative scale error of each axis."""
+    misalignment: Spread = 0.0
+    """Standard deviation of the part of another axis that an axis sees [rad]."""
+    low_pass_hz: Annotated[float, Between(0.0, 1e5, "Hz")] = 0.0
+    """Corner (−3 dB) of the Butterworth low-pass [Hz]; 0 for none."""
+    low_pass_order: Literal[1, 2] = 2
+    """Order of the low-pass."""
+    resolution: Annotated[float, Between(0.0, 50.0)] = 0.0
+    """Step of the digital output [unit]; 0 for none."""
+    saturation: Annotated[float, Between(1e-3, 1e5)] | None = None
+    """Largest reading [unit]; left out, there is none."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "Sensor":
+        if self.random_walk > 0.0 and self.time_constant is None:
+            raise ValueError(f"random_walk = {self.random_walk} needs a time_constant [s]")
+        if self.saturation is not None and self.resolution > self.saturation:
+            raise ValueError(f"resolution {self.resolution} must not exceed saturation {self.saturation}")
+        return self
+
+
+class Vibration(Strict):
+    """What the imbalance of each rotor shakes; a property of the airframe more than of the sensor."""
+
+    rotor_vel: RotorSpeed
+    """Rotor speed at which the amplitudes hold [rad/s]; elsewhere they go with its square."""
+    gyro: tuple[RatePart, RatePart, RatePart] = (0.0, 0.0, 0.0)
+    """Amplitude of each rotor [rad/s]."""
+    accel: ForceVector = (0.0, 0.0, 0.0)
+    """Amplitude of each rotor [m/s²]."""
+
+
+class ImuSpec(Strict):
+    """An IMU; every default means an ideal one at the centre of mass."""
+
+    gyro: Sensor = Sensor()
+    """Gyroscope [rad/s]."""
+    accel: Sensor = Sensor()
+    """Accelerometer [m/s²]."""
+    lever_arm: Arm = (0.0, 0.0, 0.0)
+    """Where the sensor sits, from the centre of mass, in body axes [m]."""
+    mounting_deg: Rotation = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the sensor with respect to the body [deg]; readings are in sensor axes."""
+    g_sensitivity: Annotated[float, Between(0.0, 1.0, "rad/s per m/s²")] = 0.0
+    """Standard deviation of each element of the gyro's sensitivity to specific force [rad/s per m/s²]."""
+    vibration: Vibration | None = None
+    """Vibration of the rotors; left out, there is none."""
+    dropped: Annotated[float, Between(0.0, 0.99)] = 0.0
+    """Share of the samples that are lost; the reading is then the one before."""
+
+    def without(self, *parts: str) -> "ImuSpec":
+        """The same IMU with some parts of its error off, such as "noise" or "lever_arm" (see PARTS)."""
+        for part in parts:
+            if part not in PARTS:
+                raise ValueError(f'unknown part "{part}" of an IMU; {nearest(part, PARTS)}')
+        gyro, accel = _cleared(self.gyro, parts), _cleared(self.accel, parts)
+        return _cleared(self, parts).model_copy(update={"gyro": gyro, "accel": accel})
+
+    def only(self, *parts: str) -> "ImuSpec":
+        """The same IMU with only some parts of its error (see PARTS)."""
+        self.without(*parts)
+        return self.without(*(part for part in PARTS if part not in parts))
+
+
+Model = TypeVar("Model", Sensor, ImuSpec)
+
+PARTS = (
+    "noise",
+    "random_walk",
+    "turn_on",
+    "scale_factor",
+    "misalignment",
+    "low_pass_hz",
+    "resolution",
+    "saturation",
+    "lever_arm",
+    "mounting_deg",
+    "g_sensitivity",
+    "vibration",
+    "dropped",
+)
+"""Parts of the error that can be switched off, by the name of their field."""
+
+
+def _cleared(model: Model, parts: Sequence[str]) -> Model:
+    fields = type(model).model_fields
+    return model.model_copy(update={part: fields[part].default for part in parts if part in fields})
+
+
+def load_imu(source: str | Path) -> ImuSpec:
+    """Load a preset ("adis16448", "px4-mini", …) or a TOML file.
+
+    Raises:
+        ValueError: One line that says what is wrong and what is allowed.
+    """
+    return load_toml(source, "imus", ImuSpec)

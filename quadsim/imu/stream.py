@@ -1,0 +1,293 @@
+"""The IMU: what its gyroscope and accelerometer read when the vehicle moves in a given way.
+
+From the truth at the centre of mass, in body axes, to the reading; every part can be switched off:
+
+1. lever arm: the specific force where the sensor sits, f + α × r + ω × (ω × r);
+2. low-pass: a continuous Butterworth filter with its delay, at any sample rate;
+3. vibration at the frequency of the rotors, attenuated by that filter and aliased by the sampling;
+4. mounting, scale factor and misalignment, and the sensitivity of the gyroscope to force;
+5. turn-on bias, bias random walk and white noise (RotorS): b ← e^{−dt/τ} b + σ_b √(τ/2 (1 − e^{−2dt/τ})) n,
+   y = true + b + (N/√dt) n + b_on, where b starts at its stationary standard deviation σ_b √(τ/2);
+6. resolution, saturation, and dropped samples, which repeat the one before.
+
+Whole arrays and single samples go through the same compiled pass and give the same numbers.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+
+from ..config.ranges import SAMPLE_RATE
+from ..rotation import matrix_from_quat, quat_from_euler
+from ..seeding import Seed, child, vehicle_seeds
+from .kernel import ACCEL, GYRO, NOISES, ROTORS, VEHICLE, low_pass_coefficients, measure
+from .spec import ImuSpec, Sensor
+
+Array = NDArray[np.float64]
+
+BLOCK = 128
+"""Samples for which noise is drawn at once."""
+
+
+class ImuStream:
+    """The IMUs of n vehicles, one sample at a time: the same numbers as `simulate_imu`.
+
+    The random numbers of vehicle i follow from its seed alone: they do not change with n, nor with the parts
+    of the error that are switched on.
+    """
+
+    def __init__(self, spec: ImuSpec, n: int, rate_hz: float, seed: Seed) -> None:
+        """Switch on, with biases and scale factors drawn for this flight.
+
+        Args:
+            spec: The IMU.
+            n: Number of vehicles.
+            rate_hz: Samples per second.
+            seed: Whole number, seed sequence, or one seed sequence per vehicle.
+
+        Raises:
+            ValueError: An argument is out of range.
+        """
+        if n < 1:
+            raise ValueError(f"n = {n}: at least one vehicle is allowed")
+        SAMPLE_RATE.of("rate_hz", rate_hz)
+        self.spec = spec
+        self.rate_hz = rate_hz
+        self._seeds = vehicle_seeds(seed, n)
+        self._flight = np.zeros(n, dtype=np.int64)
+        self._vehicles = np.tile(_constants(spec, 1.0 / rate_hz), n)
+        self._needs_ang_acc = bool(self._vehicles["lever_arm_on"][0])
+        self._needs_rotor_vel = bool(self._vehicles["vibration_on"][0])
+        self._sensor_from_body = matrix_from_quat(quat_from_euler(*np.radians(spec.mounting_deg))).T
+        self._noises = _noises(spec)
+        self._random: list[list[np.random.Generator]] = [[] for _ in range(n)]
+        self._noise = np.zeros((n, NOISES, BLOCK, 3))
+        self._at = 0
+        self._ang_vel, self._specific_force, self._ang_acc = np.zeros((3, n, 1, 3))
+        self._rotor_vel = np.zeros((n, 1, ROTORS))
+        self._bias = np.zeros((2, n, 1, 3))
+        self.arrays = self._vehicles, self._noise, self._bias
+        for vehicle in range(n):
+            self._switch_on(vehicle)
+
+    @property
+    def gyro_bias(self) -> Array:
+        """True bias in the last reading of the gyro, turn-on and random walk, shape (n, 3) [rad/s]."""
+        return self._bias[GYRO, :, 0].copy()
+
+    @property
+    def accel_bias(self) -> Array:
+        """True bias in the last reading of the accelerometer, shape (n, 3) [m/s²]."""
+        return self._bias[ACCEL, :, 0].copy()
+
+    def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
+        """Switch some vehicles' IMUs, or all, off and on: new biases and noise, from the next child seed."""
+        for vehicle in range(len(self._vehicles)) if ids is None else ids:
+            self._flight[vehicle] += 1
+            self._switch_on(int(vehicle))
+
+    def sample(
+        self,
+        ang_vel: ArrayLike,
+        specific_force: ArrayLike,
+        ang_acc: ArrayLike | None = None,
+        rotor_vel: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:
+        """Next reading of all vehicles.
+
+        Args:
+            ang_vel: Body rate, body axes, shape (n, 3) [rad/s].
+            specific_force: At the centre of mass, body axes, shape (n, 3) [m/s²].
+            ang_acc: Angular acceleration, body axes, shape (n, 3) [rad/s²]; needed for a lever arm.
+            rotor_vel: Rotor speeds, shape (n, 4) [rad/s]; needed for vibration.
+
+        Returns:
+            gyro [rad/s] and accel [m/s²], each (n, 3), in sensor axes.
+        """
+        self._ang_vel[:, 0] = ang_vel
+        self._specific_force[:, 0] = specific_force
+        if self._needs_ang_acc:
+            self._ang_acc[:, 0] = _given("ang_acc", ang_acc)
+        if self._needs_rotor_vel:
+            self._rotor_vel[:, 0] = _given("rotor_vel", rotor_vel)
+        out = np.empty(self._bias.shape)
+        measure(
+            self._vehicles, self._noise, self.next_samples(), 0, 1,
+            self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self._bias,
+        )  # fmt: skip
+        return out[GYRO, :, 0], out[ACCEL, :, 0]
+
+    def next_samples(self, count: int = 1) -> int:
+        """The place in `noise` of the next samples, all within one block: they count as taken.
+
+        For loops that call `imu_kernel.measure` themselves, on `arrays`: vehicles, noise and bias.
+        """
+        if self._at == BLOCK:
+            self._at = 0
+            for vehicle in range(len(self._vehicles)):
+                self._fill(vehicle, 0)
+        self._at += count
+        return self._at - count
+
+    def _switch_on(self, vehicle: int) -> None:
+        """Draw what stays for a flight, and restart the noise from here."""
+        seed, flight = self._seeds[vehicle], int(self._flight[vehicle])
+        random = np.random.default_rng(child(seed, flight, 0))
+        _draw_flight(self._vehicles[vehicle], self.spec, self._sensor_from_body, random)
+        self._random[vehicle] = [
+            np.random.default_rng(child(seed, flight, 1 + each)) for each in self._noises
+        ]
+        self._bias[:, vehicle, 0] = self._vehicles["turn_on"][vehicle] + self._vehicles["walk"][vehicle]
+        self._fill(vehicle, self._at)
+
+    def _fill(self, vehicle: int, begin: int) -> None:
+        """Draw a vehicle's noise for the rest of the block."""
+        for each, random in zip(self._noises, self._random[vehicle], strict=True):
+            random.standard_normal(out=self._noise[vehicle, each, begin:])
+
+
+def simulate_imu_with_bias(
+    spec: ImuSpec,
+    ang_vel: ArrayLike,
+    specific_force: ArrayLike,
+    rate_hz: float,
+    seed: Seed,
+    ang_acc: ArrayLike | None = None,
+    rotor_vel: ArrayLike | None = None,
+) -> tuple[Array, Array, Array, Array]:
+    """Readings and true biases of whole flights; arguments as in `simulate_imu`.
+
+    Returns:
+        gyro [rad/s], accel [m/s²] and their biases (turn-on and random walk), each (n, T, 3), in sensor axes.
+    """
+    rates = _series("ang_vel", ang_vel, 3)
+    n, steps = rates.shape[:2]
+    stream = ImuStream(spec, n, rate_hz, seed)
+    shape = (n, steps)
+    forces = _series("specific_force", specific_force, 3, shape)
+    unused = np.zeros((n, 1, 3)), np.zeros((n, 1, ROTORS))
+    accelerations = _series("ang_acc", ang_acc, 3, shape) if stream._needs_ang_acc else unused[0]
+    rotors = _series("rotor_vel", rotor_vel, ROTORS, shape) if stream._needs_rotor_vel else unused[1]
+    out, bias = np.empty((2, 2, n, steps, 3))
+    for start in range(0, steps, BLOCK):
+        count = min(BLOCK, steps - start)
+        vehicles, noise, _ = stream.arrays
+        measure(
+            vehicles, noise, stream.next_samples(count), start, count,
+            rates, forces, accelerations, rotors, out, bias,
+        )  # fmt: skip
+    return out[GYRO], out[ACCEL], bias[GYRO], bias[ACCEL]
+
+
+def simulate_imu(
+    spec: ImuSpec,
+    ang_vel: ArrayLike,
+    specific_force: ArrayLike,
+    rate_hz: float,
+    seed: Seed,
+    ang_acc: ArrayLike | None = None,
+    rotor_vel: ArrayLike | None = None,
+) -> tuple[Array, Array]:
+    """Readings of the IMUs of n vehicles over whole flights.
+
+    Args:
+        spec: The IMU.
+        ang_vel: Body rate, body axes, shape (n, T, 3) [rad/s].
+        specific_force: At the centre of mass, body axes, shape (n, T, 3) [m/s²].
+        rate_hz: Samples per second.
+        seed: Whole number, seed sequence, or one seed sequence per vehicle.
+        ang_acc: Angular acceleration, body axes, shape (n, T, 3) [rad/s²]; needed for a lever arm.
+        rotor_vel: Rotor speeds, shape (n, T, 4) [rad/s]; needed for vibration.
+
+    Returns:
+        gyro [rad/s] and accel [m/s²], each (n, T, 3), in sensor axes.
+
+    Raises:
+        ValueError: An array has the wrong shape or holds a number that is not finite.
+    """
+    return simulate_imu_with_bias(spec, ang_vel, specific_force, rate_hz, seed, ang_acc, rotor_vel)[:2]
+
+
+def _constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
+    """What an IMU's record holds for all flights, shape (1,)."""
+    records = np.zeros(1, VEHICLE)
+    p = records[0]
+    p["dt"] = dt
+    p["lever_arm"], p["lever_arm_on"] = spec.lever_arm, any(spec.lever_arm)
+    p["drop_below"] = ndtri(spec.dropped)
+    if spec.vibration is not None:
+        p["vibration_on"] = 1
+        p["amplitude"] = np.array([spec.vibration.gyro, spec.vibration.accel]) / spec.vibration.rotor_vel**2
+    for index, sensor in enumerate((spec.gyro, spec.accel)):
+        corner = 2.0 * math.pi * sensor.low_pass_hz
+        p["low_pass_on"][index] = corner > 0.0
+        p["corner"][index] = corner if corner > 0.0 else np.inf
+        p["order"][index] = sensor.low_pass_order
+        if corner > 0.0:
+            p["transition"][index], p["from_last"][index], p["from_new"][index] = low_pass_coefficients(
+                corner, sensor.low_pass_order, dt
+            )
+        p["white"][index] = sensor.noise / math.sqrt(dt)
+        tau = sensor.time_constant or math.inf
+        p["decay"][index] = math.exp(-dt / tau)
+        p["diffusion"][index] = _walk_spread(sensor) * math.sqrt(-math.expm1(-2.0 * dt / tau))
+        p["resolution"][index] = sensor.resolution
+        p["limit"][index] = _limit(sensor)
+    return records
+
+
+def _limit(sensor: Sensor) -> float:
+    """Largest multiple of the resolution that is within the range."""
+    if sensor.saturation is None:
+        return math.inf
+    if sensor.resolution == 0.0:
+        return sensor.saturation
+    return sensor.resolution * math.floor(sensor.saturation / sensor.resolution * (1.0 + 1e-12))
+
+
+def _walk_spread(sensor: Sensor) -> float:
+    """Stationary standard deviation of the bias random walk, σ_b √(τ/2)."""
+    return sensor.random_walk * math.sqrt((sensor.time_constant or 0.0) / 2.0)
+
+
+def _noises(spec: ImuSpec) -> list[int]:
+    """Which of the random streams an IMU uses."""
+    sizes = (spec.gyro.noise, spec.accel.noise, spec.gyro.random_walk, spec.accel.random_walk, spec.dropped)
+    return [index for index, size in enumerate(sizes) if size > 0.0]
+
+
+def _draw_flight(p: np.void, spec: ImuSpec, sensor_from_body: Array, random: np.random.Generator) -> None:
+    """Draw what stays for a flight into its record. New draws go last: the order fixes the numbers."""
+    turn_on, walk, scale = random.standard_normal((3, 2, 3))
+    misalignment, g_sensitivity = random.standard_normal((2, 3, 3)), random.standard_normal((3, 3))
+    p["phase_offset"] = random.uniform(0.0, 2.0 * np.pi, (ROTORS, 2, 3))
+    p["force_matrix"] = spec.g_sensitivity * g_sensitivity @ sensor_from_body
+    for index, sensor in enumerate((spec.gyro, spec.accel)):
+        p["turn_on"][index] = sensor.turn_on * turn_on[index]
+        p["walk"][index] = _walk_spread(sensor) * walk[index]
+        error = sensor.misalignment * misalignment[index]
+        np.fill_diagonal(error, 1.0 + sensor.scale_factor * scale[index])
+        p["matrix"][index] = error @ sensor_from_body
+    p["started"] = 0
+
+
+def _given(name: str, value: ArrayLike | None) -> ArrayLike:
+    if value is None:
+        need = "sits off the centre of mass" if name == "ang_acc" else "feels the vibration of the rotors"
+        raise ValueError(f"this IMU {need} and needs {name}")
+    return value
+
+
+def _series(name: str, value: ArrayLike | None, size: int, shape: tuple[int, ...] | None = None) -> Array:
+    """Array (n, T, size) of finite numbers in a layout that the kernel knows, else ValueError."""
+    array = np.require(_given(name, value), dtype=np.float64, requirements=["C", "W"])
+    expected = f"({', '.join(map(str, shape or ('n', 'T')))}, {size})"
+    if array.ndim != 3 or array.shape[2] != size or (shape is not None and array.shape[:2] != shape):
+        raise ValueError(f"{name} has shape {array.shape}; it must be {expected}")
+    if not np.isfinite(array).all():
+        where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{name}{list(where)} is {array[where]}; all numbers must be finite")
+    return array

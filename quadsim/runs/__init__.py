@@ -1,0 +1,1 @@
+"""How jobs run: files written whole, worker processes, progress, fingerprints for reuse, compilation."""

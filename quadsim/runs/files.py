@@ -1,0 +1,142 @@
+"""Files that are whole or absent: every write goes to a temporary name and is renamed."""
+
+import csv
+import errno
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from filelock import FileLock, Timeout
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+from .fingerprint import fingerprint
+
+PART = ".part"
+
+
+def replace(path: str | Path, write: Callable[[Path], object]) -> Path:
+    """Write a file, and the folders above it, so that the path holds what was there or the whole new file.
+
+    Args:
+        path: The file.
+        write: Writes the path that it is given: a file beside it with the same suffix.
+
+    Returns:
+        The path.
+
+    Raises:
+        OSError: It cannot be written; nothing has changed.
+    """
+    path = Path(path)
+    _make_folder(path.parent)
+    part = path.with_name(f".{path.stem}.{os.getpid()}{PART}{path.suffix}")
+    try:
+        write(part)
+        part.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    finally:
+        part.unlink(missing_ok=True)  # still there if writing failed
+    return path
+
+
+def drop_parts(path: str | Path) -> None:
+    """Remove what processes that were killed left half written at a path, or anywhere in a folder."""
+    path = Path(path)
+    found = (
+        path.rglob(f".*{PART}*") if path.is_dir() else path.parent.glob(f".{path.stem}.*{PART}{path.suffix}")
+    )
+    for part in found:
+        writer = part.name.split(PART)[0].rsplit(".", 1)[-1]
+        if writer.isdigit() and not _is_alive(int(writer)):
+            part.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # somebody else's
+        return True
+    return True
+
+
+def write_whole(path: str | Path, content: str | bytes) -> Path:
+    """Write text in UTF-8, or bytes, as `replace` does."""
+    data = content.encode() if isinstance(content, str) else content
+    return replace(path, lambda part: part.write_bytes(data))
+
+
+def write_csv(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Path:
+    """Write rows under the union of their keys, as `replace` does; numbers in full."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+
+    def write(part: Path) -> None:
+        with part.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, columns, restval="")
+            writer.writeheader()
+            writer.writerows(rows)
+
+    return replace(path, write)
+
+
+def write_json(path: str | Path, content: Any) -> Path:
+    """Write what JSON can hold, as `replace` does, beside a digest of it."""
+    return write_whole(
+        path, json.dumps({"digest": fingerprint(content), "content": content}, allow_nan=False)
+    )
+
+
+def read_json(path: Path) -> Any:
+    """What `write_json` wrote.
+
+    Raises:
+        OSError: The file is not there, or cannot be read.
+        ValueError: It is damaged, or not such a file.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if found["digest"] == fingerprint(found["content"]):
+            return found["content"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        pass
+    raise ValueError(f"{path}: damaged, or of another version of quadsim")
+
+
+def save_figure(path: str | Path, figure: "Figure", **options: Any) -> Path:
+    """Write a Matplotlib figure as `replace` does; the path's suffix chooses the format."""
+    return replace(path, lambda part: figure.savefig(part, **options))
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Hold what grows at a path for this process; given up when the process ends, however it does.
+
+    Raises:
+        ValueError: Another process holds it.
+    """
+    _make_folder(path.parent)
+    lock = FileLock(path.with_name(f".{path.name}.lock"), timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise ValueError(
+            f"{path} is being written by another process: wait for it, or choose another"
+        ) from None
+    try:
+        yield
+    finally:
+        Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder)) from error

@@ -1,0 +1,116 @@
+"""Fingerprints: digests of code, configuration and inputs, by which results are reused."""
+
+import ast
+import hashlib
+import json
+from collections.abc import Collection, Iterable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
+ROOT = Path(__file__).parents[2]
+LIBRARIES = ("mujoco", "numba", "numpy", "torch")
+"""Their versions may change results in the last bits."""
+
+
+def fingerprint(*content: Any) -> str:
+    """Digest of anything that JSON can hold: two jobs with the same one make the same files."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def content_digest(content: bytes | str) -> str:
+    """SHA-256 of a file's bytes or of a text."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
+@cache
+def code_digest(*names: str) -> str:
+    """Digest of the code that a job runs, and of the versions of the libraries that it computes with.
+
+    Args:
+        names: Modules, with which all that they import of the product counts; of a package, every module.
+    """
+    files = closure([file for name in names for file in _sources(name)], ROOT, PACKAGES)
+    found = {file.relative_to(ROOT).as_posix(): file_digest(file) for file in files}
+    return fingerprint(found, {name: version(name) for name in LIBRARIES})
+
+
+def file_digest(path: Path) -> str:
+    """Digest of a file: of Python the code alone, of anything else the bytes."""
+    if path.suffix == ".py":
+        return source_digest(path.read_text("utf-8"))
+    return content_digest(path.read_bytes())
+
+
+def source_digest(source: str) -> str:
+    """Digest of Python source that comments, docstrings and formatting do not change."""
+    return content_digest(_shape(ast.parse(source)))
+
+
+def closure(scripts: Iterable[Path], root: Path, packages: Collection[str] | None = None) -> set[Path]:
+    """The scripts and every module of the product that they import, at whatever depth and in any function.
+
+    Args:
+        scripts: Where to begin.
+        root: The folder that packages are in.
+        packages: Which of them are followed; all, if left out. Modules beside a script are followed too.
+    """
+    found: set[Path] = set()
+    waiting = list(scripts)
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting += _imported(path, root, packages)
+    return found
+
+
+def _sources(name: str) -> list[Path]:
+    place = ROOT.joinpath(*name.split("."))
+    return sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
+
+
+def _imported(path: Path, root: Path, packages: Collection[str] | None) -> set[Path]:
+    """Files of the product that a file's import statements load."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = path.relative_to(root).with_suffix("").parts[: -node.level] if node.level else ()
+            base = ".".join([*package, *([node.module] if node.module else [])])
+            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
+    ours = {name for name in names if packages is None or name.split(".")[0] in packages}
+    return {file for name in ours for file in _files_of(name, root)} | {
+        file for name in names for file in _files_of(name, path.parent)
+    }
+
+
+def _files_of(module: str, place: Path) -> list[Path]:
+    """The file of a module below a folder, and the `__init__.py` of each package around it."""
+    parts = module.split(".")
+    packages = [place.joinpath(*parts[:k], "__init__.py") for k in range(1, len(parts) + 1)]
+    return [path for path in (*packages, place.joinpath(*parts).with_suffix(".py")) if path.is_file()]
+
+
+def _shape(node: object) -> str:
+    """A syntax tree as text. Empty fields are left out: Python's versions differ in which there are."""
+    if isinstance(node, list):
+        return "[" + ",".join(_shape(each) for each in node if not _is_docstring(each)) + "]"
+    if isinstance(node, ast.Constant):
+        return repr(node.value)
+    if not isinstance(node, ast.AST):
+        return repr(node)
+    fields = ((name, value) for name, value in ast.iter_fields(node) if value not in (None, []))
+    return f"{type(node).__name__}({','.join(f'{name}={_shape(value)}' for name, value in fields)})"
+
+
+def _is_docstring(node: object) -> bool:
+    """Whether a statement is a string alone, which does nothing."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )

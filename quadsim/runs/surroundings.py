@@ -1,0 +1,93 @@
+"""What of the surroundings would stop an import, or let compiled code be older than its source.
+
+Numba keeps compiled functions in files, and compiles one again when its own source file has changed, but not
+when that of a function that it calls has. So the cache is in a folder whose name is a digest of every file
+with compiled functions: another digest, another folder.
+"""
+
+import atexit
+import hashlib
+import logging
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from platformdirs import user_cache_dir
+
+log = logging.getLogger(__name__)
+
+PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
+ROOT = Path(__file__).parents[2]
+OPENGL = ("egl", "glfw", "osmesa", "glx", "wgl", "cgl")
+"""What MUJOCO_GL may say: how pictures are made."""
+SWITCHES = ("", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0")
+FOLDER = "quadsim-"
+"""Beginning of the name of a folder for compiled code."""
+CACHES = 3
+"""Folders for compiled code that stay, the newest."""
+
+
+def settle() -> None:
+    """Leave only what MuJoCo and Numba can be imported with, and warn of what was changed."""
+    asked = os.environ.get("MUJOCO_GL", "")
+    if asked.strip().lower() not in (*OPENGL, *SWITCHES):
+        log.warning("MUJOCO_GL=%s is ignored: %s are allowed", asked, ", ".join(OPENGL))
+        del os.environ["MUJOCO_GL"]
+    _choose_cache(FOLDER + compiled_digest(ROOT))
+
+
+def compiled_digest(root: Path) -> str:
+    """Digest of every file of the product that has compiled functions.
+
+    Args:
+        root: The folder that the packages are in.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(path for name in PACKAGES for path in (root / name).rglob("*.py")):
+        content = path.read_bytes()
+        if b"njit" in content:
+            digest.update(path.relative_to(root).as_posix().encode() + content)
+    return digest.hexdigest()[:16]
+
+
+def is_writable(folder: Path) -> bool:
+    """Whether a file can be made in a folder, which is made if it is not there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _choose_cache(name: str) -> None:
+    """Have Numba keep its code in a folder of this name: where the user says, beside ours, or in a cache."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given is not None and Path(given).name.startswith(FOLDER):
+        given = str(Path(given).parent)  # of the process that started this one
+    beside = Path(__file__).parent / "__pycache__"
+    places = [Path(given)] if given else [beside, Path(user_cache_dir("numba", appauthor=False))]
+    for place in places:
+        if is_writable(place / name):
+            _drop_old(place)
+            break
+    else:
+        place = Path(tempfile.mkdtemp(prefix="numba-"))
+        log.warning(
+            "no compiled code can be kept in %s: it is compiled anew in every run; set NUMBA_CACHE_DIR to a "
+            "folder that can be written",
+            " or ".join(map(str, places)),
+        )
+        atexit.register(shutil.rmtree, place, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(place / name)
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = str(place / name)
+
+
+def _drop_old(place: Path) -> None:
+    """Remove the folders of compiled code that have not been used for longest."""
+    found = [each for each in place.glob(f"{FOLDER}*") if each.is_dir()]
+    for each in sorted(found, key=lambda each: each.stat().st_mtime)[:-CACHES]:
+        shutil.rmtree(each, ignore_errors=True)

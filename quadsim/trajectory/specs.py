@@ -1,0 +1,155 @@
+"""Kinds of trajectory: small typed models, chosen by `kind` in TOML; random ones are drawn per flight."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ..config.ranges import Between, Distance, Duration, Heading, Instant, PeakTilt, Position, Rising, Share
+from ..config.toml import Strict
+
+Manoeuvre = Annotated[float, Between(0.05, 3600.0, "s")]
+ManoeuvreRange = Annotated[tuple[Manoeuvre, Manoeuvre], Rising]
+LEAST_PEAK_DEG = 25.0
+MOST_POINTS = 10_000
+Multiple = Annotated[int, Between(-100, 100)]
+
+
+class Hover(Strict):
+    """Stay at one place."""
+
+    kind: Literal["hover"] = "hover"
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Where [m].")
+    yaw_deg: Heading = Field(default=0.0, description="Heading [deg].")
+
+
+class Step(Strict):
+    """Hover, then jump: the set-point moves at once, there and back."""
+
+    kind: Literal["step"] = "step"
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
+    offset: Position = Field(default=(2.0, 0.0, 0.0), description="Size of the jump [m].")
+    yaw_deg: Heading = Field(default=0.0, description="Jump of the heading [deg].")
+    at_s: Instant = Field(default=2.0, description="Time of the first jump [s].")
+    hold_s: Duration = Field(default=6.0, description="Time until the next jump, back or there again [s].")
+
+
+class Move(Strict):
+    """From one place to another and to stay there, rest to rest with minimum snap: take-off and landing."""
+
+    kind: Literal["move"] = "move"
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Start [m].")
+    offset: Position = Field(default=(0.0, 0.0, 1.0), description="How far [m].")
+    at_s: Instant = Field(default=2.0, description="When it begins [s].")
+    length_s: Manoeuvre = Field(default=4.0, description="How long it takes [s].")
+
+
+class Lissajous(Strict):
+    """Sines on the three axes; frequencies 1 : 2 draw a figure of eight. It grows over one period."""
+
+    kind: Literal["lissajous"] = "lissajous"
+    position: Position = Field(default=(0.0, 0.0, 2.0), description="Centre [m].")
+    amplitude: Position = Field(default=(3.0, 1.5, 0.0), description="Amplitudes [m].")
+    ratio: tuple[Multiple, Multiple, Multiple] = Field(
+        default=(1, 2, 1), description="Frequencies over the basic one."
+    )
+    period_s: Manoeuvre = Field(default=6.0, description="Period of the basic frequency [s].")
+    yaw_along: bool = Field(default=False, description="Turn the nose into the direction of flight.")
+
+
+class Waypoints(Strict):
+    """Minimum snap through waypoints, at rest at both ends; flown again and again until time is up.
+
+    For given times the curve that minimises ∫ ‖d⁴x/dt⁴‖² is the interpolating spline of degree 7
+    (Mellinger & Kumar 2011); times follow from distance over speed.
+    """
+
+    kind: Literal["waypoints"] = "waypoints"
+    points: tuple[Position, ...] = Field(
+        default=(), description="Waypoints [m]; none draws random ones for each flight."
+    )
+    random_points: Annotated[int, Between(2, 100)] = Field(default=8, description="How many to draw.")
+    box: Position = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
+    position: Position = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
+    speed: Annotated[float, Between(0.01, 100.0, "m/s")] = Field(
+        default=2.5, description="Mean speed along straight legs [m/s]."
+    )
+
+    @model_validator(mode="after")
+    def _leads_somewhere(self) -> "Waypoints":
+        if len(self.points) == 1 or len(self.points) > MOST_POINTS:
+            raise ValueError(
+                f"points: {len(self.points)} given; 2 to {MOST_POINTS} make a path, none draws random ones"
+            )
+        return self
+
+
+class Mix(Strict):
+    """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, stops and turns.
+
+    A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
+    up to `max_tilt_deg`, so roll and pitch spread over about 0.25 rad.
+    """
+
+    kind: Literal["mix"] = "mix"
+    position: Position = Field(
+        default=(0.0, 0.0, 20.0), description="Start and centre of the flown volume [m]."
+    )
+    max_tilt_deg: PeakTilt = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
+    min_tilt_deg: Annotated[float, Between(0.0, 55.0, "°")] = Field(
+        default_factory=lambda given: min(LEAST_PEAK_DEG, given.get("max_tilt_deg", LEAST_PEAK_DEG)),
+        description="Smallest peak tilt of a dash [deg]; 25, or the largest where that is less.",
+    )
+    dash_s: ManoeuvreRange = Field(default=(1.0, 2.6), description="Range of the length of a dash [s].")
+    circle_share: Share = Field(default=0.25, description="Share of circles among the manoeuvres.")
+    circle_s: ManoeuvreRange = Field(default=(1.6, 3.5), description="Range of the period of a circle [s].")
+    eight_share: Share = Field(default=0.0, description="Share of figures of eight.")
+    eight_s: ManoeuvreRange = Field(default=(3.0, 8.0), description="Range of the time of a lap of them [s].")
+    jump_share: Share = Field(default=0.0, description="Share of jumps of the set-point.")
+    jump_m: Annotated[tuple[Distance, Distance], Rising] = Field(
+        default=(0.5, 2.5), description="Range of their size [m]."
+    )
+    pause_share: Share = Field(default=0.1, description="Share of hovering pauses.")
+    pause_s: ManoeuvreRange = Field(default=(0.2, 1.5), description="Range of their length [s].")
+    max_yaw_rate: Annotated[float, Between(0.0, 70.0, "rad/s")] = Field(
+        default=1.5, description="Largest yaw rate of a turn [rad/s]."
+    )
+    radius: Distance = Field(
+        default=15.0, description="Beyond this distance from the centre, dashes lead back [m]."
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Mix":
+        if self.min_tilt_deg > self.max_tilt_deg:
+            raise ValueError(
+                f"min_tilt_deg = {self.min_tilt_deg:g} is above max_tilt_deg = {self.max_tilt_deg:g}; "
+                "peaks are drawn between them"
+            )
+        total = self.circle_share + self.eight_share + self.jump_share + self.pause_share
+        if total > 1.0 + 1e-9:
+            raise ValueError(
+                f"circle_share + eight_share + jump_share + pause_share = {total:g}; shares of "
+                "manoeuvres add up to 1 at most, and dashes are the rest"
+            )
+        return self
+
+
+class Doublets(Strict):
+    """Tilt one way, then the other, on roll and pitch in turn: the identification manoeuvre."""
+
+    kind: Literal["doublets"] = "doublets"
+    position: Position = Field(default=(0.0, 0.0, 5.0), description="Start [m].")
+    tilt_deg: PeakTilt = Field(default=30.0, description="Peak tilt [deg].")
+    swing_s: Manoeuvre = Field(default=1.2, description="Length of one doublet [s].")
+    pause_s: Instant = Field(default=1.0, description="Hover between doublets [s].")
+
+
+class SetPointFile(Strict):
+    """A user's set-points: CSV with columns t, x, y, z and, if wanted, yaw [s, m, rad]; splined between."""
+
+    kind: Literal["file"] = "file"
+    path: str = Field(description="The CSV file.")
+
+
+Trajectory = Annotated[
+    Hover | Step | Move | Lissajous | Waypoints | Mix | Doublets | SetPointFile, Field(discriminator="kind")
+]

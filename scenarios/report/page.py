@@ -1,0 +1,226 @@
+"""The report: one HTML file that needs nothing else, with the verdict first."""
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import imageio.v3 as imageio
+import jinja2
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.runs.files import write_whole
+from quadsim.vehicle import load_vehicle
+
+from ..bench.breaking import DISTURBANCES, Breaking
+from ..bench.cell import Cell, Row
+from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS
+from ..bench.pairs import ALL, PAIRED
+from ..bench.runner import Results
+from ..bench.verdict import TRUTH, offline_verdict, verdict
+from .flight_picture import Picture
+
+SHOWN = 4
+"""Estimators drawn at first in the time plots."""
+
+
+def write_report(
+    path: str | Path,
+    results: Results | None = None,
+    *,
+    title: str = "Which attitude estimator to fly",
+    offline: Sequence[Mapping[str, object]] = (),
+    offline_caption: str = "Estimators run over recorded flights, without a loop.",
+    pictures: Mapping[str, Path] | None = None,
+    still: Picture | None = None,
+    csv: Sequence[str] = (),
+    pairs: Sequence[Row] = (),
+    points: Sequence[Breaking] = (),
+    footer: str = "",
+    focus: str = "att-snn-loihi",
+) -> Path:
+    """Write the report.
+
+    Args:
+        path: HTML file to write.
+        results: Closed-loop results; without them only the recorded flights are shown.
+        title: Heading.
+        offline: Rows of the table of recorded flights, with the key "estimator"; other keys become columns.
+        offline_caption: What those flights are.
+        pictures: PNG files to show below that table, by title.
+        still: Picture for the top.
+        csv: Files beside the report to link to.
+        pairs: Paired differences, as in `pairs.paired_differences`.
+        points: Breaking points.
+        footer: How it was made.
+        focus: The estimator that the verdict speaks of besides the best, if it was flown.
+
+    Raises:
+        ValueError: If there is nothing to report.
+    """
+    if results is None and not offline:
+        raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
+    rows = results.rows if results else []
+    context = {
+        "title": title,
+        "verdict": verdict(rows, focus, pairs) if rows else offline_verdict(offline),
+        "warnings": results.warnings if results else [],
+        "rows": rows,
+        "metrics": METRICS if rows else (),
+        "scenarios": _scenarios(results),
+        "estimators": results.settings.estimators if results else [],
+        "lookup": {(row["scenario"], row["estimator"]): row for row in rows},
+        "pairs": bool(pairs),
+        "paired": [metric for metric in METRICS if metric.key in PAIRED],
+        "breaking": _breaking(points),
+        "offline": _offline_table(offline),
+        "offline_caption": offline_caption,
+        "pictures": {
+            name.replace("-", " "): base64.b64encode(each.read_bytes()).decode()
+            for name, each in (pictures or {}).items()
+        },
+        "still": still
+        and base64.b64encode(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)).decode(),
+        "still_caption": still.caption if still else "",
+        "csv": list(csv),
+        "footer": footer or _footer(results),
+        "payload": _payload(results, offline, focus, pairs),
+    }
+    return write_whole(Path(path).expanduser(), _environment().get_template("report.html").render(context))
+
+
+def _jpeg(image: NDArray[np.uint8]) -> str:
+    return base64.b64encode(imageio.imwrite("<bytes>", image, extension=".jpg", quality=88)).decode()
+
+
+def _scenarios(results: Results | None) -> list[dict[str, str]]:
+    if results is None:
+        return []
+    return [{"name": n, "description": s.description} for n, s in results.settings.scenarios.items()]
+
+
+def _footer(results: Results | None) -> str:
+    if results is None:
+        return ""
+    s = results.settings
+    return (
+        f"{s.seeds} flight{'s' if s.seeds > 1 else ''} in each cell, seeds 0 to {s.seeds - 1} of {s.seed}, "
+        f"at {s.rate_hz:g} Hz. Flight i of every estimator has the same wind, sensor noise and start. Roll "
+        "and pitch come from the estimator, position, velocity and yaw from an external sensor: "
+        f"{', '.join(sorted({scenario.external for scenario in s.scenarios.values()}))}."
+    )
+
+
+def _breaking(points: Sequence[Breaking]) -> dict[str, object]:
+    """Disturbances as columns, estimators as rows, each entry with the length of its bar."""
+    kinds = {key: DISTURBANCES[key] for key in DISTURBANCES if any(p.disturbance == key for p in points)}
+    scale = {key: max([p.flies_at or 0.0 for p in points if p.disturbance == key] or [0.0]) for key in kinds}
+    found = {(p.estimator, p.disturbance): p for p in points}
+    rows = []
+    for name in dict.fromkeys(point.estimator for point in points):
+        entries = []
+        for key in kinds:
+            point = found.get((name, key))
+            flown = (point.flies_at or 0.0) if point else 0.0
+            value = None if point is None or point.reason else point.crashes_at or 2 * flown
+            share = flown / scale[key] if scale[key] else 0.0
+            text = point.text if point else "–"
+            title = (point.reason or f"{point.cause}, of {point.seeds} flights") if point else ""
+            entries.append({"text": text, "value": value, "share": share, "title": title})
+        rows.append({"estimator": name, "entries": entries})
+    return {"kinds": list(kinds.values()), "rows": rows}
+
+
+def _offline_table(rows: Sequence[Mapping[str, object]]) -> dict[str, object] | None:
+    if not rows:
+        return None
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    columns = [{"key": key, "label": _label(key), "numeric": _numeric(rows, key)} for key in keys]
+    return {"columns": columns, "rows": [{key: row.get(key) for key in keys} for row in rows]}
+
+
+def _numeric(rows: Sequence[Mapping[str, object]], key: str) -> bool:
+    return all(isinstance(row.get(key), int | float | np.number | None) for row in rows)
+
+
+def _label(key: str) -> str:
+    """Heading for a key: `mean_deg` becomes "mean [deg]"."""
+    for unit in ("deg", "m", "s", "ms", "us"):
+        if key.endswith(f"_{unit}"):
+            return f"{key.removesuffix(f'_{unit}').replace('_', ' ')} [{unit}]"
+    return key.replace("_", " ")
+
+
+def _payload(
+    results: Results | None, offline: Sequence[Mapping[str, object]], focus: str, pairs: Sequence[Row]
+) -> str:
+    names = results.settings.estimators if results else [str(row.get("estimator")) for row in offline]
+    ranked = [s["estimator"] for s in verdict(results.rows, focus).standings] if results else []
+    shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
+    low, high = ERROR_DECADES
+    data: dict[str, object] = {
+        "estimators": list(dict.fromkeys(names)),
+        "scenarios": list(results.settings.scenarios) if results else [],
+        "shown": shown,
+        "metrics": [metric.__dict__ for metric in METRICS],
+        "edges": {"low": low, "high": high, "bins": ERROR_BINS},
+    }
+    if results:
+        scenarios = results.settings.scenarios.values()
+        vehicle = load_vehicle(next(iter(scenarios)).vehicle)
+        data |= {
+            "cells": {f"{cell.scenario}|{cell.estimator}": _cell(cell) for cell in results.cells},
+            "pairs": _pairs(pairs),
+            "all": ALL,
+            "best": next((name for name in ranked if name != TRUTH), None),
+            "series_seed": 0,
+            "hubs": vehicle.hubs[:, :3].tolist(),
+            "prop_radius": vehicle.frame.prop_radius,
+        }
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _pairs(pairs: Sequence[Row]) -> dict[str, list]:
+    """Compact: "metric|scenario" to lists of estimator, versus, difference, low, high, pairs, crashes."""
+    keys = (
+        "estimator",
+        "versus",
+        "difference",
+        "low",
+        "high",
+        "pairs",
+        "crashed_alone",
+        "versus_crashed_alone",
+    )
+    out: dict[str, list] = {}
+    for row in pairs:
+        entry = [round(v, 5) if isinstance(v := row[key], float) else v for key in keys]
+        out.setdefault(f"{row['metric']}|{row['scenario']}", []).append(entry)
+    return out
+
+
+def _cell(cell: Cell) -> dict[str, object]:
+    row = cell.row
+    values = {metric.key: row.get(metric.key) for metric in METRICS}
+    return {"values": values, "histogram": cell.histogram, "series": cell.series}
+
+
+def _environment() -> jinja2.Environment:
+    def source(name: str) -> str:
+        return (files("scenarios.report") / name).read_text(encoding="utf-8")
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(source),
+        autoescape=lambda name: True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = _number
+    return environment
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,47 @@
+"""The report of a benchmark's folder, and the tables beside it."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ..bench.breaking import Breaking
+from ..bench.pairs import paired_differences
+from ..bench.runner import Results, write_csv
+from .flight_picture import cover
+from .page import write_report
+
+
+class Published(NamedTuple):
+    """What was written."""
+
+    report: Path
+    note: str  #: why there is no picture; empty if there is one
+
+
+def publish(
+    folder: str | Path, results: Results, points: Sequence[Breaking] = (), path: Path | None = None
+) -> Published:
+    """Write pairs.csv, breaking.csv if there are such points, and report.html, which links to them.
+
+    Args:
+        folder: Where `bench` wrote results.csv and flights.csv.
+        results: What it returned.
+        points: Breaking points.
+        path: The report, by default report.html in the folder.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    folder = Path(folder).expanduser()
+    pairs = paired_differences(results.flights)
+    files = ["results.csv", "flights.csv"]
+    for name, rows in (("pairs.csv", pairs), ("breaking.csv", [vars(point) for point in points])):
+        (folder / name).unlink(missing_ok=True)  # of an earlier run
+        if rows:
+            write_csv(folder / name, rows)
+            files.append(name)
+    still, note = cover(results.cells)
+    page = path or folder / "report.html"
+    links = [Path(os.path.relpath(folder / name, page.expanduser().parent)).as_posix() for name in files]
+    return Published(write_report(page, results, still=still, csv=links, pairs=pairs, points=points), note)

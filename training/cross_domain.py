@@ -1,0 +1,102 @@
+"""The paper's Table 1: how networks trained on one set of flights do on others, over several folds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from quadsim.dataset.figures import LINES, STYLE
+from quadsim.runs.files import save_figure
+
+TRAIN, TEST = "(train)", "(test)"
+
+
+@dataclass(frozen=True)
+class Score:
+    """Error of one fold's network on one set of flights."""
+
+    model: str
+    trained_on: str
+    fold: int
+    tested_on: str
+    """Its own training flights, "(train)", its held-out flights, "(test)", or the name of another domain."""
+    flights: int
+    error_deg: float
+    """Mean absolute error of roll and pitch over whole flights, unknown initial attitude."""
+    flight_sd_deg: float
+    """Standard deviation of the flights' errors."""
+    epoch: int
+    """The best one, counted from 1."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An entry of Table 1: mean and standard deviation over the folds."""
+
+    model: str
+    trained_on: str
+    tested_on: str
+    folds: int
+    mean_deg: float
+    sd_deg: float
+
+
+def table(scores: Sequence[Score]) -> list[Cell]:
+    """Mean and standard deviation over the folds, in the order in which they first come."""
+    keys = dict.fromkeys((s.model, s.trained_on, s.tested_on) for s in scores)
+    cells = []
+    for key in keys:
+        errors = [s.error_deg for s in scores if (s.model, s.trained_on, s.tested_on) == key]
+        cells.append(Cell(*key, len(errors), float(np.mean(errors)), float(np.std(errors, ddof=1))))
+    return cells
+
+
+def terminal_table(cells: Sequence[Cell]) -> Table:
+    """A row for each model and domain that it was trained on, a column for what it was tested on."""
+    tested = list(dict.fromkeys(cell.tested_on for cell in cells))
+    rows = {(cell.model, cell.trained_on): {} for cell in cells}
+    for cell in cells:
+        rows[cell.model, cell.trained_on][cell.tested_on] = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}"
+    title = f"Mean absolute error of roll and pitch, mean ± SD over {cells[0].folds} folds, °"
+    shown = Table("model", "trained on", title=title)
+    for name in tested:
+        heading = {TRAIN: "its training flights", TEST: "its unseen flights"}.get(name, f"all of {name}")
+        shown.add_column(heading, justify="right")
+    for (model, domain), found in rows.items():
+        shown.add_row(model, domain, *(found.get(name, "") for name in tested))
+    return shown
+
+
+def plot(path: Path, scores: Sequence[Score]) -> None:
+    """Every fold's error as a dot, one column for each entry of Table 1, with mean and standard deviation."""
+    cells = table(scores)
+    models = list(dict.fromkeys(cell.model for cell in cells))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(1.6 + 0.75 * len(cells), 3.4), layout="constrained")
+        axes = figure.subplots()
+        for k, cell in enumerate(cells):
+            key = cell.model, cell.trained_on, cell.tested_on
+            errors = [s.error_deg for s in scores if (s.model, s.trained_on, s.tested_on) == key]
+            colour = LINES[1 + models.index(cell.model) % 2][0]
+            axes.plot(np.full(len(errors), k) + 0.16, errors, "o", ms=4, mfc="none", color=colour)
+            axes.errorbar(k - 0.12, cell.mean_deg, cell.sd_deg, fmt="s", ms=5, color=colour, capsize=3)
+        for model in models:
+            axes.plot([], [], "s", color=LINES[1 + models.index(model) % 2][0], label=model)
+        labels = [f"{cell.trained_on}\n{cell.tested_on}" for cell in cells]
+        axes.set_xticks(range(len(cells)), labels, rotation=0 if len(cells) < 9 else 45)
+        top = max(s.error_deg for s in scores)
+        axes.set(
+            ylabel="mean absolute error [°]",
+            xlabel="trained on, and below it tested on",
+            ylim=(0, 1.15 * top),
+        )
+        axes.set_xlim(-0.6, len(cells) - 0.4)
+        axes.grid(axis="x", visible=False)
+        axes.legend(title="folds (dots), mean ± SD")
+        save_figure(path, figure, dpi=150)
