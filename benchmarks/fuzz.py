@@ -36,7 +36,7 @@ from ulog_file import write_ulog
 
 import estimators
 from estimators.networks.weights_file import load_network
-from estimators.tuning.tuned import load_tuning
+from estimators.tuned import load_tuning
 from quadsim.config.toml import preset_names
 from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate

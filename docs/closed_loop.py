@@ -22,7 +22,6 @@ import estimators
 from estimators.networks.network import silenced
 from estimators.networks.weights_file import load_network, save_network
 from estimators.registry import NETWORKS
-from quadsim.control import delay as loops
 from quadsim.dataset.figures import STYLE
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import scenario_names
@@ -30,6 +29,7 @@ from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, load_vehicle
+from scenarios.bench import estimator_delay as loops
 from scenarios.bench.breaking import DISTURBANCES, Breaking, breaking_points
 from scenarios.bench.cell import fly as fly_mission
 from scenarios.bench.demo import SLOW

@@ -25,7 +25,7 @@ from estimators.evaluation.flights import Flights, load_flights, vehicle_of
 from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
-from estimators.tuning.tuned import load_tuning
+from estimators.tuned import load_tuning
 from quadsim.dataset.figures import STYLE
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, load_vehicle

@@ -27,7 +27,7 @@ from estimators.evaluation.flights import Flights, load_flights
 from estimators.export.formats import export_weights
 from estimators.loihi.chip import LIMITS
 from estimators.loihi.neurons import LoihiLayer, LoihiNetwork
-from estimators.loihi.profiles import share_profiles
+from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.network import OnLoihi, create_network, real_weights, silenced
 from estimators.networks.weights_file import Tensors, shipped_network

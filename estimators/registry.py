@@ -23,7 +23,7 @@ from .filters.eskf import ESKF
 from .filters.madgwick import MADGWICK
 from .filters.mahony import MAHONY
 from .truth import Truth
-from .tuning.tuned import misfit, tuned_for
+from .tuned import misfit, tuned_for
 
 Array = NDArray[np.float64]
 

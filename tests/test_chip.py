@@ -3,7 +3,7 @@ import pytest
 
 from estimators.loihi.chip import LIMITS, decay_profiles, partition, synaptic_bits
 from estimators.loihi.neurons import LoihiLayer
-from estimators.loihi.profiles import share_profiles
+from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import OnLoihi
 from estimators.networks.weights_file import shipped_network
 

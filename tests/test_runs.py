@@ -13,7 +13,7 @@ from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimators.tuning.tuned import Tuned, Tuning, to_toml
+from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
 from quadsim.runs import surroundings
 from quadsim.runs.compiled import OneWriter, float64, guvectorize

@@ -10,6 +10,7 @@ from estimators.evaluation.flights import load_flights
 from estimators.filters.samples import square_of_error
 from estimators.metrics import absolute_error
 from estimators.registry import COMPILED, airframe_constants
+from estimators.tuned import load_tuning
 from estimators.tuning.search import (
     PENALTY,
     evolution,
@@ -19,7 +20,6 @@ from estimators.tuning.search import (
     tune,
     write_tuning,
 )
-from estimators.tuning.tuned import load_tuning
 
 
 def bowl(x):

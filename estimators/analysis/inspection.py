@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from quadsim.runs.files import save_figure, write_whole
 
 from ..evaluation.flights import Flights
-from ..loihi.profiles import share_profiles
+from ..networks.decay_profiles import share_profiles
 from ..networks.network import NetworkEstimator, OnLoihi, Spiking
 from ..networks.weights_file import NetworkConfig, Tensors, load_network, shipped_network
 from . import inspection_figures as figures

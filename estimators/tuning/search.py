@@ -29,7 +29,7 @@ from ..filters.samples import LANES
 from ..metrics import absolute_error
 from ..registry import COMPILED, FILTERPY, airframe_constants, names, parameter_matrix, parameters
 from ..running import run_batch
-from .tuned import Tuned, load_tuning, to_toml
+from ..tuned import Tuned, load_tuning, to_toml
 
 Array = NDArray[np.float64]
 Cost = Callable[[Array], Array]

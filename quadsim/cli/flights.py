@@ -44,7 +44,7 @@ def design(
     for name, value in gains.model_dump().items():
         console.print(f"{name} = {value:.4g}", highlight=False)
     if out:
-        from ..control import delay as loops
+        from scenarios.bench import estimator_delay as loops
 
         found = loops.responses(airframe, gains, rate)
         rows = loops.table(found)

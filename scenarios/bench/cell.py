@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import estimators
 from estimators.custom import own_source
 from estimators.registry import is_weights
-from estimators.tuning.tuned import load_tuning
+from estimators.tuned import load_tuning
 from quadsim.flight.mission import CAUSES, Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.runs.files import read_json, write_json

@@ -11,7 +11,7 @@ from typing import Any
 
 import estimators
 from estimators.registry import tuning_misfit
-from estimators.tuning.tuned import load_tuning
+from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, changed, load_scenario
 from quadsim.imu.spec import load_imu

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from quadsim.control import delay as loops
 from quadsim.vehicle import load_vehicle
+from scenarios.bench import estimator_delay as loops
 
 VEHICLE = load_vehicle("hummingbird")
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
-from ..networks.weights_file import Tensors
+from .weights_file import Tensors
 
 Array = NDArray[np.float64]
 

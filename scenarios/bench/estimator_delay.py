@@ -20,13 +20,13 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root_scalar
 
-from ..dataset.figures import STYLE
-from ..flight.loop import FlightLoop
-from ..rotation import roll_pitch_from_quat
-from ..runs.files import save_figure
-from ..vehicle import GRAVITY, Gains, Vehicle
-from .cascade import Controller
-from .gains import PHASE_MARGIN_DEG, Margins, attitude_loop, blocks, margins, rate_loop
+from quadsim.control.cascade import Controller
+from quadsim.control.gains import PHASE_MARGIN_DEG, Margins, attitude_loop, blocks, margins, rate_loop
+from quadsim.dataset.figures import STYLE
+from quadsim.flight.loop import FlightLoop
+from quadsim.rotation import roll_pitch_from_quat
+from quadsim.runs.files import save_figure
+from quadsim.vehicle import GRAVITY, Gains, Vehicle
 
 Array = NDArray[np.float64]
 
