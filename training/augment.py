@@ -1,9 +1,9 @@
 """Augmentation: new sensor errors and the symmetries of a quadrotor for each batch of streams.
 
-White noise has the simulator's density equation. The other errors have equations of their own, for streams of
-float32 without rotor speeds: vibration is two tones at random frequencies, not the imbalance of four simulated
-rotors (`quadsim.imu.kernel._vibrate`); the low-pass is the first-order recursion without the simulator's triangle
-hold; the mounting is a random small rotation, not the three angles of a vehicle's file.
+White noise has the simulator's equation. The other errors have equations of their own, for streams of float32
+without rotor speeds: vibration is two tones at random frequencies, not the imbalance of simulated rotors; the
+low-pass is the first-order recursion without the simulator's triangle hold; the mounting is a random small
+rotation, not the three angles of an IMU's file.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Augmentation(Strict):
     yaw_symmetry: bool = False
     """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
 
-    # For uncalibrated sensors. Each *_max bounds a draw: a size for the stream, uniform in its square root (of a
-    # gyro bias: uniform), then each axis uniform within ± that size, so that small errors are more frequent.
+    # For uncalibrated sensors. Each *_max bounds a draw: a size for the stream, uniform in its square root (of
+    # a gyro bias: uniform), then each axis uniform within ± that size: small errors are frequent.
     gyro_bias_max: RateError = 0.0
     """Further bias of the gyroscope [rad/s]."""
     accel_bias_max: ForceError = 0.0

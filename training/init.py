@@ -1,4 +1,4 @@
-"""Initial weights of a network: random, solved from data, or read from a file; re-initialised dead neurons."""
+"""Initial weights: random, solved from data, or read from a file; re-initialisation of dead neurons."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def initialise_from_data(
 ) -> None:
     """Solve, not train, a network: a leaky integrator over random features of the input.
 
-    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a few
-    encoders each over time constants from a step to seconds. Each layer is scaled so that its currents reach
+    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a
+    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents reach
     the threshold on the data, and the output weights are solved by ridge regression (the Neural Engineering
     Framework, Eliasmith & Anderson 2003).
 
@@ -162,7 +162,7 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
 
 
 def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -> int:
-    """Draw new input weights of hidden neurons that never or always spike, and set their output weights to 0.
+    """Draw new input weights of hidden neurons that never or always spike; their output weights become 0.
 
     The estimate does not change: one of the neurons that always spike, or where weights are shared the first
     group of them, stays and takes over the output weights of the others. A re-initialised neuron reads a few

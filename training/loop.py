@@ -1,4 +1,4 @@
-"""The training loop: configuration, data, model, epochs of windows, validation on complete flights, checkpoints.
+"""The training loop: data, model, epochs of windows, validation on complete flights, checkpoints.
 
 A run's folder holds `config.json`, `log.csv` (a row per epoch), `checkpoint.pt`, `best.safetensors` and
 `curve.png`. A run that was stopped continues from its checkpoint and ends with the same weights.

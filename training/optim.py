@@ -95,7 +95,9 @@ class Lookahead:
         self.steps, self.k, self.alpha = state["steps"], state["k"], state["alpha"]
 
 
-def resized_state(state: dict[str, Any], change: Callable[[int, torch.Tensor], torch.Tensor]) -> dict[str, Any]:
+def resized_state(
+    state: dict[str, Any], change: Callable[[int, torch.Tensor], torch.Tensor]
+) -> dict[str, Any]:
     """The state of Lookahead around Adam for parameters of other shapes.
 
     Args:

@@ -1,4 +1,4 @@
-"""The folder of a run: config.json, log.csv, checkpoint.pt, best.safetensors, curve.png; each written at once."""
+"""The files of a run: configuration, log, checkpoint, best weights and loss curve."""
 
 from __future__ import annotations
 
