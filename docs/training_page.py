@@ -314,9 +314,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "offset": ", ".join(f"{each:g}" for each in config.inputs.accel_offset),
             "symmetry": symmetry_text(tensors, flights),
             "first": f"{best.encoding} + {best.hidden}",
-            "most": str(best.parameters),
-            "thin_from": f"{100 * best.thinning[0]:.0f}",
-            "thin_to": f"{100 * best.thinning[1]:.0f}",
+            "most": str(best.pruning_target),
+            "prune_from": f"{100 * best.pruning_span[0]:.0f}",
+            "prune_to": f"{100 * best.pruning_span[1]:.0f}",
             "fields": field_rows(),
         }
     )

@@ -41,8 +41,8 @@ ITEMS = (
 """What `--only` chooses from."""
 
 NETWORK = {
-    "encoding": 100, "hidden": 100, "parameters": 0, "rate_cost": 0.003, "rate_targets": [0.2, 0.4],
-    "revive": 0.6,
+    "encoding": 100, "hidden": 100, "pruning_target": 0, "rate_cost": 0.003, "rate_targets": [0.2, 0.4],
+    "reinitialise_until": 0.6,
 }  # fmt: skip
 """The paper's size of network, and as many spikes as it likes."""
 

@@ -78,7 +78,7 @@ def test_every_verb_has_help_of_its_own():
         (["train", "--data", "missing.zarr", "--out", "run"], "missing.zarr"),
         (["train", "--data", "missing.zarr", "--out", "run", "--preset", "wurst"], "wurst"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "epochs"], "name=value"),
-        (["train", "--data", "missing.zarr", "--out", "run", "--set", "epoch=1"], "valid: model, data"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--set", "epoch=1"], "valid: encoding, hidden"),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "seed=3"], "option of its own"),
         (
             ["train", "--data", "missing.zarr", "--out", "run", "--set", "rate_targets=(0.1, 0.1)"],

@@ -14,9 +14,8 @@ from quadsim.flight.recipe import flight_config, load_recipe
 from training import kfold as kfold_module
 from training.config import make_config
 from training.cross_domain import TEST, TRAIN, Score, table
-from training.data import fold_split, load_flights
+from training.data import flights_of, fold_split, load_training_flights
 from training.kfold import kfold
-from training.loop import flights_of
 from training.loop import run as run_training
 
 TINY = {
@@ -86,7 +85,7 @@ def test_processes_give_the_same_scores(domains, tmp_path):
 def test_a_fold_trains_validates_and_tests_on_different_flights(domains):
     parts = flights_of(make_config(data=domains[0], folds=4, fold=1))
     assert [len(part) for part in parts] == [2, 1, 1]
-    everything = load_flights([domains[0]]).gyro[:, 0]
+    everything = load_training_flights([domains[0]]).gyro[:, 0]
     np.testing.assert_array_equal(
         np.unique(np.concatenate([part.gyro[:, 0] for part in parts]), axis=0), np.unique(everything, axis=0)
     )

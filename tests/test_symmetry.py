@@ -14,9 +14,9 @@ from estimators.networks.weights_file import save_network
 from estimators.spiking import MATRICES
 from training.augment import roll_pitch_of_up
 from training.config import make_config
-from training.init import start_from_data
-from training.loop import exported
-from training.models import AttSNN, thin
+from training.init import initialise_from_data
+from training.models import AttSNN, prune_connections
+from training.run_folder import exported
 
 G = 9.81
 
@@ -26,7 +26,7 @@ def network(encoding, hidden, seed=0):
     rng = np.random.default_rng(seed)
     model = AttSNN(encoding, hidden, symmetric=True, output_scale=1 / 256)
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
-    start_from_data(model, x, 0.1 * x[:, :, :2], seed=seed, fan_in=8)
+    initialise_from_data(model, x, 0.1 * x[:, :, :2], seed=seed, fan_in=8)
     config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
     return model, *exported(model, config, 200.0, {})
 
@@ -42,7 +42,7 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
         for name in MATRICES
     }
     constants = 2 * (encoding + hidden) + 2
-    thin(model, squares, constants + int(share * (model.parameters_kept - constants)))
+    prune_connections(model, squares, constants + int(share * (model.parameter_count - constants)))
     config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
     whole = exported(model, config, 200.0, {})
     fewer = connected(*whole)
@@ -121,7 +121,7 @@ def test_gradients_are_shared_as_the_weights_are():
     x = torch.from_numpy(np.round(np.random.default_rng(1).normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024)
     out, _ = model(x)
     out.square().mean().backward()
-    for name, tied in model.ties.items():
+    for name, tied in model.sharing.items():
         gradient = getattr(model, name).grad.numpy()
         np.testing.assert_array_equal(tied.copied(gradient), gradient)
         assert np.abs(gradient).max() > 0

@@ -13,16 +13,17 @@ from estimators.networks.network import create_network
 from estimators.networks.symmetry import is_symmetric
 from estimators.networks.weights_file import load_network, parameters
 from quadsim.cli.options import fields_of
+from quadsim.config.toml import load_toml, preset_names
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import flight_config, load_recipe
 from training import loop
 from training.augment import Augmentation, augment, roll_pitch_of_up
-from training.config import TrainConfig, make_config
-from training.data import load_flights, split, windows
-from training.init import IDLE, _spikes, revive, start_from_data
-from training.loop import _inputs, train
+from training.config import Preset, TrainConfig, make_config
+from training.data import load_training_flights, network_inputs, split, windows
+from training.init import DEAD, _spikes, initialise_from_data, reinitialise_dead_neurons
+from training.loop import train
 from training.loss import finished
-from training.models import CURRENT_MAX, AttSNN, thin
+from training.models import CURRENT_MAX, AttSNN, prune_connections
 from training.run_folder import commit
 
 TINY = {
@@ -63,9 +64,12 @@ def killed_and_resumed(dataset, out, **choices):
 def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
     rows = []
     result = train(
-        data=dataset, out=tmp_path / "run", progress=lambda epoch, config: rows.append(epoch),
-        **TINY | {"start": "random", "epochs": 8, "batches": 40, "windows_per_stream": 6, "rate_cost": 0.0},
-    )  # fmt: skip
+        data=dataset,
+        out=tmp_path / "run",
+        progress=lambda epoch, config: rows.append(epoch),
+        **TINY
+        | {"initialisation": "random", "epochs": 8, "batches": 40, "windows_per_stream": 6, "rate_cost": 0.0},
+    )
     assert rows[-1].train_rmse_deg < 0.9 * rows[0].train_rmse_deg
     assert result.best.val_mse == min(row.val_mse for row in rows)
     with (tmp_path / "run" / "log.csv").open() as file:
@@ -89,13 +93,13 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
 
 
-THINNED = TINY | {"parameters": 300, "revive": 0.25, "epochs": 4}
+PRUNED = TINY | {"pruning_target": 300, "reinitialise_until": 0.25, "epochs": 4}
 
 
-def test_a_thinned_run_keeps_within_its_parameters_and_resumes_to_the_same_weights(dataset, tmp_path):
+def test_a_pruned_run_reaches_its_target_and_resumes_to_the_same_weights(dataset, tmp_path):
     rows = []
     whole = train(
-        data=dataset, out=tmp_path / "whole", progress=lambda epoch, config: rows.append(epoch), **THINNED
+        data=dataset, out=tmp_path / "whole", progress=lambda epoch, config: rows.append(epoch), **PRUNED
     )
     counts = [row.parameters for row in rows]
     assert counts == sorted(counts, reverse=True)
@@ -107,23 +111,21 @@ def test_a_thinned_run_keeps_within_its_parameters_and_resumes_to_the_same_weigh
     assert (config.encoding, config.hidden) == (len(tensors["w_in"]), len(tensors["w_ff"]))
     assert is_symmetric(tensors)
 
-    killed_and_resumed(dataset, tmp_path / "cut", **THINNED)
+    killed_and_resumed(dataset, tmp_path / "cut", **PRUNED)
     same(tensors, weights_of(tmp_path / "cut"))
-    train(data=dataset, out=tmp_path / "frozen", train_decays=False, **THINNED)
-    assert parameters(weights_of(tmp_path / "frozen")) <= 300
 
 
-def test_a_run_does_not_stop_early_before_it_is_thin_enough(dataset, tmp_path, monkeypatch):
+def test_a_run_does_not_stop_early_before_it_is_pruned_to_its_target(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "finished", lambda losses: "enough" if losses else None)
-    result = train(data=dataset, out=tmp_path / "run", **THINNED | {"stop_early": True})
+    result = train(data=dataset, out=tmp_path / "run", **PRUNED | {"stop_early": True})
     assert result.reason == "enough"
     assert result.best.parameters <= 300
 
 
-def test_going_on_from_a_thinned_network_leaves_its_connections_away(dataset, tmp_path):
-    first = train(data=dataset, out=tmp_path / "first", **THINNED)
+def test_a_run_from_a_pruned_network_adds_no_connections(dataset, tmp_path):
+    first = train(data=dataset, out=tmp_path / "first", **PRUNED)
     before = weights_of(tmp_path / "first")
-    on = {k: v for k, v in TINY.items() if k not in ("encoding", "hidden")} | {"parameters": 300}
+    on = {k: v for k, v in TINY.items() if k not in ("encoding", "hidden")} | {"pruning_target": 300}
     train(data=dataset, out=tmp_path / "on", init=str(first.weights), optimiser_lr=0.3, **on)
     state = torch.load(tmp_path / "on" / "checkpoint.pt", weights_only=True)["model"]
     assert state["w_in"].any()
@@ -131,7 +133,7 @@ def test_going_on_from_a_thinned_network_leaves_its_connections_away(dataset, tm
         assert not (state[name].numpy()[before[name] == 0]).any()
 
 
-def test_connections_that_matter_least_go_first():
+def test_connections_with_the_smallest_effect_are_pruned_first():
     model = AttSNN(6, 5)
     rng = np.random.default_rng(0)
     names = ("w_in", "w_ff", "w_rec", "w_out")
@@ -139,13 +141,13 @@ def test_connections_that_matter_least_go_first():
         model.set_weights(name, rng.normal(size=getattr(model, name).shape))
     squares = {name: torch.tensor(rng.random(getattr(model, name).shape)) for name in names}
     cost = {name: getattr(model, name).detach().double() ** 2 * squares[name] for name in names}
-    thin(model, squares, 24 + 40)
-    assert model.parameters_kept == 24 + 40
-    kept = torch.cat([getattr(model, f"{name}_kept").ravel() for name in names])
+    prune_connections(model, squares, 24 + 40)
+    assert model.parameter_count == 24 + 40
+    connected = torch.cat([getattr(model, f"{name}_connected").ravel() for name in names])
     every = torch.cat([cost[name].ravel() for name in names])
-    assert every[kept].min() > every[~kept].max()
+    assert every[connected].min() > every[~connected].max()
     for name in names:
-        assert ((getattr(model, name) != 0) == getattr(model, f"{name}_kept")).all()
+        assert ((getattr(model, name) != 0) == getattr(model, f"{name}_connected")).all()
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
@@ -153,20 +155,20 @@ def test_neurons_that_nothing_joins_to_the_outputs_leave_in_mid_stream_and_nothi
     model = AttSNN(24, 20, output_scale=0.1, symmetric=symmetric)
     rng = np.random.default_rng(1)
     x = torch.from_numpy(np.round(rng.normal(size=(3, 100, 6)) * 1024) / 1024)
-    start_from_data(model, x.numpy(), rng.normal(size=(3, 100, 2)), seed=0)
-    model.w_in_kept[:8] = False  # never spike
-    model.w_rec_kept[:, 8:16] = model.w_out_kept[:, 8:16] = False  # nobody hears
+    initialise_from_data(model, x.numpy(), rng.normal(size=(3, 100, 2)), seed=0)
+    model.w_in_connected[:8] = False  # never spike
+    model.w_rec_connected[:, 8:16] = model.w_out_connected[:, 8:16] = False  # nobody hears
     model.constrain()
-    both = model, model.without(model.living)
+    both = model, model.subset(model.connected_neurons)
     assert [w.shape[0] for w in both[1].weights()[:2]] == [16, 12]
     model(x)
-    both = model, model.without(model.living)
+    both = model, model.subset(model.connected_neurons)
     (out, _), (left, _) = (net(x, np.array([False, True, False])) for net in both)
     assert out.abs().max() > 0
     np.testing.assert_array_equal(out.detach(), left.detach())
     (out.square().mean() + left.square().mean()).backward()
     for name, parameter in both[1].named_parameters():
-        of_all = model.part(name, getattr(model, name).grad, model.living)
+        of_all = model.select(name, getattr(model, name).grad, model.connected_neurons)
         torch.testing.assert_close(parameter.grad, of_all, rtol=1e-3, atol=1e-3 * float(of_all.abs().max()))
 
 
@@ -175,7 +177,7 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_pat
     file = tmp_path / "run" / "checkpoint.pt"
     state = torch.load(file, weights_only=True)
     more = state["model"] | {"w_more": torch.zeros(2, 6)}
-    less = {name: value for name, value in state["model"].items() if name != "w_in_kept"}
+    less = {name: value for name, value in state["model"].items() if name != "w_in_connected"}
     for model in (more, less):
         torch.save(state | {"model": model}, file)
         with pytest.raises(ValueError, match="checkpoint is of another version of quadsim"):
@@ -214,7 +216,10 @@ def test_the_folder_of_another_version_is_refused_in_one_line(dataset, tmp_path)
 
 
 def test_bad_choices_give_one_clear_line(tmp_path):
-    with pytest.raises(ValueError, match="no preset 'fast', there are paper, best"):
+    with pytest.raises(
+        ValueError,
+        match=r'unknown preset "fast"; did you mean "best"\? valid: best, paper, robust, tune, or a path',
+    ):
         make_config("fast", data="x.zarr")
     with pytest.raises(ValueError, match='unknown key "epoch"; did you mean "epochs"'):
         make_config(data="x.zarr", epoch=3)
@@ -222,14 +227,16 @@ def test_bad_choices_give_one_clear_line(tmp_path):
         make_config(data="x.zarr", batch_size=0)
     with pytest.raises(ValueError, match=r"training: layer_steps\[1\] = -1: should be 1e-06 to"):
         make_config(data="x.zarr", layer_steps=[1, -1, 1])
-    with pytest.raises(ValueError, match="training: parameters: 800, but time constants alone are 1202"):
-        make_config("best", data="x.zarr", parameters=800)
-    with pytest.raises(ValueError, match=r"revive: 0\.6, but connections are taken away from 0\.25 on"):
-        make_config("best", data="x.zarr", revive=0.6)
+    with pytest.raises(ValueError, match="training: pruning_target: 800, but time constants alone are 1202"):
+        make_config("best", data="x.zarr", pruning_target=800)
+    with pytest.raises(
+        ValueError, match=r"reinitialise_until: 0\.6, but connections are pruned from 0\.25 on"
+    ):
+        make_config("best", data="x.zarr", reinitialise_until=0.6)
     with pytest.raises(ValueError, match=r'unknown key "inputs\.gyros"; did you mean "gyro"\?'):
         make_config("best", data="x.zarr", inputs={"gyros": 4.0})
-    with pytest.raises(ValueError, match=r"training: thinning: .*should be two rising shares"):
-        make_config("best", data="x.zarr", thinning=(0.7, 0.2))
+    with pytest.raises(ValueError, match=r"training: pruning_span: .*should be two rising shares"):
+        make_config("best", data="x.zarr", pruning_span=(0.7, 0.2))
     with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
         train(data=tmp_path / "none.zarr", out=tmp_path / "run")
     with pytest.raises(ValueError, match="a dataset is given twice"):
@@ -300,29 +307,53 @@ def test_a_window_longer_than_the_flights_is_refused(dataset, tmp_path, model):
         train(data=dataset, out=tmp_path / "run", **TINY | {"model": model, "hidden": 20, "window_s": 5.0})
 
 
+@pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
+@pytest.mark.parametrize("name", preset_names("presets"))
+def test_every_shipped_preset_loads(name, model):
+    preset = load_toml(name, "presets", Preset)
+    config = make_config(name, data="x", model=model, **({"init": model} if preset.needs_init else {}))
+    assert (config.preset, config.prunes) == (name, model == "att-snn" and name != "paper")
+
+
+def test_a_preset_of_the_user_s_is_a_file(tmp_path):
+    mine = tmp_path / "mine.toml"
+    mine.write_text("epochs = 7\n[augmentation]\ngyro_bias = 0.02\n[att-rnn]\nepochs = 9\n")
+    config = make_config(mine, data="x", augmentation={"accel_bias": 0.3})
+    bias = config.augmentation
+    assert (config.epochs, bias.gyro_bias, bias.accel_bias, bias.accel_noise) == (7, 0.02, 0.3, 0.004)
+    assert make_config(str(mine), data="x", model="att-rnn").epochs == 9
+    mine.write_text("[augmentation]\ngyro_bia = 0.02\n")
+    with pytest.raises(
+        ValueError, match=r'mine\.toml: unknown key "augmentation\.gyro_bia"; did you mean "gyro'
+    ):
+        make_config(mine, data="x")
+
+
 def test_every_field_is_documented():
     assert all(field.description for field in TrainConfig.model_fields.values())
 
 
-def test_windows_of_a_stream_follow_one_another(dataset):
-    flights = load_flights([dataset])
-    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0)
-    batches = list(windows(flights, quiet, 12, 20, 100, 4, (0, 1)))
-    assert batches[0].fresh.all()
-    fresh = np.array([batch.fresh for batch in batches[1:]])
-    assert 0 < fresh.mean() < 1
+def test_windows_of_a_stream_are_successive(dataset):
+    flights = load_training_flights([dataset])
+    quiet = {"gyro_noise": 0, "accel_noise": 0, "accel_bias": 0}
+    config = make_config(data="x", batches=12, batch_size=20, windows_per_stream=4, augmentation=quiet)
+    batches = list(windows(flights, config, 100, (0, 1)))
+    assert batches[0].reset.all()
+    reset = np.array([batch.reset for batch in batches[1:]])
+    assert 0 < reset.mean() < 1
     flown = [flight.tobytes() for flight in flights.ang_vel]
     for before, after in pairwise(batches):
-        for row in np.flatnonzero(~after.fresh):
+        for row in np.flatnonzero(~after.reset):
             joined = np.concatenate([before.gyro[row], after.gyro[row]]).tobytes()
             assert any(joined in flight for flight in flown)
-    again = list(windows(flights, quiet, 12, 20, 100, 4, (0, 1)))
+    again = list(windows(flights, config, 100, (0, 1)))
     np.testing.assert_array_equal(batches[7].accel, again[7].accel)
 
 
 def test_a_stream_lasts_from_one_window_to_the_most(dataset):
-    flights = load_flights([dataset])
-    starts = np.array([b.fresh for b in windows(flights, Augmentation(), 300, 8, 20, 4, (3, 1))])
+    flights = load_training_flights([dataset])
+    config = make_config(data="x", batches=300, batch_size=8, windows_per_stream=4)
+    starts = np.array([batch.reset for batch in windows(flights, config, 20, (3, 1))])
     lengths = np.concatenate([np.diff(np.flatnonzero(column)) for column in starts.T])
     assert set(lengths) == {1, 2, 3, 4}
     shares = np.bincount(lengths)[1:] / lengths.size  # evenly in the logarithm, up to 5
@@ -332,12 +363,20 @@ def test_a_stream_lasts_from_one_window_to_the_most(dataset):
 @pytest.mark.parametrize(("model", "steps"), [("att-snn", 1), ("att-snn", 3), ("att-rnn", 1)])
 @pytest.mark.parametrize("preset", ["paper", "best", "robust"])
 def test_networks_are_fed_scaled_readings_and_nothing_else(dataset, preset, model, steps):
-    config = make_config(preset, data=dataset, model=model, steps_per_sample=steps)
+    config = make_config(
+        preset,
+        data=dataset,
+        model=model,
+        steps_per_sample=steps,
+        batches=3,
+        batch_size=8,
+        windows_per_stream=2,
+    )
     scaling = config.inputs
-    for batch in windows(load_flights([dataset]), config.augmentation, 3, 8, 100, 2, (0, 1)):
+    for batch in windows(load_training_flights([dataset]), config, 100, (0, 1)):
         readings = np.concatenate([batch.gyro, batch.accel - np.array(scaling.accel_offset)], 2)
         expected = readings / np.array([*[scaling.gyro] * 3, *scaling.accel])
-        x = _inputs(config, batch).numpy()
+        x = network_inputs(config, batch).numpy()
         assert x.shape == (8, 100 * steps, 6)
         np.testing.assert_allclose(x, np.repeat(expected, steps, 1), rtol=0, atol=1 / 2048 + 1e-6)
 
@@ -349,7 +388,7 @@ def test_split_has_every_flight_once():
 
 
 def test_symmetry_keeps_kinematics_and_gravity(dataset):
-    flights = load_flights([dataset])
+    flights = load_training_flights([dataset])
     quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, yaw_symmetry=True)
     rng = np.random.default_rng(0)
     rate, force, up = (getattr(flights, k).astype(float) for k in ("ang_vel", "specific_force", "up"))
@@ -383,20 +422,6 @@ def test_stopping_rules_of_the_paper():
     assert "20-epoch average" in str(finished([*falling, *[0.9] * 20]))
 
 
-def test_frozen_time_constants_stay_as_they_were(dataset, tmp_path):
-    first = train(data=dataset, out=tmp_path / "first", **TINY)
-    choices = TINY | {
-        "init": str(first.weights),
-        "train_decays": False,
-        "rate_cost": 0.0,
-        "optimiser_lr": 0.1,
-    }
-    train(data=dataset, out=tmp_path / "second", **choices | {"epochs": 1, "batches": 12})
-    before, after = weights_of(tmp_path / "first"), weights_of(tmp_path / "second")
-    same(*({k: x for k, x in each.items() if k.startswith(("syn", "mem"))} for each in (before, after)))
-    assert not np.array_equal(before["w_in"], after["w_in"])
-
-
 def test_rough_sensors_are_drawn_within_their_limits():
     rng, n, steps = np.random.default_rng(0), 400, 400
     still, force = np.zeros((n, steps, 3), np.float32), np.zeros((n, steps, 3), np.float32)
@@ -418,14 +443,14 @@ def test_rough_sensors_are_drawn_within_their_limits():
     )
     tilt = np.degrees(np.arccos(accel[:, 0, 2] / 9.81))
     assert 3.0 < tilt.max() < 7.1  # roll and pitch of at most 5° each
-    shaken = Augmentation(vibration=(1.0, 2.0), vibration_share=0.5, accel_bias=0, accel_noise=0)
-    _, accel, _ = augment(still, force, up, shaken, 200.0, rng)
+    vibrating = Augmentation(vibration=(1.0, 2.0), vibration_share=0.5, accel_bias=0, accel_noise=0)
+    _, accel, _ = augment(still, force, up, vibrating, 200.0, rng)
     spread = accel.std(axis=1).max(axis=1)
     assert 0.4 < (spread > 0.05).mean() < 0.6
     assert spread.max() < 2.0
 
 
-def test_late_readings_are_low_passed_and_held_back():
+def test_readings_are_low_passed_and_delayed():
     rng = np.random.default_rng(0)
     step = np.zeros((200, 400, 3), np.float32)
     step[:, 200:] = 1.0
@@ -436,13 +461,13 @@ def test_late_readings_are_low_passed_and_held_back():
     assert gyro[0, 200 + 3, 0] == pytest.approx(1 - np.exp(-2 * np.pi * 10 * 4 / 200), abs=1e-3)
 
 
-def test_carried_sensors_feel_gravity_along_the_true_vertical():
+def test_hand_held_sensors_measure_gravity_along_the_true_vertical():
     rng = np.random.default_rng(0)
     roll = np.full((50, 2000), 0.5, np.float32)
     up = np.stack([np.zeros_like(roll), np.sin(roll), np.cos(roll)], -1)
     thrust = np.zeros_like(up)
     thrust[..., 2] = 9.81
-    plain = Augmentation(carried=1.0, accel_bias=0.0, accel_noise=0.0)
+    plain = Augmentation(hand_held=1.0, accel_bias=0.0, accel_noise=0.0)
     _, accel, _ = augment(np.zeros_like(up), thrust, up, plain, 200.0, rng)
     np.testing.assert_allclose(accel.mean(axis=(0, 1)), 9.81 * up[0, 0], atol=0.1)
 
@@ -458,7 +483,7 @@ def test_tuning_goes_on_from_weights_and_says_whether_it_helped(dataset, tmp_pat
     assert (config.encoding, config.hidden) == (20, 16)  # taken over
     assert tuned.before == pytest.approx(first.best.val_mse, rel=1e-3)
     assert tuned.helped == (tuned.best.val_mse < first.best.val_mse)
-    with pytest.raises(ValueError, match="preset tune goes on from weights"):
+    with pytest.raises(ValueError, match="preset tune continues from weights"):
         train(data=dataset, out=tmp_path / "none", preset="tune")
     with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-paper, "):
         train(data=dataset, out=tmp_path / "none", init="att-ssn")
@@ -510,26 +535,26 @@ def test_currents_that_would_leave_the_chip_s_range_are_brought_back(symmetric):
     assert currents().max() > 400  # what should only be negative has wrapped round
     for _ in range(10):
         currents()
-        model.stay_in_range(x)
+        model.limit_currents(x)
         model.constrain()
     assert currents().max() <= 0.0
     assert -1.05 * CURRENT_MAX < currents().min() < -0.2 * CURRENT_MAX
-    for name in model.ties:
+    for name in model.sharing:
         assert torch.equal(model.shared(name, getattr(model, name)), getattr(model, name))
     with torch.no_grad():
         model.w_ff.mul_(0.5)  # and what is far from the ends is left as it is
     kept = model.w_ff.clone()
     currents()
-    model.stay_in_range(x)
+    model.limit_currents(x)
     assert torch.equal(kept, model.w_ff)
 
 
 @pytest.mark.parametrize("symmetric", [False, True])
-def test_revived_neurons_spike_and_leave_the_estimate_as_it_was(symmetric):
+def test_reinitialised_neurons_spike_and_leave_the_estimate_as_it_was(symmetric):
     rng = np.random.default_rng(0)
     x = np.round(rng.normal(size=(4, 600, 6)).cumsum(1) * 20) / 1024
     model = AttSNN(32, 40, symmetric=symmetric)
-    start_from_data(model, x, 0.1 * x[:, :, :2], seed=0)
+    initialise_from_data(model, x, 0.1 * x[:, :, :2], seed=0)
     with torch.no_grad():  # eight say nothing, and sixteen often the same
         model.w_ff[:8] = model.w_rec[:8] = model.w_rec[:, :24] = 0.0
         model.w_ff[8:24] = 1.0 / model.w_ff_scale[8:24]
@@ -537,17 +562,17 @@ def test_revived_neurons_spike_and_leave_the_estimate_as_it_was(symmetric):
         before = model(torch.from_numpy(x))[0].clone()
     rate = _spikes(model, x)[1].mean((0, 1))
     if symmetric:
-        rate = model.ties["mem1"].mean(rate)
-    idle = (rate < IDLE[0]) | (rate > IDLE[1])
-    assert idle[:8].all()
-    count = revive(model, x, seed=1)
-    assert count == idle.sum() - (rate > IDLE[1]).any() * (8 if symmetric else 1)
+        rate = model.sharing["mem1"].mean(rate)
+    dead = (rate < DEAD[0]) | (rate > DEAD[1])
+    assert dead[:8].all()
+    count = reinitialise_dead_neurons(model, x, seed=1)
+    assert count == dead.sum() - (rate > DEAD[1]).any() * (8 if symmetric else 1)
     with torch.no_grad():
         after = model(torch.from_numpy(x))[0]
     assert after.numpy() == pytest.approx(before.numpy(), abs=0.02 * float(before.std()))
     still = _spikes(model, x)[1].mean((0, 1))
-    assert np.mean((still[idle] > IDLE[0]) & (still[idle] < IDLE[1])) > 0.6
-    for name in model.ties:
+    assert np.mean((still[dead] > DEAD[0]) & (still[dead] < DEAD[1])) > 0.6
+    for name in model.sharing:
         values = getattr(model, name)
         assert torch.equal(model.shared(name, values), values)
 

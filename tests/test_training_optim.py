@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from training.loss import attitude_loss
-from training.optim import Lookahead, changed
+from training.optim import Lookahead, resized_state
 
 
 def start():
@@ -60,7 +60,7 @@ def test_what_is_left_of_the_parameters_goes_on_as_among_all():
     descend(weights, optimiser, 4)
     part = torch.nn.Parameter(weights.detach()[1:4].clone())
     smaller = Lookahead(torch.optim.Adam([part], lr=0.1), k=3, alpha=0.5)
-    smaller.load_state_dict(changed(optimiser.state_dict(), lambda k, value: value[1:4].clone()))
+    smaller.load_state_dict(resized_state(optimiser.state_dict(), lambda k, value: value[1:4].clone()))
     descend(weights, optimiser, 5)
     descend(part, smaller, 5)
     np.testing.assert_array_equal(part.detach(), weights.detach()[1:4])
@@ -72,12 +72,12 @@ def test_values_out_of_range_are_refused(k, alpha):
         Lookahead(torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=1.0), k, alpha)
 
 
-def test_the_loss_is_of_squares_up_to_the_knee_and_in_proportion_beyond():
+def test_the_loss_is_quadratic_up_to_the_threshold_and_linear_beyond():
     error = torch.tensor([[[0.03, 0.04], [0.3, -0.4], [0.0, 0.0]]], dtype=torch.float64, requires_grad=True)
     wanted = torch.zeros_like(error)
     assert attitude_loss(error, wanted).item() == pytest.approx((0.05**2 + 0.5**2) / 6)
-    assert attitude_loss(error, wanted, knee=1.0).item() == pytest.approx((0.05**2 + 0.5**2) / 6)
-    loss = attitude_loss(error, wanted, knee=0.1)
+    assert attitude_loss(error, wanted, huber_threshold=1.0).item() == pytest.approx((0.05**2 + 0.5**2) / 6)
+    loss = attitude_loss(error, wanted, huber_threshold=0.1)
     assert loss.item() == pytest.approx((0.05**2 / 2 + 0.1 * (0.5 - 0.1 / 2)) / 3)
     loss.backward()
     pulls = error.grad.norm(dim=-1)[0] * 3

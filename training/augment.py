@@ -1,4 +1,10 @@
-"""Augmentation: fresh sensor errors and the symmetries of a quadrotor, on the fly and in batch."""
+"""Augmentation: new sensor errors and the symmetries of a quadrotor for each batch of streams.
+
+White noise has the simulator's equation. The other errors have equations of their own, for streams of float32
+without rotor speeds: vibration is two tones at random frequencies, not the imbalance of simulated rotors; the
+low-pass is the first-order recursion without the simulator's triangle hold; the mounting is a random small
+rotation, not the three angles of an IMU's file.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +15,7 @@ from numpy.typing import NDArray
 
 from quadsim.config.ranges import Between, Delay, Force, Frequency, Rising, Share
 from quadsim.config.toml import Strict
+from quadsim.imu.kernel import white_noise_sd
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
@@ -18,8 +25,8 @@ VIBRATION_HZ = (60.0, 250.0)
 """Range of the frequency of a rotor, which the sampling folds."""
 WANDER_HZ = 3.0
 """Standard deviation of that frequency within a stream."""
-CARRIED_HZ = 1.0
-"""Corner of the accelerations of a sensor that is carried by hand."""
+HAND_HELD_HZ = 1.0
+"""Corner of the accelerations of a hand-held sensor."""
 
 
 RateError = Annotated[float, Between(0.0, 10.0, "rad/s")]
@@ -40,12 +47,9 @@ class Augmentation(Strict):
     """Standard deviation of the accelerometer's turn-on bias [m/s²]."""
     yaw_symmetry: bool = False
     """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
-    mounting_deg: Mounting = 0.0
-    """Standard deviation of each angle of a small rotation of the IMU against the body [deg]."""
 
-    # For sensors that nobody has calibrated. Each is the largest of what is drawn: a size for the stream,
-    # this times the square of an even share (of a gyro bias: times the share), then each axis, even within
-    # ± that size, so that small errors are more frequent.
+    # For uncalibrated sensors. Each *_max bounds a draw: a size for the stream, uniform in its square root (of
+    # a gyro bias: uniform), then each axis uniform within ± that size: small errors are frequent.
     gyro_bias_max: RateError = 0.0
     """Further bias of the gyroscope [rad/s]."""
     accel_bias_max: ForceError = 0.0
@@ -53,9 +57,9 @@ class Augmentation(Strict):
     scale_max: Annotated[float, Between(0.0, 0.9)] = 0.0
     """Relative error of scale of each axis of both sensors."""
     mounting_max_deg: Mounting = 0.0
-    """Further rotation of the IMU against the body [deg]."""
+    """Largest angle about each axis of a small rotation of the IMU against the body [deg]."""
     noise_factor_max: Annotated[float, Between(1.0, 1000.0)] = 1.0
-    """White noise of a stream is multiplied by 1 to this, evenly in its logarithm."""
+    """Largest factor of the white noise of a stream, log-uniform from 1."""
     vibration: Annotated[tuple[Force, Force], Rising] = (0.0, 0.0)
     """Amplitude of the rotors' vibration in the accelerometer, least and largest [m/s²]."""
     vibration_share: Share = 0.0
@@ -63,9 +67,9 @@ class Augmentation(Strict):
     low_pass_hz: Annotated[tuple[Frequency, Frequency], Rising] | None = None
     """Corner of a first-order low-pass over both sensors, least and largest [Hz]."""
     delay_max_s: Delay = 0.0
-    """Readings come late by 0 to this, in whole samples [s]."""
-    carried: Share = 0.0
-    """Share of the streams that are carried by hand: the same attitudes, but no thrust in the force."""
+    """Largest delay of the readings, in whole samples [s]."""
+    hand_held: Share = 0.0
+    """Share of the streams with a hand-held sensor: the same attitudes, but no thrust in the force."""
 
 
 def augment(
@@ -76,7 +80,7 @@ def augment(
     rate_hz: float,
     rng: np.random.Generator,
 ) -> tuple[Array, Array, Array]:
-    """Measurements as another IMU on another flight would have given them.
+    """Measurements of another IMU on another flight.
 
     Args:
         ang_vel: True body rate, shape (n, T, 3) [rad/s].
@@ -99,18 +103,15 @@ def augment(
         ang_vel = _rotate(turn, ang_vel) * reflect * mirror
         specific_force = _rotate(turn, specific_force) * reflect
         up = _rotate(turn, up) * reflect
-    if augmentation.carried > 0:
-        specific_force = _carried(specific_force, up, augmentation.carried, rate_hz, rng)
-    if augmentation.mounting_deg > 0:
-        tilt = _small_rotations(rng.normal(0, np.radians(augmentation.mounting_deg), (n, 3))).astype(dtype)
-        ang_vel, specific_force = _rotate(tilt, ang_vel), _rotate(tilt, specific_force)
+    if augmentation.hand_held > 0:
+        specific_force = _hand_held(specific_force, up, augmentation.hand_held, rate_hz, rng)
     if augmentation.mounting_max_deg > 0:
-        tilt = _small_rotations(_within(np.radians(augmentation.mounting_max_deg), n, rng)).astype(dtype)
-        ang_vel, specific_force = _rotate(tilt, ang_vel), _rotate(tilt, specific_force)
+        mounting = _small_rotations(_within(np.radians(augmentation.mounting_max_deg), n, rng)).astype(dtype)
+        ang_vel, specific_force = _rotate(mounting, ang_vel), _rotate(mounting, specific_force)
     if augmentation.vibration_share > 0:
-        ang_vel, specific_force = _shaken(ang_vel, specific_force, augmentation, rate_hz, rng)
+        ang_vel, specific_force = _vibrate(ang_vel, specific_force, augmentation, rate_hz, rng)
     if augmentation.low_pass_hz is not None or augmentation.delay_max_s > 0:
-        ang_vel, specific_force = _late(ang_vel, specific_force, augmentation, rate_hz, rng)
+        ang_vel, specific_force = _filter_and_delay(ang_vel, specific_force, augmentation, rate_hz, rng)
     measured = []
     for signal, bias, largest, power, density in (
         (ang_vel, augmentation.gyro_bias, augmentation.gyro_bias_max, 1, augmentation.gyro_noise),
@@ -124,7 +125,7 @@ def augment(
         noise = rng.standard_normal(signal.shape, dtype=np.float32).astype(dtype, copy=False)
         if augmentation.noise_factor_max > 1:
             noise *= np.exp(rng.uniform(0, np.log(augmentation.noise_factor_max), (n, 1, 1))).astype(dtype)
-        measured.append(signal + offset + noise * dtype.type(density * np.sqrt(rate_hz)))
+        measured.append(signal + offset + noise * dtype.type(white_noise_sd(density, 1 / rate_hz)))
     return measured[0], measured[1], up
 
 
@@ -133,29 +134,29 @@ def _within(largest: float, n: int, rng: np.random.Generator, power: int = 2) ->
     return largest * rng.uniform(0, 1, (n, 1)) ** power * rng.uniform(-1, 1, (n, 3))
 
 
-def _carried(
+def _hand_held(
     specific_force: Array, up: Array, share: float, rate_hz: float, rng: np.random.Generator
 ) -> Array:
-    """Let some streams feel gravity whole, and accelerations about zero in place of a rotor's thrust."""
+    """Replace the thrust of some streams by gravity's reaction and low-passed accelerations of zero mean."""
     rows = np.flatnonzero(rng.random(len(up)) < share)
-    moved = rng.standard_normal((rows.size, *up.shape[1:]), dtype=np.float32)
-    step = float(-np.expm1(-2 * np.pi * CARRIED_HZ / rate_hz))
-    _low_pass(moved, np.full(rows.size, step))
-    _low_pass(moved, np.full(rows.size, step))
-    moved /= max(float(moved.std()), 1e-9) if moved.size else 1.0
+    acceleration = rng.standard_normal((rows.size, *up.shape[1:]), dtype=np.float32)
+    step = float(-np.expm1(-2 * np.pi * HAND_HELD_HZ / rate_hz))
+    for _ in range(2):
+        _low_pass(acceleration, np.full(rows.size, step))
+    acceleration /= max(float(acceleration.std()), 1e-9) if acceleration.size else 1.0
     out = specific_force.copy()
-    out[rows] = GRAVITY * up[rows] + moved * rng.uniform(0, 2, (rows.size, 1, 1)).astype(np.float32)
+    out[rows] = GRAVITY * up[rows] + acceleration * rng.uniform(0, 2, (rows.size, 1, 1)).astype(np.float32)
     return out
 
 
-def _shaken(
+def _vibrate(
     ang_vel: Array,
     specific_force: Array,
     augmentation: Augmentation,
     rate_hz: float,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Add a tone of each of two rotors, folded by the sampling; the gyroscope sees a hundredth of it."""
+    """Add a tone of each of two rotors, folded by the sampling; the gyroscope has a hundredth of it."""
     n, steps, _ = ang_vel.shape
     low, high = augmentation.vibration
     size = rng.uniform(low, high, (n, 1)) * (rng.random((n, 1)) < augmentation.vibration_share)
@@ -175,14 +176,14 @@ def _shaken(
     return out[0], out[1]
 
 
-def _late(
+def _filter_and_delay(
     ang_vel: Array,
     specific_force: Array,
     augmentation: Augmentation,
     rate_hz: float,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Low-pass both sensors and hold them back; the first samples repeat."""
+    """Low-pass and delay both sensors; the first samples repeat."""
     n, steps, _ = ang_vel.shape
     both = np.concatenate([ang_vel, specific_force], axis=2)
     if augmentation.low_pass_hz is not None:
@@ -204,7 +205,7 @@ def _low_pass(signal, step):
 
 
 def roll_pitch_of_up(up: Array) -> Array:
-    """Roll and pitch at which the world's up has these body coordinates, (..., 3) -> (..., 2)."""
+    """Roll and pitch [rad] from the world's up in body axes, (..., 3) -> (..., 2)."""
     roll = np.arctan2(up[..., 1], up[..., 2])
     return np.stack([roll, np.arctan2(-up[..., 0], np.hypot(up[..., 1], up[..., 2]))], -1)
 

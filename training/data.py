@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
+from estimators.networks.encoder import scaled_inputs
+from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import quat_rotate_inverse
 
 from .augment import Augmentation, augment, roll_pitch_of_up
+from .config import TrainConfig
 
 Float32 = NDArray[np.float32]
+SIGNALS = ("ang_vel", "specific_force", "gyro", "accel", "up")
 
 
 @dataclass(frozen=True)
-class Flights:
+class TrainingFlights:
     """Flights of equal length; float32.
 
     Args:
@@ -29,7 +37,6 @@ class Flights:
         accel: The measured specific force.
         up: World's up in body axes, shape (n, T, 3).
         rate_hz: Samples per second.
-        sources: Dataset of each flight.
     """
 
     ang_vel: Float32
@@ -38,7 +45,6 @@ class Flights:
     accel: Float32
     up: Float32
     rate_hz: float
-    sources: tuple[str, ...]
 
     def __len__(self) -> int:
         """Number of flights."""
@@ -51,59 +57,73 @@ class Flights:
 
     def digest(self) -> str:
         """A fingerprint of all samples."""
-        found = hashlib.blake2b(f"{self.rate_hz}".encode(), digest_size=16)
-        for name in ("ang_vel", "specific_force", "gyro", "accel", "up"):
-            found.update(np.ascontiguousarray(getattr(self, name)).data)
-        return found.hexdigest()
+        digest = hashlib.blake2b(f"{self.rate_hz}".encode(), digest_size=16)
+        for name in SIGNALS:
+            digest.update(np.ascontiguousarray(getattr(self, name)).data)
+        return digest.hexdigest()
 
-    def select(self, ids: Sequence[int] | NDArray[np.int64]) -> Flights:
+    def select(self, ids: Sequence[int] | NDArray[np.int64]) -> TrainingFlights:
         """Some of the flights."""
         index = np.asarray(ids, dtype=np.int64)
-        return Flights(
-            *(getattr(self, name)[index] for name in ("ang_vel", "specific_force", "gyro", "accel", "up")),
-            rate_hz=self.rate_hz,
-            sources=tuple(self.sources[i] for i in index),
-        )
+        return TrainingFlights(*(getattr(self, name)[index] for name in SIGNALS), rate_hz=self.rate_hz)
 
 
-def load_flights(paths: Sequence[str | Path]) -> Flights:
-    """Read the whole flights of one or more datasets (a flight that ended early is left out).
+def load_training_flights(paths: Sequence[str | Path]) -> TrainingFlights:
+    """Read the complete flights of one or more datasets (a flight that ended early is left out).
 
     Raises:
         FileNotFoundError: A dataset is not there.
-        ValueError: Not a dataset, different rates or lengths, or no whole flight.
+        ValueError: Not a dataset, different rates or lengths, or no complete flight.
     """
     if not paths:
         raise ValueError("no dataset to train on")
     parts = [_read(Path(path)) for path in paths]
-    rates, lengths = {p.rate_hz for p in parts}, {p.gyro.shape[1] for p in parts}
+    rates = {part.rate_hz for part in parts}
     if len(rates) > 1:
         raise ValueError(f"datasets of different rates: {sorted(rates)} Hz")
-    steps = min(lengths)
-    joined = (
-        np.concatenate([getattr(p, name)[:, :steps] for p in parts])
-        for name in ("ang_vel", "specific_force", "gyro", "accel", "up")
-    )
-    return Flights(*joined, rate_hz=rates.pop(), sources=tuple(s for p in parts for s in p.sources))
+    steps = min(part.gyro.shape[1] for part in parts)
+    joined = (np.concatenate([getattr(part, name)[:, :steps] for part in parts]) for name in SIGNALS)
+    return TrainingFlights(*joined, rate_hz=rates.pop())
 
 
-def _read(path: Path) -> Flights:
+def _read(path: Path) -> TrainingFlights:
     data = open_dataset(path)
-    whole = np.flatnonzero(data["valid_steps"].to_numpy() == data.sizes["time"])
-    if whole.size == 0:
+    complete = np.flatnonzero(data["valid_steps"].to_numpy() == data.sizes["time"])
+    if complete.size == 0:
         raise ValueError(f"{path}: no flight that lasts to the end")
-    data = data.isel(flight=whole)
+    data = data.isel(flight=complete)
     quat = data["quat"].to_numpy().astype(np.float64)
     up = quat_rotate_inverse(quat, np.broadcast_to([0.0, 0.0, 1.0], (*quat.shape[:-1], 3)))
-    measured = (
-        data[name].to_numpy().astype(np.float32) for name in ("ang_vel", "specific_force", "gyro", "accel")
-    )
-    return Flights(
-        *measured,
-        up=up.astype(np.float32),
-        rate_hz=float(data.attrs["rate_hz"]),
-        sources=(str(path),) * len(up),
-    )
+    measured = (data[name].to_numpy().astype(np.float32) for name in SIGNALS[:-1])
+    return TrainingFlights(*measured, up=up.astype(np.float32), rate_hz=float(data.attrs["rate_hz"]))
+
+
+def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, TrainingFlights]:
+    """The flights to train on, to choose the best epoch by, and to test on (of `data`; may be none).
+
+    Raises:
+        ValueError: Too few flights, or datasets that do not go together.
+    """
+    flights = load_training_flights(config.data)
+    if config.init and not math.isclose(flights.rate_hz, rate := load_network(config.init)[0].rate_hz):
+        raise ValueError(f"data at {flights.rate_hz:g} Hz, but the weights of init are for {rate:g} Hz")
+    if config.folds:
+        parts = fold_split(len(flights), config.folds, config.fold, config.seed)
+    elif config.validation:
+        return flights, _validation(config, flights), flights.select([])
+    else:
+        parts = split(len(flights), config.seed)
+    train, validation, test = (flights.select(ids) for ids in parts)
+    return train, _validation(config, flights) if config.validation else validation, test
+
+
+def _validation(config: TrainConfig, flights: TrainingFlights) -> TrainingFlights:
+    validation = load_training_flights(config.validation)
+    if validation.rate_hz != flights.rate_hz:
+        raise ValueError(
+            f"validation at {validation.rate_hz:g} Hz, but the data are at {flights.rate_hz:g} Hz"
+        )
+    return validation
 
 
 def split(flights: int, seed: int, shares: tuple[float, float, float] = (0.7, 0.2, 0.1)) -> list[NDArray]:
@@ -142,38 +162,29 @@ COHORTS = 8
 """Parts of a batch whose streams begin and end together."""
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """One window of every stream: measurements (n, T, 3) and roll, pitch (n, T, 2), float32."""
 
     gyro: Float32
     accel: Float32
     roll_pitch: Float32
-    fresh: NDArray[np.bool_]
-    """Streams (n,) that begin here; the others go on where the last window ended."""
+    reset: NDArray[np.bool_]
+    """Streams (n,) that begin here, from a state of zero; the others continue from the last window."""
 
 
 def windows(
-    flights: Flights,
-    augmentation: Augmentation,
-    batches: int,
-    batch_size: int,
-    steps: int,
-    windows_per_stream: int,
-    seed: Sequence[int],
+    flights: TrainingFlights, config: TrainConfig, steps: int, seed: Sequence[int]
 ) -> Iterator[Batch]:
     """The windows of an epoch: streams start anywhere in any flight, and each is cut into successive windows.
 
-    Streams differ in length, from one window to `windows_per_stream`, evenly in the logarithm: every batch
-    has some that have just begun and some that have long settled.
+    Streams differ in length, from one window to `windows_per_stream`, log-uniform: every batch has some that
+    have just begun and some that have long settled.
 
     Args:
         flights: To draw from.
-        augmentation: What the sensors add; drawn once per stream (noise per sample).
-        batches: Windows in the epoch.
-        batch_size: Streams side by side.
+        config: `batches`, `batch_size`, `windows_per_stream` (fewer where the flights are shorter) and
+            `augmentation`, drawn once per stream (noise per sample).
         steps: Samples in a window.
-        windows_per_stream: Most windows in a stream; fewer where the flights end before.
         seed: Of this epoch.
     """
     available = flights.gyro.shape[1]
@@ -183,23 +194,20 @@ def windows(
         raise ValueError(
             f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"
         )
-    most = min(windows_per_stream, available // steps)
-    sizes = [len(part) for part in np.array_split(np.arange(batch_size), COHORTS) if len(part)]
+    most = min(config.windows_per_stream, available // steps)
+    sizes = [len(part) for part in np.array_split(np.arange(config.batch_size), COHORTS) if len(part)]
     seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))
     cohorts = [
-        _streams(flights, augmentation, n, steps, most, np.random.default_rng(each))
+        _streams(flights, config.augmentation, n, steps, most, np.random.default_rng(each))
         for n, each in zip(sizes, seeds, strict=True)
     ]
-    for _ in range(batches):
+    for _ in range(config.batches):
         parts = [next(cohort) for cohort in cohorts]
-        yield Batch(*(np.concatenate([getattr(part, name) for part in parts]) for name in BATCH))
-
-
-BATCH = tuple(each.name for each in fields(Batch))
+        yield Batch(*(np.concatenate(signal) for signal in zip(*parts, strict=True)))
 
 
 def _streams(
-    flights: Flights,
+    flights: TrainingFlights,
     augmentation: Augmentation,
     n: int,
     steps: int,
@@ -224,3 +232,21 @@ def _streams(
         for k in range(0, length, steps):
             part = slice(k, k + steps)
             yield Batch(gyro[:, part], accel[:, part], roll_pitch[:, part], np.full(n, k == 0))
+
+
+def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.float64] | None = None) -> Tensor:
+    """Scaled inputs of each network step, shape (n, steps, 6); `state` as in `scaled_inputs`."""
+    x = scaled_inputs(config.inputs, batch.gyro, batch.accel, state)
+    if config.model == "att-rnn":
+        return torch.from_numpy(x.astype(np.float32))
+    return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
+
+
+def sample_windows(
+    config: TrainConfig, flights: TrainingFlights, steps: int, seed: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
+    """Scaled inputs (n, T, 6) and targets (n, T, 2) [rad] of a few long windows, for each network step."""
+    length = max(1, min(3, flights.gyro.shape[1] // max(steps, 1))) * steps
+    few = config.model_copy(update={"batches": 1, "batch_size": 32, "windows_per_stream": 1})
+    batch = next(windows(flights, few, length, seed))
+    return network_inputs(config, batch).numpy(), np.repeat(batch.roll_pitch, config.steps_per_sample, 1)

@@ -1,4 +1,4 @@
-"""How the weights of a network start: random, solved from data, or read from a file; and neurons revived."""
+"""Initial weights: random, solved from data, or read from a file; re-initialisation of dead neurons."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ import torch
 from numpy.typing import NDArray
 
 from estimators.networks.network import real_weights
+from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
 from estimators.spiking import MATRICES, TIME_CONSTANTS
 
+from .config import TrainConfig
+from .data import TrainingFlights, sample_windows
 from .models import AttRNN, AttSNN
 
-IDLE = (1e-3, 0.999)
-"""Spikes per step below and above which a hidden neuron says nothing."""
+DEAD = (1e-3, 0.999)
+"""Spikes per step below and above which a hidden neuron carries no information."""
 
 
 @dataclass(frozen=True)
 class Ranges:
-    """Time constants at the start, log-uniform between two values each [network steps]."""
+    """Initial time constants, log-uniform between two values each [network steps]."""
 
     encode_syn: tuple[float, float]
     encode_mem: tuple[float, float]
@@ -36,10 +39,47 @@ PAPER_RANGES = Ranges((1.0, 5.0), (1.0, 5.0), (1.0, 5.0), (1.0, 5.0), 2.0, 5.0)
 WIDE_RANGES = Ranges((0.5, 4.0), (60.0, 400.0), (1.0, 400.0), (20.0, 200.0), 1.5, 200.0)
 
 
-def start_like_the_paper(model: AttSNN, seed: int) -> None:
+def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> AttSNN | AttRNN:
+    """The network of a run before its first update.
+
+    Args:
+        config: Of the run.
+        flights: To train on; a few windows of `steps` samples solve the network, where it is solved.
+        steps: Samples in a window.
+
+    Raises:
+        ValueError: Layers of a size that the network cannot have, or weights of another network.
+    """
+    torch.manual_seed(config.seed)
+    encoding, hidden = config.encoding, config.hidden
+    if config.model == "att-rnn":
+        if encoding != hidden:
+            raise ValueError(f"att-rnn: layers of {encoding} and {hidden} units, should be equal")
+        model = AttRNN(hidden)
+    else:
+        if config.symmetric and not config.init and min(encoding, hidden) < len(OPERATIONS):
+            raise ValueError(
+                f"symmetric: layers of {encoding} and {hidden} neurons, at least {len(OPERATIONS)} of each "
+                "share weights; give more, or symmetric=false"
+            )
+        options = config.quantised, config.recurrent_delay, config.output_scale, config.threads
+        model = AttSNN(encoding, hidden, *options, config.symmetric)
+    if config.init:
+        initialise_from_weights(model, config.init)
+        if isinstance(model, AttSNN) and config.prunes:
+            model.disconnect_zeros()
+    elif isinstance(model, AttSNN) and config.initialisation == "random":
+        initialise_random(model, config.seed)
+    elif isinstance(model, AttSNN):
+        x, roll_pitch = sample_windows(config, flights, steps, (config.seed, 0))
+        initialise_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample)
+    return model
+
+
+def initialise_random(model: AttSNN, seed: int) -> None:
     """Weights of unit scale over the square root of their number, short time constants."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _start_taus(model, PAPER_RANGES, rng)
+    _initialise_taus(model, PAPER_RANGES, rng)
     for name in MATRICES:
         w = getattr(model, name)
         with torch.no_grad():
@@ -47,7 +87,7 @@ def start_like_the_paper(model: AttSNN, seed: int) -> None:
     model.constrain()
 
 
-def start_from_data(
+def initialise_from_data(
     model: AttSNN,
     x: NDArray[np.float64],
     roll_pitch: NDArray[np.floating],
@@ -55,12 +95,12 @@ def start_from_data(
     steps_per_sample: int = 1,
     fan_in: int = 25,
 ) -> None:
-    """A network that is solved, not trained: a leaky integrator over random features of the real input.
+    """Solve, not train, a network: a leaky integrator over random features of the input.
 
-    Encoders point in random directions of the inputs, with gains spread over a decade; hidden neurons read a
-    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
-    reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
-    Engineering Framework, Eliasmith & Anderson 2003).
+    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a
+    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents reach
+    the threshold on the data, and the output weights are solved by ridge regression (the Neural Engineering
+    Framework, Eliasmith & Anderson 2003).
 
     Args:
         model: To fill.
@@ -71,14 +111,14 @@ def start_from_data(
         fan_in: Encoders that each hidden neuron reads.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _start_taus(model, WIDE_RANGES, rng, steps_per_sample)
+    _initialise_taus(model, WIDE_RANGES, rng, steps_per_sample)
     h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
-    spread = x.reshape(-1, 6).std(0)
+    deviation = x.reshape(-1, 6).std(0)
     directions = rng.normal(size=(h0, 6)) * (rng.random((h0, 6)) < 0.3)
     directions[np.arange(h0), np.arange(h0) % 5] += np.where(np.arange(h0) // 5 % 2 == 0, -2.0, 2.0)
     gain = np.exp(rng.uniform(math.log(0.05), math.log(0.5), (h0, 1)))
     tau = torch.sigmoid(model.syn0).detach().numpy()[:, None]
-    w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / spread * gain * (1 - tau)
+    w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / deviation * gain * (1 - tau)
     w_ff = np.zeros((h1, h0))
     for row in w_ff:
         chosen = rng.choice(h0, min(fan_in, h0), replace=False)
@@ -91,12 +131,12 @@ def start_from_data(
     model.set_weights("w_rec", w_rec)
     model.constrain()
     w_out = _solve_outputs(model, x, roll_pitch)
-    model.set_weights("w_out", model.ties["w_out"].mean(w_out) if model.ties else w_out)
+    model.set_weights("w_out", model.sharing["w_out"].mean(w_out) if model.sharing else w_out)
     model.constrain()
 
 
-def start_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
-    """Go on from a weights file.
+def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
+    """Continue from a weights file.
 
     Raises:
         FileNotFoundError: No such file.
@@ -121,62 +161,62 @@ def start_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
             getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
 
 
-def revive(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -> int:
-    """Give hidden neurons that never or always spike something new to say, and nobody that listens yet.
+def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -> int:
+    """Draw new input weights of hidden neurons that never or always spike; their output weights become 0.
 
-    The estimate stays as it is: what neurons that always spike contribute goes to those of them that stay,
-    the first or, where weights are shared, the first group. A revived neuron reads a few encoders and a few
-    live hidden neurons, at a rate that its drive spreads over.
+    The estimate does not change: one of the neurons that always spike, or where weights are shared the first
+    group of them, stays and takes over the output weights of the others. A re-initialised neuron reads a few
+    encoders and a few other hidden neurons.
 
     Args:
         model: To change.
         x: Scaled inputs, shape (n, T, 6).
         seed: Of the new weights.
-        fan_in: Neurons that each revived one reads, half of either layer.
+        fan_in: Neurons that each re-initialised one reads, half of either layer.
 
     Returns:
-        How many neurons were revived.
+        How many neurons were re-initialised.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     first, second = _spikes(model, x)
-    group = model.ties["mem1"].first if model.ties else np.arange(second.shape[2])
+    group = model.sharing["mem1"].first if model.sharing else np.arange(second.shape[2])
     rate = (np.bincount(group, second.mean((0, 1))) / np.maximum(np.bincount(group), 1))[group]
-    always = rate > IDLE[1]
+    always = rate > DEAD[1]
     stays = always & (group == group[always.argmax()])
-    idle = np.flatnonzero((rate < IDLE[0]) | (always & ~stays))
-    alive = np.setdiff1d(np.arange(rate.size), idle)
-    if not idle.size or not alive.size:
+    dead = np.flatnonzero((rate < DEAD[0]) | (always & ~stays))
+    active = np.setdiff1d(np.arange(rate.size), dead)
+    if not dead.size or not active.size:
         return 0
     with torch.no_grad():
         w = {name: value.numpy().astype(np.float64) for name, value in model.weights()._asdict().items()}
         for name in ("w_rec", "w_out"):
             if always.any():
                 w[name][:, stays] = w[name][:, always].sum(1, keepdims=True) / stays.sum()
-            w[name][:, idle] = 0.0
+            w[name][:, dead] = 0.0
         tau = model.shared("mem1", np.exp(-1.0 / np.exp(rng.uniform(0.0, math.log(100.0), rate.size))))
         for name in ("syn1", "mem1"):
-            getattr(model, name)[idle] = torch.from_numpy(np.log(tau / (1 - tau)))[idle].float()
-    for row in idle:
-        for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", alive)):
+            getattr(model, name)[dead] = torch.from_numpy(np.log(tau / (1 - tau)))[dead].float()
+    for row in dead:
+        for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", active)):
             w[name][row] = 0.0
             chosen = rng.choice(sources, min(fan_in // 2, sources.size), replace=False)
             w[name][row, chosen] = rng.normal(size=chosen.size)
     for name in ("w_ff", "w_rec"):
         w[name] = model.shared(name, w[name])
-    drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[idle].T
-    current = _filtered(drive, tau[idle])
+    drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[dead].T
+    current = _filtered(drive, tau[dead])
     scale = np.ones(rate.size)
-    wanted = np.exp(rng.uniform(math.log(0.1), math.log(0.5), idle.size))
+    target = np.exp(rng.uniform(math.log(0.1), math.log(0.5), dead.size))
     towards = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)
-    scale[idle] = 0.5 * wanted / np.maximum(current.std((0, 1)), 1e-6) * towards
+    scale[dead] = 0.5 * target / np.maximum(current.std((0, 1)), 1e-6) * towards
     for name in ("w_ff", "w_rec"):
         model.set_weights(name, w[name] * model.shared("mem1", scale)[:, None])
     model.set_weights("w_out", w["w_out"])
     model.constrain()
-    return int(idle.size)
+    return int(dead.size)
 
 
-def _start_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch: int = 1) -> None:
+def _initialise_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch: int = 1) -> None:
     with torch.no_grad():
         for name, limits in (
             ("syn0", ranges.encode_syn),
@@ -221,7 +261,7 @@ def _current_scale(model: AttSNN, x: NDArray[np.float64], w_ff: NDArray, rng: np
     tau = torch.sigmoid(model.syn1).detach().numpy()
     current = _filtered(spikes @ w_ff.T, tau)
     rate = np.exp(rng.uniform(math.log(0.2), math.log(1.0), len(w_ff)))
-    sign = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)  # towards spiking, not silence
+    sign = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)  # positive mean drive
     return (sign * 0.5 * rate / np.maximum(current.std((0, 1)), 1e-6))[:, None]
 
 

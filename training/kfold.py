@@ -1,7 +1,7 @@
 """K-fold cross-validation within a domain, and across domains: the paper's Table 1.
 
-Every fold of every domain (a dataset) trains a network in a run folder of its own and is then scored on the
-flights that it was trained on, on those that it was not shown, and on the whole of every other domain.
+Every fold of every domain (a dataset) trains a network in a run folder of its own and is then scored on its
+training flights, on its test flights, and on all flights of every other domain.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from estimators.metrics import attitude_error
+from estimators.metrics import Summary, attitude_error
 from estimators.networks.network import create_network
 from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
 from quadsim.runs.pool import CLUSTER_LOST, give_up, worker_pool
 
 from .config import TrainConfig, make_config
 from .cross_domain import TEST, TRAIN, Score, plot, table
-from .data import Flights, load_flights
-from .loop import INTERRUPTED, flights_of, run
+from .data import TrainingFlights, flights_of, load_training_flights
+from .loop import INTERRUPTED, run
 from .run_folder import claim, contents_of
 
 log = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 POLL_S = 2.0
 
 Progress = Callable[[int, int, str], None]
-"""progress(epochs done, at most, how many folds are done)."""
+"""progress(epochs done, most epochs, a text with the number of folds done)."""
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,15 @@ class Job:
     out: Path
 
 
-FOLDED = (
-    "model",
-    "preset",
-    "data",
-    "validation",
-    "folds",
-    "fold",
-    "seed",
-    "out",
-    "workers",
-    "executor",
-    "progress",
-)
-"""Names that are no free choice of a cross-validation."""
+FOLDED = ("model", "preset", "data", "validation", "folds", "fold", "seed")
+"""Fields that a cross-validation sets itself, or has an argument for."""
 
 
 def kfold(
     domains: Sequence[str | Path],
     out: str | Path,
     models: Sequence[str] = ("att-snn",),
-    preset: str = "paper",
+    preset: str | Path = "paper",
     folds: int = 5,
     workers: int | None = None,
     executor: Executor | None = None,
@@ -73,13 +61,13 @@ def kfold(
 ) -> list[Score]:
     """Train and score every fold of every domain and model; write `kfold.csv`, `table1.csv` and `kfold.png`.
 
-    A run that was stopped goes on: each fold resumes from its checkpoint, and a finished one is kept.
+    A run that was stopped continues: each fold resumes from its checkpoint, and a finished one is kept.
 
     Args:
         domains: Datasets; with more than one, each fold is also tested on all the others.
         out: Folder of the runs and the results.
         models: "att-snn", "att-rnn".
-        preset: One of `training.config.PRESETS`.
+        preset: Name of a shipped preset, or a TOML file.
         folds: Parts into which the flights of each domain are dealt.
         workers: Processes, by default one for each CPU; 1 stays in this process.
         executor: Where to run in place of processes of our own, for instance a Dask client's
@@ -95,9 +83,9 @@ def kfold(
     out = Path(out)
     drop_parts(out)
     jobs = _jobs(domains, out, models, preset, folds, choices)
-    for job in jobs:  # a mistake in them is said before the first is trained
+    for job in jobs:  # report a mistake in any of them before the first is trained
         claim(job.out, job.config)
-    scores = [score for found in _run_all(jobs, workers, executor, progress) for score in found]
+    scores = [score for of_fold in _run_all(jobs, workers, executor, progress) for score in of_fold]
     scores.sort(key=lambda s: (s.model, s.trained_on, s.fold))
     write_csv(out / "kfold.csv", [asdict(score) for score in scores])
     write_csv(out / "table1.csv", [asdict(cell) for cell in table(scores)])
@@ -106,45 +94,57 @@ def kfold(
 
 
 def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[Score]:
-    """Train one fold, or go on with it, and score its best weights; a finished fold is read back."""
-    learned, validation, test = flights_of(job.config)
-    claim(job.out, job.config, contents_of(job.config, learned, validation))
+    """Train one fold, or continue it, and score its best weights; a finished fold is read back."""
+    train, validation, test = flights_of(job.config)
+    claim(job.out, job.config, contents_of(job.config, train, validation))
     if (done := _finished(job)) is not None:
         return done
     result = run(job.config, job.out, lambda epoch, config: progress() if progress else None)
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
-    sets = {TRAIN: learned, TEST: test} | {name: load_flights([path]) for name, path in job.others.items()}
-    scores = [
-        Score(
-            job.config.model, job.domain, job.config.fold, name, len(flights), *errors, result.best.epoch + 1
+    others = {name: load_training_flights([path]) for name, path in job.others.items()}
+    scores = []
+    for name, flights in {TRAIN: train, TEST: test, **others}.items():
+        error = _error(job.config.model, result.weights, flights)
+        scores.append(
+            Score(
+                model=job.config.model,
+                trained_on=job.domain,
+                fold=job.config.fold,
+                tested_on=name,
+                flights=len(flights),
+                error_deg=error.mean,
+                flight_sd_deg=error.sd,
+                epoch=result.best.epoch + 1,
+            )
         )
-        for name, flights in sets.items()
-        for errors in [_errors(job.config.model, result.weights, flights)]
-    ]
     write_json(job.out / "scores.json", [asdict(score) for score in scores])
     return scores
 
 
 def _jobs(
-    domains: Sequence[str | Path], out: Path, models: Sequence[str], preset: str, folds: int,
+    domains: Sequence[str | Path],
+    out: Path,
+    models: Sequence[str],
+    preset: str | Path,
+    folds: int,
     choices: dict[str, Any],
-) -> list[Job]:  # fmt: skip
+) -> list[Job]:
     paths = {Path(path).name.removesuffix(".zarr"): str(path) for path in domains}
     if not paths or len(paths) != len(domains):
         raise ValueError(f"domains: {', '.join(map(str, domains)) or 'none'}; each needs a name of its own")
     for name in ("folds", "fold", "data", "validation"):
         if name in choices:
             raise ValueError(f"{name} follows from the folds; it cannot be set")
-    made = []
+    jobs = []
     for model in dict.fromkeys(models):
         for name, path in paths.items():
             others = {other: there for other, there in paths.items() if other != name}
             for fold in range(folds):
                 config = make_config(preset, model=model, data=path, folds=folds, fold=fold, **choices)
-                made.append(Job(config, name, others, out / f"{model}--{name}--{fold}"))
-            flights_of(made[-1].config)  # says what is wrong with the dataset, if anything is
-    return made
+                jobs.append(Job(config, name, others, out / f"{model}--{name}--{fold}"))
+            flights_of(jobs[-1].config)  # refuses datasets that do not fit
+    return jobs
 
 
 def _finished(job: Job) -> list[Score] | None:
@@ -156,21 +156,19 @@ def _finished(job: Job) -> list[Score] | None:
     return scores if [s.tested_on for s in scores] == [TRAIN, TEST, *job.others] else None
 
 
-def _errors(model: str, weights: Path, flights: Flights) -> tuple[float, float]:
-    """Mean over flights of the mean absolute error, and its standard deviation [deg]."""
+def _error(model: str, weights: Path, flights: TrainingFlights) -> Summary:
     est = create_network(model, flights.rate_hz, weights)
     est.reset(len(flights))
-    error = attitude_error(est.sequence(flights.gyro, flights.accel), flights.roll_pitch)
-    return error.mean, error.sd
+    return attitude_error(est.sequence(flights.gyro, flights.accel), flights.roll_pitch)
 
 
 def _run_all(
     jobs: Sequence[Job], workers: int | None, executor: Executor | None, progress: Progress | None
 ) -> Iterator[list[Score]]:
-    """Run the folds wherever they are to be run; yields each one's scores when it is done."""
+    """Run the folds on the executor, in processes or here; yields each one's scores when it is done."""
     workers = min(workers or len(os.sched_getaffinity(0)), len(jobs))
 
-    def say() -> None:
+    def report() -> None:
         if progress:
             done = [(job.out / "scores.json").is_file() for job in jobs]
             epochs = [job.config.epochs if d else _epochs(job.out) for job, d in zip(jobs, done, strict=True)]
@@ -178,26 +176,26 @@ def _run_all(
             progress(sum(epochs), most, f"{sum(done)} of {len(jobs)} folds done")
 
     if executor is not None:
-        yield from _submit(executor, jobs, say)
+        yield from _submit(executor, jobs, report)
     elif workers <= 1:
         for job in jobs:
-            say()
-            yield run_fold(job, say)
-        say()
+            report()
+            yield run_fold(job, report)
+        report()
     else:
         with worker_pool(workers) as pool:
-            yield from _submit(pool, jobs, say)
+            yield from _submit(pool, jobs, report)
 
 
-def _submit(executor: Executor, jobs: Sequence[Job], say: Callable[[], None]) -> Iterator[list[Score]]:
+def _submit(executor: Executor, jobs: Sequence[Job], report: Callable[[], None]) -> Iterator[list[Score]]:
     pending: set[Future[list[Score]]] = {executor.submit(run_fold, job) for job in jobs}
     try:
         while pending:
-            say()
+            report()
             done, pending = wait(pending, POLL_S, "FIRST_COMPLETED")
             for future in done:
                 yield future.result()
-        say()
+        report()
     except BrokenExecutor as error:
         raise ChildProcessError(
             "a worker process died (out of memory, or killed); what is trained is kept: rerun to resume"
@@ -209,7 +207,7 @@ def _submit(executor: Executor, jobs: Sequence[Job], say: Callable[[], None]) ->
 
 
 def _epochs(out: Path) -> int:
-    """Epochs that a run has behind it."""
+    """Epochs that a run has done."""
     try:
         return len((out / "log.csv").read_text(encoding="utf-8").splitlines()) - 1
     except FileNotFoundError:

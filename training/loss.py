@@ -10,17 +10,17 @@ from torch import Tensor
 from torch.nn.functional import huber_loss
 
 
-def attitude_loss(estimate: Tensor, wanted: Tensor, knee: float = 0.0) -> Tensor:
+def attitude_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -> Tensor:
     """Mean square error over roll and pitch [rad²]; both (n, T, 2).
 
-    Beyond a `knee` [rad] of both together it goes on in proportion to the error (Huber, "Robust estimation of
-    a location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.
+    Where the norm of both errors exceeds `huber_threshold` [rad], the loss is linear in it (Huber, "Robust
+    estimation of a location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.
     """
-    error = estimate - wanted
-    if knee == 0.0:
+    error = estimate - target
+    if huber_threshold == 0.0:
         return error.square().mean()
     size = torch.linalg.vector_norm(error, dim=-1)
-    return huber_loss(size, torch.zeros_like(size), delta=knee)
+    return huber_loss(size, torch.zeros_like(size), delta=huber_threshold)
 
 
 def rate_cost(rates: Tensor, targets: Tensor) -> Tensor:

@@ -25,11 +25,9 @@ Values = TypeVar("Values", Tensor, NDArray[np.floating])
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
 CURRENT_MAX, CURRENT_EVERY = 384.0, 8
-"""Currents may grow to this, three quarters of where 24 bits end; every eighth step is looked at."""
-LAYERS = {
-    "w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1),
-    "syn0": (0,), "mem0": (0,), "syn1": (1,), "mem1": (1,), "syn2": (None,), "mem2": (None,),
-}  # fmt: skip
+"""Largest current, three quarters of the chip's 24 bits; every eighth step is checked."""
+LAYERS = {"w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1)}
+LAYERS |= {f"{tau}{layer}": (index,) for tau in ("syn", "mem") for layer, index in enumerate((0, 1, None))}
 """For each axis of a parameter the layer whose neurons it counts: 0 encoding, 1 hidden."""
 
 
@@ -56,7 +54,7 @@ class AttSNN(nn.Module):
         threads: int = 1,
         symmetric: bool = False,
     ) -> None:
-        """Allocate the parameters; `start_like_the_paper` or `start_from_data` fills them."""
+        """Allocate the parameters; `training.init` fills them."""
         super().__init__()
         self.quantised, self.recurrent_delay = quantised, recurrent_delay
         self.output_scale, self.threads = output_scale, threads
@@ -72,14 +70,14 @@ class AttSNN(nn.Module):
         self.mem2 = nn.Parameter(torch.zeros(1))
         for name in MATRICES:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
-        self.ties = ties(encoding, hidden) if symmetric else {}
-        for name, tied in self.ties.items():
-            getattr(self, name).register_hook(partial(_mean, tied))
+        self.sharing = ties(encoding, hidden) if symmetric else {}
+        for name, sharing in self.sharing.items():
+            getattr(self, name).register_hook(partial(_mean, sharing))
         for name in MATRICES:
-            kept = torch.ones(getattr(self, name).shape, dtype=torch.bool)
-            if self.ties:
-                kept &= torch.from_numpy(self.ties[name].sign != 0).reshape(kept.shape)
-            self.register_buffer(f"{name}_kept", kept)
+            connected = torch.ones(getattr(self, name).shape, dtype=torch.bool)
+            if self.sharing:
+                connected &= torch.from_numpy(self.sharing[name].sign != 0).reshape(connected.shape)
+            self.register_buffer(f"{name}_connected", connected)
         self._spaces: dict[tuple[int, int], Workspace] = {}
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
@@ -87,7 +85,7 @@ class AttSNN(nn.Module):
         w = torch.tensor(values, dtype=torch.float32)
         used = (w != 0).sum(1, keepdim=True).clamp(min=1)
         scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
-        if self.ties:  # rows that share their weights share their scale
+        if self.sharing:  # rows that share their weights share their scale
             layer = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1"}.get(name)
             scale = self.shared(layer, scale) if layer else scale.mean()
         with torch.no_grad():
@@ -95,12 +93,12 @@ class AttSNN(nn.Module):
             getattr(self, name).copy_(w / scale)
 
     def shared(self, name: str, values: Values) -> Values:
-        """What a parameter would be if its entries that share a weight took that of their first."""
-        if not self.ties:
+        """The values of a parameter in which entries that share a weight have that of the first of them."""
+        if not self.sharing:
             return values
         if isinstance(values, Tensor):
-            return torch.from_numpy(self.ties[name].copied(values.detach().numpy()))
-        return self.ties[name].copied(values)
+            return torch.from_numpy(self.sharing[name].copied(values.detach().numpy()))
+        return self.sharing[name].copied(values)
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
@@ -111,13 +109,14 @@ class AttSNN(nn.Module):
             tau = [quantise_decay(x) for x in tau]
         return Weights(*w, *tau)
 
-    def forward(self, x: Tensor, fresh: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
+    def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
 
-        Sequences that are not `fresh` (n,) go on from the last window of this shape; None: all are fresh.
+        Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
+        window of this shape; None: all are reset.
         """
         weights = self.weights()
-        out, rates = attsnn(x, weights, self.space(x, weights), fresh)
+        out, rates = attsnn(x, weights, self.space(x, weights), reset)
         return out * self.output_scale, rates
 
     def space(self, x: Tensor, weights: Weights) -> Workspace:
@@ -131,11 +130,11 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Keep shared weights equal, removed ones 0, all in range; time constants where a gradient lives."""
-        for name in self.ties:
+        """Make shared weights equal and pruned ones 0; clip all to the range where they can be trained."""
+        for name in self.sharing:
             getattr(self, name).copy_(self.shared(name, getattr(self, name)))
-        for weight, kept in self.kept.items():
-            weight.mul_(kept)
+        for name in MATRICES:
+            getattr(self, name).mul_(getattr(self, f"{name}_connected"))
         if self.quantised:
             for name in MATRICES:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
@@ -145,14 +144,14 @@ class AttSNN(nn.Module):
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
 
     @torch.no_grad()
-    def stay_in_range(self, x: Tensor) -> None:
-        """Weaken the inputs of neurons whose currents came near the ends of the chip's range just now.
+    def limit_currents(self, x: Tensor) -> None:
+        """Weaken the inputs of neurons whose currents came near the ends of the chip's range.
 
-        Beyond them a current wraps round to the other sign: a neuron that training keeps silencing would
-        spike in every other step at once, and no gradient leads back.
+        Beyond them a current wraps round to the other sign: a neuron that training silences further would
+        then spike in every other step, and no gradient leads back.
 
         Args:
-            x: The window that was run last.
+            x: The last window, whose currents are checked.
         """
         if not self.quantised:
             return
@@ -162,14 +161,14 @@ class AttSNN(nn.Module):
             most = np.max([np.abs(u).max((0, 1)) for u in currents], 0)
             if most.max() <= CURRENT_MAX:
                 continue
-            first = self.ties[f"mem{layer}"].first if self.ties else np.arange(most.size)
+            first = self.sharing[f"mem{layer}"].first if self.sharing else np.arange(most.size)
             of_group = np.zeros_like(most)
             np.maximum.at(of_group, first, most)
             weaker = torch.from_numpy((CURRENT_MAX / np.maximum(of_group, CURRENT_MAX))[first])
             for name in names:
                 getattr(self, name).mul_(weaker[:, None])
 
-    def part(self, name: str, values: Tensor, neurons: Sequence[NDArray[np.int64]]) -> Tensor:
+    def select(self, name: str, values: Tensor, neurons: Sequence[NDArray[np.int64]]) -> Tensor:
         """`values`, of the shape of a parameter or of its scale, for some neurons of both layers alone."""
         for axis, layer in enumerate(LAYERS[name]):
             if layer is not None and values.shape[axis] > 1:
@@ -177,16 +176,14 @@ class AttSNN(nn.Module):
         return values
 
     @torch.no_grad()
-    def without(self, neurons: Sequence[NDArray[np.int64]]) -> AttSNN:
-        """The network of these neurons of both layers alone; its windows go on from the last ones here."""
+    def subset(self, neurons: Sequence[NDArray[np.int64]]) -> AttSNN:
+        """The network of these neurons of both layers alone; its windows continue from the last ones here."""
         encoding, hidden = neurons
-        smaller = AttSNN(
-            encoding.size, hidden.size, self.quantised, self.recurrent_delay, self.output_scale, self.threads,
-            bool(self.ties),
-        )  # fmt: skip
+        options = self.quantised, self.recurrent_delay, self.output_scale, self.threads, bool(self.sharing)
+        smaller = AttSNN(encoding.size, hidden.size, *options)
         smaller.load_state_dict(
             {
-                name: self.part(name.removesuffix("_kept").removesuffix("_scale"), value, neurons)
+                name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)
                 for name, value in self.state_dict().items()
             }
         )
@@ -194,74 +191,66 @@ class AttSNN(nn.Module):
         return smaller
 
     @property
-    def living(self) -> list[NDArray[np.int64]]:
-        """Neurons of both layers that connections join to the inputs and to the outputs."""
-        kept = [getattr(self, f"{name}_kept").numpy() for name in MATRICES]
+    def connected_neurons(self) -> list[NDArray[np.int64]]:
+        """Neurons of both layers that an input reaches and that reach an output."""
+        connected = [getattr(self, f"{name}_connected").numpy() for name in MATRICES]
         layers = (("mem0", self.w_in.shape[0]), ("mem1", self.w_ff.shape[0]))
-        groups = [self.ties[name].first if self.ties else np.arange(size) for name, size in layers]
-        return living(kept, groups)
+        groups = [self.sharing[name].first if self.sharing else np.arange(size) for name, size in layers]
+        return living(connected, groups)
 
     @torch.no_grad()
-    def keep_what_is_there(self) -> None:
-        """Take away every connection whose weight is 0."""
+    def disconnect_zeros(self) -> None:
+        """Remove every connection whose weight is 0."""
         for name in MATRICES:
-            getattr(self, f"{name}_kept").copy_(getattr(self.weights(), name) != 0)
+            getattr(self, f"{name}_connected").copy_(getattr(self.weights(), name) != 0)
 
     @property
-    def kept(self) -> dict[Tensor, Tensor]:
-        """By weight matrix, which of its entries are connections."""
-        return {getattr(self, name): getattr(self, f"{name}_kept") for name in MATRICES}
-
-    @property
-    def parameters_kept(self) -> int:
-        """Connections that were not taken away, and time constants."""
-        return sum(int(kept.sum()) for kept in self.kept.values()) + self.time_constants
+    def parameter_count(self) -> int:
+        """Connections and time constants."""
+        return sum(int(getattr(self, f"{name}_connected").sum()) for name in MATRICES) + self.time_constants
 
     @property
     def time_constants(self) -> int:
-        """How many there are."""
-        h0, h1 = self.w_in.shape[0], self.w_ff.shape[0]
-        return 2 * (h0 + h1) + 2
+        """Number of time constants."""
+        return sum(getattr(self, name).numel() for name in TIME_CONSTANTS)
 
 
-def thin(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:
-    """Take connections away until at most `most` parameters are left, those that matter least first.
+def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:
+    """Remove the connections with the smallest effect on the loss until at most `most` parameters are left.
 
-    What a weight matters is what the loss would rise without it, to second order and with the mean square of
-    its gradient in place of the curvature, w² E[g²] / 2 ("optimal brain damage", LeCun, Denker & Solla 1990,
-    with the empirical Fisher information). Weights that are shared go together.
+    The effect of a weight is the rise of the loss without it, to second order and with the mean square of its
+    gradient in place of the curvature, w² E[g²] / 2 ("optimal brain damage", LeCun, Denker & Solla 1990, with
+    the empirical Fisher information). Connections that share a weight go together.
 
     Args:
         model: To change.
         squared_gradients: Mean square of the gradient of each entry of the weight matrices.
         most: Connections and time constants.
     """
-    names = MATRICES
-    costs, sizes = [], []
-    firsts = {n: model.ties[n].first if model.ties else np.arange(getattr(model, n).numel()) for n in names}
-    for name, first in firsts.items():
-        kept = getattr(model, f"{name}_kept").numpy().ravel()
+    effects, sizes, firsts = [], [], []
+    for name in MATRICES:
+        connected = getattr(model, f"{name}_connected").numpy().ravel()
+        first = model.sharing[name].first if model.sharing else np.arange(connected.size)
         w, g2 = (
-            t.detach().numpy().ravel().astype(np.float64)
-            for t in (getattr(model, name), squared_gradients[name])
+            values.detach().numpy().ravel().astype(np.float64)
+            for values in (getattr(model, name), squared_gradients[name])
         )
-        costs.append(np.bincount(first, w * w * g2 * kept, kept.size))
-        sizes.append(np.bincount(first, kept, kept.size))
-    cost, size = np.concatenate(costs), np.concatenate(sizes)
-    order = np.argsort(-cost, kind="stable")
-    room = most - model.time_constants
-    stays = np.zeros(cost.size, bool)
-    stays[order] = np.cumsum(size[order]) <= room
-    for (name, first), part in zip(
-        firsts.items(), np.split(stays, np.cumsum([c.size for c in costs])[:-1]), strict=True
-    ):
-        kept = getattr(model, f"{name}_kept")
-        kept &= torch.from_numpy(part[first]).reshape(kept.shape)
+        effects.append(np.bincount(first, w * w * g2 * connected, connected.size))
+        sizes.append(np.bincount(first, connected, connected.size))
+        firsts.append(first)
+    effect, size = np.concatenate(effects), np.concatenate(sizes)
+    order = np.argsort(-effect, kind="stable")
+    stays = np.zeros(effect.size, bool)
+    stays[order] = np.cumsum(size[order]) <= most - model.time_constants
+    parts = np.split(stays, np.cumsum([first.size for first in firsts])[:-1])
+    for name, first, part in zip(MATRICES, firsts, parts, strict=True):
+        connected = getattr(model, f"{name}_connected")
+        connected &= torch.from_numpy(part[first]).reshape(connected.shape)
     model.constrain()
 
 
-def _mean(tied: Ties, gradient: Tensor) -> Tensor:
-    return torch.from_numpy(tied.mean(gradient.numpy()))
+def _mean(sharing: Ties, gradient: Tensor) -> Tensor:
+    return torch.from_numpy(sharing.mean(gradient.numpy()))
 
 
 class AttRNN(nn.Module):
@@ -274,20 +263,26 @@ class AttRNN(nn.Module):
         self.out = nn.Linear(hidden, OUTPUTS)
         self._state: Tensor | None = None
 
-    def forward(self, x: Tensor, fresh: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
+    def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and no spikes (2,).
 
-        Sequences that are not `fresh` (n,) go on from the last window; None: all start from rest.
+        Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
+        window; None: all are reset.
         """
         before = self._state
-        if fresh is None or fresh.all():
+        if reset is None or reset.all():
             before = None
         elif before is not None:
-            before = before * torch.from_numpy(~fresh)[:, None]
+            before = before * torch.from_numpy(~reset)[:, None]
         y, state = self.gru(x, before)
         self._state = state.detach()
         return self.out(y), torch.zeros(2)
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Any weight will do."""
+        """Do nothing: any weight is allowed."""
+
+    @property
+    def parameter_count(self) -> int:
+        """Weights and biases."""
+        return sum(parameter.numel() for parameter in self.parameters())

@@ -1,29 +1,33 @@
-"""Lookahead (Zhang, Lucas, Hinton & Ba 2019): k steps forward, one step back, around any optimiser."""
+"""Adam in Lookahead (Zhang, Lucas, Hinton & Ba 2019), and the learning rate over the updates."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import torch
+from torch import nn
 from torch.optim import Optimizer
+
+from .config import TrainConfig
 
 
 class Lookahead:
-    """Slow weights follow the fast: every k steps slow += α (fast - slow), and fast starts there again.
+    """Every k steps of the fast weights slow += α (fast - slow), and then fast = slow.
 
     Args:
         optimizer: Moves the fast weights, which are the parameters themselves.
         k: Steps of the fast weights for one of the slow weights.
-        alpha: How far the slow weights go, in (0, 1].
+        alpha: Step of the slow weights, in (0, 1].
 
     Raises:
         ValueError: k or alpha out of range.
     """
 
     def __init__(self, optimizer: Optimizer, k: int = 6, alpha: float = 0.5) -> None:
-        """Start with the slow weights where the fast ones are."""
+        """Begin with slow weights equal to the fast ones."""
         if k < 1:
             raise ValueError(f"k: {k}, should be at least 1")
         if not 0.0 < alpha <= 1.0:
@@ -56,13 +60,13 @@ class Lookahead:
 
     @torch.no_grad()
     def restart(self) -> None:
-        """Let the slow weights be where the fast ones are, after these were changed by hand."""
+        """Set the slow weights to the fast ones, after these were changed by hand."""
         for slow, fast in zip(self.slow, self._fast(), strict=True):
             slow.copy_(fast)
 
     @contextmanager
     def evaluated(self) -> Iterator[None]:
-        """Within this context the parameters are the slow weights, the ones to evaluate and to keep."""
+        """Within this context the parameters are the slow weights, which are evaluated and saved."""
         fast = [p.detach().clone() for p in self._fast()]
         with torch.no_grad():
             for parameter, slow in zip(self._fast(), self.slow, strict=True):
@@ -85,17 +89,19 @@ class Lookahead:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a state that `state_dict` gave."""
+        """Continue from the result of `state_dict`."""
         self.optimizer.load_state_dict(state["optimizer"])
         self.slow = [p.clone() for p in state["slow"]]
         self.steps, self.k, self.alpha = state["steps"], state["k"], state["alpha"]
 
 
-def changed(state: dict[str, Any], change: Callable[[int, torch.Tensor], torch.Tensor]) -> dict[str, Any]:
-    """A state of Lookahead around Adam for parameters of other shapes.
+def resized_state(
+    state: dict[str, Any], change: Callable[[int, torch.Tensor], torch.Tensor]
+) -> dict[str, Any]:
+    """The state of Lookahead around Adam for parameters of other shapes.
 
     Args:
-        state: What `Lookahead.state_dict` gave.
+        state: Result of `Lookahead.state_dict`.
         change: From the number of a parameter and something of its shape to the same of its new shape.
     """
     inner = state["optimizer"]
@@ -105,3 +111,23 @@ def changed(state: dict[str, Any], change: Callable[[int, torch.Tensor], torch.T
     }
     slow = [change(k, value) for k, value in enumerate(state["slow"])]
     return state | {"optimizer": inner | {"state": moments}, "slow": slow}
+
+
+def new_optimiser(model: nn.Module, config: TrainConfig) -> Lookahead:
+    """Adam in Lookahead; each parameter has a group with the factor `step` of its learning rate.
+
+    The factors differ between layers since a common change of many weights adds up over the neurons.
+    """
+    encoding, hidden, output = config.layer_steps
+    steps = {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_out": output}
+    groups = [{"params": [p], "step": steps.get(name, 1.0)} for name, p in model.named_parameters()]
+    adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
+    return Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
+
+
+def learning_rate(config: TrainConfig, update: int) -> float:
+    """Learning rate of an update, counted from 0 over all epochs."""
+    if config.decay == "none":
+        return config.optimiser_lr
+    share = update / (config.epochs * config.batches)
+    return config.optimiser_lr * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))

@@ -1,8 +1,7 @@
-"""Pruning with fine-tuning: leave neurons out, train on, and again, until the network is small enough."""
+"""Pruning of neurons with fine-tuning: remove neurons, train the others, and again, down to a size."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from quadsim.dataset.reading import open_dataset
 from .loop import Progress, train
 
 RANKED_ON = 4
-"""Flights on which spikes are counted."""
+"""Flights of each dataset on which neurons are ranked."""
 
 
 def prune(
@@ -28,27 +27,25 @@ def prune(
     by: str = "contribution",
     weights: str | Path | None = None,
     progress: Progress | None = None,
-    stage_done: Callable[[Pruned], object] | None = None,
     **choices: Any,
 ) -> list[Pruned]:
-    """Remove the least important neurons in equal steps, and train on after each.
+    """Remove the least important neurons in equal steps, and train the others after each.
 
     Neurons are ranked on training flights; the epochs are chosen by the validation flights.
 
     Args:
         data: Datasets to rank and to train on.
         validation: Datasets to choose epochs and to score by.
-        out: Folder; a run in it for each stage, which goes on where it was stopped.
+        out: Folder; it holds a run for each stage, which continues where it was stopped.
         fraction: Share of the neurons to remove in the end.
         stages: Steps to get there.
         by: How neurons are ranked, see `estimators.analysis.ablation.importance`.
         weights: Of an Att-SNN for the chip; None: the ones that ship.
         progress: Called after every epoch.
-        stage_done: Called after every stage.
         choices: Fields of the training configuration that differ from the preset "best".
 
     Returns:
-        The network as it was, then one entry a stage.
+        The network before pruning, then one entry a stage.
 
     Raises:
         ValueError: A bad fraction, number of stages or choice.
@@ -58,7 +55,7 @@ def prune(
     config, tensors = shipped_network("att-snn") if weights is None else load_network(weights)
     flights, scored = _flights(data, RANKED_ON), _flights(validation)
     full = config.encoding, config.hidden
-    start = Path(out) / "whole.safetensors"
+    start = Path(out) / "unpruned.safetensors"
     save_network(start, config, tensors)
     error = error_deg(config, tensors, scored)
     done = [Pruned(0.0, *full, parameters(tensors), error, error, start)]
@@ -81,14 +78,12 @@ def prune(
         weights, cut_error = result.weights, error_deg(cut, fewer, scored)
         config, tensors = load_network(weights)
         tuned = error_deg(config, tensors, scored)
-        if tuned > cut_error:  # training on did not help
+        if tuned > cut_error:  # training did not help
             weights, config, tensors, tuned = before, cut, fewer, cut_error
         removed = 1 - (config.encoding + config.hidden) / sum(full)
         done.append(
             Pruned(removed, config.encoding, config.hidden, parameters(tensors), cut_error, tuned, weights)
         )
-        if stage_done:
-            stage_done(done[-1])
     return done
 
 

@@ -12,14 +12,14 @@ from quadsim.config.ranges import SAMPLE_RATE
 
 
 def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[NetworkConfig, Tensors]:
-    """The network with its time constants and weights carried to another sample rate, in floats.
+    """The network with time constants and weights for another sample rate, in floats.
 
-    With k steps where there was one, every decay becomes τ^(1/k). A spike is to leave the same charge in
-    the membrane it reaches, and its current sums to w / (1 − τ_syn): weights are multiplied by
-    (1 − τ_syn^(1/k)) / (1 − τ_syn). The inputs drive in every step, so theirs are divided by k too.
+    With k steps in place of one, every decay becomes τ^(1/k). The current of a spike sums to w / (1 − τ_syn).
+    For the same sum, weights are multiplied by (1 − τ_syn^(1/k)) / (1 − τ_syn). Inputs act in every step, so
+    their weights are divided by k as well.
 
-    The step that a connection takes is then shorter, and so is the reset: the network is the same only as far
-    as spikes are rare.
+    The delay of a connection and the reset then take less time: the network is the same only where spikes are
+    rare.
 
     Raises:
         ValueError: Not a spiking network, or a bad rate.

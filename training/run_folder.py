@@ -1,22 +1,29 @@
-"""The folder of a run: whose it is, its log and its curve; files that are either the old ones or whole."""
+"""The files of a run: configuration, log, checkpoint, best weights and loss curve."""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import subprocess
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import torch
 from pydantic import ValidationError
 
-from estimators.networks.weights_file import load_network
+from estimators.analysis.ablation import connected
+from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, save_network
+from estimators.spiking import MATRICES
 from quadsim.runs.files import drop_parts, save_figure, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest
 
 from .config import TrainConfig
-from .data import Flights
+from .data import TrainingFlights
+from .models import AttRNN, AttSNN
 
 
 @dataclass(frozen=True)
@@ -38,9 +45,9 @@ class Epoch:
     rate_hidden: float
     learning_rate: float
     parameters: int
-    """Connections that are left, and time constants (att-rnn: weights and biases)."""
+    """Connections and time constants (att-rnn: weights and biases)."""
     seconds: float
-    """Time that training has taken so far."""
+    """Time of training so far."""
 
 
 def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None) -> None:
@@ -49,7 +56,7 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
     Args:
         out: The folder.
         config: Of the run.
-        contents: What `contents_of` says of its files; None: they are not compared.
+        contents: Digests by `contents_of`; None: they are not compared.
 
     Raises:
         ValueError: It holds a run with another configuration, of another version, or on files that have
@@ -70,16 +77,16 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
     write_whole(file, text)
     if contents is None:
         return
-    kept = out / "contents.json"
-    if kept.is_file() and (old := json.loads(kept.read_text(encoding="utf-8"))) != contents:
+    file = out / "contents.json"
+    if file.is_file() and (old := json.loads(file.read_text(encoding="utf-8"))) != contents:
         changed = ", ".join(name for name in contents if old.get(name) != contents[name])
         raise ValueError(f"{out}: holds a run on other files ({changed} changed), choose another folder")
-    write_whole(kept, json.dumps(contents, indent=2))
+    write_whole(file, json.dumps(contents, indent=2))
 
 
-def contents_of(config: TrainConfig, flights: Flights, validation: Flights) -> dict[str, str]:
-    """Digests of what a run reads, so that going on with it on other files is noticed."""
-    found = {
+def contents_of(config: TrainConfig, flights: TrainingFlights, validation: TrainingFlights) -> dict[str, str]:
+    """Digests of what a run reads, so that a run on other files is refused."""
+    digests = {
         "data": flights.digest(),
         "validation": validation.digest(),
         "code": code_digest("training.loop"),
@@ -88,8 +95,64 @@ def contents_of(config: TrainConfig, flights: Flights, validation: Flights) -> d
         digest = hashlib.blake2b(digest_size=16)
         for name, tensor in sorted(load_network(config.init)[1].items()):
             digest.update(name.encode() + tensor.tobytes())
-        found["init"] = digest.hexdigest()
-    return found
+        digests["init"] = digest.hexdigest()
+    return digests
+
+
+def exported(
+    model: AttSNN | AttRNN, config: TrainConfig, rate_hz: float, note: dict[str, Any]
+) -> tuple[NetworkConfig, Tensors]:
+    """The network as an estimator runs it: its configuration and tensors for `save_network`."""
+    spiking = isinstance(model, AttSNN)
+    network = NetworkConfig(
+        model=config.model,
+        rate_hz=rate_hz,
+        encoding=model.w_in.shape[0] if spiking else config.encoding,
+        hidden=model.w_ff.shape[0] if spiking else config.hidden,
+        inputs=config.inputs,
+        quantised=config.quantised and spiking,
+        recurrent_delay=config.recurrent_delay,
+        steps_per_sample=config.steps_per_sample if spiking else 1,
+        output_scale=config.output_scale if spiking else 1.0,
+        training=note,
+    )
+    if not spiking:
+        return network, {name: value.numpy().copy() for name, value in model.state_dict().items()}
+    with torch.no_grad():
+        arrays = {name: w.numpy() for name, w in model.weights()._asdict().items()}
+    if not config.quantised:
+        return network, {name: w.astype(np.float32) for name, w in arrays.items()}
+    return network, {
+        name: np.rint(w * 256 if name in MATRICES else 4096 * (1 - w.astype(np.float64))).astype(np.int16)
+        for name, w in arrays.items()
+    }
+
+
+def save_best(
+    out: Path, model: AttSNN | AttRNN, config: TrainConfig, flights: TrainingFlights, note: dict[str, Any]
+) -> None:
+    """Write `best.safetensors`; of a pruned network only the neurons that are still connected.
+
+    Args:
+        out: The run's folder.
+        model: With the weights to save.
+        config: Of the run.
+        flights: It was trained on.
+        note: What the file says of the training, besides its configuration, code and flights.
+    """
+    code = {"config": json.loads(config.model_dump_json()), "commit": commit()}
+    network, tensors = exported(
+        model, config, flights.rate_hz, code | {"training_flights": len(flights)} | note
+    )
+    if config.prunes:
+        network, tensors = connected(network, tensors)
+    save_network(out / "best.safetensors", network, tensors)
+
+
+def save_checkpoint(out: Path, state: dict[str, Any]) -> None:
+    """Write `checkpoint.pt`; by way of memory, since PyTorch reports a full disk as a failed writer."""
+    torch.save(state, buffer := io.BytesIO())
+    write_whole(out / "checkpoint.pt", buffer.getvalue())
 
 
 def write_log(out: Path, history: list[Epoch]) -> None:

@@ -114,7 +114,7 @@ def kfold(
     from training.kfold import FOLDED
     from training.kfold import kfold as run_folds
 
-    choices = fields_of(set_, *FOLDED)
+    choices = fields_of(set_, *FOLDED, "out", "workers", "executor", "progress")
     if epochs is not None:
         choices["epochs"] = epochs
     with executor_of(cluster) as executor, progress_bar("folds", "epochs") as progress:

@@ -22,7 +22,9 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
 Preset = Annotated[
     str,
-    typer.Option(help="paper: its recipe; best: the one to use; robust: rough sensors; tune: logs."),
+    typer.Option(
+        help="paper: its recipe; best: the one to use; robust: rough sensors; tune: logs; or a TOML file."
+    ),
 ]
 Fields = Annotated[
     list[str] | None,

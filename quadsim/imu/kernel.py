@@ -52,6 +52,11 @@ VEHICLE = np.dtype(
 )
 
 
+def white_noise_sd(density: float, dt: float) -> float:
+    """Standard deviation of a sample of white noise, N/√dt, with N in unit/√Hz and dt in s."""
+    return density / math.sqrt(dt)
+
+
 def low_pass_coefficients(corner: float, order: int, dt: float) -> tuple[Array, Array, Array]:
     """Exact step of a continuous Butterworth filter whose input is a straight line between samples.
 

@@ -23,7 +23,7 @@ from scipy.special import ndtri
 from ..config.ranges import SAMPLE_RATE
 from ..rotation import matrix_from_quat, quat_from_euler
 from ..seeding import Seed, child, vehicle_seeds
-from .kernel import ACCEL, GYRO, NOISES, ROTORS, VEHICLE, low_pass_coefficients, measure
+from .kernel import ACCEL, GYRO, NOISES, ROTORS, VEHICLE, low_pass_coefficients, measure, white_noise_sd
 from .spec import ImuSpec, Sensor
 
 Array = NDArray[np.float64]
@@ -230,7 +230,7 @@ def _constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
             p["transition"][index], p["from_last"][index], p["from_new"][index] = low_pass_coefficients(
                 corner, sensor.low_pass_order, dt
             )
-        p["white"][index] = sensor.noise / math.sqrt(dt)
+        p["white"][index] = white_noise_sd(sensor.noise, dt)
         tau = sensor.time_constant or math.inf
         p["decay"][index] = math.exp(-dt / tau)
         p["diffusion"][index] = _walk_spread(sensor) * math.sqrt(-math.expm1(-2.0 * dt / tau))
