@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
 from quadsim.config.toml import nearest
+from quadsim.runs.fingerprint import content_digest
 
 from . import scores, work
 from .scores import FILTERS, SHIPPED
@@ -30,7 +30,7 @@ def shipped_networks() -> dict[str, list[str]]:
     found = {}
     for label, model in SHIPPED.items():
         weights = files("assets") / "weights" / f"{model.removesuffix('-loihi')}.safetensors"
-        found[label] = [model, "", hashlib.sha256(weights.read_bytes()).hexdigest()[:8]]
+        found[label] = [model, "", content_digest(weights.read_bytes())[:8]]
     return found
 
 

@@ -8,20 +8,18 @@ on in its folder (trainings from their checkpoints); another fingerprint begins 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint
-from quadsim.runs.pool import worker_pool
+from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 
-POLL_S = 1.0
 RECORD = "stage.json"
 
 Progress = Callable[[int, int, str], None]
@@ -110,22 +108,23 @@ def run_stages(
     """
     prints = fingerprints(stages)
     missing = [stage for stage in stages if not is_finished(out / stage.name, prints[stage.name])]
-    workers = min(workers or len(os.sched_getaffinity(0)), max(len(missing), 1))
-    say = _Bar(stages, missing, out, progress)
+    workers = process_count(workers, len(missing))
+    bar = _Bar(stages, missing, out, progress)
     jobs = {
         stage.name: (stage, out / stage.name, {name: out / name for name in stage.inputs}, prints[stage.name])
         for stage in missing
     }
-    say(())
-    if workers <= 1:
-        for name, job in jobs.items():
-            say((name,))
-            make(*job)
-            say.done.add(name)
-            say(())
-    else:
-        with worker_pool(workers) as pool:
-            _side_by_side(pool, workers, jobs, say)
+
+    def startable(waiting: Iterable[str], running: Iterable[str]) -> list[str]:
+        ready = [jobs[name][0] for name in waiting if set(jobs[name][0].inputs) <= bar.done]
+        return _startable(ready, workers - len(list(running)), workers)
+
+    bar(())
+    try:
+        for name, _ in run_jobs(make, jobs, workers, startable=startable, tick=bar):
+            bar.done.add(name)
+    except BrokenExecutor as error:
+        raise ChildProcessError(WORKER_DIED) from error
     return list(jobs)
 
 
@@ -152,9 +151,9 @@ class _Bar:
     def __call__(self, running: Iterable[str]) -> None:
         work = {stage.name: stage.seconds for stage in self.stages}
         epochs = {stage.name: stage.settings.get("epochs") for stage in self.stages}
-        gone = sum(work[name] for name in self.done)
-        gone += sum(work[name] * _share(self.out / name, epochs[name]) for name in running)
-        self.progress(round(gone), round(sum(work.values())), ", ".join(running))
+        done = sum(work[name] for name in self.done)
+        done += sum(work[name] * _share(self.out / name, epochs[name]) for name in running)
+        self.progress(round(done), round(sum(work.values())), ", ".join(running))
 
 
 def _share(folder: Path, epochs: int | None) -> float:
@@ -167,31 +166,10 @@ def _share(folder: Path, epochs: int | None) -> float:
         return 0.0
 
 
-def _side_by_side(pool: ProcessPoolExecutor, workers: int, jobs: Mapping[str, tuple], say: _Bar) -> None:
-    waiting, running = dict(jobs), dict[Future[None], str]()
-    try:
-        while waiting or running:
-            for name in _startable(waiting, running, say.done, workers):
-                running[pool.submit(make, *waiting.pop(name))] = name
-            done, _ = wait(running, POLL_S, "FIRST_COMPLETED")
-            for future in done:
-                say.done.add(running.pop(future))
-                future.result()
-            say(running.values())
-    except BrokenExecutor as error:
-        raise ChildProcessError(
-            "a worker process died (out of memory, or killed); what is finished is kept: rerun to go on"
-        ) from error
-
-
-def _startable(
-    waiting: Mapping[str, tuple], running: Mapping[Future[None], str], done: set[str], workers: int
-) -> list[str]:
+def _startable(ready: Sequence[Stage], free: int, workers: int) -> list[str]:
     """What may start now: the longest first; what must be alone only when nothing else is left."""
-    ready = [job[0] for job in waiting.values() if set(job[0].inputs) <= done]
-    free = workers - len(running)
     shared = sorted((stage for stage in ready if not stage.alone), key=lambda stage: -stage.seconds)
-    if shared or running:
+    if shared or free < workers:
         return [stage.name for stage in shared[: max(free, 0)]]
     return [stage.name for stage in ready[:1]]
 

@@ -75,7 +75,7 @@ def test_rows_are_written_under_the_union_of_their_keys(tmp_path):
 
 def test_what_one_process_writes_no_other_does(tmp_path):
     code = (
-        "import sys\nfrom pathlib import Path\nfrom quadsim.runs.fingerprint import alone\n"
+        "import sys\nfrom pathlib import Path\nfrom quadsim.runs.files import alone\n"
         "with alone(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()"
     )
     held = subprocess.Popen(

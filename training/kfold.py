@@ -7,9 +7,8 @@ training flights, on its test flights, and on all flights of every other domain.
 from __future__ import annotations
 
 import logging
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, wait
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 from estimators.metrics import Summary, attitude_error
 from estimators.networks.network import create_network
 from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
-from quadsim.runs.pool import CLUSTER_LOST, give_up, worker_pool
+from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 
 from .config import TrainConfig, make_config
 from .cross_domain import TEST, TRAIN, Score, plot, table
@@ -26,8 +25,6 @@ from .loop import INTERRUPTED, run
 from .run_folder import claim, contents_of
 
 log = logging.getLogger(__name__)
-
-POLL_S = 2.0
 
 Progress = Callable[[int, int, str], None]
 """progress(epochs done, most epochs, a text with the number of folds done)."""
@@ -164,46 +161,22 @@ def _error(model: str, weights: Path, flights: TrainingFlights) -> Summary:
 
 def _run_all(
     jobs: Sequence[Job], workers: int | None, executor: Executor | None, progress: Progress | None
-) -> Iterator[list[Score]]:
-    """Run the folds on the executor, in processes or here; yields each one's scores when it is done."""
-    workers = min(workers or len(os.sched_getaffinity(0)), len(jobs))
+) -> list[list[Score]]:
+    """Run the folds wherever they are to be run: the scores of each."""
 
-    def report() -> None:
+    def tick(running: Iterable[int] = ()) -> None:
         if progress:
             done = [(job.out / "scores.json").is_file() for job in jobs]
             epochs = [job.config.epochs if d else _epochs(job.out) for job, d in zip(jobs, done, strict=True)]
             most = sum(job.config.epochs for job in jobs)
             progress(sum(epochs), most, f"{sum(done)} of {len(jobs)} folds done")
 
-    if executor is not None:
-        yield from _submit(executor, jobs, report)
-    elif workers <= 1:
-        for job in jobs:
-            report()
-            yield run_fold(job, report)
-        report()
-    else:
-        with worker_pool(workers) as pool:
-            yield from _submit(pool, jobs, report)
-
-
-def _submit(executor: Executor, jobs: Sequence[Job], report: Callable[[], None]) -> Iterator[list[Score]]:
-    pending: set[Future[list[Score]]] = {executor.submit(run_fold, job) for job in jobs}
+    here = executor is None and process_count(workers, len(jobs)) == 1
+    arguments = {k: (job, tick) if here else (job,) for k, job in enumerate(jobs)}
     try:
-        while pending:
-            report()
-            done, pending = wait(pending, POLL_S, "FIRST_COMPLETED")
-            for future in done:
-                yield future.result()
-        report()
+        return [scores for _, scores in run_jobs(run_fold, arguments, workers, executor, tick=tick)]
     except BrokenExecutor as error:
-        raise ChildProcessError(
-            "a worker process died (out of memory, or killed); what is trained is kept: rerun to resume"
-        ) from error
-    except CancelledError as error:
-        raise ChildProcessError(CLUSTER_LOST) from error
-    finally:
-        give_up(executor, pending)
+        raise ChildProcessError(WORKER_DIED) from error
 
 
 def _epochs(out: Path) -> int:

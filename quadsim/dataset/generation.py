@@ -2,10 +2,9 @@
 
 import json
 import logging
-import os
 import shutil
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +15,7 @@ from ..config.ranges import steps_of
 from ..flight.simulate import FlightConfig
 from ..runs.files import alone
 from ..runs.fingerprint import code_digest
-from ..runs.pool import CLUSTER_LOST, give_up, worker_pool
+from ..runs.pool import process_count, run_jobs
 from . import store as dataset_store
 from .store import FLIGHTS, Plan, partial_folder, read_attributes
 
@@ -70,7 +69,7 @@ def generate(
         OSError: The dataset cannot be written, or workers keep dying; what is done is kept.
     """
     plan = _plan(config, flights, duration_s, seed, rate_hz)
-    workers = _available_cpus() if workers is None else _at_least("workers", workers, 1)
+    workers = process_count(None if workers is None else _at_least("workers", workers, 1), plan.flights)
     out = Path(out).expanduser().absolute()
     try:
         with alone(out):
@@ -102,10 +101,6 @@ def _at_least(name: str, value: int, lowest: int) -> int:
     if int(value) != value or value < lowest:
         raise ValueError(f"{name} = {value}: a whole number from {lowest} on is allowed")
     return int(value)
-
-
-def _available_cpus() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
@@ -166,13 +161,13 @@ def _fly_all(
     for attempt in range(ATTEMPTS):
         whole = dataset_store.whole_flights(folder)
         missing = [flight for flight in range(plan.flights) if flight not in whole]
-        batches = _batches(missing, plan.steps, workers)
+        batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}
         done = plan.flights - len(missing)
         if progress:
             progress(done, plan.flights)
         try:
-            with closing(_fly(plan, folder, batches, workers, executor)) as finished:
-                for batch in finished:
+            with closing(run_jobs(dataset_store.fly_batch, batches, workers, executor)) as finished:
+                for _, batch in finished:
                     for _ in batch:
                         done += 1
                         if progress:
@@ -195,30 +190,3 @@ def _batches(flights: list[int], steps: int, workers: int) -> list[list[int]]:
     rounds = -(-len(flights) // (largest * workers))
     parts = np.array_split(flights, min(len(flights), rounds * workers))
     return [part.tolist() for part in parts]
-
-
-def _fly(
-    plan: Plan, folder: Path, batches: list[list[int]], workers: int, executor: Executor | None
-) -> Generator[Sequence[int], None, None]:
-    """Fly batches wherever they are to be flown; yields each one when its flights are whole."""
-    if executor is not None:
-        yield from _completed(executor, plan, folder, batches)
-    elif min(workers, len(batches)) <= 1:
-        for batch in batches:
-            yield dataset_store.fly_batch(plan, folder, batch)
-    else:
-        with worker_pool(min(workers, len(batches))) as pool:
-            yield from _completed(pool, plan, folder, batches)
-
-
-def _completed(
-    executor: Executor, plan: Plan, folder: Path, batches: list[list[int]]
-) -> Iterator[Sequence[int]]:
-    futures = [executor.submit(dataset_store.fly_batch, plan, folder, batch) for batch in batches]
-    try:
-        for future in as_completed(futures):
-            yield future.result()
-    except CancelledError as error:
-        raise ChildProcessError(CLUSTER_LOST) from error
-    finally:
-        give_up(executor, futures)

@@ -36,7 +36,7 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
         MofNCompleteColumn(),
         TextColumn(f"{unit}{{task.fields[note]}}"),
         TimeElapsedColumn(),
-        TextColumn("gone,"),
+        TextColumn("elapsed,"),
         TimeRemainingColumn(),
         TextColumn("left"),
     )

@@ -1,16 +1,95 @@
-"""Worker processes that end with their parent."""
+"""Jobs in worker processes that end with their parent, or on any other executor: the one loop that waits."""
 
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for
+from contextlib import contextmanager, nullcontext
 from multiprocessing.connection import wait
-from typing import Any
+from typing import TypeVar
 
 CLUSTER_LOST = "the cluster was lost; what is finished is kept: give the same command again"
+WORKER_DIED = "a worker process died (out of memory, or killed); what is finished is kept: rerun to go on"
+POLL_S = 1.0
+"""Time between two calls of `tick`."""
+
+Key = TypeVar("Key")
+Result = TypeVar("Result")
+
+
+def run_jobs(
+    function: Callable[..., Result],
+    jobs: Mapping[Key, tuple],
+    workers: int | None = None,
+    executor: Executor | None = None,
+    startable: Callable[[Iterable[Key], Iterable[Key]], Iterable[Key]] = lambda waiting, running: waiting,
+    tick: Callable[[Iterable[Key]], None] | None = None,
+) -> Iterator[tuple[Key, Result]]:
+    """Call a function for every job, and yield the key of each job with its result as they end.
+
+    Args:
+        function: Called as function(*job); both must be picklable.
+        jobs: Arguments by key.
+        workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
+        executor: Where to run in place of processes of our own.
+        startable: Keys that may start now, of those that are waiting, given those that are running.
+        tick: Called now and then with the keys that are running.
+
+    Raises:
+        BrokenExecutor: A worker process died.
+        ChildProcessError: The executor's cluster was lost.
+    """
+    workers = process_count(workers, len(jobs))
+    if executor is None and workers == 1:
+        for key, job in jobs.items():
+            if tick:
+                tick([key])
+            yield key, function(*job)
+        if tick:
+            tick([])
+        return
+    with nullcontext(executor) if executor is not None else worker_pool(workers) as pool:
+        for key, result in submit_jobs(pool, function, jobs, startable, tick):
+            if isinstance(result, BaseException):
+                raise result
+            yield key, result
+
+
+def submit_jobs(
+    executor: Executor,
+    function: Callable[..., Result],
+    jobs: Mapping[Key, tuple],
+    startable: Callable[[Iterable[Key], Iterable[Key]], Iterable[Key]] = lambda waiting, running: waiting,
+    tick: Callable[[Iterable[Key]], None] | None = None,
+) -> Iterator[tuple[Key, Result | BaseException]]:
+    """As `run_jobs`, on an executor; yields the exception in place of the result where a job failed."""
+    waiting, running = dict(jobs), dict[Future[Result], Key]()
+    try:
+        while waiting or running:
+            for key in list(startable(waiting, running.values())):
+                running[executor.submit(function, *waiting.pop(key))] = key
+            if tick:
+                tick(running.values())
+            for future in wait_for(running, POLL_S if tick else None, "FIRST_COMPLETED").done:
+                error = future.exception()
+                yield running.pop(future), future.result() if error is None else error
+        if tick:
+            tick([])
+    except CancelledError as error:
+        raise ChildProcessError(CLUSTER_LOST) from error
+    finally:
+        if not isinstance(executor, ProcessPoolExecutor):  # which goes on without us
+            for future in running:
+                future.cancel()
+
+
+def process_count(workers: int | None, jobs: int) -> int:
+    """Processes for so many jobs: as many as asked for, or one for each CPU, but no more than jobs."""
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(workers or cpus, jobs))
 
 
 @contextmanager
@@ -33,13 +112,6 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             del os.environ["OMP_NUM_THREADS"]
         else:
             os.environ["OMP_NUM_THREADS"] = before
-
-
-def give_up(executor: Executor, futures: Iterable[Future[Any]]) -> None:
-    """Cancel what has not begun on an executor that goes on without us; a `worker_pool` does so by itself."""
-    if not isinstance(executor, ProcessPoolExecutor):
-        for future in futures:
-            future.cancel()
 
 
 def end_with_parent() -> None:

@@ -1,11 +1,10 @@
-"""Work spread over processes, or over any other executor."""
+"""Independent jobs over processes, of which none ends with another's worker."""
 
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
+from concurrent.futures import BrokenExecutor, Executor
 from typing import TypeVar
 
-from .pool import CLUSTER_LOST, give_up, worker_pool
+from .pool import process_count, run_jobs, submit_jobs, worker_pool
 
 Result = TypeVar("Result")
 
@@ -27,49 +26,33 @@ def spread(
     Yields:
         (i, result of jobs[i]), or the exception in place of the result where the worker itself died.
     """
-    workers = min(workers or len(os.sched_getaffinity(0)), len(jobs))
+    workers, numbered = process_count(workers, len(jobs)), dict(enumerate(jobs))
     if executor is not None:
-        yield from _submit(executor, function, jobs)
-    elif workers <= 1:
-        for i, job in enumerate(jobs):
-            yield i, function(*job)
+        yield from submit_jobs(executor, function, numbered)
+    elif workers == 1:
+        yield from run_jobs(function, numbered, workers)
     else:
-        yield from _in_processes(workers, function, jobs)
+        yield from _in_processes(workers, function, numbered)
 
 
 def _in_processes(
-    workers: int, function: Callable[..., Result], jobs: Sequence[tuple]
+    workers: int, function: Callable[..., Result], jobs: dict[int, tuple]
 ) -> Iterator[tuple[int, Result | BaseException]]:
     """As `spread`: a worker that dies breaks its pool, but ends no job save the one that it was at.
 
     Jobs begin in order, so that this is one of the first that are unfinished: they run again, in a pool each,
     and all others in a new one.
     """
-    groups = [(workers, list(range(len(jobs))))]
+    groups = [(workers, list(jobs))]
     while groups:
         size, group = groups.pop(0)
         unfinished: list[int] = []
         with worker_pool(size) as pool:
-            for at, result in _submit(pool, function, [jobs[i] for i in group]):
+            for i, result in submit_jobs(pool, function, {i: jobs[i] for i in group}):
                 if isinstance(result, BrokenExecutor) and len(group) > 1:
-                    unfinished.append(group[at])
+                    unfinished.append(i)
                 else:
-                    yield group[at], result
-        suspects = sorted(unfinished)[: 2 * workers]
-        groups += [(1, [i]) for i in suspects]
-        rest = sorted(unfinished)[2 * workers :]
-        groups += [(workers, rest)] if rest else []
-
-
-def _submit(
-    executor: Executor, function: Callable[..., Result], jobs: Sequence[tuple]
-) -> Iterator[tuple[int, Result | BaseException]]:
-    pending: dict[Future[Result], int] = {executor.submit(function, *job): i for i, job in enumerate(jobs)}
-    try:
-        for future in as_completed(pending):
-            error = future.exception()
-            yield pending[future], future.result() if error is None else error
-    except CancelledError as error:
-        raise ChildProcessError(CLUSTER_LOST) from error
-    finally:
-        give_up(executor, pending)
+                    yield i, result
+        unfinished.sort()
+        groups += [(1, [i]) for i in unfinished[: 2 * workers]]
+        groups += [(workers, rest)] if (rest := unfinished[2 * workers :]) else []

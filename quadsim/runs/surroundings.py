@@ -6,7 +6,6 @@ with compiled functions: another digest, another folder.
 """
 
 import atexit
-import hashlib
 import logging
 import os
 import shutil
@@ -16,10 +15,10 @@ from pathlib import Path
 
 from platformdirs import user_cache_dir
 
+from .fingerprint import PACKAGES, ROOT, content_digest
+
 log = logging.getLogger(__name__)
 
-PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
-ROOT = Path(__file__).parents[2]
 OPENGL = ("egl", "glfw", "osmesa", "glx", "wgl", "cgl")
 """What MUJOCO_GL may say: how pictures are made."""
 SWITCHES = ("", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0")
@@ -44,12 +43,9 @@ def compiled_digest(root: Path) -> str:
     Args:
         root: The folder that the packages are in.
     """
-    digest = hashlib.sha256()
-    for path in sorted(path for name in PACKAGES for path in (root / name).rglob("*.py")):
-        content = path.read_bytes()
-        if b"njit" in content:
-            digest.update(path.relative_to(root).as_posix().encode() + content)
-    return digest.hexdigest()[:16]
+    files = sorted(path for name in PACKAGES for path in (root / name).rglob("*.py"))
+    contents = {path.relative_to(root).as_posix().encode(): path.read_bytes() for path in files}
+    return content_digest(b"".join(name + each for name, each in contents.items() if b"njit" in each))[:16]
 
 
 def is_writable(folder: Path) -> bool:

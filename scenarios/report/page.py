@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -9,7 +10,6 @@ from pathlib import Path
 import imageio.v3 as imageio
 import jinja2
 import numpy as np
-from numpy.typing import NDArray
 
 from quadsim.runs.files import write_whole
 from quadsim.vehicle import load_vehicle
@@ -86,13 +86,10 @@ def write_report(
         "still_caption": still.caption if still else "",
         "csv": list(csv),
         "footer": footer or _footer(results),
+        "script": script("report.js"),
         "payload": _payload(results, offline, focus, pairs),
     }
     return write_whole(Path(path).expanduser(), _environment().get_template("report.html").render(context))
-
-
-def _jpeg(image: NDArray[np.uint8]) -> str:
-    return base64.b64encode(imageio.imwrite("<bytes>", image, extension=".jpg", quality=88)).decode()
 
 
 def _scenarios(results: Results | None) -> list[dict[str, str]]:
@@ -205,6 +202,21 @@ def _cell(cell: Cell) -> dict[str, object]:
     row = cell.row
     values = {metric.key: row.get(metric.key) for metric in METRICS}
     return {"values": values, "histogram": cell.histogram, "series": cell.series}
+
+
+def script(entry: str) -> str:
+    """The module of a name in `js/` and all that it imports as one script, imported ones first."""
+    found: dict[str, str] = {}
+
+    def visit(name: str) -> None:
+        source = (files("scenarios.report") / "js" / name).read_text(encoding="utf-8")
+        for other in re.findall(r'^import .* from "\./(.*)";$', source, re.MULTILINE):
+            if other not in found:
+                visit(other)
+        found[name] = re.sub(r"^(import .*\n|export )", "", source, flags=re.MULTILINE)
+
+    visit(entry)
+    return '"use strict";\n' + "\n".join(found.values())
 
 
 def _environment() -> jinja2.Environment:

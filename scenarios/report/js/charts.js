@@ -1,0 +1,84 @@
+/* Charts over all flights: the map, the distributions of errors, the paired differences. */
+import { ticks } from "./canvas.js";
+import { cell, colour, data } from "./data.js";
+import { $, all, css, node } from "./dom.js";
+
+export function drawMap() {
+  const metric = data.metrics.find((m) => m.key === $("map-metric").value);
+  const cells = all(".heat td").map((td) => [td, cell(td.dataset.scenario, td.dataset.estimator)]);
+  const positive = cells.map(([, c]) => c?.values[metric.key]).filter((v) => v > 0);
+  const [low, high] = [Math.log(Math.min(...positive)), Math.log(Math.max(...positive))];
+  for (const [td, c] of cells) {
+    const value = c?.values[metric.key];
+    const known = value !== null && value !== undefined;
+    td.querySelector("b").textContent = known ? value.toFixed(metric.digits) : "";
+    td.classList.toggle("none", !known);
+    td.classList.toggle("crashed", c?.values.crash_rate > 0);
+    const t = metric.key.endsWith("rate") ? value : value > 0 && high > low ? (Math.log(value) - low) / (high - low) : 0;
+    td.style.setProperty("--t", known ? t.toFixed(3) : 0);
+  }
+}
+
+export function drawViolins() {
+  const scenario = $("spread-scenario").value, { low, high, bins } = data.edges;
+  const rows = data.estimators.filter((e) => e !== "truth").map((e) => {
+    const total = new Float64Array(bins);
+    for (const s of scenario ? [scenario] : data.scenarios) cell(s, e)?.histogram?.forEach((count, i) => { total[i] += count; });
+    return [e, total, total.reduce((a, b) => a + b, 0)];
+  }).filter(([, , n]) => n > 0);
+  const [left, width, tall] = [165, 900, 46], bottom = 26, height = rows.length * tall + bottom;
+  const X = (decade) => left + ((decade - low) / (high - low)) * (width - left - 20);
+  const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Distribution of errors by estimator" });
+  for (const v of [0.01, 0.1, 1, 10, 100]) svg.append(...mark(X(Math.log10(v)), height, bottom, `${v}°`));
+  rows.forEach(([name, counts, n], i) => {
+    const smooth = blur(counts), peak = Math.max(...smooth), middle = (i + 0.5) * tall, step = (high - low) / bins;
+    const edge = (sign) => [...smooth].map((c, k) => `${X(low + (k + 0.5) * step).toFixed(1)},${(middle + sign * (c / peak) * tall * 0.42).toFixed(1)}`);
+    const at = (p) => { let sum = 0; for (let k = 0; k < bins; k++) { if (sum + counts[k] >= p * n) return X(low + (k + (p * n - sum) / counts[k]) * step); sum += counts[k]; } return X(high); };
+    const median = at(0.5);
+    svg.append(node("g", {}, ...label(name, left - 12, middle + 4),
+      node("polygon", { points: [...edge(-1), ...edge(1).reverse()].join(" "), fill: colour[name], "fill-opacity": 0.35, stroke: colour[name] }),
+      node("line", { x1: at(0.25), x2: at(0.75), y1: middle, y2: middle, stroke: colour[name], "stroke-width": 5, "stroke-linecap": "round" }),
+      node("line", { x1: median, x2: median, y1: middle - 11, y2: middle + 11, stroke: css("--ink"), "stroke-width": 2 })));
+  });
+  $("violins").replaceChildren(svg);
+}
+function mark(x, height, bottom, text) {
+  return [node("line", { class: "grid", x1: x, x2: x, y1: 0, y2: height - bottom }),
+    node("text", { class: "axis", x, y: height - 8, "text-anchor": "middle" }, text)];
+}
+function label(name, x, y) {
+  return [node("title", {}, name), node("text", { x, y, "text-anchor": "end" }, name)];
+}
+
+export function drawForest() {
+  const base = $("pairs-base").value, unit = $("pairs-metric").selectedOptions[0].dataset.unit;
+  const rows = (data.pairs[$("pairs-metric").value + "|" + $("pairs-scenario").value] ?? []).flatMap(([a, b, mean, low, high, n, only, other]) =>
+    a === base ? [[b, mean === null ? null : -mean, high === null ? null : -high, low === null ? null : -low, n, other, only]]
+      : b === base ? [[a, mean, low, high, n, only, other]] : []).sort((x, y) => (x[1] ?? Infinity) - (y[1] ?? Infinity));
+  const ends = rows.flatMap(([, mean, low, high]) => mean === null ? [] : [low ?? mean, high ?? mean]);
+  let [from, to] = [Math.min(0, ...ends), Math.max(0, ...ends)];
+  const pad = 0.05 * (to - from || 1); from -= pad; to += pad;
+  const [left, right, width, tall] = [165, 235, 900, 26], bottom = 26, height = rows.length * tall + bottom;
+  const X = (v) => left + ((v - from) / (to - from)) * (width - left - right);
+  const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Paired differences from ${base}` });
+  const [marks, digits] = ticks(from, to, 6);
+  for (const v of marks) svg.append(...mark(X(v), height, bottom, `${v > 0 ? "+" : ""}${v.toFixed(digits)} ${unit}`));
+  svg.append(node("line", { x1: X(0), x2: X(0), y1: 0, y2: height - bottom, stroke: css("--ink"), "stroke-width": 1.5 }));
+  rows.forEach(([name, mean, low, high, n, only, other], i) => {
+    const y = (i + 0.5) * tall;
+    const row = node("g", {}, ...label(name, left - 12, y + 4));
+    if (mean !== null) {
+      if (low !== null) row.append(node("line", { x1: X(low), x2: X(high), y1: y, y2: y, stroke: colour[name], "stroke-width": 3, "stroke-linecap": "round" }));
+      row.append(node("circle", { cx: X(mean), cy: y, r: 5, fill: colour[name] }));
+    }
+    const text = mean === null ? "no flight that both flew" : `${mean > 0 ? "+" : ""}${mean.toFixed(2)}` + (low === null ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)})`);
+    const crashes = only || other ? `, ✕ ${only} : ${other}` : "";
+    row.append(node("text", { class: "value", x: width - right + 14, y: y + 4 }, text + crashes));
+    svg.append(row);
+  });
+  $("forest").replaceChildren(svg);
+}
+function blur(counts) {
+  const kernel = [1, 4, 7, 4, 1];
+  return Float64Array.from(counts, (_, i) => kernel.reduce((sum, w, j) => sum + w * (counts[i + j - 2] ?? 0), 0) / 17);
+}
