@@ -237,7 +237,7 @@ def test_payload_is_carried_and_then_dropped():
     masses = []
     for _ in range(mission.steps):
         mission.step()
-        masses.append(mission.loop.plant.params[0, 0])
+        masses.append(mission.loop.plant.vehicles["mass"][0])
     np.testing.assert_allclose(masses[:100], 0.916)
     np.testing.assert_allclose(masses[100:], 0.716)
 
