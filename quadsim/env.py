@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import SAMPLE_RATE
-from .control.cascade import LEVELS, WIDTH, Level
+from .control.cascade import ATTITUDE, LEVELS, POSITION, RATE, ROTOR, SET_POINT, VELOCITY, Level
 from .estimator import AttitudeEstimator
 from .flight.mission import CAUSES, FLYING, Mission, follow
 from .flight.scenario import Scenario, load_scenario
@@ -26,16 +26,31 @@ from .vehicle import GRAVITY
 
 Array = NDArray[np.float64]
 
-OBSERVATION_LIMIT = np.array(3 * [100.0] + 3 * [50.0] + 3 * [50.0] + 3 * [np.pi] + 2 * [1.0] + 3 * [50.0])
+OBSERVATION = np.dtype(
+    [
+        ("position_error", "f4", 3),
+        ("velocity_error", "f4", 3),
+        ("acceleration", "f4", 3),
+        ("roll_pitch", "f4", 2),
+        ("yaw_error", "f4"),
+        ("heading", "f4", 2),
+        ("gyro", "f4", 3),
+    ]
+)
+"""One observation, see the table of `QuadrotorEnv`."""
+POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, RATE_LIMIT = 100.0, 50.0, 50.0, 50.0
+OBSERVATION_LIMIT = np.repeat(
+    [POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, np.pi, 1.0, RATE_LIMIT], [3, 3, 3, 3, 2, 3]
+)
 """Largest value of each observation; what is larger is clipped."""
 ACTION_SCALE: dict[Level, tuple[float, ...]] = {
     "position": (1.0, 1.0, 1.0, np.pi),
     "velocity": (3.0, 3.0, 3.0, np.pi),
     "attitude": (0.6, 0.6, np.pi, GRAVITY),
     "rate": (6.0, 6.0, 2.0, GRAVITY),
-    "rotor": (1.0, 1.0, 1.0, 1.0),
+    "rotor": (1.0,),
 }
-"""What an action of 1 stands for at each level; rotors: from hover speed to the highest."""
+"""What an action of 1 stands for at each level; each rotor: from hover speed to the highest."""
 
 Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
 """An estimator, or what makes one: see `made_for`."""
@@ -57,15 +72,16 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     ## Action space
 
-    `Box(-1, 1, (4,), float32)`, for the four numbers below; 0 is always "nothing special".
+    `Box(-1, 1, (4,), float32)`, for the four numbers below; 0 is always "nothing special". At level `rotor`
+    there are as many numbers as the scenario's vehicle has rotors, each a speed ω_h + a (ω_max − ω_h).
 
-    | level    | 0              | 1               | 2            | 3                             |
-    |----------|----------------|-----------------|--------------|-------------------------------|
-    | position | Δx, ±1 m       | Δy, ±1 m        | Δz, ±1 m     | Δyaw, ±π                      |
-    | velocity | Δv_x, ±3 m/s   | Δv_y, ±3 m/s    | Δv_z, ±3 m/s | Δyaw, ±π                      |
-    | attitude | roll, ±0.6 rad | pitch, ±0.6 rad | Δyaw, ±π     | thrust per mass, g (1 + a)    |
-    | rate     | p, ±6 rad/s    | q, ±6 rad/s     | r, ±2 rad/s  | thrust per mass, g (1 + a)    |
-    | rotor    | first rotor    | second          | third        | fourth: ω_h + a (ω_max − ω_h) |
+    | level    | 0              | 1               | 2            | 3                          |
+    |----------|----------------|-----------------|--------------|----------------------------|
+    | position | Δx, ±1 m       | Δy, ±1 m        | Δz, ±1 m     | Δyaw, ±π                   |
+    | velocity | Δv_x, ±3 m/s   | Δv_y, ±3 m/s    | Δv_z, ±3 m/s | Δyaw, ±π                   |
+    | attitude | roll, ±0.6 rad | pitch, ±0.6 rad | Δyaw, ±π     | thrust per mass, g (1 + a) |
+    | rate     | p, ±6 rad/s    | q, ±6 rad/s     | r, ±2 rad/s  | thrust per mass, g (1 + a) |
+    | rotor    | first rotor    | second          | …            | …                          |
 
     Δ is relative to the scenario's set-point, world axes; the zero action at level `position` flies the
     scenario as the benchmark does. ω_h is the hover speed, rotors in the order of the vehicle's file.
@@ -140,7 +156,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     ) -> None:
         self._flights = Flights(estimator, scenario, level, 1, rate_hz, duration_s, render_mode)
         self.render_mode = render_mode
-        self.observation_space, self.action_space = spaces()
+        self.observation_space, self.action_space = self._flights.spaces()
         self._over = False
 
     def reset(
@@ -153,7 +169,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         return self._flights.observe()[0][0], {}
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Fly one sample with an action of four numbers.
+        """Fly one sample with an action.
 
         Raises:
             ValueError: An action of another shape or that is not finite, or the episode is over.
@@ -161,7 +177,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         flights = self._flights
         if self._over:
             raise ValueError("the episode is over; call reset to begin another")
-        flights.action[0] = _finite(action, (4,))
+        flights.action[0] = _finite(action, flights.action.shape[1:])
         observation, reward = flights.step()
         mission = flights.mission
         cause, over = mission.cause.item(), mission.k.item() >= mission.steps
@@ -199,7 +215,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     ) -> None:
         self._flights = Flights(estimator, scenario, level, num_envs, rate_hz, duration_s, render_mode)
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.single_observation_space, self.single_action_space = spaces()
+        self.single_observation_space, self.single_action_space = self._flights.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._random: list[np.random.Generator] = []
@@ -220,11 +236,11 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Fly one sample with actions (n, 4); episodes that ended in the last step begin anew instead."""
+        """Fly one sample with actions (n, numbers); episodes that ended in the last step begin anew."""
         flights, mission = self._flights, self._flights.mission
         again = np.flatnonzero(self._done)
         seeds = [flight_seed(self._random[i]) for i in again]
-        flights.action[:] = _finite(actions, (self.num_envs, 4))
+        flights.action[:] = _finite(actions, flights.action.shape)
         observation, reward = flights.step(again, seeds)
         terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
         reward[again] = 0.0
@@ -270,15 +286,23 @@ class Flights:
             made = OnePerVehicle(made)
         self.mission = Mission(scenario, made, n, rate_hz, duration_s)
         self._level: Level = level
-        self._index, self._command = LEVELS.index(level), np.zeros((n, WIDTH[level]))
-        self.action = np.zeros((n, 4))
-        vehicle = self.mission.vehicle
-        self._speeds = np.array([vehicle.hover_rotor_vel, vehicle.motor.omega_max - vehicle.hover_rotor_vel])
-        self._scale = np.array(ACTION_SCALE[level])
+        self._index, self._set_points = LEVELS.index(level), np.zeros(n, SET_POINT)
+        vehicle, self._scale = self.mission.vehicle, np.array(ACTION_SCALE[level])
+        if level == "rotor":
+            span = vehicle.motor.omega_max - vehicle.hover_rotor_vel
+            self._scale = np.repeat(self._scale, len(vehicle.rotors)) * span
+        self.action, self._hover_rotor_vel = np.zeros((n, self._scale.size)), vehicle.hover_rotor_vel
         self._scene: Scene | None = None
         self._window: Window | None = None
         self._shown_at = 0.0
         self._begun = False
+
+    def spaces(self) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+        """Observation and action space of one vehicle."""
+        limit = OBSERVATION_LIMIT.astype(np.float32)
+        return gymnasium.spaces.Box(-limit, limit, dtype=np.float32), gymnasium.spaces.Box(
+            -1.0, 1.0, self._scale.shape, np.float32
+        )
 
     def begin(self, seeds: list[np.random.SeedSequence], afresh: bool) -> None:
         """Begin all flights, one seed each; afresh: forget all earlier ones."""
@@ -299,33 +323,28 @@ class Flights:
         """
         if not self._begun:
             raise ValueError("step was called before reset")
-        mission = self.mission
-        to_command(self._index, self.action, self._scale, self._speeds, mission.target, self._command)
-        mission.move(self._level, self._command)
+        mission, loop = self.mission, self.mission.loop
+        to_command(
+            self._index, self.action, self._scale, self._hover_rotor_vel, mission.target, self._set_points,
+            loop.controller.records,
+        )  # fmt: skip
+        mission.move(self._level, self._set_points)
         if again is not None and len(again):
             mission.restart(again, seeds or [])
-        loop = mission.loop
         loop.sense()
-        observation = np.empty((mission.n, OBSERVATION_LIMIT.size), dtype=np.float32)
-        reward = np.empty(mission.n)
-        mission.fallen = follow_and_observe(
-            *loop.seen, loop.attitude, loop.rate, loop.plant.velocity, OBSERVATION_LIMIT, observation, reward,
-            *mission.arrays,
-        )  # fmt: skip
+        observation, reward = np.empty(mission.n, OBSERVATION), np.empty(mission.n)
+        mission.crashed = follow_and_observe(*mission.records, observation, reward)
         if self._live:
             self._show()
-        return observation, reward
+        return observation.view(np.float32).reshape(mission.n, -1), reward
 
     def observe(self) -> tuple[NDArray[np.float32], Array]:
         """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
-        mission, loop = self.mission, self.mission.loop
-        observation = np.empty((mission.n, OBSERVATION_LIMIT.size), dtype=np.float32)
-        reward = np.empty(mission.n)
-        observe(
-            mission.target, *loop.seen, loop.attitude, loop.rate, loop.plant.position, loop.plant.velocity,
-            mission.cause, OBSERVATION_LIMIT, observation, reward,
-        )  # fmt: skip
-        return observation, reward
+        mission = self.mission
+        observation, reward = np.empty(mission.n, OBSERVATION), np.empty(mission.n)
+        flights, _, *records = mission.records
+        observe(flights, *records, observation, reward)
+        return observation.view(np.float32).reshape(mission.n, -1), reward
 
     def picture(self, index: int) -> Image:
         """Draw one vehicle."""
@@ -444,14 +463,6 @@ class OnePerVehicle:
                 observe(quat[i : i + 1])
 
 
-def spaces() -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
-    """Observation and action space of one vehicle."""
-    limit = OBSERVATION_LIMIT.astype(np.float32)
-    return gymnasium.spaces.Box(-limit, limit, dtype=np.float32), gymnasium.spaces.Box(
-        -1.0, 1.0, (4,), np.float32
-    )
-
-
 def _finite(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     action = np.asarray(action, dtype=np.float64)
     if action.shape != shape:
@@ -473,66 +484,62 @@ def flight_seed(random: np.random.Generator) -> np.random.SeedSequence:
 
 
 @njit(cache=True)
-def to_command(level, action, scale, speeds, target, command):
-    """Write commands (n, width of the level) of actions (n, 4); see the table of `QuadrotorEnv`."""
+def to_command(level, action, scale, hover_rotor_vel, target, set_points, controllers):
+    """Write the commands of actions (n, numbers) to set-points and controllers; see `QuadrotorEnv`."""
+    u = np.empty(scale.size)
     for i in range(action.shape[0]):
-        u = np.empty(4)
-        for j in range(4):
+        wanted, out, c = target[i], set_points[i], controllers[i]
+        for j in range(scale.size):
             u[j] = min(max(action[i, j], -1.0), 1.0) * scale[j]
-        if level == 0:
-            command[i] = target[i]
-            command[i, 0] += u[0]
-            command[i, 1] += u[1]
-            command[i, 2] += u[2]
-            command[i, 9] += u[3]
-        elif level == 1:
+        if level == POSITION:
+            set_points[i] = wanted
             for j in range(3):
-                command[i, j] = target[i, 3 + j] + u[j]
-            command[i, 3] = target[i, 9] + u[3]
-        elif level == 2:
-            command[i, 0], command[i, 1] = u[0], u[1]
-            command[i, 2], command[i, 3] = target[i, 9] + u[2], GRAVITY + u[3]
-        elif level == 3:
-            command[i, 0], command[i, 1], command[i, 2], command[i, 3] = u[0], u[1], u[2], GRAVITY + u[3]
-        else:
-            for j in range(4):
-                command[i, j] = speeds[0] + u[j] * speeds[1]
+                out.position[j] += u[j]
+            out.yaw += u[3]
+        elif level == VELOCITY:
+            for j in range(3):
+                out.velocity[j] = wanted.velocity[j] + u[j]
+            out.yaw = wanted.yaw + u[3]
+        elif level == ATTITUDE:
+            c.attitude_cmd[0], c.attitude_cmd[1], c.attitude_cmd[2] = u[0], u[1], wanted.yaw + u[2]
+            c.thrust_cmd = GRAVITY + u[3]
+        elif level == RATE:
+            c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2] = u[0], u[1], u[2]
+            c.thrust_cmd = GRAVITY + u[3]
+        elif level == ROTOR:
+            for j in range(scale.size):
+                c.rotor_vel_cmd[j] = hover_rotor_vel + u[j]
 
 
 @njit(cache=True)
-def follow_and_observe(
-    seen_position, seen_velocity, seen_yaw, attitude, rate, velocity, limit, observation, reward,
-    k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause,
-):  # fmt: skip
+def follow_and_observe(flights, plans, target, measured, pose, twist, observation, reward):
     """`follow` of the mission, then `observe`."""
-    fallen = follow(k, targets, winds, target, air, limits, position, quat, ang_vel, down, cause)
-    observe(
-        target, seen_position, seen_velocity, seen_yaw, attitude, rate, position, velocity, cause, limit,
-        observation, reward,
-    )  # fmt: skip
-    return fallen
+    crashed = follow(flights, plans, target, measured, pose, twist)
+    observe(flights, target, measured, pose, twist, observation, reward)
+    return crashed
 
 
 @njit(cache=True, inline="always")
-def observe(
-    target, seen_position, seen_velocity, seen_yaw, attitude, rate, position, velocity, cause, limit,
-    observation, reward,
-):  # fmt: skip
-    """Write observations (n, 17) and rewards (n,); see the tables of `QuadrotorEnv`."""
+def _clip(value, limit):
+    return min(max(value, -limit), limit)
+
+
+@njit(cache=True, inline="always")
+def observe(flights, target, measured, pose, twist, observation, reward):
+    """Write observations (n,) and rewards (n,); see the tables of `QuadrotorEnv` and `follow`."""
     for i in range(observation.shape[0]):
-        o = observation[i]
-        apart = slip = 0.0
+        out, wanted, m = observation[i], target[i], measured[i]
+        distance = speed = 0.0  # squared errors
         for j in range(3):
-            o[j] = target[i, j] - seen_position[i, j]
-            o[3 + j] = target[i, 3 + j] - seen_velocity[i, j]
-            o[6 + j] = target[i, 6 + j]
-            o[14 + j] = rate[i, j]
-            apart += (target[i, j] - position[i, j]) ** 2
-            slip += (target[i, 3 + j] - velocity[i, j]) ** 2
-        o[9], o[10] = attitude[i, 0], attitude[i, 1]
-        turn = target[i, 9] - seen_yaw[i]
-        o[11] = np.arctan2(np.sin(turn), np.cos(turn))
-        o[12], o[13] = np.cos(seen_yaw[i]), np.sin(seen_yaw[i])
-        for j in range(o.shape[0]):
-            o[j] = min(max(o[j], -limit[j]), limit[j])
-        reward[i] = 1.0 / (1.0 + apart + 0.1 * slip) if cause[i] == 0 else 0.0
+            out.position_error[j] = _clip(wanted.position[j] - m.position[j], POSITION_LIMIT)
+            out.velocity_error[j] = _clip(wanted.velocity[j] - m.velocity[j], VELOCITY_LIMIT)
+            out.acceleration[j] = _clip(wanted.acceleration[j], ACCELERATION_LIMIT)
+            out.gyro[j] = _clip(m.gyro[j], RATE_LIMIT)
+            distance += (wanted.position[j] - pose[i].position[j]) ** 2
+            speed += (wanted.velocity[j] - twist[i].velocity[j]) ** 2
+        out.roll_pitch[0] = _clip(m.roll_pitch[0], np.pi)
+        out.roll_pitch[1] = _clip(m.roll_pitch[1], np.pi)
+        error = wanted.yaw - m.yaw
+        out.yaw_error = np.arctan2(np.sin(error), np.cos(error))
+        out.heading[0], out.heading[1] = np.cos(m.yaw), np.sin(m.yaw)
+        reward[i] = 1.0 / (1.0 + distance + 0.1 * speed) if flights[i].cause == FLYING else 0.0

@@ -15,11 +15,17 @@ from .config.toml import Strict, load_toml
 from .runs.compiled import njit
 from .seeding import Seed, vehicle_seeds
 
-Array = NDArray[np.float64]
-
 BLOCK = 64
 """Measurements for which noise is drawn at once."""
-_POSITION, _VELOCITY, _YAW, _WIDTH = 0, 3, 6, 7  # columns of a measurement
+MEASUREMENT = np.dtype([("position", "f8", 3), ("velocity", "f8", 3), ("yaw", "f8")])
+SENSOR = np.dtype(
+    [
+        ("ratio", "f8"),  # measurements per sample of the loop
+        ("delay", "i8"),  # samples
+        ("sd", MEASUREMENT),  # standard deviation of the noise
+        ("next_noise", "i8"),
+    ]
+)
 
 
 class ExternalSpec(Strict):
@@ -49,8 +55,6 @@ def load_external(source: str | Path) -> ExternalSpec:
 class ExternalSensor:
     """The external sensors of n vehicles, one sample at a time.
 
-    After `measure`, `position` (n, 3), `velocity` (n, 3) and `yaw` (n,) hold the measurement that is at hand.
-
     Args:
         spec: The sensor.
         n: Number of vehicles.
@@ -59,59 +63,52 @@ class ExternalSensor:
     """
 
     def __init__(self, spec: ExternalSpec, n: int, rate_hz: float, seed: Seed) -> None:
-        self._ratio = min((spec.rate_hz or rate_hz) / rate_hz, 1.0)
-        self._late = round(spec.delay_s * rate_hz)
-        self._scale = np.array(
-            3 * [spec.position_noise] + 3 * [spec.velocity_noise] + [np.radians(spec.yaw_noise_deg)]
-        )
+        ratio, delay = min((spec.rate_hz or rate_hz) / rate_hz, 1.0), round(spec.delay_s * rate_hz)
+        self._sensors = np.zeros(n, SENSOR)
+        self._sensors["ratio"], self._sensors["delay"] = ratio, delay
+        sd = self._sensors["sd"]
+        sd["position"], sd["velocity"] = spec.position_noise, spec.velocity_noise
+        sd["yaw"] = np.radians(spec.yaw_noise_deg)
         self._random = [np.random.default_rng(each) for each in vehicle_seeds(seed, n)]
-        self._noise, self._at = np.empty((n, BLOCK, _WIDTH)), np.zeros(n, dtype=np.int64)
+        self._noise = np.zeros((n, BLOCK), MEASUREMENT)
         self._draw(np.arange(n))
-        self._line = np.zeros((n, int(self._late * self._ratio) + 2, _WIDTH))
-        self._held = np.zeros((n, _WIDTH))
-        self.position, self.velocity = self._held[:, :_VELOCITY], self._held[:, _VELOCITY:_YAW]
-        self.yaw = np.zeros(n)
+        self._queue = np.zeros((n, int(delay * ratio) + 2), MEASUREMENT)
 
-    def measure(self, k: NDArray[np.int64], position: Array, velocity: Array, yaw: Array) -> None:
-        """Take the next sample, each vehicle at its own count k (n,); k = 0 starts a vehicle anew.
+    def measure(self, state: NDArray[np.void]) -> None:
+        """Replace the true position, velocity and yaw of the next sample by the newest available measurement.
 
         Args:
-            k: (n,) count of samples.
-            position: (n, 3) true, world [m].
-            velocity: (n, 3) true, world [m/s].
-            yaw: (n,) true [rad].
+            state: (n,) records of `quadsim.control.cascade.MEASURED`; `k` = 0 starts a vehicle anew.
         """
-        spent = _deliver(
-            k, self._ratio, self._late, self._scale, self._noise, self._at, self._line, position, velocity,
-            yaw, self._held, self.yaw,
-        )  # fmt: skip
-        if spent:
-            self._draw(np.flatnonzero(self._at == BLOCK))
+        if _deliver(self._sensors, self._noise, self._queue, state):
+            self._draw(np.flatnonzero(self._sensors["next_noise"] == BLOCK))
 
     def _draw(self, ids: NDArray[np.int64]) -> None:
         for i in ids:
-            self._noise[i] = self._random[i].standard_normal((BLOCK, _WIDTH))
-        self._at[ids] = 0
+            self._noise[i].view(np.float64)[:] = self._random[i].standard_normal(self._noise[i].nbytes // 8)
+        self._sensors["next_noise"][ids] = 0
 
 
 @njit(cache=True)
-def _deliver(k, ratio, late, scale, noise, at, line, position, velocity, yaw, held, held_yaw):
-    """Measure where one is due, and hand out the newest that has arrived; returns how many noises are spent.
+def _deliver(sensors, noise, queue, state):
+    """Measure where one is due, and write the newest that has arrived; returns how many noises are spent.
 
-    Measurement m is taken at the first sample k with ⌊k · ratio⌋ = m, and waits in line (n, slots, 7).
+    Measurement m is taken at the first sample k with ⌊k · ratio⌋ = m, and waits in queue (n, slots).
     """
-    spent, slots = 0, line.shape[1]
-    for i in range(k.shape[0]):
-        m = int(k[i] * ratio + 1e-9)
-        if k[i] == 0 or m > int((k[i] - 1) * ratio + 1e-9):
-            taken, error = line[i, m % slots], noise[i, at[i]]
+    spent, slots = 0, queue.shape[1]
+    for i in range(state.shape[0]):
+        p, x, k = sensors[i], state[i], state[i].k
+        m = int(k * p.ratio + 1e-9)
+        if k == 0 or m > int((k - 1) * p.ratio + 1e-9):
+            taken, error, sd = queue[i, m % slots], noise[i, p.next_noise], p.sd
             for j in range(3):
-                taken[_POSITION + j] = position[i, j] + scale[_POSITION + j] * error[_POSITION + j]
-                taken[_VELOCITY + j] = velocity[i, j] + scale[_VELOCITY + j] * error[_VELOCITY + j]
-            taken[_YAW] = yaw[i] + scale[_YAW] * error[_YAW]
-            at[i] += 1
-            spent += at[i] == noise.shape[1]
-        here = line[i, int(max(k[i] - late, 0) * ratio + 1e-9) % slots]
-        held[i] = here
-        held_yaw[i] = here[_YAW]
+                taken.position[j] = x.position[j] + sd.position[j] * error.position[j]
+                taken.velocity[j] = x.velocity[j] + sd.velocity[j] * error.velocity[j]
+            taken.yaw = x.yaw + sd.yaw * error.yaw
+            p.next_noise += 1
+            spent += p.next_noise == noise.shape[1]
+        newest = queue[i, int(max(k - p.delay, 0) * p.ratio + 1e-9) % slots]
+        for j in range(3):
+            x.position[j], x.velocity[j] = newest.position[j], newest.velocity[j]
+        x.yaw = newest.yaw
     return spent

@@ -1,4 +1,4 @@
-"""The plant: n quadrotors in MuJoCo, driven by rotor-speed commands and wind, one sample at a time."""
+"""The plant: n multirotors in MuJoCo, driven by rotor-speed commands and wind, one sample at a time."""
 
 import logging
 import math
@@ -11,9 +11,9 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike, NDArray
 
-from . import rotors
 from .config.ranges import SAMPLE_RATE
-from .rotation import rotate_inverse_core
+from .rotation import euler_core, rotate_inverse_core
+from .rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
 from .runs.compiled import njit
 from .vehicle import GRAVITY, Vehicle
 
@@ -27,6 +27,13 @@ FLIGHT_STEP = 0.005
 CONTACT_STEP = 0.001
 """Longest step where the ground can be touched [s]."""
 
+POSE = np.dtype([("position", "f8", 3), ("quat", "f8", 4)])
+"""A row of MuJoCo's qpos: centre of mass, world [m], and quat_WB."""
+TWIST = np.dtype([("velocity", "f8", 3), ("ang_vel", "f8", 3)])
+"""A row of its qvel: of the centre of mass, world [m/s], and body rate, body axes [rad/s]."""
+WRENCH = np.dtype([("force", "f8", 3), ("moment", "f8", 3)])
+"""A row of its ctrl, in body axes, or of its qfrc_constraint, force in world axes [N, N m]."""
+
 
 class State(NamedTuple):
     """Everything about n vehicles at one instant."""
@@ -35,7 +42,7 @@ class State(NamedTuple):
     velocity: Array  #: (n, 3) of the centre of mass, world [m/s]
     quat: Array  #: (n, 4) quat_WB
     ang_vel: Array  #: (n, 3) body rate, body axes [rad/s]
-    rotor_vel: Array  #: (n, 4) rotor speeds [rad/s]
+    rotor_vel: Array  #: (n, rotors) rotor speeds [rad/s]
     specific_force: Array  #: (n, 3) what an ideal accelerometer at the centre of mass reads, body axes [m/s²]
     ang_acc: Array  #: (n, 3) angular acceleration, body axes [rad/s²]
 
@@ -59,73 +66,81 @@ def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bo
 
 
 @njit(cache=True, inline="always")
-def actuate(dt, rotor_vel_cmd, wind, ctrl, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
-    """Advance the rotors by dt and write the wrench, averaged over that step, into ctrl (n, 6).
-
-    Rotor lag is exact. Drag is taken at mid-step from the current acceleration: second order in dt.
-    """
-    speed = np.empty(4)
-    square = np.empty(4)
-    half = 0.5 * dt
-    for k in range(params.shape[0]):
-        p = params[k]
-        for i in range(4):
-            ref = min(max(rotor_vel_cmd[k, i], 0.0), p[rotors.OMEGA_MAX])
-            now = rotor_vel[k, i]
-            tau = p[rotors.TAU_UP] if ref > now else p[rotors.TAU_DOWN]
-            rotor_vel[k, i], speed[i], square[i] = rotors.lag(now, ref, tau, dt)
-        qw, qx, qy, qz = qpos[k, 3], qpos[k, 4], qpos[k, 5], qpos[k, 6]
-        wx, wy, wz = qvel[k, 3], qvel[k, 4], qvel[k, 5]
-        vx, vy, vz = rotate_inverse_core(
-            qw, qx, qy, qz, qvel[k, 0] - wind[k, 0], qvel[k, 1] - wind[k, 1], qvel[k, 2] - wind[k, 2]
-        )
-        gx, gy, gz = rotate_inverse_core(qw, qx, qy, qz, 0.0, 0.0, -GRAVITY)
-        ax = specific_force[k, 0] + gx - (wy * vz - wz * vy)
-        ay = specific_force[k, 1] + gy - (wz * vx - wx * vz)
-        az = specific_force[k, 2] + gz - (wx * vy - wy * vx)
-        ctrl[k, 0], ctrl[k, 1], ctrl[k, 2], ctrl[k, 3], ctrl[k, 4], ctrl[k, 5] = rotors.wrench(
-            p, hubs, speed, square,
-            vx + half * ax, vy + half * ay, vz + half * az,
-            wx + half * ang_acc[k, 0], wy + half * ang_acc[k, 1], wz + half * ang_acc[k, 2],
-        )  # fmt: skip
+def air_velocity(p, q, velocity):
+    """Velocity relative to the air, body axes, a tuple [m/s]."""
+    vx, vy, vz = velocity[0] - p.wind[0], velocity[1] - p.wind[1], velocity[2] - p.wind[2]
+    return rotate_inverse_core(q[0], q[1], q[2], q[3], vx, vy, vz)
 
 
 @njit(cache=True, inline="always")
-def sense(wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
-    """Write specific force and angular acceleration of this instant, the ground reaction included.
+def actuate(rotor_vel_cmd, vehicles, pose, twist, wrench):
+    """Advance the rotors by one step of the engine and write the wrench, averaged over it.
 
-    reaction: (n, 6) ground force in world axes and moment in body axes, or (0, 6) in free flight.
+    Rotor lag is exact. Drag is taken at mid-step from the current acceleration: second order in dt.
+
+    Args:
+        rotor_vel_cmd: (n, rotors) commanded rotor speeds [rad/s].
+        vehicles: (n,) records of `vehicle_dtype`.
+        pose: (n,) records of `POSE`.
+        twist: (n,) records of `TWIST`.
+        wrench: (n,) records of `WRENCH`, written.
     """
-    square = np.empty(4)
-    for k in range(params.shape[0]):
-        p = params[k]
-        qw, qx, qy, qz = qpos[k, 3], qpos[k, 4], qpos[k, 5], qpos[k, 6]
-        wx, wy, wz = qvel[k, 3], qvel[k, 4], qvel[k, 5]
-        vx, vy, vz = rotate_inverse_core(
-            qw, qx, qy, qz, qvel[k, 0] - wind[k, 0], qvel[k, 1] - wind[k, 1], qvel[k, 2] - wind[k, 2]
+    speed = np.empty(rotor_vel_cmd.shape[1])
+    square = np.empty(rotor_vel_cmd.shape[1])
+    for k in range(vehicles.shape[0]):
+        p, q, w, out = vehicles[k], pose[k].quat, twist[k].ang_vel, wrench[k]
+        half = 0.5 * p.dt
+        for i in range(p.rotor_vel.shape[0]):
+            ref = min(max(rotor_vel_cmd[k, i], 0.0), p.omega_max)
+            now = p.rotor_vel[i]
+            tau = p.tau_up if ref > now else p.tau_down
+            p.rotor_vel[i], speed[i], square[i] = lag(now, ref, tau, p.dt)
+        vx, vy, vz = air_velocity(p, q, twist[k].velocity)
+        gx, gy, gz = rotate_inverse_core(q[0], q[1], q[2], q[3], 0.0, 0.0, -GRAVITY)
+        ax = p.specific_force[0] + gx - (w[1] * vz - w[2] * vy)
+        ay = p.specific_force[1] + gy - (w[2] * vx - w[0] * vz)
+        az = p.specific_force[2] + gz - (w[0] * vy - w[1] * vx)
+        midpoint_vel = (vx + half * ax, vy + half * ay, vz + half * az)
+        midpoint_rate = (w[0] + half * p.ang_acc[0], w[1] + half * p.ang_acc[1], w[2] + half * p.ang_acc[2])
+        out.force[0], out.force[1], out.force[2], out.moment[0], out.moment[1], out.moment[2] = (
+            aerodynamic_wrench(p, speed, square, midpoint_vel, midpoint_rate)
         )
-        for i in range(4):
-            square[i] = rotor_vel[k, i] * rotor_vel[k, i]
-        fx, fy, fz, mx, my, mz = rotors.wrench(p, hubs, rotor_vel[k], square, vx, vy, vz, wx, wy, wz)
+
+
+@njit(cache=True, inline="always")
+def update_truth(vehicles, pose, twist, reaction):
+    """Write specific force, angular acceleration and Euler angles of this instant, ground reaction included.
+
+    reaction: (n,) records of `WRENCH`, or none in free flight; the others as for `actuate`.
+    """
+    square = np.empty(vehicles[0].rotor_vel.shape[0])
+    for k in range(vehicles.shape[0]):
+        p, q, w = vehicles[k], pose[k].quat, (twist[k].ang_vel[0], twist[k].ang_vel[1], twist[k].ang_vel[2])
+        for i in range(p.rotor_vel.shape[0]):
+            square[i] = p.rotor_vel[i] * p.rotor_vel[i]
+        air_vel = air_velocity(p, q, twist[k].velocity)
+        fx, fy, fz, mx, my, mz = aerodynamic_wrench(p, p.rotor_vel, square, air_vel, w)
         if reaction.shape[0] > 0:
-            cx, cy, cz = rotate_inverse_core(qw, qx, qy, qz, reaction[k, 0], reaction[k, 1], reaction[k, 2])
+            ground, moment = reaction[k].force, reaction[k].moment
+            cx, cy, cz = rotate_inverse_core(q[0], q[1], q[2], q[3], ground[0], ground[1], ground[2])
             fx, fy, fz = fx + cx, fy + cy, fz + cz
-            mx, my, mz = mx + reaction[k, 3], my + reaction[k, 4], mz + reaction[k, 5]
-        mass = p[rotors.MASS]
-        specific_force[k, 0], specific_force[k, 1], specific_force[k, 2] = fx / mass, fy / mass, fz / mass
-        ang_acc[k, 0], ang_acc[k, 1], ang_acc[k, 2] = rotors.angular_acceleration(p, mx, my, mz, wx, wy, wz)
+            mx, my, mz = mx + moment[0], my + moment[1], mz + moment[2]
+        f, a = p.specific_force, p.ang_acc
+        f[0], f[1], f[2] = fx / p.mass, fy / p.mass, fz / p.mass
+        a[0], a[1], a[2] = angular_acceleration(p.inertia, (mx, my, mz), w)
+        p.roll_pitch[0], p.roll_pitch[1], p.yaw = euler_core(q[0], q[1], q[2], q[3])
 
 
 class Plant:
-    """n quadrotors, stepped together at the sample rate.
+    """n multirotors, stepped together at the sample rate.
 
-    The current state is held in live arrays (`position`, `velocity`, `quat`, `ang_vel`, `rotor_vel`,
-    `specific_force`, `ang_acc`), all of one instant; `step` returns copies. `rotor_effect` (n, 4) scales
-    the thrust of each rotor and may be written at any time; `set_mass` changes masses in flight. `arrays` are
-    the last arguments of `actuate` and `sense`, for kernels that call these.
+    `position`, `velocity`, `quat`, `ang_vel`, `rotor_vel`, `specific_force` and `ang_acc` are views of the
+    current state, all of one instant; `step` returns copies. `rotor_effect` (n, rotors) scales the thrust of
+    each rotor and may be written at any time; `set_mass` changes masses in flight. `vehicles`, `pose`,
+    `twist`, `wrench` and `reaction` are the records that `actuate` and `update_truth` take.
 
     Args:
-        vehicle: One vehicle for all, or a sequence of n of them (same layout, own numbers).
+        vehicle: One vehicle for all, or a sequence of n of them (as many rotors, own numbers).
         n: Number of vehicles.
         rate_hz: Samples per second; each is one RK4 step of at most 5 ms (1 ms with contact), or several.
         integrator: A MuJoCo integrator: "RK4", or "implicitfast", "Euler", "implicit".
@@ -154,31 +169,25 @@ class Plant:
         vehicles = [vehicle] * n if isinstance(vehicle, Vehicle) else list(vehicle)
         if len(vehicles) != n:
             raise ValueError(f"{len(vehicles)} vehicles were given for n = {n}")
-        self.n, self.rate_hz, self.dt, self.vehicle, self.contact = (
-            n,
-            rate_hz,
-            1.0 / rate_hz,
-            vehicles[0],
-            contact,
-        )
+        if len({len(each.rotors) for each in vehicles}) > 1:
+            raise ValueError("the vehicles of one plant must have the same number of rotors")
+        self.n, self.rate_hz, self.dt, self.contact = n, rate_hz, 1.0 / rate_hz, contact
+        self.vehicle = vehicles[0]
         self.substeps = math.ceil(self.dt / (CONTACT_STEP if contact else FLIGHT_STEP) - 1e-9)
-        self.step_dt = self.dt / self.substeps
-        self.params = np.stack([rotors.parameter_row(v) for v in vehicles])
-        self.rotor_effect = self.params[:, rotors.EFFECT :]
-        self.hubs = self.vehicle.hubs
-        self.model = mujoco.MjModel.from_xml_string(mjcf(self.vehicle, self.step_dt, integrator, contact))
+        self.vehicles = vehicle_records(vehicles, self.dt / self.substeps)
+        xml = mjcf(self.vehicle, self.dt / self.substeps, integrator, contact)
+        self.model = mujoco.MjModel.from_xml_string(xml)
         self.batch = Batch(self.model, n, nthread=1)
-        qpos, qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
-        self.reaction = self.batch.bind("qfrc_constraint") if contact else np.empty((0, 6))
+        self.pose, self.twist = self._bind("qpos", POSE), self._bind("qvel", TWIST)
+        self.wrench = self._bind("ctrl", WRENCH)
+        self.reaction = self._bind("qfrc_constraint", WRENCH) if contact else np.empty(0, WRENCH)
         self._stage = (mujoco.mjtStage.mjSTAGE_ACC if contact else mujoco.mjtStage.mjSTAGE_NONE).value
-        self.position, self.quat = qpos[:, :3], qpos[:, 3:]
-        self.velocity, self.ang_vel = qvel[:, :3], qvel[:, 3:]
-        self.rotor_vel = np.empty((n, 4))
-        self.specific_force, self.ang_acc = np.zeros((n, 3)), np.zeros((n, 3))
-        self.arrays = (
-            self.params, self.hubs, qpos, qvel, self.rotor_vel, self.specific_force, self.ang_acc
-        )  # fmt: skip
-        self._calm = np.zeros((n, 3))
+        self.position, self.quat = self.pose["position"], self.pose["quat"]
+        self.velocity, self.ang_vel = self.twist["velocity"], self.twist["ang_vel"]
+        self.rotor_vel, self.rotor_effect = self.vehicles["rotor_vel"], self.vehicles["effect"]
+        self.specific_force, self.ang_acc = self.vehicles["specific_force"], self.vehicles["ang_acc"]
+        self.roll_pitch, self.yaw = self.vehicles["roll_pitch"], self.vehicles["yaw"]
+        self.wind = self.vehicles["wind"]
         if any(v is not vehicles[0] for v in vehicles):
             self._write_inertia()
         self.reset()
@@ -199,14 +208,15 @@ class Plant:
             velocity: (m, 3) [m/s], world.
             quat: (m, 4) quat_WB, normalised here.
             ang_vel: (m, 3) [rad/s], body axes.
-            rotor_vel: (m, 4) [rad/s].
+            rotor_vel: (m, rotors) [rad/s].
             ids: The m vehicles to reset; None for all.
 
         Raises:
             ValueError: If an array does not broadcast to its shape, or is not finite.
         """
         rows = np.arange(self.n) if ids is None else np.asarray(ids, dtype=int)
-        hover = np.sqrt(self.params[rows, rotors.MASS] * GRAVITY / (4 * self.params[rows, rotors.K_F]))
+        rotors, some = self.rotor_vel.shape[1], self.vehicles[rows]
+        hover = np.sqrt(some["mass"] * GRAVITY / (rotors * some["k_f"]))
         q = _rows("quat", quat, (rows.size, 4), (1.0, 0.0, 0.0, 0.0))
         norm = np.linalg.norm(q, axis=-1, keepdims=True)
         if np.any(norm == 0):
@@ -215,21 +225,21 @@ class Plant:
         self.quat[rows] = q / norm
         self.velocity[rows] = _rows("velocity", velocity, (rows.size, 3), 0.0)
         self.ang_vel[rows] = _rows("ang_vel", ang_vel, (rows.size, 3), 0.0)
-        self.rotor_vel[rows] = _rows("rotor_vel", rotor_vel, (rows.size, 4), hover[:, None])
-        self.ctrl[rows] = 0.0
+        self.rotor_vel[rows] = _rows("rotor_vel", rotor_vel, (rows.size, rotors), hover[:, None])
+        self.wrench[rows], self.wind[rows] = 0.0, 0.0
         if self.contact:
             self.batch.forward()
-        others = np.delete(np.arange(self.n), rows)  # whose state, in whatever wind, stays as it is
-        kept = self.specific_force[others], self.ang_acc[others]
-        self._sense(self._calm)
-        self.specific_force[others], self.ang_acc[others] = kept
+        others = np.delete(np.arange(self.n), rows)
+        unchanged = self.vehicles[others]
+        self._update_truth()
+        self.vehicles[others] = unchanged
         return self.state()
 
     def step(self, rotor_vel_cmd: ArrayLike, wind: ArrayLike | None = None) -> State:
         """Hold a command and a wind over one sample period and return the state at its end.
 
         Args:
-            rotor_vel_cmd: (n, 4) commanded rotor speeds [rad/s]; clipped to 0…ω_max.
+            rotor_vel_cmd: (n, rotors) commanded rotor speeds [rad/s]; clipped to 0…ω_max.
             wind: (n, 3) wind velocity, world [m/s]; None for still air.
 
         Returns:
@@ -238,22 +248,19 @@ class Plant:
         Raises:
             ValueError: If an array does not broadcast to its shape, or is not finite.
         """
-        command = _rows("rotor_vel_cmd", rotor_vel_cmd, (self.n, 4), 0.0)
-        self.advance(command, self._calm if wind is None else _rows("wind", wind, (self.n, 3), 0.0))
+        command = _rows("rotor_vel_cmd", rotor_vel_cmd, self.rotor_vel.shape, 0.0)
+        self.wind[:] = _rows("wind", wind, (self.n, 3), 0.0)
+        self._actuate(command)
+        self.integrate(command)
+        self._update_truth()
         return self.state()
 
-    def advance(self, rotor_vel_cmd: Array, wind: Array) -> None:
-        """`step` for inner loops: float64 arrays of full shape, no checks; live arrays hold the result."""
-        self._actuate(rotor_vel_cmd, wind)
-        self.integrate(rotor_vel_cmd, wind)
-        self._sense(wind)
-
-    def integrate(self, rotor_vel_cmd: Array, wind: Array) -> None:
-        """`advance` without its first `actuate` and last `sense`, for loops that compile them into more."""
+    def integrate(self, rotor_vel_cmd: Array) -> None:
+        """`step` without its first `actuate` and last `update_truth`, for loops that compile these two."""
         self.batch.step(stage=self._stage)
         for _ in range(self.substeps - 1):
-            self._sense(wind)
-            self._actuate(rotor_vel_cmd, wind)
+            self._update_truth()
+            self._actuate(rotor_vel_cmd)
             self.batch.step(stage=self._stage)
 
     def state(self) -> State:
@@ -265,20 +272,24 @@ class Plant:
         new = _rows("mass", mass, (self.n,), 0.0)
         if np.any(new <= 0):
             raise ValueError(f"mass is {new.min()} kg; it must be positive")
-        self.params[:, rotors.IXX : rotors.IZZ + 1] *= (new / self.params[:, rotors.MASS])[:, None]
-        self.params[:, rotors.MASS] = new
+        self.vehicles["inertia"] *= (new / self.vehicles["mass"])[:, None]
+        self.vehicles["mass"] = new
         self._write_inertia()
 
-    def _actuate(self, rotor_vel_cmd: Array, wind: Array) -> None:
-        actuate(self.step_dt, rotor_vel_cmd, wind, self.ctrl, *self.arrays)
+    def _bind(self, name: str, record: np.dtype) -> NDArray[np.void]:
+        """The engine's rows of all vehicles as records, (n,)."""
+        return self.batch.bind(name).view(record)[:, 0]
 
-    def _sense(self, wind: Array) -> None:
-        sense(wind, self.reaction, *self.arrays)
+    def _actuate(self, rotor_vel_cmd: Array) -> None:
+        actuate(rotor_vel_cmd, self.vehicles, self.pose, self.twist, self.wrench)
+
+    def _update_truth(self) -> None:
+        update_truth(self.vehicles, self.pose, self.twist, self.reaction)
 
     def _write_inertia(self) -> None:
         body = self.model.body("quadrotor").id
-        self.batch.expand("body_mass")[:, body] = self.params[:, rotors.MASS]
-        self.batch.expand("body_inertia")[:, body] = self.params[:, rotors.IXX : rotors.IZZ + 1]
+        self.batch.expand("body_mass")[:, body] = self.vehicles["mass"]
+        self.batch.expand("body_inertia")[:, body] = self.vehicles["inertia"]
         self.batch.set_const()
 
 

@@ -298,9 +298,10 @@ def quadrotor_geoms(vehicle: Vehicle) -> list[dict[str, object]]:
     plane = float(hubs[:, 2].mean())
     front = hubs[:, 0] > 0.5 * arm
     geoms = _body(scale, plane)
-    for hub, leads in zip(hubs, front, strict=True):
+    for hub, reaction, leads in zip(hubs, vehicle.reactions, front, strict=True):
         geoms += _arm(hub, scale, "orange" if leads else "carbon")
-        geoms += _rotor(hub, vehicle.frame.prop_radius, scale, spin_phase=0.9 * hub[0] + 2.3 * hub[1] / arm)
+        pitch = -0.24 * reaction
+        geoms += _rotor(hub, vehicle.frame.prop_radius, scale, 0.9 * hub[0] + 2.3 * hub[1] / arm, pitch)
     return geoms
 
 
@@ -339,7 +340,7 @@ def _body(s: float, plane: float) -> list[dict[str, object]]:
 
 
 def _arm(hub: ArrayLike, s: float, material: str) -> list[dict[str, object]]:
-    x, y, z, _ = np.asarray(hub, dtype=float)
+    x, y, z = np.asarray(hub, dtype=float)
     length, yaw, low = float(np.hypot(x, y)), float(np.arctan2(y, x)), z - 0.024 * s
     along = np.array([x, y]) / length
     leg, band = along * (length - 0.012 * s), along * (length - 0.052 * s)
@@ -353,9 +354,11 @@ def _arm(hub: ArrayLike, s: float, material: str) -> list[dict[str, object]]:
     ]
 
 
-def _rotor(hub: ArrayLike, radius: float, s: float, spin_phase: float) -> list[dict[str, object]]:
+def _rotor(
+    hub: ArrayLike, radius: float, s: float, spin_phase: float, blade_pitch: float
+) -> list[dict[str, object]]:
     """Two pitched blades, a hub, and the disc that a turning propeller looks like."""
-    x, y, z, reaction = np.asarray(hub, dtype=float)
+    x, y, z = np.asarray(hub, dtype=float)
     shapes = [
         _shape("cylinder", [radius, 0.0006 * s], [x, y, z], "blur", castshadow=False),
         _shape("cylinder", [0.0065 * s, 0.0045 * s], [x, y, z], "plastic"),
@@ -363,7 +366,7 @@ def _rotor(hub: ArrayLike, radius: float, s: float, spin_phase: float) -> list[d
     ]
     for angle in (spin_phase, spin_phase + np.pi):
         blade = _shape("ellipsoid", [0.5 * radius, 0.082 * radius, 0.0016 * s], [0, 0, 0], "blade", angle)
-        pitch = quat_from_rotvec(np.array([-reaction * 0.24, 0.0, 0.0]))
+        pitch = quat_from_rotvec(np.array([blade_pitch, 0.0, 0.0]))
         blade["quat"] = list(quat_multiply(np.asarray(blade["quat"]), pitch))
         blade["pos"] = [x + 0.5 * radius * np.cos(angle), y + 0.5 * radius * np.sin(angle), z]
         shapes.append(blade)

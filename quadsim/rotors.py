@@ -1,8 +1,4 @@
-"""Rotors and frame: first-order lag, thrust, H-force and drag as one body wrench. Pure equations, compiled.
-
-Each vehicle's constants travel as one row of a (n, PARAMETERS) array, so that every vehicle of a batch can
-have its own; the indices below name the columns.
-"""
+"""Rotors and frame: first-order lag, thrust, H-force and drag as one body wrench. Compiled equations."""
 
 import math
 
@@ -12,19 +8,47 @@ from numpy.typing import NDArray
 from .runs.compiled import njit
 from .vehicle import AIR_DENSITY, Vehicle
 
-MASS, IXX, IYY, IZZ, K_F, K_M, OMEGA_MAX, TAU_UP, TAU_DOWN, ROTOR_DRAG, ROLLING, DRAG_X, DRAG_Y, DRAG_Z = (
-    range(14)
-)
-EFFECT = 14  # four columns: thrust of each rotor relative to a healthy one
-PARAMETERS = EFFECT + 4
+
+def vehicle_dtype(rotors: int) -> np.dtype:
+    """The record of one simulated vehicle with so many rotors: its constants, then its state."""
+    return np.dtype(
+        [
+            ("mass", "f8"),
+            ("inertia", "f8", 3),
+            ("k_f", "f8"),
+            ("k_m", "f8"),
+            ("omega_max", "f8"),
+            ("tau_up", "f8"),
+            ("tau_down", "f8"),
+            ("rotor_drag", "f8"),
+            ("rolling_moment", "f8"),
+            ("frame_drag", "f8", 3),  # ½ ρ C_d A per body axis
+            ("hub", "f8", (rotors, 3)),
+            ("reaction", "f8", rotors),  # +1 where the yaw reaction is along +z
+            ("effect", "f8", rotors),  # thrust relative to a healthy rotor
+            ("dt", "f8"),  # of one step of the engine
+            ("wind", "f8", 3),  # world axes
+            ("rotor_vel", "f8", rotors),
+            ("specific_force", "f8", 3),
+            ("ang_acc", "f8", 3),
+            ("roll_pitch", "f8", 2),
+            ("yaw", "f8"),
+        ],
+        align=True,
+    )
 
 
-def parameter_row(vehicle: Vehicle) -> NDArray[np.float64]:
-    """The vehicle's constants as one row, shape (PARAMETERS,)."""
-    m = vehicle.motor
-    motor = [m.k_f, m.k_m, m.omega_max, m.tau_up, m.tau_down, m.rotor_drag, m.rolling_moment]
-    quadratic = [0.5 * AIR_DENSITY * area for area in vehicle.frame.drag_area]
-    return np.array([vehicle.mass, *vehicle.inertia, *motor, *quadratic, 1.0, 1.0, 1.0, 1.0])
+def vehicle_records(vehicles: list[Vehicle], dt: float) -> NDArray[np.void]:
+    """Records of vehicles with healthy rotors at rest, shape (n,); dt: step of the engine [s]."""
+    records = np.zeros(len(vehicles), vehicle_dtype(len(vehicles[0].rotors)))
+    for record, vehicle in zip(records, vehicles, strict=True):
+        record["mass"], record["inertia"] = vehicle.mass, vehicle.inertia
+        for name, value in vehicle.motor.model_dump().items():
+            record[name] = value
+        record["frame_drag"] = [0.5 * AIR_DENSITY * area for area in vehicle.frame.drag_area]
+        record["hub"], record["reaction"] = vehicle.hubs, vehicle.reactions
+    records["effect"], records["dt"] = 1.0, dt
+    return records
 
 
 @njit(cache=True, inline="always")
@@ -41,7 +65,7 @@ def lag(omega, ref, tau, dt):
 
 
 @njit(cache=True, inline="always")
-def wrench(p, hubs, speed, square, vx, vy, vz, wx, wy, wz):
+def aerodynamic_wrench(p, speed, square, air_vel, ang_vel):
     """Aerodynamic force and moment on the vehicle, body axes, about the centre of mass.
 
     Rotor i: thrust k_f ω² along z, H-force −c |ω| V⊥, moments r × F, reaction torque k_m k_f ω² and
@@ -49,46 +73,45 @@ def wrench(p, hubs, speed, square, vx, vy, vz, wx, wy, wz):
     rotor plane. Frame: −½ ρ C_d A |v| v per axis.
 
     Args:
-        p: One parameter row.
-        hubs: (4, 4) hub positions [m] and reaction sense.
-        speed: (4,) rotor speed [rad/s].
-        square: (4,) squared rotor speed [rad²/s²]: of this instant, or its mean over a step.
-        vx: Air-relative velocity of the centre of mass, body axes [m/s]; vy and vz likewise.
-        vy: See vx.
-        vz: See vx.
-        wx: Body rate [rad/s]; wy and wz likewise.
-        wy: See wx.
-        wz: See wx.
+        p: Record of the vehicle.
+        speed: (rotors,) rotor speed [rad/s].
+        square: (rotors,) squared rotor speed [rad²/s²]: of this instant, or its mean over a step.
+        air_vel: Air-relative velocity of the centre of mass, body axes, a tuple [m/s].
+        ang_vel: Body rate, a tuple [rad/s].
 
     Returns:
-        (fx, fy, fz) [N] and (mx, my, mz) [N m] as one tuple.
+        (fx, fy, fz, mx, my, mz) [N, N m].
     """
+    vx, vy, vz = air_vel
+    wx, wy, wz = ang_vel
     mean_speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    fx = -p[DRAG_X] * mean_speed * vx
-    fy = -p[DRAG_Y] * mean_speed * vy
-    fz = -p[DRAG_Z] * mean_speed * vz
+    fx = -p.frame_drag[0] * mean_speed * vx
+    fy = -p.frame_drag[1] * mean_speed * vy
+    fz = -p.frame_drag[2] * mean_speed * vz
     mx = my = mz = 0.0
-    for i in range(4):
-        x, y, z, reaction = hubs[i, 0], hubs[i, 1], hubs[i, 2], hubs[i, 3]
+    for i in range(p.reaction.shape[0]):
+        x, y, z = p.hub[i, 0], p.hub[i, 1], p.hub[i, 2]
         hub_vx = vx + wy * z - wz * y
         hub_vy = vy + wz * x - wx * z
-        thrust = p[K_F] * p[EFFECT + i] * square[i]
-        hx = -p[ROTOR_DRAG] * speed[i] * hub_vx
-        hy = -p[ROTOR_DRAG] * speed[i] * hub_vy
-        rolling = -p[ROLLING] * speed[i]
+        thrust = p.k_f * p.effect[i] * square[i]
+        hx = -p.rotor_drag * speed[i] * hub_vx
+        hy = -p.rotor_drag * speed[i] * hub_vy
+        rolling = -p.rolling_moment * speed[i]
         fx += hx
         fy += hy
         fz += thrust
         mx += y * thrust - z * hy + rolling * hub_vx
         my += z * hx - x * thrust + rolling * hub_vy
-        mz += x * hy - y * hx + reaction * p[K_M] * thrust
+        mz += x * hy - y * hx + p.reaction[i] * p.k_m * thrust
     return fx, fy, fz, mx, my, mz
 
 
 @njit(cache=True, inline="always")
-def angular_acceleration(p, mx, my, mz, wx, wy, wz):
-    """Euler's equation I ω̇ = M − ω × I ω, principal body axes [rad/s²]."""
-    ax = (mx - (p[IZZ] - p[IYY]) * wy * wz) / p[IXX]
-    ay = (my - (p[IXX] - p[IZZ]) * wz * wx) / p[IYY]
-    az = (mz - (p[IYY] - p[IXX]) * wx * wy) / p[IZZ]
+def angular_acceleration(inertia, moment, ang_vel):
+    """Euler's equation I ω̇ = M − ω × I ω, principal body axes, of tuples [rad/s²]."""
+    mx, my, mz = moment
+    wx, wy, wz = ang_vel
+    ax = (mx - (inertia[2] - inertia[1]) * wy * wz) / inertia[0]
+    ay = (my - (inertia[0] - inertia[2]) * wz * wx) / inertia[1]
+    az = (mz - (inertia[1] - inertia[0]) * wx * wy) / inertia[2]
     return ax, ay, az

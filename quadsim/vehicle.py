@@ -19,6 +19,8 @@ Gain = Annotated[float, Between(1e-3, 1000.0, "1/s")]
 IntegralGain = Annotated[float, Between(0.0, 1e4, "1/s²")]
 GYRATION_M = 1e-3, 5.0
 """Radii of gyration that a vehicle can have [m]."""
+MIN_ROTORS, MAX_ROTORS = 4, 12
+"""Fewest rotors that command thrust, roll, pitch and yaw independently; most that a vehicle can have."""
 
 
 class Rotor(Strict):
@@ -71,13 +73,15 @@ class Gains(Strict):
 
 
 class Vehicle(Strict):
-    """A quadrotor. Body axes: x forward, y left, z up, origin at the centre of mass."""
+    """A multirotor. Body axes: x forward, y left, z up, origin at the centre of mass."""
 
     name: str = Field(description="Name shown in reports.")
     source: str = Field(description="Where the numbers come from.")
     mass: Mass = Field(description="Mass [kg].")
     inertia: tuple[Inertia, Inertia, Inertia] = Field(description="Principal moments of inertia [kg m²].")
-    rotors: tuple[Rotor, Rotor, Rotor, Rotor] = Field(description="The four rotors.")
+    rotors: tuple[Rotor, ...] = Field(
+        min_length=MIN_ROTORS, max_length=MAX_ROTORS, description="The rotors, four or more."
+    )
     motor: Motor
     frame: Frame
     controller: Gains | None = Field(
@@ -99,19 +103,19 @@ class Vehicle(Strict):
         a, b, c = sorted(self.inertia)
         if a + b < c * (1 - 1e-9):
             raise ValueError(f"inertia {self.inertia} breaks the triangle inequality; no rigid body has it")
-        if abs(np.linalg.det(self.allocation)) < 1e-12 * np.prod(np.abs(self.allocation).max(axis=1)):
-            raise ValueError("the four rotors cannot command thrust, roll, pitch and yaw independently")
+        if np.linalg.matrix_rank(self.allocation, rtol=1e-9) < len(self.allocation):
+            raise ValueError("the rotors cannot command thrust, roll, pitch and yaw independently")
         return self
 
     @property
     def hover_rotor_vel(self) -> float:
-        """Rotor speed at which four rotors carry the weight [rad/s]."""
-        return float(np.sqrt(self.mass * GRAVITY / (4 * self.motor.k_f)))
+        """Rotor speed at which all rotors together carry the weight [rad/s]."""
+        return float(np.sqrt(self.mass * GRAVITY / (len(self.rotors) * self.motor.k_f)))
 
     @property
     def thrust_to_weight(self) -> float:
         """Highest total thrust over weight."""
-        return 4 * self.motor.k_f * self.motor.omega_max**2 / (self.mass * GRAVITY)
+        return len(self.rotors) * self.motor.k_f * self.motor.omega_max**2 / (self.mass * GRAVITY)
 
     @property
     def drag_time_constant(self) -> float:
@@ -120,14 +124,19 @@ class Vehicle(Strict):
 
     @property
     def hubs(self) -> np.ndarray:
-        """Hub positions and reaction sense, (4, 4): x, y, z [m], +1 where the yaw reaction is along +z."""
-        return np.array([[*r.position, 1.0 if r.spin == "cw" else -1.0] for r in self.rotors])
+        """Hub positions, body axes, (rotors, 3) [m]."""
+        return np.array([rotor.position for rotor in self.rotors])
+
+    @property
+    def reactions(self) -> np.ndarray:
+        """Sense of the yaw reaction of each rotor, (rotors,): +1 along +z, for a clockwise one."""
+        return np.array([1.0 if rotor.spin == "cw" else -1.0 for rotor in self.rotors])
 
     @property
     def allocation(self) -> np.ndarray:
-        """From squared rotor speeds [rad²/s²] to thrust [N] and roll, pitch, yaw torque [N m], (4, 4)."""
-        x, y, _, reaction = self.hubs.T
-        return self.motor.k_f * np.stack([np.ones(4), y, -x, self.motor.k_m * reaction])
+        """From squared rotor speeds [rad²/s²] to thrust [N] and roll, pitch, yaw torque [N m], (4, n)."""
+        x, y, _ = self.hubs.T
+        return self.motor.k_f * np.stack([np.ones(len(x)), y, -x, self.motor.k_m * self.reactions])
 
 
 def load_vehicle(source: str | Path) -> Vehicle:

@@ -432,7 +432,7 @@ def test_numbers_that_are_not_finite_are_refused(name, value):
     [
         ({"ang_vel": np.zeros((5, 3))}, r"ang_vel has shape \(5, 3\); it must be \(n, T, 3\)"),
         ({"specific_force": np.zeros((2, 4, 3))}, r"it must be \(2, 5, 3\)"),
-        ({"rotor_vel": np.zeros((2, 5, 3))}, r"it must be \(2, 5, 4\)"),
+        ({"rotor_vel": np.zeros((2, 4, 4))}, r"it must be \(2, 5, rotors\)"),
         ({"ang_acc": None}, "sits off the centre of mass and needs ang_acc"),
         ({"rotor_vel": None}, "needs rotor_vel"),
         ({"rate_hz": 0.0}, "rate_hz = 0"),

@@ -69,7 +69,7 @@ def test_every_copy_and_the_trail_are_drawn():
 def test_geometry_is_that_of_the_vehicle(name):
     vehicle = load_vehicle(name)
     discs = [geom for geom in quadrotor_geoms(vehicle) if geom["material"] == "blur"]
-    np.testing.assert_allclose([disc["pos"] for disc in discs], vehicle.hubs[:, :3])
+    np.testing.assert_allclose([disc["pos"] for disc in discs], vehicle.hubs)
     assert {disc["size"][0] for disc in discs} == {vehicle.frame.prop_radius}
 
 

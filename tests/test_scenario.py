@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadsim.config.toml import parse
+from quadsim.control.cascade import MEASURED
 from quadsim.external import ExternalSensor, ExternalSpec
-from quadsim.flight.faults import sensor_faults
-from quadsim.flight.mission import AWAY, CAUSES, GROUNDED, TILTED, Mission
+from quadsim.flight.faults import RotorLoss, sensor_faults
+from quadsim.flight.mission import CAUSES, GROUNDED, OUT_OF_BOUNDS, TILTED, Mission
 from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario, scenario_names
 from quadsim.seeding import vehicle_seeds
 from quadsim.trajectory.specs import Hover
@@ -66,7 +67,7 @@ def test_every_shipped_scenario_loads_and_explains_its_numbers(name):
         ('[[wind]]\nkind = "constant"\nvelocity = [1.0, 2.0]', "velocity"),
         ('[[faults]]\nkind = "gremlin"', "gremlin"),
         ('[[faults]]\nkind = "dropout"\nprobability = 1.5', r"probability = 1.5"),
-        ('[[faults]]\nkind = "rotor-loss"\nrotor = 4', r"rotor = 4"),
+        ('[[faults]]\nkind = "rotor-loss"\nrotor = 12', r"rotor = 12"),
     ],
 )
 def test_mistakes_are_named_with_file_and_key(toml, message):
@@ -157,7 +158,7 @@ def test_starts_tilted_by_the_given_angle_about_an_axis_of_its_own():
     [
         ({"start": Start(tilt_deg=80.0)}, TILTED),
         ({"trajectory": Hover(position=(0.0, 0.0, -0.5))}, GROUNDED),
-        ({"start": Start(offset=(0.0, 0.0, 1.0)), "crash": Crash(distance=0.5)}, AWAY),
+        ({"start": Start(offset=(0.0, 0.0, 1.0)), "crash": Crash(distance=0.5)}, OUT_OF_BOUNDS),
     ],
 )
 def test_crashes_are_told_apart(change, cause):
@@ -236,9 +237,14 @@ def test_payload_is_carried_and_then_dropped():
     masses = []
     for _ in range(mission.steps):
         mission.step()
-        masses.append(mission.loop.plant.params[0, 0])
+        masses.append(mission.loop.plant.vehicles["mass"][0])
     np.testing.assert_allclose(masses[:100], 0.916)
     np.testing.assert_allclose(masses[100:], 0.716)
+
+
+def test_a_rotor_that_the_vehicle_lacks_cannot_be_lost():
+    with pytest.raises(ValueError, match="rotor = 4: this vehicle has rotors 0 to 3"):
+        flown(HOVER.model_copy(update={"faults": (RotorLoss(kind="rotor-loss", rotor=4),)}))
 
 
 def test_rotors_fade_and_break_as_told():
@@ -255,13 +261,14 @@ def test_rotors_fade_and_break_as_told():
 
 def held(spec: ExternalSpec, samples: int, n: int = 2, restart: int = -1) -> np.ndarray:
     """What an external sensor at 100 Hz says of a vehicle at x = k, v = 2 k, yaw = 3 k; (samples, n, 7)."""
-    sensor, k = ExternalSensor(spec, n, 100.0, 5), np.zeros(n, dtype=np.int64)
+    sensor, state = ExternalSensor(spec, n, 100.0, 5), np.zeros(n, MEASURED)
     out = np.empty((samples, n, 7))
     for step in range(samples):
-        k[0] = step if restart < 0 or step < restart else step - restart
-        k[1:] = step
-        sensor.measure(k, np.full((n, 3), 1.0 * step), np.full((n, 3), 2.0 * step), np.full(n, 3.0 * step))
-        out[step] = np.column_stack([sensor.position, sensor.velocity, sensor.yaw])
+        state["k"] = step
+        state["k"][0] = step if restart < 0 or step < restart else step - restart
+        state["position"], state["velocity"], state["yaw"] = 1.0 * step, 2.0 * step, 3.0 * step
+        sensor.measure(state)
+        out[step] = np.column_stack([state["position"], state["velocity"], state["yaw"]])
     return out
 
 
@@ -295,8 +302,8 @@ def test_external_noise_has_its_size_and_a_vehicles_own_seed():
 def test_only_the_controller_is_misled_by_the_external_sensor():
     scenario = HOVER.model_copy(update={"external": "motion-capture"})
     ideal, real = flown(HOVER), flown(scenario)
-    np.testing.assert_array_equal(ideal.loop.seen[0], ideal.loop.plant.position)
-    apart = np.abs(real.loop.seen[0] - real.loop.plant.position)
+    np.testing.assert_array_equal(ideal.loop.measured_state["position"], ideal.loop.plant.position)
+    apart = np.abs(real.loop.measured_state["position"] - real.loop.plant.position)
     assert 0 < apart.max() < 0.01
     np.testing.assert_array_equal(real.loop.attitude, real.loop.true_attitude)
 

@@ -8,7 +8,10 @@ Each stage takes the output of the one before it, so that a command can enter at
 | velocity | velocity (3) [m/s], yaw [rad]                                                             |
 | attitude | roll, pitch, yaw [rad], collective thrust per mass [m/s²]                                 |
 | rate     | roll, pitch, yaw rate, body axes [rad/s], collective thrust per mass [m/s²]               |
-| rotor    | four rotor speeds [rad/s]                                                                 |
+| rotor    | rotor speeds (rotors) [rad/s]                                                             |
+
+A command is an array of floats with these columns, or of records: `SET_POINT` at the first two levels; at the
+others the fields `attitude_cmd`, `rate_cmd`, `thrust_cmd` and `rotor_vel_cmd` of the controller's record.
 
 Gains come from `quadsim.control.gains`. Roll and pitch come from the attitude estimator; the rest of the
 state comes from an external position sensor.
@@ -27,8 +30,29 @@ from ..vehicle import GRAVITY, Gains, Vehicle
 Array = NDArray[np.float64]
 Level = Literal["position", "velocity", "attitude", "rate", "rotor"]
 LEVELS: tuple[Level, ...] = get_args(Level)
-WIDTH = {"position": 11, "velocity": 4, "attitude": 4, "rate": 4, "rotor": 4}
-"""Numbers in a command of each level."""
+POSITION, VELOCITY, ATTITUDE, RATE, ROTOR = range(5)
+
+SET_POINT = np.dtype(
+    [
+        ("position", "f8", 3),
+        ("velocity", "f8", 3),
+        ("acceleration", "f8", 3),
+        ("yaw", "f8"),
+        ("yaw_rate", "f8"),
+    ]
+)
+"""What the position level follows, world axes; the velocity level takes its velocity and yaw."""
+MEASURED = np.dtype(
+    [
+        ("k", "i8"),  # count of samples since the vehicle started
+        ("position", "f8", 3),  # world [m]
+        ("velocity", "f8", 3),  # world [m/s]
+        ("yaw", "f8"),
+        ("roll_pitch", "f8", 2),  # estimated [rad]
+        ("gyro", "f8", 3),  # body rate, the last valid sample [rad/s]
+    ]
+)
+"""The state of a vehicle as its controller gets it."""
 
 MAX_TILT = math.radians(60.0)
 MAX_SPEED_ERROR = 5.0  # m/s that the position error may ask for
@@ -38,10 +62,33 @@ MAX_WIND_ACCELERATION = 6.0  # m/s², bound of the velocity integral: holds agai
 MAX_TRIM = 0.2  # bound of the rate integral over the largest angular acceleration
 IDLE = 0.05  # lowest rotor speed commanded in flight, over the highest
 
-POSITION, VELOCITY, ATTITUDE, RATE, ROTOR = range(5)
-# columns of the controller's memory
-_SPEED, _TRIM, _AXIS, _SEEN = 0, 3, 6, 9
-_MEMORY = 10
+
+def controller_dtype(rotors: int) -> np.dtype:
+    """The record of one controller: its constants, its command, and its state."""
+    return np.dtype(
+        [
+            ("dt", "f8"),
+            ("gains", [(name, "f8") for name in Gains.model_fields]),
+            ("mass", "f8"),
+            ("inertia", "f8", 3),
+            ("max_ang_acc", "f8", 3),
+            ("max_rotor_vel", "f8"),
+            ("per_thrust", "f8", rotors),  # squared rotor speeds that make a unit of thrust,
+            ("per_roll", "f8", rotors),  # and of torque
+            ("per_pitch", "f8", rotors),
+            ("per_yaw", "f8", rotors),
+            ("attitude_cmd", "f8", 3),  # roll, pitch, yaw [rad]
+            ("rate_cmd", "f8", 3),  # body axes [rad/s]
+            ("thrust_cmd", "f8"),  # per mass [m/s²]
+            ("rotor_vel_cmd", "f8", rotors),  # the result [rad/s]
+            ("thrust_axis", "f8", 3),  # wanted by the levels above the rate, world axes
+            ("wind_acc", "f8", 3),  # integral of the velocity error, world axes [m/s²]
+            ("trim", "f8", 3),  # integral of the rate error, body axes [rad/s²]
+            ("last_axis", "f8", 3),  # thrust axis of the last set-point, world axes
+            ("has_last_axis", "i8"),
+        ],
+        align=True,
+    )
 
 
 @njit(cache=True)
@@ -52,20 +99,18 @@ def _clip_norm(x, y, z, limit):
 
 
 @njit(cache=True, inline="always")
-def _velocity_stage(g, dt, memory, velocity, want_x, want_y, want_z, ax, ay, az):
-    """PI on velocity plus feed-forward: the acceleration to ask for, world [m/s²]."""
-    ex, ey, ez = want_x - velocity[0], want_y - velocity[1], want_z - velocity[2]
-    ki = g[7] * dt
-    memory[_SPEED], memory[_SPEED + 1], memory[_SPEED + 2] = _clip_norm(
-        memory[_SPEED] + ki * ex,
-        memory[_SPEED + 1] + ki * ey,
-        memory[_SPEED + 2] + ki * ez,
-        MAX_WIND_ACCELERATION,
+def _velocity_stage(c, velocity, wanted, feedforward):
+    """PI on velocity plus feed-forward: the acceleration to ask for, world, a tuple [m/s²]."""
+    g, integral = c.gains, c.wind_acc
+    ex, ey, ez = wanted[0] - velocity[0], wanted[1] - velocity[1], wanted[2] - velocity[2]
+    ki = g.velocity_integral * c.dt
+    integral[0], integral[1], integral[2] = _clip_norm(
+        integral[0] + ki * ex, integral[1] + ki * ey, integral[2] + ki * ez, MAX_WIND_ACCELERATION
     )
     return (
-        ax + g[6] * ex + memory[_SPEED],
-        ay + g[6] * ey + memory[_SPEED + 1],
-        az + g[6] * ez + memory[_SPEED + 2],
+        feedforward[0] + g.velocity * ex + integral[0],
+        feedforward[1] + g.velocity * ey + integral[1],
+        feedforward[2] + g.velocity * ez + integral[2],
     )
 
 
@@ -81,131 +126,131 @@ def _thrust_direction(ax, ay, az):
 
 
 @njit(cache=True, inline="always")
-def _attitude_stage(g, q, zx, zy, zz, yaw_error):
-    """P on tilt and yaw: the body rate to ask for; z: wanted thrust axis (Brescianini & D'Andrea 2018)."""
-    bx, by, bz = rotate_inverse_core(q[0], q[1], q[2], q[3], zx, zy, zz)
+def _attitude_stage(g, q, axis, yaw_error):
+    """P on tilt and yaw: the body rate to ask for, towards a thrust axis (Brescianini & D'Andrea 2018)."""
+    bx, by, bz = rotate_inverse_core(q[0], q[1], q[2], q[3], axis[0], axis[1], axis[2])
     sine = math.sqrt(bx * bx + by * by)
     angle = math.atan2(sine, bz)
-    gain = g[4] * angle / sine if sine > 1e-9 else g[4]
+    gain = g.attitude * angle / sine if sine > 1e-9 else g.attitude
     p, r, _ = _clip_norm(-by * gain, bx * gain, 0.0, MAX_RATE)
     error = math.atan2(math.sin(yaw_error), math.cos(yaw_error))
-    return p, r, min(max(g[5] * error, -MAX_YAW_RATE), MAX_YAW_RATE)
+    return p, r, min(max(g.yaw * error, -MAX_YAW_RATE), MAX_YAW_RATE)
 
 
 @njit(cache=True, inline="always")
-def _rate_stage(g, c, dt, memory, gyro, p, q, r, out):
-    """PI on body rate: the torque to ask for, gyroscopic term included [N m]."""
-    want = (p, q, r)
+def _rate_stage(c, gyro, wanted, torque):
+    """PI on body rate: the torque to ask for, gyroscopic term included, written to `torque` (3,) [N m]."""
+    g, inertia = c.gains, c.inertia
     for i in range(3):
-        proportional, integral = (g[0], g[1]) if i < 2 else (g[2], g[3])
-        error = want[i] - gyro[i]
-        bound = MAX_TRIM * c[4 + i]
-        memory[_TRIM + i] = min(max(memory[_TRIM + i] + integral * dt * error, -bound), bound)
-        out[i] = c[1 + i] * (proportional * error + memory[_TRIM + i])
-    out[0] += (c[3] - c[2]) * gyro[1] * gyro[2]
-    out[1] += (c[1] - c[3]) * gyro[2] * gyro[0]
-    out[2] += (c[2] - c[1]) * gyro[0] * gyro[1]
+        proportional, integral = (g.rate, g.rate_integral) if i < 2 else (g.yaw_rate, g.yaw_rate_integral)
+        error = wanted[i] - gyro[i]
+        bound = MAX_TRIM * c.max_ang_acc[i]
+        c.trim[i] = min(max(c.trim[i] + integral * c.dt * error, -bound), bound)
+        torque[i] = inertia[i] * (proportional * error + c.trim[i])
+    torque[0] += (inertia[2] - inertia[1]) * gyro[1] * gyro[2]
+    torque[1] += (inertia[0] - inertia[2]) * gyro[2] * gyro[0]
+    torque[2] += (inertia[1] - inertia[0]) * gyro[0] * gyro[1]
 
 
 @njit(cache=True, inline="always")
-def _allocate(c, inverse, thrust, torque, out):
-    """Rotor speeds for thrust and torque; what does not fit gives way: yaw first, then thrust."""
-    low, high = (IDLE * c[7]) ** 2, c[7] * c[7]
+def _allocate(c, thrust, torque):
+    """Write rotor speeds for thrust and torque; what does not fit gives way: yaw first, then thrust."""
+    out = c.rotor_vel_cmd
+    low, high = (IDLE * c.max_rotor_vel) ** 2, c.max_rotor_vel * c.max_rotor_vel
     most, least = -math.inf, math.inf
-    for i in range(4):
-        out[i] = inverse[i, 0] * thrust + inverse[i, 1] * torque[0] + inverse[i, 2] * torque[1]
+    for i in range(out.shape[0]):
+        out[i] = c.per_thrust[i] * thrust + c.per_roll[i] * torque[0] + c.per_pitch[i] * torque[1]
         most, least = max(most, out[i]), min(least, out[i])
     shift = min(high - most, 0.0)
     shift += max(low - (least + shift), 0.0)
     room = 1.0
-    for i in range(4):
+    for i in range(out.shape[0]):
         out[i] += shift
-        yaw = inverse[i, 3] * torque[2]
+        yaw = c.per_yaw[i] * torque[2]
         if yaw > 0.0:
             room = min(room, max(high - out[i], 0.0) / yaw)
         elif yaw < 0.0:
             room = min(room, max(out[i] - low, 0.0) / -yaw)
-    for i in range(4):
-        out[i] = math.sqrt(min(max(out[i] + room * inverse[i, 3] * torque[2], low), high))
+    for i in range(out.shape[0]):
+        out[i] = math.sqrt(min(max(out[i] + room * c.per_yaw[i] * torque[2], low), high))
 
 
 @njit(cache=True, inline="always")
-def control(level, command, position, velocity, attitude, yaw, gyro, g, c, inverse, dt, memory, axis, out):
-    """One step of the cascade for n vehicles.
+def _tilt_rate(c, q, target):
+    """Body rate about x and y with which the set-point's own thrust axis z turns, ω = z × ż; it is stored."""
+    acceleration, last = target.acceleration, c.last_axis
+    x = y = 0.0
+    rx, ry, rz, _ = _thrust_direction(acceleration[0], acceleration[1], acceleration[2])
+    if c.has_last_axis:
+        px, py, pz = last[0], last[1], last[2]
+        x, y, _ = rotate_inverse_core(
+            q[0], q[1], q[2], q[3],
+            (py * rz - pz * ry) / c.dt, (pz * rx - px * rz) / c.dt, (px * ry - py * rx) / c.dt,
+        )  # fmt: skip
+        x, y, _ = _clip_norm(x, y, 0.0, MAX_RATE)
+    last[0], last[1], last[2], c.has_last_axis = rx, ry, rz, 1
+    return x, y
+
+
+@njit(cache=True, inline="always")
+def control(level, set_points, measured, controllers):
+    """One step of the cascade for n vehicles, to their `rotor_vel_cmd`.
 
     Args:
         level: 0 position … 4 rotor.
-        command: (n, width of the level).
-        position: (n, 3) world [m].
-        velocity: (n, 3) world [m/s].
-        attitude: (n, 2) estimated roll and pitch [rad].
-        yaw: (n,) [rad].
-        gyro: (n, 3) measured body rate [rad/s].
-        g: Gains, in the order of `quadsim.vehicle.Gains`.
-        c: (8,) mass, inertia (3), largest angular acceleration (3), largest rotor speed.
-        inverse: (4, 4) from thrust and torque to squared rotor speed.
-        dt: Sample period [s].
-        memory: (n, 10), changed in place.
-        axis: (n, 3), written: the thrust axis asked for, world; as it was where the command is a lower one.
-        out: (n, 4) commanded rotor speeds [rad/s].
+        set_points: (n,) records of `SET_POINT`, for the levels position and velocity.
+        measured: (n,) records of `MEASURED`.
+        controllers: (n,) records of `controller_dtype`; the commands of the other levels are in them.
     """
     torque = np.empty(3)
-    for k in range(command.shape[0]):
-        u, m = command[k], memory[k]
+    for k in range(controllers.shape[0]):
+        c, u, m = controllers[k], set_points[k], measured[k]
         if level == ROTOR:
-            for i in range(4):
-                out[k, i] = min(max(u[i], 0.0), c[7])
+            for i in range(c.rotor_vel_cmd.shape[0]):
+                c.rotor_vel_cmd[i] = min(max(c.rotor_vel_cmd[i], 0.0), c.max_rotor_vel)
             continue
-        q = from_euler_core(attitude[k, 0], attitude[k, 1], yaw[k])
+        g, q = c.gains, from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
+        thrust = c.thrust_cmd
         if level == RATE:
-            p, r, s, specific = u[0], u[1], u[2], u[3]
+            rate = (c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2])
         else:
-            forward_x = forward_y = forward_yaw = 0.0
+            tilt_rate = (0.0, 0.0)
             if level == ATTITUDE:
-                w = from_euler_core(u[0], u[1], u[2])
-                zx, zy, zz = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
-                want_yaw, specific = u[2], u[3]
+                yaw = c.attitude_cmd[2]
+                w = from_euler_core(c.attitude_cmd[0], c.attitude_cmd[1], yaw)
+                axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
             else:
+                yaw, v, a = u.yaw, u.velocity, u.acceleration
                 if level == POSITION:
                     ex, ey, ez = _clip_norm(
-                        g[8] * (u[0] - position[k, 0]),
-                        g[8] * (u[1] - position[k, 1]),
-                        g[8] * (u[2] - position[k, 2]),
+                        g.position * (u.position[0] - m.position[0]),
+                        g.position * (u.position[1] - m.position[1]),
+                        g.position * (u.position[2] - m.position[2]),
                         MAX_SPEED_ERROR,
                     )
-                    ax, ay, az = _velocity_stage(
-                        g, dt, m, velocity[k], u[3] + ex, u[4] + ey, u[5] + ez, u[6], u[7], u[8]
-                    )
-                    want_yaw, forward_yaw = u[9], u[10]
-                    # the reference's own tilt rate, fed forward: ω = z × ż of its thrust axis
-                    rx, ry, rz, _ = _thrust_direction(u[6], u[7], u[8])
-                    if m[_SEEN] > 0.0:
-                        px, py, pz = m[_AXIS], m[_AXIS + 1], m[_AXIS + 2]
-                        forward_x, forward_y, _ = rotate_inverse_core(
-                            q[0], q[1], q[2], q[3],
-                            (py * rz - pz * ry) / dt, (pz * rx - px * rz) / dt, (px * ry - py * rx) / dt,
-                        )  # fmt: skip
-                        forward_x, forward_y, _ = _clip_norm(forward_x, forward_y, 0.0, MAX_RATE)
-                    m[_AXIS], m[_AXIS + 1], m[_AXIS + 2], m[_SEEN] = rx, ry, rz, 1.0
+                    wanted = (v[0] + ex, v[1] + ey, v[2] + ez)
+                    ax, ay, az = _velocity_stage(c, m.velocity, wanted, (a[0], a[1], a[2]))
+                    tilt_rate = _tilt_rate(c, q, u)
                 else:
-                    ax, ay, az = _velocity_stage(g, dt, m, velocity[k], u[0], u[1], u[2], 0.0, 0.0, 0.0)
-                    want_yaw = u[3]
+                    ax, ay, az = _velocity_stage(c, m.velocity, (v[0], v[1], v[2]), (0.0, 0.0, 0.0))
                 zx, zy, zz, size = _thrust_direction(ax, ay, az)
+                axis = (zx, zy, zz)
                 bx, by, bz = rotate_core(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
                 # only the part of the wanted force along the estimated thrust axis can be made now
-                specific = size * max(zx * bx + zy * by + zz * bz, 0.2)
-            axis[k, 0], axis[k, 1], axis[k, 2] = zx, zy, zz
-            p, r, s = _attitude_stage(g, q, zx, zy, zz, want_yaw - yaw[k])
-            p, r, s = p + forward_x, r + forward_y, s + forward_yaw
-        _rate_stage(g, c, dt, m, gyro[k], p, r, s, torque)
-        _allocate(c, inverse, c[0] * specific, torque, out[k])
+                thrust = size * max(zx * bx + zy * by + zz * bz, 0.2)
+            c.thrust_axis[0], c.thrust_axis[1], c.thrust_axis[2] = axis
+            p, r, s = _attitude_stage(g, q, axis, yaw - m.yaw)
+            forward_yaw = u.yaw_rate if level == POSITION else 0.0
+            rate = (p + tilt_rate[0], r + tilt_rate[1], s + forward_yaw)
+        _rate_stage(c, m.gyro, rate, torque)
+        _allocate(c, c.mass * thrust, torque)
 
 
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
-    After a step, `rotor_vel_cmd` (n, 4) holds its command and `thrust_axis` (n, 3) where it wants the thrust
-    to point, world axes. `arrays` are the last arguments of `control`, for kernels that call it.
+    After a step, `rotor_vel_cmd` (n, rotors) holds its command and `thrust_axis` (n, 3) where it wants the
+    thrust to point, world axes. `records` are the last argument of `control`, for kernels that call it.
 
     Args:
         vehicle: The nominal vehicle; its `controller` gains are used, or designed when it has none.
@@ -217,43 +262,73 @@ class Controller:
     def __init__(
         self, vehicle: Vehicle, n: int = 1, rate_hz: float = 200.0, gains: Gains | None = None
     ) -> None:
-        self.n, self.dt = n, 1.0 / rate_hz
+        self.n = n
         self.gains = gains or vehicle.controller or _designed(vehicle, rate_hz)
-        g = np.array(list(self.gains.model_dump().values()))
-        arms = np.abs(vehicle.allocation[1:]).sum(axis=1) / 2 * vehicle.motor.omega_max**2
-        c = np.array([vehicle.mass, *vehicle.inertia, *(arms / vehicle.inertia), vehicle.motor.omega_max])
-        inverse = np.linalg.inv(vehicle.allocation)
-        self._memory = np.zeros((n, _MEMORY))
-        self.rotor_vel_cmd = np.full((n, 4), vehicle.hover_rotor_vel)
-        self.thrust_axis = np.tile([0.0, 0.0, 1.0], (n, 1))
-        self.arrays = (g, c, inverse, self.dt, self._memory, self.thrust_axis, self.rotor_vel_cmd)
+        self.records = np.zeros(n, controller_dtype(len(vehicle.rotors)))
+        c, allocation = self.records, vehicle.allocation
+        square = allocation.shape[0] == allocation.shape[1]
+        mixer = np.linalg.inv(allocation) if square else np.linalg.pinv(allocation)
+        torque = np.abs(allocation[1:]).sum(axis=1) / 2 * vehicle.motor.omega_max**2
+        c["dt"], c["gains"] = 1.0 / rate_hz, tuple(self.gains.model_dump().values())
+        c["mass"], c["inertia"], c["max_ang_acc"] = vehicle.mass, vehicle.inertia, torque / vehicle.inertia
+        c["max_rotor_vel"] = vehicle.motor.omega_max
+        c["per_thrust"], c["per_roll"], c["per_pitch"], c["per_yaw"] = mixer.T
+        c["rotor_vel_cmd"], c["thrust_axis"] = vehicle.hover_rotor_vel, (0.0, 0.0, 1.0)
+        self.rotor_vel_cmd, self.thrust_axis = c["rotor_vel_cmd"], c["thrust_axis"]
+        self._set_points = np.zeros(n, SET_POINT)
 
     def reset(self, ids: NDArray[np.int_] | slice = slice(None)) -> None:
         """Clear the integrators of some vehicles."""
-        self._memory[ids] = 0.0
+        for name in ("wind_acc", "trim", "has_last_axis"):
+            self.records[name][ids] = 0
+
+    def accept(self, level: Level, command: NDArray[np.float64 | np.void]) -> NDArray[np.void]:
+        """Write a command of floats, (n, width) as in the table of this module, to the records.
+
+        Returns:
+            The set-points (n,) for `control`; records of them pass through.
+        """
+        if command.dtype.names:
+            return command
+        c, out = self.records, self._set_points
+        match level:
+            case "position":
+                return np.ascontiguousarray(command).view(SET_POINT)[:, 0]
+            case "velocity":
+                out["velocity"], out["yaw"] = command[:, :3], command[:, 3]
+            case "attitude":
+                c["attitude_cmd"], c["thrust_cmd"] = command[:, :3], command[:, 3]
+            case "rate":
+                c["rate_cmd"], c["thrust_cmd"] = command[:, :3], command[:, 3]
+            case "rotor":
+                c["rotor_vel_cmd"] = command
+        return out
 
     def step(
         self,
         level: Level,
-        command: Array,
+        command: NDArray[np.float64 | np.void],
         position: Array,
         velocity: Array,
         attitude: Array,
         yaw: Array,
         gyro: Array,
     ) -> Array:
-        """Rotor speeds (n, 4) [rad/s] for a command at a level; the array is reused by the next call.
+        """Rotor speeds (n, rotors) [rad/s] for a command at a level; the array is reused by the next call.
 
         Args:
             level: Where in the cascade the command enters.
-            command: (n, width) as in the table of this module.
+            command: (n, width) as in the table of this module, or records.
             position: (n, 3) world [m].
             velocity: (n, 3) world [m/s].
             attitude: (n, 2) estimated roll and pitch [rad].
             yaw: (n,) [rad].
             gyro: (n, 3) measured body rate [rad/s].
         """
-        control(LEVELS.index(level), command, position, velocity, attitude, yaw, gyro, *self.arrays)
+        measured = np.zeros(self.n, MEASURED)
+        measured["position"], measured["velocity"], measured["yaw"] = position, velocity, yaw
+        measured["roll_pitch"], measured["gyro"] = attitude, gyro
+        control(LEVELS.index(level), self.accept(level, command), measured, self.records)
         return self.rotor_vel_cmd
 
 

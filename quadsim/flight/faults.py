@@ -14,8 +14,8 @@ from pydantic import Field
 from ..config.ranges import Between, Duration, Force, ForceVector, Frequency, Instant, Mass, RateDeg, Share
 from ..config.toml import Strict
 from ..plant import Plant
-from ..rotors import MASS
 from ..seeding import Seed, child, vehicle_seeds
+from ..vehicle import MAX_ROTORS
 
 Array = NDArray[np.float64]
 BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
@@ -111,7 +111,7 @@ class RotorLoss(Strict):
     """One rotor gives less thrust from some time on: a chipped blade, a tired motor."""
 
     kind: Literal["rotor-loss"]
-    rotor: Annotated[int, Between(0, 3)] = 0
+    rotor: Annotated[int, Between(0, MAX_ROTORS - 1)] = 0
     """Which, in the order of the vehicle's file."""
     effect: Share = 0.7
     """Thrust left, as a share of a healthy rotor's."""
@@ -172,12 +172,20 @@ class VehicleFaults:
     """What the faults do to the plant: `apply` before every step, with every vehicle's count of samples."""
 
     def __init__(self, faults: Sequence[SensorFault | VehicleFault], plant: Plant) -> None:
-        """Take the faults of the vehicle out of all; `any` tells whether there are some."""
+        """Take the faults of the vehicle out of all; `any` tells whether there are some.
+
+        Raises:
+            ValueError: If a rotor fails that the vehicle does not have.
+        """
+        rotors = plant.rotor_vel.shape[1]
+        for fault in faults:
+            if isinstance(fault, RotorLoss) and fault.rotor >= rotors:
+                raise ValueError(f"faults: rotor = {fault.rotor}: this vehicle has rotors 0 to {rotors - 1}")
         self._plant = plant
         self._payloads = [fault for fault in faults if isinstance(fault, PayloadDrop)]
         self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery)]
         self.any = bool(self._payloads or self._rotors)
-        self._empty = plant.params[:, MASS].copy()
+        self._empty = plant.vehicles["mass"].copy()
         self._mass = self._empty
 
     def apply(self, k: NDArray[np.int64]) -> None:

@@ -5,33 +5,35 @@ the state at k + 1. `FlightLoop` is that loop, whoever drives it.
 """
 
 from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..control.cascade import LEVELS, Controller, Level, control
+from ..control.cascade import LEVELS, MEASURED, Controller, Level, control
 from ..estimator import AttitudeEstimator
 from ..external import ExternalSensor
 from ..imu.kernel import ACCEL, GYRO, measure
 from ..imu.spec import ImuSpec
 from ..imu.stream import ImuStream
-from ..plant import Plant, actuate, sense
-from ..rotation import euler_core
+from ..plant import Plant, actuate, update_truth
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
 
 Array = NDArray[np.float64]
+Command: TypeAlias = NDArray[np.float64] | NDArray[np.void]
+"""Floats, (n, width), or records, (n,): see `quadsim.control.cascade`."""
 
 
 class FlightLoop:
     """n closed loops, one sample at a time.
 
     After `reset` and after every `step`, `gyro`, `accel` (n, 3) and `attitude` (n, 2), the estimated roll and
-    pitch, belong to the state in `plant`. `rate` (n, 3) is `gyro` with missing samples held. `seen` is the
-    position (n, 3), velocity (n, 3) and yaw (n,) that the controller sees.
+    pitch, belong to the state in `plant`. `measured_state` (n,) holds what the controller gets, records of
+    `quadsim.control.cascade.MEASURED`; `k` and `rate` are its count of samples and body rate.
 
     Args:
-        vehicle: One vehicle, or n of them. The controller is tuned for `nominal`, or else for the first.
+        vehicle: One vehicle, or n of them. The controller is tuned for the first.
         n: Number of vehicles.
         rate_hz: Samples per second.
         imu: IMU to fly on; None for a perfect one.
@@ -39,7 +41,6 @@ class FlightLoop:
         seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
         contact: Whether the ground can be touched; the engine then makes 1 ms steps, implicitly.
         external: Source of position, velocity and yaw; None for the truth.
-        nominal: The vehicle that the controller believes in.
         corrupt: Called as corrupt(gyro, accel, k) on every sample, k (n,) counting each vehicle's samples
             from 0; may change both in place: sensor faults. At NaN the controller holds its last body rate.
     """
@@ -55,31 +56,25 @@ class FlightLoop:
         seed: int | Sequence[np.random.SeedSequence] = 0,
         contact: bool = False,
         external: ExternalSensor | None = None,
-        nominal: Vehicle | None = None,
         corrupt: Callable[[Array, Array, NDArray[np.int64]], None] | None = None,
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
-        self.n, self.rate_hz, self.k = n, rate_hz, np.zeros(n, dtype=np.int64)
+        self.n, self.rate_hz = n, rate_hz
         self.plant = Plant(vehicle, n, rate_hz, "implicitfast" if contact else "RK4", contact)
-        self.controller = Controller(nominal or self.plant.vehicle, n, rate_hz)
+        self.controller = Controller(self.plant.vehicle, n, rate_hz)
         self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed)
         self.estimator = estimator
         self.external = external
         self.corrupt = corrupt
         self._observe = getattr(estimator, "observe", None)
-        self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
-        self.seen = self.plant.position, self.plant.velocity, self.yaw
-        if external is not None:
-            self.seen = external.position, external.velocity, external.yaw
-        self.attitude, self._calm = self.true_attitude, np.zeros((n, 3))
-        self._air = self._calm  # in which the present state was reached
-        self._reading = np.zeros((2, n, 1, 3))
+        self.attitude = self.true_attitude = self.plant.roll_pitch
+        self.yaw, self.measured_state = self.plant.yaw, np.zeros(n, MEASURED)
+        self.k, self.rate = self.measured_state["k"], self.measured_state["gyro"]
         self._sample = self.plant.ang_vel, self.plant.specific_force
-        if imu is not None:
-            self._sample = self._reading[GYRO, :, 0], self._reading[ACCEL, :, 0]
+        if self.imu is not None:
+            self._sample = self.imu.gyro, self.imu.accel
         self.gyro, self.accel = self._sample
-        self.rate = self.gyro if corrupt is None else np.zeros((n, 3))
 
     def reset(
         self,
@@ -91,12 +86,11 @@ class FlightLoop:
     ) -> None:
         """Start all vehicles anew; arguments as for `Plant.reset`.
 
-        The estimator starts level, unless `known_attitude`: then it is told the true roll and pitch.
+        The estimator starts level, unless `known_attitude`: then it starts at the true roll and pitch.
         """
         self.plant.reset(position, velocity, quat, ang_vel)
         self.controller.reset()
-        self.k[:], self._air = 0, self._calm
-        read_attitude(self.plant.quat, self.true_attitude, self.yaw)
+        self.k[:] = 0
         if self.imu is not None:
             self.imu.reset()
         if self.estimator is not None:
@@ -120,9 +114,6 @@ class FlightLoop:
         self.plant.reset(position, velocity, quat, ang_vel, ids=ids)
         self.controller.reset(ids)
         self.k[ids] = 0
-        self._air = self._air.copy()
-        self._air[ids] = 0.0
-        read_attitude(self.plant.quat, self.true_attitude, self.yaw)
         if self.imu is not None:
             self.imu.reset(ids)
         if self.estimator is not None and len(ids) == self.n:
@@ -133,91 +124,79 @@ class FlightLoop:
                 raise ValueError("this estimator has no restart(ids, roll_pitch): it starts all or none")
             restart(ids, roll_pitch=self.true_attitude[ids] if known_attitude else None)
 
-    def step(self, level: Level, command: Array, wind: Array | None = None) -> None:
+    def step(self, level: Level, command: Command, wind: Array | None = None) -> None:
         """Fly on by one sample: control from the present estimate, move, sense.
 
         Args:
             level: Where the command enters the cascade, see `quadsim.control.cascade`.
-            command: (n, width of the level).
+            command: (n, width of the level), or (n,) records.
             wind: (n, 3) world [m/s]; None for still air.
         """
         self.move(level, command, wind)
         self.sense()
 
-    def move(self, level: Level, command: Array, wind: Array | None = None) -> None:
+    def move(self, level: Level, command: Command, wind: Array | None = None) -> None:
         """The first half of `step`: control and motion."""
         plant, controller = self.plant, self.controller
-        air = self._calm if wind is None else wind
-        steer(
-            LEVELS.index(level), command, *self.seen, self.attitude, self.rate, plant.step_dt, air,
-            plant.ctrl, self.k, *controller.arrays, *plant.arrays,
+        plant.wind[:] = 0.0 if wind is None else wind
+        control_step(
+            LEVELS.index(level), controller.accept(level, command), self.measured_state, controller.records,
+            plant.vehicles, plant.pose, plant.twist, plant.wrench,
         )  # fmt: skip
-        plant.integrate(controller.rotor_vel_cmd, air)
-        self._air = air
+        plant.integrate(controller.rotor_vel_cmd)
 
     def sense(self) -> None:
         """The second half of `step`: IMU, external sensor and estimate."""
-        plant, imu = self.plant, self.imu
+        plant, imu, measured = self.plant, self.imu, self.measured_state
         if imu is None:
-            arrive(self.true_attitude, self.yaw, self._air, plant.reaction, *plant.arrays)
+            sense_truth(plant.vehicles, plant.pose, plant.twist, plant.reaction, measured)
         else:
-            perceive(
-                imu.next_samples(), *imu.arrays, self._reading, self.true_attitude, self.yaw, self._air,
-                plant.reaction, *plant.arrays,
+            sense(
+                imu.next_samples(), imu.noise, imu.records,
+                plant.vehicles, plant.pose, plant.twist, plant.reaction, measured,
             )  # fmt: skip
         if self.external is not None:
-            self.external.measure(self.k, plant.position, plant.velocity, self.yaw)
+            self.external.measure(measured)
         if self.corrupt is not None:
             self.gyro, self.accel = (each.copy() for each in self._sample)
             self.corrupt(self.gyro, self.accel, self.k)
-            self.rate = np.where(np.isfinite(self.gyro), self.gyro, self.rate)
+            np.copyto(self.rate, self.gyro, where=np.isfinite(self.gyro))
+        else:
+            self.rate[:] = self.gyro
         if self.estimator is not None:
             if self._observe is not None:
                 self._observe(plant.quat)
             self.attitude = self.estimator.update(self.gyro, self.accel)
+        measured["roll_pitch"] = self.attitude
 
 
 @njit(cache=True)
-def steer(
-    level, command, position, velocity, yaw, attitude, rate, step_dt, wind, ctrl, k,
-    g, c, inverse, dt, memory, axis, rotor_vel_cmd,
-    params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc,
-):  # fmt: skip
-    """Everything before the engine's step: `control`, then `actuate`; k (n,) counts on."""
-    k += 1
-    control(
-        level, command, position, velocity, attitude, yaw, rate, g, c, inverse, dt, memory, axis,
-        rotor_vel_cmd,
-    )  # fmt: skip
-    actuate(
-        step_dt, rotor_vel_cmd, wind, ctrl, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc
-    )  # fmt: skip
-
-
-@njit(cache=True, inline="always")
-def arrive(roll_pitch, yaw, wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc):
-    """Everything after it, but for the IMU: `sense`, then `read_attitude`."""
-    sense(wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc)
-    read_attitude(qpos[:, 3:], roll_pitch, yaw)
+def control_step(level, set_points, measured, controllers, vehicles, pose, twist, wrench):
+    """Everything before the engine's step: `control`, then `actuate`; the samples' count k goes on."""
+    for i in range(measured.shape[0]):
+        measured[i].k += 1
+    control(level, set_points, measured, controllers)
+    actuate(controllers.rotor_vel_cmd, vehicles, pose, twist, wrench)
 
 
 @njit(cache=True)
-def perceive(
-    at, vehicles, noise, bias, reading, roll_pitch, yaw, wind, reaction,
-    params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc,
-):  # fmt: skip
-    """Everything after it: `arrive`, then `measure` the sample at place `at` of the IMU's block of noise."""
-    arrive(roll_pitch, yaw, wind, reaction, params, hubs, qpos, qvel, rotor_vel, specific_force, ang_acc)
-    measure(
-        vehicles, noise, at, 0, 1, np.expand_dims(qvel[:, 3:], 1), np.expand_dims(specific_force, 1),
-        np.expand_dims(ang_acc, 1), np.expand_dims(rotor_vel, 1), reading, bias,
-    )  # fmt: skip
+def sense_truth(vehicles, pose, twist, reaction, measured):
+    """Everything after it, but for the IMU: `update_truth`, and position, velocity and yaw to `measured`."""
+    update_truth(vehicles, pose, twist, reaction)
+    for i in range(measured.shape[0]):
+        for axis in range(3):
+            measured[i].position[axis] = pose[i].position[axis]
+            measured[i].velocity[axis] = twist[i].velocity[axis]
+        measured[i].yaw = vehicles[i].yaw
 
 
-@njit(cache=True, inline="always")
-def read_attitude(quat, roll_pitch, yaw):
-    """Write roll and pitch (n, 2) and yaw (n,) of quat (n, 4)."""
-    for i in range(quat.shape[0]):
-        roll_pitch[i, 0], roll_pitch[i, 1], yaw[i] = euler_core(
-            quat[i, 0], quat[i, 1], quat[i, 2], quat[i, 3]
-        )
+@njit(cache=True)
+def sense(at, noise, imus, vehicles, pose, twist, reaction, measured):
+    """Everything after it: `sense_truth`, then the IMU's sample at place `at` of its block of noise."""
+    sense_truth(vehicles, pose, twist, reaction, measured)
+    x = np.empty((2, 3))
+    for i in range(imus.shape[0]):
+        p = vehicles[i]
+        for axis in range(3):
+            x[GYRO, axis], x[ACCEL, axis] = twist[i].ang_vel[axis], p.specific_force[axis]
+        measure(imus[i], noise[i, :, at], x, p.ang_acc, p.rotor_vel)

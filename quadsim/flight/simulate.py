@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from ..config.ranges import Between
 from ..config.toml import Strict
+from ..control.cascade import Controller
 from ..imu.spec import ImuSpec
 from ..imu.stream import simulate_imu_with_bias
 from ..runs.compiled import njit
@@ -67,53 +68,64 @@ class FlightConfig(Strict):
     )
 
 
-class Layout(NamedTuple):
-    """Columns of a recorded row."""
-
-    position: slice = slice(0, 3)
-    velocity: slice = slice(3, 6)
-    quat: slice = slice(6, 10)
-    ang_vel: slice = slice(10, 13)
-    specific_force: slice = slice(13, 16)
-    rotor_vel: slice = slice(16, 20)
-    ang_acc: slice = slice(20, 23)
-    wind: slice = slice(23, 26)
-    rotor_vel_cmd: slice = slice(26, 30)
-
-
-LAYOUT = Layout()
-WIDTH = 30
+def sample_dtype(rotors: int) -> np.dtype:
+    """A recorded sample of a vehicle with so many rotors, fields as in `quadsim.plant.State`."""
+    return np.dtype(
+        [
+            ("position", "f8", 3),
+            ("velocity", "f8", 3),
+            ("quat", "f8", 4),
+            ("ang_vel", "f8", 3),
+            ("specific_force", "f8", 3),
+            ("rotor_vel", "f8", rotors),
+            ("ang_acc", "f8", 3),
+            ("wind", "f8", 3),
+            ("rotor_vel_cmd", "f8", rotors),
+        ]
+    )
 
 
 @njit(cache=True)
-def record(
-    k, row, position, velocity, quat, ang_vel, specific_force, rotor_vel, ang_acc, wind, command, log, end
-):
-    """Write sample k of every vehicle into log (n, T, WIDTH); a vehicle that has diverged ends there.
+def record(k, vehicles, pose, twist, controllers, log, end):
+    """Write sample k of every vehicle into log (n, T); a vehicle that has diverged ends there.
 
-    row: (WIDTH,) scratch. end: (n,) number of valid samples, T while all is well; later ones repeat the last.
+    Args:
+        k: Sample.
+        vehicles: (n,) records of the plant; also `pose` and `twist`.
+        pose: See vehicles.
+        twist: See vehicles.
+        controllers: (n,) records of the controller.
+        log: (n, T) records of `sample_dtype`.
+        end: (n,) number of valid samples, T while all is well; later ones repeat the last.
     """
     for i in range(log.shape[0]):
-        speed = rate = 0.0
+        row, p, at, v = log[i, k], vehicles[i], pose[i], twist[i]
+        speed = rate = not_finite = 0.0  # the last stays 0 if every number is finite
         for j in range(3):
-            row[j], row[3 + j], row[10 + j] = position[i, j], velocity[i, j], ang_vel[i, j]
-            row[13 + j], row[20 + j], row[23 + j] = specific_force[i, j], ang_acc[i, j], wind[i, j]
-            speed += velocity[i, j] ** 2
-            rate += ang_vel[i, j] ** 2
+            row.position[j], row.velocity[j], row.ang_vel[j] = at.position[j], v.velocity[j], v.ang_vel[j]
+            row.specific_force[j], row.ang_acc[j], row.wind[j] = p.specific_force[j], p.ang_acc[j], p.wind[j]
+            speed += v.velocity[j] ** 2
+            rate += v.ang_vel[j] ** 2
+            not_finite += 0.0 * (at.position[j] + p.specific_force[j] + p.ang_acc[j] + p.wind[j])
         for j in range(4):
-            row[6 + j], row[16 + j], row[26 + j] = quat[i, j], rotor_vel[i, j], command[i, j]
-        nothing = 0.0  # and stays so if every number is finite
-        for j in range(WIDTH):
-            nothing += 0.0 * row[j]
-        if nothing == 0.0 and speed < MAX_SPEED**2 and rate < MAX_BODY_RATE**2 and end[i] > k:
-            log[i, k] = row
+            row.quat[j] = at.quat[j]
+            not_finite += 0.0 * at.quat[j]
+        for j in range(p.rotor_vel.shape[0]):
+            row.rotor_vel[j], row.rotor_vel_cmd[j] = p.rotor_vel[j], controllers[i].rotor_vel_cmd[j]
+            not_finite += 0.0 * row.rotor_vel[j] + 0.0 * row.rotor_vel_cmd[j]
+        if not_finite == 0.0 and speed < MAX_SPEED**2 and rate < MAX_BODY_RATE**2 and end[i] > k:
             continue
         end[i] = min(end[i], k)
         if k > 0:
             log[i, k] = log[i, k - 1]
-        else:
-            log[i, k] = 0.0
-            log[i, k, 6] = 1.0  # level: even a flight without a valid sample holds rotations
+            continue
+        for j in range(3):
+            row.position[j] = row.velocity[j] = row.ang_vel[j] = 0.0
+            row.specific_force[j] = row.ang_acc[j] = row.wind[j] = 0.0
+        for j in range(p.rotor_vel.shape[0]):
+            row.rotor_vel[j] = row.rotor_vel_cmd[j] = 0.0
+        row.quat[0] = 1.0  # level: even a flight without a valid sample holds rotations
+        row.quat[1:] = 0.0
 
 
 def simulate_flights(
@@ -137,36 +149,24 @@ def simulate_flights(
     vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
     target = reference(config.trajectory, warmup + steps, rate_hz, path)
     wind = wind_series(config.wind, n, warmup + steps, rate_hz, air) if config.wind else None
-    wrong = (
-        config.attitude_error.series(warmup + steps, rate_hz, sight) if config.attitude_error.sd_deg else None
-    )
-    loop = FlightLoop(vehicles, n, rate_hz=rate_hz, nominal=config.vehicle)
-    loop.reset(position=target[:, 0, :3], velocity=target[:, 0, 3:6])
-    log, end = np.zeros((n, steps, WIDTH)), np.full(n, steps)
-    plant, row, calm = loop.plant, np.empty(WIDTH), np.zeros((n, 3))
+    error = None
+    if config.attitude_error.sd_deg:
+        error = config.attitude_error.series(warmup + steps, rate_hz, sight)
+    loop = FlightLoop(vehicles, n, rate_hz=rate_hz)
+    loop.controller = Controller(config.vehicle, n, rate_hz)
+    loop.reset(position=target["position"][:, 0], velocity=target["velocity"][:, 0])
+    plant, controllers, measured = loop.plant, loop.controller.records, loop.measured_state["roll_pitch"]
+    log, end = np.zeros((n, steps), sample_dtype(len(config.vehicle.rotors))), np.full(n, steps)
     for k in range(warmup + steps):
-        air_now = calm if wind is None else wind[:, k]
         if k:
-            if wrong is not None:
-                loop.attitude = loop.true_attitude + wrong[:, k - 1]
-            loop.step("position", target[:, k - 1], air_now)
+            if error is not None:
+                measured += error[:, k - 1]
+            loop.step("position", target[:, k - 1], None if wind is None else wind[:, k])
+        elif wind is not None:
+            plant.wind[:] = wind[:, 0]
         if k >= warmup:
-            record(
-                k - warmup,
-                row,
-                plant.position,
-                plant.velocity,
-                plant.quat,
-                plant.ang_vel,
-                plant.specific_force,
-                plant.rotor_vel,
-                plant.ang_acc,
-                air_now,
-                loop.controller.rotor_vel_cmd,
-                log,
-                end,
-            )
-    flown = {name: log[..., columns] for name, columns in LAYOUT._asdict().items()}
+            record(k - warmup, plant.vehicles, plant.pose, plant.twist, controllers, log, end)
+    flown = {name: log[name] for name in log.dtype.names}
     gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
         config.imu,
         flown["ang_vel"],

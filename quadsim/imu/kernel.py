@@ -1,21 +1,22 @@
-"""The arithmetic of the IMU: a record of coefficients and state per vehicle, and a compiled pass over it."""
+"""The arithmetic of the IMU: a record of coefficients and state per vehicle, and one function per error."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from ..runs.compiled import njit
+from ..vehicle import MAX_ROTORS
 
 Array = NDArray[np.float64]
 
 GYRO, ACCEL = 0, 1
-ROTORS = 4
-NOISES = 5
-"""Streams of random numbers: gyro noise, accel noise, gyro walk, accel walk, dropped samples."""
+WHITE, WALK, DROP, NOISES = 0, 2, 4, 5
+"""Streams of random numbers: gyro and accel noise, gyro and accel walk, dropped samples; and their number."""
 
-VEHICLE = np.dtype(
+IMU = np.dtype(
     [
         # the same for all flights of a vehicle
         ("dt", "f8"),
@@ -39,14 +40,15 @@ VEHICLE = np.dtype(
         ("matrix", "f8", (2, 3, 3)),  # body axes to sensor axes, scale factor and misalignment
         ("force_matrix", "f8", (3, 3)),  # specific force in body axes to gyro error
         ("turn_on", "f8", (2, 3)),
-        ("phase_offset", "f8", (ROTORS, 2, 3)),
+        ("phase_offset", "f8", (MAX_ROTORS, 2, 3)),
         # changes with every sample
         ("started", "i8"),
         ("walk", "f8", (2, 3)),
         ("filter", "f8", (2, 3, 2)),
         ("last_input", "f8", (2, 3)),
-        ("phase", "f8", ROTORS),
-        ("last_output", "f8", (2, 3)),
+        ("phase", "f8", MAX_ROTORS),
+        ("bias", "f8", (2, 3)),  # in the reading, turn-on and walk
+        ("reading", "f8", (2, 3)),
     ],
     align=True,
 )
@@ -80,35 +82,38 @@ def low_pass_coefficients(corner: float, order: int, dt: float) -> tuple[Array, 
 @njit(cache=True)
 def _move_to_lever_arm(p, x, ang_acc):
     """Specific force at r from that at the centre of mass: f + α × r + ω × (ω × r), all in body axes."""
-    wx, wy, wz = x[0, 0], x[0, 1], x[0, 2]
+    wx, wy, wz = x[GYRO, 0], x[GYRO, 1], x[GYRO, 2]
     rx, ry, rz = p.lever_arm[0], p.lever_arm[1], p.lever_arm[2]
     vx, vy, vz = wy * rz - wz * ry, wz * rx - wx * rz, wx * ry - wy * rx
     ax, ay, az = ang_acc[0], ang_acc[1], ang_acc[2]
-    x[1, 0] += ay * rz - az * ry + wy * vz - wz * vy
-    x[1, 1] += az * rx - ax * rz + wz * vx - wx * vz
-    x[1, 2] += ax * ry - ay * rx + wx * vy - wy * vx
+    x[ACCEL, 0] += ay * rz - az * ry + wy * vz - wz * vy
+    x[ACCEL, 1] += az * rx - ax * rz + wz * vx - wx * vz
+    x[ACCEL, 2] += ax * ry - ay * rx + wx * vy - wy * vx
 
 
 @njit(cache=True)
-def _low_pass(p, sensor, x):
-    """Replace the input x (3,) by the filter's output; at the first sample the filter has settled on it."""
-    phi, g0, g1 = p.transition[sensor], p.from_last[sensor], p.from_new[sensor]
-    for axis in range(3):
-        z, new, last = p.filter[sensor, axis], x[axis], p.last_input[sensor, axis]
-        if p.started:
-            z0 = phi[0, 0] * z[0] + phi[0, 1] * z[1] + g0[0] * last + g1[0] * new
-            z[1] = phi[1, 0] * z[0] + phi[1, 1] * z[1] + g0[1] * last + g1[1] * new
-            z[0] = z0
-        else:
-            z[0], z[1] = new, 0.0
-        p.last_input[sensor, axis] = new
-        x[axis] = z[0]
+def _low_pass(p, x):
+    """Replace x by the filters' output; at the first sample a filter has settled on its input."""
+    for sensor in range(2):
+        if not p.low_pass_on[sensor]:
+            continue
+        phi, g0, g1 = p.transition[sensor], p.from_last[sensor], p.from_new[sensor]
+        for axis in range(3):
+            z, new, last = p.filter[sensor, axis], x[sensor, axis], p.last_input[sensor, axis]
+            if p.started:
+                z0 = phi[0, 0] * z[0] + phi[0, 1] * z[1] + g0[0] * last + g1[0] * new
+                z[1] = phi[1, 0] * z[0] + phi[1, 1] * z[1] + g0[1] * last + g1[1] * new
+                z[0] = z0
+            else:
+                z[0], z[1] = new, 0.0
+            p.last_input[sensor, axis] = new
+            x[sensor, axis] = z[0]
 
 
 @njit(cache=True)
 def _vibrate(p, x, rotor_vel):
-    """Add what each rotor's imbalance shakes, amplitude ∝ ω², behind the low-pass, at this instant."""
-    for rotor in range(ROTORS):
+    """Add the vibration of each rotor's imbalance, amplitude ∝ ω², behind the low-pass, at this instant."""
+    for rotor in range(rotor_vel.shape[0]):
         speed = rotor_vel[rotor]
         phase = p.phase[rotor] + speed * p.dt
         p.phase[rotor] = phase - 2.0 * math.pi * math.floor(phase / (2.0 * math.pi))
@@ -120,67 +125,103 @@ def _vibrate(p, x, rotor_vel):
                 x[sensor, axis] += p.amplitude[sensor, axis] * gain * wave
 
 
-@njit(cache=True)
-def _quantise(value, resolution, limit):
-    """Nearest multiple of the resolution (0: as it is) within ± limit; NaN stays NaN."""
-    if resolution > 0.0:
-        value = resolution * np.rint(value / resolution)
-    if value > limit:
-        return limit
-    if value < -limit:
-        return -limit
-    return value
+@njit(cache=True, inline="always")
+def _turn_to_sensor_axes(p, x):
+    """Apply mounting, scale factor and misalignment, and the gyroscope's sensitivity to force."""
+    wx, wy, wz, fx, fy, fz = x[GYRO, 0], x[GYRO, 1], x[GYRO, 2], x[ACCEL, 0], x[ACCEL, 1], x[ACCEL, 2]
+    for axis in range(3):
+        M, N, G = p.matrix[GYRO, axis], p.matrix[ACCEL, axis], p.force_matrix[axis]
+        x[GYRO, axis] = M[0] * wx + M[1] * wy + M[2] * wz
+        x[GYRO, axis] += G[0] * fx + G[1] * fy + G[2] * fz
+        x[ACCEL, axis] = N[0] * fx + N[1] * fy + N[2] * fz
 
 
 @njit(cache=True, inline="always")
-def measure(vehicles, noise, first, start, count, ang_vel, specific_force, ang_acc, rotor_vel, out, bias):
-    """Samples start … start + count of n vehicles.
+def _add_bias_and_noise(p, x, noise):
+    """Add turn-on bias, bias random walk and white noise; the walk moves on."""
+    for sensor in range(2):
+        for axis in range(3):
+            walk = p.walk[sensor, axis]
+            p.bias[sensor, axis] = p.turn_on[sensor, axis] + walk
+            x[sensor, axis] += p.bias[sensor, axis] + p.white[sensor] * noise[WHITE + sensor, axis]
+            p.walk[sensor, axis] = p.decay[sensor] * walk + p.diffusion[sensor] * noise[WALK + sensor, axis]
+
+
+@njit(cache=True, inline="always")
+def _read_out(p, x, noise):
+    """Write the reading: the nearest multiple of the resolution (0: as it is) within ± limit; NaN stays NaN.
+
+    A dropped sample repeats the one before.
+    """
+    if p.started and noise[DROP, 0] < p.drop_below:
+        return
+    for sensor in range(2):
+        resolution, limit = p.resolution[sensor], p.limit[sensor]
+        for axis in range(3):
+            value = x[sensor, axis]
+            if resolution > 0.0:
+                value = resolution * np.rint(value / resolution)
+            if value > limit:
+                value = limit
+            elif value < -limit:
+                value = -limit
+            p.reading[sensor, axis] = value
+
+
+@njit(cache=True, inline="always")
+def measure(p, noise, x, ang_acc, rotor_vel):
+    """Take one sample of one IMU, to `reading` and `bias` of its record: every error in turn.
 
     Args:
-        vehicles: Records of dtype VEHICLE, shape (n,); their state moves on.
+        p: Record of dtype IMU; its state moves on.
+        noise: Standard normal numbers of this sample, shape (NOISES, 3).
+        x: True body rate [rad/s] and specific force at the centre of mass [m/s²], body axes, (2, 3); changed.
+        ang_acc: Angular acceleration, shape (3,) [rad/s²]; used only with a lever arm.
+        rotor_vel: Rotor speeds, shape (rotors,) [rad/s]; used only with vibration.
+    """
+    if p.lever_arm_on:
+        _move_to_lever_arm(p, x, ang_acc)
+    _low_pass(p, x)
+    if p.vibration_on:
+        _vibrate(p, x, rotor_vel)
+    _turn_to_sensor_axes(p, x)
+    _add_bias_and_noise(p, x, noise)
+    _read_out(p, x, noise)
+    p.started = 1
+
+
+class Motion(NamedTuple):
+    """What IMUs feel, of n vehicles over T samples."""
+
+    ang_vel: Array  #: (n, T, 3) body rate, body axes [rad/s]
+    specific_force: Array  #: (n, T, 3) at the centre of mass, body axes [m/s²]
+    ang_acc: Array  #: (n, T, 3) [rad/s²]; used only with a lever arm
+    rotor_vel: Array  #: (n, T, rotors) [rad/s]; used only with vibration
+
+
+@njit(cache=True)
+def measure_series(imus, noise, place, samples, motion, out, bias):
+    """Samples of n IMUs.
+
+    Args:
+        imus: Records of dtype IMU, shape (n,); their state moves on.
         noise: Standard normal numbers, shape (n, NOISES, block, 3).
-        first: Place in the block of the first sample.
-        start: First sample.
-        count: Number of samples.
-        ang_vel: Body rate, shape (n, T, 3) [rad/s].
-        specific_force: At the centre of mass, body axes, shape (n, T, 3) [m/s²].
-        ang_acc: Angular acceleration, shape (n, T, 3) [rad/s²]; used only with a lever arm.
-        rotor_vel: Rotor speeds, shape (n, T, 4) [rad/s]; used only with vibration.
+        place: Place in the block of the first sample.
+        samples: First sample, and the one after the last.
+        motion: A `Motion`.
         out: Readings of gyro and accel, shape (2, n, T, 3) [rad/s, m/s²].
         bias: Their true biases, same shape.
     """
     x = np.empty((2, 3))
-    for vehicle in range(vehicles.shape[0]):
-        p = vehicles[vehicle]
-        for t in range(start, start + count):
-            k = first + t - start
-            for axis in range(3):
-                x[0, axis] = ang_vel[vehicle, t, axis]
-                x[1, axis] = specific_force[vehicle, t, axis]
-            if p.lever_arm_on:
-                _move_to_lever_arm(p, x, ang_acc[vehicle, t])
-            for sensor in range(2):
-                if p.low_pass_on[sensor]:
-                    _low_pass(p, sensor, x[sensor])
-            if p.vibration_on:
-                _vibrate(p, x, rotor_vel[vehicle, t])
-            dropped = p.started and noise[vehicle, 4, k, 0] < p.drop_below
-            for sensor in range(2):
-                for axis in range(3):
-                    M = p.matrix[sensor, axis]
-                    value = M[0] * x[sensor, 0] + M[1] * x[sensor, 1] + M[2] * x[sensor, 2]
-                    if sensor == 0:
-                        G = p.force_matrix[axis]
-                        value += G[0] * x[1, 0] + G[1] * x[1, 1] + G[2] * x[1, 2]
-                    walk = p.walk[sensor, axis]
-                    bias[sensor, vehicle, t, axis] = p.turn_on[sensor, axis] + walk
-                    value += (
-                        bias[sensor, vehicle, t, axis] + p.white[sensor] * noise[vehicle, sensor, k, axis]
-                    )
-                    p.walk[sensor, axis] = (
-                        p.decay[sensor] * walk + p.diffusion[sensor] * noise[vehicle, 2 + sensor, k, axis]
-                    )
-                    if not dropped:
-                        p.last_output[sensor, axis] = _quantise(value, p.resolution[sensor], p.limit[sensor])
-                    out[sensor, vehicle, t, axis] = p.last_output[sensor, axis]
-            p.started = 1
+    first, end = samples
+    for i in range(imus.shape[0]):
+        p = imus[i]
+        for t in range(first, end):
+            # an array that its IMU does not use has one sample
+            acc, rotor_vel = motion.ang_acc[i], motion.rotor_vel[i]
+            x[GYRO], x[ACCEL] = motion.ang_vel[i, t], motion.specific_force[i, t]
+            measure(
+                p, noise[i, :, place + t - first], x,
+                acc[min(t, acc.shape[0] - 1)], rotor_vel[min(t, rotor_vel.shape[0] - 1)],
+            )  # fmt: skip
+            out[:, i, t], bias[:, i, t] = p.reading, p.bias

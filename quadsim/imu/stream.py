@@ -23,7 +23,8 @@ from scipy.special import ndtri
 from ..config.ranges import SAMPLE_RATE
 from ..rotation import matrix_from_quat, quat_from_euler
 from ..seeding import Seed, child, vehicle_seeds
-from .kernel import ACCEL, GYRO, NOISES, ROTORS, VEHICLE, low_pass_coefficients, measure, white_noise_sd
+from ..vehicle import MAX_ROTORS
+from .kernel import ACCEL, GYRO, IMU, NOISES, Motion, low_pass_coefficients, measure_series, white_noise_sd
 from .spec import ImuSpec, Sensor
 
 Array = NDArray[np.float64]
@@ -36,7 +37,8 @@ class ImuStream:
     """The IMUs of n vehicles, one sample at a time: the same numbers as `simulate_imu`.
 
     The random numbers of vehicle i follow from its seed alone: they do not change with n, nor with the parts
-    of the error that are switched on.
+    of the error that are switched on. `gyro` and `accel` (n, 3) are views of the last readings;
+    `records` (n,) and `noise` are what `quadsim.imu.kernel.measure` takes.
     """
 
     def __init__(self, spec: ImuSpec, n: int, rate_hz: float, seed: Seed) -> None:
@@ -58,34 +60,31 @@ class ImuStream:
         self.rate_hz = rate_hz
         self._seeds = vehicle_seeds(seed, n)
         self._flight = np.zeros(n, dtype=np.int64)
-        self._vehicles = np.tile(_constants(spec, 1.0 / rate_hz), n)
-        self._needs_ang_acc = bool(self._vehicles["lever_arm_on"][0])
-        self._needs_rotor_vel = bool(self._vehicles["vibration_on"][0])
+        self.records = np.tile(_constants(spec, 1.0 / rate_hz), n)
+        self.gyro, self.accel = self.records["reading"].swapaxes(0, 1)
+        self.needs_ang_acc = bool(self.records["lever_arm_on"][0])
+        self.needs_rotor_vel = bool(self.records["vibration_on"][0])
         self._sensor_from_body = matrix_from_quat(quat_from_euler(*np.radians(spec.mounting_deg))).T
         self._noises = _noises(spec)
         self._random: list[list[np.random.Generator]] = [[] for _ in range(n)]
-        self._noise = np.zeros((n, NOISES, BLOCK, 3))
+        self.noise = np.zeros((n, NOISES, BLOCK, 3))
         self._at = 0
-        self._ang_vel, self._specific_force, self._ang_acc = np.zeros((3, n, 1, 3))
-        self._rotor_vel = np.zeros((n, 1, ROTORS))
-        self._bias = np.zeros((2, n, 1, 3))
-        self.arrays = self._vehicles, self._noise, self._bias
         for vehicle in range(n):
             self._switch_on(vehicle)
 
     @property
     def gyro_bias(self) -> Array:
         """True bias in the last reading of the gyro, turn-on and random walk, shape (n, 3) [rad/s]."""
-        return self._bias[GYRO, :, 0].copy()
+        return self.records["bias"][:, GYRO].copy()
 
     @property
     def accel_bias(self) -> Array:
         """True bias in the last reading of the accelerometer, shape (n, 3) [m/s²]."""
-        return self._bias[ACCEL, :, 0].copy()
+        return self.records["bias"][:, ACCEL].copy()
 
     def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
         """Switch some vehicles' IMUs, or all, off and on: new biases and noise, from the next child seed."""
-        for vehicle in range(len(self._vehicles)) if ids is None else ids:
+        for vehicle in range(len(self.records)) if ids is None else ids:
             self._flight[vehicle] += 1
             self._switch_on(int(vehicle))
 
@@ -102,32 +101,32 @@ class ImuStream:
             ang_vel: Body rate, body axes, shape (n, 3) [rad/s].
             specific_force: At the centre of mass, body axes, shape (n, 3) [m/s²].
             ang_acc: Angular acceleration, body axes, shape (n, 3) [rad/s²]; needed for a lever arm.
-            rotor_vel: Rotor speeds, shape (n, 4) [rad/s]; needed for vibration.
+            rotor_vel: Rotor speeds, shape (n, rotors) [rad/s]; needed for vibration.
 
         Returns:
             gyro [rad/s] and accel [m/s²], each (n, 3), in sensor axes.
         """
-        self._ang_vel[:, 0] = ang_vel
-        self._specific_force[:, 0] = specific_force
-        if self._needs_ang_acc:
-            self._ang_acc[:, 0] = _given("ang_acc", ang_acc)
-        if self._needs_rotor_vel:
-            self._rotor_vel[:, 0] = _given("rotor_vel", rotor_vel)
-        out = np.empty(self._bias.shape)
-        measure(
-            self._vehicles, self._noise, self.next_samples(), 0, 1,
-            self._ang_vel, self._specific_force, self._ang_acc, self._rotor_vel, out, self._bias,
-        )  # fmt: skip
+        given = (
+            ang_vel,
+            specific_force,
+            _given("ang_acc", ang_acc) if self.needs_ang_acc else np.zeros(3),
+            _given("rotor_vel", rotor_vel) if self.needs_rotor_vel else np.zeros(1),
+        )
+        n = len(self.records)
+        rows = (np.broadcast_to(each, (n, np.shape(each)[-1]))[:, None] for each in given)
+        motion = Motion(*(np.ascontiguousarray(each, dtype=np.float64) for each in rows))
+        out, bias = np.empty((2, 2, n, 1, 3))
+        measure_series(self.records, self.noise, self.next_samples(), (0, 1), motion, out, bias)
         return out[GYRO, :, 0], out[ACCEL, :, 0]
 
     def next_samples(self, count: int = 1) -> int:
         """The place in `noise` of the next samples, all within one block: they count as taken.
 
-        For loops that call `imu_kernel.measure` themselves, on `arrays`: vehicles, noise and bias.
+        For loops that call `quadsim.imu.kernel.measure` themselves.
         """
         if self._at == BLOCK:
             self._at = 0
-            for vehicle in range(len(self._vehicles)):
+            for vehicle in range(len(self.records)):
                 self._fill(vehicle, 0)
         self._at += count
         return self._at - count
@@ -136,17 +135,17 @@ class ImuStream:
         """Draw what stays for a flight, and restart the noise from here."""
         seed, flight = self._seeds[vehicle], int(self._flight[vehicle])
         random = np.random.default_rng(child(seed, flight, 0))
-        _draw_flight(self._vehicles[vehicle], self.spec, self._sensor_from_body, random)
+        _draw_flight(self.records[vehicle], self.spec, self._sensor_from_body, random)
         self._random[vehicle] = [
             np.random.default_rng(child(seed, flight, 1 + each)) for each in self._noises
         ]
-        self._bias[:, vehicle, 0] = self._vehicles["turn_on"][vehicle] + self._vehicles["walk"][vehicle]
+        self.records["bias"][vehicle] = self.records["turn_on"][vehicle] + self.records["walk"][vehicle]
         self._fill(vehicle, self._at)
 
     def _fill(self, vehicle: int, begin: int) -> None:
         """Draw a vehicle's noise for the rest of the block."""
         for each, random in zip(self._noises, self._random[vehicle], strict=True):
-            random.standard_normal(out=self._noise[vehicle, each, begin:])
+            random.standard_normal(out=self.noise[vehicle, each, begin:])
 
 
 def simulate_imu_with_bias(
@@ -168,17 +167,17 @@ def simulate_imu_with_bias(
     stream = ImuStream(spec, n, rate_hz, seed)
     shape = (n, steps)
     forces = _series("specific_force", specific_force, 3, shape)
-    unused = np.zeros((n, 1, 3)), np.zeros((n, 1, ROTORS))
-    accelerations = _series("ang_acc", ang_acc, 3, shape) if stream._needs_ang_acc else unused[0]
-    rotors = _series("rotor_vel", rotor_vel, ROTORS, shape) if stream._needs_rotor_vel else unused[1]
+    motion = Motion(
+        rates,
+        forces,
+        _series("ang_acc", ang_acc, 3, shape) if stream.needs_ang_acc else np.zeros((n, 1, 3)),
+        _series("rotor_vel", rotor_vel, None, shape) if stream.needs_rotor_vel else np.zeros((n, 1, 1)),
+    )
     out, bias = np.empty((2, 2, n, steps, 3))
     for start in range(0, steps, BLOCK):
-        count = min(BLOCK, steps - start)
-        vehicles, noise, _ = stream.arrays
-        measure(
-            vehicles, noise, stream.next_samples(count), start, count,
-            rates, forces, accelerations, rotors, out, bias,
-        )  # fmt: skip
+        end = min(start + BLOCK, steps)
+        place = stream.next_samples(end - start)
+        measure_series(stream.records, stream.noise, place, (start, end), motion, out, bias)
     return out[GYRO], out[ACCEL], bias[GYRO], bias[ACCEL]
 
 
@@ -200,7 +199,7 @@ def simulate_imu(
         rate_hz: Samples per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
         ang_acc: Angular acceleration, body axes, shape (n, T, 3) [rad/s²]; needed for a lever arm.
-        rotor_vel: Rotor speeds, shape (n, T, 4) [rad/s]; needed for vibration.
+        rotor_vel: Rotor speeds, shape (n, T, rotors) [rad/s]; needed for vibration.
 
     Returns:
         gyro [rad/s] and accel [m/s²], each (n, T, 3), in sensor axes.
@@ -213,7 +212,7 @@ def simulate_imu(
 
 def _constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
     """What an IMU's record holds for all flights, shape (1,)."""
-    records = np.zeros(1, VEHICLE)
+    records = np.zeros(1, IMU)
     p = records[0]
     p["dt"] = dt
     p["lever_arm"], p["lever_arm_on"] = spec.lever_arm, any(spec.lever_arm)
@@ -263,7 +262,7 @@ def _draw_flight(p: np.void, spec: ImuSpec, sensor_from_body: Array, random: np.
     """Draw what stays for a flight into its record. New draws go last: the order fixes the numbers."""
     turn_on, walk, scale = random.standard_normal((3, 2, 3))
     misalignment, g_sensitivity = random.standard_normal((2, 3, 3)), random.standard_normal((3, 3))
-    p["phase_offset"] = random.uniform(0.0, 2.0 * np.pi, (ROTORS, 2, 3))
+    p["phase_offset"] = random.uniform(0.0, 2.0 * np.pi, (MAX_ROTORS, 2, 3))
     p["force_matrix"] = spec.g_sensitivity * g_sensitivity @ sensor_from_body
     for index, sensor in enumerate((spec.gyro, spec.accel)):
         p["turn_on"][index] = sensor.turn_on * turn_on[index]
@@ -281,11 +280,14 @@ def _given(name: str, value: ArrayLike | None) -> ArrayLike:
     return value
 
 
-def _series(name: str, value: ArrayLike | None, size: int, shape: tuple[int, ...] | None = None) -> Array:
-    """Array (n, T, size) of finite numbers in a layout that the kernel knows, else ValueError."""
+def _series(
+    name: str, value: ArrayLike | None, size: int | None, shape: tuple[int, ...] | None = None
+) -> Array:
+    """Array (n, T, size or rotors) of finite numbers in a layout that the kernel knows, else ValueError."""
     array = np.require(_given(name, value), dtype=np.float64, requirements=["C", "W"])
-    expected = f"({', '.join(map(str, shape or ('n', 'T')))}, {size})"
-    if array.ndim != 3 or array.shape[2] != size or (shape is not None and array.shape[:2] != shape):
+    expected = f"({', '.join(map(str, shape or ('n', 'T')))}, {size or 'rotors'})"
+    right = array.ndim == 3 and (array.shape[2] == size if size else array.shape[2] <= MAX_ROTORS)
+    if not right or (shape is not None and array.shape[:2] != shape):
         raise ValueError(f"{name} has shape {array.shape}; it must be {expected}")
     if not np.isfinite(array).all():
         where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])

@@ -1,7 +1,4 @@
-"""References: a trajectory as an array (n, steps, 11) of position-level commands of `quadsim.control`.
-
-Columns: position (3) [m], velocity (3) [m/s], acceleration (3) [m/s²], yaw [rad], yaw rate [rad/s], world.
-"""
+"""References: a trajectory as set-points (n, steps), records of `quadsim.control.cascade.SET_POINT`."""
 
 import csv
 import math
@@ -12,21 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
-from ..config.ranges import (
-    COORDINATE,
-    Position,
-)
+from ..config.ranges import COORDINATE, Position
 from ..config.toml import read_text
+from ..control.cascade import SET_POINT
 from ..runs.compiled import njit
 from ..vehicle import GRAVITY
 from .specs import Doublets, Hover, Lissajous, Mix, Move, SetPointFile, Step, Trajectory, Waypoints
 
 Array = NDArray[np.float64]
-COLUMNS = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "yaw", "yaw_rate")
+SetPoints = NDArray[np.void]
+DERIVATIVES = ("position", "velocity", "acceleration")
 Seeds = Sequence[np.random.SeedSequence]
 
 
-def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Array:
+def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> SetPoints:
     """Set-points for one flight per seed.
 
     Args:
@@ -36,7 +32,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Arr
         seeds: One per flight; a flight depends on its own alone.
 
     Returns:
-        (n, steps, 11), columns as in `COLUMNS`.
+        (n, steps) records of `SET_POINT`.
 
     Raises:
         ValueError: If a set-point file is missing or malformed.
@@ -47,7 +43,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Arr
     return np.repeat(_fixed(spec, time)[None], len(seeds), axis=0)
 
 
-def _random(spec: Mix | Waypoints | Doublets, time: Array, rng: np.random.Generator) -> Array:
+def _random(spec: Mix | Waypoints | Doublets, time: Array, rng: np.random.Generator) -> SetPoints:
     if isinstance(spec, Waypoints):
         points = np.array(spec.position) + rng.uniform(-1, 1, (spec.random_points, 3)) * np.array(spec.box)
         return _minimum_snap(np.vstack([spec.position, points, spec.position]), spec.speed, time)
@@ -56,22 +52,21 @@ def _random(spec: Mix | Waypoints | Doublets, time: Array, rng: np.random.Genera
         if isinstance(spec, Mix)
         else _doublet_segments(spec, time[-1], rng)
     )
-    turns = _turns(spec.max_yaw_rate, time[-1], rng) if isinstance(spec, Mix) else np.zeros((0, 3))
-    out = np.zeros((time.size, len(COLUMNS)))
-    out[:, :3] = spec.position
+    turns = _turns(spec.max_yaw_rate if isinstance(spec, Mix) else 0.0, time[-1], rng)
+    out = _still(spec.position, 0.0, time)
     _fly_segments(segments, turns, time, out)
     return out
 
 
-def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, time: Array) -> Array:
+def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, time: Array) -> SetPoints:
     match spec:
         case Hover():
             out = _still(spec.position, math.radians(spec.yaw_deg), time)
         case Step():
             out = _still(spec.position, 0.0, time)
-            away = (time >= spec.at_s) & (np.floor((time - spec.at_s) / spec.hold_s) % 2 == 0)
-            out[away, :3] += spec.offset
-            out[away, 9] += math.radians(spec.yaw_deg)
+            displaced = (time >= spec.at_s) & (np.floor((time - spec.at_s) / spec.hold_s) % 2 == 0)
+            out["position"][displaced] += spec.offset
+            out["yaw"][displaced] += math.radians(spec.yaw_deg)
         case Move():
             out = _move(spec, time)
         case Lissajous():
@@ -83,21 +78,21 @@ def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, tim
     return out
 
 
-def _still(position: Position, yaw: float, time: Array) -> Array:
-    out = np.zeros((time.size, len(COLUMNS)))
-    out[:, :3], out[:, 9] = position, yaw
+def _still(position: Position, yaw: float, time: Array) -> SetPoints:
+    out = np.zeros(time.size, SET_POINT)
+    out["position"], out["yaw"] = position, yaw
     return out
 
 
-def _move(spec: Move, time: Array) -> Array:
+def _move(spec: Move, time: Array) -> SetPoints:
     out = _still(spec.position, 0.0, time)
     way = np.clip((time - spec.at_s) / spec.length_s, 0, 1)[:, None]
-    for order, shape in enumerate(_rest_to_rest(way)):
-        out[:, 3 * order : 3 * order + 3] += np.array(spec.offset) * shape / spec.length_s**order
+    for order, (name, shape) in enumerate(zip(DERIVATIVES, _rest_to_rest(way), strict=True)):
+        out[name] += np.array(spec.offset) * shape / spec.length_s**order
     return out
 
 
-def _lissajous(spec: Lissajous, time: Array) -> Array:
+def _lissajous(spec: Lissajous, time: Array) -> SetPoints:
     rate = 2 * np.pi * np.array(spec.ratio) / spec.period_s
     phase = time[:, None] * rate
     wave = np.stack([np.sin(phase), rate * np.cos(phase), -(rate**2) * np.sin(phase)])
@@ -106,17 +101,17 @@ def _lissajous(spec: Lissajous, time: Array) -> Array:
                      420 * s**2 * (1 - s) ** 2 * (1 - 2 * s) / spec.period_s**2])[..., None]  # fmt: skip
     amplitude = np.array(spec.amplitude)
     out = _still(spec.position, 0.0, time)
-    out[:, 0:3] += amplitude * grow[0] * wave[0]
-    out[:, 3:6] = amplitude * (grow[0] * wave[1] + grow[1] * wave[0])
-    out[:, 6:9] = amplitude * (grow[0] * wave[2] + 2 * grow[1] * wave[1] + grow[2] * wave[0])
+    out["position"] += amplitude * grow[0] * wave[0]
+    out["velocity"] = amplitude * (grow[0] * wave[1] + grow[1] * wave[0])
+    out["acceleration"] = amplitude * (grow[0] * wave[2] + 2 * grow[1] * wave[1] + grow[2] * wave[0])
     if spec.yaw_along:
-        out[:, 9] = np.unwrap(np.arctan2(out[:, 4], out[:, 3]))
-        square = np.maximum(out[:, 3] ** 2 + out[:, 4] ** 2, 1e-3)
-        out[:, 10] = (out[:, 3] * out[:, 7] - out[:, 4] * out[:, 6]) / square
+        (vx, vy, _), (ax, ay, _) = out["velocity"].T, out["acceleration"].T
+        out["yaw"] = np.unwrap(np.arctan2(vy, vx))
+        out["yaw_rate"] = (vx * ay - vy * ax) / np.maximum(vx**2 + vy**2, 1e-3)
     return out
 
 
-def _minimum_snap(points: Array, speed: float, time: Array) -> Array:
+def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
     """Degree-7 spline through the points, derivatives 1 to 3 zero at both ends, run back, and repeated."""
     loop = points if np.allclose(points[0], points[-1]) else np.vstack([points, points[-2::-1]])
     legs = np.linalg.norm(np.diff(loop, axis=0), axis=1)
@@ -129,46 +124,63 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> Array:
     rest: list[tuple[int, Array]] = [(order, np.zeros(3)) for order in (1, 2, 3)]
     curve: BSpline = make_interp_spline(knots, loop, k=7, bc_type=(rest, rest))
     at = np.mod(time, knots[-1])
-    out = np.zeros((time.size, len(COLUMNS)))
-    for order in range(3):
-        out[:, 3 * order : 3 * order + 3] = curve(at, nu=order)
+    out = np.zeros(time.size, SET_POINT)
+    for order, name in enumerate(DERIVATIVES):
+        out[name] = curve(at, nu=order)
     return out
 
 
-def _from_file(path: Path, time: Array) -> Array:
+def _from_file(path: Path, time: Array) -> SetPoints:
     try:
         rows = list(csv.DictReader(read_text(path, most_mb=100.0).splitlines()))
     except csv.Error as error:
         raise ValueError(f"{path}: cannot read the set-points: {error}") from None
     try:
-        table = np.array([[float(row[name]) for name in ("t", "x", "y", "z")] for row in rows])
+        clock = np.array([float(row["t"]) for row in rows])
+        points = np.array([[float(row[name]) for name in "xyz"] for row in rows])
         yaw = np.array([float(row.get("yaw") or 0.0) for row in rows])
     except (KeyError, TypeError, ValueError):
         raise ValueError(
             f"{path}: set-points need numbers in the columns t, x, y, z (and yaw, if wanted)"
         ) from None
-    if len(table) < 2 or not np.all(np.isfinite(table)) or np.any(np.diff(table[:, 0]) <= 0):
+    finite = np.isfinite(clock).all() and np.isfinite(points).all()
+    if len(rows) < 2 or not finite or np.any(np.diff(clock) <= 0):
         raise ValueError(f"{path}: set-points need two rows or more, finite, with rising t")
-    for name, values in zip("xyz", table[:, 1:].T, strict=True):
+    for name, values in zip("xyz", points.T, strict=True):
         COORDINATE.of(f"{path}: {name}", values[np.argmax(np.abs(values))])
-    at = np.clip(time, table[0, 0], table[-1, 0])
-    curve = CubicSpline(table[:, 0], np.column_stack([table[:, 1:], np.unwrap(yaw)]), bc_type="clamped")
-    value, slope, bend = (curve(at, nu) for nu in range(3))
-    over = time > table[-1, 0]
-    slope[over], bend[over] = 0.0, 0.0
-    return np.column_stack([value[:, :3], slope[:, :3], bend[:, :3], value[:, 3], slope[:, 3]])
+    at = np.clip(time, clock[0], clock[-1])
+    curve = CubicSpline(clock, np.column_stack([points, np.unwrap(yaw)]), bc_type="clamped")
+    out = np.zeros(time.size, SET_POINT)
+    for order, name in enumerate(DERIVATIVES):
+        out[name] = curve(at, order)[:, :3]
+    out["yaw"], out["yaw_rate"] = curve(at)[:, 3], curve(at, 1)[:, 3]
+    for name in ("velocity", "acceleration", "yaw_rate"):
+        out[name][time > clock[-1]] = 0.0
+    return out
 
 
-# --- random manoeuvres: a table of segments, flown by one compiled function ---
+# --- random manoeuvres: records of segments, flown by one compiled function ---
 
-# columns: start, length [s], kind, then for a dash or a jump its displacement (3), for a loop (a circle or
-# an eight) its two axis vectors (3 + 3), the frequency of the first, and that of the second over it
-_DASH, _LOOP, _PAUSE, _JUMP = 0.0, 1.0, 2.0, 3.0
+SEGMENT = np.dtype(
+    [
+        ("start", "f8"),  # [s]
+        ("length", "f8"),  # [s]
+        ("kind", "i8"),
+        ("first", "f8", 3),  # displacement of a dash or a jump, or the first axis of a loop [m]
+        ("second", "f8", 3),  # second axis of a loop, a circle or an eight [m]
+        ("omega", "f8"),  # frequency of the first axis [rad/s]
+        ("ratio", "f8"),  # of the second over the first
+    ]
+)
+TURN = np.dtype([("start", "f8"), ("length", "f8"), ("angle", "f8")])
+"""A turn of the heading [s, s, rad]."""
+_DASH, _LOOP, _PAUSE, _JUMP = range(4)
+ZERO = (0.0, 0.0, 0.0)
 _DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
 
 
-def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
-    rows: list[list[float]] = []
+def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np.void]:
+    rows: list[tuple[object, ...]] = []
     clock, where = 0.0, np.zeros(3)
     low, high = math.radians(min(spec.min_tilt_deg, spec.max_tilt_deg)), math.radians(spec.max_tilt_deg)
     while clock < end:
@@ -177,7 +189,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
         lateral = (GRAVITY - abs(climb)) * math.tan(rng.uniform(low, high))
         if draw < spec.pause_share:
             length = rng.uniform(*spec.pause_s)
-            row = [clock, length, _PAUSE]
+            row = (_PAUSE, ZERO, ZERO, 0.0, 0.0)
         elif draw < spec.pause_share + spec.circle_share:
             turns, period = int(rng.integers(1, 4)), rng.uniform(*spec.circle_s)
             length, omega = (turns + 2) * period, 2 * np.pi / period
@@ -186,12 +198,12 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
                 [[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]]
             )
             flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
-            row = [clock, length, _LOOP, *axes[0], bob, *(flat * axes[1]), -bob, omega, 1.0]
+            row = (_LOOP, (*axes[0], bob), (*(flat * axes[1]), -bob), omega, 1.0)
         elif draw < spec.pause_share + spec.circle_share + spec.jump_share:
             length, reach = rng.uniform(2.0, 4.0), rng.uniform(*spec.jump_m)
             move = reach * np.array([math.cos(heading), math.sin(heading), rng.uniform(-0.3, 0.3)])
             where = where + move
-            row = [clock, length, _JUMP, *move]
+            row = (_JUMP, move, ZERO, 0.0, 0.0)
         elif draw < spec.pause_share + spec.circle_share + spec.jump_share + spec.eight_share:
             laps, period = int(rng.integers(3, 9)), rng.uniform(*spec.eight_s)
             length, omega = (laps + 1) * period, 2 * np.pi / period
@@ -199,7 +211,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
             peak = 0.92 * lateral / (1.0 + share**2 / 4)  # of the two together: lateral; the window adds
             slow = share * peak / omega**2 * np.array([math.cos(heading), math.sin(heading)])
             fast = peak / (2 * omega) ** 2 * np.array([-math.sin(heading), math.cos(heading)])
-            row = [clock, length, _LOOP, *slow, 0.0, *fast, 0.5 * climb / (2 * omega) ** 2, omega, 2.0]
+            row = (_LOOP, (*slow, 0.0), (*fast, 0.5 * climb / (2 * omega) ** 2), omega, 2.0)
         else:
             length = rng.uniform(*spec.dash_s)
             if np.linalg.norm(where[:2]) > spec.radius:
@@ -210,33 +222,33 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> Array:
                 rise = -math.copysign(rise, where[2])
             move = np.array([reach * math.cos(heading), reach * math.sin(heading), rise])
             where = where + move
-            row = [clock, length, _DASH, *move]
-        rows.append(row + [0.0] * (11 - len(row)))
+            row = (_DASH, move, ZERO, 0.0, 0.0)
+        rows.append((clock, length, *row))
         clock += length
-    return np.array(rows)
+    return np.array(rows, SEGMENT)
 
 
-def _doublet_segments(spec: Doublets, end: float, rng: np.random.Generator) -> Array:
+def _doublet_segments(spec: Doublets, end: float, rng: np.random.Generator) -> NDArray[np.void]:
     reach = GRAVITY * math.tan(math.radians(spec.tilt_deg)) * spec.swing_s**2 / _DASH_PEAK
     rows, clock, turn = [], rng.uniform(0.2, 1.0), 0
     while clock < end:
         sign = 1.0 if turn % 4 < 2 else -1.0
-        move = [sign * reach, 0.0, 0.0] if turn % 2 == 0 else [0.0, sign * reach, 0.0]
-        rows.append([clock, spec.swing_s, _DASH, *move, *[0.0] * 5])
+        move = (sign * reach, 0.0, 0.0) if turn % 2 == 0 else (0.0, sign * reach, 0.0)
+        rows.append((clock, spec.swing_s, _DASH, move, ZERO, 0.0, 0.0))
         clock += spec.swing_s + spec.pause_s
         turn += 1
-    return np.array(rows)
+    return np.array(rows, SEGMENT)
 
 
-def _turns(max_rate: float, end: float, rng: np.random.Generator) -> Array:
-    """Turns of the heading: start [s], length [s], angle [rad]."""
+def _turns(max_rate: float, end: float, rng: np.random.Generator) -> NDArray[np.void]:
+    """Turns of the heading, records of `TURN`; none at a rate of 0."""
     rows, clock = [], 0.0
     while clock < end and max_rate > 0:
         length = rng.uniform(1.0, 4.0)
         # the rest-to-rest polynomial's largest slope is 35/16
-        rows.append([clock, length, rng.uniform(-1, 1) * max_rate * length * 16 / 35])
+        rows.append((clock, length, rng.uniform(-1, 1) * max_rate * length * 16 / 35))
         clock += length + rng.uniform(0.0, 2.0)
-    return np.array(rows).reshape(-1, 3)
+    return np.array(rows, TURN)
 
 
 @njit(cache=True)
@@ -249,52 +261,52 @@ def _rest_to_rest(s):
 
 @njit(cache=True)
 def _fly_segments(segments, turns, time, out):
-    base = out[0, :3].copy()
+    base = out[0].position.copy()
     seg, turn, heading = 0, 0, 0.0
     for k in range(time.size):
-        while seg < segments.shape[0] and time[k] >= segments[seg, 0] + segments[seg, 1]:
-            if segments[seg, 2] == _DASH or segments[seg, 2] == _JUMP:
-                base += segments[seg, 3:6]
+        while seg < segments.size and time[k] >= segments[seg].start + segments[seg].length:
+            if segments[seg].kind == _DASH or segments[seg].kind == _JUMP:
+                base += segments[seg].first
             seg += 1
-        out[k, :3] = base
-        if seg < segments.shape[0] and time[k] >= segments[seg, 0]:
+        p, v, acc = out[k].position, out[k].velocity, out[k].acceleration
+        p[:] = base
+        if seg < segments.size and time[k] >= segments[seg].start:
             row = segments[seg]
-            length = row[1]
-            s = (time[k] - row[0]) / length
-            if row[2] == _DASH:
+            length, first, second = row.length, row.first, row.second
+            s = (time[k] - row.start) / length
+            if row.kind == _DASH:
                 value, slope, bend = _rest_to_rest(s)
                 for i in range(3):
-                    out[k, i] += row[3 + i] * value
-                    out[k, 3 + i] = row[3 + i] * slope / length
-                    out[k, 6 + i] = row[3 + i] * bend / length**2
-            elif row[2] == _JUMP:
-                for i in range(3):
-                    out[k, i] += row[3 + i]
-            elif row[2] == _LOOP:
+                    p[i] += first[i] * value
+                    v[i] = first[i] * slope / length
+                    acc[i] = first[i] * bend / length**2
+            elif row.kind == _JUMP:
+                p += first
+            elif row.kind == _LOOP:
                 # the window rises over the first quarter of the segment and falls over the last
                 edge, sign = 4.0 * min(s, 1.0 - s), (1.0 if s < 0.5 else -1.0)
                 w, dw, ddw = _rest_to_rest(min(edge, 1.0))
                 dw, ddw = dw * 4.0 * sign / length, ddw * 16.0 / length**2
-                omega, ratio = row[9], row[10]
-                phase = omega * (time[k] - row[0])
+                omega, ratio = row.omega, row.ratio
+                phase = omega * (time[k] - row.start)
                 sin, cos = math.sin(phase), math.cos(phase)
                 if ratio == 1.0:  # a quarter of a period apart, so that it is round
                     sin_2, cos_2 = cos, -sin
                 else:
                     sin_2, cos_2 = math.sin(ratio * phase), math.cos(ratio * phase)
                 for i in range(3):
-                    a, b = row[3 + i], row[6 + i]
+                    a, b = first[i], second[i]
                     f = a * sin + b * sin_2
                     df = omega * (a * cos + ratio * b * cos_2)
                     ddf = -omega * omega * (a * sin + ratio * ratio * b * sin_2)
-                    out[k, i] += w * f
-                    out[k, 3 + i] = w * df + dw * f
-                    out[k, 6 + i] = w * ddf + 2.0 * dw * df + ddw * f
-        while turn < turns.shape[0] and time[k] >= turns[turn, 0] + turns[turn, 1]:
-            heading += turns[turn, 2]
+                    p[i] += w * f
+                    v[i] = w * df + dw * f
+                    acc[i] = w * ddf + 2.0 * dw * df + ddw * f
+        while turn < turns.size and time[k] >= turns[turn].start + turns[turn].length:
+            heading += turns[turn].angle
             turn += 1
-        out[k, 9] = heading
-        if turn < turns.shape[0] and time[k] >= turns[turn, 0]:
-            value, slope, _ = _rest_to_rest((time[k] - turns[turn, 0]) / turns[turn, 1])
-            out[k, 9] += turns[turn, 2] * value
-            out[k, 10] = turns[turn, 2] * slope / turns[turn, 1]
+        out[k].yaw = heading
+        if turn < turns.size and time[k] >= turns[turn].start:
+            value, slope, _ = _rest_to_rest((time[k] - turns[turn].start) / turns[turn].length)
+            out[k].yaw += turns[turn].angle * value
+            out[k].yaw_rate = turns[turn].angle * slope / turns[turn].length

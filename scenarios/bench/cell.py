@@ -171,7 +171,8 @@ def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Array, NDArray[np.
     for k in range(mission.steps):
         mission.step()
         write_row(
-            plant.position, plant.quat, (loop.true_attitude, loop.yaw), loop.attitude, mission.target,
+            plant.position, plant.quat, (loop.true_attitude, loop.yaw), loop.attitude,
+            mission.target["position"],
             controller.thrust_axis, plant.rotor_vel, controller.rotor_vel_cmd, command, log[k],
         )  # fmt: skip
         end[(mission.cause > 0) & (end > k)] = k

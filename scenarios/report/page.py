@@ -173,7 +173,7 @@ def _payload(
             "all": ALL,
             "best": next((name for name in ranked if name != TRUTH), None),
             "series_seed": 0,
-            "hubs": vehicle.hubs[:, :3].tolist(),
+            "hubs": vehicle.hubs.tolist(),
             "prop_radius": vehicle.frame.prop_radius,
         }
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
