@@ -109,11 +109,12 @@ def run_batch(
             for each in parameter_sets(params)
         ]
         return np.stack([run(est, gyro, accel, roll_pitch) for est in estimators])
-    matrix = parameter_matrix(name, params, rate_hz, airframe_constants(name, vehicle))
-    states = start(COMPILED[name], matrix, len(gyro), roll_pitch)
+    algorithm = COMPILED[name]
+    sets = algorithm.records(parameter_matrix(name, params, rate_hz, airframe_constants(name, vehicle)))
+    states = start(algorithm, sets, len(gyro), roll_pitch)
     out = np.empty((len(states), gyro.shape[1], 2))
-    COMPILED[name].sequence(states, matrix, 1.0 / rate_hz, gyro, accel, out)
-    return out.reshape(len(matrix), *gyro.shape[:2], 2)
+    algorithm.sequence(states, sets, 1.0 / rate_hz, gyro, accel, out)
+    return out.reshape(len(sets), *gyro.shape[:2], 2)
 
 
 def _run_observing(

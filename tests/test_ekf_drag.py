@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators import create, run
-from estimators.filters.ekf_drag import ERRORS, STATE, drag_of, propagate
-from estimators.filters.samples import COMMON
+from estimators.filters.ekf_drag import ERRORS, drag_of, propagate
 from estimators.metrics import attitude_error
 from quadsim.rotation import (
     matrix_from_quat,
@@ -117,7 +116,7 @@ def test_two_scalar_corrections_by_drag_are_filterpy_s_one_of_both_axes(make_fli
     reference = KalmanFilter(ERRORS, 2)
     reference.P, reference.H, reference.R = P, H, np.eye(2) * values["drag_noise"] ** 2 / dt
     reference.update(accel[:2] + drag * matrix.T[:2] @ v)
-    state = est._states[:, COMMON:].view(STATE)[0, 0]
+    state = est._states[0]
     np.testing.assert_allclose(state["gyro_bias"], reference.x[7:10, 0], atol=1e-9)
     np.testing.assert_allclose(state["accel_bias"], reference.x[10:13, 0], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(state["wind"], reference.x[5:7, 0], rtol=1e-3, atol=1e-5)
@@ -132,7 +131,7 @@ def test_covariance_stays_symmetric_and_positive(seed, rate, force):
     accel = rng.normal([0.0, 0.0, GRAVITY], force, (1, 2000, 3))
     est = filter_of()
     assert np.isfinite(run(est, gyro, accel)).all()
-    P = est._states[:, COMMON:].view(STATE)[0, 0]["covariance"]
+    P = est._states[0]["covariance"]
     np.testing.assert_allclose(P, P.T, atol=1e-9 * np.abs(P).max())
     assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > -1e-9 * np.abs(P).max()
 

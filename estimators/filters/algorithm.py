@@ -2,16 +2,16 @@
 
 An algorithm is one compiled step, `advance`, and two functions that loop over it, both of numba:
 
-    advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen) -> roll, pitch
-        Takes one sample: body rate [rad/s], and specific force [m/s²], zero if it is missing, and the
-        variance of what the vehicle turned unseen since the last sample [rad²], zero unless a rate is
-        missing. The state, size numbers, is column k of s, and is updated; the parameters are column k of p.
+    advance(s, p, k, sample) -> roll, pitch
+        Takes one `samples.Sample` for lane k of the state s, a record whose fields are updated, with the
+        parameters p, a record as well.
     sequence(states, params, dt, gyro, accel, out)
-        Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. states
-        (p·n, COMMON + size) and params (p, k): parameter set i flies flight j in row i·n + j; params in the
-        order of `Algorithm.parameters`. gyro, accel (n, T, 3); out (p·n, T, 2).
-    score(states, params, dt, gyro, accel, target, squared_error)
-        Only the sums of squared errors (p, n) [rad²] against target (n, T, 2), parameter sets side by side.
+        Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. Records
+        states (p·n,) and params (p,): parameter set i estimates flight j in state i·n + j. gyro, accel
+        (n, T, 3); out (p·n, T, 2).
+    score(states, params, dt, flights)
+        Only the sums of squared errors (p, n) [rad²] on flights (gyro, accel, target), target (n, T, 2),
+        parameter sets side by side.
 """
 
 import math
@@ -25,12 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 from quadsim.config.toml import nearest
 from quadsim.rotation import quat_from_roll_pitch, quat_normalize
 
-from .samples import COMMON, SKIPPED, fresh
+from .samples import initial_states
 
 Array = NDArray[np.float64]
+Records = NDArray[np.void]
 Scale = Literal["linear", "log", "one-minus-log"]
 FROM_VEHICLE = math.nan
-"""Default of a parameter that has none, for it is known of the vehicle."""
+"""Default of a parameter that only the vehicle's file gives."""
 
 
 @dataclass(frozen=True)
@@ -93,30 +94,23 @@ class Algorithm:
 
     name: str
     parameters: Mapping[str, Parameter]
+    state: np.dtype
+    """The filter's own fields. Those named quat (quat_WB), gyro_bias and velocity (in world axes at the
+    filter's own heading) are public."""
+    params: np.dtype
+    """Record of the parameters."""
     sequence: Callable[..., None]
-    score: Callable[..., None]
-    size: int
-    """Columns of state after the common ones."""
-    start: Callable[[Array, Array, bool, Array], None]
-    """start(own, quat, known, params): fill (rows, size) from quat (rows, 4) and params (rows, k)."""
-    quat: slice | None = None
-    """The filter's own columns that hold quat_WB."""
-    gyro_bias: slice | None = None
-    """Those that hold the gyroscope's bias."""
-    velocity: slice | None = None
-    """Those that hold the velocity, world axes at the filter's own heading."""
+    score: Callable[..., Array]
+    start: Callable[[Records, Array, bool, Records], None]
+    """start(states, quat, known, params): initialise records (rows,) from quat (rows, 4), params (rows,)."""
 
-
-def record_columns(state: np.dtype, field: str) -> slice:
-    """Columns of float64 that a field takes in a filter's own state, where that is a record."""
-    names = list(state.names or ())
-    ends = np.cumsum([state[name].itemsize // 8 for name in names])
-    last = int(ends[names.index(field)])
-    return slice(last - state[field].itemsize // 8, last)
+    def records(self, matrix: Array) -> Records:
+        """Parameter sets (p, k), in the order of `parameters`, as records (p,)."""
+        return np.ascontiguousarray(matrix).view(self.params)[:, 0]
 
 
 class Filter:
-    """A compiled filter flying n vehicles; follows `quadsim.estimator.AttitudeEstimator`."""
+    """A compiled filter of n vehicles, a `quadsim.estimator.AttitudeEstimator`."""
 
     def __init__(self, algorithm: Algorithm, rate_hz: float, values: Mapping[str, float]) -> None:
         """Make the filter for one vehicle; `reset` changes their number.
@@ -127,12 +121,12 @@ class Filter:
             values: All its parameters.
         """
         self.algorithm, self.rate_hz, self.values = algorithm, rate_hz, dict(values)
-        self._params = np.array([[values[name] for name in algorithm.parameters]])
+        self._params = algorithm.records(np.array([[values[name] for name in algorithm.parameters]]))
         self._sequence, self._dt = algorithm.sequence, 1.0 / rate_hz
         self.reset()
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None) -> None:
-        """Forget everything and start n vehicles: level, or at a known attitude.
+        """Initialise n vehicles: level, or at a known attitude.
 
         Args:
             n: Number of vehicles.
@@ -148,7 +142,7 @@ class Filter:
     def restart(
         self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
     ) -> None:
-        """Start some of the vehicles again, the others fly on; attitudes (len(ids), ·) as in `reset`."""
+        """Initialise some vehicles again, the others continue; attitudes (len(ids), ·) as in `reset`."""
         rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
         if rows.size > 0:
             self._states[rows] = start(self.algorithm, self._params, rows.size, roll_pitch, quat)
@@ -179,42 +173,40 @@ class Filter:
     @property
     def skipped(self) -> NDArray[np.int64]:
         """Samples since reset that were missing in part or whole, (n,)."""
-        return self._states[:, SKIPPED].astype(np.int64)
+        return self._states["skipped"].astype(np.int64)
 
     @property
     def quat(self) -> Array:
         """Estimated quat_WB (n, 4)."""
-        return self._part("quat", "a quaternion")
+        return self._field("quat", "a quaternion")
 
     @property
     def gyro_bias(self) -> Array:
         """Estimated gyroscope bias (n, 3) [rad/s]."""
-        return self._part("gyro_bias", "a gyroscope bias")
+        return self._field("gyro_bias", "a gyroscope bias")
 
     @property
     def velocity(self) -> Array:
         """Estimated velocity in the world axes of `quat`, (n, 3) [m/s]."""
-        return self._part("velocity", "a velocity")
+        return self._field("velocity", "a velocity")
 
-    def _part(self, attribute: str, what: str) -> Array:
-        columns: slice | None = getattr(self.algorithm, attribute)
-        if columns is None:
+    def _field(self, name: str, what: str) -> Array:
+        if name not in (self.algorithm.state.names or ()):
             raise AttributeError(f"{self.algorithm.name} does not estimate {what}")
-        return self._states[:, COMMON:][:, columns].copy()
+        return self._states[name].reshape(self._shape[0], -1).copy()
 
 
 def start(
     algorithm: Algorithm,
-    params: Array,
+    params: Records,
     n: int,
     roll_pitch: ArrayLike | None = None,
     quat: ArrayLike | None = None,
-) -> Array:
-    """State rows of parameter sets (p, k) on n flights, (p·n, COMMON + size), from one attitude a flight."""
+) -> Records:
+    """States of parameter sets (p,) on n flights, (p·n,), from one attitude a flight."""
     attitude, known = initial_quat(n, roll_pitch, quat)
-    sets = len(params)
-    states = fresh(sets * n, algorithm.size)
-    algorithm.start(states[:, COMMON:], np.tile(attitude, (sets, 1)), known, np.repeat(params, n, axis=0))
+    states = initial_states(len(params) * n, algorithm.state)
+    algorithm.start(states, np.tile(attitude, (len(params), 1)), known, np.repeat(params, n))
     return states
 
 

@@ -9,12 +9,14 @@ covariance σ² / dt I. Noises are densities, so that the filter acts alike at a
 of the last two samples. `filterpy_filters` holds the same filter on filterpy's classes.
 """
 
+import numpy as np
+
 from quadsim.rotation import multiply_core, normalize_core
 from quadsim.runs.compiled import njit
 
-from .algorithm import Algorithm, Array, Parameter
-from .inline_math import direction_core, exp_core, roll_pitch_core
-from .samples import LANES, by_lanes, by_rows
+from .algorithm import Algorithm, Array, Parameter, Records
+from .inline_math import direction_core, exp_core, four, put_four, roll_pitch_core
+from .samples import LANES, by_lanes, by_rows, lanes_of, parameter_record
 
 SIGMA_KNOWN = 0.01
 """Standard deviation of a known initial attitude [rad]."""
@@ -23,19 +25,15 @@ SIGMA_UNKNOWN = 0.5
 NOTHING_KNOWN = 1e300
 """Variance of a measurement that is missing."""
 
-SIZE = 20
+STATE = np.dtype([("quat", "f8", 4), ("covariance", "f8", (4, 4))])
 
-
-@njit
-def four(s, first, k):
-    """Four columns of the state."""
-    return s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k]
-
-
-@njit
-def put_four(s, first, k, row):
-    """Write them."""
-    s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k] = row
+PARAMETERS = {
+    "gyro_noise": Parameter(0.005, 1e-5, 0.3),
+    "accel_noise": Parameter(0.05, 1e-3, 10.0, minimum=1e-9),
+}
+"""Noise densities N of the rate [rad/√s] and σ of the measured direction [√s]."""
+PARAMS = parameter_record(PARAMETERS)
+STATE_LANES, PARAM_LANES = lanes_of(STATE, LANES), lanes_of(PARAMS, LANES)
 
 
 @njit
@@ -76,7 +74,7 @@ def predicted(P0, P1, P2, P3, step, noise):
 
 @njit(error_model="numpy")
 def corrected(P0, P1, P2, P3, dx, h, residual, variance):
-    """One scalar measurement of row h: the rows of P, and the error dx found so far, after it."""
+    """One scalar measurement of row h: the rows of P, and the error dx estimated so far, after it."""
     column = (dot(P0, h), dot(P1, h), dot(P2, h), dot(P3, h))
     gain = 1.0 / (dot(h, column) + variance)
     dx = plus(dx, gain * (residual - dot(h, dx)), column)
@@ -90,18 +88,22 @@ def corrected(P0, P1, P2, P3, dx, h, residual, variance):
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
-    """State: q, P by rows. Params: noise densities N of the rate [rad/√s], σ of the measured direction [√s].
+def advance(s, p, k, sample):
+    """See `algorithm`.
 
     The noises of the measurement's axes are independent, so that correcting by one after the other equals
     correcting by all at once. A missing force has the variance of nothing known: a branch would keep the
-    compiler from vectors. See `filters` for the arguments.
+    compiler from vectors.
     """
+    dt, P = sample.dt, s.covariance
+    gx, gy, gz = sample.gyro
+    ax, ay, az = sample.accel
     step = exp_core(gx * dt, gy * dt, gz * dt)
-    q = times(four(s, 0, k), step)
-    noise, found = 0.25 * (p[0, k] * p[0, k] * dt + unseen), ax != 0.0 or ay != 0.0 or az != 0.0
-    variance = p[1, k] * p[1, k] / dt + (0.0 if found else NOTHING_KNOWN)
-    P0, P1, P2, P3 = predicted(four(s, 4, k), four(s, 8, k), four(s, 12, k), four(s, 16, k), step, noise)
+    q = times(four(s.quat, k), step)
+    noise = 0.25 * (p.gyro_noise[k] * p.gyro_noise[k] * dt + sample.unseen)
+    found = ax != 0.0 or ay != 0.0 or az != 0.0
+    variance = p.accel_noise[k] * p.accel_noise[k] / dt + (0.0 if found else NOTHING_KNOWN)
+    P0, P1, P2, P3 = predicted(four(P[0], k), four(P[1], k), four(P[2], k), four(P[3], k), step, noise)
     ax, ay, az = direction_core(ax, ay, az)
     w, x, y, z = q
     dx, residual = (0.0, 0.0, 0.0, 0.0), ax - 2.0 * (x * z - w * y)
@@ -117,33 +119,30 @@ def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
         P0, P1, P2, P3, dx, (2.0 * w, -2.0 * x, -2.0 * y, 2.0 * z), residual, variance
     )
     q = normalize_core(w + dx[0], x + dx[1], y + dx[2], z + dx[3])
-    put_four(s, 0, k, q)
-    put_four(s, 4, k, P0)
-    put_four(s, 8, k, P1)
-    put_four(s, 12, k, P2)
-    put_four(s, 16, k, P3)
+    put_four(s.quat, k, q)
+    put_four(P[0], k, P0)
+    put_four(P[1], k, P1)
+    put_four(P[2], k, P2)
+    put_four(P[3], k, P3)
     return roll_pitch_core(q[0], q[1], q[2], q[3])
 
 
 @njit(cache=True, nogil=True)
 def sequence(states, params, dt, gyro, accel, out):
-    """See `filters`."""
+    """See `algorithm`."""
     by_rows(advance, True, states, params, dt, gyro, accel, out)
 
 
 @njit(cache=True, nogil=True)
-def score(states, params, dt, gyro, accel, target, squared_error):
-    """See `filters`."""
-    by_lanes(advance, LANES, True, states, params, dt, gyro, accel, target, squared_error)
+def score(states, params, dt, flights):
+    """See `algorithm`."""
+    work = np.empty(1, STATE_LANES), np.empty(1, PARAM_LANES)
+    return by_lanes(advance, True, work, states, params, dt, flights)
 
 
-def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
-    own[:, :4] = quat
-    own[:, 4::5] = 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
+def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    states["quat"][..., 0] = quat
+    states["covariance"][:, range(4), range(4), 0] = 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
 
 
-PARAMETERS = {
-    "gyro_noise": Parameter(0.005, 1e-5, 0.3),
-    "accel_noise": Parameter(0.05, 1e-3, 10.0, minimum=1e-9),
-}
-EKF = Algorithm("ekf", PARAMETERS, sequence, score, SIZE, _start, quat=slice(0, 4))
+EKF = Algorithm("ekf", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start)

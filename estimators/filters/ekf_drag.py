@@ -1,6 +1,6 @@
-"""Error-state Kalman filter that is given the airframe's drag, and adapts its noise to what it meets.
+"""Error-state Kalman filter that is given the airframe's drag, and adapts its noise to its innovations.
 
-Without drag the accelerometer of a flying quadrotor reads thrust along body z at any tilt. What is left
+Without drag the accelerometer of a flying quadrotor reads thrust along body z at any tilt. The part
 across it is rotor and frame drag, so it measures velocity through the air, not tilt (Martin & Salaün, "The
 true role of accelerometer feedback in quadrotor control", ICRA 2010; Leishman et al., "Quadrotors and
 accelerometers", IEEE Control Systems 34(1), 2014). Tilt then follows from how that velocity changes.
@@ -44,11 +44,11 @@ from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotat
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 
-from .algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, record_columns
+from .algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, Records
 from .ekf import SIGMA_KNOWN
 from .eskf import turned
 from .inline_math import roll_pitch_core
-from .samples import COMMON, square_of_error, usable_between
+from .samples import SAMPLES, parameter_record, sanitise_midpoint, square_of_error
 
 ERRORS = 13
 TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS = 0, 2, 5, 7, 10
@@ -79,7 +79,7 @@ STATE = np.dtype(
         ("slow", "f8", 6),
     ]
 )
-"""What the filter keeps of a vehicle."""
+"""The filter's state."""
 
 PARAMETERS = {
     # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
@@ -136,7 +136,9 @@ PARAMETERS = {
 }
 """What a user or `quadsim tune` may change; units in the comments."""
 
-PARAMS = np.dtype([(name, "f8") for name in PARAMETERS])
+PARAMS = parameter_record(PARAMETERS)
+OWN = SAMPLES.itemsize // 8
+"""Numbers before the first of the filter's own fields."""
 
 INNOVATION_MAX = 5.0
 """Innovations count no further: one bad reading does no lasting harm [m/s²]."""
@@ -192,7 +194,7 @@ def correct(P, dx, column, total, residual):
 
     Args:
         P: Covariance.
-        dx: Error found so far.
+        dx: Error estimated so far.
         column: P hᵀ.
         total: h P hᵀ and the measurement's variance.
         residual: Measured less expected, less h dx.
@@ -205,33 +207,33 @@ def correct(P, dx, column, total, residual):
 
 
 @njit
-def correct_by_drag(P, dx, column, matrix, s, accel, drag, variance, innovation):
+def correct_by_drag(s, accel, drag, variance, matrix, work):
     """Correct by the specific force across thrust, one axis after the other.
 
     Args:
-        P: Covariance.
-        dx: Error found so far.
-        column: Scratch.
-        matrix: R̂ by rows.
         s: The vehicle's record.
         accel: Specific force (3,) [m/s²].
         drag: D [1/s].
         variance: Of the measurement, each axis [m²/s⁴].
-        innovation: Measured less expected before the correction (2,), body axes [m/s²]; written.
+        matrix: R̂ by rows.
+        work: From `scratch`; adds to the error dx, writes the innovation in body axes before the correction
+            (2,) [m/s²].
     """
+    _, dx, column, _, innovation = work
+    P = s.covariance
     v, w, c = s.velocity, s.wind, s.accel_bias
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
         expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + c[k]
         innovation[k] = min(max(accel[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
-        found = x * (dx[VELOCITY] - dx[WIND]) + y * (dx[VELOCITY + 1] - dx[WIND + 1])
-        found += z * dx[VELOCITY + 2] + dx[ACCEL_BIAS + k]
+        known = x * (dx[VELOCITY] - dx[WIND]) + y * (dx[VELOCITY + 1] - dx[WIND + 1])
+        known += z * dx[VELOCITY + 2] + dx[ACCEL_BIAS + k]
         for a in range(ERRORS):
             column[a] = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
             column[a] += z * P[VELOCITY + 2, a] + P[ACCEL_BIAS + k, a]
         total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
         total += z * column[VELOCITY + 2] + column[ACCEL_BIAS + k]
-        correct(P, dx, column, total + variance, innovation[k] - found)
+        correct(P, dx, column, total + variance, innovation[k] - known)
 
 
 @njit
@@ -248,8 +250,8 @@ def correct_by_zero_velocity(P, dx, column, v, speed_variance, climb_variance):
         for a in range(ERRORS):
             column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
         total = x * column[TILT] + y * column[TILT + 1] + column[VELOCITY + k]
-        found = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
-        correct(P, dx, column, total + (climb_variance if k == 2 else speed_variance), -v[k] - found)
+        known = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
+        correct(P, dx, column, total + (climb_variance if k == 2 else speed_variance), -v[k] - known)
 
 
 @njit
@@ -258,9 +260,8 @@ def correct_by_zero_rate(P, dx, column, gyro, bias, variance):
     for k in range(3):
         for a in range(ERRORS):
             column[a] = P[GYRO_BIAS + k, a]
-        correct(
-            P, dx, column, column[GYRO_BIAS + k] + variance, gyro[k] - bias[k] - dx[GYRO_BIAS + k]
-        )  # fmt: skip
+        residual = gyro[k] - bias[k] - dx[GYRO_BIAS + k]
+        correct(P, dx, column, column[GYRO_BIAS + k] + variance, residual)
 
 
 @njit
@@ -274,11 +275,8 @@ def airspeed_variance(P):
 @njit
 def bias_variance(P):
     """Variance of the gyroscope's bias, all axes summed [rad²/s²]."""
-    return (
-        P[GYRO_BIAS, GYRO_BIAS]
-        + P[GYRO_BIAS + 1, GYRO_BIAS + 1]
-        + P[GYRO_BIAS + 2, GYRO_BIAS + 2]
-    )  # fmt: skip
+    x, y, z = GYRO_BIAS, GYRO_BIAS + 1, GYRO_BIAS + 2
+    return P[x, x] + P[y, y] + P[z, z]
 
 
 @njit
@@ -321,7 +319,7 @@ def adapt_bias(s, p, dt, dx, P, removed):
 
 @njit
 def gust_noise(s, p, noise, dt, drag):
-    """Process noise of the wind that a low-passed innovation beyond its variance calls for [m²/s³]."""
+    """Process noise of the wind by a low-passed innovation beyond its variance [m²/s³]."""
     square = s.innovation_mean[0] ** 2 + s.innovation_mean[1] ** 2
     return max(square - p.gust_ratio * noise * dt / p.gust_window, 0.0) / p.gust_window / (drag * drag)
 
@@ -347,33 +345,34 @@ def mean_square(value, square, dt, time, memory):
 
 
 @njit
-def measure(s, p, dt, gyro, accel, quat, matrix, dx, column, innovation):
+def measure(s, p, sample, quat, matrix, work):
     """All corrections by one sample: adds to the error dx, reduces the covariance, adapts the noise."""
-    P, v, w = s.covariance, s.velocity, s.wind
+    _, dx, column, _, innovation = work
+    P, v, w, dt, gyro, accel = s.covariance, s.velocity, s.wind, sample.dt, sample.gyro, sample.accel
     speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
     drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time + p.frame_drag * speed
     noise = max(s.vibration, p.drag_noise**2 / dt)
     airspeed, bias = airspeed_variance(P), bias_variance(P)
-    correct_by_drag(
-        P, dx, column, matrix, s, accel, drag, noise + p.model_noise**2 * s.accel_square / dt, innovation
-    )  # fmt: skip
+    variance = noise + p.model_noise**2 * s.accel_square / dt
+    correct_by_drag(s, accel, drag, variance, matrix, work)
     x, y, _ = rotate_core(quat[0], quat[1], quat[2], quat[3], innovation[0], innovation[1], 0.0)
     adapt_vibration(s, p, dt, x, y)
     if s.time > p.wind_window:  # the first corrections are those of the initial state
         adapt_wind(s, p, dt, dx, airspeed - airspeed_variance(P))
         adapt_bias(s, p, dt, dx, P, bias - bias_variance(P))
-    spread = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
-    correct_by_zero_velocity(P, dx, column, v, spread / dt, p.climb_noise**2 / dt)
+    density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
+    correct_by_zero_velocity(P, dx, column, v, density / dt, p.climb_noise**2 / dt)
     s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, p.speed_memory)
     if at_rest(s, p, dt, gyro, accel):
         correct_by_zero_rate(P, dx, column, gyro, s.gyro_bias, p.rest_noise**2 / dt)
 
 
 @njit
-def advance(s, p, dt, gyro, accel, unseen, scratch):
-    """Take one sample; s is a vehicle's record, p its parameters."""
-    T, dx, column, walks, innovation = scratch
+def advance(s, p, sample, work):
+    """Take one `Sample`; s is a vehicle's record, p its parameters, work from `scratch`."""
+    T, dx, _, walks, _ = work
     v, w, b, c = s.velocity, s.wind, s.gyro_bias, s.accel_bias
+    dt, gyro, accel, unseen = sample.dt, sample.gyro, sample.accel, sample.unseen
     s.time += dt
     noise = max(s.vibration, p.drag_noise**2 / dt)
     walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + unseen
@@ -382,9 +381,8 @@ def advance(s, p, dt, gyro, accel, unseen, scratch):
     walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
     walks[ACCEL_BIAS:] = p.accel_bias_noise**2 * dt
     turn = from_rotvec_core((gyro[0] - b[0]) * dt, (gyro[1] - b[1]) * dt, (gyro[2] - b[2]) * dt)
-    qw, qx, qy, qz = multiply_core(
-        s.quat[0], s.quat[1], s.quat[2], s.quat[3], turn[0], turn[1], turn[2], turn[3]
-    )  # fmt: skip
+    qw, qx, qy, qz = s.quat
+    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, turn[0], turn[1], turn[2], turn[3])
     matrix = matrix_core(qw, qx, qy, qz)
     propagate(s.covariance, T, matrix, v, w, dt, walks)
     dx[:] = 0.0
@@ -395,7 +393,7 @@ def advance(s, p, dt, gyro, accel, unseen, scratch):
             v[k] += 0.5 * (now[k] + (s.accel_W[k] if s.time > dt else now[k])) * dt
             s.accel_W[k] = now[k]
         s.accel_square = mean_square(s.accel_square, fx * fx + fy * fy, dt, s.time, p.accel_memory)
-        measure(s, p, dt, gyro, accel, (qw, qx, qy, qz), matrix, dx, column, innovation)
+        measure(s, p, sample, (qw, qx, qy, qz), matrix, work)
     qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
     s.quat[0], s.quat[1], s.quat[2], s.quat[3] = qw, qx, qy, qz
     rw, rx, ry, rz = from_rotvec_core(dx[TILT], dx[TILT + 1], 0.0)
@@ -442,15 +440,14 @@ def begin(s, p, known):
 
 @njit
 def scratch():
-    """Arrays for `advance`."""
+    """Arrays for `advance`: (13, 13); the error dx, a column of P, process noise (13,); innovation (2,)."""
     return np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(2)
 
 
 @njit
-def step(common, own, s, p, dt, gyro, accel, i, t, work):
-    """Sanitise and take sample t of flight i; a filter that has diverged starts again, level."""
-    gx, gy, gz, ax, ay, az, unseen = usable_between(common, dt, gyro, accel, i, t)
-    roll_pitch = advance(s, p, dt, (gx, gy, gz), (ax, ay, az), unseen, work)
+def step(s, own, p, sample, work):
+    """Take a sample; a filter that has diverged starts again, level. own: the record's own numbers."""
+    roll_pitch = advance(s, p, sample, work)
     if diverged(s):
         own[:] = 0.0
         s.quat[0] = 1.0
@@ -460,26 +457,31 @@ def step(common, own, s, p, dt, gyro, accel, i, t, work):
 
 
 @njit(cache=True, nogil=True)
-def _sequence(common, own, states, params, dt, gyro, accel, out):
+def sequence(states, params, dt, gyro, accel, out):
+    """See `algorithm`."""
     n, steps = gyro.shape[:2]
-    work = scratch()
+    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, OWN:]
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
-            out[row, t, 0], out[row, t, 1] = step(common[row], own[row], s, p, dt, gyro, accel, i, t, work)
+            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
+            out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample, work)
 
 
 @njit(cache=True, nogil=True)
-def _score(common, own, states, params, dt, gyro, accel, target, squared_error):
+def score(states, params, dt, flights):
+    """See `algorithm`; one set after the other: its covariance is too large to lie side by side."""
+    gyro, accel, target = flights
     n, steps = gyro.shape[:2]
-    work = scratch()
+    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, OWN:]
+    squared_error = np.zeros((params.shape[0], n))
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
-        total = 0.0
         for t in range(steps):
-            roll, pitch = step(common[row], own[row], s, p, dt, gyro, accel, i, t, work)
-            total += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
-        squared_error[row // n, i] = total
+            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
+            roll, pitch = step(s, own[row], p, sample, work)
+            squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
+    return squared_error
 
 
 @njit(cache=True)
@@ -488,40 +490,12 @@ def _begin(states, params, known):
         begin(states[i], params[i], known)
 
 
-def records(states: Array, params: Array) -> tuple[Array, Array, np.ndarray, np.ndarray]:
-    """Common columns (rows, COMMON), the filter's own, those and the parameter sets as records."""
-    own = states[:, COMMON:]
-    return states[:, :COMMON], own, own.view(STATE)[:, 0], params.view(PARAMS)[:, 0]
+def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    states["quat"] = quat
+    _begin(states, params, known)
 
 
-def sequence(states: Array, params: Array, dt: float, gyro: Array, accel: Array, out: Array) -> None:
-    """See `filters`."""
-    _sequence(*records(states, params), dt, gyro, accel, out)
-
-
-def score(
-    states: Array, params: Array, dt: float, gyro: Array, accel: Array, target: Array, squared_error: Array
-) -> None:
-    """See `filters`; one set after the other: its covariance is too large to lie side by side."""
-    _score(*records(states, params), dt, gyro, accel, target, squared_error)
-
-
-def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
-    own[:, :4] = quat
-    _begin(own.view(STATE)[:, 0], np.ascontiguousarray(params).view(PARAMS)[:, 0], known)
-
-
-EKF_DRAG = Algorithm(
-    "ekf-drag",
-    PARAMETERS,
-    sequence,
-    score,
-    STATE.itemsize // 8,
-    _start,
-    quat=record_columns(STATE, "quat"),
-    gyro_bias=record_columns(STATE, "gyro_bias"),
-    velocity=record_columns(STATE, "velocity"),
-)
+EKF_DRAG = Algorithm("ekf-drag", PARAMETERS, STATE, PARAMS, sequence, score, _start)
 
 
 def drag_of(vehicle: Vehicle) -> dict[str, float]:

@@ -14,16 +14,30 @@ magnitude is from gravity: σ² / dt (1 + (κ (|a| / g − 1))²).
 
 import math
 
+import numpy as np
+
 from quadsim.rotation import matrix_core, multiply_core, normalize_core, rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Parameter
+from .algorithm import Algorithm, Array, Parameter, Records
 from .ekf import NOTHING_KNOWN, SIGMA_KNOWN, SIGMA_UNKNOWN
-from .inline_math import atan2_core, exp_core, roll_pitch_core
-from .samples import LANES, by_lanes, by_rows
+from .inline_math import atan2_core, exp_core, four, put_four, roll_pitch_core, three
+from .samples import LANES, by_lanes, by_rows, lanes_of, parameter_record
 
-SIZE = 32
+STATE = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("covariance", "f8", (5, 5))])
+
+PARAMETERS = {
+    "gyro_noise": Parameter(0.003, 1e-5, 0.3),
+    "accel_noise": Parameter(0.05, 1e-3, 10.0, minimum=1e-9),
+    "force_weight": Parameter(1.0, 0.01, 100.0),
+    "bias_noise": Parameter(1e-4, 1e-6, 1e-2),
+    "bias_sigma": Parameter(0.01, 1e-4, 0.1),
+}
+"""Noise densities of the rate [rad/√s] and of the measured tilt [rad √s]; κ; noise density of the bias's walk
+[rad/s/√s] and standard deviation of the initial bias [rad/s]."""
+PARAMS = parameter_record(PARAMETERS)
+STATE_LANES, PARAM_LANES = lanes_of(STATE, LANES), lanes_of(PARAMS, LANES)
 
 
 @njit(error_model="numpy")
@@ -43,15 +57,15 @@ def turned(qw, qx, qy, qz, x, y):
 
 
 @njit
-def five(s, first, k):
-    """Five columns of the state."""
-    return s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k], s[first + 4, k]
+def five(field, k):
+    """Lane k of a field (5, lanes)."""
+    return field[0, k], field[1, k], field[2, k], field[3, k], field[4, k]
 
 
 @njit
-def put_five(s, first, k, row):
-    """Write them."""
-    s[first, k], s[first + 1, k], s[first + 2, k], s[first + 3, k], s[first + 4, k] = row
+def put_five(field, k, values):
+    """Write it."""
+    field[0, k], field[1, k], field[2, k], field[3, k], field[4, k] = values
 
 
 @njit
@@ -77,8 +91,9 @@ def turned_by_bias(row, r, dt):
 
 
 @njit
-def propagated(P0, P1, P2, P3, P4, r, dt, attitude_walk, bias_walk):
+def propagated(rows, r, dt, attitude_walk, bias_walk):
     """F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]], from and to rows of P; r is R̂ by rows."""
+    P0, P1, P2, P3, P4 = rows
     P0 = plus(plus(plus(P0, -dt * r[0], P2), -dt * r[1], P3), -dt * r[2], P4)
     P1 = plus(plus(plus(P1, -dt * r[3], P2), -dt * r[4], P3), -dt * r[5], P4)
     P0, P1, P2, P3, P4 = (
@@ -98,20 +113,17 @@ def propagated(P0, P1, P2, P3, P4, r, dt, attitude_walk, bias_walk):
 
 
 @njit(error_model="numpy")
-def corrected(P0, P1, P2, P3, P4, dx, column, residual, total):
-    """One measurement of an error of the state: the rows of P, and the error dx found so far, after it.
+def corrected(rows, dx, column, residual, total):
+    """One measurement of an error of the state: the rows of P, and the error dx estimated so far, after it.
 
     Args:
-        P0: Rows of P, like the next four.
-        P1: ...
-        P2: ...
-        P3: ...
-        P4: ...
-        dx: Error found so far.
+        rows: Rows of P.
+        dx: Error estimated so far.
         column: Column of P that belongs to the error measured.
         residual: Measured less dx.
         total: Variance of the error and the measurement.
     """
+    P0, P1, P2, P3, P4 = rows
     gain = 1.0 / total
     return (
         plus(P0, -gain * column[0], column),
@@ -124,67 +136,63 @@ def corrected(P0, P1, P2, P3, P4, dx, column, residual, total):
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
-    """State: q, bias, P by rows. Params as in `PARAMETERS`. See `filters` for the arguments.
+def advance(s, p, k, sample):
+    """See `algorithm`.
 
     A missing specific force has the variance of nothing known: a branch would keep the compiler from vectors.
     """
-    walk, bias_walk = p[0, k] * p[0, k] * dt + unseen, p[3, k] * p[3, k] * dt
-    bx, by, bz = s[4, k], s[5, k], s[6, k]
+    dt, P = sample.dt, s.covariance
+    gx, gy, gz = sample.gyro
+    ax, ay, az = sample.accel
+    walk = p.gyro_noise[k] * p.gyro_noise[k] * dt + sample.unseen
+    bias_walk = p.bias_noise[k] * p.bias_noise[k] * dt
+    bx, by, bz = three(s.gyro_bias, k)
     ew, ex, ey, ez = exp_core((gx - bx) * dt, (gy - by) * dt, (gz - bz) * dt)
-    qw, qx, qy, qz = multiply_core(s[0, k], s[1, k], s[2, k], s[3, k], ew, ex, ey, ez)
-    P0, P1, P2, P3, P4 = propagated(
-        five(s, 7, k), five(s, 12, k), five(s, 17, k), five(s, 22, k), five(s, 27, k),
-        matrix_core(qw, qx, qy, qz), dt, walk, bias_walk,
-    )  # fmt: skip
+    qw, qx, qy, qz = four(s.quat, k)
+    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, ew, ex, ey, ez)
+    rows = five(P[0], k), five(P[1], k), five(P[2], k), five(P[3], k), five(P[4], k)
+    P0, P1, P2, P3, P4 = propagated(rows, matrix_core(qw, qx, qy, qz), dt, walk, bias_walk)
     force = math.sqrt(ax * ax + ay * ay + az * az)
     wx, wy, wz = rotate_core(qw, qx, qy, qz, ax, ay, az)
     tilt_x, tilt_y = tilt_core(wx, wy, wz)
-    excess = p[2, k] * (force / GRAVITY - 1.0)
-    variance = p[1, k] * p[1, k] / dt * (1.0 + excess * excess) + (0.0 if force > 0.0 else NOTHING_KNOWN)
+    excess = p.force_weight[k] * (force / GRAVITY - 1.0)
+    variance = p.accel_noise[k] * p.accel_noise[k] / dt * (1.0 + excess * excess)
+    variance += 0.0 if force > 0.0 else NOTHING_KNOWN
     dx = (0.0, 0.0, 0.0, 0.0, 0.0)
     column = (P0[0], P1[0], P2[0], P3[0], P4[0])
-    P0, P1, P2, P3, P4, dx = corrected(P0, P1, P2, P3, P4, dx, column, tilt_x, P0[0] + variance)
+    rows = P0, P1, P2, P3, P4
+    P0, P1, P2, P3, P4, dx = corrected(rows, dx, column, tilt_x, P0[0] + variance)
     column = (P0[1], P1[1], P2[1], P3[1], P4[1])
-    P0, P1, P2, P3, P4, dx = corrected(P0, P1, P2, P3, P4, dx, column, tilt_y - dx[1], P1[1] + variance)
+    rows = P0, P1, P2, P3, P4
+    P0, P1, P2, P3, P4, dx = corrected(rows, dx, column, tilt_y - dx[1], P1[1] + variance)
     qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
-    bx, by, bz = bx + dx[2], by + dx[3], bz + dx[4]
-    s[0, k], s[1, k], s[2, k], s[3, k], s[4, k], s[5, k], s[6, k] = qw, qx, qy, qz, bx, by, bz
-    put_five(s, 7, k, P0)
-    put_five(s, 12, k, P1)
-    put_five(s, 17, k, P2)
-    put_five(s, 22, k, P3)
-    put_five(s, 27, k, P4)
+    put_four(s.quat, k, (qw, qx, qy, qz))
+    s.gyro_bias[0, k], s.gyro_bias[1, k], s.gyro_bias[2, k] = bx + dx[2], by + dx[3], bz + dx[4]
+    put_five(P[0], k, P0)
+    put_five(P[1], k, P1)
+    put_five(P[2], k, P2)
+    put_five(P[3], k, P3)
+    put_five(P[4], k, P4)
     return roll_pitch_core(qw, qx, qy, qz)
 
 
 @njit(cache=True, nogil=True)
 def sequence(states, params, dt, gyro, accel, out):
-    """See `filters`."""
+    """See `algorithm`."""
     by_rows(advance, True, states, params, dt, gyro, accel, out)
 
 
 @njit(cache=True, nogil=True)
-def score(states, params, dt, gyro, accel, target, squared_error):
-    """See `filters`."""
-    by_lanes(advance, LANES, True, states, params, dt, gyro, accel, target, squared_error)
+def score(states, params, dt, flights):
+    """See `algorithm`."""
+    work = np.empty(1, STATE_LANES), np.empty(1, PARAM_LANES)
+    return by_lanes(advance, True, work, states, params, dt, flights)
 
 
-def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
-    own[:, :4] = quat
-    covariance = own[:, 7:].reshape(-1, 5, 5)
-    covariance[:, [0, 1], [0, 1]] = (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
-    covariance[:, [2, 3, 4], [2, 3, 4]] = params[:, 4:5] ** 2
+def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    states["quat"][..., 0] = quat
+    states["covariance"][:, [0, 1], [0, 1], 0] = (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
+    states["covariance"][:, [2, 3, 4], [2, 3, 4], 0] = params["bias_sigma"] ** 2
 
 
-PARAMETERS = {
-    "gyro_noise": Parameter(0.003, 1e-5, 0.3),
-    "accel_noise": Parameter(0.05, 1e-3, 10.0, minimum=1e-9),
-    "force_weight": Parameter(1.0, 0.01, 100.0),
-    "bias_noise": Parameter(1e-4, 1e-6, 1e-2),
-    "bias_sigma": Parameter(0.01, 1e-4, 0.1),
-}
-"""Noise densities of the rate [rad/√s] and of the measured tilt [rad √s]; κ; noise density of the bias's walk
-[rad/s/√s] and standard deviation of the initial bias [rad/s]."""
-
-ESKF = Algorithm("eskf", PARAMETERS, sequence, score, SIZE, _start, quat=slice(0, 4), gyro_bias=slice(4, 7))
+ESKF = Algorithm("eskf", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start)

@@ -1,7 +1,7 @@
 """The quaternion Kalman filters on filterpy's own classes, one object per vehicle.
 
 `ekf-filterpy` is the filter of `ekf`, number for number. `ukf-filterpy` has the same model with scaled sigma
-points (van der Merwe), each seen as the direction R(q)ᵀ (0, 0, 1) of the unit quaternion along it.
+points (van der Merwe), each measured as the direction R(q)ᵀ (0, 0, 1) of the unit quaternion along it.
 """
 
 from typing import Literal
@@ -14,12 +14,12 @@ from quadsim.rotation import quat_from_rotvec, roll_pitch_from_quat
 
 from .algorithm import initial_quat, paired
 from .ekf import SIGMA_KNOWN, SIGMA_UNKNOWN
-from .samples import SKIPPED, fresh, sanitise
+from .samples import initial_states, sanitise
 
 Array = NDArray[np.float64]
 
 ALPHA, BETA, KAPPA = 0.1, 2.0, 0.0
-"""Spread of the sigma points, and the usual choices for a Gaussian."""
+"""Scaling of the sigma points, and the usual choices for a Gaussian."""
 
 
 def up_in_body(q: Array) -> Array:
@@ -61,7 +61,7 @@ class FilterpyFilter:
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None) -> None:
         """Start n vehicles: level, or at a known attitude, roll_pitch (n, 2) [rad] or quat_WB (n, 4)."""
-        self._samples, self.filters = fresh(n), self._started(n, roll_pitch, quat)
+        self._samples, self.filters = initial_states(n), self._started(n, roll_pitch, quat)
 
     def restart(
         self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
@@ -69,7 +69,7 @@ class FilterpyFilter:
         """Start some of the vehicles again, the others fly on; attitudes (len(ids), ·) as in `reset`."""
         rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
         if rows.size > 0:
-            self._samples[rows] = fresh(rows.size)
+            self._samples[rows] = initial_states(rows.size)
             for i, each in zip(rows, self._started(rows.size, roll_pitch, quat), strict=True):
                 self.filters[i] = each
 
@@ -82,8 +82,7 @@ class FilterpyFilter:
         gyro, accel = paired(gyro, accel)
         if len(gyro) != len(self.filters):
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {len(self.filters)}")
-        rate, force, unseen = np.empty_like(gyro), np.empty_like(accel), np.empty(gyro.shape[:2])
-        sanitise(self._samples, self._dt, gyro, accel, rate, force, unseen, True)
+        rate, force, unseen = sanitise(self._samples, self._dt, gyro, accel, True)
         step = quat_from_rotvec(rate * self._dt)
         quats = np.empty((*gyro.shape[:2], 4))
         for i, kf in enumerate(self.filters):
@@ -100,7 +99,7 @@ class FilterpyFilter:
     @property
     def skipped(self) -> NDArray[np.int64]:
         """Samples since reset that were missing in part or whole, (n,)."""
-        return self._samples[:, SKIPPED].astype(np.int64)
+        return self._samples["skipped"].astype(np.int64)
 
     def _started(
         self, n: int, roll_pitch: ArrayLike | None, quat: ArrayLike | None

@@ -9,14 +9,22 @@ force (eq. 25) and J its Jacobian (eq. 26):
 
 import math
 
+import numpy as np
+
 from quadsim.rotation import multiply_core, normalize_core
 from quadsim.runs.compiled import njit
 
-from .algorithm import Algorithm, Array, Parameter
-from .inline_math import direction_core, roll_pitch_core
-from .samples import LANES, by_lanes, by_rows, regain
+from .algorithm import Algorithm, Array, Parameter, Records
+from .inline_math import direction_core, four, put_four, roll_pitch_core
+from .samples import LANES, by_lanes, by_rows, lanes_of, parameter_record, reacquire
 
-SIZE = 5
+STATE = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
+"""The variance is that of the tilt that gaps have left [rad²]."""
+
+PARAMETERS = {"beta": Parameter(0.033, 1e-4, 1.0)}
+"""β [rad/s]."""
+PARAMS = parameter_record(PARAMETERS)
+STATE_LANES, PARAM_LANES = lanes_of(STATE, LANES), lanes_of(PARAMS, LANES)
 
 
 @njit(error_model="numpy")
@@ -37,39 +45,41 @@ def descent(qw, qx, qy, qz, ax, ay, az):
 
 
 @njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, dt, gx, gy, gz, ax, ay, az, unseen):
-    """State: quaternion, doubt after a gap. Params: β [rad/s]. See `filters` for the arguments."""
-    qw, qx, qy, qz = s[0, k], s[1, k], s[2, k], s[3, k]
+def advance(s, p, k, sample):
+    """See `algorithm`."""
+    dt = sample.dt
+    gx, gy, gz = sample.gyro
+    ax, ay, az = sample.accel
+    qw, qx, qy, qz = four(s.quat, k)
     dw, dx, dy, dz = multiply_core(qw, qx, qy, qz, 0.0, 0.5 * gx, 0.5 * gy, 0.5 * gz)
     fw, fx, fy, fz, error = descent(qw, qx, qy, qz, ax, ay, az)
-    share, s[4, k] = regain(s[4, k], unseen, ax, ay, az, dt)
-    beta = max(p[0, k], 0.5 * share * error / dt)
+    share, s.tilt_variance[k] = reacquire(s.tilt_variance[k], sample)
+    beta = max(p.beta[k], 0.5 * share * error / dt)
     qw, qx, qy, qz = normalize_core(
         qw + (dw - beta * fw) * dt,
         qx + (dx - beta * fx) * dt,
         qy + (dy - beta * fy) * dt,
         qz + (dz - beta * fz) * dt,
     )
-    s[0, k], s[1, k], s[2, k], s[3, k] = qw, qx, qy, qz
+    put_four(s.quat, k, (qw, qx, qy, qz))
     return roll_pitch_core(qw, qx, qy, qz)
 
 
 @njit(cache=True, nogil=True)
 def sequence(states, params, dt, gyro, accel, out):
-    """See `filters`."""
+    """See `algorithm`."""
     by_rows(advance, False, states, params, dt, gyro, accel, out)
 
 
 @njit(cache=True, nogil=True)
-def score(states, params, dt, gyro, accel, target, squared_error):
-    """See `filters`."""
-    by_lanes(advance, LANES, False, states, params, dt, gyro, accel, target, squared_error)
+def score(states, params, dt, flights):
+    """See `algorithm`."""
+    work = np.empty(1, STATE_LANES), np.empty(1, PARAM_LANES)
+    return by_lanes(advance, False, work, states, params, dt, flights)
 
 
-def _start(own: Array, quat: Array, known: bool, params: Array) -> None:
-    own[:, :4] = quat
+def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    states["quat"][..., 0] = quat
 
 
-MADGWICK = Algorithm(
-    "madgwick", {"beta": Parameter(0.033, 1e-4, 1.0)}, sequence, score, SIZE, _start, quat=slice(0, 4)
-)
+MADGWICK = Algorithm("madgwick", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start)

@@ -3,8 +3,8 @@
 D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic
 disturbance rejection", Information Fusion 91, 2023. Its low-pass starts as a running mean, so with an
 unknown initial attitude it takes the inclination of the first specific force at once, and levels out over
-`tauAcc`: its own behaviour, kept. After a gap in which the vehicle may have turned by more than `LOST` it
-starts again like that, with the bias that it had found.
+`tauAcc`, which is its own behaviour. After a gap in which the vehicle may have turned by more than `LOST` it
+starts again like that, with the bias that it had estimated.
 """
 
 import math
@@ -19,7 +19,7 @@ from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 from .algorithm import Parameter, initial_quat, paired
-from .samples import SKIPPED, fresh, sanitise
+from .samples import initial_states, sanitise
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class VqfFilter:
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None) -> None:
         """Start n vehicles: VQF's own start, or at roll_pitch (n, 2) [rad] or quat_WB (n, 4)."""
-        self._samples, self.filters = fresh(n), self._started(n, roll_pitch, quat)
+        self._samples, self.filters = initial_states(n), self._started(n, roll_pitch, quat)
         self._unseen = np.zeros(n)
 
     def restart(
@@ -69,13 +69,13 @@ class VqfFilter:
         """Start some of the vehicles again, the others fly on; attitudes (len(ids), ·) as in `reset`."""
         rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
         if rows.size > 0:
-            self._samples[rows], self._unseen[rows] = fresh(rows.size), 0.0
+            self._samples[rows], self._unseen[rows] = initial_states(rows.size), 0.0
             for i, each in zip(rows, self._started(rows.size, roll_pitch, quat), strict=True):
                 self.filters[i] = each
 
     def update(self, gyro: Array, accel: Array) -> Array:
         """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
-        rate, force, lost = self._usable(np.asarray(gyro)[:, None], np.asarray(accel)[:, None])
+        rate, force, lost = self._sanitised(np.asarray(gyro)[:, None], np.asarray(accel)[:, None])
         for i, each in enumerate(self.filters):
             if lost[i, 0]:
                 _start_again(each)
@@ -84,7 +84,7 @@ class VqfFilter:
 
     def sequence(self, gyro: Array, accel: Array) -> Array:
         """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
-        rate, force, lost = self._usable(gyro, accel)
+        rate, force, lost = self._sanitised(gyro, accel)
         quats = [_run(each, *sample) for each, *sample in zip(self.filters, rate, force, lost, strict=True)]
         return roll_pitch_from_quat(np.stack(quats))
 
@@ -101,10 +101,10 @@ class VqfFilter:
     @property
     def skipped(self) -> NDArray[np.int64]:
         """Samples since reset that were missing in part or whole, (n,)."""
-        return self._samples[:, SKIPPED].astype(np.int64)
+        return self._samples["skipped"].astype(np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copies and pickles: the package's objects have neither, but tell their state."""
+        """For copies and pickles: the package's objects have neither, but give their state."""
         return vars(self) | {"filters": [each.state for each in self.filters]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -127,13 +127,12 @@ class VqfFilter:
                 _start_at(each, q)
         return filters
 
-    def _usable(self, gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _sanitised(self, gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Rate and specific force to use, and before which samples (n, T) to start again."""
         gyro, accel = paired(gyro, accel)
         if len(gyro) != len(self.filters):
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {len(self.filters)}")
-        rate, force, unseen = np.empty_like(gyro), np.empty_like(accel), np.empty(gyro.shape[:2])
-        sanitise(self._samples, self._dt, gyro, accel, rate, force, unseen, False)
+        rate, force, unseen = sanitise(self._samples, self._dt, gyro, accel, False)
         return rate, force, ends_of_gaps(unseen, self._unseen)
 
 
@@ -182,8 +181,8 @@ def _start_at(vqf: VQF, quat: Array) -> None:
     """Put VQF at an attitude, its acceleration low-pass in the steady state of a vehicle at rest there."""
     state, coefficients = vqf.state, vqf.coeffs
     b, a = np.asarray(coefficients["accLpB"]), np.asarray(coefficients["accLpA"])
-    steady = [VQF.filterInitialState(level, b, a) for level in (0.0, 0.0, GRAVITY)]
+    settled = [VQF.filterInitialState(level, b, a) for level in (0.0, 0.0, GRAVITY)]
     state["gyrQuat"] = quat.tolist()
-    state["accLpState"] = np.concatenate(steady).tolist()
+    state["accLpState"] = np.concatenate(settled).tolist()
     state["lastAccLp"] = [0.0, 0.0, GRAVITY]
     vqf.state = state

@@ -76,12 +76,10 @@ def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flight
 
 def _error_of_sets(name: str, matrix: Array, flights: Flights) -> Array:
     """Parameter sets × flights in one compiled call that keeps only sums and no interpreter lock."""
-    n = len(flights.gyro)
-    states = start(COMPILED[name], matrix, n, flights.start)
-    total = np.empty((len(matrix), n))
-    COMPILED[name].score(
-        states, matrix, 1.0 / flights.rate_hz, flights.gyro, flights.accel, flights.truth, total
-    )
+    algorithm, recorded = COMPILED[name], (flights.gyro, flights.accel, flights.truth)
+    sets = algorithm.records(matrix)
+    states = start(algorithm, sets, len(flights.gyro), flights.start)
+    total = algorithm.score(states, sets, 1.0 / flights.rate_hz, recorded)
     scored = np.isfinite(flights.truth).all(axis=-1).sum(axis=1) * 2
     return (total / scored).mean(axis=1)
 
