@@ -98,9 +98,9 @@ def initialise_from_data(
     """Solve, not train, a network: a leaky integrator over random features of the input.
 
     Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a
-    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents reach
-    the threshold on the data, and the output weights are solved by ridge regression (the Neural Engineering
-    Framework, Eliasmith & Anderson 2003).
+    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
+    reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
+    Engineering Framework, Eliasmith & Anderson 2003).
 
     Args:
         model: To fill.
