@@ -48,8 +48,8 @@ class Augmentation(Strict):
     yaw_symmetry: bool = False
     """Turn the body axes about z by any angle and mirror half of the streams: neither changes the physics."""
 
-    # For uncalibrated sensors. Each *_max bounds a draw: a size for the stream, uniform in its square root (of
-    # a gyro bias: uniform), then each axis uniform within ± that size: small errors are frequent.
+    # For uncalibrated sensors. Each *_max bounds a draw: a size for the stream, uniform in its square root
+    # (of a gyro bias: uniform), then each axis uniform within ± that size: small errors are frequent.
     gyro_bias_max: RateError = 0.0
     """Further bias of the gyroscope [rad/s]."""
     accel_bias_max: ForceError = 0.0

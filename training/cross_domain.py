@@ -28,7 +28,7 @@ class Score:
     """Its own training flights, "(train)", its held-out flights, "(test)", or the name of another domain."""
     flights: int
     error_deg: float
-    """Mean absolute error of roll and pitch over whole flights, unknown initial attitude."""
+    """Mean absolute error of roll and pitch over complete flights, unknown initial attitude."""
     flight_sd_deg: float
     """Standard deviation of the flights' errors."""
     epoch: int
@@ -68,8 +68,8 @@ def terminal_table(cells: Sequence[Cell]) -> Table:
     for name in tested:
         heading = {TRAIN: "its training flights", TEST: "its unseen flights"}.get(name, f"all of {name}")
         shown.add_column(heading, justify="right")
-    for (model, domain), found in rows.items():
-        shown.add_row(model, domain, *(found.get(name, "") for name in tested))
+    for (model, domain), errors in rows.items():
+        shown.add_row(model, domain, *(errors.get(name, "") for name in tested))
     return shown
 
 

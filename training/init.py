@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -23,20 +23,18 @@ DEAD = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron carries no information."""
 
 
-@dataclass(frozen=True)
-class Ranges:
-    """Initial time constants, log-uniform between two values each [network steps]."""
-
-    encode_syn: tuple[float, float]
-    encode_mem: tuple[float, float]
-    hidden_syn: tuple[float, float]
-    hidden_mem: tuple[float, float]
-    output_syn: float
-    output_mem: float
-
-
-PAPER_RANGES = Ranges((1.0, 5.0), (1.0, 5.0), (1.0, 5.0), (1.0, 5.0), 2.0, 5.0)
-WIDE_RANGES = Ranges((0.5, 4.0), (60.0, 400.0), (1.0, 400.0), (20.0, 200.0), 1.5, 200.0)
+Range = tuple[float, float]
+PAPER_TAUS = {name: (1.0, 5.0) for name in TIME_CONSTANTS} | {"syn2": (2.0, 2.0), "mem2": (5.0, 5.0)}
+"""Ranges of the paper's initial time constants, log-uniform [network steps]."""
+SOLVED_TAUS = {
+    "syn0": (0.5, 4.0),
+    "mem0": (60.0, 400.0),
+    "syn1": (1.0, 400.0),
+    "mem1": (20.0, 200.0),
+    "syn2": (1.5, 1.5),
+    "mem2": (200.0, 200.0),
+}
+"""The same of a solved network."""
 
 
 def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> AttSNN | AttRNN:
@@ -79,7 +77,7 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
 def initialise_random(model: AttSNN, seed: int) -> None:
     """Weights of unit scale over the square root of their number, short time constants."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _initialise_taus(model, PAPER_RANGES, rng)
+    _initialise_taus(model, PAPER_TAUS, rng)
     for name in MATRICES:
         w = getattr(model, name)
         with torch.no_grad():
@@ -98,9 +96,9 @@ def initialise_from_data(
     """Solve, not train, a network: a leaky integrator over random features of the input.
 
     Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a
-    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents reach
-    the threshold on the data, and the output weights are solved by ridge regression (the Neural Engineering
-    Framework, Eliasmith & Anderson 2003).
+    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
+    reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
+    Engineering Framework, Eliasmith & Anderson 2003).
 
     Args:
         model: To fill.
@@ -111,7 +109,7 @@ def initialise_from_data(
         fan_in: Encoders that each hidden neuron reads.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _initialise_taus(model, WIDE_RANGES, rng, steps_per_sample)
+    _initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
     h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
     deviation = x.reshape(-1, 6).std(0)
     directions = rng.normal(size=(h0, 6)) * (rng.random((h0, 6)) < 0.3)
@@ -127,7 +125,8 @@ def initialise_from_data(
     model.set_weights("w_in", w_in)
     model.constrain()
     w_ff = model.shared("w_ff", w_ff)
-    model.set_weights("w_ff", w_ff * model.shared("mem1", _current_scale(model, x, w_ff, rng)))
+    current = _filtered(_spikes(model, x)[0] @ w_ff.T, torch.sigmoid(model.syn1).detach().numpy())
+    model.set_weights("w_ff", w_ff * model.shared("mem1", _drive_scale(current, (0.2, 1.0), rng)[:, None]))
     model.set_weights("w_rec", w_rec)
     model.constrain()
     w_out = _solve_outputs(model, x, roll_pitch)
@@ -143,15 +142,14 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
         ValueError: Not weights of such a network.
     """
     config, tensors = load_network(path)
+    layers = f"{config.model} with {config.encoding} + {config.hidden} neurons"
     if isinstance(model, AttRNN):
-        found = config.model, config.hidden
-        if found != ("att-rnn", model.out.in_features):
-            raise ValueError(f"init: {path} holds {found[0]} with {found[1]} hidden units")
+        if (config.model, config.hidden) != ("att-rnn", model.out.in_features):
+            raise ValueError(f"init: {path} holds {layers}")
         model.load_state_dict({name: torch.tensor(value) for name, value in tensors.items()})
         return
-    found = config.model, config.encoding, config.hidden
-    if found != ("att-snn", *model.w_ff.shape[::-1]):
-        raise ValueError(f"init: {path} holds {found[0]} with {found[1]} + {found[2]} neurons")
+    if (config.model, config.encoding, config.hidden) != ("att-snn", *model.w_ff.shape[::-1]):
+        raise ValueError(f"init: {path} holds {layers}")
     weights, taus = real_weights(config, tensors)
     for name, w in zip(MATRICES, weights, strict=True):
         model.set_weights(name, w)
@@ -206,9 +204,7 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, 
     drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[dead].T
     current = _filtered(drive, tau[dead])
     scale = np.ones(rate.size)
-    target = np.exp(rng.uniform(math.log(0.1), math.log(0.5), dead.size))
-    towards = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)
-    scale[dead] = 0.5 * target / np.maximum(current.std((0, 1)), 1e-6) * towards
+    scale[dead] = _drive_scale(current, (0.1, 0.5), rng)
     for name in ("w_ff", "w_rec"):
         model.set_weights(name, w[name] * model.shared("mem1", scale)[:, None])
     model.set_weights("w_out", w["w_out"])
@@ -216,20 +212,15 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, 
     return int(dead.size)
 
 
-def _initialise_taus(model: AttSNN, ranges: Ranges, rng: np.random.Generator, stretch: int = 1) -> None:
+def _initialise_taus(
+    model: AttSNN, ranges: Mapping[str, Range], rng: np.random.Generator, stretch: int = 1
+) -> None:
     with torch.no_grad():
-        for name, limits in (
-            ("syn0", ranges.encode_syn),
-            ("mem0", ranges.encode_mem),
-            ("syn1", ranges.hidden_syn),
-            ("mem1", ranges.hidden_mem),
-            ("syn2", (ranges.output_syn,) * 2),
-            ("mem2", (ranges.output_mem,) * 2),
-        ):
+        for name in TIME_CONSTANTS:
             parameter = getattr(model, name)
-            low, high = (math.log(limit * (1 if name in ("syn0", "syn2") else stretch)) for limit in limits)
-            steps = np.exp(rng.uniform(low, high, parameter.shape))
-            tau = np.exp(-1.0 / steps)
+            factor = 1 if name in ("syn0", "syn2") else stretch
+            low, high = (math.log(limit * factor) for limit in ranges[name])
+            tau = np.exp(-1.0 / np.exp(rng.uniform(low, high, parameter.shape)))
             parameter.copy_(torch.tensor(np.log(tau / (1 - tau))))
 
 
@@ -255,14 +246,15 @@ def _filtered(signal: NDArray, tau: NDArray) -> NDArray:
     return out
 
 
-def _current_scale(model: AttSNN, x: NDArray[np.float64], w_ff: NDArray, rng: np.random.Generator) -> NDArray:
-    """Factor for each hidden neuron that makes its mean drive fill its membrane to a random part of 0.5."""
-    spikes, _ = _spikes(model, x)
-    tau = torch.sigmoid(model.syn1).detach().numpy()
-    current = _filtered(spikes @ w_ff.T, tau)
-    rate = np.exp(rng.uniform(math.log(0.2), math.log(1.0), len(w_ff)))
-    sign = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)  # positive mean drive
-    return (sign * 0.5 * rate / np.maximum(current.std((0, 1)), 1e-6))[:, None]
+def _drive_scale(current: NDArray, parts: Range, rng: np.random.Generator) -> NDArray:
+    """Factors (k,) of neurons' input weights that make the means of their currents (n, T, k) positive.
+
+    The standard deviations become a part of the threshold that is log-uniform between the two `parts`.
+    """
+    low, high = map(math.log, parts)
+    part = np.exp(rng.uniform(low, high, current.shape[2]))
+    sign = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)
+    return sign * 0.5 * part / np.maximum(current.std((0, 1)), 1e-6)
 
 
 def _solve_outputs(model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]) -> NDArray:

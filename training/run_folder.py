@@ -37,7 +37,7 @@ class Epoch:
     val_mse: float
     """Mean square error on the validation flights [rad²], which chooses the best epoch."""
     val_error_deg: float
-    """Mean absolute error of roll and pitch over whole validation flights, unknown initial attitude."""
+    """Mean absolute error of roll and pitch over complete validation flights, unknown initial attitude."""
     val_settled_deg: float
     """The same without the first 5 s."""
     rate_encoding: float

@@ -29,7 +29,7 @@ def train(
         typer.Option(help="Dataset to choose the best epoch by; else part of --data."),
     ] = None,
     init: Annotated[
-        str | None, typer.Option(help="Weights to go on from: a shipped name, such as att-snn, or a file.")
+        str | None, typer.Option(help="Weights to continue from: a shipped name, such as att-snn, or a file.")
     ] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads that share a batch.")] = 1,
@@ -39,7 +39,7 @@ def train(
     """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
 
     Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the
-    same command goes on where a run stopped. For att-snn, use --preset best: the paper's
+    same command continues a run that stopped. For att-snn, use --preset best: the paper's
     recipe hardly learns on the chip's grid.
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
@@ -106,7 +106,7 @@ def kfold(
     """Cross-validate the training: k folds in each domain, each also tested on the other domains.
 
     Writes the paper's Table 1 (table1.csv), every fold (kfold.csv, kfold.png), and a run folder for each.
-    Folds run side by side; the same command goes on where a killed one stopped.
+    Folds run side by side; the same command continues folds that stopped.
 
     Example: quadsim kfold --domain data/train.zarr --domain data/train-px4.zarr --out runs/kfold
     """
@@ -132,8 +132,7 @@ def kfold(
         )
     cells = table(scores)
     console.print(terminal_table(cells))
-    held_out = [cell for cell in cells if cell.tested_on == TEST]
-    best = min(held_out, key=lambda cell: cell.mean_deg)
+    best = min((cell for cell in cells if cell.tested_on == TEST), key=lambda cell: cell.mean_deg)
     console.print(
         f"{out / 'table1.csv'}: {best.model} on unseen flights of {best.trained_on}: "
         f"{best.mean_deg:.2f} ± {best.sd_deg:.2f}° over {best.folds} folds",
@@ -144,7 +143,7 @@ def kfold(
 def tune(
     estimator: Annotated[str, typer.Option(help="A filter with parameters, for example mahony; or all.")],
     data: Annotated[list[Path], typer.Option(help="Dataset to tune on; give it again to mix several.")],
-    out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it are kept.")],
+    out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it stay.")],
     particles: Annotated[int, typer.Option(min=2, help="Parameter sets tried at once.")] = 100,
     iterations: Annotated[int, typer.Option(min=1, help="How often.")] = 50,
     flights: Annotated[
@@ -264,9 +263,9 @@ def inspect(
     if data:
         flights = load_flights([open_dataset(path) for path in data])
         with progress_bar("inspect", "parts") as bar:
-            found = look_inside(name, config, tensors, flights, bar)
-        console.print(plain_table(found.summary()))
-        last = f"{write_page(out, found)}: {last}, error {found.responses['intact'].error_deg:.2f}°"
+            inspection = look_inside(name, config, tensors, flights, bar)
+        console.print(plain_table(inspection.summary()))
+        last = f"{write_page(out, inspection)}: {last}, error {inspection.responses['intact'].error_deg:.2f}°"
     if prune is not None and data and train_data:
         from training.pruning import prune as prune_network
 
