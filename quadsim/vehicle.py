@@ -120,7 +120,7 @@ class Vehicle(Strict):
     @property
     def drag_time_constant(self) -> float:
         """Time constant of the speed's decay by rotor drag alone, at hover rotor speed: m / (c Σω) [s]."""
-        return self.mass / (4 * self.motor.rotor_drag * self.hover_rotor_vel)
+        return self.mass / (len(self.rotors) * self.motor.rotor_drag * self.hover_rotor_vel)
 
     @property
     def hubs(self) -> np.ndarray:
@@ -140,7 +140,7 @@ class Vehicle(Strict):
 
 
 def load_vehicle(source: str | Path) -> Vehicle:
-    """Read a vehicle: a shipped name ("hummingbird", "px4-quad", "crazyflie") or the path of a TOML file."""
+    """Read a vehicle: a shipped name ("hummingbird", "hexarotor", …) or the path of a TOML file."""
     return load_toml(source, "vehicles", Vehicle)
 
 

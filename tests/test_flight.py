@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadsim.config.toml import preset_names
 from quadsim.control.cascade import LEVELS, Controller
 from quadsim.control.gains import loop_margins
 from quadsim.flight.loop import FlightLoop
@@ -27,7 +28,7 @@ def seeds(n, seed=0):
     return np.random.SeedSequence(seed).spawn(n)
 
 
-@pytest.mark.parametrize("name", ["hummingbird", "px4-quad", "crazyflie"])
+@pytest.mark.parametrize("name", preset_names("vehicles"))
 @pytest.mark.parametrize("n", [1, 7])
 def test_hover_holds_a_point_from_any_start(name, n):
     loop = FlightLoop(load_vehicle(name), n)

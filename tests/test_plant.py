@@ -285,3 +285,12 @@ def test_bad_input_is_named(make, message):
 
 def test_the_engine_is_mujoco_4():
     assert mujoco.__version__.startswith("4.")
+
+
+def test_a_hexarotor_hovers_with_a_thrust_of_its_weight():
+    vehicle = load_vehicle("hexarotor")
+    plant = Plant(vehicle)
+    state = plant.step(np.full((1, 6), vehicle.hover_rotor_vel))
+    np.testing.assert_allclose(vehicle.motor.k_f * np.sum(state.rotor_vel**2), vehicle.mass * GRAVITY)
+    np.testing.assert_allclose(state.specific_force, [[0.0, 0.0, GRAVITY]], atol=1e-9)
+    np.testing.assert_allclose(state.ang_acc, 0.0, atol=1e-9)

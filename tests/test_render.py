@@ -6,6 +6,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 
+from quadsim.config.toml import preset_names
 from quadsim.flight.scenario import Scenario
 from quadsim.render import NO_OPENGL, Scene, View, film, quadrotor_geoms, still
 from quadsim.rotation import quat_from_euler
@@ -65,7 +66,7 @@ def test_every_copy_and_the_trail_are_drawn():
     assert np.any(joined[:, 150:170] != pair[:, 150:170])
 
 
-@pytest.mark.parametrize("name", ["hummingbird", "px4-quad", "crazyflie"])
+@pytest.mark.parametrize("name", preset_names("vehicles"))
 def test_geometry_is_that_of_the_vehicle(name):
     vehicle = load_vehicle(name)
     discs = [geom for geom in quadrotor_geoms(vehicle) if geom["material"] == "blur"]

@@ -19,12 +19,11 @@ from scenarios.bench import cell as cell_module
 from scenarios.bench import runner
 from scenarios.bench.cell import fly, fly_cell, load_cell
 from scenarios.bench.flight_metrics import (
-    LAYOUT,
     METRICS,
-    WIDTH,
     convergence_time,
     error_histogram,
     flight_metrics,
+    log_dtype,
     recovery_time,
     summarise,
     wilson,
@@ -57,8 +56,8 @@ def small(out, **changes):
 
 def steady_log(n=2, steps=400):
     """A log of level flight on the set-point with a perfect estimate."""
-    log = np.zeros((n, steps, WIDTH))
-    log[..., LAYOUT.rotor_vel] = load_vehicle("hummingbird").hover_rotor_vel
+    log = np.zeros((n, steps), log_dtype(4))
+    log["rotor_vel"] = load_vehicle("hummingbird").hover_rotor_vel
     return log, np.full(n, steps)
 
 
@@ -87,8 +86,8 @@ def test_hover_power_is_that_of_four_rotors_carrying_the_weight():
 
 def test_known_offsets_give_their_own_size():
     log, end = steady_log()
-    log[..., LAYOUT.estimate] = np.radians([3.0, -1.0])
-    log[..., LAYOUT.position] = [0.3, 0.0, 0.4]
+    log["estimate"] = np.radians([3.0, -1.0])
+    log["position"] = [0.3, 0.0, 0.4]
     metrics = flight_metrics(log, end, 200.0, load_vehicle("hummingbird"))
     np.testing.assert_allclose(metrics["error_deg"], 2.0)
     np.testing.assert_allclose(metrics["position_m"], 0.5)
@@ -145,11 +144,11 @@ def test_log_holds_what_the_loop_did():
     mission = Mission(Scenario(description="", duration_s=0.2), estimators.create("madgwick"), 2)
     log, end = fly(mission, seed=4)
     assert end.tolist() == [40, 40]
-    np.testing.assert_array_equal(log[:, -1, LAYOUT.position], mission.loop.plant.position)
-    np.testing.assert_array_equal(log[:, -1, LAYOUT.estimate], mission.loop.attitude)
+    np.testing.assert_array_equal(log["position"][:, -1], mission.loop.plant.position)
+    np.testing.assert_array_equal(log["estimate"][:, -1], mission.loop.attitude)
     up = mission.loop.plant.quat
     np.testing.assert_allclose(
-        np.cos(log[:, -1, LAYOUT.tilt]), 1 - 2 * (up[:, 1] ** 2 + up[:, 2] ** 2), atol=1e-12
+        np.cos(log["tilt"][:, -1]), 1 - 2 * (up[:, 1] ** 2 + up[:, 2] ** 2), atol=1e-12
     )
 
 

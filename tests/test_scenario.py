@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import estimators
 from quadsim.config.toml import parse
 from quadsim.control.cascade import MEASURED
 from quadsim.external import ExternalSensor, ExternalSpec
@@ -297,6 +298,18 @@ def test_external_noise_has_its_size_and_a_vehicles_own_seed():
     np.testing.assert_allclose(noise.std(axis=0), np.tile(want, (3, 1)), rtol=0.06)
     np.testing.assert_array_equal(noise[:, :1], held(spec, 3000, 1) - held(ExternalSpec(), 3000, 1))
     assert abs(np.corrcoef(noise[:, 0, 0], noise[:, 1, 0])[0, 1]) < 0.06
+
+
+@pytest.mark.parametrize("estimator", ["truth", "eskf"])
+@pytest.mark.parametrize("name", ["hover", "step", "figure-8"])
+def test_a_hexarotor_flies_with_attitude_from_an_estimator(name, estimator):
+    scenario = load_scenario(name).model_copy(update={"vehicle": "hexarotor"})
+    mission = Mission(scenario, estimators.create(estimator, vehicle="hexarotor"), 2)
+    mission.begin(vehicle_seeds(0, 2))
+    for _ in range(mission.steps):
+        mission.step()
+        assert not mission.crashed
+    assert mission.loop.plant.rotor_vel.shape == (2, 6)
 
 
 def test_only_the_controller_is_misled_by_the_external_sensor():

@@ -20,7 +20,7 @@ def test_hummingbird_has_the_published_derived_numbers():
 @pytest.mark.parametrize("name", VEHICLES)
 def test_allocation_of_hover_is_weight_without_torque(name):
     vehicle = load_vehicle(name)
-    wrench = vehicle.allocation @ np.full(4, vehicle.hover_rotor_vel**2)
+    wrench = vehicle.allocation @ np.full(len(vehicle.rotors), vehicle.hover_rotor_vel**2)
     assert wrench == pytest.approx([vehicle.mass * GRAVITY, 0, 0, 0], abs=1e-9)
 
 

@@ -36,6 +36,7 @@ from ..flight.simulate import FlightConfig, simulate_flights
 from ..imu.spec import ImuSpec
 from ..runs.files import PART, write_whole
 from ..runs.fingerprint import fingerprint
+from ..vehicle import MIN_ROTORS
 
 FORMAT: Literal["quadsim flights"] = "quadsim flights"
 FORMAT_VERSION = 1
@@ -68,7 +69,8 @@ VARIABLES = {
     "gyro_bias": Variable("axis", "rad/s", "true bias of the gyroscope, sensor axes"),
     "accel_bias": Variable("axis", "m/s^2", "true bias of the accelerometer, sensor axes"),
 }
-LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": ["0", "1", "2", "3"]}
+LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": [*map(str, range(MIN_ROTORS))]}
+"""Labels of the last dimensions; simulated flights have as many rotors as their vehicle."""
 
 
 PER_FLIGHT = ("valid_steps", "end_reason", "checksum", "stored_bytes")
@@ -157,12 +159,18 @@ def chunk_file(store: Path, variable: str, flight: int) -> Path:
     return store / variable / f"c.{flight}.0.0"
 
 
+def labels(plan: Plan | RecordedPlan) -> dict[str, list[str]]:
+    """Labels of the last dimensions in the dataset of a plan."""
+    rotors = len(plan.config.vehicle.rotors) if isinstance(plan, Plan) else MIN_ROTORS
+    return LABELS | {"rotor": [*map(str, range(rotors))]}
+
+
 def begin(folder: Path, plan: Plan | RecordedPlan) -> None:
     """Lay out an empty store; an interrupted one that never got its plan is laid out again."""
     (folder / "flights").mkdir(parents=True, exist_ok=True)
     group = zarr.open_group(folder / "data", mode="w")
     for name, variable in VARIABLES.items():
-        width = len(LABELS[variable.dim])
+        width = len(labels(plan)[variable.dim])
         group.create_array(
             name,
             shape=(plan.flights, plan.steps, width),
@@ -311,7 +319,8 @@ def refuse_damaged(path: Path, attributes: Attributes, dataset: xr.Dataset) -> N
         ValueError: Something differs, or cannot be read.
     """
     for name, variable in VARIABLES.items():
-        shape = (attributes.flights, attributes.steps, len(LABELS[variable.dim]))
+        width = dataset.sizes["rotor"] if variable.dim == "rotor" else len(LABELS[variable.dim])
+        shape = (attributes.flights, attributes.steps, width)
         if name not in dataset or dataset[name].shape != shape or dataset[name].dtype != np.float32:
             raise ValueError(f"{path} is damaged: {name} is not {shape} numbers of 32 bits")
     valid = dataset["valid_steps"].to_numpy()
@@ -448,8 +457,8 @@ def _write_coordinates(store: Path, plan: Plan | RecordedPlan, records: Sequence
     put("flight", "flight", np.arange(plan.flights), long_name="number of the flight")
     time = np.arange(plan.steps) / plan.rate_hz
     put("time", "time", time, units="s", long_name="time since the start of the flight")
-    for dim, labels in LABELS.items():
-        put(dim, dim, np.array(labels, dtype=object), long_name="component")
+    for dim, names in labels(plan).items():
+        put(dim, dim, np.array(names, dtype=object), long_name="component")
     per_flight("valid_steps", long_name="samples flown; any later ones repeat the last of them")
     per_flight("end_reason", long_name="why the flight ended early; empty if it lasted its full time")
     per_flight("checksum", long_name="SHA-256 over the numbers of the flight, variable after variable")

@@ -19,7 +19,7 @@ from quadsim.runs.files import read_json, write_json
 from quadsim.runs.fingerprint import content_digest
 from quadsim.seeding import vehicle_seeds
 
-from .flight_metrics import LAYOUT, WIDTH, error_histogram, flight_metrics, summarise, write_row
+from .flight_metrics import Log, error_histogram, flight_metrics, log_dtype, summarise, write_row
 
 Array = NDArray[np.float64]
 Row = dict[str, float | int | str | None]
@@ -135,7 +135,7 @@ def tuning_of(estimator: str, tuning: str | None) -> str | None:
 
 
 def make_cell(
-    name: str, estimator: str, fingerprint: str, mission: Mission, log: Array, end: NDArray[np.int64]
+    name: str, estimator: str, fingerprint: str, mission: Mission, log: Log, end: NDArray[np.int64]
 ) -> Cell:
     """The cell of a mission that has been flown.
 
@@ -143,9 +143,9 @@ def make_cell(
         ValueError: If numbers of the flight grew beyond all bounds.
     """
     flown = np.arange(mission.steps) < end[:, None]
-    if not np.isfinite(log[flown][:, LAYOUT.estimate]).all():
+    if not np.isfinite(log["estimate"][flown]).all():
         raise ValueError(f"{estimator} estimated a roll or pitch that is no finite number")
-    if not (np.abs(log[flown]) < BOUNDLESS).all():
+    if not (np.abs(log[flown].view(np.float64)) < BOUNDLESS).all():
         raise ValueError("numbers of the flight grew beyond all bounds; is one of the scenario too large?")
     metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)
     flights = [
@@ -158,34 +158,31 @@ def make_cell(
     return Cell(name, estimator, fingerprint, "", flights, error_histogram(log, end).tolist(), series)
 
 
-def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Array, NDArray[np.int64]]:
-    """Fly a mission to its end: its log (n, T, WIDTH) and how many samples each flight lasted (n,).
+def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Log, NDArray[np.int64]]:
+    """Fly a mission to its end: its log (n, T) and how many samples each flight lasted (n,).
 
     Its flights are those with the numbers `first`, `first` + 1, ... of the seed.
     """
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
     loop, plant, controller = mission.loop, mission.loop.plant, mission.loop.controller
-    log = np.zeros((mission.steps, mission.n, WIDTH))
+    log = np.zeros((mission.steps, mission.n), log_dtype(len(mission.vehicle.rotors)))
     end = np.full(mission.n, mission.steps)
     command = controller.rotor_vel_cmd.copy()
     for k in range(mission.steps):
         mission.step()
-        write_row(
-            plant.position, plant.quat, (loop.true_attitude, loop.yaw), loop.attitude,
-            mission.target["position"],
-            controller.thrust_axis, plant.rotor_vel, controller.rotor_vel_cmd, command, log[k],
-        )  # fmt: skip
+        row, measured = log[k], loop.measured_state
+        write_row(plant.vehicles, plant.pose, controller.records, measured, mission.target, command, row)
         end[(mission.cause > 0) & (end > k)] = k
     return log.swapaxes(0, 1), end
 
 
-def pack_series(log: Array, rate_hz: float) -> Series:
-    """One flight (T, WIDTH), thinned to `SERIES_HZ`: angles [deg], positions and set-points [m]."""
+def pack_series(log: Log, rate_hz: float) -> Series:
+    """One flight (T,), thinned to `SERIES_HZ`: angles [deg], positions and set-points [m]."""
     every = max(round(rate_hz / SERIES_HZ), 1)
     thin = log[::every]
-    angles = np.degrees(np.hstack([thin[:, LAYOUT.euler], thin[:, LAYOUT.estimate]]))
+    angles = np.degrees(np.hstack([thin["euler"], thin["estimate"]]))
     names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
-    columns = np.hstack([angles, thin[:, LAYOUT.position], thin[:, LAYOUT.target]])
+    columns = np.hstack([angles, thin["position"], thin["target"]])
     return {"dt": every / rate_hz, "channels": dict(zip(names, map(_pack, columns.T), strict=True))}
 
 

@@ -1,12 +1,11 @@
 """How well a flight went, from its log; and one figure for several flights.
 
-A log is an array (n, T, WIDTH) with the columns of `Layout`, and `end` (n,) tells how many samples each
-flight lasted before it crashed. What came after is not counted.
+A log holds records (n, T) of `log_dtype`, and `end` (n,) tells how many samples each flight lasted before it
+crashed. What came after is not counted.
 """
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from quadsim.runs.compiled import njit
 from quadsim.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+Log = NDArray[np.void]
 
 CONVERGED_DEG = 5.0
 """Inclination error below which an estimate counts as found [deg],"""
@@ -30,21 +30,20 @@ ERROR_BINS = 106
 """and how many equal parts it has."""
 
 
-class Layout(NamedTuple):
-    """Columns of a log."""
-
-    position: slice = slice(0, 3)
-    euler: slice = slice(3, 6)
-    estimate: slice = slice(6, 8)
-    target: slice = slice(8, 11)
-    tracking: int = 11  #: angle between the true and the wanted thrust axis [rad]
-    tilt: int = 12  #: [rad]
-    rotor_vel: slice = slice(13, 17)
-    command_change: int = 17  #: RMS over the rotors of the change of command since the last sample [rad/s]
-
-
-LAYOUT = Layout()
-WIDTH = 18
+def log_dtype(rotors: int) -> np.dtype:
+    """A sample in the log of a vehicle with so many rotors."""
+    return np.dtype(
+        [
+            ("position", "f8", 3),
+            ("euler", "f8", 3),
+            ("estimate", "f8", 2),
+            ("target", "f8", 3),
+            ("tracking", "f8"),  # angle between the true and the wanted thrust axis [rad]
+            ("tilt", "f8"),  # [rad]
+            ("rotor_vel", "f8", rotors),
+            ("command_change", "f8"),  # RMS over the rotors of the change since the last sample [rad/s]
+        ]
+    )
 
 
 @dataclass(frozen=True)
@@ -102,53 +101,62 @@ METRICS = (
 
 
 @njit(cache=True)
-def write_row(position, quat, euler, estimate, target, axis, rotor_vel, command, last_command, row):
-    """Write one sample of n flights into `row` (n, WIDTH), and keep the command in `last_command`."""
+def write_row(vehicles, pose, controllers, measured, target, last_command, row):
+    """Write one sample of n flights into `row` (n,), and the command into `last_command` (n, rotors).
+
+    The others are records (n,) of plant, controller and mission; `measured` holds the estimate.
+    """
     for i in range(row.shape[0]):
-        w, x, y, z = quat[i, 0], quat[i, 1], quat[i, 2], quat[i, 3]
+        out, p, c = row[i], vehicles[i], controllers[i]
+        axis, (w, x, y, z) = (
+            c.thrust_axis,
+            (pose[i].quat[0], pose[i].quat[1], pose[i].quat[2], pose[i].quat[3]),
+        )
         up_x, up_y, up_z = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-        change = 0.0
         for j in range(3):
-            row[i, j], row[i, 8 + j] = position[i, j], target[i, j]
-        row[i, 3], row[i, 4], row[i, 5] = euler[0][i, 0], euler[0][i, 1], euler[1][i]
-        row[i, 6], row[i, 7] = estimate[i, 0], estimate[i, 1]
-        cx = up_y * axis[i, 2] - up_z * axis[i, 1]
-        cy = up_z * axis[i, 0] - up_x * axis[i, 2]
-        cz = up_x * axis[i, 1] - up_y * axis[i, 0]
-        dot = up_x * axis[i, 0] + up_y * axis[i, 1] + up_z * axis[i, 2]
-        row[i, 11] = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), dot)
-        row[i, 12] = math.atan2(math.sqrt(up_x * up_x + up_y * up_y), up_z)
-        for j in range(4):
-            row[i, 13 + j] = rotor_vel[i, j]
-            change += (command[i, j] - last_command[i, j]) ** 2
-            last_command[i, j] = command[i, j]
-        row[i, 17] = math.sqrt(0.25 * change)
+            out.position[j], out.target[j] = pose[i].position[j], target[i].position[j]
+        for j in range(2):
+            out.euler[j], out.estimate[j] = p.roll_pitch[j], measured[i].roll_pitch[j]
+        out.euler[2] = p.yaw
+        cx = up_y * axis[2] - up_z * axis[1]
+        cy = up_z * axis[0] - up_x * axis[2]
+        cz = up_x * axis[1] - up_y * axis[0]
+        dot = up_x * axis[0] + up_y * axis[1] + up_z * axis[2]
+        out.tracking = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), dot)
+        out.tilt = math.atan2(math.sqrt(up_x * up_x + up_y * up_y), up_z)
+        change, rotors = 0.0, p.rotor_vel.shape[0]
+        for j in range(rotors):
+            out.rotor_vel[j] = p.rotor_vel[j]
+            change += (c.rotor_vel_cmd[j] - last_command[i, j]) ** 2
+            last_command[i, j] = c.rotor_vel_cmd[j]
+        out.command_change = math.sqrt(change / rotors)
 
 
-def flight_metrics(log: Array, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle) -> dict[str, Array]:
+def flight_metrics(log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle) -> dict[str, Array]:
     """One number per flight for each metric but the crash rate, (n,); NaN where there is none.
 
     Args:
-        log: (n, T, WIDTH).
+        log: (n, T) records of `log_dtype`.
         end: (n,) samples before the crash, T without one.
         rate_hz: Samples per second.
         vehicle: For the power.
     """
-    flown = np.where((np.arange(log.shape[1]) < np.maximum(end, 1)[:, None])[..., None], log, np.nan)
-    estimate, truth = flown[..., LAYOUT.estimate], flown[..., LAYOUT.euler][..., :2]
+    flown = log.copy()
+    flown[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
+    estimate, truth = flown["estimate"], flown["euler"][..., :2]
     inclination = inclination_error(estimate, truth)
-    apart = np.linalg.norm(flown[..., LAYOUT.position] - flown[..., LAYOUT.target], axis=-1)
-    power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(flown[..., LAYOUT.rotor_vel] ** 3, axis=-1)
+    apart = np.linalg.norm(flown["position"] - flown["target"], axis=-1)
+    power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(flown["rotor_vel"] ** 3, axis=-1)
     return {
         "error_deg": attitude_error(estimate, truth).sequences,
         "inclination_deg": _rms(inclination),
-        "attitude_deg": np.degrees(_rms(flown[..., LAYOUT.tracking])),
+        "attitude_deg": np.degrees(_rms(flown["tracking"])),
         "position_m": _rms(apart),
-        "worst_tilt_deg": np.degrees(np.nanmax(flown[..., LAYOUT.tilt], axis=1)),
+        "worst_tilt_deg": np.degrees(np.nanmax(flown["tilt"], axis=1)),
         "converge_s": convergence_time(inclination, rate_hz),
         "recover_s": recovery_time(apart, end == log.shape[1], rate_hz),
         "power_w": np.nanmean(power, axis=1),
-        "jitter": _rms(flown[:, :, LAYOUT.command_change]),
+        "jitter": _rms(flown["command_change"]),
     }
 
 
@@ -185,10 +193,10 @@ def recovery_time(apart: Array, whole: NDArray[np.bool_], rate_hz: float) -> Arr
     return np.where(whole & (spell < rate_hz), longest / rate_hz, np.nan)
 
 
-def error_histogram(log: Array, end: NDArray[np.int64]) -> NDArray[np.int64]:
+def error_histogram(log: Log, end: NDArray[np.int64]) -> NDArray[np.int64]:
     """Counts of the absolute errors of roll and pitch over `ERROR_BINS` equal parts of `ERROR_DECADES`."""
     before = np.arange(log.shape[1]) < end[:, None]
-    errors = absolute_error(log[..., LAYOUT.estimate], log[..., LAYOUT.euler][..., :2])[before]
+    errors = absolute_error(log["estimate"], log["euler"][..., :2])[before]
     decades = np.log10(np.maximum(errors, 1e-12)).clip(*ERROR_DECADES)
     return np.histogram(decades, bins=ERROR_BINS, range=ERROR_DECADES)[0]
 

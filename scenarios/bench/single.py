@@ -13,7 +13,6 @@ from quadsim.rotation import quat_from_euler
 
 from ..report.page import write_report
 from .cell import fly, make_cell
-from .flight_metrics import LAYOUT
 from .runner import Results, Settings, write_csv
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
@@ -84,13 +83,12 @@ def fly_scenario(
     out.mkdir(parents=True, exist_ok=True)
     first = log[0, : max(end[0], 1)]
     time = np.arange(len(first)) / rate_hz
-    columns = [LAYOUT.position, LAYOUT.euler, LAYOUT.estimate, LAYOUT.target]
-    table = np.column_stack([time, *(first[:, each] for each in columns)])
+    table = np.column_stack([time, *(first[name] for name in ("position", "euler", "estimate", "target"))])
     write_csv(out / "flight.csv", [dict(zip(COLUMNS, row, strict=True)) for row in table.tolist()])
     report = write_report(
         out / "report.html", results, title=f"{name} on {estimator}", csv=["flight.csv"], focus=estimator
     )
-    film_path, seen = None, (time, first[:, LAYOUT.position], quat_from_euler(*first[:, LAYOUT.euler].T))
+    film_path, seen = None, (time, first["position"], quat_from_euler(*first["euler"].T))
     if video:
         film_path = film(out / "flight.mp4", mission.vehicle, *seen)
     if view:
