@@ -342,8 +342,8 @@ class Flights:
         """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
         mission = self.mission
         observation, reward = np.empty(mission.n, OBSERVATION), np.empty(mission.n)
-        flights, _, *records = mission.records
-        observe(flights, *records, observation, reward)
+        flights, _, target, measured, pose, twist = mission.records
+        observe(flights, target, measured, pose, twist, observation, reward)
         return observation.view(np.float32).reshape(mission.n, -1), reward
 
     def picture(self, index: int) -> Image:

@@ -18,7 +18,7 @@ state comes from an external position sensor.
 """
 
 import math
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -282,7 +282,7 @@ class Controller:
         for name in ("wind_acc", "trim", "has_last_axis"):
             self.records[name][ids] = 0
 
-    def accept(self, level: Level, command: NDArray[np.float64 | np.void]) -> NDArray[np.void]:
+    def accept(self, level: Level, command: NDArray[Any]) -> NDArray[Any]:
         """Write a command of floats, (n, width) as in the table of this module, to the records.
 
         Returns:

@@ -166,7 +166,7 @@ def simulate_flights(
             plant.wind[:] = wind[:, 0]
         if k >= warmup:
             record(k - warmup, plant.vehicles, plant.pose, plant.twist, controllers, log, end)
-    flown = {name: log[name] for name in log.dtype.names}
+    flown = {name: log[name] for name in log.dtype.names or ()}
     gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
         config.imu,
         flown["ang_vel"],
