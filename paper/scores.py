@@ -19,7 +19,7 @@ from quadsim.estimator import AttitudeEstimator
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario
 from scenarios.bench.cell import fly as fly_mission
-from scenarios.bench.flight_metrics import LAYOUT, flight_metrics
+from scenarios.bench.flight_metrics import Log, flight_metrics
 
 from .work import FLIGHTS, TUNING, WEIGHTS, Inputs, write_numbers
 
@@ -159,18 +159,18 @@ def close_loop(
                 "crashes": int((mission.cause > 0).sum()),
                 "parts_deg": error_in_parts(log, end, 200.0),
                 **{
-                    key: float(np.nanmean(metrics[key]))
+                    key: float(np.nanmean(getattr(metrics, key)))
                     for key in ("error_deg", "attitude_deg", "position_m")
                 },
             }
     write_numbers(folder, {"found": found, "duration_s": duration_s})
 
 
-def error_in_parts(log: Array, end: NDArray[np.int64], rate_hz: float) -> list[float]:
+def error_in_parts(log: Log, end: NDArray[np.int64], rate_hz: float) -> list[float]:
     """Mean absolute error in equal parts of the flights that lasted, after they have settled [deg]."""
-    whole = end == log.shape[1]
     first = min(round(SETTLED_S * rate_hz), log.shape[1] // 2)
-    error = absolute_error(log[whole, first:, LAYOUT.estimate], log[whole, first:, LAYOUT.euler][..., :2])
+    late = log[end == log.shape[1], first:]
+    error = absolute_error(late["estimate"], late["euler"][..., :2])
     return [float(part.mean()) if part.size else np.nan for part in np.array_split(error, PARTS, axis=1)]
 
 

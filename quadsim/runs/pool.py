@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import contextmanager, nullcontext
@@ -27,7 +27,7 @@ def run_jobs(
     executor: Executor | None = None,
     startable: Callable[[Iterable[Key], Iterable[Key]], Iterable[Key]] = lambda waiting, running: waiting,
     tick: Callable[[Iterable[Key]], None] | None = None,
-) -> Iterator[tuple[Key, Result]]:
+) -> Generator[tuple[Key, Result], None, None]:
     """Call a function for every job, and yield the key of each job with its result as they end.
 
     Args:

@@ -1,12 +1,13 @@
-"""How well a flight went, from its log; and one figure for several flights.
+"""Metrics of a flight from its log, and one figure for several flights.
 
-A log is an array (n, T, WIDTH) with the columns of `Layout`, and `end` (n,) tells how many samples each
-flight lasted before it crashed. What came after is not counted.
+A log is an array (n, T) of `log_dtype`, and `end` (n,) is the number of samples of each flight before its
+crash. Samples after it are not counted.
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,34 +18,102 @@ from quadsim.runs.compiled import njit
 from quadsim.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+Log = NDArray[np.void]
 
 CONVERGED_DEG = 5.0
-"""Inclination error below which an estimate counts as found [deg],"""
+"""Inclination error below which an estimate counts as converged [deg],"""
 CONVERGED_S = 1.0
 """if it stays there for this long [s]."""
-AWAY_M = 0.5
-"""Distance from the set-point beyond which a vehicle counts as thrown off [m]."""
+OUT_OF_BOUNDS_M = 0.5
+"""Distance from the set-point beyond which a vehicle counts as out of bounds [m]."""
 ERROR_DECADES = (-3.0, 2.3)
 """Range of the error histograms, powers of ten of a degree,"""
 ERROR_BINS = 106
 """and how many equal parts it has."""
 
 
-class Layout(NamedTuple):
-    """Columns of a log."""
+def log_dtype(rotors: int) -> np.dtype[np.void]:
+    """One sample of a flight's log."""
+    return np.dtype(
+        [
+            ("position", "f8", 3),  # world [m]
+            ("euler", "f8", 3),  # true roll, pitch, yaw [rad]
+            ("estimate", "f8", 2),  # estimated roll, pitch [rad]
+            ("target", "f8", 3),  # set-point, world [m]
+            ("tracking", "f8"),  # angle between the true and the commanded thrust axis [rad]
+            ("tilt", "f8"),  # [rad]
+            ("rotor_vel", "f8", rotors),  # [rad/s]
+            (
+                "command_change",
+                "f8",
+            ),  # RMS over the rotors of the command's change since the last sample [rad/s]
+        ]
+    )
 
-    position: slice = slice(0, 3)
-    euler: slice = slice(3, 6)
-    estimate: slice = slice(6, 8)
-    target: slice = slice(8, 11)
-    tracking: int = 11  #: angle between the true and the wanted thrust axis [rad]
-    tilt: int = 12  #: [rad]
-    rotor_vel: slice = slice(13, 17)
-    command_change: int = 17  #: RMS over the rotors of the change of command since the last sample [rad/s]
+
+class Sample(NamedTuple):
+    """What the loop, the plant and the controller of n vehicles hold at one instant."""
+
+    position: Array  #: (n, 3) world [m]
+    quat: Array  #: true quat_WB (n, 4)
+    roll_pitch: Array  #: true (n, 2) [rad]
+    yaw: Array  #: true (n,) [rad]
+    estimate: Array  #: estimated roll, pitch (n, 2) [rad]
+    target: Array  #: set-point (n, 3) world [m]
+    thrust_axis: Array  #: commanded (n, 3) world
+    rotor_vel: Array  #: (n, rotors) [rad/s]
+    command: Array  #: commanded rotor_vel (n, rotors) [rad/s]
 
 
-LAYOUT = Layout()
-WIDTH = 18
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class FlightMetrics(Generic[Value]):
+    """The metrics of flights, of one or of each, as `METRICS` describes them."""
+
+    error_deg: Value
+    inclination_deg: Value
+    attitude_deg: Value
+    position_m: Value
+    worst_tilt_deg: Value
+    converge_s: Value
+    recover_s: Value
+    power_w: Value
+    jitter: Value
+
+
+@dataclass(frozen=True)
+class _Flight:
+    scenario: str
+    estimator: str
+    seed: int
+    cause: str
+    """Of the crash; empty without one."""
+    flown_s: float
+
+
+@dataclass(frozen=True)
+class FlightRow(FlightMetrics[float | None], _Flight):
+    """One flight; a metric without a value is None."""
+
+
+@dataclass(frozen=True)
+class _Cell:
+    scenario: str
+    estimator: str
+    reason: str
+    """Why it did not run; then all that follows is None."""
+    flights: int | None
+    crashes: int | None
+    crash_rate: float | None
+    crash_low: float | None
+    crash_high: float | None
+
+
+@dataclass(frozen=True)
+class CellRow(FlightMetrics[float | None], _Cell):
+    """All flights of a scenario with one estimator."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +156,8 @@ METRICS = (
     ),
     Metric(
         "recover_s", "Recovery time", "s", 2,
-        f"The longest time it took to come back, once more than {AWAY_M:g} m from the set-point, 0 if never "
-        "there; the median over flights, empty if most crash or stay away.",
+        f"The longest time it took to come back, once more than {OUT_OF_BOUNDS_M:g} m from the set-point, "
+        "0 if never there; the median over flights, empty if most crash or stay away.",
     ),
     Metric(
         "power_w", "Rotor power", "W", 1,
@@ -102,54 +171,60 @@ METRICS = (
 
 
 @njit(cache=True)
-def write_row(position, quat, euler, estimate, target, axis, rotor_vel, command, last_command, row):
-    """Write one sample of n flights into `row` (n, WIDTH), and keep the command in `last_command`."""
+def write_sample(sample, last_command, row):
+    """Write one sample of n vehicles into `row` (n,) of `log_dtype`, and its command into `last_command`."""
+    quat, axis, rotors = sample.quat, sample.thrust_axis, sample.rotor_vel.shape[1]
     for i in range(row.shape[0]):
         w, x, y, z = quat[i, 0], quat[i, 1], quat[i, 2], quat[i, 3]
         up_x, up_y, up_z = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-        change = 0.0
+        out = row[i]
         for j in range(3):
-            row[i, j], row[i, 8 + j] = position[i, j], target[i, j]
-        row[i, 3], row[i, 4], row[i, 5] = euler[0][i, 0], euler[0][i, 1], euler[1][i]
-        row[i, 6], row[i, 7] = estimate[i, 0], estimate[i, 1]
+            out.position[j], out.target[j] = sample.position[i, j], sample.target[i, j]
+        for j in range(2):
+            out.euler[j], out.estimate[j] = sample.roll_pitch[i, j], sample.estimate[i, j]
+        out.euler[2] = sample.yaw[i]
         cx = up_y * axis[i, 2] - up_z * axis[i, 1]
         cy = up_z * axis[i, 0] - up_x * axis[i, 2]
         cz = up_x * axis[i, 1] - up_y * axis[i, 0]
         dot = up_x * axis[i, 0] + up_y * axis[i, 1] + up_z * axis[i, 2]
-        row[i, 11] = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), dot)
-        row[i, 12] = math.atan2(math.sqrt(up_x * up_x + up_y * up_y), up_z)
-        for j in range(4):
-            row[i, 13 + j] = rotor_vel[i, j]
-            change += (command[i, j] - last_command[i, j]) ** 2
-            last_command[i, j] = command[i, j]
-        row[i, 17] = math.sqrt(0.25 * change)
+        out.tracking = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), dot)
+        out.tilt = math.atan2(math.sqrt(up_x * up_x + up_y * up_y), up_z)
+        change = 0.0
+        for j in range(rotors):
+            out.rotor_vel[j] = sample.rotor_vel[i, j]
+            change += (sample.command[i, j] - last_command[i, j]) ** 2
+            last_command[i, j] = sample.command[i, j]
+        out.command_change = math.sqrt(change / rotors)
 
 
-def flight_metrics(log: Array, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle) -> dict[str, Array]:
-    """One number per flight for each metric but the crash rate, (n,); NaN where there is none.
+def flight_metrics(
+    log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle
+) -> FlightMetrics[Array]:
+    """Every metric of each flight, (n,); NaN where it has no value.
 
     Args:
-        log: (n, T, WIDTH).
+        log: (n, T) of `log_dtype`.
         end: (n,) samples before the crash, T without one.
         rate_hz: Samples per second.
         vehicle: For the power.
     """
-    flown = np.where((np.arange(log.shape[1]) < np.maximum(end, 1)[:, None])[..., None], log, np.nan)
-    estimate, truth = flown[..., LAYOUT.estimate], flown[..., LAYOUT.euler][..., :2]
+    flown = log.copy()
+    flown[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
+    estimate, truth = flown["estimate"], flown["euler"][..., :2]
     inclination = inclination_error(estimate, truth)
-    apart = np.linalg.norm(flown[..., LAYOUT.position] - flown[..., LAYOUT.target], axis=-1)
-    power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(flown[..., LAYOUT.rotor_vel] ** 3, axis=-1)
-    return {
-        "error_deg": attitude_error(estimate, truth).sequences,
-        "inclination_deg": _rms(inclination),
-        "attitude_deg": np.degrees(_rms(flown[..., LAYOUT.tracking])),
-        "position_m": _rms(apart),
-        "worst_tilt_deg": np.degrees(np.nanmax(flown[..., LAYOUT.tilt], axis=1)),
-        "converge_s": convergence_time(inclination, rate_hz),
-        "recover_s": recovery_time(apart, end == log.shape[1], rate_hz),
-        "power_w": np.nanmean(power, axis=1),
-        "jitter": _rms(flown[:, :, LAYOUT.command_change]),
-    }
+    distance = np.linalg.norm(flown["position"] - flown["target"], axis=-1)
+    power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(flown["rotor_vel"] ** 3, axis=-1)
+    return FlightMetrics(
+        error_deg=attitude_error(estimate, truth).sequences,
+        inclination_deg=_rms(inclination),
+        attitude_deg=np.degrees(_rms(flown["tracking"])),
+        position_m=_rms(distance),
+        worst_tilt_deg=np.degrees(np.nanmax(flown["tilt"], axis=1)),
+        converge_s=convergence_time(inclination, rate_hz),
+        recover_s=recovery_time(distance, end == log.shape[1], rate_hz),
+        power_w=np.nanmean(power, axis=1),
+        jitter=_rms(flown["command_change"]),
+    )
 
 
 def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
@@ -162,33 +237,32 @@ def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
     hold = max(round(CONVERGED_S * rate_hz), 1)
     good = (inclination_deg < CONVERGED_DEG).astype(np.int64)
     total = np.concatenate([np.zeros((len(good), 1), dtype=np.int64), np.cumsum(good, axis=1)], axis=1)
-    held = total[:, hold:] - total[:, :-hold] == hold
-    first = held.argmax(axis=1) if held.shape[1] else np.zeros(len(good), dtype=np.int64)
-    found = held.any(axis=1)
-    return np.where(found, first / rate_hz, np.nan)
+    stays = total[:, hold:] - total[:, :-hold] == hold
+    first = stays.argmax(axis=1) if stays.shape[1] else np.zeros(len(good), dtype=np.int64)
+    return np.where(stays.any(axis=1), first / rate_hz, np.nan)
 
 
-def recovery_time(apart: Array, whole: NDArray[np.bool_], rate_hz: float) -> Array:
-    """The longest time beyond `AWAY_M` before it came back, (n,) [s]; NaN where it did not.
+def recovery_time(distance: Array, complete: NDArray[np.bool_], rate_hz: float) -> Array:
+    """The longest time beyond `OUT_OF_BOUNDS_M` before it came back, (n,) [s]; NaN where it did not.
 
-    A flight that is away at its end has not come back if that has lasted for a second.
+    A flight that is out of bounds at its end has not come back if that has lasted for a second.
 
     Args:
-        apart: (n, T) distance from the set-point [m].
-        whole: (n,) whether a flight lasted to its end.
+        distance: (n, T) from the set-point [m].
+        complete: (n,) whether a flight lasted to its end.
         rate_hz: Samples per second.
     """
-    longest, spell = np.zeros((2, len(apart)))
-    for away in (apart > AWAY_M).T:
-        longest = np.where(away, longest, np.maximum(longest, spell))
-        spell = np.where(away, spell + 1, 0)
-    return np.where(whole & (spell < rate_hz), longest / rate_hz, np.nan)
+    longest, spell = np.zeros((2, len(distance)))
+    for outside in (distance > OUT_OF_BOUNDS_M).T:
+        longest = np.where(outside, longest, np.maximum(longest, spell))
+        spell = np.where(outside, spell + 1, 0)
+    return np.where(complete & (spell < rate_hz), longest / rate_hz, np.nan)
 
 
-def error_histogram(log: Array, end: NDArray[np.int64]) -> NDArray[np.int64]:
+def error_histogram(log: Log, end: NDArray[np.int64]) -> NDArray[np.int64]:
     """Counts of the absolute errors of roll and pitch over `ERROR_BINS` equal parts of `ERROR_DECADES`."""
     before = np.arange(log.shape[1]) < end[:, None]
-    errors = absolute_error(log[..., LAYOUT.estimate], log[..., LAYOUT.euler][..., :2])[before]
+    errors = absolute_error(log["estimate"], log["euler"][..., :2])[before]
     decades = np.log10(np.maximum(errors, 1e-12)).clip(*ERROR_DECADES)
     return np.histogram(decades, bins=ERROR_BINS, range=ERROR_DECADES)[0]
 
@@ -204,23 +278,21 @@ def wilson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def summarise(flights: list[dict[str, float | int | str | None]]) -> dict[str, float | int | None]:
-    """One row for the flights of a scenario on an estimator."""
-    crashes = sum(bool(flight["cause"]) for flight in flights)
-    low, high = wilson(crashes, len(flights))
-    row: dict[str, float | int | None] = {"flights": len(flights), "crashes": crashes}
-    row |= {"crash_rate": crashes / len(flights), "crash_low": low, "crash_high": high}
-    for metric in METRICS:
-        if metric.key != "crash_rate":
-            values = np.array(
-                [np.nan if f[metric.key] is None else f[metric.key] for f in flights], dtype=float
-            )
-            row[metric.key] = _one_figure(metric.key, values)
-    return row
+def summarise(scenario: str, estimator: str, reason: str, flights: Sequence[FlightRow]) -> CellRow:
+    """One row for the flights of a scenario with an estimator."""
+    figures = {
+        each.name: _one_figure(each.name, [getattr(flight, each.name) for flight in flights])
+        for each in fields(FlightMetrics)
+    }
+    if not flights:
+        return CellRow(scenario, estimator, reason, None, None, None, None, None, **figures)
+    n, crashes = len(flights), sum(bool(flight.cause) for flight in flights)
+    return CellRow(scenario, estimator, reason, n, crashes, crashes / n, *wilson(crashes, n), **figures)
 
 
-def _one_figure(key: str, values: Array) -> float | None:
-    if key in ("converge_s", "recover_s"):
+def _one_figure(key: str, flights: Sequence[float | None]) -> float | None:
+    values = np.array(flights, dtype=float)
+    if key in ("converge_s", "recover_s") and values.size:
         figure = float(np.median(np.where(np.isnan(values), np.inf, values)))
     elif np.isnan(values).all():
         return None
