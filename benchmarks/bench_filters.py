@@ -18,7 +18,7 @@ from vqf import VQF
 
 from estimators import create, names, run
 from estimators.registry import COMPILED, NETWORKS
-from estimators.tuning.search import tune
+from estimators.tuning.search import FlightSelection, SearchSettings, tune
 
 RATE_HZ = 200.0
 
@@ -100,9 +100,9 @@ def time_tuning(filters: list[str]) -> None:
     dataset = xr.Dataset(variables, attrs={"rate_hz": RATE_HZ})
     print()
     for name in filters:
-        tune(name, [dataset], particles=2, iterations=1, flights=1)  # compiles
+        tune(name, [dataset], SearchSettings(particles=2, iterations=1), FlightSelection(1))  # compiles
         wall, cpu = time.perf_counter(), time.process_time()
-        tune(name, [dataset], particles=100, iterations=50, workers=2)
+        tune(name, [dataset], workers=2)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         print(f"tuning {name}, 100 × 50 on 3500 s, two threads: {wall:.0f} s, of CPU time {cpu:.0f} s")
 

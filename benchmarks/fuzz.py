@@ -52,6 +52,7 @@ from quadsim.runs.console import output
 from quadsim.seeding import vehicle_seeds
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.runner import bench, load_results
+from scenarios.bench.settings import FlightSettings, ScenarioChanges
 from scenarios.report.publish import publish
 
 LIMIT_S, LIMIT_BYTES = 10.0, 2e9
@@ -107,7 +108,8 @@ def make_samples(folder: Path) -> None:
         '[accel]\ncolumns = ["x", "y", "z"]\n[quat]\ncolumns = ["qw", "qx", "qy", "qz"]\n'
     )
     np.savez(folder / "trial.npz", t=stamps * 1e-6, imu_gyr=gyro, imu_acc=accel, opt_quat=quat)
-    bench(["hover"], ["truth", "mahony"], 1, folder / "bench", duration_s=0.5, workers=1)
+    changes = ScenarioChanges(duration_s=0.5)
+    bench(["hover"], ["truth", "mahony"], folder / "bench", FlightSettings(), changes, workers=1)
     for name in ("att-snn", "att-rnn"):
         source = files("assets") / "weights" / f"{name}.safetensors"
         (folder / f"{name}.safetensors").write_bytes(source.read_bytes())

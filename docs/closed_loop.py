@@ -30,13 +30,14 @@ from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, load_vehicle
 from scenarios.bench import estimator_delay as loops
-from scenarios.bench.breaking import DISTURBANCES, Breaking, breaking_points
+from scenarios.bench.breaking import DISTURBANCES, BreakingPoint, breaking_points
 from scenarios.bench.cell import fly as fly_mission
 from scenarios.bench.demo import SLOW
 from scenarios.bench.flight_metrics import flight_metrics
 from scenarios.bench.linear_bound import least_error
 from scenarios.bench.pairs import ALL, paired_differences
 from scenarios.bench.runner import Results, bench, suite_digest
+from scenarios.bench.settings import FlightSettings, ScenarioChanges
 from scenarios.bench.verdict import TRUTH, total, verdict
 from scenarios.report.publish import publish
 
@@ -66,19 +67,22 @@ def _cpu_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def fly(name: str, **arguments: object) -> tuple[Results, float]:
+def fly(
+    name: str, scenarios: Sequence[str], names: Sequence[str], duration_s: float | None = None
+) -> tuple[Results, float]:
     """A benchmark in a folder of its own, and the minutes of processor time that all its cells took."""
     folder = OUT / name
     folder.mkdir(parents=True, exist_ok=True)
     note = folder / f"time-{suite_digest()[:12]}.json"
     with timed(note), progress_bar(name, "cells") as progress:
-        results = bench(seeds=SEEDS, out=folder, progress=progress, **arguments)
+        changes = ScenarioChanges(duration_s)
+        results = bench(scenarios, names, folder, FlightSettings(SEEDS), changes, progress=progress)
     return results, json.loads(note.read_text())["cpu_s"] / 60
 
 
 def suite_text(results: Results, minutes: float) -> str:
     """What was flown, and what it cost."""
-    s = results.settings
+    s = results
     flights = len(results.cells) * SEEDS
     hours = SEEDS * len(s.estimators) * sum(each.duration_s for each in s.scenarios.values()) / 3600
     return (
@@ -89,10 +93,10 @@ def suite_text(results: Results, minutes: float) -> str:
 
 def heat_map(results: Results) -> Figure:
     """Mean error of every estimator in every scenario, best estimators first; crashes in bold."""
-    names = [s["estimator"] for s in verdict(results.rows).standings if s["estimator"] != TRUTH]
-    scenarios = list(results.settings.scenarios)
-    rows = {(row["estimator"], row["scenario"]): row for row in results.rows}
-    error = np.array([[rows[e, s].get("error_deg") or np.nan for e in names] for s in scenarios], dtype=float)
+    names = [s.estimator for s in verdict(results.rows).standings if s.estimator != TRUTH]
+    scenarios = list(results.scenarios)
+    rows = {(row.estimator, row.scenario): row for row in results.rows}
+    error = np.array([[rows[e, s].error_deg or np.nan for e in names] for s in scenarios], dtype=float)
     figure = Figure(figsize=(9.6, 0.27 * len(scenarios) + 1.6), layout="constrained")
     axes = figure.subplots()
     axes.grid(visible=False)
@@ -103,7 +107,7 @@ def heat_map(results: Results) -> Figure:
         for j, name in enumerate(names):
             row = rows[name, scenario]
             text = "–" if not np.isfinite(error[i, j]) else f"{error[i, j]:.1f}"
-            crashes = f" ✕{row['crashes']}" if row.get("crashes") else ""
+            crashes = f" ✕{row.crashes}" if row.crashes else ""
             weight = "bold" if crashes else "normal"
             axes.text(j, i, text + crashes, ha="center", va="center", fontsize=7, fontweight=weight)
     axes.set_xticks(range(len(names)), names, rotation=35, ha="left", fontsize=8)
@@ -124,20 +128,20 @@ def standing_rows(results: Results, without: Results, files: Mapping[str, str]) 
         without: Of the suite flown with silenced networks.
         files: Networks to the files of their silenced weights.
     """
-    standings = [s["estimator"] for s in verdict(results.rows).standings]
+    standings = [s.estimator for s in verdict(results.rows).standings]
     best = standings[0]
     pairs = {
-        (row["estimator"], row["versus"]): row
+        (row.estimator, row.versus): row
         for row in paired_differences(results.flights)
-        if (row["scenario"], row["metric"]) == (ALL, "error_deg")
+        if (row.scenario, row.metric) == (ALL, "error_deg")
     }
     rows = []
     for name in standings:
-        sums = total([row for row in results.rows if row["estimator"] == name])
+        sums = total([row for row in results.rows if row.estimator == name])
         pair, sign = (pairs[name, best], 1) if (name, best) in pairs else (pairs.get((best, name)), -1)
         difference = "–"
-        if pair and isinstance(pair["difference"], float):
-            middle, half = sign * pair["difference"], (_float(pair["high"]) - _float(pair["low"])) / 2
+        if pair and pair.difference is not None:
+            middle, half = sign * pair.difference, (_float(pair.high) - _float(pair.low)) / 2
             difference = f"{middle:+.2f} ± {half:.2f}"
         crashed = f"{sums.crashes} of {sums.flights}"
         silent = silenced_text(without, files.get(name))
@@ -150,7 +154,7 @@ def _float(value: object) -> float:
     return value if isinstance(value, float) else np.nan
 
 
-def breaking_rows(points: list[Breaking]) -> list[str]:
+def breaking_rows(points: list[BreakingPoint]) -> list[str]:
     """The least level of each disturbance at which an estimator crashed."""
     names = list(dict.fromkeys(point.estimator for point in points))
     text = {(p.estimator, p.disturbance): p.text + (f", {p.cause}" if p.cause else "") for p in points}
@@ -178,27 +182,26 @@ class BiasedTruth:
 
 def bias_rows(results: Results) -> list[str]:
     """The row of `BiasedTruth`, in the form of `long_rows`."""
-    truth = {row["scenario"]: row for row in results.rows if row["estimator"] == TRUTH}
+    truth = {row.scenario: row for row in results.rows if row.estimator == TRUTH}
     entries = []
-    for name, scenario in results.settings.scenarios.items():
+    for name, scenario in results.scenarios.items():
         mission = Mission(scenario, BiasedTruth(), SEEDS)
         log, end = fly_mission(mission, 0)
-        found = {key: each.mean() for key, each in flight_metrics(log, end, 200.0, mission.vehicle).items()}
-        ratio, place = (found[key] / _float(truth[name][key]) for key in ("attitude_deg", "position_m"))
-        entries.append(f"{ratio:.2f} ({found['error_deg']:.2f}°, {place:.2f})")
+        ours = flight_metrics(log, end, 200.0, mission.vehicle)
+        ratio = ours.attitude_deg.mean() / _float(truth[name].attitude_deg)
+        place = ours.position_m.mean() / _float(truth[name].position_m)
+        entries.append(f"{ratio:.2f} ({ours.error_deg.mean():.2f}°, {place:.2f})")
     return ["| *truth with the error of the accelerometer's bias* | " + " | ".join(entries) + " |"]
 
 
 def bound_rows(results: Results) -> list[str]:
     """The rows of the best linear estimator, with its speed unknown and known to a standard deviation."""
     imu, vehicle = load_imu("adis16448"), load_vehicle("hummingbird")
-    truth = {
-        row["scenario"]: _float(row["attitude_deg"]) for row in results.rows if row["estimator"] == TRUTH
-    }
+    truth = {row.scenario: _float(row.attitude_deg) for row in results.rows if row.estimator == TRUTH}
     rows = []
     for speed_sd in SPEEDS_KNOWN:
         entries = []
-        for name, scenario in results.settings.scenarios.items():
+        for name, scenario in results.scenarios.items():
             error = np.degrees(least_error(imu, vehicle, scenario, LONG_S, speed_sd))
             entries.append(f"{np.hypot(1.0, error / truth[name]):.2f} ({error:.2f}° RMS)")
         known = "speed unknown" if np.isinf(speed_sd) else f"speed known to {speed_sd:g} m/s"
@@ -209,20 +212,20 @@ def bound_rows(results: Results) -> list[str]:
 def long_rows(results: Results, files: Mapping[str, str]) -> list[str]:
     """Crashes and attitude tracking over that of the truth, in the long flights; silenced networks last."""
     shown = {path: f"*{name}, silenced*" for name, path in files.items()}
-    rows = {(row["estimator"], row["scenario"]): row for row in results.rows}
+    rows = {(row.estimator, row.scenario): row for row in results.rows}
 
     def entry(name: str, scenario: str) -> str:
         row, truth = rows[name, scenario], rows[TRUTH, scenario]
-        crashes = f", ✕ {row['crashes']}" if row["crashes"] else ""
+        crashes = f", ✕ {row.crashes}" if row.crashes else ""
         if name == TRUTH:
-            return f"{_float(truth['attitude_deg']):.2f}°{crashes}"
-        ratio = _float(row["attitude_deg"]) / _float(truth["attitude_deg"])
-        place = _float(row["position_m"]) / _float(truth["position_m"])
-        return f"{ratio:.2f} ({_float(row['error_deg']):.2f}°, {place:.2f}){crashes}"
+            return f"{_float(truth.attitude_deg):.2f}°{crashes}"
+        ratio = _float(row.attitude_deg) / _float(truth.attitude_deg)
+        place = _float(row.position_m) / _float(truth.position_m)
+        return f"{ratio:.2f} ({_float(row.error_deg):.2f}°, {place:.2f}){crashes}"
 
     return [
         f"| {shown.get(name, name)} | " + " | ".join(entry(name, each) for each in LONG) + " |"
-        for name in results.settings.estimators
+        for name in results.estimators
     ]
 
 
@@ -272,7 +275,7 @@ def silenced_text(results: Results, path: str | None) -> str:
     """Error and crashes of a network that was flown silenced; a dash for other estimators."""
     if path is None:
         return "–"
-    sums = total([row for row in results.rows if row["estimator"] == path])
+    sums = total([row for row in results.rows if row.estimator == path])
     return f"{sums.error:.2f}, ✕ {sums.crashes}"
 
 
@@ -281,13 +284,13 @@ def main() -> None:
     page = load_page("closed-loop")
     names = [name for name in estimators.names() if name not in SLOW]
     files = silenced_files()
-    results, minutes = fly("suite", scenarios=scenario_names(), names=names)
-    without, _ = fly("silenced", scenarios=scenario_names(), names=sorted(set(files.values())))
+    results, minutes = fly("suite", scenario_names(), names)
+    without, _ = fly("silenced", scenario_names(), sorted(set(files.values())))
     long_names = (*LONG_NAMES, *dict.fromkeys(files[name] for name in LONG_NAMES if name in files))
-    long, _ = fly("long", scenarios=LONG, names=long_names, duration_s=LONG_S)
+    long, _ = fly("long", LONG, long_names, LONG_S)
     with progress_bar("break", "points") as progress:
         points = breaking_points(
-            list(DISTURBANCES), names, BREAKING_SEEDS, OUT / "suite", code=suite_digest(), progress=progress
+            list(DISTURBANCES), names, OUT / "suite", FlightSettings(BREAKING_SEEDS), progress=progress
         )
     publish(OUT / "suite", results, points)
     with matplotlib.rc_context(STYLE):

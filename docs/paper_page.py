@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pages import load_page
 
+from paper.pages import Placement
 from paper.run import load_settings, write_results
 
 
@@ -13,9 +14,8 @@ def main() -> None:
     page = load_page("paper")
     docs = page.root / "docs"
     parts = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/paper") / "full"
-    path, _ = write_results(
-        parts, docs, load_settings(parts), "paper-", "img", ("png",), "python docs/paper_page.py"
-    )
+    placement = Placement("paper-", "img", ("png",), "python docs/paper_page.py")
+    path, _ = write_results(parts, docs, load_settings(parts), placement)
     for written in page.made:
         if written.suffix == ".md":
             page.sign(written)

@@ -59,10 +59,10 @@ def pooled(numbers: Numbers, kind: str, method: str, start: str) -> np.ndarray:
     return np.concatenate([numbers[stage]["sequences"][method][start] for stage in stages])
 
 
-Verdict = tuple[Word, str, str]
+JudgedClaim = tuple[Word, str, str]
 
 
-def _competitive(numbers: Numbers) -> Verdict:
+def _competitive(numbers: Numbers) -> JudgedClaim:
     error = {name: float(pooled(numbers, "test-", name, "unknown").mean()) for name in SIX}
     beaten = [name for name in FILTERS if error["att-snn"] < error[name]]
     shown = ", ".join(f"{name} {error[name]:.2f}°" for name in sorted(error, key=error.__getitem__))
@@ -96,7 +96,7 @@ def scatter(losses: Sequence[float], root_mean_square: bool = False) -> float:
     return float(spread * np.sqrt(2 / 3))
 
 
-def _noisy(numbers: Numbers) -> Verdict:
+def _noisy(numbers: Numbers) -> JudgedClaim:
     jumps = {
         name: [scatter(numbers[name]["val_mse"], way) for way in (False, True)] for name in (SNN, FLOAT, RNN)
     }
@@ -132,7 +132,7 @@ def cross_domain(numbers: Numbers, model: str) -> dict[tuple[str, str], np.ndarr
     return {key: np.array(errors) for key, errors in found.items()}
 
 
-def _generalises(numbers: Numbers) -> Verdict:
+def _generalises(numbers: Numbers) -> JudgedClaim:
     ratios, shown = {}, []
     for model in NETWORKS:
         cells = cross_domain(numbers, model)
@@ -166,7 +166,7 @@ def _of_shipped(numbers: Numbers) -> str:
     return f"; trained far longer, and not on the second domain, {', '.join(found)}"
 
 
-def _converges(numbers: Numbers) -> Verdict:
+def _converges(numbers: Numbers) -> JudgedClaim:
     found = numbers["recover"]["found"]
     times = {
         name: found[name]["flight"]["first_s"] for name in (*FILTERS, "complementary-adaptive", *NETWORKS)
@@ -189,7 +189,7 @@ def _seconds(time: float) -> str:
     return "never" if np.isinf(time) else f"{time:.2f} s"
 
 
-def _removable(numbers: Numbers) -> Verdict:
+def _removable(numbers: Numbers) -> JudgedClaim:
     inside = numbers["inside"]
     fractions = np.array(inside["fractions"])
     free = {
@@ -212,7 +212,7 @@ def _removable(numbers: Numbers) -> Verdict:
     )
 
 
-def _references(numbers: Numbers) -> Verdict:
+def _references(numbers: Numbers) -> JudgedClaim:
     found = numbers["inside"]["responses"]
     no_gyro, no_accel = found["gyro removed"], found["accel removed"]
     long_time = no_gyro["slow_gain"] > no_accel["slow_gain"]
@@ -234,7 +234,7 @@ def _references(numbers: Numbers) -> Verdict:
     return verdict, measured, why
 
 
-def _flops(numbers: Numbers) -> Verdict:
+def _flops(numbers: Numbers) -> JudgedClaim:
     flops = numbers["inside"]["flops"]
     dense, sparse = (flops["gru"] / flops[kind] for kind in ("dense", "sparse"))
     verdict: Word = (
@@ -266,7 +266,7 @@ def by_rate(numbers: Numbers) -> dict[float, dict[str, float]]:
     return dict(sorted(found.items()))
 
 
-def _rates(numbers: Numbers) -> Verdict:
+def _rates(numbers: Numbers) -> JudgedClaim:
     found = by_rate(numbers)
     rates = list(found)
     errors = [found[rate]["trained on"] for rate in rates]
@@ -287,7 +287,7 @@ def _rates(numbers: Numbers) -> Verdict:
     return verdict, f"trained on at each rate: {shown}", why
 
 
-def _loop(numbers: Numbers) -> Verdict:
+def _loop(numbers: Numbers) -> JudgedClaim:
     found = numbers["loop"]["found"]
     crashes = sum(each["att-snn"]["crashes"] for each in found.values())
     flights = sum(each["att-snn"]["flights"] for each in found.values())
@@ -322,7 +322,7 @@ class Claim:
     item: str
     says: str
     rule: str
-    judge: Callable[[Numbers], Verdict]
+    judge: Callable[[Numbers], JudgedClaim]
 
 
 CLAIMS = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,11 @@ from . import figures, tables
 from .claims import Judgement, Numbers, judge
 from .plan import ITEMS
 from .quoted import SPREAD_RAD, TITLE
-from .settings import Budget, Settings
+from .settings import Budget, PaperSettings
 
 OWN_PAGES = ("rate", "size", "minutes")
 """Items with a page of their own."""
-FIGURES: dict[str, Callable[[Numbers, Settings], Figure]] = {
+FIGURES: dict[str, Callable[[Numbers, PaperSettings], Figure]] = {
     "fig3": lambda n, s: figures.distributions(n),
     "fig4": lambda n, s: figures.losses(n),
     "fig5": lambda n, s: figures.violins(n),
@@ -38,10 +39,31 @@ FIGURES: dict[str, Callable[[Numbers, Settings], Figure]] = {
 MARKS = {"holds": "✔ holds", "partly": "◐ partly", "does not hold": "✘ does not hold", "not judged": "–"}
 
 
+@dataclass(frozen=True)
+class Placement:
+    """Names of the pages and their figures."""
+
+    prefix: str = ""
+    """Begins the names of the three pages and of all figures."""
+    images: str = "."
+    """Folder of the figures, inside that of the pages."""
+    kinds: tuple[str, ...] = ("png", "svg")
+    """Formats; the pages show the first."""
+    then: str = ""
+    """A further command that these pages are made with."""
+
+
+BESIDE = Placement()
+
+
 def write_pages(
-    folder: Path, numbers: Numbers, shown: Sequence[str], settings: Settings, seconds: float,
-    prefix: str = "", images: str = ".", kinds: Sequence[str] = ("png", "svg"), then: str = "",
-) -> Path:  # fmt: skip
+    folder: Path,
+    numbers: Numbers,
+    shown: Sequence[str],
+    settings: PaperSettings,
+    seconds: float,
+    placement: Placement = BESIDE,
+) -> Path:
     """Write the page, the three beside it, and their figures.
 
     Args:
@@ -50,17 +72,15 @@ def write_pages(
         shown: Items whose stages are all finished.
         settings: Of the run.
         seconds: Time that its stages took, added up.
-        prefix: Begins the names of the three pages and of all figures.
-        images: Folder of the figures, inside `folder`.
-        kinds: Formats; the pages show the first.
-        then: A further command that these pages are made with.
+        placement: Names of the pages and their figures.
     """
+    prefix, kinds, then = placement.prefix, placement.kinds, placement.then
     judged, texts = judge(numbers), sections()
     bodies = {}
     for item in shown:
         parts = [texts[item][1].format(**VALUES[item](numbers, settings))]
         if item in FIGURES:
-            name = (Path(images) / f"{prefix}{item}").as_posix()
+            name = (Path(placement.images) / f"{prefix}{item}").as_posix()
             _save(FIGURES[item], numbers, settings, [folder / f"{name}.{kind}" for kind in kinds])
             parts.append(f"![{texts[item][0]}]({name}.{kinds[0]})")
         parts += [_verdict(each) for each in judged if each.item == item]
@@ -97,7 +117,10 @@ def sections() -> dict[str, tuple[str, str]]:
 
 
 def _save(
-    make: Callable[[Numbers, Settings], Figure], numbers: Numbers, settings: Settings, paths: Sequence[Path]
+    make: Callable[[Numbers, PaperSettings], Figure],
+    numbers: Numbers,
+    settings: PaperSettings,
+    paths: Sequence[Path],
 ) -> None:
     with matplotlib.rc_context(STYLE):
         figure = make(numbers, settings)
@@ -118,7 +141,7 @@ def _verdict(each: Judgement) -> str:
     return f"**“{each.claim}”: {each.verdict}.** {each.measured[:1].upper()}{each.measured[1:]}.{why}"
 
 
-def _made_by(settings: Settings, then: str) -> str:
+def _made_by(settings: PaperSettings, then: str) -> str:
     seed = f" --seed {settings.seed}" if settings.seed else ""
     further = f" and `{then}`" if then else ""
     return f"Made by `quadsim paper --preset {settings.preset}{seed} --out runs/paper`{further}."
@@ -128,7 +151,7 @@ def _said(budget: Budget) -> str:
     return f"{budget.updates} updates of {budget.batch_size} windows of {budget.window_s:g} s"
 
 
-def _sizes(s: Settings) -> dict[str, Any]:
+def _sizes(s: PaperSettings) -> dict[str, Any]:
     return {
         "flight_s": f"{s.flight_s:g}", "sim": s.sim_flights, "real": s.real_flights,
         "validation": sum(s.validation_flights), "test": sum(s.test_flights),
@@ -140,7 +163,7 @@ def _sizes(s: Settings) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _table2(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _table2(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     return {
         "training": s.sim_flights + s.real_flights,
         "test": sum(s.test_flights),
@@ -149,7 +172,7 @@ def _table2(numbers: Numbers, s: Settings) -> dict[str, Any]:
     }
 
 
-def _fig3(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _fig3(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     found = numbers["distributions"]
     spread = [
         np.radians(found[domain][f"{axis} [°]"]["sd"]) for domain in found for axis in ("roll", "pitch")
@@ -161,7 +184,7 @@ def _fig3(numbers: Numbers, s: Settings) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _fig4(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _fig4(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     best = {stage: numbers[stage]["best"]["val_error_deg"] for stage in figures.CURVES}
     order = [f"{figures.CURVES[stage]} {best[stage]:.2f}°" for stage in sorted(best, key=best.__getitem__)]
     return {
@@ -170,7 +193,7 @@ def _fig4(numbers: Numbers, s: Settings) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _fig6(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _fig6(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     found = numbers["recover"]
     return {
         "starts": found["starts"],
@@ -179,13 +202,13 @@ def _fig6(numbers: Numbers, s: Settings) -> dict[str, Any]:
     }
 
 
-def _fig7(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _fig7(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     inside = numbers["inside"]
     means = {f"mean_{k}": f"{np.mean(inside['rates'][k]):.2f}" for k in (0, 1)}
     return means | {f"silent_{k}": inside["silent"][k] for k in (0, 1)}
 
 
-def _fig9(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _fig9(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     found = numbers["latencies"]["µs"]
     snn, gru, chip = (found[name][1] for name in ("SNN, plain PyTorch", "GRU, PyTorch", "att-snn-loihi"))
     order = "the slower of the two as in the paper" if snn > gru else "the other way round than in the paper"
@@ -196,12 +219,12 @@ def _fig9(numbers: Numbers, s: Settings) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _loop(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _loop(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     duration = f"{numbers['loop']['duration_s']:g}"
     return {"seeds": s.loop_seeds, "duration": duration, "table": tables.loops(numbers)}
 
 
-def _rate(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _rate(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     return {
         "budget": _said(s.rate), "training": s.rate_flights[0], "test": s.rate_flights[2],
         "table": tables.rates(numbers),
@@ -216,7 +239,7 @@ def _enough(numbers: Numbers, stage: str) -> tuple[str, str]:
     return next(name for name, error in errors.items() if error <= 1.1 * errors[most]), most
 
 
-def _size(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _size(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     least, most = _enough(numbers, "compare-size")
     parameters = numbers["compare-size"]["sizes"][least][1]
     text = f"{least} neurons ({parameters} parameters) come within a tenth of the error of {most}."
@@ -224,7 +247,7 @@ def _size(numbers: Numbers, s: Settings) -> dict[str, Any]:
     return _sizes(s) | {"budget": _said(s.study), "table": table, "enough": text}
 
 
-def _minutes(numbers: Numbers, s: Settings) -> dict[str, Any]:
+def _minutes(numbers: Numbers, s: PaperSettings) -> dict[str, Any]:
     least, most = (int(flights) * s.flight_s / 60 for flights in _enough(numbers, "compare-minutes"))
     text = f"{least:.1f} minutes of flight come within a tenth of the error of {most:.1f}."
     table = tables.compared(numbers, "compare-minutes", "flights", s.flight_s)
@@ -232,7 +255,7 @@ def _minutes(numbers: Numbers, s: Settings) -> dict[str, Any]:
     return sizes | {"budget": _said(s.study), "table": table, "enough": text}
 
 
-VALUES: dict[str, Callable[[Numbers, Settings], dict[str, Any]]] = {
+VALUES: dict[str, Callable[[Numbers, PaperSettings], dict[str, Any]]] = {
     "table1": lambda n, s: {"folds": s.folds, "table": tables.folds(n)},
     "table2": _table2,
     "fig3": _fig3,

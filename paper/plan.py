@@ -11,7 +11,7 @@ from quadsim.runs.fingerprint import content_digest
 
 from . import scores, work
 from .scores import FILTERS, SHIPPED
-from .settings import Budget, Settings
+from .settings import Budget, PaperSettings
 from .stages import Stage
 
 SIM, REAL = "fly-sim", "fly-real"
@@ -68,7 +68,7 @@ def chosen(only: str | None) -> list[str]:
     return [name for name in ITEMS if name in names]
 
 
-def stages_of(settings: Settings) -> tuple[dict[str, Stage], dict[str, list[str]]]:
+def stages_of(settings: PaperSettings) -> tuple[dict[str, Stage], dict[str, list[str]]]:
     """Every stage by name, and the stages whose numbers each item shows."""
     stages = {
         stage.name: stage
@@ -104,7 +104,7 @@ def stages_of(settings: Settings) -> tuple[dict[str, Stage], dict[str, list[str]
     return stages, shows
 
 
-def _flights(s: Settings) -> list[Stage]:
+def _flights(s: PaperSettings) -> list[Stage]:
     def fly(name: str, domain: str, flights: int, seed: int, **more: Any) -> Stage:
         settings = {
             "domain": domain,
@@ -133,7 +133,7 @@ def _flights(s: Settings) -> list[Stage]:
     return [*sets, *fewer, *rates, Stage("distributions", work.distributions, inputs=(SIM, REAL))]
 
 
-def _filters(s: Settings) -> list[Stage]:
+def _filters(s: PaperSettings) -> list[Stage]:
     samples = 200 * s.flight_s * (s.sim_flights + s.real_flights)
     return [
         Stage(
@@ -148,7 +148,7 @@ def _filters(s: Settings) -> list[Stage]:
 
 
 def _net(
-    name: str, s: Settings, budget: Budget, data: Sequence[str], validation: Sequence[str],
+    name: str, s: PaperSettings, budget: Budget, data: Sequence[str], validation: Sequence[str],
     rate_hz: float = 200.0, seed: int = 0, preset: str = "best", **choices: Any,
 ) -> Stage:  # fmt: skip
     """A training."""
@@ -169,7 +169,7 @@ def _seconds(budget: Budget, rate_hz: float, choices: dict[str, Any]) -> float:
     return 3.0 + 0.8 * budget.epochs + steps * choices.get("hidden", 100) * SNN_STEP_S
 
 
-def _networks(s: Settings) -> list[Stage]:
+def _networks(s: PaperSettings) -> list[Stage]:
     data, by = (SIM, REAL), CHOOSE
     return [
         _net(SNN, s, s.main, data, by, model="att-snn"),
@@ -181,7 +181,7 @@ def _networks(s: Settings) -> list[Stage]:
     ]
 
 
-def _folds(s: Settings) -> list[Stage]:
+def _folds(s: PaperSettings) -> list[Stage]:
     found = []
     for model, budget in (("att-snn", s.fold_snn), ("att-rnn", s.fold_rnn)):
         spikes = NETWORK if model == "att-snn" else {}
@@ -197,7 +197,7 @@ def _folds(s: Settings) -> list[Stage]:
     return found
 
 
-def _scores(s: Settings) -> list[Stage]:
+def _scores(s: PaperSettings) -> list[Stage]:
     tuned = tuple(f"tune-{name}" for name in FILTERS)
     shipped = shipped_networks()
     every = NETWORKS | shipped
@@ -243,7 +243,7 @@ def _scores(s: Settings) -> list[Stage]:
     return [*found, recover, inside, latencies, loop]
 
 
-def _rates(s: Settings) -> list[Stage]:
+def _rates(s: PaperSettings) -> list[Stage]:
     found = []
     for rate in s.rates_hz:
         train, validation, test = (f"fly-{kind}-{rate:g}" for kind in ("rate", "rate-val", "rate-test"))
@@ -269,11 +269,11 @@ def _rates(s: Settings) -> list[Stage]:
     return found
 
 
-def _whole(s: Settings) -> Stage:
+def _whole(s: PaperSettings) -> Stage:
     return _net(WHOLE, s, s.study, (SIM,), CHOOSE[:1], model="att-snn")
 
 
-def _sizes(s: Settings) -> list[Stage]:
+def _sizes(s: PaperSettings) -> list[Stage]:
     nets = [
         _net(
             f"size-{size}", s, s.study, (SIM,), CHOOSE[:1], model="att-snn", encoding=size // 2,
@@ -288,7 +288,7 @@ def _sizes(s: Settings) -> list[Stage]:
     return [_whole(s), *nets, Stage("compare-size", scores.compare, settings, inputs, seconds=10)]
 
 
-def _minutes(s: Settings) -> list[Stage]:
+def _minutes(s: PaperSettings) -> list[Stage]:
     nets = [
         _net(f"minutes-{n}", s, s.study, (f"fly-sim-{n}",), CHOOSE[:1], model="att-snn")
         for n in s.minutes_flights[:-1]

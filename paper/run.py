@@ -10,9 +10,9 @@ from typing import NamedTuple
 from quadsim.runs.files import write_whole
 
 from .claims import Judgement, Numbers, judge
-from .pages import write_pages
+from .pages import BESIDE, Placement, write_pages
 from .plan import chosen, stages_of
-from .settings import Settings, settings_of
+from .settings import PaperSettings, settings_of
 from .stages import Progress, Stage, fingerprints, is_finished, record_of, run_stages, with_inputs
 from .work import NUMBERS
 
@@ -20,24 +20,24 @@ SETTINGS = "settings.json"
 
 
 class Paper(NamedTuple):
-    """What came of it."""
+    """The page, the judged claims and the stages that ran."""
 
     page: Path
     judged: list[Judgement]
     made: list[str]
-    """Stages that were made now; the others had been."""
+    """Stages that ran now; the others were finished before."""
 
     @property
     def headline(self) -> str:
         """How many of the claims hold."""
         words = [each.verdict for each in self.judged]
-        said = {
+        short = {
             "holds": "hold",
             "partly": "hold partly",
             "does not hold": "do not",
             "not judged": "not judged",
         }
-        counts = [f"{words.count(word)} {short}" for word, short in said.items() if word in words]
+        counts = [f"{words.count(word)} {verb}" for word, verb in short.items() if word in words]
         return f"of the paper's {len(words)} claims {', '.join(counts)}"
 
 
@@ -48,7 +48,7 @@ def paper(
     seed: int = 0,
     workers: int | None = None,
     progress: Progress = lambda done, total, note: None,
-    settings: Settings | None = None,
+    settings: PaperSettings | None = None,
 ) -> Paper:
     """Make the paper's tables and figures, and the pages around them.
 
@@ -82,19 +82,15 @@ def paper(
 
 
 def write_results(
-    parts: Path, folder: Path, settings: Settings, prefix: str = "", images: str = ".",
-    kinds: Sequence[str] = ("png", "svg"), then: str = "",
-) -> tuple[Path, list[Judgement]]:  # fmt: skip
-    """Write the pages of everything that is finished; the arguments are those of `pages.write_pages`.
+    parts: Path, folder: Path, settings: PaperSettings, placement: Placement = BESIDE
+) -> tuple[Path, list[Judgement]]:
+    """Write the pages of everything that is finished.
 
     Args:
         parts: Folder of the stages' folders.
         folder: Where the pages go.
         settings: Of the run.
-        prefix: Begins names.
-        images: Folder of the figures.
-        kinds: Their formats.
-        then: A further command that the pages name.
+        placement: Names of the pages and their figures.
     """
     stages, shows = stages_of(settings)
     every = with_inputs(stages, stages)
@@ -104,18 +100,18 @@ def write_results(
     shown = [item for item, names in shows.items() if all(name in found for name in names)]
     seconds = sum(record_of(parts / stage.name)["seconds"] for stage in there)
     numbers = {name: found[name] for item in shown for name in shows[item]}
-    page = write_pages(folder, numbers, shown, settings, seconds, prefix, images, kinds, then)
+    page = write_pages(folder, numbers, shown, settings, seconds, placement)
     return page, judge(numbers)
 
 
-def load_settings(parts: Path) -> Settings:
+def load_settings(parts: Path) -> PaperSettings:
     """The sizes of a run, from the folder of its stages.
 
     Raises:
         ValueError: There is no run in the folder.
     """
     try:
-        return Settings.model_validate_json((parts / SETTINGS).read_text(encoding="utf-8"))
+        return PaperSettings.model_validate_json((parts / SETTINGS).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ValueError(f"{parts}: no run of quadsim paper (there is no {SETTINGS})") from None
 

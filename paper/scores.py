@@ -159,7 +159,7 @@ def close_loop(
                 "crashes": int((mission.cause > 0).sum()),
                 "parts_deg": error_in_parts(log, end, 200.0),
                 **{
-                    key: float(np.nanmean(metrics[key]))
+                    key: float(np.nanmean(getattr(metrics, key)))
                     for key in ("error_deg", "attitude_deg", "position_m")
                 },
             }
@@ -168,9 +168,9 @@ def close_loop(
 
 def error_in_parts(log: Log, end: NDArray[np.int64], rate_hz: float) -> list[float]:
     """Mean absolute error in equal parts of the flights that lasted, after they have settled [deg]."""
-    whole = end == log.shape[1]
     first = min(round(SETTLED_S * rate_hz), log.shape[1] // 2)
-    error = absolute_error(log["estimate"][whole, first:], log["euler"][whole, first:, :2])
+    late = log[end == log.shape[1], first:]
+    error = absolute_error(late["estimate"], late["euler"][..., :2])
     return [float(part.mean()) if part.size else np.nan for part in np.array_split(error, PARTS, axis=1)]
 
 

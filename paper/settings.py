@@ -34,7 +34,7 @@ class Budget(Strict):
         return self.model_dump()
 
 
-class Settings(Strict):
+class PaperSettings(Strict):
     """Sizes of everything that `quadsim paper` does."""
 
     preset: str
@@ -79,9 +79,9 @@ class Settings(Strict):
     """Length of the closed-loop flights [s]."""
 
 
-def full(seed: int = 0) -> Settings:
+def full(seed: int = 0) -> PaperSettings:
     """The paper's sizes."""
-    return Settings(
+    return PaperSettings(
         preset="full",
         seed=seed,
         main=Budget(epochs=150, batches=30),
@@ -94,9 +94,9 @@ def full(seed: int = 0) -> Settings:
     )
 
 
-def quick(seed: int = 0) -> Settings:
+def quick(seed: int = 0) -> PaperSettings:
     """All of it in minutes: short flights and trainings, to see that it works and roughly what comes out."""
-    return Settings(
+    return PaperSettings(
         preset="quick",
         seed=seed,
         sim_flights=12,
@@ -127,7 +127,7 @@ def quick(seed: int = 0) -> Settings:
 PRESETS = {"quick": quick, "full": full}
 
 
-def settings_of(preset: str, seed: int = 0) -> Settings:
+def settings_of(preset: str, seed: int = 0) -> PaperSettings:
     """The sizes of a preset.
 
     Raises:

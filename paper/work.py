@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from estimators.networks.weights_file import load_network, save_network
-from estimators.tuning.search import tune, write_tuning
+from estimators.tuning.search import SearchSettings, tune, write_tuning
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import flight_config, load_recipe
@@ -52,9 +52,8 @@ def tune_filter(
 ) -> None:
     """Tune a filter on the training flights of both domains with the paper's swarm."""
     data = [open_dataset(path / FLIGHTS) for path in inputs.values()]
-    tuned = tune(
-        name, data, particles=particles, iterations=iterations, seed=seed, command="quadsim paper"
-    )  # fmt: skip
+    search = SearchSettings(particles=particles, iterations=iterations, seed=seed)
+    tuned = tune(name, data, search, command="quadsim paper")
     write_tuning(folder / TUNING, name, tuned, "Tuned on the training flights of both domains.")
     write_numbers(folder, {"name": name, "values": tuned.values, "rmse_deg": tuned.rmse_deg})
 

@@ -1,13 +1,17 @@
 """Breaking points and paired differences."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from quadsim.flight.scenario import load_scenario
 from scenarios.bench import breaking
 from scenarios.bench.breaking import DISTURBANCES, bisect, breaking_points, load_points
-from scenarios.bench.cell import Cell
+from scenarios.bench.cell import Cell, failed_cell
+from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.pairs import paired_differences
+from scenarios.bench.settings import FlightSettings, ScenarioChanges
 
 
 @pytest.mark.parametrize("true", [0.3, 7.77, 31.9])
@@ -42,20 +46,22 @@ def brittle(monkeypatch):
     """Cells in which `truth` breaks at 10 m/s of wind, and `mahony` does not run."""
     flown = []
 
-    def fly(name, scenario, estimator, seeds, seed, rate_hz, fingerprint, tuning):
+    def fly(name, scenario, estimator, settings):
         flown.append((estimator, scenario.wind[0].velocity[0]))
         if estimator == "mahony":
-            return Cell(name, estimator, "", "no idea", [], [], None)
+            return failed_cell(name, estimator, "", "no idea")
         cause = "tilted over" if scenario.wind[0].velocity[0] >= 10.0 else ""
-        return Cell(name, estimator, "", "", [{"cause": cause, "flown_s": 1.0}] * seeds, [], None)
+        flights = [flight(name, estimator, seed, 1.0, cause) for seed in range(settings.seeds)]
+        return Cell(name, estimator, "", "", flights, [], None)
 
     monkeypatch.setattr(breaking, "fly_cell", fly)
     return flown
 
 
-def test_points_are_found_kept_and_loaded(tmp_path, brittle):
+def test_points_are_found_stored_and_loaded(tmp_path, brittle, monkeypatch):
     def find(code="a"):
-        return breaking_points(["wind"], ["truth", "mahony"], 2, tmp_path, code=code, workers=1)
+        monkeypatch.setattr(breaking, "suite_digest", lambda: code)
+        return breaking_points(["wind"], ["truth", "mahony"], tmp_path, FlightSettings(2), workers=1)
 
     truth, mahony = find()
     assert (truth.flies_at, truth.crashes_at, truth.cause) == (9.75, 10.0, "tilted over")
@@ -72,17 +78,18 @@ def test_points_are_found_kept_and_loaded(tmp_path, brittle):
 
 def test_unknown_disturbance_is_named(tmp_path):
     with pytest.raises(ValueError, match='unknown breaking point "rain"; valid: wind, bias, dropout, all'):
-        breaking_points(["rain"], ["truth"], 1, tmp_path, code="")
+        breaking_points(["rain"], ["truth"], tmp_path, FlightSettings())
 
 
 def test_a_disturbance_after_the_end_is_no_level_that_is_flown(tmp_path):
-    with pytest.raises(ValueError, match="bias: it sets in at 6 s, and flights last 3 s"):
-        breaking_points(["bias"], ["truth"], 1, tmp_path, code="", duration_s=3.0)
+    with pytest.raises(ValueError, match="bias: it begins at 6 s, and flights last 3 s"):
+        breaking_points(["bias"], ["truth"], tmp_path, FlightSettings(), ScenarioChanges(3.0))
 
 
 def flight(scenario, estimator, seed, error, cause=""):
-    numbers = {"error_deg": error, "attitude_deg": 2 * error, "position_m": None}
-    return {"scenario": scenario, "estimator": estimator, "seed": seed, "cause": cause} | numbers
+    metrics = dict.fromkeys(each.name for each in fields(FlightMetrics))
+    metrics |= {"error_deg": error, "attitude_deg": 2 * error}
+    return FlightRow(scenario, estimator, seed, cause, 1.0, **metrics)
 
 
 def test_pairing_removes_what_the_flights_share():
@@ -90,22 +97,22 @@ def test_pairing_removes_what_the_flights_share():
     gap = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.0])
     flights = [flight("a", "x", i, hard[i] + gap[i]) for i in range(6)]
     flights += [flight("a", "y", i, hard[i]) for i in range(6)]
-    row = next(r for r in paired_differences(flights) if (r["scenario"], r["metric"]) == ("a", "error_deg"))
-    assert (row["estimator"], row["versus"], row["pairs"]) == ("x", "y", 6)
-    assert row["difference"] == pytest.approx(1.0)
+    row = next(r for r in paired_differences(flights) if (r.scenario, r.metric) == ("a", "error_deg"))
+    assert (row.estimator, row.versus, row.pairs) == ("x", "y", 6)
+    assert row.difference == pytest.approx(1.0)
     half = 2.5706 * gap.std(ddof=1) / np.sqrt(6)  # Student's t at 97.5 % with 5 degrees of freedom
-    assert (row["low"], row["high"]) == pytest.approx((1 - half, 1 + half), rel=1e-4)
+    assert (row.low, row.high) == pytest.approx((1 - half, 1 + half), rel=1e-4)
 
 
 def test_crashed_flights_make_no_pair_but_are_counted():
     flights = [flight("a", "x", 0, 9.0, "tilted over"), flight("a", "x", 1, 3.0), flight("b", "x", 1, 5.0)]
     flights += [flight("a", "y", 0, 1.0), flight("a", "y", 1, 1.0), flight("b", "y", 1, 1.0, "flew away")]
-    rows = {(r["scenario"], r["metric"]): r for r in paired_differences(flights)}
-    assert (rows["a", "error_deg"]["pairs"], rows["a", "error_deg"]["difference"]) == (1, 2.0)
-    assert (rows["b", "error_deg"]["pairs"], rows["b", "error_deg"]["difference"]) == (0, None)
-    assert rows["all", "error_deg"]["difference"] == 2.0
-    assert (rows["all", "error_deg"]["crashed_alone"], rows["all", "error_deg"]["versus_crashed_alone"]) == (
+    rows = {(r.scenario, r.metric): r for r in paired_differences(flights)}
+    assert (rows["a", "error_deg"].pairs, rows["a", "error_deg"].difference) == (1, 2.0)
+    assert (rows["b", "error_deg"].pairs, rows["b", "error_deg"].difference) == (0, None)
+    assert rows["all", "error_deg"].difference == 2.0
+    assert (rows["all", "error_deg"].crashed_alone, rows["all", "error_deg"].versus_crashed_alone) == (
         1,
         1,
     )
-    assert rows["all", "position_m"]["pairs"] == 0
+    assert rows["all", "position_m"].pairs == 0

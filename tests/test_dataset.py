@@ -196,7 +196,7 @@ def test_a_killed_run_resumes_and_leaves_no_process_behind(tmp_path):
     script = """
 import sys
 from quadsim import dataset
-from quadsim.flight import FlightConfig
+from quadsim.flight.simulate import FlightConfig
 
 dataset.BATCH_FLIGHTS = 1
 dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 40, 1.0, sys.argv[1], workers=2)

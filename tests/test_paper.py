@@ -11,13 +11,13 @@ from paper.pages import VALUES, sections
 from paper.plan import ITEMS, chosen, stages_of
 from paper.quoted import quoted
 from paper.run import paper
-from paper.settings import PRESETS, Budget, Settings
+from paper.settings import PRESETS, Budget, PaperSettings
 from paper.stages import RECORD, Stage, run_stages, with_inputs
 from paper.work import NUMBERS, fly
 
 SHORT = Budget(epochs=1, batches=1, batch_size=2, window_s=0.5, windows_per_stream=1)
 LONGER = SHORT.model_copy(update={"epochs": 4})
-TINY = Settings(
+TINY = PaperSettings(
     preset="quick",
     sim_flights=3,
     real_flights=3,

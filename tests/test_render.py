@@ -12,6 +12,7 @@ from quadsim.render import NO_OPENGL, Scene, View, film, quadrotor_geoms, still
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import fly_cell
+from scenarios.bench.settings import FlightSettings
 from scenarios.report.flight_picture import cover, flight_picture
 
 VEHICLE = load_vehicle("hummingbird")
@@ -90,16 +91,16 @@ def test_film_of_nothing_is_refused(tmp_path):
 
 
 def test_flight_is_one_picture():
-    cell = fly_cell("x", Scenario(description="", duration_s=0.5), "truth", 1, 0, 200.0, "")
+    cell = fly_cell("x", Scenario(description="", duration_s=0.5), "truth", FlightSettings())
     assert flight_picture(cell, VEHICLE, width=160, height=90).shape == (90, 160, 3)
 
 
 def test_cover_shows_the_preferred_flight_or_says_why_not():
     scenario = Scenario(description="", duration_s=2.5)
-    cells = [fly_cell(name, scenario, "truth", 1, 0, 200.0, "") for name in ("hover", "step")]
+    cells = [fly_cell(name, scenario, "truth", FlightSettings()) for name in ("hover", "step")]
     picture, note = cover(cells)
     assert picture is not None
-    assert (picture.caption, note) == ("step on truth, from 1.9 s to 4.2 s", "")
+    assert (picture.caption, note) == ("step with truth, from 1.9 s to 4.2 s", "")
     assert cover(cells[:1]) == (None, "no picture: none of step, figure-8, racing was flown for long enough")
 
 

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import fields, replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -10,13 +11,15 @@ import pytest
 import estimators
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
-from scenarios.bench.breaking import Breaking
-from scenarios.bench.cell import Cell, fly, make_cell
+from scenarios.bench.breaking import BreakingPoint
+from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
+from scenarios.bench.flight_metrics import CellRow, FlightMetrics, FlightRow
 from scenarios.bench.pairs import paired_differences
-from scenarios.bench.runner import Results, Settings
+from scenarios.bench.runner import Results
+from scenarios.bench.settings import FlightSettings
 from scenarios.bench.verdict import offline_verdict, verdict
 from scenarios.report.flight_picture import Picture
-from scenarios.report.page import write_report
+from scenarios.report.page import ClosedLoopSection, OfflineSection, write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 OFFLINE = [
@@ -26,29 +29,21 @@ OFFLINE = [
 ]
 
 
+def metrics(**known):
+    return dict.fromkeys(each.name for each in fields(FlightMetrics)) | known
+
+
 def row(scenario, estimator, crashes=0, error=1.0, flights=10, reason=""):
     if reason:
-        return {"scenario": scenario, "estimator": estimator, "reason": reason}
-    head = {
-        "scenario": scenario,
-        "estimator": estimator,
-        "reason": "",
-        "flights": flights,
-        "crashes": crashes,
-    }
-    return head | {"error_deg": error, "attitude_deg": 2 * error}
+        return CellRow(scenario, estimator, reason, *[None] * 5, **metrics())
+    numbers = metrics(error_deg=error, attitude_deg=2 * error)
+    return CellRow(scenario, estimator, "", flights, crashes, crashes / flights, 0.0, 1.0, **numbers)
 
 
 def flight(seed, scenario, estimator, cause="", error=1.0):
-    numbers = {
-        "flown_s": 1.0,
-        "error_deg": error,
-        "inclination_deg": 1.5,
-        "attitude_deg": 2.0,
-        "position_m": 0.1,
-    }
-    numbers |= {"worst_tilt_deg": 10.0, "converge_s": None, "recover_s": 0.0, "power_w": 50.0, "jitter": 1.0}
-    return {"scenario": scenario, "estimator": estimator, "seed": seed, "cause": cause} | numbers
+    numbers = metrics(error_deg=error, inclination_deg=1.5, attitude_deg=2.0, position_m=0.1)
+    numbers |= {"worst_tilt_deg": 10.0, "recover_s": 0.0, "power_w": 50.0, "jitter": 1.0}
+    return FlightRow(scenario, estimator, seed, cause, 1.0, **numbers)
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +58,9 @@ def results():
             cells.append(make_cell(name, estimator, "", mission, log, end))
         flights = [flight(0, name, "ekf", "flew away", 9.0), flight(1, name, "ekf")]
         cells.append(Cell(name, "ekf", "", "", flights, cells[0].histogram, cells[0].series))
-        cells.append(Cell(name, "vqf", "", "no weights <here>", [], [], None))
+        cells.append(failed_cell(name, "vqf", "", "no weights <here>"))
     names = ["truth", "mahony", "ekf", "vqf"]
-    return Results(Settings({"calm": scenario, "storm": scenario}, names, 2, 0, 200.0), cells)
+    return Results({"calm": scenario, "storm": scenario}, names, FlightSettings(2), cells)
 
 
 @pytest.fixture(scope="module")
@@ -73,21 +68,13 @@ def report(results, tmp_path_factory):
     picture = Picture(np.full((90, 160, 3), 128, dtype=np.uint8), 'A "picture" & its caption')
     path = tmp_path_factory.mktemp("report") / "report.html"
     points = [
-        Breaking("wind", "truth", "m/s", 64.0, None, "", 2, ""),
-        Breaking("wind", "mahony", "m/s", 9.75, 10.0, "tilted over", 2, ""),
-        Breaking("wind", "vqf", "m/s", None, None, "", 2, "no weights <here>"),
+        BreakingPoint("wind", "truth", "m/s", 64.0, None, "", 2, ""),
+        BreakingPoint("wind", "mahony", "m/s", 9.75, 10.0, "tilted over", 2, ""),
+        BreakingPoint("wind", "vqf", "m/s", None, None, "", 2, "no weights <here>"),
     ]
     pairs = paired_differences(results.flights)
-    return write_report(
-        path,
-        results,
-        offline=OFFLINE,
-        still=picture,
-        csv=["results.csv"],
-        focus="ekf",
-        pairs=pairs,
-        points=points,
-    )
+    section = ClosedLoopSection(results, pairs, points, picture)
+    return write_report(path, section, OfflineSection(OFFLINE), csv=["results.csv"], focus="ekf")
 
 
 # --- the verdict ----------------------------------------------------------------------------------
@@ -101,21 +88,17 @@ def test_fewest_crashes_win_then_the_smallest_error():
         row("a", "z", error=1.0),
     ]
     result = verdict(rows)
-    assert [s["estimator"] for s in result.standings] == ["z", "y", "x", "truth"]
+    assert [s.estimator for s in result.standings] == ["z", "y", "x", "truth"]
     assert result.headline == "Fly z: no crash in 10 flights, and the smallest error, 1.00°."
 
 
 def test_where_all_crash_the_verdict_says_so():
     result = verdict([row("a", "x", 3), row("b", "x", 1), row("a", "y", 9), row("b", "y", 9)])
     assert result.headline == "Fly x: it crashed least, in 4 of 20 flights, with an error of 1.00°."
-    assert result.standings[0] == {
-        "estimator": "x",
-        "grade": "crashes",
-        "text": "crashed in a (3 of 10), b (1 of 10) · error 1.00°",
-    }
+    assert result.standings[0] == ("x", "crashes", "crashed in a (3 of 10), b (1 of 10) · error 1.00°")
 
 
-def test_verdict_says_whom_the_seeds_do_not_tell_the_best_from():
+def test_verdict_names_estimators_that_do_not_differ_significantly_from_the_best():
     rows = [row("a", name, error=error) for name, error in (("x", 1.0), ("y", 1.1), ("z", 1.1), ("w", 1.2))]
     offset = {"x": 1.0, "y": 1.1, "z": 1.1, "w": 1.2}
     noise = {"x": (0, 0, 0, 0), "y": (0.3, -0.3, 0.3, -0.3), "z": (0.01, -0.01, 0, 0), "w": (0.4, -0.4, 0, 0)}
@@ -125,7 +108,9 @@ def test_verdict_says_whom_the_seeds_do_not_tell_the_best_from():
         for seed in range(4)
     ]
     result = verdict(rows, pairs=paired_differences(flights))
-    assert result.doubt == "Its error on the same seeds cannot be told, at 95 %, from that of y and w."
+    assert result.doubt == (
+        "Its error is not significantly different from that of y and w (paired 95 % CI includes 0)."
+    )
     assert result.lines == [result.doubt]
     assert verdict(rows).doubt == ""
 
@@ -134,14 +119,14 @@ def test_verdict_speaks_of_the_estimator_in_focus_and_compares_with_the_truth():
     rows = [row("a", "truth", error=0.5), row("a", "x", error=1.0), row("a", "y", crashes=1, error=2.0)]
     lines = verdict(rows, focus="y").lines
     assert lines == [
-        "On it, the vehicle strays 2.00 × as far from the commanded attitude as on the truth.",
-        "y: 1 crash in 10 flights, error 2.00°, attitude tracking 4.00 × that on the truth.",
+        "Its attitude tracking error is 2.00 × that with the true attitude.",
+        "y: 1 crash in 10 flights, error 2.00°, attitude tracking error 4.00 × that with the true attitude.",
     ]
 
 
 def test_estimators_that_did_not_run_come_last_and_are_told():
     result = verdict([row("a", "x", reason="no weights"), row("a", "y", crashes=10)])
-    assert [s["text"] for s in result.standings] == ["crashed in a (10 of 10) · error 1.00°", "did not run"]
+    assert [s.text for s in result.standings] == ["crashed in a (10 of 10) · error 1.00°", "did not run"]
     assert verdict([row("a", "x", reason="no weights")]).headline == "No estimator flew."
 
 
@@ -184,7 +169,7 @@ def test_text_of_users_is_escaped(report):
 
 
 def test_report_of_recorded_flights_alone(tmp_path):
-    text = write_report(tmp_path / "r.html", offline=OFFLINE).read_text()
+    text = write_report(tmp_path / "r.html", offline=OfflineSection(OFFLINE)).read_text()
     assert "Smallest error on recorded flights" in text
     assert "<canvas" not in text
 
@@ -353,24 +338,21 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
     cells, names = [], list(HOSTILE)
     for scenario in HOSTILE[:3]:
         for name in names:
-            of = {"scenario": scenario, "estimator": name}
-            flights = [{**each, **of, "cause": HOSTILE[0]} for each in results.cells[1].flights]
-            cells.append(
-                Cell(scenario, name, "", "", flights, results.cells[1].histogram, results.cells[1].series)
-            )
-        cells[-1] = Cell(scenario, names[-1], "", HOSTILE[0], [], [], None)
+            own = {"scenario": scenario, "estimator": name}
+            flights = [replace(each, **own, cause=HOSTILE[0]) for each in results.cells[1].flights]
+            cells.append(replace(results.cells[1], **own, flights=flights))
+        cells[-1] = failed_cell(scenario, names[-1], "", HOSTILE[0])
     described = Scenario(description=HOSTILE[1], duration_s=2.0)
-    settings = Settings(dict.fromkeys(HOSTILE[:3], described), names, 2, 0, 200.0)
+    hostile = Results(dict.fromkeys(HOSTILE[:3], described), names, FlightSettings(2), cells)
+    points = [BreakingPoint("wind", name, "m/s", 1.0, 2.0, name, 2, name) for name in names]
+    recorded = [{"estimator": name, "note": name, "start": name, "mean_deg": 1.0} for name in names]
     path = write_report(
         tmp_path / "report.html",
-        Results(settings, cells),
+        ClosedLoopSection(hostile, paired_differences(hostile.flights), points),
+        OfflineSection(recorded, HOSTILE[0]),
         title=HOSTILE[4],
-        offline=[{"estimator": name, "note": name, "start": name, "mean_deg": 1.0} for name in names],
-        offline_caption=HOSTILE[0],
         csv=[HOSTILE[2]],
         focus=names[0],
-        pairs=paired_differences(Results(settings, cells).flights),
-        points=[Breaking("wind", name, "m/s", 1.0, 2.0, name, 2, name) for name in names],
         footer=HOSTILE[4],
     )
     page = browser.new_page()

@@ -3,6 +3,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from dataclasses import fields, replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from scenarios.bench import cell as cell_module
 from scenarios.bench import runner
 from scenarios.bench.cell import fly, fly_cell, load_cell
 from scenarios.bench.flight_metrics import (
-    METRICS,
+    FlightMetrics,
+    FlightRow,
     convergence_time,
     error_histogram,
     flight_metrics,
@@ -29,8 +31,9 @@ from scenarios.bench.flight_metrics import (
     wilson,
 )
 from scenarios.bench.runner import bench, load_results
+from scenarios.bench.series import unpack_series
+from scenarios.bench.settings import FlightSettings, ScenarioChanges
 from scenarios.bench.single import fly_scenario
-from scenarios.report.flight_picture import unpack_series
 from scenarios.report.terminal import closed_loop_table
 
 SHORT = 0.3
@@ -46,9 +49,15 @@ def crashing(tmp_path):
     return path
 
 
-def small(out, **changes):
-    arguments = {"scenarios": ["hover", "wind-gust"], "names": ["truth", "mahony"], "seeds": 2, "out": out}
-    return bench(**(arguments | {"duration_s": SHORT, "workers": 1} | changes))
+def small(out, scenarios=("hover", "wind-gust"), names=("truth", "mahony"), **options):
+    options = {"seeds": 2, "duration_s": SHORT, "workers": 1} | options
+
+    def of(record):
+        return record(
+            **{each.name: options.pop(each.name) for each in fields(record) if each.name in options}
+        )
+
+    return bench(scenarios, names, out, of(FlightSettings), of(ScenarioChanges), **options)
 
 
 # --- metrics --------------------------------------------------------------------------------------
@@ -74,13 +83,13 @@ def test_perfect_flight_has_no_error():
         "recover_s",
         "jitter",
     ):
-        np.testing.assert_array_equal(metrics[key], 0.0)
+        np.testing.assert_array_equal(getattr(metrics, key), 0.0)
 
 
 def test_hover_power_is_that_of_four_rotors_carrying_the_weight():
     log, end = steady_log()
     vehicle = load_vehicle("hummingbird")
-    power = flight_metrics(log, end, 200.0, vehicle)["power_w"]
+    power = flight_metrics(log, end, 200.0, vehicle).power_w
     np.testing.assert_allclose(power, vehicle.mass * 9.81 * vehicle.motor.k_m * vehicle.hover_rotor_vel)
 
 
@@ -89,8 +98,8 @@ def test_known_offsets_give_their_own_size():
     log["estimate"] = np.radians([3.0, -1.0])
     log["position"] = [0.3, 0.0, 0.4]
     metrics = flight_metrics(log, end, 200.0, load_vehicle("hummingbird"))
-    np.testing.assert_allclose(metrics["error_deg"], 2.0)
-    np.testing.assert_allclose(metrics["position_m"], 0.5)
+    np.testing.assert_allclose(metrics.error_deg, 2.0)
+    np.testing.assert_allclose(metrics.position_m, 0.5)
 
     assert error_histogram(log, end).sum() == 2 * 2 * 400
 
@@ -100,7 +109,7 @@ def test_nothing_after_a_crash_counts():
     log[0, 100:] = np.nan
     end[0] = 100
     metrics = flight_metrics(log, end, 200.0, load_vehicle("hummingbird"))
-    np.testing.assert_array_equal(metrics["error_deg"], 0.0)
+    np.testing.assert_array_equal(metrics.error_deg, 0.0)
     assert error_histogram(log, end).sum() == 2 * (100 + 400)
 
 
@@ -129,12 +138,10 @@ def test_wilson_interval_of_textbook_values():
 
 
 def test_median_convergence_is_empty_when_most_never_converge():
-    flight = {metric.key: 1.0 for metric in METRICS} | {"cause": ""}
-    assert (
-        summarise([flight, flight | {"converge_s": None}, flight | {"converge_s": None}])["converge_s"]
-        is None
-    )
-    assert summarise([flight, flight, flight | {"converge_s": None}])["converge_s"] == 1.0
+    flight = FlightRow("a", "x", 0, "", 1.0, *[1.0] * len(fields(FlightMetrics)))
+    never = replace(flight, converge_s=None)
+    assert summarise("a", "x", "", [flight, never, never]).converge_s is None
+    assert summarise("a", "x", "", [flight, flight, never]).converge_s == 1.0
 
 
 # --- a flight -------------------------------------------------------------------------------------
@@ -154,14 +161,14 @@ def test_log_holds_what_the_loop_did():
 
 def test_true_attitude_follows_the_command_better_than_a_poor_estimate():
     scenario = Scenario(description="", duration_s=2.0, start=Start(tilt_deg=20.0))
-    cells = [fly_cell("x", scenario, name, 4, 0, 200.0, "") for name in ("truth", "complementary")]
-    good, poor = (cell.row["attitude_deg"] for cell in cells)
+    cells = [fly_cell("x", scenario, name, FlightSettings(4)) for name in ("truth", "complementary")]
+    good, poor = (cell.row.attitude_deg for cell in cells)
     assert good < 0.9 * poor
 
 
 def test_series_come_back_from_their_packing():
-    cell = fly_cell("x", Scenario(description="", duration_s=1.0), "mahony", 1, 0, 200.0, "")
-    series = unpack_series(cell)
+    cell = fly_cell("x", Scenario(description="", duration_s=1.0), "mahony", FlightSettings())
+    series = unpack_series(cell.series)
     assert series["time"].tolist() == pytest.approx(np.arange(25) / 25)
     np.testing.assert_allclose(series["z"], 2.0, atol=0.05)
     np.testing.assert_array_equal(series["x_ref"], 0.0)
@@ -180,7 +187,7 @@ def test_results_do_not_depend_on_the_workers(tmp_path):
 
 def test_flights_do_not_depend_on_how_many_there_are(tmp_path):
     few, many = small(tmp_path / "few", seeds=1), small(tmp_path / "many", seeds=3)
-    kept = [flight for flight in many.flights if flight["seed"] == 0]
+    kept = [flight for flight in many.flights if flight.seed == 0]
     assert kept == few.flights
 
 
@@ -213,9 +220,11 @@ def test_interrupted_run_goes_on_with_what_is_missing(tmp_path, monkeypatch):
 def test_a_killed_run_leaves_no_process_behind(tmp_path):
     script = """
 import sys
-from scenarios.runner import bench
+from scenarios.bench.runner import bench
+from scenarios.bench.settings import FlightSettings
 
-bench(["hover", "wind-2", "wind-5", "wind-8"], ["truth", "mahony"], seeds=2, workers=2, out=sys.argv[1])
+names = ["hover", "wind-2", "wind-5", "wind-8"]
+bench(names, ["truth", "mahony"], sys.argv[1], FlightSettings(2), workers=2)
 """
     run = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], cwd=Path(__file__).parents[1])
     await_true(lambda: len(list(tmp_path.glob("cells/*.json"))) >= 1, seconds=300)  # workers compile first
@@ -242,7 +251,7 @@ def test_cells_are_flown_anew_when_a_file_that_they_read_has_changed(tmp_path):
     def strays(speed):
         wind.write_text(f"t,x,y,z\n0,{speed},0,0\n9,{speed},0,0\n")
         row = small(tmp_path / "out", scenarios=[tmp_path / "blown.toml"], names=["truth"]).rows[0]
-        return row["position_m"]
+        return row.position_m
 
     calm = strays(0.0)
     assert strays(12.0) > 2 * calm
@@ -253,11 +262,11 @@ def test_weights_fly_like_the_estimator_that_they_are_of(tmp_path):
     ours = tmp_path / "mine.safetensors"
     ours.write_bytes((files("assets") / "weights" / "att-snn.safetensors").read_bytes())
     shipped, mine = small(tmp_path, scenarios=["hover"], names=["att-snn", str(ours)]).rows
-    assert mine["estimator"] == str(ours)
-    assert mine | {"estimator": "att-snn"} == shipped
+    assert mine.estimator == str(ours)
+    assert replace(mine, estimator="att-snn") == shipped
     ours.write_bytes((files("assets") / "weights" / "att-snn-paper.safetensors").read_bytes())
     other = small(tmp_path, scenarios=["hover"], names=[str(ours)]).rows[0]
-    assert other["error_deg"] != mine["error_deg"]
+    assert other.error_deg != mine.error_deg
 
 
 @pytest.mark.parametrize("deadly", [0, 7])
@@ -270,7 +279,7 @@ def test_a_dying_worker_ends_no_other_job(deadly):
 def test_numbers_beyond_all_bounds_are_a_row_with_its_reason(tmp_path, monkeypatch):
     monkeypatch.setattr(cell_module, "BOUNDLESS", 1.0)
     (hover,) = small(tmp_path, scenarios=["hover"], names=["mahony"]).rows
-    assert "beyond all bounds" in hover["reason"]
+    assert "beyond all bounds" in hover.reason
 
 
 def test_cells_of_two_runs_are_no_results(tmp_path):
@@ -308,13 +317,13 @@ def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
         lambda name, *args, **known: Broken() if name == "mahony" else create(name, *args, **known),
     )
     results = small(tmp_path)
-    reasons = [row["reason"] for row in results.rows]
+    reasons = [row.reason for row in results.rows]
     assert reasons == ["", "ZeroDivisionError: no idea"] * 2
     assert load_results(tmp_path) == results
     with (tmp_path / "results.csv").open() as file:
         assert [row["reason"] for row in csv.DictReader(file)] == reasons
     monkeypatch.undo()
-    assert not any(row["reason"] for row in small(tmp_path).rows)  # and it is tried again
+    assert not any(row.reason for row in small(tmp_path).rows)  # and it is tried again
 
 
 def test_dead_worker_is_a_row_with_its_reason(tmp_path):
@@ -328,15 +337,15 @@ def test_dead_worker_is_a_row_with_its_reason(tmp_path):
 
     with Deadly(1) as executor:
         rows = small(tmp_path, executor=executor).rows
-    assert [row["reason"] for row in rows] == ["MemoryError: killed", ""] * 2
+    assert [row.reason for row in rows] == ["MemoryError: killed", ""] * 2
 
 
 def test_crashes_are_counted_with_their_cause(tmp_path, crashing):
     results = small(tmp_path / "out", scenarios=[crashing], names=["truth"])
-    assert [(flight["cause"], flight["flown_s"]) for flight in results.flights] == [("tilted over", 0.0)] * 2
+    assert [(flight.cause, flight.flown_s) for flight in results.flights] == [("tilted over", 0.0)] * 2
     row = results.rows[0]
-    assert (row["crashes"], row["crash_rate"]) == (2, 1.0)
-    assert 0.3 < row["crash_low"] < row["crash_high"] == 1.0
+    assert (row.crashes, row.crash_rate) == (2, 1.0)
+    assert 0.3 < row.crash_low < row.crash_high == 1.0
     assert closed_loop_table(results).row_count == 1
 
 
@@ -384,7 +393,7 @@ def test_lost_cell_is_named(tmp_path):
 
 
 def test_one_scenario_looked_at_closely(tmp_path):
-    flown = fly_scenario("hover", "mahony", tmp_path, seeds=2, duration_s=SHORT)
+    flown = fly_scenario("hover", "mahony", tmp_path, FlightSettings(2), ScenarioChanges(SHORT))
     with flown.samples.open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 60
@@ -396,8 +405,8 @@ def test_one_scenario_looked_at_closely(tmp_path):
 
 def test_any_flight_of_a_benchmark_can_be_looked_at(tmp_path):
     benchmark = small(tmp_path / "bench", names=["mahony"], scenarios=["hover"], seeds=3)
-    alone = fly_scenario("hover", "mahony", tmp_path, flight=2, duration_s=SHORT)
-    assert alone.results.flights[0] | {"seed": 2} == benchmark.flights[2]
+    alone = fly_scenario("hover", "mahony", tmp_path, changes=ScenarioChanges(SHORT), flight=2)
+    assert replace(alone.results.flights[0], seed=2) == benchmark.flights[2]
 
 
 def test_another_vehicle_is_flown_with_its_own_tuning_and_a_mismatch_is_warned_of(tmp_path):
@@ -411,16 +420,16 @@ def test_another_vehicle_is_flown_with_its_own_tuning_and_a_mismatch_is_warned_o
     (line,) = flown(vehicle="px4-quad", imu="px4-mini", tuning="hummingbird-adis16448").warnings
     assert "quadsim tune" in line
     ours, given = flown(vehicle="px4-quad").rows[0], flown(vehicle="px4-quad", tuning="px4-quad-px4-mini")
-    assert ours["error_deg"] == given.rows[0]["error_deg"]
+    assert ours.error_deg == given.rows[0].error_deg
     with pytest.raises(ValueError, match="has no table of truth"):
-        bench(["hover"], ["truth"], 1, tmp_path, tuning="px4-quad-px4-mini")
+        small(tmp_path, names=["truth"], tuning="px4-quad-px4-mini")
 
 
 def test_a_changed_scenario_is_checked(tmp_path):
     with pytest.raises(ValueError, match="duration_s = 0"):
-        bench(["hover"], ["truth"], 1, tmp_path, duration_s=0.0)
+        small(tmp_path, duration_s=0.0)
     with pytest.raises(ValueError, match='unknown vehicle "px5-quad"; did you mean "px4-quad"'):
-        bench(["hover"], ["truth"], 1, tmp_path, vehicle="px5-quad")
+        small(tmp_path, vehicle="px5-quad")
 
 
 def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
@@ -437,7 +446,7 @@ def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
     found = load_scenario("../own.toml")
     assert load_vehicle(found.vehicle).name == load_vehicle("px4-quad").name
     (row,) = small(tmp_path / "out", scenarios=["../own.toml"], names=["truth"]).rows
-    assert row["reason"] == ""
+    assert row.reason == ""
 
 
 def test_a_changed_module_of_the_user_is_flown_anew(tmp_path, monkeypatch):

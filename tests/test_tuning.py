@@ -13,6 +13,8 @@ from estimators.registry import COMPILED, airframe_constants
 from estimators.tuned import load_tuning
 from estimators.tuning.search import (
     PENALTY,
+    FlightSelection,
+    SearchSettings,
     evolution,
     mean_squared_error,
     swarm,
@@ -42,9 +44,7 @@ def test_swarm_starts_again_from_its_seed_and_reports_the_lowest_cost():
         swarm(
             bowl,
             np.full(3, 0.5),
-            particles=20,
-            iterations=8,
-            seed=5,
+            SearchSettings(particles=20, iterations=8, seed=5),
             progress=lambda *each: seen.append(each),
         )
         for _ in range(2)
@@ -54,7 +54,8 @@ def test_swarm_starts_again_from_its_seed_and_reports_the_lowest_cost():
     costs = [cost for _, _, cost in seen[:8]]
     assert costs == sorted(costs, reverse=True) == runs[0].history
     assert not np.array_equal(
-        runs[0].position, swarm(bowl, np.full(3, 0.5), particles=20, iterations=8, seed=6).position
+        runs[0].position,
+        swarm(bowl, np.full(3, 0.5), SearchSettings(particles=20, iterations=8, seed=6)).position,
     )
 
 
@@ -66,7 +67,7 @@ def test_outside_the_cube_costs_ten_more_and_is_scored_at_the_edge():
         asked.append(x)
         return x.sum(axis=1)
 
-    found = swarm(cost, [0.5, 0.5], particles=30, iterations=40, seed=0)
+    found = swarm(cost, [0.5, 0.5], SearchSettings(particles=30, iterations=40, seed=0))
     assert np.min(asked) >= 0.0
     assert np.max(asked) <= 1.0
     assert 0.0 <= found.cost < 0.1 < PENALTY
@@ -122,8 +123,8 @@ def test_cost_does_not_depend_on_the_number_of_workers(flights):
 
 
 def test_swarm_and_scipy_find_the_same_optimum(flights):
-    options = {"particles": 24, "iterations": 15, "flights": 2}
-    found = [tune("mahony", [flights], search=search, **options) for search in ("swarm", "evolution")]
+    searches = [SearchSettings(method, particles=24, iterations=15) for method in ("swarm", "evolution")]
+    found = [tune("mahony", [flights], search, FlightSelection(2)) for search in searches]
     assert found[0].rmse_deg == pytest.approx(found[1].rmse_deg, rel=0.02)
 
 
@@ -145,7 +146,7 @@ def test_pieces_are_the_flights_started_anew_in_motion(flights):
 
 
 def test_the_default_parameters_are_among_those_tried(flights):
-    tuned = tune("mahony", [flights], particles=2, iterations=1, flights=1)
+    tuned = tune("mahony", [flights], SearchSettings(particles=2, iterations=1), FlightSelection(1))
     default = {key: np.array([each.default]) for key, each in parameters("mahony").items()}
     data = load_flights([flights], 1)
     at_default = float(np.degrees(np.sqrt(mean_squared_error("mahony", default, data)[0])))
@@ -158,7 +159,7 @@ def test_tuning_lowers_the_error(flights, name):
     spec = parameters(name)
     default = {key: np.array([each.default]) for key, each in spec.items()}
     before = float(np.degrees(np.sqrt(mean_squared_error(name, default, data)[0])))
-    tuned = tune(name, [flights], particles=12, iterations=5, flights=2)
+    tuned = tune(name, [flights], SearchSettings(particles=12, iterations=5), FlightSelection(2))
     assert tuned.rmse_deg <= before
     assert tuned.evaluations == 60
 
@@ -166,7 +167,13 @@ def test_tuning_lowers_the_error(flights, name):
 def test_tuned_file_is_what_create_reads(flights, tmp_path):
     path = tmp_path / "sub" / "mine.toml"
     for name in ("mahony", "madgwick"):
-        tuned = tune(name, [flights], particles=6, iterations=2, flights=1, command=f'tune "{name}"')
+        tuned = tune(
+            name,
+            [flights],
+            SearchSettings(particles=6, iterations=2),
+            FlightSelection(1),
+            command=f'tune "{name}"',
+        )
         write_tuning(path, name, tuned, "Found in a test." if name == "mahony" else "Found again.")
     tables = load_tuning(path)
     assert path.read_text().startswith("# Found in a test.\n")
@@ -181,7 +188,9 @@ def test_tuned_file_is_what_create_reads(flights, tmp_path):
 
 def test_filterpys_filters_take_the_values_of_ekf(flights, tmp_path):
     path = tmp_path / "mine.toml"
-    write_tuning(path, "ekf", tune("ekf", [flights], particles=4, iterations=1, flights=1), "")
+    write_tuning(
+        path, "ekf", tune("ekf", [flights], SearchSettings(particles=4, iterations=1), FlightSelection(1)), ""
+    )
     tables = load_tuning(path)
     assert set(tables) == {"ekf", "ekf-filterpy", "ukf-filterpy"}
     assert tables["ukf-filterpy"].values == tables["ekf"].values
@@ -191,7 +200,9 @@ def test_filterpys_filters_take_the_values_of_ekf(flights, tmp_path):
 
 def test_gain_of_a_sample_is_carried_over_to_another_rate(tmp_path, flights):
     path = tmp_path / "mine.toml"
-    write_tuning(path, "complementary", tune("complementary", [flights], particles=4, iterations=1), "")
+    write_tuning(
+        path, "complementary", tune("complementary", [flights], SearchSettings(particles=4, iterations=1)), ""
+    )
     fast, slow = (create("complementary", rate, tuning=path).values["gamma"] for rate in (200.0, 50.0))
     assert slow == pytest.approx(fast**4)
 

@@ -84,8 +84,8 @@ def kfold(
         claim(job.out, job.config)
     scores = [score for of_fold in _run_all(jobs, workers, executor, progress) for score in of_fold]
     scores.sort(key=lambda s: (s.model, s.trained_on, s.fold))
-    write_csv(out / "kfold.csv", [asdict(score) for score in scores])
-    write_csv(out / "table1.csv", [asdict(cell) for cell in table(scores)])
+    write_csv(out / "kfold.csv", scores)
+    write_csv(out / "table1.csv", table(scores))
     plot(out / "kfold.png", scores)
     return scores
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ SLOW = FILTERPY
 
 
 @dataclass(frozen=True)
-class Row:
+class EvaluationRow:
     """One line of the table. Errors are of roll and pitch pooled, one mean absolute error a sequence."""
 
     estimator: str
@@ -108,7 +108,7 @@ class Row:
 class Evaluation:
     """The table, and what its figures are drawn from; keys are (estimator, initial)."""
 
-    rows: list[Row] = field(default_factory=list)
+    rows: list[EvaluationRow] = field(default_factory=list)
     sequences: dict[tuple[str, str], Array] = field(default_factory=dict)
     """Mean absolute error of each sequence (n,) [deg]."""
     time_s: Array = field(default_factory=lambda: np.empty(0))
@@ -120,8 +120,8 @@ class Evaluation:
     rate_hz: float = 0.0
 
     def write_csv(self, path: Path) -> None:
-        """Write the table, one line a row, the header being the fields of `Row`."""
-        write_csv(path, [asdict(row) for row in self.rows])
+        """Write the table, one line a row, the header being the fields of `EvaluationRow`."""
+        write_csv(path, self.rows)
 
 
 def evaluate(
@@ -129,8 +129,6 @@ def evaluate(
     estimators: Sequence[str] | Mapping[str, AttitudeEstimator],
     *,
     initial: Sequence[Initial] = ("unknown", "known"),
-    tuning: str | Path | None = None,
-    vehicle: str | Path | Vehicle | None = None,
     settle_s: float = 40.0,
     slow_flights: int | None = None,
     seed: int = 0,
@@ -145,11 +143,8 @@ def evaluate(
 
     Args:
         dataset: Flights with gyro, accel, quat and the attribute rate_hz.
-        estimators: Names, or estimators under the names they are to have.
+        estimators: Names, made for the dataset's vehicle, or estimators under the names they are to have.
         initial: Which rows to make.
-        tuning: Parameters of the estimators given by name, as in `create`.
-        vehicle: The vehicle of the flights, for estimators given by name; None: the one that the dataset
-            names.
         settle_s: Time that an estimator started in a tilt is given to recover [s].
         slow_flights: Flights that those in `SLOW` are run on; None for all.
         seed: Of the bootstrap and of the choice of those starts.
@@ -163,7 +158,7 @@ def evaluate(
     made = (
         estimators
         if isinstance(estimators, Mapping)
-        else made_of(estimators, rate_hz, tuning, vehicle or vehicle_of(dataset))
+        else made_of(estimators, rate_hz, vehicle=vehicle_of(dataset))
     )
     result = Evaluation(time_s=_block_times(flights.gyro.shape[1], rate_hz), rate_hz=rate_hz)
     steps = min(round(settle_s * rate_hz), flights.gyro.shape[1])
@@ -209,7 +204,7 @@ def evaluate(
         progress(runs, runs, "")
     for each in measured:
         behind, low, high = _behind(result.sequences, each["estimator"], each["initial"], seed)
-        row = Row(**each, behind_deg=behind, behind_low_deg=low, behind_high_deg=high)
+        row = EvaluationRow(**each, behind_deg=behind, behind_low_deg=low, behind_high_deg=high)
         result.rows.append(row)
     return result
 

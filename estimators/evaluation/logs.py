@@ -5,7 +5,7 @@ sample (`scored`), the first seconds are over, and the vehicle is tilted less th
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,7 @@ class LogScores:
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
-        write_csv(path, [asdict(row) for row in self.rows])
+        write_csv(path, self.rows)
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over logs of the inclination RMSE [deg]."""
@@ -101,8 +101,6 @@ def score_logs(
     *,
     within_deg: float = 45.0,
     skip_s: float = SKIP_S,
-    tuning: str | Path | None = None,
-    vehicle: str | Path | None = None,
     progress: Progress | None = None,
 ) -> LogScores:
     """Run estimators over logs, each from an unknown attitude, with the raw gyroscope and without its bias.
@@ -112,8 +110,6 @@ def score_logs(
         estimators: Names, or estimators under the names they are to have; none: `default_names`.
         within_deg: Largest true inclination that is scored [deg].
         skip_s: Time at the start that is not scored [s].
-        tuning: Parameters of the estimators given by name, as in `create`.
-        vehicle: The vehicle that carried the sensor, for estimators given by name that need one.
         progress: Called before every run.
 
     Raises:
@@ -122,13 +118,13 @@ def score_logs(
     titles = [str(log.attrs["source"]) for log in logs]
     if len(set(titles)) < len(titles):
         raise ValueError(f"logs must differ in name: {', '.join(titles)}")
-    chosen = estimators or default_names(vehicle is not None)
+    chosen = estimators or default_names()
     scores, done = LogScores(), 0
     if not any(np.isfinite(log["quat"]).any() for log in logs):
         raise ValueError(f"no attitude in {', '.join(titles)}: nothing to score against")
     for title, log in zip(titles, logs, strict=True):
         rate = float(log.attrs["rate_hz"])
-        made = chosen if isinstance(chosen, Mapping) else made_of(chosen, rate, tuning, vehicle)
+        made = chosen if isinstance(chosen, Mapping) else made_of(chosen, rate)
         gyro, accel, quat = (log[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
         truth = roll_pitch_from_quat(quat)
         scores.time_s[title], scores.truth[title] = log["time"].to_numpy(), truth[0]

@@ -45,8 +45,33 @@ FIRST_SPEED = 0.1
 
 
 @dataclass(frozen=True)
-class Found:
-    """Result of a search in the unit cube."""
+class SearchSettings:
+    """How the unit cube is searched."""
+
+    method: Literal["swarm", "evolution"] = "swarm"
+    """Particle swarm, or differential evolution."""
+    particles: int = 100
+    """Parameter sets tried at once."""
+    iterations: int = 50
+    """Evaluations of all particles."""
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class FlightSelection:
+    """What is used of each dataset."""
+
+    count: int | None = None
+    """Flights of each dataset; None for all."""
+    pieces: int = 1
+    """Parts into which each flight is cut, all of which but the first begin in motion."""
+    initial: Initial = "unknown"
+    """Whether the filter is given the attitude it starts at."""
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Best position in the unit cube."""
 
     position: Array
     """(d,)."""
@@ -92,14 +117,8 @@ def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k:
 
 
 def swarm(
-    cost: Cost,
-    first: ArrayLike,
-    *,
-    particles: int = 100,
-    iterations: int = 50,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> Found:
+    cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress | None = None
+) -> SearchResult:
     """Particle swarm in the unit cube (Shi & Eberhart 1998), with the paper's weights.
 
     v ← w v + c1 r1 (own best − x) + c2 r2 (swarm's best − x),  x ← x + v;  w = 0.8, c1 = 0.15, c2 = 0.05.
@@ -107,12 +126,11 @@ def swarm(
     Args:
         cost: Positions inside the cube (p, d) -> costs (p,).
         first: Position of the first particle (d,); the others are random.
-        particles: Size of the swarm.
-        iterations: Evaluations of the whole swarm.
-        seed: Of the random numbers.
+        search: Size of the swarm, iterations and seed.
         progress: Called after every iteration.
     """
-    rng = np.random.default_rng(seed)
+    particles, iterations = search.particles, search.iterations
+    rng = np.random.default_rng(search.seed)
     x = rng.uniform(0.0, 1.0, (particles, np.size(first)))
     x[0] = first
     v = rng.uniform(-FIRST_SPEED, FIRST_SPEED, x.shape)
@@ -130,19 +148,13 @@ def swarm(
         r1, r2 = rng.uniform(0.0, 1.0, (2, *x.shape))
         v = 0.8 * v + 0.15 * r1 * (own - x) + 0.05 * r2 * (best - x)
         x = x + v
-    return Found(own[np.argmin(own_cost)], float(own_cost.min()), history, particles * iterations)
+    return SearchResult(own[np.argmin(own_cost)], float(own_cost.min()), history, particles * iterations)
 
 
 def evolution(
-    cost: Cost,
-    first: ArrayLike,
-    *,
-    particles: int = 100,
-    iterations: int = 50,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> Found:
-    """The search of `swarm` by scipy's differential evolution: a check that the swarm is not stuck."""
+    cost: Cost, first: ArrayLike, search: SearchSettings, progress: Progress | None = None
+) -> SearchResult:
+    """The same by scipy's differential evolution: a check that the swarm is not in a local minimum."""
     history: list[float] = []
     evaluations = 0
 
@@ -154,37 +166,33 @@ def evolution(
     def report(intermediate_result: OptimizeResult) -> None:
         history.append(float(intermediate_result.fun))
         if progress is not None:
-            progress(len(history), iterations, history[-1])
+            progress(len(history), search.iterations, history[-1])
 
     result = differential_evolution(
         counted,
         [(0.0, 1.0)] * np.size(first),
         x0=np.asarray(first),
-        popsize=max(1, particles // np.size(first)),
-        maxiter=iterations,
-        rng=seed,
+        popsize=max(1, search.particles // np.size(first)),
+        maxiter=search.iterations,
+        rng=search.seed,
         polish=False,
         vectorized=True,
         updating="deferred",
         callback=report,
     )
-    return Found(np.asarray(result.x), float(result.fun), history, evaluations)
+    return SearchResult(np.asarray(result.x), float(result.fun), history, evaluations)
 
 
 SEARCHES = {"swarm": swarm, "evolution": evolution}
+DEFAULT_SEARCH, ALL_FLIGHTS = SearchSettings(), FlightSelection()
 
 
 def tune(
     name: str,
     datasets: Sequence[xr.Dataset],
+    search: SearchSettings = DEFAULT_SEARCH,
+    selection: FlightSelection = ALL_FLIGHTS,
     *,
-    particles: int = 100,
-    iterations: int = 50,
-    seed: int = 0,
-    initial: Initial = "unknown",
-    search: Literal["swarm", "evolution"] = "swarm",
-    flights: int | None = None,
-    pieces: int = 1,
     workers: int = 1,
     command: str = "estimators.tuning.search.tune",
     progress: Progress | None = None,
@@ -194,13 +202,8 @@ def tune(
     Args:
         name: Estimator with parameters to search.
         datasets: Training flights; constants of the vehicle and IMU come from the first.
-        particles: Parameter sets tried at once.
-        iterations: How often.
-        seed: Of the search.
-        initial: Whether the filter is given the attitude it starts at.
-        search: Particle swarm, or differential evolution.
-        flights: How many flights of each dataset to use; None for all.
-        pieces: Parts into which each flight is cut, all of which but the first begin in motion.
+        search: How the parameters are searched.
+        selection: What is used of each dataset.
         workers: Threads.
         command: What to write into the result as its origin.
         progress: Called after every iteration.
@@ -211,35 +214,33 @@ def tune(
     searched = [key for key, each in parameters(name).items() if each.searched]
     if not searched:
         raise ValueError(f"{name} has no parameters to tune")
-    data = load_flights(datasets, flights).pieces(pieces)
+    data = load_flights(datasets, selection.count).pieces(selection.pieces)
     airframe = airframe_constants(name, vehicle_of(datasets[0]))
     constants = airframe | imu_constants(name, datasets[0])
-    if initial == "known":
+    if selection.initial == "known":
         data = data.known()
 
     def values(positions: Array) -> dict[str, Array]:
-        found = {key: parameters(name)[key].at(x) for key, x in zip(searched, positions.T, strict=True)}
-        return found | {key: np.full(len(positions), value) for key, value in constants.items()}
+        sets = {key: parameters(name)[key].at(x) for key, x in zip(searched, positions.T, strict=True)}
+        return sets | {key: np.full(len(positions), value) for key, value in constants.items()}
 
-    found = SEARCHES[search](
+    best = SEARCHES[search.method](
         lambda positions: mean_squared_error(name, values(positions), data, workers),
         [parameters(name)[key].position(parameters(name)[key].default) for key in searched],
-        particles=particles,
-        iterations=iterations,
-        seed=seed,
-        progress=progress,
+        search,
+        progress,
     )
     return Tuned(
         command=command,
         **flown_on(datasets),
         rate_hz=data.rate_hz,
-        rmse_deg=round(float(np.degrees(np.sqrt(found.cost))), 6),
-        evaluations=found.evaluations,
+        rmse_deg=round(float(np.degrees(np.sqrt(best.cost))), 6),
+        evaluations=best.evaluations,
         values={
             key: float(f"{value:.6g}")
             for key, value in zip(
                 parameters(name),
-                parameter_matrix(name, values(found.position[None]), data.rate_hz)[0],
+                parameter_matrix(name, values(best.position[None]), data.rate_hz)[0],
                 strict=True,
             )
             if key not in airframe

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
-from .options import ImuToo, Rate, Seed, Tuning, VehicleToo, Workers, headline, warn_of
+from .options import ImuToo, Rate, Seed, TuningOption, VehicleToo, Workers, headline, warn_of
 
 
 def design(
@@ -18,14 +18,14 @@ def design(
         float, typer.Option(min=0, max=1000, help="Delay of the attitude estimate in milliseconds.")
     ] = 15.0,
     out: Annotated[
-        Path | None, typer.Option(help="Picture of what other delays would cost, for example loop.png.")
+        Path | None, typer.Option(help="Picture of the loop at other delays, for example loop.png.")
     ] = None,
 ) -> None:
-    """Design the controller's gains from phase margins, and print them with the margins they leave.
+    """Design the controller's gains for phase margins, and print them with the margins that result.
 
     Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed.
     With --out, the attitude loop with these gains is shown at other delays of the estimator: margins,
-    disturbance rejection, and steps as flown.
+    disturbance rejection, and simulated steps.
     """
     from ..control.gains import design as design_gains
     from ..control.gains import loop_margins
@@ -68,15 +68,15 @@ def fly(
     ] = "att-snn-loihi",
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out, and what else was chosen."),
+        typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out, and the other choices."),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Length in seconds, not the scenario's.")
+        float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenario's.")
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
     vehicle: VehicleToo = None,
     imu: ImuToo = None,
-    tuning: Tuning = None,
+    tuning: TuningOption = None,
     rate: Rate = 200.0,
     seed: Seed = 0,
     flight: Annotated[
@@ -88,39 +88,35 @@ def fly(
     video: Annotated[bool, typer.Option("--video", help="Make an MP4 of the first flight.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the first flight in MuJoCo's viewer.")] = False,
 ) -> None:
-    """Fly one scenario on one estimator and look at it closely: report, every sample as CSV, video.
+    """Fly one scenario with attitude from one estimator: report, every sample as CSV, video.
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
     """
     from scenarios.bench.cell import file_name
+    from scenarios.bench.settings import FlightSettings, ScenarioChanges
     from scenarios.bench.single import fly_scenario
 
     parts = (scenario, estimator, *(each for each in (vehicle, imu, tuning) if each is not None))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
-        flown = fly_scenario(
+        done = fly_scenario(
             scenario,
             estimator,
             folder,
-            seeds=seeds,
-            seed=seed,
+            FlightSettings(seeds, seed, rate, tuning),
+            ScenarioChanges(duration, vehicle, imu),
             flight=flight,
-            duration_s=duration,
-            vehicle=vehicle,
-            imu=imu,
-            tuning=tuning,
-            rate_hz=rate,
             video=video,
             view=view,
         )
     except RuntimeError as error:  # no OpenGL for the video, no screen for the view
         raise ValueError(str(error)) from error
-    row = flown.results.rows[0]
-    if row["reason"]:
-        raise ValueError(f"{estimator} did not fly {scenario}: {row['reason']}")
-    warn_of(flown.results)
-    error = "no error to speak of" if row["error_deg"] is None else f"error {row['error_deg']:.2f}°"
-    console.print(f"{flown.report}: {row['crashes']} of {row['flights']} crashed, {error}", soft_wrap=True)
+    row = done.results.rows[0]
+    if row.reason:
+        raise ValueError(f"{scenario} did not run with {estimator}: {row.reason}")
+    warn_of(done.results)
+    error = "no error to report" if row.error_deg is None else f"error {row.error_deg:.2f}°"
+    console.print(f"{done.report}: {row.crashes} of {row.flights} crashed, {error}", soft_wrap=True)
 
 
 def bench(
@@ -136,7 +132,7 @@ def bench(
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Flights in each cell.")] = 10,
     duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Length in seconds, not the scenarios'.")
+        float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenarios'.")
     ] = None,
     external: Annotated[
         str | None,
@@ -144,11 +140,11 @@ def bench(
     ] = None,
     vehicle: VehicleToo = None,
     imu: ImuToo = None,
-    tuning: Tuning = None,
+    tuning: TuningOption = None,
     breaking_point: Annotated[
         list[str] | None,
         typer.Option(
-            help="Find also where each estimator breaks: wind, bias, dropout; again for more, or all."
+            help="Search breaking points of each estimator too: wind, bias, dropout; again for more, or all."
         ),
     ] = None,
     rate: Rate = 200.0,
@@ -156,17 +152,17 @@ def bench(
     workers: Workers = None,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
 ) -> None:
-    """Fly scenarios × estimators × seeds in closed loop, and report which estimator to fly.
+    """Fly scenarios × estimators × seeds in closed loop, and report which estimator is best.
 
-    Finished cells are kept: the same command goes on where a killed run stopped. Breaking points are found by
-    bisection, on the same estimators and seeds, and join the report.
+    Finished cells are stored: the same command goes on where a killed run stopped. Breaking points are
+    searched by bisection, with the same estimators and seeds, and join the report.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
     """
     import estimators
     from scenarios.bench.breaking import breaking_points, chosen
     from scenarios.bench.runner import bench as run_bench
-    from scenarios.bench.runner import suite_digest
+    from scenarios.bench.settings import FlightSettings, ScenarioChanges
     from scenarios.report.publish import publish
     from scenarios.report.terminal import breaking_table, closed_loop_table
 
@@ -174,44 +170,21 @@ def bench(
 
     names = estimator or estimators.names()
     searched = chosen(breaking_point or [], duration)
+    settings = FlightSettings(seeds, seed, rate, tuning)
+    changes = ScenarioChanges(duration, vehicle, imu, external)
+    points = []
     with executor_of(cluster) as executor:
         with progress_bar("fly", "cells") as progress:
             results = run_bench(
-                scenario or scenario_names(),
-                names,
-                seeds,
-                out,
-                seed=seed,
-                duration_s=duration,
-                vehicle=vehicle,
-                imu=imu,
-                external=external,
-                tuning=tuning,
-                rate_hz=rate,
-                workers=workers,
-                executor=executor,
-                progress=progress,
-            )
-        points = []
+                scenario or scenario_names(), names, out, settings, changes,
+                workers=workers, executor=executor, progress=progress,
+            )  # fmt: skip
         if searched:
             with progress_bar("break", "points") as progress:
                 points = breaking_points(
-                    searched,
-                    names,
-                    seeds,
-                    out,
-                    code=suite_digest(),
-                    seed=seed,
-                    duration_s=duration,
-                    vehicle=vehicle,
-                    imu=imu,
-                    external=external,
-                    tuning=tuning,
-                    rate_hz=rate,
-                    workers=workers,
-                    executor=executor,
-                    progress=progress,
-                )
+                    searched, names, out, settings, changes,
+                    workers=workers, executor=executor, progress=progress,
+                )  # fmt: skip
     page, note = publish(out, results, points)
     console.print(closed_loop_table(results))
     if points:
@@ -235,9 +208,7 @@ def report(
 
     results = load_results(folder)
     reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
-    points = [
-        each for each in load_points(folder) if reported and each.estimator in results.settings.estimators
-    ]
+    points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
     console.print(headline(publish(folder, results, points, out).report, results), soft_wrap=True)
 
 
@@ -248,7 +219,7 @@ def demo(
     seed: Seed = 0,
     workers: Workers = None,
 ) -> None:
-    """Do all of it in small: generate flights, score the estimators on them, fly them, write the report."""
+    """Run it all in small: generate flights, score estimators on them, close the loop, write the report."""
     from scenarios.bench.demo import demo as run_demo
     from scenarios.report.terminal import closed_loop_table, offline_table
 

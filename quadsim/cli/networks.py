@@ -168,7 +168,7 @@ def tune(
 
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """
-    from estimators.tuning.search import tunable, write_tuning
+    from estimators.tuning.search import FlightSelection, SearchSettings, tunable, write_tuning
     from estimators.tuning.search import tune as tune_filter
 
     from ..dataset.reading import open_dataset
@@ -188,13 +188,8 @@ def tune(
             tuned = tune_filter(
                 name,
                 flown,
-                particles=particles,
-                iterations=iterations,
-                seed=seed,
-                initial=initial,
-                flights=flights,
-                pieces=pieces,
-                search=search,
+                SearchSettings(search, particles, iterations, seed),
+                FlightSelection(flights, pieces, initial),
                 workers=threads,
                 command=f"quadsim tune --estimator {name} {' '.join(options)}",
                 progress=progress,

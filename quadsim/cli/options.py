@@ -1,4 +1,4 @@
-"""Options that several verbs share, and how their values are read and said."""
+"""Options that several verbs share, and how their values are read and printed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ VehicleToo = Annotated[
 ImuToo = Annotated[
     str | None, typer.Option(help="IMU in place of the scenarios': a shipped name or a TOML file.")
 ]
-Tuning = Annotated[
+TuningOption = Annotated[
     str | None,
     typer.Option(
         help="Tuned parameters of filters: a shipped domain or a file of quadsim tune; those shipped for the "
@@ -51,18 +51,18 @@ Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.
 
 
 def warn_of(results: Results) -> None:
-    """Say what the parameters of filters were tuned for, where something else was flown."""
+    """Warn of filters whose parameters were tuned for another vehicle or IMU."""
     for line in results.warnings:
         output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
 
 
 def headline(path: Path, results: Results) -> str:
-    """Where the report is, and what its verdict says."""
+    """Path of the report, and its verdict."""
     from scenarios.bench.pairs import paired_differences
     from scenarios.bench.verdict import verdict
 
-    found = verdict(results.rows, pairs=paired_differences(results.flights))
-    return f"{path}: {found.headline}\n{found.doubt}".rstrip()
+    judged = verdict(results.rows, pairs=paired_differences(results.flights))
+    return f"{path}: {judged.headline}\n{judged.doubt}".rstrip()
 
 
 def time_left(seconds: float, done: int, total: int) -> str:

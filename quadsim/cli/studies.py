@@ -7,7 +7,6 @@ import typer
 
 from ..runs.console import output as console
 from ..runs.console import progress_bar
-from ..runs.files import save_figure
 from .options import Seed, Workers
 
 
@@ -67,78 +66,19 @@ def evaluate(
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
     """
     if (data is None) == (not logs):
-        raise ValueError("one of --data and --logs is wanted")
-    if logs:
-        from scenarios.report.logs import evaluate_logs
+        raise ValueError("one of --data and --logs is required")
+    from scenarios.report.logs import Contenders, evaluate_logs
 
-        evaluate_logs(logs, estimator, weights or [], within, axes, tuning, vehicle, out, force)
+    contenders = Contenders(estimator, weights or [], tuning, vehicle)
+    if logs:
+        evaluate_logs(logs, contenders, out, within_deg=within, axes=axes, force=force)
         return
     if axes is not None:
         raise ValueError("--axes turns the sensors of --logs; a dataset has body axes")
     assert data is not None
-    import estimators
-    from estimators.evaluation import figures
-    from estimators.evaluation.comparison import evaluate as evaluate_estimators
-    from estimators.evaluation.flights import imu_of, vehicle_of
-    from estimators.registry import needs_vehicle, tuned_elsewhere
-    from scenarios.report.logs import made_of
-    from scenarios.report.page import write_report
-    from scenarios.report.terminal import (
-        EVALUATION_METHOD,
-        evaluation_columns,
-        evaluation_notes,
-        evaluation_table,
-    )
+    from scenarios.report.evaluation import evaluate_dataset
 
-    from ..dataset.reading import open_dataset
-
-    flown = open_dataset(data)
-    airframe = vehicle or vehicle_of(flown)
-    rate_hz = float(flown.attrs["rate_hz"])
-    every = [name for name in estimators.names() if airframe is not None or not needs_vehicle(name)]
-    made = made_of(estimator or every, weights or [], rate_hz, tuning, airframe, imu_of(flown))
-    with progress_bar("evaluate", "runs") as bar:
-        done = evaluate_estimators(
-            flown,
-            made,
-            slow_flights=slow_flights,
-            seed=seed,
-            progress=bar,
-        )
-    done.write_csv(out / "evaluation.csv")
-    pictures = {}
-    for name, draw in (
-        ("violins", figures.violins),
-        ("error-over-time", figures.error_over_time),
-        ("convergence", figures.settling),
-    ):
-        pictures[name] = out / f"{name}.png"
-        save_figure(pictures[name], draw(done), dpi=130)
-    caption = f"{flown.sizes['flight']} flights of {data}, without a loop."
-    notes = [*evaluation_notes(done.rows), *tuned_elsewhere(made, tuning, airframe, imu_of(flown))]
-    page = write_report(
-        out / "report.html",
-        title="Attitude estimators on recorded flights",
-        offline=evaluation_columns(done.rows),
-        offline_caption=" ".join([caption, *notes]),
-        footer=EVALUATION_METHOD,
-        pictures=pictures,
-        csv=["evaluation.csv"],
-    )
-    console.print(evaluation_table(done.rows, caption))
-    for note in notes:
-        console.print(note, soft_wrap=True)
-    flying = [row for row in done.rows if row.initial == "unknown" and row.estimator != "truth"]
-    if not flying:
-        console.print(f"{page}", soft_wrap=True)
-        return
-    best = min(flying, key=lambda row: row.behind_deg)
-    tied = [row.estimator for row in flying if row.tied and row is not best and row.flights == best.flights]
-    console.print(
-        f"{page}: the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
-        + (f", not significantly different from {', '.join(tied)}" if tied else ""),
-        soft_wrap=True,
-    )
+    evaluate_dataset(data, contenders, out, slow_flights=slow_flights, seed=seed)
 
 
 def paper(

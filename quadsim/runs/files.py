@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,8 +73,9 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
     return replace(path, lambda part: part.write_bytes(data))
 
 
-def write_csv(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Path:
-    """Write rows under the union of their keys, as `replace` does; numbers in full."""
+def write_csv(path: str | Path, rows: Sequence[Any]) -> Path:
+    """Write dataclasses or mappings under the union of their keys, as `replace` does; numbers in full."""
+    rows = [row if isinstance(row, Mapping) else asdict(row) for row in rows]
     columns = list(dict.fromkeys(key for row in rows for key in row))
 
     def write(part: Path) -> None:

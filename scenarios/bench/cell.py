@@ -1,10 +1,9 @@
-"""One cell of the benchmark: a scenario flown on an estimator with many seeds, and the file it is kept in."""
+"""One cell of the benchmark: a scenario simulated with one estimator and many seeds, and its file."""
 
-import base64
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,55 +18,54 @@ from quadsim.runs.files import read_json, write_json
 from quadsim.runs.fingerprint import content_digest
 from quadsim.seeding import vehicle_seeds
 
-from .flight_metrics import Log, error_histogram, flight_metrics, log_dtype, summarise, write_row
+from .flight_metrics import (
+    CellRow,
+    FlightRow,
+    Log,
+    error_histogram,
+    flight_metrics,
+    log_dtype,
+    summarise,
+    write_row,
+)
+from .series import FlightSeries, pack_series
+from .settings import FlightSettings
 
-Array = NDArray[np.float64]
-Row = dict[str, float | int | str | None]
-
-SERIES_HZ = 25.0
-"""Samples per second of the time series that are kept for plots."""
 BOUNDLESS = 1e100
 """What no number of a flight reaches that means something, in any unit."""
 
 
-class Channel(TypedDict):
-    """Numbers of one kind in time: 16-bit integers in base64, times a scale."""
-
-    scale: float
-    data: str
-
-
-class Series(TypedDict):
-    """One flight in time."""
-
-    dt: float
-    channels: dict[str, Channel]
-
-
 @dataclass(frozen=True)
 class Cell:
-    """What came of one cell. `reason` tells why there is nothing, and is empty when all is well."""
+    """Result of one cell."""
 
     scenario: str
     estimator: str
     fingerprint: str
     reason: str
-    flights: list[Row]
+    """Why it did not run; empty if it did."""
+    flights: list[FlightRow]
     """One row per seed."""
     histogram: list[int]
-    """Counts of the errors, as in `metrics.error_histogram`."""
-    series: Series | None
+    """Counts of the errors, as in `flight_metrics.error_histogram`."""
+    series: FlightSeries | None
     """The first seed in time."""
 
     @property
-    def row(self) -> Row:
+    def row(self) -> CellRow:
         """The cell as one row of the table."""
-        head: Row = {"scenario": self.scenario, "estimator": self.estimator, "reason": self.reason}
-        return head | (summarise(self.flights) if self.flights else {})
+        return summarise(self.scenario, self.estimator, self.reason, self.flights)
 
     def save(self, path: Path) -> None:
         """Write the cell, whole or not at all."""
         write_json(path, asdict(self))
+
+    @classmethod
+    def of_json(cls, content: dict[str, Any]) -> "Cell":
+        """The cell that was written as JSON."""
+        series = content["series"] and FlightSeries.of_json(content["series"])
+        flights = [FlightRow(**flight) for flight in content["flights"]]
+        return cls(**content | {"flights": flights, "series": series})
 
 
 def file_name(name: str) -> str:
@@ -83,7 +81,7 @@ def weights_digest(estimator: str) -> str:
 
 
 def digest_if_there(path: str | Path) -> str:
-    """Digest of a file that a cell reads; none where it cannot be read, of which the cell will tell."""
+    """Digest of a file that a cell reads; empty where it cannot be read, which is the cell's own error."""
     try:
         return content_digest(Path(path).read_bytes())
     except OSError:
@@ -93,36 +91,34 @@ def digest_if_there(path: str | Path) -> str:
 def load_cell(path: Path) -> Cell | None:
     """A cell from its file; None where there is no whole one."""
     try:
-        return Cell(**read_json(path))
-    except (OSError, ValueError, TypeError):
+        return Cell.of_json(read_json(path))
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
+def failed_cell(scenario: str, estimator: str, fingerprint: str, reason: str) -> Cell:
+    """A cell that did not run."""
+    return Cell(scenario, estimator, fingerprint, reason, [], [], None)
+
+
 def fly_cell(
-    name: str,
-    scenario: Scenario,
-    estimator: str,
-    seeds: int,
-    seed: int,
-    rate_hz: float,
-    fingerprint: str,
-    tuning: str | None = None,
+    name: str, scenario: Scenario, estimator: str, settings: FlightSettings, fingerprint: str = ""
 ) -> Cell:
-    """Fly a scenario with seeds 0 … seeds − 1 of `seed`, all at once; a failure is a cell with its reason."""
+    """Simulate all flights of a cell at once; a failure is a cell with its reason."""
     try:
         made = estimators.create(
             estimator,
-            rate_hz,
-            tuning=tuning_of(estimator, tuning),
+            settings.rate_hz,
+            tuning=tuning_of(estimator, settings.tuning),
             vehicle=scenario.vehicle,
             imu=scenario.imu,
         )
-        mission = Mission(scenario, made, seeds, rate_hz)
-        log, end = fly(mission, seed)
+        mission = Mission(scenario, made, settings.seeds, settings.rate_hz)
+        log, end = fly(mission, settings.seed)
         return make_cell(name, estimator, fingerprint, mission, log, end)
     except Exception as error:  # whatever an estimator does, the other cells go on
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
-        return Cell(name, estimator, fingerprint, f"{kind}{error}", [], [], None)
+        return failed_cell(name, estimator, fingerprint, f"{kind}{error}")
 
 
 def tuning_of(estimator: str, tuning: str | None) -> str | None:
@@ -137,21 +133,26 @@ def tuning_of(estimator: str, tuning: str | None) -> str | None:
 def make_cell(
     name: str, estimator: str, fingerprint: str, mission: Mission, log: Log, end: NDArray[np.int64]
 ) -> Cell:
-    """The cell of a mission that has been flown.
+    """The cell of a simulated mission.
 
     Raises:
         ValueError: If numbers of the flight grew beyond all bounds.
     """
-    flown = np.arange(mission.steps) < end[:, None]
-    if not np.isfinite(log["estimate"][flown]).all():
+    flown = log[np.arange(mission.steps) < end[:, None]]
+    if not np.isfinite(flown["estimate"]).all():
         raise ValueError(f"{estimator} estimated a roll or pitch that is no finite number")
-    if not (np.abs(log[flown].view(np.float64)) < BOUNDLESS).all():
+    if not (np.abs(flown.view(np.float64)) < BOUNDLESS).all():
         raise ValueError("numbers of the flight grew beyond all bounds; is one of the scenario too large?")
-    metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)
+    metrics = vars(flight_metrics(log, end, mission.rate_hz, mission.vehicle))
     flights = [
-        {"scenario": name, "estimator": estimator, "seed": i, "cause": CAUSES[mission.cause[i]]}
-        | {"flown_s": float(end[i] / mission.rate_hz)}
-        | {key: None if np.isnan(values[i]) else float(values[i]) for key, values in metrics.items()}
+        FlightRow(
+            name,
+            estimator,
+            seed=i,
+            cause=CAUSES[mission.cause[i]],
+            flown_s=float(end[i] / mission.rate_hz),
+            **{key: None if np.isnan(values[i]) else float(values[i]) for key, values in metrics.items()},
+        )
         for i in range(mission.n)
     ]
     series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz)
@@ -159,34 +160,17 @@ def make_cell(
 
 
 def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Log, NDArray[np.int64]]:
-    """Fly a mission to its end: its log (n, T) and how many samples each flight lasted (n,).
+    """Simulate a mission: its log (n, T) of `log_dtype`, and how many samples each flight lasted (n,).
 
     Its flights are those with the numbers `first`, `first` + 1, ... of the seed.
     """
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
     loop, plant, controller = mission.loop, mission.loop.plant, mission.loop.controller
     log = np.zeros((mission.steps, mission.n), log_dtype(len(mission.vehicle.rotors)))
-    end = np.full(mission.n, mission.steps)
-    command = controller.rotor_vel_cmd.copy()
+    last_command, end = controller.rotor_vel_cmd.copy(), np.full(mission.n, mission.steps)
     for k in range(mission.steps):
         mission.step()
         row, measured = log[k], loop.measured_state
-        write_row(plant.vehicles, plant.pose, controller.records, measured, mission.target, command, row)
+        write_row(plant.vehicles, plant.pose, controller.records, measured, mission.target, last_command, row)
         end[(mission.cause > 0) & (end > k)] = k
     return log.swapaxes(0, 1), end
-
-
-def pack_series(log: Log, rate_hz: float) -> Series:
-    """One flight (T,), thinned to `SERIES_HZ`: angles [deg], positions and set-points [m]."""
-    every = max(round(rate_hz / SERIES_HZ), 1)
-    thin = log[::every]
-    angles = np.degrees(np.hstack([thin["euler"], thin["estimate"]]))
-    names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
-    columns = np.hstack([angles, thin["position"], thin["target"]])
-    return {"dt": every / rate_hz, "channels": dict(zip(names, map(_pack, columns.T), strict=True))}
-
-
-def _pack(values: Array) -> Channel:
-    scale = max(float(np.abs(values).max()), 1e-6) / 32767
-    data = base64.b64encode(np.round(values / scale).astype("<i2").tobytes()).decode()
-    return {"scale": scale, "data": data}

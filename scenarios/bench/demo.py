@@ -9,12 +9,14 @@ from typing import NamedTuple, TypeAlias
 import estimators
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.runs.files import write_csv
 
 from ..report.flight_picture import cover
-from ..report.page import write_report
-from .offline import Row, offline_errors
+from ..report.page import ClosedLoopSection, OfflineSection, write_report
+from .offline import OfflineRow, offline_errors, table_of
 from .pairs import paired_differences
-from .runner import Progress, Results, bench, write_csv
+from .runner import Progress, Results, bench
+from .settings import FlightSettings
 
 log = logging.getLogger(__name__)
 
@@ -32,11 +34,11 @@ Stage: TypeAlias = Callable[[str, str], AbstractContextManager[Progress | None]]
 
 
 class Demo(NamedTuple):
-    """What came of it."""
+    """Results, and the report that shows them."""
 
     report: Path
     results: Results
-    offline: list[Row]
+    offline: list[OfflineRow]
     note: str  #: what was left out and why; empty if nothing
 
 
@@ -80,19 +82,19 @@ def demo(
             overwrite=True,
         )
     with stage("fly", "cells") as progress:
-        results = bench(SCENARIOS, names, seeds, out, seed=seed, workers=workers, progress=progress)
+        results = bench(
+            SCENARIOS, names, out, FlightSettings(seeds, seed), workers=workers, progress=progress
+        )
     offline = offline_errors(dataset, names)
-    write_csv(out / "recorded.csv", offline)
+    write_csv(out / "recorded.csv", table_of(offline))
     still, note = cover(results.cells)
     pairs = paired_differences(results.flights)
     write_csv(out / "pairs.csv", pairs)
+    caption = RECORDED.format(flights=flights, duration_s=duration_s)
     report = write_report(
         out / "report.html",
-        results,
-        offline=offline,
-        offline_caption=RECORDED.format(flights=flights, duration_s=duration_s),
-        still=still,
+        ClosedLoopSection(results, pairs, still=still),
+        OfflineSection(table_of(offline), caption),
         csv=["results.csv", "flights.csv", "pairs.csv", "recorded.csv"],
-        pairs=pairs,
     )
     return Demo(report, results, offline, note)

@@ -1,11 +1,13 @@
-"""How well a flight went, from its log; and one figure for several flights.
+"""Metrics of a flight from its log, and one figure for several flights.
 
-A log holds records (n, T) of `log_dtype`, and `end` (n,) tells how many samples each flight lasted before it
-crashed. What came after is not counted.
+A log is an array (n, T) of `log_dtype`, and `end` (n,) is the number of samples of each flight before its
+crash. Samples after it are not counted.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,31 +21,85 @@ Array = NDArray[np.float64]
 Log = NDArray[np.void]
 
 CONVERGED_DEG = 5.0
-"""Inclination error below which an estimate counts as found [deg],"""
+"""Inclination error below which an estimate counts as converged [deg],"""
 CONVERGED_S = 1.0
 """if it stays there for this long [s]."""
-AWAY_M = 0.5
-"""Distance from the set-point beyond which a vehicle counts as thrown off [m]."""
+OUT_OF_BOUNDS_M = 0.5
+"""Distance from the set-point beyond which a vehicle counts as out of bounds [m]."""
 ERROR_DECADES = (-3.0, 2.3)
 """Range of the error histograms, powers of ten of a degree,"""
 ERROR_BINS = 106
 """and how many equal parts it has."""
 
 
-def log_dtype(rotors: int) -> np.dtype:
-    """A sample in the log of a vehicle with so many rotors."""
+def log_dtype(rotors: int) -> np.dtype[np.void]:
+    """One sample of a flight's log."""
     return np.dtype(
         [
-            ("position", "f8", 3),
-            ("euler", "f8", 3),
-            ("estimate", "f8", 2),
-            ("target", "f8", 3),
-            ("tracking", "f8"),  # angle between the true and the wanted thrust axis [rad]
+            ("position", "f8", 3),  # world [m]
+            ("euler", "f8", 3),  # true roll, pitch, yaw [rad]
+            ("estimate", "f8", 2),  # estimated roll, pitch [rad]
+            ("target", "f8", 3),  # set-point, world [m]
+            ("tracking", "f8"),  # angle between the true and the commanded thrust axis [rad]
             ("tilt", "f8"),  # [rad]
-            ("rotor_vel", "f8", rotors),
-            ("command_change", "f8"),  # RMS over the rotors of the change since the last sample [rad/s]
+            ("rotor_vel", "f8", rotors),  # [rad/s]
+            (
+                "command_change",
+                "f8",
+            ),  # RMS over the rotors of the command's change since the last sample [rad/s]
         ]
     )
+
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class FlightMetrics(Generic[Value]):
+    """The metrics of flights, of one or of each, as `METRICS` describes them."""
+
+    error_deg: Value
+    inclination_deg: Value
+    attitude_deg: Value
+    position_m: Value
+    worst_tilt_deg: Value
+    converge_s: Value
+    recover_s: Value
+    power_w: Value
+    jitter: Value
+
+
+@dataclass(frozen=True)
+class _Flight:
+    scenario: str
+    estimator: str
+    seed: int
+    cause: str
+    """Of the crash; empty without one."""
+    flown_s: float
+
+
+@dataclass(frozen=True)
+class FlightRow(FlightMetrics[float | None], _Flight):
+    """One flight; a metric without a value is None."""
+
+
+@dataclass(frozen=True)
+class _Cell:
+    scenario: str
+    estimator: str
+    reason: str
+    """Why it did not run; then all that follows is None."""
+    flights: int | None
+    crashes: int | None
+    crash_rate: float | None
+    crash_low: float | None
+    crash_high: float | None
+
+
+@dataclass(frozen=True)
+class CellRow(FlightMetrics[float | None], _Cell):
+    """All flights of a scenario with one estimator."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +142,8 @@ METRICS = (
     ),
     Metric(
         "recover_s", "Recovery time", "s", 2,
-        f"The longest time it took to come back, once more than {AWAY_M:g} m from the set-point, 0 if never "
-        "there; the median over flights, empty if most crash or stay away.",
+        f"The longest time it took to come back, once more than {OUT_OF_BOUNDS_M:g} m from the set-point, "
+        "0 if never there; the median over flights, empty if most crash or stay away.",
     ),
     Metric(
         "power_w", "Rotor power", "W", 1,
@@ -108,10 +164,8 @@ def write_row(vehicles, pose, controllers, measured, target, last_command, row):
     """
     for i in range(row.shape[0]):
         out, p, c = row[i], vehicles[i], controllers[i]
-        axis, (w, x, y, z) = (
-            c.thrust_axis,
-            (pose[i].quat[0], pose[i].quat[1], pose[i].quat[2], pose[i].quat[3]),
-        )
+        axis, quat = c.thrust_axis, pose[i].quat
+        w, x, y, z = quat[0], quat[1], quat[2], quat[3]
         up_x, up_y, up_z = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         for j in range(3):
             out.position[j], out.target[j] = pose[i].position[j], target[i].position[j]
@@ -132,11 +186,13 @@ def write_row(vehicles, pose, controllers, measured, target, last_command, row):
         out.command_change = math.sqrt(change / rotors)
 
 
-def flight_metrics(log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle) -> dict[str, Array]:
-    """One number per flight for each metric but the crash rate, (n,); NaN where there is none.
+def flight_metrics(
+    log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle
+) -> FlightMetrics[Array]:
+    """Every metric of each flight, (n,); NaN where it has no value.
 
     Args:
-        log: (n, T) records of `log_dtype`.
+        log: (n, T) of `log_dtype`.
         end: (n,) samples before the crash, T without one.
         rate_hz: Samples per second.
         vehicle: For the power.
@@ -145,19 +201,19 @@ def flight_metrics(log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Ve
     flown[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
     estimate, truth = flown["estimate"], flown["euler"][..., :2]
     inclination = inclination_error(estimate, truth)
-    apart = np.linalg.norm(flown["position"] - flown["target"], axis=-1)
+    distance = np.linalg.norm(flown["position"] - flown["target"], axis=-1)
     power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(flown["rotor_vel"] ** 3, axis=-1)
-    return {
-        "error_deg": attitude_error(estimate, truth).sequences,
-        "inclination_deg": _rms(inclination),
-        "attitude_deg": np.degrees(_rms(flown["tracking"])),
-        "position_m": _rms(apart),
-        "worst_tilt_deg": np.degrees(np.nanmax(flown["tilt"], axis=1)),
-        "converge_s": convergence_time(inclination, rate_hz),
-        "recover_s": recovery_time(apart, end == log.shape[1], rate_hz),
-        "power_w": np.nanmean(power, axis=1),
-        "jitter": _rms(flown["command_change"]),
-    }
+    return FlightMetrics(
+        error_deg=attitude_error(estimate, truth).sequences,
+        inclination_deg=_rms(inclination),
+        attitude_deg=np.degrees(_rms(flown["tracking"])),
+        position_m=_rms(distance),
+        worst_tilt_deg=np.degrees(np.nanmax(flown["tilt"], axis=1)),
+        converge_s=convergence_time(inclination, rate_hz),
+        recover_s=recovery_time(distance, end == log.shape[1], rate_hz),
+        power_w=np.nanmean(power, axis=1),
+        jitter=_rms(flown["command_change"]),
+    )
 
 
 def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
@@ -170,27 +226,26 @@ def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
     hold = max(round(CONVERGED_S * rate_hz), 1)
     good = (inclination_deg < CONVERGED_DEG).astype(np.int64)
     total = np.concatenate([np.zeros((len(good), 1), dtype=np.int64), np.cumsum(good, axis=1)], axis=1)
-    held = total[:, hold:] - total[:, :-hold] == hold
-    first = held.argmax(axis=1) if held.shape[1] else np.zeros(len(good), dtype=np.int64)
-    found = held.any(axis=1)
-    return np.where(found, first / rate_hz, np.nan)
+    stays = total[:, hold:] - total[:, :-hold] == hold
+    first = stays.argmax(axis=1) if stays.shape[1] else np.zeros(len(good), dtype=np.int64)
+    return np.where(stays.any(axis=1), first / rate_hz, np.nan)
 
 
-def recovery_time(apart: Array, whole: NDArray[np.bool_], rate_hz: float) -> Array:
-    """The longest time beyond `AWAY_M` before it came back, (n,) [s]; NaN where it did not.
+def recovery_time(distance: Array, complete: NDArray[np.bool_], rate_hz: float) -> Array:
+    """The longest time beyond `OUT_OF_BOUNDS_M` before it came back, (n,) [s]; NaN where it did not.
 
-    A flight that is away at its end has not come back if that has lasted for a second.
+    A flight that is out of bounds at its end has not come back if that has lasted for a second.
 
     Args:
-        apart: (n, T) distance from the set-point [m].
-        whole: (n,) whether a flight lasted to its end.
+        distance: (n, T) from the set-point [m].
+        complete: (n,) whether a flight lasted to its end.
         rate_hz: Samples per second.
     """
-    longest, spell = np.zeros((2, len(apart)))
-    for away in (apart > AWAY_M).T:
-        longest = np.where(away, longest, np.maximum(longest, spell))
-        spell = np.where(away, spell + 1, 0)
-    return np.where(whole & (spell < rate_hz), longest / rate_hz, np.nan)
+    longest, spell = np.zeros((2, len(distance)))
+    for outside in (distance > OUT_OF_BOUNDS_M).T:
+        longest = np.where(outside, longest, np.maximum(longest, spell))
+        spell = np.where(outside, spell + 1, 0)
+    return np.where(complete & (spell < rate_hz), longest / rate_hz, np.nan)
 
 
 def error_histogram(log: Log, end: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -212,23 +267,21 @@ def wilson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def summarise(flights: list[dict[str, float | int | str | None]]) -> dict[str, float | int | None]:
-    """One row for the flights of a scenario on an estimator."""
-    crashes = sum(bool(flight["cause"]) for flight in flights)
-    low, high = wilson(crashes, len(flights))
-    row: dict[str, float | int | None] = {"flights": len(flights), "crashes": crashes}
-    row |= {"crash_rate": crashes / len(flights), "crash_low": low, "crash_high": high}
-    for metric in METRICS:
-        if metric.key != "crash_rate":
-            values = np.array(
-                [np.nan if f[metric.key] is None else f[metric.key] for f in flights], dtype=float
-            )
-            row[metric.key] = _one_figure(metric.key, values)
-    return row
+def summarise(scenario: str, estimator: str, reason: str, flights: Sequence[FlightRow]) -> CellRow:
+    """One row for the flights of a scenario with an estimator."""
+    figures = {
+        each.name: _one_figure(each.name, [getattr(flight, each.name) for flight in flights])
+        for each in fields(FlightMetrics)
+    }
+    if not flights:
+        return CellRow(scenario, estimator, reason, None, None, None, None, None, **figures)
+    n, crashes = len(flights), sum(bool(flight.cause) for flight in flights)
+    return CellRow(scenario, estimator, reason, n, crashes, crashes / n, *wilson(crashes, n), **figures)
 
 
-def _one_figure(key: str, values: Array) -> float | None:
-    if key in ("converge_s", "recover_s"):
+def _one_figure(key: str, flights: Sequence[float | None]) -> float | None:
+    values = np.array(flights, dtype=float)
+    if key in ("converge_s", "recover_s") and values.size:
         figure = float(np.median(np.where(np.isnan(values), np.inf, values)))
     elif np.isnan(values).all():
         return None

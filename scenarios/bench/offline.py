@@ -1,6 +1,7 @@
 """Estimators on recorded flights, without a loop: the table of their errors."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +13,35 @@ from estimators.metrics import attitude_error, inclination_rmse, share_without_n
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import roll_pitch_from_quat
 
-Row = dict[str, float | int | str | None]
+
+@dataclass(frozen=True)
+class OfflineRow:
+    """One estimator, one kind of start. Errors are of roll and pitch, one mean absolute error a flight."""
+
+    estimator: str
+    start: str
+    """Initial attitude: "known", or "level" where it is unknown."""
+    median_deg: float | None = None
+    """Over flights, like mean and SD."""
+    mean_deg: float | None = None
+    sd_deg: float | None = None
+    without_number: float | None = None
+    """Share of estimates that are no finite number, each of which counts as 180°."""
+    silenced_deg: float | None = None
+    """Of a network: mean with output weights of zero."""
+    inclination_rmse_deg: float | None = None
+    note: str | None = None
+    """Why it failed."""
 
 
-def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
-    """Errors of estimators on all flights of a dataset, from a known and from an unknown start.
+def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow]:
+    """Errors of estimators on all flights of a dataset, from a known and from an unknown initial attitude.
 
     Networks are never given the initial attitude: they have the unknown start alone.
 
     Args:
         dataset: Path of a dataset.
         names: Names of estimators.
-
-    Returns:
-        One row per estimator and start: estimator, start, median_deg, mean_deg, sd_deg over flights of the
-        mean absolute error of roll and pitch, inclination_rmse_deg; of a network silenced_deg, the mean with
-        output weights of zero. without_number is the share of estimates that are no finite number, each of
-        which counts as 180°. An estimator that fails has its reason in `note`.
     """
     data = open_dataset(dataset)
     rate_hz = float(data.attrs["rate_hz"])
@@ -36,24 +49,36 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[Row]:
     truth = roll_pitch_from_quat(quat)
     flown = np.arange(truth.shape[1]) < data["valid_steps"].to_numpy()[:, None]
     counted = np.where(flown[..., None], truth, np.nan)
-    rows: list[Row] = []
+    rows: list[OfflineRow] = []
     for name in names:
         twin = silenced_twin(name, rate_hz)
         starts = {"level": None} if twin else {"known": truth[:, 0], "level": None}
         for start, roll_pitch in starts.items():
-            row: Row = {"estimator": name, "start": start}
             try:
                 estimator = estimators.create(name, rate_hz, vehicle=vehicle_of(data), imu=imu_of(data))
                 estimate = estimators.run(estimator, gyro, accel, roll_pitch=roll_pitch, quat=quat)
             except (ValueError, OSError) as error:
-                rows.append(row | {"note": str(error)})
+                rows.append(OfflineRow(name, start, note=str(error)))
                 continue
             error = attitude_error(estimate, counted)
-            row |= {"median_deg": error.median, "mean_deg": error.mean, "sd_deg": error.sd}
-            row |= {"without_number": share_without_number(estimate, counted)}
-            silent = None if twin is None else attitude_error(estimators.run(twin, gyro, accel), counted).mean
             rows.append(
-                row
-                | {"silenced_deg": silent, "inclination_rmse_deg": inclination_rmse(estimate, counted).mean}
+                OfflineRow(
+                    name,
+                    start,
+                    error.median,
+                    error.mean,
+                    error.sd,
+                    share_without_number(estimate, counted),
+                    twin and attitude_error(estimators.run(twin, gyro, accel), counted).mean,
+                    inclination_rmse(estimate, counted).mean,
+                )
             )
     return rows
+
+
+def table_of(rows: Sequence[OfflineRow]) -> list[dict[str, object]]:
+    """The rows by column; without the column of notes if there are none."""
+    columns = [
+        each.name for each in fields(OfflineRow) if each.name != "note" or any(row.note for row in rows)
+    ]
+    return [{key: getattr(row, key) for key in columns} for row in rows]

@@ -1,17 +1,18 @@
 """Paired differences: two estimators on the very same flights, so that wind and noise cancel.
 
-Seed i of a scenario is the same start, wind, sensor noise and faults for every estimator. Where one of the
-two crashed the pair says nothing about errors; it is counted apart.
+Seed i of a scenario is the same start, wind, sensor noise and faults for every estimator. A pair of which one
+crashed has no difference in error; such pairs are counted separately.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from .cell import Row
+from .flight_metrics import FlightRow
 
 Array = NDArray[np.float64]
 
@@ -21,7 +22,33 @@ ALL = "all"
 """Stands for all scenarios together."""
 
 
-def paired_differences(flights: Sequence[Row], level: float = 0.95) -> list[Row]:
+@dataclass(frozen=True)
+class PairRow:
+    """Two estimators, one metric and one scenario."""
+
+    scenario: str
+    """`ALL` for all together."""
+    metric: str
+    estimator: str
+    versus: str
+    pairs: int
+    """Seeds on which neither crashed."""
+    difference: float | None
+    """Mean of `estimator` minus `versus`; None without pairs."""
+    low: float | None
+    """Ends of the interval; None with fewer than two pairs."""
+    high: float | None
+    crashed_alone: int
+    """Flights that only `estimator` crashed."""
+    versus_crashed_alone: int
+
+    @property
+    def is_tied(self) -> bool:
+        """Whether the difference is not significant: the interval includes 0."""
+        return self.low is not None and self.high is not None and self.low <= 0 <= self.high
+
+
+def paired_differences(flights: Sequence[FlightRow], level: float = 0.95) -> list[PairRow]:
     """Every two estimators on the same seeds of each scenario, and of all together.
 
     The interval is Student's over seeds; for all scenarios a seed's difference is first averaged over them,
@@ -30,38 +57,29 @@ def paired_differences(flights: Sequence[Row], level: float = 0.95) -> list[Row]
     Args:
         flights: One row per flight, as in `Results.flights`.
         level: Of the interval.
-
-    Returns:
-        Rows: scenario, metric, estimator, versus, pairs (seeds that count), difference (estimator minus
-        versus), low, high, crashed_alone, versus_crashed_alone (flights that only one of them crashed).
     """
-    scenarios, names, seeds = (
-        list(dict.fromkeys(f[key] for f in flights)) for key in ("scenario", "estimator", "seed")
-    )
+    scenarios = list(dict.fromkeys(f.scenario for f in flights))
+    names = list(dict.fromkeys(f.estimator for f in flights))
+    seeds = list(dict.fromkeys(f.seed for f in flights))
     shape = len(scenarios), len(names), len(seeds)
     values, crashed = {key: np.full(shape, np.nan) for key in PAIRED}, np.zeros(shape, dtype=bool)
-    for flight in flights:
-        at = (
-            scenarios.index(flight["scenario"]),
-            names.index(flight["estimator"]),
-            seeds.index(flight["seed"]),
-        )
-        crashed[at] = bool(flight["cause"])
+    for f in flights:
+        at = scenarios.index(f.scenario), names.index(f.estimator), seeds.index(f.seed)
+        crashed[at] = bool(f.cause)
         for key in PAIRED:
-            value = flight[key]
-            values[key][at] = np.nan if crashed[at] or value is None else float(value)
-    rows: list[Row] = []
+            value = getattr(f, key)
+            values[key][at] = np.nan if crashed[at] or value is None else value
+    rows: list[PairRow] = []
     for a, b in combinations(range(len(names)), 2):
         alone = [(crashed[:, i] & ~crashed[:, j]).sum(axis=1) for i, j in ((a, b), (b, a))]
         for key in PAIRED:
             difference = values[key][:, a] - values[key][:, b]
             parts = [(ALL, _mean_over_scenarios(difference), [each.sum() for each in alone])]
             parts += [(s, difference[i], [each[i] for each in alone]) for i, s in enumerate(scenarios)]
-            for scenario, part, only in parts:
-                head: Row = {"scenario": str(scenario), "metric": key}
-                head |= {"estimator": str(names[a]), "versus": str(names[b])}
-                crashes: Row = {"crashed_alone": int(only[0]), "versus_crashed_alone": int(only[1])}
-                rows.append(head | _interval(part, level) | crashes)
+            rows += [
+                PairRow(scenario, key, names[a], names[b], *_interval(part, level), int(own), int(other))
+                for scenario, part, (own, other) in parts
+            ]
     return rows
 
 
@@ -70,12 +88,13 @@ def _mean_over_scenarios(difference: Array) -> Array:
     return np.where(count > 0, np.nansum(difference, axis=0) / np.maximum(count, 1), np.nan)
 
 
-def _interval(difference: Array, level: float) -> Row:
-    kept = difference[np.isfinite(difference)]
-    if not kept.size:
-        return {"pairs": 0, "difference": None, "low": None, "high": None}
-    mean = float(kept.mean())
-    if kept.size == 1:
-        return {"pairs": 1, "difference": mean, "low": None, "high": None}
-    half = float(student.ppf(0.5 + 0.5 * level, kept.size - 1) * kept.std(ddof=1) / np.sqrt(kept.size))
-    return {"pairs": int(kept.size), "difference": mean, "low": mean - half, "high": mean + half}
+def _interval(difference: Array, level: float) -> tuple[int, float | None, float | None, float | None]:
+    """Number of pairs, mean, and the ends of its interval."""
+    known = difference[np.isfinite(difference)]
+    if not known.size:
+        return 0, None, None, None
+    mean = float(known.mean())
+    if known.size == 1:
+        return 1, mean, None, None
+    half = float(student.ppf(0.5 + 0.5 * level, known.size - 1) * known.std(ddof=1) / np.sqrt(known.size))
+    return int(known.size), mean, mean - half, mean + half

@@ -2,63 +2,63 @@
 
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import estimators
 from estimators.registry import tuning_misfit
 from estimators.tuned import load_tuning
 from quadsim.external import load_external
-from quadsim.flight.scenario import Scenario, changed, load_scenario
+from quadsim.flight.scenario import Scenario, load_scenario
 from quadsim.imu.spec import load_imu
 from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
 from quadsim.runs.fingerprint import ROOT, code_digest, file_digest, fingerprint
 from quadsim.runs.spread import spread
 from quadsim.vehicle import load_vehicle
 
-from .cell import Cell, Row, digest_if_there, file_name, fly_cell, load_cell, tuning_of, weights_digest
+from .cell import (
+    Cell,
+    digest_if_there,
+    failed_cell,
+    file_name,
+    fly_cell,
+    load_cell,
+    tuning_of,
+    weights_digest,
+)
+from .flight_metrics import CellRow, FlightRow
+from .settings import FlightSettings, ScenarioChanges
 
 log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What was asked for."""
-
-    scenarios: dict[str, Scenario]
-    estimators: list[str]
-    seeds: int
-    seed: int
-    rate_hz: float
-    tuning: str | None = None
-    """Tuned parameters, in place of the shipped ones."""
+NO_CHANGES = ScenarioChanges()
 
 
 @dataclass(frozen=True)
 class Results:
-    """What came of it: cells in the order of scenarios, then estimators."""
+    """Results of a benchmark: cells in the order of scenarios, then estimators."""
 
-    settings: Settings
+    scenarios: dict[str, Scenario]
+    estimators: list[str]
+    settings: FlightSettings
     cells: list[Cell]
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[CellRow]:
         """One row per cell."""
         return [cell.row for cell in self.cells]
 
     @property
     def warnings(self) -> list[str]:
-        """What to know of parameters that were tuned for something else than was flown."""
-        s, found = self.settings, dict[str, dict[str, None]]()
-        for scenario in s.scenarios.values():
-            for name in s.estimators:
-                if other := tuning_misfit(name, tuning_of(name, s.tuning), scenario.vehicle, scenario.imu):
+        """Parameters that were tuned for another vehicle or IMU than those simulated."""
+        tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
+        for scenario in self.scenarios.values():
+            for name in self.estimators:
+                if other := tuning_misfit(name, tuning_of(name, tuning), scenario.vehicle, scenario.imu):
                     flown = f"{Path(scenario.vehicle).stem} with {Path(scenario.imu).stem}"
                     found.setdefault(f"for {other}, not for the {flown} that flew", {})[name] = None
         return [
@@ -67,7 +67,7 @@ class Results:
         ]
 
     @property
-    def flights(self) -> list[Row]:
+    def flights(self) -> list[FlightRow]:
         """One row per flight."""
         return [flight for cell in self.cells for flight in cell.flights]
 
@@ -75,41 +75,27 @@ class Results:
 def bench(
     scenarios: Sequence[str | Path],
     names: Sequence[str],
-    seeds: int,
     out: str | Path,
+    settings: FlightSettings,
+    changes: ScenarioChanges = NO_CHANGES,
     *,
-    seed: int = 0,
-    duration_s: float | None = None,
-    vehicle: str | None = None,
-    imu: str | None = None,
-    external: str | None = None,
-    tuning: str | None = None,
-    rate_hz: float = 200.0,
     workers: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Results:
-    """Fly every scenario on every estimator with the same seeds, and write `results.csv` and `flights.csv`.
+    """Fly every scenario with every estimator and the same seeds; write `results.csv` and `flights.csv`.
 
     The results depend on the arguments and the code alone, not on the number of workers. Every finished cell
-    is kept under `out/cells`; a later run with the same scenario, estimator, seeds and code takes it from
+    is stored under `out/cells`; a later run with the same scenario, estimator, seeds and code takes it from
     there. Worker processes import the caller's main module, so a script calls this under
     `if __name__ == "__main__":`.
 
     Args:
         scenarios: Names of shipped scenarios or paths of TOML files.
         names: Names of estimators, or paths of weights.
-        seeds: Flights in each cell.
         out: Folder for the results.
-        seed: Seed of everything random; flight i has its i-th child.
-        duration_s: Length of the flights, instead of each scenario's own [s].
-        vehicle: Another vehicle for all scenarios: a shipped name or a TOML file; shipped parameters of
-            filters are those tuned for it, where there are such, and ekf-drag has its drag.
-        imu: Another IMU for all scenarios, likewise.
-        tuning: Tuned parameters in place of the shipped ones: a shipped domain or a file of `quadsim tune`;
-            estimators that it has no table of keep theirs.
-        external: External sensor instead of each scenario's own, for example "ideal".
-        rate_hz: Samples per second.
+        settings: Seeds, sample rate, tuning.
+        changes: Fields that replace those of every scenario.
         workers: Processes, by default one for each CPU; 1 stays in this process.
         executor: Where to run in place of processes of our own, for instance a Dask client's
             `get_executor()`.
@@ -119,29 +105,30 @@ def bench(
         ValueError: For a bad argument or scenario file.
         OSError: If the results cannot be written.
     """
-    changes = {"duration_s": duration_s, "vehicle": vehicle, "imu": imu, "external": external}
-    changes = {key: value for key, value in changes.items() if value is not None}
-    settings = _settings(scenarios, names, seeds, seed, changes, tuning, rate_hz)
+    loaded, names = _load(scenarios, names, settings, changes), list(dict.fromkeys(names))
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
     drop_parts(out)
     code = suite_digest()
-    wanted = [(s, e) for s in settings.scenarios for e in settings.estimators]
-    prints = {pair: _fingerprint(settings, *pair, code) for pair in wanted}
-    found = {pair: load_cell(cell_path(out, *pair)) for pair in wanted}
-    cells = {pair: cell for pair, cell in found.items() if cell and cell.fingerprint == prints[pair]}
-    missing = [pair for pair in wanted if pair not in cells]
+    pairs = [(s, e) for s in loaded for e in names]
+    prints = {(s, e): _fingerprint(loaded[s], e, settings, code) for s, e in pairs}
+    stored = {pair: load_cell(cell_path(out, *pair)) for pair in pairs}
+    cells = {pair: cell for pair, cell in stored.items() if cell and cell.fingerprint == prints[pair]}
+    missing = [pair for pair in pairs if pair not in cells]
     if progress:
-        progress(len(cells), len(wanted))
-    for cell in _fly_all(settings, missing, prints, workers, executor):
-        cells[cell.scenario, cell.estimator] = cell
+        progress(len(cells), len(pairs))
+    jobs = [(s, loaded[s], e, settings, prints[s, e]) for s, e in missing]
+    for i, cell in spread(fly_cell, jobs, workers, executor):
+        if isinstance(cell, BaseException):  # the worker itself died
+            cell = failed_cell(*missing[i], prints[missing[i]], f"{type(cell).__name__}: {cell}")
+        cells[missing[i]] = cell
         if cell.reason:
-            log.warning("%s on %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
+            log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
         else:
             cell.save(cell_path(out, cell.scenario, cell.estimator))
         if progress:
-            progress(len(cells), len(wanted))
-    results = Results(settings, [cells[pair] for pair in wanted])
+            progress(len(cells), len(pairs))
+    results = Results(loaded, names, settings, [cells[pair] for pair in pairs])
     write_csv(out / "results.csv", results.rows)
     write_csv(out / "flights.csv", results.flights)
     _save_index(out, results)
@@ -157,15 +144,17 @@ def load_results(out: str | Path) -> Results:
     out = Path(out).expanduser()
     try:
         index = read_json(out / "bench.json")
-        settings = Settings(**(index["settings"] | {"scenarios": _parse(index["settings"]["scenarios"])}))
-        failed = {(f["scenario"], f["estimator"]): Cell(**f) for f in index["failed"]}
+        settings = dict(index["settings"])
+        scenarios, names = _parse(settings.pop("scenarios")), settings.pop("estimators")
+        settings = FlightSettings(**settings)
+        failed = {(f["scenario"], f["estimator"]): Cell.of_json(f) for f in index["failed"]}
         fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
     except FileNotFoundError:
         raise ValueError(f"{out}: no benchmark results (there is no bench.json)") from None
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{out / 'bench.json'}: not the index of a benchmark: {error}") from error
     cells = []
-    for pair in [(s, e) for s in settings.scenarios for e in settings.estimators]:
+    for pair in [(s, e) for s in scenarios for e in names]:
         cell = failed.get(pair) or load_cell(cell_path(out, *pair))
         if cell is None:
             raise ValueError(f"{cell_path(out, *pair)}: missing or damaged; run the benchmark again")
@@ -174,7 +163,7 @@ def load_results(out: str | Path) -> Results:
                 f"{cell_path(out, *pair)}: of another run than the rest; run the benchmark again"
             )
         cells.append(cell)
-    return Results(settings, cells)
+    return Results(scenarios, names, settings, cells)
 
 
 def cell_path(out: Path, scenario: str, estimator: str) -> Path:
@@ -189,39 +178,33 @@ def suite_digest() -> str:
     return fingerprint(code_digest("scenarios.bench.cell", "estimators"), assets)
 
 
-def _settings(
-    scenarios: Sequence[str | Path],
-    names: Sequence[str],
-    seeds: int,
-    seed: int,
-    changes: Mapping[str, Any],
-    tuning: str | None,
-    rate_hz: float,
-) -> Settings:
+def _load(
+    scenarios: Sequence[str | Path], names: Sequence[str], settings: FlightSettings, changes: ScenarioChanges
+) -> dict[str, Scenario]:
+    """The scenarios by name, everything that a user may have mistyped checked before the first flight."""
     loaded: dict[str, Scenario] = {}
     for source in scenarios:
-        scenario, name = load_scenario(source), Path(source).name.removesuffix(".toml")
-        scenario = changed(scenario, changes)
+        scenario, name = changes.of(load_scenario(source)), Path(source).name.removesuffix(".toml")
         if name in loaded:
             raise ValueError(f'two scenarios are called "{name}"; give one of the files another name')
-        load_vehicle(scenario.vehicle)  # a mistake in these is the user's, not a cell's
+        load_vehicle(scenario.vehicle)
         load_imu(scenario.imu)
         load_external(scenario.external)
         loaded[name] = scenario
-    if tuning is not None and not set(names) & set(load_tuning(tuning)):
-        raise ValueError(f"{tuning}: it has no table of {', '.join(names)}")
+    if settings.tuning is not None and not set(names) & set(load_tuning(settings.tuning)):
+        raise ValueError(f"{settings.tuning}: it has no table of {', '.join(names)}")
     for name in names:
         if name not in estimators.names():
-            estimators.create(name, rate_hz)  # says which names there are, or what is wrong with the weights
+            estimators.create(
+                name, settings.rate_hz
+            )  # names the valid ones, or what is wrong with the weights
     if not loaded or not names:
         raise ValueError(f"nothing to fly: give at least one {'estimator' if loaded else 'scenario'}")
-    if seeds < 1:
-        raise ValueError(f"seeds is {seeds}; at least one flight is needed")
-    return Settings(loaded, list(dict.fromkeys(names)), seeds, seed, rate_hz, tuning)
+    return loaded
 
 
-def _fingerprint(settings: Settings, name: str, estimator: str, code: str) -> str:
-    scenario = settings.scenarios[name]
+def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, code: str) -> str:
+    tuning = tuning_of(estimator, settings.tuning)
     content = {
         "scenario": scenario.model_dump(mode="json"),
         "vehicle": load_vehicle(scenario.vehicle).model_dump(mode="json"),
@@ -233,40 +216,10 @@ def _fingerprint(settings: Settings, name: str, estimator: str, code: str) -> st
             if part.kind == "file"
         ],
         "weights": weights_digest(estimator),
-        "tuning": tuning and load_tuning(tuning)[estimator].model_dump()
-        if (tuning := tuning_of(estimator, settings.tuning))
-        else None,
+        "tuning": tuning and load_tuning(tuning)[estimator].model_dump(),
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
     return fingerprint(content)
-
-
-def _fly_all(
-    settings: Settings,
-    missing: Sequence[tuple[str, str]],
-    prints: dict[tuple[str, str], str],
-    workers: int | None,
-    executor: Executor | None,
-) -> Iterator[Cell]:
-    jobs = [
-        (
-            s,
-            settings.scenarios[s],
-            e,
-            settings.seeds,
-            settings.seed,
-            settings.rate_hz,
-            prints[s, e],
-            settings.tuning,
-        )
-        for s, e in missing
-    ]
-    for i, cell in spread(fly_cell, jobs, workers, executor):
-        if isinstance(cell, BaseException):  # the worker itself died
-            reason = f"{type(cell).__name__}: {cell}"
-            yield Cell(*missing[i], prints[missing[i]], reason, [], [], None)
-        else:
-            yield cell
 
 
 def _parse(scenarios: dict[str, object]) -> dict[str, Scenario]:
@@ -274,15 +227,12 @@ def _parse(scenarios: dict[str, object]) -> dict[str, Scenario]:
 
 
 def _save_index(out: Path, results: Results) -> None:
-    s = results.settings
-    settings = {
-        "scenarios": {name: each.model_dump(mode="json") for name, each in s.scenarios.items()},
-        "estimators": s.estimators, "seeds": s.seeds, "seed": s.seed, "rate_hz": s.rate_hz,
-        "tuning": s.tuning,
-    }  # fmt: skip
+    scenarios = {name: each.model_dump(mode="json") for name, each in results.scenarios.items()}
+    settings = {"scenarios": scenarios, "estimators": results.estimators, **asdict(results.settings)}
     index = {
-        "version": version("quadsim"), "settings": settings,
+        "version": version("quadsim"),
+        "settings": settings,
         "fingerprints": [[cell.scenario, cell.estimator, cell.fingerprint] for cell in results.cells],
-        "failed": [vars(cell) for cell in results.cells if cell.reason],
-    }  # fmt: skip
+        "failed": [asdict(cell) for cell in results.cells if cell.reason],
+    }
     write_json(out / "bench.json", index)

@@ -1,15 +1,23 @@
-"""The verdict of a benchmark in words: which estimator to fly, and how the others did."""
+"""The verdict of a benchmark in words: the best estimator, and how the others compare."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from .cell import Row
-from .pairs import ALL
+from .flight_metrics import CellRow
+from .pairs import ALL, PairRow
 
 TRUTH = "truth"
-"""The estimator that is fed the truth: the reference, not a candidate."""
+"""The estimator that returns the true attitude: the reference, not a candidate."""
+
+
+class Standing(NamedTuple):
+    """One estimator of the ranking."""
+
+    estimator: str
+    grade: str  #: "flies" or "crashes"
+    text: str
 
 
 class Verdict(NamedTuple):
@@ -17,10 +25,8 @@ class Verdict(NamedTuple):
 
     headline: str
     lines: list[str]
-    standings: list[dict[str, str]]
-    """Estimators from best to worst: estimator, grade ("flies" or "crashes") and text."""
-    doubt: str = ""
-    """Whom the seeds do not tell the best from; empty: nobody."""
+    standings: list[Standing]  #: from best to worst
+    doubt: str = ""  #: estimators that do not differ significantly from the best; empty: none
 
 
 class Total(NamedTuple):
@@ -38,16 +44,16 @@ class Total(NamedTuple):
         return (not self.flights, self.crashes / max(self.flights, 1), round(self.error, 3))
 
 
-def verdict(rows: Sequence[Row], focus: str = "", pairs: Sequence[Row] = ()) -> Verdict:
-    """Rank the estimators of a benchmark and say what came out, the best first, then `focus`.
+def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] = ()) -> Verdict:
+    """Rank the estimators of a benchmark and describe the best, then `focus`.
 
     Args:
         rows: A row for each scenario and estimator.
-        focus: The estimator to speak of besides the best, if it was flown.
-        pairs: Paired differences; with them, whom the seeds do not tell the best from, at 95 %.
+        focus: The estimator to describe besides the best, if it ran.
+        pairs: Paired differences, for the estimators that do not differ significantly from the best.
     """
-    names = list(dict.fromkeys(str(row["estimator"]) for row in rows))
-    totals = {name: total([row for row in rows if row["estimator"] == name]) for name in names}
+    names = list(dict.fromkeys(row.estimator for row in rows))
+    totals = {name: total([row for row in rows if row.estimator == name]) for name in names}
     ranked = sorted((name for name in names if name != TRUTH), key=lambda name: totals[name].rank)
     references = [name for name in names if name == TRUTH]
     standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
@@ -58,13 +64,13 @@ def verdict(rows: Sequence[Row], focus: str = "", pairs: Sequence[Row] = ()) -> 
     best, truth = totals[flown[0]], totals.get(TRUTH)
     lines = []
     if truth and truth.attitude > 0:
-        ratio = f"{best.attitude / truth.attitude:.2f} × as far from the commanded attitude as on the truth"
-        lines.append(f"On it, the vehicle strays {ratio}.")
+        ratio = best.attitude / truth.attitude
+        lines.append(f"Its attitude tracking error is {ratio:.2f} × that with the true attitude.")
     equals = [name for name in flown[1:] if totals[name].crashes == best.crashes]
-    alike = [name for name in equals if _alike(flown[0], name, pairs)]
+    tied = [name for name in equals if _is_tied(flown[0], name, pairs)]
     doubt = (
-        f"Its error on the same seeds cannot be told, at 95 %, from that of {_listed(alike)}."
-        if alike
+        f"Its error is not significantly different from that of {_listed(tied)} (paired 95 % CI includes 0)."
+        if tied
         else ""
     )
     lines += [doubt] * bool(doubt)
@@ -74,7 +80,7 @@ def verdict(rows: Sequence[Row], focus: str = "", pairs: Sequence[Row] = ()) -> 
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
-    """The same for recorded flights alone: the smallest error from a start that is not known."""
+    """The verdict on recorded flights alone: the smallest error from an unknown initial attitude."""
     rows = [row for row in rows if row.get("start") != "known"] or rows
     for key in ("mean_deg", "median_deg"):
         rated = {
@@ -87,16 +93,16 @@ def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
     return Verdict("Recorded flights", [], [])
 
 
-def total(rows: Sequence[Row]) -> Total:
+def total(rows: Sequence[CellRow]) -> Total:
     """Add up an estimator's rows."""
-    flown = [row for row in rows if not row["reason"]]
+    flown = [row for row in rows if not row.reason]
     error, attitude = (
-        [float(value) for row in flown if (value := row[key]) is not None]
+        [value for row in flown if (value := getattr(row, key)) is not None]
         for key in ("error_deg", "attitude_deg")
     )
     return Total(
-        flights=sum(int(row["flights"] or 0) for row in flown),
-        crashes=sum(int(row["crashes"] or 0) for row in flown),
+        flights=sum(row.flights or 0 for row in flown),
+        crashes=sum(row.crashes or 0 for row in flown),
         error=float(np.mean(error)) if error else 0.0,
         attitude=float(np.mean(attitude)) if attitude else 0.0,
         failed=len(rows) - len(flown),
@@ -113,14 +119,13 @@ def _headline(name: str, best: Total) -> str:
     return f"Fly {name}: no crash in {flights}, and the smallest error, {best.error:.2f}°."
 
 
-def _alike(best: str, other: str, pairs: Sequence[Row]) -> bool:
-    """Whether the interval of two estimators' difference in error over all scenarios has 0 in it."""
-    for row in pairs:
-        of = {row["estimator"], row["versus"]}
-        if (row["scenario"], row["metric"]) == (ALL, "error_deg") and of == {best, other}:
-            low, high = row["low"], row["high"]
-            return low is not None and high is not None and float(low) <= 0 <= float(high)
-    return False
+def _is_tied(best: str, other: str, pairs: Sequence[PairRow]) -> bool:
+    """Whether two estimators' errors over all scenarios are not significantly different."""
+    return any(
+        row.is_tied
+        for row in pairs
+        if (row.scenario, row.metric) == (ALL, "error_deg") and {row.estimator, row.versus} == {best, other}
+    )
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -131,20 +136,22 @@ def _sentence(name: str, each: Total, truth: Total | None) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
     text = f"{name}: {crashes} in {each.flights} flights, error {each.error:.2f}°"
     if truth and truth.attitude > 0:
-        text += f", attitude tracking {each.attitude / truth.attitude:.2f} × that on the truth"
+        text += (
+            f", attitude tracking error {each.attitude / truth.attitude:.2f} × that with the true attitude"
+        )
     return text + "."
 
 
-def _standing(name: str, each: Total, rows: Sequence[Row]) -> dict[str, str]:
+def _standing(name: str, each: Total, rows: Sequence[CellRow]) -> Standing:
     crashed = [
-        f"{row['scenario']} ({row['crashes']} of {row['flights']})"
+        f"{row.scenario} ({row.crashes} of {row.flights})"
         for row in rows
-        if row["estimator"] == name and not row["reason"] and row["crashes"]
+        if row.estimator == name and not row.reason and row.crashes
     ]
     if not each.flights:
-        return {"estimator": name, "grade": "crashes", "text": "did not run"}
+        return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
     text += " · the reference" if name == TRUTH else f" · error {each.error:.2f}°"
     if each.failed:
         text += f" · {each.failed} scenario{'s' if each.failed > 1 else ''} did not run"
-    return {"estimator": name, "grade": "crashes" if crashed or each.failed else "flies", "text": text}
+    return Standing(name, "crashes" if crashed or each.failed else "flies", text)

@@ -1,19 +1,16 @@
 """A flight as one picture: the vehicle at several instants, and its path."""
 
-import base64
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadsim.render import Image, View, still
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import Vehicle, load_vehicle
 
 from ..bench.cell import Cell
-
-Array = NDArray[np.float64]
+from ..bench.series import unpack_series
 
 SHOWN = {"step": (1.9, 4.2), "figure-8": (5.5, 10.0), "racing": (0.5, 5.0)}
 """Scenarios that make a good picture, best first, and the part to show [s]."""
@@ -35,7 +32,7 @@ def cover(cells: Sequence[Cell], vehicle: str = "hummingbird") -> tuple[Picture 
         for cell in cells
         if cell.series
         and cell.scenario in SHOWN
-        and unpack_series(cell)["time"][-1] > SHOWN[cell.scenario][0]
+        and unpack_series(cell.series)["time"][-1] > SHOWN[cell.scenario][0]
     }
     names = [*PREFERRED, *(estimator for _, estimator in flown)]
     chosen = next((flown[s, e] for s in SHOWN for e in names if (s, e) in flown), None)
@@ -46,24 +43,7 @@ def cover(cells: Sequence[Cell], vehicle: str = "hummingbird") -> tuple[Picture 
         image = flight_picture(chosen, load_vehicle(vehicle), start, end)
     except RuntimeError as error:
         return None, str(error)
-    return Picture(image, f"{chosen.scenario} on {chosen.estimator}, from {start:g} s to {end:g} s"), ""
-
-
-def unpack_series(cell: Cell) -> dict[str, Array]:
-    """The time series of a cell's first flight: angles [deg], positions [m], each (T,), and `time` [s].
-
-    Raises:
-        ValueError: If the cell holds none.
-    """
-    if not cell.series:
-        raise ValueError(f"{cell.scenario} on {cell.estimator} did not fly: {cell.reason}")
-    out: dict[str, Array] = {}
-    for name, channel in cell.series["channels"].items():
-        out[name] = np.multiply(
-            channel["scale"], np.frombuffer(base64.b64decode(channel["data"]), dtype="<i2"), dtype=np.float64
-        )
-    out["time"] = np.asarray(cell.series["dt"] * np.arange(len(out["x"])), dtype=np.float64)
-    return out
+    return Picture(image, f"{chosen.scenario} with {chosen.estimator}, from {start:g} s to {end:g} s"), ""
 
 
 def flight_picture(
@@ -79,9 +59,11 @@ def flight_picture(
 
     Raises:
         RuntimeError: If there is no headless OpenGL; the message says what to install.
-        ValueError: If the cell did not fly.
+        ValueError: If the cell did not run.
     """
-    s = unpack_series(cell)
+    if not cell.series:
+        raise ValueError(f"{cell.scenario} with {cell.estimator} did not run: {cell.reason}")
+    s = unpack_series(cell.series)
     part = (s["time"] >= start_s) & (s["time"] <= (np.inf if end_s is None else end_s))
     place = np.stack([s["x"], s["y"], s["z"]], axis=-1)[part]
     roll, pitch, yaw = (np.radians(s[name][part]) for name in ("roll", "pitch", "yaw"))

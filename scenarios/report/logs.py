@@ -1,12 +1,14 @@
-"""Estimators scored on real logs, from files to a table, a CSV and pictures: `quadsim evaluate --logs`."""
+"""Estimators scored on real logs: a table, a CSV and pictures, `quadsim evaluate --logs`."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.table import Table
 
 from estimators import create
+from estimators.evaluation.comparison import made_of
 from estimators.evaluation.logs import KNOWN, RAW, default_names, draw_log, score_logs
 from estimators.networks.weights_file import load_network
 from quadsim.estimator import AttitudeEstimator
@@ -17,50 +19,72 @@ from quadsim.runs.files import save_figure
 from quadsim.vehicle import Vehicle
 
 
-def made_of(
-    names: Sequence[str],
-    weights: Sequence[str],
-    rate_hz: float,
-    tuning: str | None,
-    vehicle: str | Path | Vehicle | None = None,
-    imu: str | Path | ImuSpec | None = None,
-) -> dict[str, AttitudeEstimator]:
-    """Estimators by name, and networks by the paths of their weights.
+@dataclass(frozen=True)
+class Contenders:
+    """Estimators to be compared, as the command line names them."""
 
-    Raises:
-        ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle without
-            one.
-    """
-    made = {name: create(name, rate_hz, tuning=tuning, vehicle=vehicle, imu=imu) for name in names}
-    for path in weights:
-        if path in made:
-            raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
-        made[path] = create(load_network(path)[0].model, rate_hz, weights=path)
-    return made
+    names: Sequence[str] | None = None
+    """None for all that can be made."""
+    weights: Sequence[str] = ()
+    """Weights files, each under its path."""
+    tuning: str | None = None
+    vehicle: str | None = None
+
+    def create(
+        self,
+        default: Sequence[str],
+        rate_hz: float,
+        vehicle: str | Path | Vehicle | None = None,
+        imu: ImuSpec | None = None,
+    ) -> dict[str, AttitudeEstimator]:
+        """Make them.
+
+        Args:
+            default: Names where none are given.
+            rate_hz: Samples per second.
+            vehicle: The airframe where none is given.
+            imu: The IMU.
+
+        Raises:
+            ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle
+                without one.
+        """
+        made = made_of(self.names or default, rate_hz, self.tuning, self.vehicle or vehicle, imu)
+        for path in self.weights:
+            if path in made:
+                raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
+            made[path] = create(load_network(path)[0].model, rate_hz, weights=path)
+        return made
 
 
 def evaluate_logs(
     paths: Sequence[Path],
-    estimators: Sequence[str] | None,
-    weights: Sequence[str],
-    within_deg: float,
-    axes: str | None,
-    tuning: str | None,
-    vehicle: str | None,
+    contenders: Contenders,
     out: Path,
+    *,
+    within_deg: float = 45.0,
+    axes: str | None = None,
     force: bool = False,
 ) -> None:
     """Score estimators on logs: `quadsim evaluate --logs`.
 
+    Args:
+        paths: The logs.
+        contenders: The estimators.
+        out: Folder for the table and the pictures.
+        within_deg: Largest true inclination that is scored [deg].
+        axes: Body axes in the sensors', as "z,-y,x".
+        force: Score a log although a unit or frame cannot be right.
+
     Raises:
-        ValueError: What a log holds cannot be right, and it is not to be scored by force.
+        ValueError: A unit or frame of a log cannot be right, and `force` is not given.
     """
     read = {path: read_log_and_report(path, axes=axes) for path in paths}
     for fault in refused([(path, report) for path, (_, report) in read.items()], force):
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for log, _ in read.values()]
     rate = float(logs[0].attrs["rate_hz"])
-    made = made_of(estimators or default_names(vehicle is not None), weights, rate, tuning, vehicle)
+    made = contenders.create(default_names(contenders.vehicle is not None), rate)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
     scores.write_csv(out / "logs.csv")
@@ -85,10 +109,10 @@ def evaluate_logs(
                 soft_wrap=True,
             )
     for log, bias in scores.gyro_bias.items():
-        found = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
+        shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
         seconds = scores.counted[log].sum() / rate
         output.print(
-            f"{log}: {seconds:.0f} s scored, gyro bias ({found}) °/s", soft_wrap=True, highlight=False
+            f"{log}: {seconds:.0f} s scored, gyro bias ({shown}) °/s", soft_wrap=True, highlight=False
         )
     best = scores.estimators[0]
     output.print(

@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from importlib.resources import files
 from pathlib import Path
 
@@ -14,10 +15,10 @@ import numpy as np
 from quadsim.runs.files import write_whole
 from quadsim.vehicle import load_vehicle
 
-from ..bench.breaking import DISTURBANCES, Breaking
-from ..bench.cell import Cell, Row
+from ..bench.breaking import DISTURBANCES, BreakingPoint
+from ..bench.cell import Cell
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS
-from ..bench.pairs import ALL, PAIRED
+from ..bench.pairs import ALL, PAIRED, PairRow
 from ..bench.runner import Results
 from ..bench.verdict import TRUTH, offline_verdict, verdict
 from .flight_picture import Picture
@@ -26,18 +27,35 @@ SHOWN = 4
 """Estimators drawn at first in the time plots."""
 
 
+@dataclass(frozen=True)
+class ClosedLoopSection:
+    """A benchmark, as the report shows it."""
+
+    results: Results
+    pairs: Sequence[PairRow] = ()
+    points: Sequence[BreakingPoint] = ()
+    still: Picture | None = None
+    """Picture for the top."""
+
+
+@dataclass(frozen=True)
+class OfflineSection:
+    """Estimators on recorded flights, as the report shows them."""
+
+    rows: Sequence[Mapping[str, object]]
+    """Rows of the table, with the key "estimator"; every key is a column."""
+    caption: str = "Estimators run over recorded flights, without a loop."
+    pictures: Mapping[str, Path] = field(default_factory=dict)
+    """PNG files to show below the table, by title."""
+
+
 def write_report(
     path: str | Path,
-    results: Results | None = None,
+    closed_loop: ClosedLoopSection | None = None,
+    offline: OfflineSection | None = None,
     *,
     title: str = "Which attitude estimator to fly",
-    offline: Sequence[Mapping[str, object]] = (),
-    offline_caption: str = "Estimators run over recorded flights, without a loop.",
-    pictures: Mapping[str, Path] | None = None,
-    still: Picture | None = None,
     csv: Sequence[str] = (),
-    pairs: Sequence[Row] = (),
-    points: Sequence[Breaking] = (),
     footer: str = "",
     focus: str = "att-snn-loihi",
 ) -> Path:
@@ -45,41 +63,39 @@ def write_report(
 
     Args:
         path: HTML file to write.
-        results: Closed-loop results; without them only the recorded flights are shown.
+        closed_loop: Results of a benchmark.
+        offline: Results on recorded flights.
         title: Heading.
-        offline: Rows of the table of recorded flights, with the key "estimator"; other keys become columns.
-        offline_caption: What those flights are.
-        pictures: PNG files to show below that table, by title.
-        still: Picture for the top.
         csv: Files beside the report to link to.
-        pairs: Paired differences, as in `pairs.paired_differences`.
-        points: Breaking points.
         footer: How it was made.
-        focus: The estimator that the verdict speaks of besides the best, if it was flown.
+        focus: The estimator that the verdict describes besides the best, if it ran.
 
     Raises:
         ValueError: If there is nothing to report.
     """
-    if results is None and not offline:
+    if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
+    results = closed_loop.results if closed_loop else None
+    pairs, still = (closed_loop.pairs, closed_loop.still) if closed_loop else ((), None)
+    offline = offline or OfflineSection(())
     rows = results.rows if results else []
     context = {
         "title": title,
-        "verdict": verdict(rows, focus, pairs) if rows else offline_verdict(offline),
+        "verdict": verdict(rows, focus, pairs) if rows else offline_verdict(offline.rows),
         "warnings": results.warnings if results else [],
         "rows": rows,
         "metrics": METRICS if rows else (),
         "scenarios": _scenarios(results),
-        "estimators": results.settings.estimators if results else [],
-        "lookup": {(row["scenario"], row["estimator"]): row for row in rows},
+        "estimators": results.estimators if results else [],
+        "lookup": {(row.scenario, row.estimator): row for row in rows},
         "pairs": bool(pairs),
         "paired": [metric for metric in METRICS if metric.key in PAIRED],
-        "breaking": _breaking(points),
-        "offline": _offline_table(offline),
-        "offline_caption": offline_caption,
+        "breaking": _breaking(closed_loop.points if closed_loop else ()),
+        "offline": _offline_table(offline.rows),
+        "offline_caption": offline.caption,
         "pictures": {
             name.replace("-", " "): base64.b64encode(each.read_bytes()).decode()
-            for name, each in (pictures or {}).items()
+            for name, each in offline.pictures.items()
         },
         "still": still
         and base64.b64encode(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)).decode(),
@@ -87,7 +103,7 @@ def write_report(
         "csv": list(csv),
         "footer": footer or _footer(results),
         "script": script("report.js"),
-        "payload": _payload(results, offline, focus, pairs),
+        "payload": _payload(closed_loop, offline.rows, focus),
     }
     return write_whole(Path(path).expanduser(), _environment().get_template("report.html").render(context))
 
@@ -95,7 +111,7 @@ def write_report(
 def _scenarios(results: Results | None) -> list[dict[str, str]]:
     if results is None:
         return []
-    return [{"name": n, "description": s.description} for n, s in results.settings.scenarios.items()]
+    return [{"name": n, "description": s.description} for n, s in results.scenarios.items()]
 
 
 def _footer(results: Results | None) -> str:
@@ -106,11 +122,11 @@ def _footer(results: Results | None) -> str:
         f"{s.seeds} flight{'s' if s.seeds > 1 else ''} in each cell, seeds 0 to {s.seeds - 1} of {s.seed}, "
         f"at {s.rate_hz:g} Hz. Flight i of every estimator has the same wind, sensor noise and start. Roll "
         "and pitch come from the estimator, position, velocity and yaw from an external sensor: "
-        f"{', '.join(sorted({scenario.external for scenario in s.scenarios.values()}))}."
+        f"{', '.join(sorted({scenario.external for scenario in results.scenarios.values()}))}."
     )
 
 
-def _breaking(points: Sequence[Breaking]) -> dict[str, object]:
+def _breaking(points: Sequence[BreakingPoint]) -> dict[str, object]:
     """Disturbances as columns, estimators as rows, each entry with the length of its bar."""
     kinds = {key: DISTURBANCES[key] for key in DISTURBANCES if any(p.disturbance == key for p in points)}
     scale = {key: max([p.flies_at or 0.0 for p in points if p.disturbance == key] or [0.0]) for key in kinds}
@@ -151,25 +167,25 @@ def _label(key: str) -> str:
 
 
 def _payload(
-    results: Results | None, offline: Sequence[Mapping[str, object]], focus: str, pairs: Sequence[Row]
+    closed_loop: ClosedLoopSection | None, offline: Sequence[Mapping[str, object]], focus: str
 ) -> str:
-    names = results.settings.estimators if results else [str(row.get("estimator")) for row in offline]
-    ranked = [s["estimator"] for s in verdict(results.rows, focus).standings] if results else []
+    results = closed_loop.results if closed_loop else None
+    names = results.estimators if results else [str(row.get("estimator")) for row in offline]
+    ranked = [s.estimator for s in verdict(results.rows, focus).standings] if results else []
     shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
-        "scenarios": list(results.settings.scenarios) if results else [],
+        "scenarios": list(results.scenarios) if results else [],
         "shown": shown,
-        "metrics": [metric.__dict__ for metric in METRICS],
+        "metrics": [vars(metric) for metric in METRICS],
         "edges": {"low": low, "high": high, "bins": ERROR_BINS},
     }
-    if results:
-        scenarios = results.settings.scenarios.values()
-        vehicle = load_vehicle(next(iter(scenarios)).vehicle)
+    if closed_loop and results:
+        vehicle = load_vehicle(next(iter(results.scenarios.values())).vehicle)
         data |= {
             "cells": {f"{cell.scenario}|{cell.estimator}": _cell(cell) for cell in results.cells},
-            "pairs": _pairs(pairs),
+            "pairs": _pairs(closed_loop.pairs),
             "all": ALL,
             "best": next((name for name in ranked if name != TRUTH), None),
             "series_seed": 0,
@@ -179,29 +195,23 @@ def _payload(
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
-def _pairs(pairs: Sequence[Row]) -> dict[str, list]:
+def _pairs(pairs: Sequence[PairRow]) -> dict[str, list]:
     """Compact: "metric|scenario" to lists of estimator, versus, difference, low, high, pairs, crashes."""
-    keys = (
-        "estimator",
-        "versus",
-        "difference",
-        "low",
-        "high",
-        "pairs",
-        "crashed_alone",
-        "versus_crashed_alone",
-    )
     out: dict[str, list] = {}
     for row in pairs:
-        entry = [round(v, 5) if isinstance(v := row[key], float) else v for key in keys]
-        out.setdefault(f"{row['metric']}|{row['scenario']}", []).append(entry)
+        entry = (
+            row.estimator, row.versus, row.difference, row.low, row.high, row.pairs, row.crashed_alone,
+            row.versus_crashed_alone,
+        )  # fmt: skip
+        numbers = [round(v, 5) if isinstance(v, float) else v for v in entry]
+        out.setdefault(f"{row.metric}|{row.scenario}", []).append(numbers)
     return out
 
 
 def _cell(cell: Cell) -> dict[str, object]:
-    row = cell.row
-    values = {metric.key: row.get(metric.key) for metric in METRICS}
-    return {"values": values, "histogram": cell.histogram, "series": cell.series}
+    values = {metric.key: getattr(cell.row, metric.key) for metric in METRICS}
+    series = asdict(cell.series) if cell.series else None
+    return {"values": values, "histogram": cell.histogram, "series": series}
 
 
 def script(entry: str) -> str:

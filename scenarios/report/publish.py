@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..bench.breaking import Breaking
+from quadsim.runs.files import write_csv
+
+from ..bench.breaking import BreakingPoint
 from ..bench.pairs import paired_differences
-from ..bench.runner import Results, write_csv
+from ..bench.runner import Results
 from .flight_picture import cover
-from .page import write_report
+from .page import ClosedLoopSection, write_report
 
 
 class Published(NamedTuple):
@@ -20,7 +22,7 @@ class Published(NamedTuple):
 
 
 def publish(
-    folder: str | Path, results: Results, points: Sequence[Breaking] = (), path: Path | None = None
+    folder: str | Path, results: Results, points: Sequence[BreakingPoint] = (), path: Path | None = None
 ) -> Published:
     """Write pairs.csv, breaking.csv if there are such points, and report.html, which links to them.
 
@@ -36,7 +38,7 @@ def publish(
     folder = Path(folder).expanduser()
     pairs = paired_differences(results.flights)
     files = ["results.csv", "flights.csv"]
-    for name, rows in (("pairs.csv", pairs), ("breaking.csv", [vars(point) for point in points])):
+    for name, rows in (("pairs.csv", pairs), ("breaking.csv", points)):
         (folder / name).unlink(missing_ok=True)  # of an earlier run
         if rows:
             write_csv(folder / name, rows)
@@ -44,4 +46,4 @@ def publish(
     still, note = cover(results.cells)
     page = path or folder / "report.html"
     links = [Path(os.path.relpath(folder / name, page.expanduser().parent)).as_posix() for name in files]
-    return Published(write_report(page, results, still=still, csv=links, pairs=pairs, points=points), note)
+    return Published(write_report(page, ClosedLoopSection(results, pairs, points, still), csv=links), note)

@@ -8,29 +8,30 @@ from rich.table import Table
 from rich.text import Text
 
 from estimators.analysis.ablation import Pruned
-from estimators.evaluation.comparison import Row as Evaluated
+from estimators.evaluation.comparison import EvaluationRow
 from estimators.loihi.chip import LIMITS, Core
 
-from ..bench.breaking import DISTURBANCES, Breaking
-from ..bench.offline import Row
+from ..bench.breaking import DISTURBANCES, BreakingPoint
+from ..bench.flight_metrics import CellRow
+from ..bench.offline import OfflineRow
 from ..bench.runner import Results
 from ..bench.verdict import verdict
 
 
 def closed_loop_table(results: Results) -> Table:
     """Estimators from best to worst against scenarios: mean error, and crashes where there were any."""
-    scenarios = list(results.settings.scenarios)
-    rows = {(row["scenario"], row["estimator"]): row for row in results.rows}
+    scenarios = list(results.scenarios)
+    rows = {(row.scenario, row.estimator): row for row in results.rows}
     table = Table("estimator", title="In closed loop: error of roll and pitch, °; ✕ crashed flights")
     for name in scenarios:
         table.add_column(name, justify="right")
     for standing in verdict(results.rows).standings:
-        estimator = standing["estimator"]
-        table.add_row(estimator, *(_entry(rows[name, estimator]) for name in scenarios))
+        entries = (_entry(rows[name, standing.estimator]) for name in scenarios)
+        table.add_row(standing.estimator, *entries)
     return table
 
 
-def breaking_table(points: Sequence[Breaking]) -> Table:
+def breaking_table(points: Sequence[BreakingPoint]) -> Table:
     """Estimators against disturbances: the least level at which one crashed."""
     kinds = list(dict.fromkeys(point.disturbance for point in points))
     table = Table("estimator", title="Breaking points: the least level at which a flight crashed")
@@ -44,7 +45,7 @@ def breaking_table(points: Sequence[Breaking]) -> Table:
     return table
 
 
-def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
+def evaluation_table(rows: Sequence[EvaluationRow], title: str) -> Table:
     """Errors on recorded flights with their confidence, convergence from an initial tilt, and run time."""
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
     table.add_column("estimator", overflow="fold")
@@ -70,7 +71,7 @@ def evaluation_table(rows: Sequence[Evaluated], title: str) -> Table:
     return table
 
 
-def evaluation_columns(rows: Sequence[Evaluated]) -> list[dict[str, object]]:
+def evaluation_columns(rows: Sequence[EvaluationRow]) -> list[dict[str, object]]:
     """The rows as a page shows them."""
     return [
         {
@@ -101,7 +102,7 @@ EVALUATION_METHOD = (
 )
 
 
-def evaluation_notes(rows: Sequence[Evaluated]) -> list[str]:
+def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
     """What the table does not say by itself."""
     notes = []
     most = max(row.flights for row in rows)
@@ -124,26 +125,24 @@ def evaluation_notes(rows: Sequence[Evaluated]) -> list[str]:
     return notes
 
 
-def offline_table(rows: Sequence[Row]) -> Table:
+def offline_table(rows: Sequence[OfflineRow]) -> Table:
     """Errors on recorded flights, one estimator a row, in the order given."""
     table = Table(
         "estimator", title="On recorded flights: error of roll and pitch, mean ± SD over flights, °"
     )
-    starts = {"level": "first attitude unknown", "known": "first attitude known"}
+    starts = {"level": "unknown initial attitude", "known": "known initial attitude"}
     for heading in (*starts.values(), "silenced"):
         table.add_column(heading, justify="right")
-    errors = {(row["estimator"], row["start"]): _error(row) for row in rows}
-    silenced = {row["estimator"]: row.get("silenced_deg") for row in rows}
-    for name in dict.fromkeys(row["estimator"] for row in rows):
-        silent = silenced[name]
-        text = f"{silent:.2f}" if isinstance(silent, float) else "–"
-        table.add_row(str(name), *(errors.get((name, start), "–") for start in starts), text)
+    errors = {(row.estimator, row.start): _error(row) for row in rows}
+    silenced = {row.estimator: row.silenced_deg for row in rows}
+    for name, silent in silenced.items():
+        text = "–" if silent is None else f"{silent:.2f}"
+        table.add_row(name, *(errors.get((name, start), "–") for start in starts), text)
     return table
 
 
-def _error(row: Row) -> str:
-    mean, sd = row.get("mean_deg"), row.get("sd_deg")
-    return f"{mean:.2f} ± {sd:.2f}" if isinstance(mean, float) and isinstance(sd, float) else "did not run"
+def _error(row: OfflineRow) -> str:
+    return "did not run" if row.mean_deg is None else f"{row.mean_deg:.2f} ± {row.sd_deg:.2f}"
 
 
 def cores_table(cores: Sequence[Core]) -> Table:
@@ -176,11 +175,10 @@ def stages_table(stages: Sequence[Pruned]) -> Table:
     return table
 
 
-def _entry(row: Row) -> Text:
-    if row["reason"]:
+def _entry(row: CellRow) -> Text:
+    if row.reason:
         return Text("did not run", style="red")
-    error = row["error_deg"]
-    text = Text("–" if error is None else f"{error:.2f}")
-    if row["crashes"]:
-        text.append(f" ✕ {row['crashes']}/{row['flights']}", style="red")
+    text = Text("–" if row.error_deg is None else f"{row.error_deg:.2f}")
+    if row.crashes:
+        text.append(f" ✕ {row.crashes}/{row.flights}", style="red")
     return text
