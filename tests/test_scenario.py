@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadsim.config.toml import parse
+from quadsim.estimator import Readings
 from quadsim.external import ExternalSensor, ExternalSpec
 from quadsim.flight.faults import sensor_faults
 from quadsim.flight.mission import AWAY, CAUSES, GROUNDED, TILTED, Mission
@@ -32,9 +33,9 @@ def corrupted(fault: dict, samples: int, n: int = 1, value: float = 1.0) -> np.n
     assert corrupt is not None
     out = np.empty((samples, n, 6))
     for k in range(samples):
-        gyro, accel = np.full((n, 3), value + k), np.full((n, 3), value + k)
-        corrupt(gyro, accel, np.full(n, k))
-        out[k] = np.hstack([gyro, accel])
+        readings = Readings(np.full((n, 3), value + k), np.full((n, 3), value + k))
+        corrupt(readings, np.full(n, k))
+        out[k] = np.hstack([readings.gyro, readings.accel])
     return out
 
 

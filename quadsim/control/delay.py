@@ -10,7 +10,7 @@ long ago.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import control
 import matplotlib
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root_scalar
 
 from ..dataset.figures import STYLE
+from ..estimator import OtherSensors
 from ..flight.loop import FlightLoop
 from ..rotation import roll_pitch_from_quat
 from ..runs.files import save_figure
@@ -78,7 +79,7 @@ class DelayedTruth:
         now = roll_pitch_from_quat(quat)
         self._line = [*(self._line or [now] * self._samples), now]
 
-    def update(self, gyro: Array, accel: Array) -> Array:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Give what was true."""
         return self._line.pop(0)
 

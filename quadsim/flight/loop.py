@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..control.cascade import LEVELS, Controller, Level, control
-from ..estimator import AttitudeEstimator
+from ..estimator import AttitudeEstimator, Readings, accepted_sensors
 from ..external import ExternalSensor
 from ..imu.kernel import ACCEL, GYRO, measure
 from ..imu.spec import ImuSpec
@@ -26,8 +26,9 @@ Array = NDArray[np.float64]
 class FlightLoop:
     """n closed loops, one sample at a time.
 
-    After `reset` and after every `step`, `gyro`, `accel` (n, 3) and `attitude` (n, 2), the estimated roll and
-    pitch, belong to the state in `plant`. `rate` (n, 3) is `gyro` with missing samples held. `seen` is the
+    After `reset` and after every `step`, `readings` (n, ·), `gyro` (n, 3) among them, and `attitude` (n, 2),
+    the estimated roll and pitch, belong to the state in `plant`. `rate` (n, 3) is `gyro` with missing samples
+    held. `seen` is the
     position (n, 3), velocity (n, 3) and yaw (n,) that the controller sees.
 
     Args:
@@ -40,8 +41,8 @@ class FlightLoop:
         contact: Whether the ground can be touched; the engine then makes 1 ms steps, implicitly.
         external: Source of position, velocity and yaw; None for the truth.
         nominal: The vehicle that the controller believes in.
-        corrupt: Called as corrupt(gyro, accel, k) on every sample, k (n,) counting each vehicle's samples
-            from 0; may change both in place: sensor faults. At NaN the controller holds its last body rate.
+        corrupt: Called as corrupt(readings, k) on every sample, k (n,) counting each vehicle's samples from
+            0; may change readings in place: sensor faults. At NaN the controller holds its last body rate.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class FlightLoop:
         contact: bool = False,
         external: ExternalSensor | None = None,
         nominal: Vehicle | None = None,
-        corrupt: Callable[[Array, Array, NDArray[np.int64]], None] | None = None,
+        corrupt: Callable[[Readings, NDArray[np.int64]], None] | None = None,
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
@@ -68,6 +69,7 @@ class FlightLoop:
         self.external = external
         self.corrupt = corrupt
         self._observe = getattr(estimator, "observe", None)
+        self._accepted = () if estimator is None else accepted_sensors(estimator.update)
         self.true_attitude, self.yaw = np.zeros((n, 2)), np.zeros(n)
         self.seen = self.plant.position, self.plant.velocity, self.yaw
         if external is not None:
@@ -75,11 +77,18 @@ class FlightLoop:
         self.attitude, self._calm = self.true_attitude, np.zeros((n, 3))
         self._air = self._calm  # in which the present state was reached
         self._reading = np.zeros((2, n, 1, 3))
-        self._sample = self.plant.ang_vel, self.plant.specific_force
+        rotor_vel = self.plant.rotor_vel.view()
+        rotor_vel.flags.writeable = False  # the plant's state
+        self._sample = Readings(self.plant.ang_vel, self.plant.specific_force, rotor_vel)
         if imu is not None:
-            self._sample = self._reading[GYRO, :, 0], self._reading[ACCEL, :, 0]
-        self.gyro, self.accel = self._sample
+            self._sample = Readings(self._reading[GYRO, :, 0], self._reading[ACCEL, :, 0], rotor_vel)
+        self.readings = self._sample
         self.rate = self.gyro if corrupt is None else np.zeros((n, 3))
+
+    @property
+    def gyro(self) -> Array:
+        """Body rate as measured (n, 3) [rad/s]."""
+        return self.readings.gyro
 
     def reset(
         self,
@@ -168,13 +177,13 @@ class FlightLoop:
         if self.external is not None:
             self.external.measure(self.k, plant.position, plant.velocity, self.yaw)
         if self.corrupt is not None:
-            self.gyro, self.accel = (each.copy() for each in self._sample)
-            self.corrupt(self.gyro, self.accel, self.k)
+            self.readings = self._sample.map(np.copy)
+            self.corrupt(self.readings, self.k)
             self.rate = np.where(np.isfinite(self.gyro), self.gyro, self.rate)
         if self.estimator is not None:
             if self._observe is not None:
                 self._observe(plant.quat)
-            self.attitude = self.estimator.update(self.gyro, self.accel)
+            self.attitude = self.readings.give(self.estimator.update, self._accepted)
 
 
 @njit(cache=True)
