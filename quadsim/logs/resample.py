@@ -417,7 +417,8 @@ def _interpolated(track: Track, grid: Array) -> Array:
         return np.full((grid.size, track.values.shape[1]), np.nan)
     values = np.stack([np.interp(grid, time, column) for column in track.values[good][first].T], axis=1)
     after = np.clip(np.searchsorted(time, grid), 1, time.size - 1)
-    known = (grid >= time[0]) & (grid <= time[-1]) & (time[after] - time[after - 1] <= SENSOR_GAP_S)
+    known = (grid >= time[0] - EXACT_S) & (grid <= time[-1] + EXACT_S)
+    known &= time[after] - time[after - 1] <= SENSOR_GAP_S
     return np.where(known[:, None], values, np.nan)
 
 
