@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from textwrap import fill
@@ -31,7 +32,7 @@ from estimators.networks.weights_file import InputScaling, Tensors, load_network
 from estimators.registry import FILTERPY, NETWORKS
 from estimators.spiking import Weights
 from quadsim.dataset.reading import open_dataset
-from quadsim.estimator import AttitudeEstimator
+from quadsim.estimator import AttitudeEstimator, Readings
 from training.augment import roll_pitch_of_up
 from training.config import TrainConfig, make_config
 
@@ -78,7 +79,7 @@ def many_starts(flights: Flights) -> Flights:
     gyro, accel, quat, truth = (
         np.concatenate([getattr(draw, name) for draw in found]) for name in ("gyro", "accel", "quat", "truth")
     )
-    return Flights(gyro, accel, quat, truth, flights.rate_hz)
+    return Flights(Readings(gyro, accel), quat, truth, flights.rate_hz)
 
 
 def start_figure(estimators: dict[str, AttitudeEstimator], pieces: Flights) -> Figure:
@@ -279,10 +280,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     page = load_page("training")
     data = simulated("test", given.data)
     flights = load_flights([data])
-    perfect = Flights(
-        data["ang_vel"].to_numpy().astype(float), data["specific_force"].to_numpy().astype(float),
-        flights.quat, flights.truth, flights.rate_hz,
-    )  # fmt: skip
+    rate, force = (data[name].to_numpy().astype(float) for name in ("ang_vel", "specific_force"))
+    perfect = replace(flights, readings=Readings(rate, force))
     pieces = many_starts(flights)
     estimators = made()
     page.save(start_figure(estimators, pieces), "start.png", dpi=110, colours=64)

@@ -37,15 +37,15 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
     try:
         est.reset(n=2, roll_pitch=None)
-        found = np.asarray(est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1))), np.float64)
+        result = np.asarray(est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1))), np.float64)
     except Exception as error:  # whatever a user's class does
         raise ValueError(
             f"{name}: reset(n=2, roll_pitch=None) and update(gyro, accel), each (2, 3), end with "
             f"{type(error).__name__}: {error}"
         ) from error
-    if found.shape != (2, 2):
+    if result.shape != (2, 2):
         raise ValueError(
-            f"{name}: update returns an array of shape {found.shape} for two vehicles; roll and pitch, "
+            f"{name}: update returns an array of shape {result.shape} for two vehicles; roll and pitch, "
             "(2, 2) [rad], are required"
         )
     return est

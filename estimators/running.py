@@ -3,11 +3,12 @@
 import logging
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadsim.estimator import AttitudeEstimator
+from quadsim.estimator import AttitudeEstimator, OtherSensors, Readings, accepted_sensors
 from quadsim.vehicle import Vehicle
 
 from .filters.algorithm import paired, start
@@ -24,6 +25,7 @@ def run(
     accel: ArrayLike,
     roll_pitch: ArrayLike | None = None,
     quat: ArrayLike | None = None,
+    **sensors: Unpack[OtherSensors],
 ) -> Array:
     """Reset an estimator and run it over n sequences; the same numbers as `update` in a loop.
 
@@ -33,6 +35,7 @@ def run(
         accel: Specific force in body axes (n, T, 3) [m/s²]; NaN where a sample is missing.
         roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None where it is not known.
         quat: True quat_WB (n, T, 4), for an estimator that observes the truth.
+        sensors: Further readings, rotor_vel (n, T, rotors) [rad/s] and mag (n, T, 3) [T].
 
     Returns:
         Roll and pitch (n, T, 2) [rad].
@@ -40,7 +43,7 @@ def run(
     Raises:
         ValueError: For shapes that do not fit, or an estimator that observes the truth and is given none.
     """
-    out = run_quietly(est, gyro, accel, roll_pitch, quat)
+    out = run_quietly(est, gyro, accel, roll_pitch, quat, **sensors)
     skipped = missing_samples(est)
     if skipped > 0:
         logger.warning(
@@ -58,20 +61,22 @@ def run_quietly(
     accel: ArrayLike,
     roll_pitch: ArrayLike | None = None,
     quat: ArrayLike | None = None,
+    **sensors: Unpack[OtherSensors],
 ) -> Array:
     """`run`, for a caller that reports `missing_samples` itself."""
-    gyro, accel = paired(gyro, accel)
-    est.reset(len(gyro), roll_pitch=roll_pitch)
-    observe = getattr(est, "observe", None)
-    sequence = getattr(est, "sequence", None)
-    if observe is not None:
-        return _run_observing(est, observe, gyro, accel, quat)
-    if sequence is not None:
-        return sequence(gyro, accel)
-    steps = zip(np.moveaxis(gyro, 1, 0), np.moveaxis(accel, 1, 0), strict=True)
-    return np.stack(
-        [est.update(rate.copy(), force.copy()) for rate, force in steps], axis=1
-    )  # its own to change
+    readings = _sequences(gyro, accel, **sensors)
+    n, steps = readings.gyro.shape[:2]
+    est.reset(n, roll_pitch=roll_pitch)
+    observe, sequence = getattr(est, "observe", None), getattr(est, "sequence", None)
+    truth = None if observe is None else _truth(quat, (n, steps, 4))
+    if sequence is not None and truth is None:
+        return readings.give(sequence, accepted_sensors(sequence))
+    out, accepted = np.empty((n, steps, 2)), accepted_sensors(est.update)
+    for t in range(steps):
+        if observe is not None and truth is not None:
+            observe(truth[:, t])
+        out[:, t] = readings.map(lambda each, t=t: each[:, t].copy()).give(est.update, accepted)
+    return out
 
 
 def missing_samples(est: AttitudeEstimator) -> int:
@@ -117,16 +122,18 @@ def run_batch(
     return out.reshape(len(sets), *gyro.shape[:2], 2)
 
 
-def _run_observing(
-    est: AttitudeEstimator, observe, gyro: Array, accel: Array, quat: ArrayLike | None
-) -> Array:
+def _sequences(gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Readings:
+    readings = Readings(*paired(gyro, accel), **sensors)
+    for name, values in readings.others.items():
+        if np.ndim(values) != 3 or np.shape(values)[:2] != readings.gyro.shape[:2]:
+            raise ValueError(f"{name} has shape {np.shape(values)}; gyro has {readings.gyro.shape}")
+    return readings.map(lambda each: np.ascontiguousarray(each, np.float64))
+
+
+def _truth(quat: ArrayLike | None, shape: tuple[int, ...]) -> Array:
     if quat is None:
         raise ValueError("this estimator observes the truth: give run(..., quat=) of shape (n, T, 4)")
     truth = np.asarray(quat, dtype=np.float64)
-    if truth.shape != (*gyro.shape[:2], 4):
-        raise ValueError(f"quat has shape {truth.shape}; it must be {(*gyro.shape[:2], 4)}")
-    out = np.empty((*gyro.shape[:2], 2))
-    for t in range(gyro.shape[1]):
-        observe(truth[:, t])
-        out[:, t] = est.update(gyro[:, t], accel[:, t])
-    return out
+    if truth.shape != shape:
+        raise ValueError(f"quat has shape {truth.shape}; it must be {shape}")
+    return truth

@@ -1,8 +1,11 @@
 """The true attitude as an estimator: the reference that a closed loop is compared with."""
 
+from typing import Unpack
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadsim.estimator import OtherSensors
 from quadsim.rotation import roll_pitch_from_quat
 
 from .filters.algorithm import initial_quat
@@ -11,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Truth:
-    """Roll and pitch of the quaternion that `observe` was last given; the IMU is not looked at."""
+    """Roll and pitch of the quaternion that `observe` was last given; no sensor is used."""
 
     def __init__(self, rate_hz: float) -> None:
         """Make it for one vehicle; the sample rate has no effect."""
@@ -34,6 +37,6 @@ class Truth:
         """Take the true quat_WB (n, 4); call it just before `update`."""
         self.quat = np.array(quat, dtype=np.float64)
 
-    def update(self, gyro: Array, accel: Array) -> Array:
-        """Roll and pitch of the last quaternion seen, (n, 2) [rad]."""
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
+        """Roll and pitch of the last quaternion observed, (n, 2) [rad]."""
         return roll_pitch_from_quat(self.quat)

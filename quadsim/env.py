@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import FunctionType, MethodType
-from typing import Any, NoReturn, TypeAlias, cast
+from typing import Any, NoReturn, TypeAlias, Unpack, cast
 
 import gymnasium
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import SAMPLE_RATE
 from .control.cascade import ATTITUDE, LEVELS, POSITION, RATE, ROTOR, SET_POINT, VELOCITY, Level
-from .estimator import AttitudeEstimator
+from .estimator import AttitudeEstimator, OtherSensors, Readings, accepted_sensors
 from .flight.mission import CAUSES, FLYING, Mission, follow
 from .flight.scenario import Scenario, load_scenario
 from .render import Image, Scene, View, Window
@@ -436,6 +436,7 @@ class OnePerVehicle:
     def __init__(self, estimator: AttitudeEstimator) -> None:
         self.rate_hz = estimator.rate_hz
         self._pattern, self._each = estimator, [copy.deepcopy(estimator)]
+        self._accepted = accepted_sensors(estimator.update)
         if getattr(estimator, "observe", None) is not None:
             self.observe = self._observe
 
@@ -450,11 +451,12 @@ class OnePerVehicle:
         for row, vehicle in enumerate(ids):
             self._each[vehicle].reset(1, roll_pitch=None if known is None else known[row : row + 1])
 
-    def update(self, gyro: Array, accel: Array) -> Array:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample of every vehicle."""
-        return np.concatenate(
-            [each.update(gyro[i : i + 1], accel[i : i + 1]) for i, each in enumerate(self._each)]
-        )
+        readings = Readings(gyro, accel, **sensors)
+        alone = [readings.map(lambda each, i=i: each[i : i + 1]) for i in range(len(self._each))]
+        pairs = zip(self._each, alone, strict=True)
+        return np.concatenate([its.give(each.update, self._accepted) for each, its in pairs])
 
     def _observe(self, quat: Array) -> None:
         for i, each in enumerate(self._each):

@@ -1,9 +1,65 @@
-"""What the simulator asks of an attitude estimator."""
+"""What the simulator asks of an attitude estimator, and the sensor readings that it gives it.
 
-from typing import Protocol
+A further sensor is a field of `Readings` and a key of `OtherSensors`; every estimator then accepts it.
+"""
+
+import inspect
+from collections.abc import Callable, Iterable
+from typing import NamedTuple, Protocol, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class Readings(NamedTuple):
+    """Sensor readings of n vehicles: one sample (n, ·), or sequences (n, T, ·); NaN where missing."""
+
+    gyro: Array
+    """Body rate, (n, 3) [rad/s]."""
+    accel: Array
+    """Specific force in body axes, (n, 3) [m/s²]."""
+    rotor_vel: Array | None = None
+    """Rotor speeds, (n, rotors) [rad/s]; None where they are not measured."""
+    mag: Array | None = None
+    """Magnetic field in body axes, (n, 3) [T]; None where there is no magnetometer."""
+
+    def map(self, change: Callable[[Array], Array]) -> "Readings":
+        """The readings with each array changed alike."""
+        return Readings(*(None if each is None else change(each) for each in self))  # pyright: ignore[reportArgumentType]
+
+    @property
+    def others(self) -> dict[str, Array]:
+        """The readings beside the IMU's that there are."""
+        return {name: getattr(self, name) for name in OTHERS if getattr(self, name) is not None}
+
+    def give(self, update: Callable[..., Array], accepted: Iterable[str]) -> Array:
+        """Call an `update` or a `sequence` with the sensors beside the IMU that it accepts."""
+        return update(self.gyro, self.accel, **{name: getattr(self, name) for name in accepted})
+
+
+OTHERS = Readings._fields[2:]
+"""Sensors beside the IMU."""
+
+
+class OtherSensors(TypedDict, total=False):
+    """Readings beside the IMU's, as keyword arguments."""
+
+    rotor_vel: Array | None
+    mag: Array | None
+
+
+def accepted_sensors(update: Callable[..., object]) -> tuple[str, ...]:
+    """Names of the sensors beside the IMU that an `update` or a `sequence` accepts as keywords."""
+    try:
+        parameters = inspect.signature(update).parameters.values()
+    except ValueError:  # compiled without a signature
+        return ()
+    if any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters):
+        return OTHERS
+    names = {each.name for each in parameters}
+    return tuple(name for name in OTHERS if name in names)
 
 
 class AttitudeEstimator(Protocol):
@@ -12,17 +68,20 @@ class AttitudeEstimator(Protocol):
     Optional members, looked up by name where they are used:
 
     - `observe(quat)`: an estimator that is fed the truth; called with quat_WB (n, 4) just before `update`.
-    - `sequence(gyro, accel)`: (n, T, 3) twice -> (n, T, 2), the same numbers as T calls of `update`, faster.
-    - `restart(ids, roll_pitch=None)`: `reset` for some of the vehicles, the others fly on.
+    - `sequence(gyro, accel, **sensors)`: (n, T, 3) twice -> (n, T, 2), the same numbers as T calls of
+      `update`, faster.
+    - `restart(ids, roll_pitch=None)`: `reset` for some of the vehicles, the others continue.
     - `quat` (n, 4), and `reset(quat=...)`: the filter estimates a quaternion quat_WB.
     - `gyro_bias` (n, 3) [rad/s]: the filter estimates the bias of its gyroscope.
     - `skipped` (n,): samples since `reset` that were missing in part or whole and were bridged by prediction.
+
+    An `update` or a `sequence` without the keywords of `OtherSensors` is called without them.
     """
 
     rate_hz: float
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
-        """Forget everything and start n vehicles.
+        """Initialise n vehicles.
 
         Args:
             n: Number of vehicles.
@@ -30,12 +89,13 @@ class AttitudeEstimator(Protocol):
         """
         ...
 
-    def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.float64]:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample.
 
         Args:
             gyro: Body rate, (n, 3) [rad/s].
             accel: Specific force in body axes, (n, 3) [m/s²].
+            sensors: Further readings, as in `Readings`.
 
         Returns:
             Roll and pitch at the time of this sample, (n, 2) [rad].

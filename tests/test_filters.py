@@ -427,3 +427,56 @@ def test_a_vehicle_that_is_none_is_refused():
         create("ekf-drag", vehicle=3)
     with pytest.raises(ValueError, match="give --vehicle"):
         create("ekf-drag")
+
+
+class Plain:
+    """A user's estimator without further sensors."""
+
+    def __init__(self, rate_hz):
+        self.rate_hz, self.given = rate_hz, []
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+        self.n = n
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return np.zeros((self.n, 2))
+
+
+class Magnetic(Plain):
+    """One that uses a magnetometer alone."""
+
+    def update(self, gyro, accel, mag=None):
+        """Take a sample."""
+        self.given.append(mag)
+        return np.zeros((self.n, 2))
+
+
+class Everything(Plain):
+    """One that uses every sensor."""
+
+    def update(self, gyro, accel, **sensors):
+        """Take a sample."""
+        self.given.append(sensors)
+        return np.zeros((self.n, 2))
+
+
+def test_estimators_are_given_the_sensors_that_they_accept():
+    gyro, rotor_vel, mag = np.zeros((2, 5, 3)), np.ones((2, 5, 4)), np.full((2, 5, 3), 2e-5)
+    sensors = {"rotor_vel": rotor_vel, "mag": mag}
+    assert run(Plain(200.0), gyro, gyro, **sensors).shape == (2, 5, 2)
+    run(magnetic := Magnetic(200.0), gyro, gyro, **sensors)
+    np.testing.assert_array_equal(np.stack(magnetic.given, axis=1), mag)
+    run(everything := Everything(200.0), gyro, gyro, rotor_vel=rotor_vel)
+    np.testing.assert_array_equal(np.stack([each["rotor_vel"] for each in everything.given], 1), rotor_vel)
+    assert everything.given[0]["mag"] is None
+    with pytest.raises(ValueError, match="mag has shape"):
+        run(Plain(200.0), gyro, gyro, mag=mag[:1])
+
+
+@pytest.mark.parametrize("name", ["mahony", "vqf", "att-snn", "truth", "ekf-filterpy", "ekf-drag"])
+def test_every_estimator_accepts_further_sensors(name):
+    est = create(name, vehicle="hummingbird") if name == "ekf-drag" else create(name)
+    est.reset(1)
+    assert est.update(np.zeros((1, 3)), np.ones((1, 3)), rotor_vel=np.ones((1, 4)), mag=None).shape == (1, 2)

@@ -191,3 +191,28 @@ def test_flights_flown_on_a_wrong_attitude_swing_and_are_otherwise_recorded_trul
     assert wrong["end_reason"] == ["", ""]
     bias = right["gyro"] - right["ang_vel"], wrong["gyro"] - wrong["ang_vel"]
     assert bias[0] == pytest.approx(bias[1], abs=1e-9)  # the sensor errors are the same
+
+
+class Listening:
+    """An estimator that keeps the rotor speeds it is given."""
+
+    rate_hz = 200.0
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+        self.n = n
+
+    def update(self, gyro, accel, *, rotor_vel=None):
+        """Take a sample."""
+        self.rotor_vel = rotor_vel
+        return np.zeros((self.n, 2))
+
+
+def test_the_estimator_is_given_the_rotor_speeds_of_the_sample():
+    loop = FlightLoop(HUMMINGBIRD, 2, imu=load_imu("adis16448"), estimator=Listening())
+    loop.reset(position=(0, 0, 2.0))
+    for _ in range(5):
+        loop.step("position", np.repeat(HOVER + 1.0, 2, axis=0))
+        np.testing.assert_array_equal(loop.estimator.rotor_vel, loop.plant.rotor_vel)
+    with pytest.raises(ValueError, match="read-only"):
+        loop.estimator.rotor_vel[:] = 0.0

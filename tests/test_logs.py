@@ -17,7 +17,7 @@ from quadsim.imu.stream import simulate_imu
 from quadsim.logs import read_log, read_log_and_report, read_recording
 from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
 from quadsim.logs.convert import convert
-from quadsim.logs.recording import Recording, axes_matrix, turned
+from quadsim.logs.recording import Recording, Track, axes_matrix, turned
 from quadsim.logs.resample import resample, split
 from quadsim.rotation import (
     canonical,
@@ -147,6 +147,50 @@ def test_px4_logs_are_turned_from_frd_and_ned(tmp_path):
     assert any("frames disagree" in warning for warning in report.warnings)
 
 
+def test_px4_rotor_speeds_and_magnetometer_are_read_where_they_are_logged(tmp_path):
+    pytest.importorskip("pyulog")
+    time, gyro, accel, _ = turning()
+    stamps = (time * 1e6).astype(np.uint64) + 1_000_000
+    imu = np.concatenate([swap_flu_frd(gyro), swap_flu_frd(accel)], axis=1)
+    field = np.array([2e-5, -1e-5, -4e-5])  # T, in FLU axes
+    rpm = np.tile([2.0, 4000.0, -4100.0], (time[::20].size, 1))  # how many ESCs there are, and their speeds
+    names = "float esc_count;float esc[0].esc_rpm;float esc[1].esc_rpm;"
+    write_ulog(
+        tmp_path / "x.ulg",
+        {
+            "sensor_combined": (
+                "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;", stamps, imu,
+            ),
+            "esc_status": (f"uint64_t timestamp;{names}", stamps[::20], rpm),
+            "sensor_mag": (
+                "uint64_t timestamp;float x;float y;float z;",
+                stamps[::4],
+                np.tile(swap_flu_frd(field) * 1e4, (time[::4].size, 1)),
+            ),
+        },
+    )  # fmt: skip
+    log = read_log(tmp_path / "x.ulg")
+    turning_at = log["rotor_vel"][0].to_numpy()
+    known = np.isfinite(turning_at).all(axis=1)
+    assert known.mean() > 0.9
+    speeds = np.array([4000.0, 4100.0]) * np.pi / 30
+    np.testing.assert_allclose(turning_at[known], np.tile(speeds, (known.sum(), 1)), rtol=1e-6)
+    mag = log["mag"][0].to_numpy()
+    mag = mag[np.isfinite(mag).all(axis=1)]
+    np.testing.assert_allclose(mag, np.tile(field, (len(mag), 1)), atol=1e-9)
+
+
+def test_sensors_beside_the_imu_are_interpolated_but_not_over_gaps():
+    time = np.arange(800) / RATE
+    slow = time[::10][(time[::10] < 1.0) | (time[::10] > 2.0)]
+    speeds = Track(slow, np.stack([100.0 + slow, 200.0 - slow], axis=1))
+    still = np.tile(GRAVITY, (800, 1))
+    log = resample(Recording("x", "x", time, 0 * still, still, sensors={"rotor_vel": speeds}), RATE)[0]
+    given = log["rotor_vel"][0].to_numpy()
+    assert np.isnan(given[(time > 1.0) & (time < 1.99)]).all()
+    np.testing.assert_allclose(given[:180, 0], 100.0 + time[:180])
+
+
 def test_broad_trials_in_hdf5_and_mat_are_one_and_the_same(tmp_path):
     h5py, io = pytest.importorskip("h5py"), pytest.importorskip("scipy.io")
     time, gyro, accel, quat = turning(rate_hz=2000 / 7)
@@ -187,6 +231,12 @@ negate = true
 columns = ["qx", "qy", "qz", "qw"]
 order = "xyzw"
 direction = "world_to_body"
+[mag]
+columns = ["mx", "my", "mz"]
+unit = "uT"
+[rotor_vel]
+columns = ["rpm"]
+unit = "rpm"
 """
 
 
@@ -195,11 +245,16 @@ def test_a_csv_is_read_by_its_column_map(tmp_path):
     frame_to_imu = axes_matrix("z,y,-x").T
     gyro, accel = (swap_flu_frd(each) @ frame_to_imu.T for each in (gyro, accel))
     q = swap_enu_flu_ned_frd(quat) * (1, -1, -1, -1)
-    rows = np.column_stack([time * 1e6, np.degrees(gyro), -accel / 9.80665, np.roll(q, -1, axis=1)])
-    header = "t,wx,wy,wz,ax,ay,az,qx,qy,qz,qw"
+    rows = np.column_stack(
+        [time * 1e6, np.degrees(gyro), -accel / 9.80665, np.roll(q, -1, axis=1), -accel, 60 + 0 * time]
+    )
+    header = "t,wx,wy,wz,ax,ay,az,qx,qy,qz,qw,mx,my,mz,rpm"
     np.savetxt(tmp_path / "x.csv", rows, "%.9g", delimiter=",", header=header, comments="")
     (tmp_path / "x.toml").write_text(COLUMNS)
-    consistent(read_log(tmp_path / "x.toml"))
+    log = read_log(tmp_path / "x.toml")
+    consistent(log)
+    np.testing.assert_allclose(log["mag"], -1e-6 * log["accel"], atol=1e-7)
+    np.testing.assert_allclose(log["rotor_vel"], 2 * np.pi, rtol=1e-6)
     (tmp_path / "bad.toml").write_text(COLUMNS.replace('"wz"', '"gz"'))
     with pytest.raises(ValueError, match=r'no column "gz"; '):
         read_log(tmp_path / "bad.toml")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import estimators
 from quadsim.config.toml import parse
 from quadsim.control.cascade import MEASURED
+from quadsim.estimator import Readings
 from quadsim.external import ExternalSensor, ExternalSpec
 from quadsim.flight.faults import RotorLoss, sensor_faults
 from quadsim.flight.mission import CAUSES, GROUNDED, OUT_OF_BOUNDS, TILTED, Mission
@@ -34,9 +35,9 @@ def corrupted(fault: dict, samples: int, n: int = 1, value: float = 1.0) -> np.n
     assert corrupt is not None
     out = np.empty((samples, n, 6))
     for k in range(samples):
-        gyro, accel = np.full((n, 3), value + k), np.full((n, 3), value + k)
-        corrupt(gyro, accel, np.full(n, k))
-        out[k] = np.hstack([gyro, accel])
+        readings = Readings(np.full((n, 3), value + k), np.full((n, 3), value + k))
+        corrupt(readings, np.full(n, k))
+        out[k] = np.hstack([readings.gyro, readings.accel])
     return out
 
 

@@ -167,7 +167,7 @@ def evaluate(
     runs, done = sum(len(TILTS_DEG) + len(each) for each in starts.values()), 0
     for name, est in made.items():
         flown = flights.first(slow_flights) if slow_flights and name in SLOW else flights
-        run_quietly(est, flown.gyro[:, :2], flown.accel[:, :2], quat=flown.quat[:, :2])  # compiles
+        _run(est, flown.map(lambda each: each[:, :2]))  # compiles
         times = []
         for tilt in TILTS_DEG:
             if progress is not None:
@@ -230,11 +230,7 @@ def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) 
         places += [(flight, slice(first, first + steps)) for first in np.sort(chosen)]
     if not places:
         return None
-    gyro, accel, quat, truth = (
-        np.stack([array[place] for place in places])
-        for array in (flights.gyro, flights.accel, flights.quat, flights.truth)
-    )
-    return Flights(gyro, accel, quat, truth, flights.rate_hz)
+    return flights.map(lambda each: np.stack([each[place] for place in places]))
 
 
 def made_of(
@@ -266,7 +262,8 @@ def _mean_error(est: AttitudeEstimator, flights: Flights) -> float:
 
 
 def _run(est: AttitudeEstimator, flights: Flights) -> Array:
-    return run_quietly(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)
+    others = flights.readings.others
+    return run_quietly(est, flights.gyro, flights.accel, flights.start, flights.quat, **others)
 
 
 def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:

@@ -1,7 +1,7 @@
 """Recorded flights as the arrays that estimators are run on and scored against."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,23 +9,22 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from quadsim.estimator import OTHERS, Readings
 from quadsim.imu.spec import ImuSpec
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Initial = Literal["unknown", "known"]
-"""Whether an estimator is told the attitude that it starts at."""
+"""Whether an estimator is given the initial attitude."""
 
 
 @dataclass(frozen=True)
 class Flights:
     """n flights of one length and sample rate."""
 
-    gyro: Array
-    """(n, T, 3) [rad/s]."""
-    accel: Array
-    """(n, T, 3) [m/s²]."""
+    readings: Readings
+    """(n, T, ·)."""
     quat: Array
     """True quat_WB (n, T, 4)."""
     truth: Array
@@ -34,29 +33,34 @@ class Flights:
     start: Array | None = None
     """Roll and pitch one sample before the first, (n, 2) [rad], or None where it is not known."""
 
+    @property
+    def gyro(self) -> Array:
+        """(n, T, 3) [rad/s]."""
+        return self.readings.gyro
+
+    @property
+    def accel(self) -> Array:
+        """(n, T, 3) [m/s²]."""
+        return self.readings.accel
+
+    def map(self, change: Callable[[Array], Array], start: Array | None = None) -> "Flights":
+        """The flights with readings and truth changed alike, and another start."""
+        return Flights(self.readings.map(change), change(self.quat), change(self.truth), self.rate_hz, start)
+
     def known(self) -> "Flights":
         """The flights from the second sample on, started at the true attitude of the first."""
-        gyro, accel, quat, truth = (
-            np.ascontiguousarray(each[:, 1:]) for each in (self.gyro, self.accel, self.quat, self.truth)
-        )
-        return Flights(gyro, accel, quat, truth, self.rate_hz, self.truth[:, 0])
+        return self.map(lambda each: np.ascontiguousarray(each[:, 1:]), self.truth[:, 0])
 
     def first(self, count: int) -> "Flights":
         """The first `count` flights."""
-        gyro, accel, quat, truth = (each[:count] for each in (self.gyro, self.accel, self.quat, self.truth))
-        start = None if self.start is None else self.start[:count]
-        return Flights(gyro, accel, quat, truth, self.rate_hz, start)
+        return self.map(lambda each: each[:count], None if self.start is None else self.start[:count])
 
     def pieces(self, count: int) -> "Flights":
         """Every flight cut into `count` pieces of one length, started anew: all but the first in motion."""
         steps = self.gyro.shape[1] // count
         if steps < 1:
             raise ValueError(f"pieces: {count} of flights of {self.gyro.shape[1]} samples")
-        gyro, accel, quat, truth = (
-            each[:, : count * steps].reshape(-1, steps, each.shape[2])
-            for each in (self.gyro, self.accel, self.quat, self.truth)
-        )
-        return Flights(gyro, accel, quat, truth, self.rate_hz)
+        return self.map(lambda each: each[:, : count * steps].reshape(-1, steps, each.shape[2]))
 
 
 def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Flights:
@@ -65,15 +69,18 @@ def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Fl
     Raises:
         ValueError: If a dataset is not one of flights, or they differ in length or sample rate.
     """
-    parts = [_arrays(dataset.isel(flight=slice(count))) for dataset in datasets]
-    shapes = {(part[0].shape[1], part[3]) for part in parts}
+    parts = [_flights(dataset.isel(flight=slice(count))) for dataset in datasets]
+    shapes = {(part.gyro.shape[1], part.rate_hz) for part in parts}
     if len(shapes) != 1:
         found = ", ".join(f"{steps} samples at {rate:g} Hz" for steps, rate in sorted(shapes))
         raise ValueError(f"datasets must agree in length and sample rate: {found}")
-    gyro, accel, quat = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    truth = roll_pitch_from_quat(quat)
-    truth[~np.concatenate([part[4] for part in parts])] = np.nan
-    return Flights(gyro, accel, quat, truth, parts[0][3])
+    sensors = {
+        name: np.concatenate([getattr(part.readings, name) for part in parts])
+        for name in Readings._fields
+        if all(getattr(part.readings, name) is not None for part in parts)
+    }
+    quat, truth = (np.concatenate([getattr(part, name) for part in parts]) for name in ("quat", "truth"))
+    return Flights(Readings(**sensors), quat, truth, parts[0].rate_hz)
 
 
 def vehicle_of(dataset: xr.Dataset) -> Vehicle | None:
@@ -88,18 +95,26 @@ def imu_of(dataset: xr.Dataset) -> ImuSpec | None:
     return ImuSpec.model_validate(config["imu"]) if "vehicle" in config and "imu" in config else None
 
 
-def _arrays(dataset: xr.Dataset) -> tuple[Array, Array, Array, float, NDArray[np.bool_]]:
-    """Gyro, accel, quat, rate_hz, and which samples (n, T) were flown before the flight ended."""
+def other_sensors(dataset: xr.Dataset) -> dict[str, Array]:
+    """Readings beside the IMU's (flight, time, ·) that a dataset holds; what it calls unknown is left out."""
+    unknown = json.loads(dataset.attrs.get("config", "{}")).get("unknown", ())
+    return {name: _values(dataset, name) for name in OTHERS if name in dataset and name not in unknown}
+
+
+def _values(dataset: xr.Dataset, name: str) -> Array:
+    return np.ascontiguousarray(dataset[name].transpose("flight", "time", ...).values, np.float64)
+
+
+def _flights(dataset: xr.Dataset) -> Flights:
+    """All flights of a dataset; the truth is NaN after the flight ended."""
     missing = [name for name in ("gyro", "accel", "quat") if name not in dataset]
     if "rate_hz" not in dataset.attrs:
         missing.append("rate_hz (an attribute)")
     if missing:
         raise ValueError(f"the dataset has no {', '.join(missing)}: not one of quadsim generate")
-    gyro, accel, quat = (
-        np.ascontiguousarray(dataset[name].transpose("flight", "time", ...).values, np.float64)
-        for name in ("gyro", "accel", "quat")
-    )
-    flown = np.ones(gyro.shape[:2], np.bool_)
+    gyro, accel, quat = (_values(dataset, name) for name in ("gyro", "accel", "quat"))
+    truth = roll_pitch_from_quat(quat)
     if "valid_steps" in dataset:
-        flown = np.arange(gyro.shape[1]) < dataset["valid_steps"].to_numpy()[:, None]
-    return gyro, accel, quat, float(dataset.attrs["rate_hz"]), flown
+        truth[np.arange(gyro.shape[1]) >= dataset["valid_steps"].to_numpy()[:, None]] = np.nan
+    readings = Readings(gyro, accel, **other_sensors(dataset))
+    return Flights(readings, quat, truth, float(dataset.attrs["rate_hz"]))

@@ -21,6 +21,7 @@ from ..metrics import absolute_error, inclination_error, share_without_number
 from ..registry import names, needs_vehicle
 from ..running import run
 from .comparison import made_of, silenced_twin
+from .flights import other_sensors
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -126,7 +127,7 @@ def score_logs(
         rate = float(log.attrs["rate_hz"])
         made = chosen if isinstance(chosen, Mapping) else made_of(chosen, rate)
         gyro, accel, quat = (log[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-        truth = roll_pitch_from_quat(quat)
+        truth, others = roll_pitch_from_quat(quat), other_sensors(log)
         scores.time_s[title], scores.truth[title] = log["time"].to_numpy(), truth[0]
         scores.counted[title] = counted = _counted(log, truth, within_deg, skip_s)
         scores.gyro_bias[title] = bias = gyro_bias(gyro[0], quat[0], rate)
@@ -139,7 +140,7 @@ def score_logs(
                 if not np.isfinite(offset).all():
                     scores.rows.append(LogRow(title, name, which, float("nan"), float("nan"), 0.0, 0.0))
                     continue
-                estimate = run(est, gyro - offset, accel, quat=quat)
+                estimate = run(est, gyro - offset, accel, quat=quat, **others)
                 row = _row(title, name, which, estimate[0], truth[0], counted, rate)
                 if which == RAW and (twin := silenced_twin(name, rate)) is not None:
                     without = _row(title, name, which, run(twin, gyro, accel)[0], truth[0], counted, rate)

@@ -17,12 +17,13 @@ An algorithm is one compiled step, `advance`, and two functions that loop over i
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadsim.config.toml import nearest
+from quadsim.estimator import OtherSensors
 from quadsim.rotation import quat_from_roll_pitch, quat_normalize
 
 from .samples import initial_states
@@ -147,7 +148,7 @@ class Filter:
         if rows.size > 0:
             self._states[rows] = start(self.algorithm, self._params, rows.size, roll_pitch, quat)
 
-    def update(self, gyro: Array, accel: Array) -> Array:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
         gyro = np.ascontiguousarray(gyro, dtype=np.float64)
         accel = np.ascontiguousarray(accel, dtype=np.float64)
@@ -161,7 +162,7 @@ class Filter:
         )  # fmt: skip
         return out[:, 0]
 
-    def sequence(self, gyro: Array, accel: Array) -> Array:
+    def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
         gyro, accel = paired(gyro, accel)
         if len(gyro) != self._shape[0]:

@@ -48,7 +48,7 @@ from .algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, Records
 from .ekf import SIGMA_KNOWN
 from .eskf import turned
 from .inline_math import roll_pitch_core
-from .samples import SAMPLES, parameter_record, sanitise_midpoint, square_of_error
+from .samples import parameter_record, sanitise_midpoint, square_of_error
 
 ERRORS = 13
 TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS = 0, 2, 5, 7, 10
@@ -137,8 +137,8 @@ PARAMETERS = {
 """What a user or `quadsim tune` may change; units in the comments."""
 
 PARAMS = parameter_record(PARAMETERS)
-OWN = SAMPLES.itemsize // 8
-"""Numbers before the first of the filter's own fields."""
+OWN = STATE.itemsize // 8
+"""Numbers in the filter's own fields, the first of a record."""
 
 INNOVATION_MAX = 5.0
 """Innovations count no further: one bad reading does no lasting harm [m/s²]."""
@@ -460,7 +460,7 @@ def step(s, own, p, sample, work):
 def sequence(states, params, dt, gyro, accel, out):
     """See `algorithm`."""
     n, steps = gyro.shape[:2]
-    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, OWN:]
+    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
@@ -473,7 +473,7 @@ def score(states, params, dt, flights):
     """See `algorithm`; one set after the other: its covariance is too large to lie side by side."""
     gyro, accel, target = flights
     n, steps = gyro.shape[:2]
-    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, OWN:]
+    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
     squared_error = np.zeros((params.shape[0], n))
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n

@@ -4,12 +4,13 @@
 points (van der Merwe), each measured as the direction R(q)ᵀ (0, 0, 1) of the unit quaternion along it.
 """
 
-from typing import Literal
+from typing import Literal, Unpack
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
+from quadsim.estimator import OtherSensors
 from quadsim.rotation import quat_from_rotvec, roll_pitch_from_quat
 
 from .algorithm import initial_quat, paired
@@ -73,11 +74,11 @@ class FilterpyFilter:
             for i, each in zip(rows, self._started(rows.size, roll_pitch, quat), strict=True):
                 self.filters[i] = each
 
-    def update(self, gyro: Array, accel: Array) -> Array:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
         return self.sequence(np.asarray(gyro)[:, None], np.asarray(accel)[:, None])[:, 0]
 
-    def sequence(self, gyro: Array, accel: Array) -> Array:
+    def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
         gyro, accel = paired(gyro, accel)
         if len(gyro) != len(self.filters):

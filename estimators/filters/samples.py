@@ -1,8 +1,8 @@
 """What every compiled filter does with a sample before and after its own equations.
 
-The state of a vehicle is one record of float64: the fields of `SAMPLES`, which belong to this module, then
-the filter's own. Where `by_lanes` vectorises a filter, its fields have one more axis, the lane: length 1 in
-that record, and `LANES` where so many parameter sets take a sample together.
+The state of a vehicle is one record of float64: the filter's own fields, then those of `SAMPLES`, which
+belong to this module. Where `by_lanes` vectorises a filter, its fields have one more axis, the lane: length 1
+in that record, and `LANES` where so many parameter sets take a sample together.
 """
 
 import math
@@ -69,7 +69,7 @@ def parameter_record(names: Iterable[str]) -> np.dtype:
 
 def initial_states(rows: int, own: np.dtype | None = None) -> NDArray[np.void]:
     """States before the first sample, (rows,), the filter's own fields zero."""
-    states = np.zeros(rows, SAMPLES if own is None else np.dtype([*SAMPLES.descr, *own.descr]))
+    states = np.zeros(rows, SAMPLES if own is None else np.dtype([*own.descr, *SAMPLES.descr]))
     states["age"] = np.inf
     return states
 
@@ -221,7 +221,7 @@ def by_lanes(advance, midpoint, work, states, params, dt, flights):
     s, p = work[0][0], work[1][0]
     s_lanes = work[0].view(np.float64).reshape(-1, LANES)
     p_lanes = work[1].view(np.float64).reshape(-1, LANES)
-    rows = states.view(np.float64).reshape(states.shape[0], -1)[:, -s_lanes.shape[0] :]
+    rows = states.view(np.float64).reshape(states.shape[0], -1)[:, : s_lanes.shape[0]]
     values = params.view(np.float64).reshape(sets, -1)
     total, squared_error = np.empty(LANES), np.empty((sets, n))
     for first in range(0, sets, LANES):

@@ -8,12 +8,13 @@ starts again like that, with the bias that it had estimated.
 """
 
 import math
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from vqf import VQF
 
+from quadsim.estimator import OtherSensors
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
@@ -73,7 +74,7 @@ class VqfFilter:
             for i, each in zip(rows, self._started(rows.size, roll_pitch, quat), strict=True):
                 self.filters[i] = each
 
-    def update(self, gyro: Array, accel: Array) -> Array:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
         rate, force, lost = self._sanitised(np.asarray(gyro)[:, None], np.asarray(accel)[:, None])
         for i, each in enumerate(self.filters):
@@ -82,7 +83,7 @@ class VqfFilter:
             each.update(rate[i, 0], force[i, 0])
         return roll_pitch_from_quat(self.quat)
 
-    def sequence(self, gyro: Array, accel: Array) -> Array:
+    def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
         rate, force, lost = self._sanitised(gyro, accel)
         quats = [_run(each, *sample) for each, *sample in zip(self.filters, rate, force, lost, strict=True)]

@@ -8,11 +8,12 @@ gets the initial attitude. Nothing here imports torch: inference is compiled.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from quadsim.estimator import OtherSensors
 from quadsim.runs.compiled import njit
 
 from ..loihi.chip import partition
@@ -101,7 +102,7 @@ class NetworkEstimator:
         for mine, fresh in zip(self._states, self.core.zero(rows.size), strict=True):
             mine[rows] = fresh
 
-    def update(self, gyro: Array, accel: Array) -> Array:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
         n = len(self._states[0])
         gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
@@ -111,7 +112,7 @@ class NetworkEstimator:
         self.core.run(self._states, gyro.reshape(n, 1, 3), accel.reshape(n, 1, 3), out)
         return out[:, 0]
 
-    def sequence(self, gyro: ArrayLike, accel: ArrayLike) -> Array:
+    def sequence(self, gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Array:
         """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""
         gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
         n = len(self._states[0])

@@ -1,7 +1,8 @@
 """Faults: what goes wrong with sensors and vehicle in flight, each a small model chosen by `kind` in TOML.
 
-Sensor faults act on an IMU sample after the IMU's own errors; they see nothing of the estimator. Vehicle
-faults act on the plant. Everything random is drawn from the flight's own seed.
+Sensor faults act on the readings of gyroscope and accelerometer after the IMU's own errors; they do not
+depend on the estimator. Vehicle faults act on the plant. Everything random is drawn from the flight's own
+seed.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +14,7 @@ from pydantic import Field
 
 from ..config.ranges import Between, Duration, Force, ForceVector, Frequency, Instant, Mass, RateDeg, Share
 from ..config.toml import Strict
+from ..estimator import Readings
 from ..plant import Plant
 from ..seeding import Seed, child, vehicle_seeds
 from ..vehicle import MAX_ROTORS
@@ -90,7 +92,7 @@ class Saturation(Strict):
 
 
 class Delay(Strict):
-    """Samples arrive late."""
+    """Samples are delayed."""
 
     kind: Literal["delay"]
     delay_s: Annotated[float, Between(0.0, 1.0, "s")]
@@ -135,8 +137,8 @@ SensorFault: TypeAlias = GyroBiasStep | AccelBiasStep | Vibration | Dropout | St
 VehicleFault: TypeAlias = PayloadDrop | RotorLoss | LowBattery
 Fault: TypeAlias = Annotated[SensorFault | VehicleFault, Field(discriminator="kind")]
 
-Corrupt: TypeAlias = Callable[[Array, Array, NDArray[np.int64]], None]
-"""corrupt(gyro, accel, k): change samples (n, 3) in place, each vehicle at its own count k (n,)."""
+Corrupt: TypeAlias = Callable[[Readings, NDArray[np.int64]], None]
+"""corrupt(readings, k): change samples (n, ·) in place, each vehicle at its own count k (n,)."""
 
 
 def sensor_faults(
@@ -161,9 +163,9 @@ def sensor_faults(
     if not chain:
         return None
 
-    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
         for link in chain:
-            link(gyro, accel, k)
+            link(readings, k)
 
     return corrupt
 
@@ -226,10 +228,10 @@ def _corruption(fault: SensorFault, n: int, rate_hz: float, random: list[np.rand
 
 
 def _bias_step(gyro_bias: Array, accel_bias: Array, start: int) -> Corrupt:
-    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
         on = (k >= start)[:, None]
-        gyro += on * gyro_bias
-        accel += on * accel_bias
+        readings.gyro[:] += on * gyro_bias
+        readings.accel[:] += on * accel_bias
 
     return corrupt
 
@@ -237,10 +239,10 @@ def _bias_step(gyro_bias: Array, accel_bias: Array, start: int) -> Corrupt:
 def _vibration(fault: Vibration, rate_hz: float, phase: Array) -> Corrupt:
     rate, start = 2 * np.pi * fault.frequency_hz / rate_hz, round(fault.at_s * rate_hz)
 
-    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
         wave = (k >= start)[:, None] * np.sin(rate * k[:, None] + phase)
-        gyro += np.radians(fault.gyro_deg) * wave[:, :3]
-        accel += fault.accel * wave[:, 3:]
+        readings.gyro[:] += np.radians(fault.gyro_deg) * wave[:, :3]
+        readings.accel[:] += fault.accel * wave[:, 3:]
 
     return corrupt
 
@@ -249,12 +251,12 @@ def _dropout(fault: Dropout, rate_hz: float, random: list[np.random.Generator]) 
     start, length = round(fault.at_s * rate_hz), max(round(fault.length_s * rate_hz), 1)
     left = np.zeros(len(random), dtype=np.int64)
 
-    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
+    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
         left[k == 0] = 0
         begins = np.array([rng.random() < fault.probability for rng in random])
         left[begins & (left == 0) & (k >= start)] = length
-        gyro[left > 0] = np.nan
-        accel[left > 0] = np.nan
+        readings.gyro[left > 0] = np.nan
+        readings.accel[left > 0] = np.nan
         np.maximum(left - 1, 0, out=left)
 
     return corrupt
@@ -263,12 +265,12 @@ def _dropout(fault: Dropout, rate_hz: float, random: list[np.random.Generator]) 
 def _stuck(fault: Stuck, rate_hz: float, n: int) -> Corrupt:
     start, length = round(fault.at_s * rate_hz), max(round(fault.length_s * rate_hz), 1)
     period = np.inf if fault.every_s is None else max(round(fault.every_s * rate_hz), length + 1)
-    held_gyro, held_accel = np.zeros((n, 3)), np.zeros((n, 3))
+    last_gyro, last_accel = np.zeros((n, 3)), np.zeros((n, 3))
 
-    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
-        holds = (k >= start) & (k > 0) & ((k - start) % period < length)
-        gyro[holds], accel[holds] = held_gyro[holds], held_accel[holds]
-        held_gyro[:], held_accel[:] = gyro, accel
+    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
+        stuck = (k >= start) & (k > 0) & ((k - start) % period < length)
+        readings.gyro[stuck], readings.accel[stuck] = last_gyro[stuck], last_accel[stuck]
+        last_gyro[:], last_accel[:] = readings.gyro, readings.accel
 
     return corrupt
 
@@ -277,9 +279,9 @@ def _saturation(fault: Saturation) -> Corrupt:
     rate = np.inf if fault.gyro_deg is None else np.radians(fault.gyro_deg)
     force = np.inf if fault.accel is None else fault.accel
 
-    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
-        np.clip(gyro, -rate, rate, out=gyro)
-        np.clip(accel, -force, force, out=accel)
+    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
+        np.clip(readings.gyro, -rate, rate, out=readings.gyro)
+        np.clip(readings.accel, -force, force, out=readings.accel)
 
     return corrupt
 
@@ -288,11 +290,11 @@ def _delay(samples: int, n: int) -> Corrupt:
     line = np.zeros((samples + 1, n, 6))
     rows = np.arange(n)
 
-    def corrupt(gyro: Array, accel: Array, k: NDArray[np.int64]) -> None:
-        now = np.hstack([gyro, accel])
+    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
+        now = np.hstack([readings.gyro, readings.accel])
         line[:, k == 0] = now[k == 0]
         line[k % (samples + 1), rows] = now
         oldest = line[(k + 1) % (samples + 1), rows]
-        gyro[:], accel[:] = oldest[:, :3], oldest[:, 3:]
+        readings.gyro[:], readings.accel[:] = oldest[:, :3], oldest[:, 3:]
 
     return corrupt

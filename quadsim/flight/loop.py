@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..control.cascade import LEVELS, MEASURED, Controller, Level, control
-from ..estimator import AttitudeEstimator
+from ..estimator import AttitudeEstimator, Readings, accepted_sensors
 from ..external import ExternalSensor
 from ..imu.kernel import ACCEL, GYRO, measure
 from ..imu.spec import ImuSpec
@@ -28,9 +28,10 @@ Command: TypeAlias = NDArray[np.float64] | NDArray[np.void]
 class FlightLoop:
     """n closed loops, one sample at a time.
 
-    After `reset` and after every `step`, `gyro`, `accel` (n, 3) and `attitude` (n, 2), the estimated roll and
-    pitch, belong to the state in `plant`. `measured_state` (n,) holds what the controller gets, records of
-    `quadsim.control.cascade.MEASURED`; `k` and `rate` are its count of samples and body rate.
+    After `reset` and after every `step`, `readings` (n, ·), `gyro` (n, 3) among them, and `attitude` (n, 2),
+    the estimated roll and pitch, belong to the state in `plant`. `measured_state` (n,) holds what the
+    controller gets, records of `quadsim.control.cascade.MEASURED`; `k` and `rate` are its count of samples
+    and body rate.
 
     Args:
         vehicle: One vehicle, or n of them. The controller is tuned for the first.
@@ -41,8 +42,8 @@ class FlightLoop:
         seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
         contact: Whether the ground can be touched; the engine then makes 1 ms steps, implicitly.
         external: Source of position, velocity and yaw; None for the truth.
-        corrupt: Called as corrupt(gyro, accel, k) on every sample, k (n,) counting each vehicle's samples
-            from 0; may change both in place: sensor faults. At NaN the controller holds its last body rate.
+        corrupt: Called as corrupt(readings, k) on every sample, k (n,) counting each vehicle's samples from
+            0; may change readings in place: sensor faults. At NaN the controller holds its last body rate.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class FlightLoop:
         seed: int | Sequence[np.random.SeedSequence] = 0,
         contact: bool = False,
         external: ExternalSensor | None = None,
-        corrupt: Callable[[Array, Array, NDArray[np.int64]], None] | None = None,
+        corrupt: Callable[[Readings, NDArray[np.int64]], None] | None = None,
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
@@ -68,13 +69,21 @@ class FlightLoop:
         self.external = external
         self.corrupt = corrupt
         self._observe = getattr(estimator, "observe", None)
+        self._accepted = () if estimator is None else accepted_sensors(estimator.update)
         self.attitude = self.true_attitude = self.plant.roll_pitch
         self.yaw, self.measured_state = self.plant.yaw, np.zeros(n, MEASURED)
         self.k, self.rate = self.measured_state["k"], self.measured_state["gyro"]
-        self._sample = self.plant.ang_vel, self.plant.specific_force
+        rotor_vel = self.plant.rotor_vel.view()
+        rotor_vel.flags.writeable = False  # the plant's state
+        self._sample = Readings(self.plant.ang_vel, self.plant.specific_force, rotor_vel)
         if self.imu is not None:
-            self._sample = self.imu.gyro, self.imu.accel
-        self.gyro, self.accel = self._sample
+            self._sample = Readings(self.imu.gyro, self.imu.accel, rotor_vel)
+        self.readings = self._sample
+
+    @property
+    def gyro(self) -> Array:
+        """Body rate as measured (n, 3) [rad/s]."""
+        return self.readings.gyro
 
     def reset(
         self,
@@ -158,15 +167,15 @@ class FlightLoop:
         if self.external is not None:
             self.external.measure(measured)
         if self.corrupt is not None:
-            self.gyro, self.accel = (each.copy() for each in self._sample)
-            self.corrupt(self.gyro, self.accel, self.k)
+            self.readings = self._sample.map(np.copy)
+            self.corrupt(self.readings, self.k)
             np.copyto(self.rate, self.gyro, where=np.isfinite(self.gyro))
         else:
             self.rate[:] = self.gyro
         if self.estimator is not None:
             if self._observe is not None:
                 self._observe(plant.quat)
-            self.attitude = self.estimator.update(self.gyro, self.accel)
+            self.attitude = self.readings.give(self.estimator.update, self._accepted)
         measured["roll_pitch"] = self.attitude
 
 

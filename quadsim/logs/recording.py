@@ -1,8 +1,8 @@
 """What a log holds before it is resampled, and how its frames become ours (body FLU, world z up)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,19 @@ from ..rotation import (
 Array = NDArray[np.float64]
 Frame = Literal["flu", "frd"]
 """Body forward-left-up in a world with z up (ROS), or forward-right-down in north-east-down (PX4)."""
+
+
+IN_BODY_AXES = ("mag",)
+"""Sensors beside the IMU that measure a vector in its axes."""
+
+
+class Track(NamedTuple):
+    """Readings of a sensor beside the IMU, on its own stamps."""
+
+    time: Array
+    """(K,) [s]."""
+    values: Array
+    """(K, ·)."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +58,15 @@ class Recording:
     """Samples of the attitude (M,) that the recording marks for scoring; None: all."""
     notes: tuple[str, ...] = ()
     """What the reader decided, in sentences for people."""
+    sensors: Mapping[str, Track] = field(default_factory=dict)
+    """Sensors beside the IMU, by their name and in their unit in `quadsim.estimator.Readings`."""
+
+    def with_vectors(self, body_from_log: Array) -> Mapping[str, Track]:
+        """The sensors, their vectors rotated by a matrix (3, 3) from the log's axes."""
+        return {
+            name: Track(track.time, track.values @ body_from_log.T) if name in IN_BODY_AXES else track
+            for name, track in self.sensors.items()
+        }
 
 
 def from_frd(log: Recording) -> Recording:
@@ -55,6 +77,7 @@ def from_frd(log: Recording) -> Recording:
         accel=swap_flu_frd(log.accel),
         quat=None if log.quat is None else swap_enu_flu_ned_frd(log.quat),
         position=None if log.position is None else swap_enu_ned(log.position),
+        sensors=log.with_vectors(swap_flu_frd(np.eye(3))),
         notes=(*log.notes, "FRD body axes in an NED world turned into FLU axes in a world with z up"),
     )
 
@@ -77,6 +100,7 @@ def turned(log: Recording, axes: str) -> Recording:
         accel=log.accel @ body_from_sensor.T,
         quat=None if log.quat is None else quat_multiply(log.quat, quat_conjugate(quat_BS)),
         notes=(*log.notes, f"body x, y, z are the recorded {axes}"),
+        sensors=log.with_vectors(body_from_sensor),
     )
 
 
@@ -89,7 +113,7 @@ def axes_matrix(axes: str) -> Array:
         if letter in ("x", "y", "z"):
             matrix[row, "xyz".index(letter)] = -1.0 if part.startswith("-") else 1.0
     if len(parts) != 3 or abs(np.linalg.det(matrix)) < 0.5:
-        raise ValueError(f'axes "{axes}": three different axes are wanted, for example "z,-y,x"')
+        raise ValueError(f'axes "{axes}": three different axes are required, for example "z,-y,x"')
     if np.linalg.det(matrix) < 0:
         raise ValueError(f'axes "{axes}" is a mirror image, not a rotation: turn one sign')
     return matrix
@@ -103,5 +127,5 @@ def table(name: str, columns: Sequence[ArrayLike], width: int) -> Array:
     """
     values = [np.asarray(column, np.float64).ravel() for column in columns]
     if len(values) != width or len({value.size for value in values}) != 1:
-        raise ValueError(f"{name}: {width} columns of one length are wanted")
+        raise ValueError(f"{name}: {width} columns of one length are required")
     return np.stack(values, axis=1)

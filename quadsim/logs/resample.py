@@ -15,9 +15,9 @@ from scipy.signal import firwin, oaconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..config.ranges import FORCE_MAX, RATE_MAX
-from ..dataset.store import LABELS, VARIABLES
+from ..dataset.store import LABELS, VARIABLES, Variable
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
-from .recording import Array, Recording
+from .recording import Array, Recording, Track
 from .truth_delay import align
 
 PASS = 0.8
@@ -26,6 +26,8 @@ GAP = 1.5
 """A step of more than this many sample periods is a gap,"""
 BRIDGED = 2.5
 """and up to this many (one lost sample) it is interpolated, and counted; longer ones become NaN."""
+SENSOR_GAP_S = 0.25
+"""Readings of other sensors further apart than this are not interpolated: ESCs may report at 10 Hz."""
 TRUTH_GAP_S = 0.1
 """Attitudes further apart than this are not interpolated."""
 STUCK = 3
@@ -62,6 +64,8 @@ SPARSE = 20.0
 """A part may last this many times as long as its samples fill at their rate."""
 CLOSEST = 0.05
 """Samples closer than this share of the sample period are one."""
+MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
+"""Variables of a log's dataset."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +229,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         rate_hz: Samples per second.
 
     Returns:
-        Variables gyro, accel, quat, scored and where known position, over (flight, time, …); and the report.
+        Variables gyro, accel, quat, scored and where known position, rotor_vel and mag, over (flight, time,
+        …); and the report.
 
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
@@ -257,7 +262,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         if part.size >= 4 and inside.any():
             even[inside] = _even(time[part], readings[part], grid[inside], rate_hz, period, corner)
     variables, truth_rate = _truth(log, grid)
-    dataset = _dataset(log, even, variables, rate_hz)
+    sensors = {name: _interpolated(track, grid) for name, track in log.sensors.items()}
+    dataset = _dataset(log, even, variables | sensors, rate_hz)
     quat = variables["quat"]
     known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
     gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
@@ -314,7 +320,7 @@ def split(log: Recording) -> list[Recording]:
     cuts = np.flatnonzero(np.abs(np.diff(log.time[good])) > LONGEST_GAP_S) + 1
     parts = [part for part in np.split(good, cuts) if part.size >= FEWEST]
     if not parts:
-        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are wanted")
+        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are required")
     if len(parts) == 1 and parts[0].size == log.time.size:
         return [log]
     return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]
@@ -348,7 +354,7 @@ def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
         finite &= ~beyond
     readings, time = readings[finite], log.time[finite]
     if time.size < FEWEST:
-        raise ValueError(f"{log.name}: {time.size} usable samples; at least {FEWEST} are wanted")
+        raise ValueError(f"{log.name}: {time.size} usable samples; at least {FEWEST} are required")
     steps = np.diff(time)
     apart = steps[steps > EXACT_S]
     least = max(EXACT_S, CLOSEST * float(np.median(apart))) if apart.size else EXACT_S
@@ -403,6 +409,19 @@ def _even(
     return CubicSpline(fine, smooth)(grid)
 
 
+def _interpolated(track: Track, grid: Array) -> Array:
+    """Readings on the grid (T, ·), NaN in gaps."""
+    good = np.isfinite(track.values).all(axis=1) & np.isfinite(track.time)
+    time, first = np.unique(track.time[good], return_index=True)
+    if time.size < 2:
+        return np.full((grid.size, track.values.shape[1]), np.nan)
+    values = np.stack([np.interp(grid, time, column) for column in track.values[good][first].T], axis=1)
+    after = np.clip(np.searchsorted(time, grid), 1, time.size - 1)
+    known = (grid >= time[0] - EXACT_S) & (grid <= time[-1] + EXACT_S)
+    known &= time[after] - time[after - 1] <= SENSOR_GAP_S
+    return np.where(known[:, None], values, np.nan)
+
+
 def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
     """Attitude, position and mark on the grid; NaN where not known. And the rate of the attitude."""
     out = {"quat": np.full((grid.size, 4), np.nan), "scored": np.zeros((grid.size, 1))}
@@ -433,19 +452,17 @@ def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
     return out, float(1.0 / np.median(np.diff(time)))
 
 
-def _dataset(log: Recording, even: Array, truth: dict[str, Array], rate_hz: float) -> xr.Dataset:
-    arrays = {"gyro": even[:, :3], "accel": even[:, 3:], "quat": truth["quat"]}
-    if "position" in truth:
-        arrays["position"] = truth["position"]
+def _dataset(log: Recording, even: Array, others: dict[str, Array], rate_hz: float) -> xr.Dataset:
+    arrays = {"gyro": even[:, :3], "accel": even[:, 3:]} | others
+    scored = arrays.pop("scored")[:, 0] > 0.5
     variables = {
         name: (
-            ("flight", "time", VARIABLES[name].dim),
+            ("flight", "time", MEASURED[name].dim),
             values[None],
-            {"units": VARIABLES[name].units, "long_name": VARIABLES[name].long_name},
+            {"units": MEASURED[name].units, "long_name": MEASURED[name].long_name},
         )
         for name, values in arrays.items()
     }
-    scored = truth["scored"][:, 0] > 0.5
     steps = len(even)
     return xr.Dataset(
         {**variables, "scored": (("flight", "time"), scored[None], {"long_name": "marked for scoring"})},

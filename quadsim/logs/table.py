@@ -11,7 +11,7 @@ from pydantic import model_validator
 from ..config.ranges import Between, SampleRate
 from ..config.toml import Strict, load_toml, nearest
 from ..rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
-from .recording import Array, Frame, Recording, axes_matrix, from_frd
+from .recording import Array, Frame, Recording, Track, axes_matrix, from_frd
 
 Column = str | Annotated[int, Between(0, 9999)]
 """A name in the header, or a number counted from 0."""
@@ -21,6 +21,8 @@ Four = tuple[Column, Column, Column, Column]
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 RATES = {"rad/s": 1.0, "deg/s": math.pi / 180}
 FORCES = {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3}
+SPEEDS = {"rad/s": 1.0, "rpm": math.pi / 30}
+FIELDS = {"T": 1.0, "uT": 1e-6, "G": 1e-4}
 ANGLES = {"rad": 1.0, "deg": math.pi / 180}
 
 
@@ -35,7 +37,7 @@ class Time(Strict):
     @model_validator(mode="after")
     def _check(self) -> "Time":
         if (self.column is None) == (self.rate_hz is None):
-            raise ValueError("one of column and rate_hz is wanted")
+            raise ValueError("one of column and rate_hz is required")
         return self
 
 
@@ -53,6 +55,20 @@ class Accel(Strict):
     unit: Literal["m/s^2", "g", "mg"] = "m/s^2"
     negate: bool = False
     """The file holds gravity (at rest it points down) in place of specific force."""
+
+
+class Rotors(Strict):
+    """The columns of the rotor speeds, one a rotor."""
+
+    columns: tuple[Column, ...]
+    unit: Literal["rad/s", "rpm"] = "rad/s"
+
+
+class Mag(Strict):
+    """The three columns of the magnetometer."""
+
+    columns: Three
+    unit: Literal["T", "uT", "G"] = "T"
 
 
 class Quat(Strict):
@@ -91,12 +107,14 @@ class Table(Strict):
     euler: Euler | None = None
     position: Three | None = None
     """Columns of the position [m]."""
+    rotor_vel: Rotors | None = None
+    mag: Mag | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "Table":
         axes_matrix(self.axes)
         if self.quat is not None and self.euler is not None:
-            raise ValueError("one of quat and euler is wanted, not both")
+            raise ValueError("one of quat and euler is required, not both")
         return self
 
 
@@ -134,12 +152,18 @@ def read_table(path: Path) -> Recording:
     elif spec.euler is not None:
         angles = columns(spec.euler.columns) * ANGLES[spec.euler.unit]
         quat, truth = quat_from_euler(*angles.T), "roll, pitch and yaw of the file"
+    sensors = {}
+    if spec.rotor_vel is not None:
+        speeds = columns(spec.rotor_vel.columns) * SPEEDS[spec.rotor_vel.unit]
+        sensors["rotor_vel"] = Track(time, speeds)
+    if spec.mag is not None:
+        sensors["mag"] = Track(time, columns(spec.mag.columns) * FIELDS[spec.mag.unit] @ turn.T)
     known = np.full(steps, False) if quat is None else np.isfinite(quat).all(axis=1)
     log = Recording(
         path.stem, "CSV", time, gyro, accel, truth=truth,
         truth_time=None if quat is None else time[known], quat=None if quat is None else quat[known],
         position=None if quat is None or spec.position is None else columns(spec.position)[known],
-        notes=(f"columns by {path.name}",),
+        notes=(f"columns by {path.name}",), sensors=sensors,
     )  # fmt: skip
     return from_frd(log) if spec.frame == "frd" else log
 
@@ -151,7 +175,7 @@ def _rows(file: Path, spec: Table) -> tuple[list[str], Array]:
     names = [name.strip().lstrip("#").strip() for name in rows.pop(0)] if spec.header and rows else []
     widths = {len(row) for row in rows}
     if len(rows) < 2 or len(widths) != 1:
-        raise ValueError(f"{file}: at least 2 rows of one width are wanted, found widths {sorted(widths)}")
+        raise ValueError(f"{file}: at least 2 rows of one width are required, found widths {sorted(widths)}")
     numbers = np.full((len(rows), widths.pop()), math.nan)
     for r, row in enumerate(rows):
         for c, cell in enumerate(row):

@@ -2,12 +2,16 @@
 
 import errno
 import io
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .needs import needed
-from .recording import Recording, from_frd, table
+from .recording import Array, Recording, Track, from_frd, table
 
 TRUTHS = {
     "vehicle_attitude_groundtruth": "the simulator's truth",
@@ -16,6 +20,13 @@ TRUTHS = {
     "vehicle_attitude": "the autopilot's own estimate, which is no independent truth",
 }
 """Topics that hold an attitude `q` (FRD body in NED world), the best first."""
+
+
+MAGNETOMETERS = {
+    "vehicle_magnetometer": [f"magnetometer_ga[{k}]" for k in range(3)],
+    "sensor_mag": ["x", "y", "z"],
+}
+"""Topics that hold the magnetic field in FRD axes [G] and their fields, the calibrated one first."""
 
 
 class Bounded(io.BufferedReader):
@@ -35,7 +46,7 @@ class Bounded(io.BufferedReader):
 
 
 def read_ulog(path: Path, truth: str | None = None) -> Recording:
-    """Read sensor_combined (or vehicle_imu) and the best attitude topic.
+    """Read sensor_combined (or vehicle_imu), the best attitude topic, and ESCs and magnetometer if there are.
 
     Args:
         path: A .ulg file.
@@ -65,14 +76,11 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
         notes.append(
             f"{len(log.dropouts)} dropouts of the logger, {sum(d.duration for d in log.dropouts)} ms"
         )
+    sensors = _sensors(topics)
     recorded = Recording(
-        path.name,
-        "PX4 ULog",
-        np.asarray(data["timestamp"], np.float64) * 1e-6,
-        gyro,
-        accel,
-        notes=tuple(notes),
-    )
+        path.name, "PX4 ULog", _seconds(data["timestamp"]), gyro, accel,
+        notes=(*notes, *(f"{name} from the log" for name in sensors)), sensors=sensors,
+    )  # fmt: skip
     chosen = truth or next((name for name in TRUTHS if name in topics), None)
     if chosen is None:
         return from_frd(recorded)
@@ -81,11 +89,27 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
     found = topics[chosen]
     stamps = found.get("timestamp_sample", found["timestamp"])
     quat = table(chosen, [found[f"q[{k}]"] for k in range(4)], 4)
-    return from_frd(
-        Recording(
-            recorded.name, recorded.format, recorded.time, gyro, accel,
-            truth=f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}",
-            truth_time=np.asarray(stamps, np.float64) * 1e-6,
-            quat=quat, notes=recorded.notes,
-        )
-    )  # fmt: skip
+    truth = f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}"
+    return from_frd(replace(recorded, truth=truth, truth_time=_seconds(stamps), quat=quat))
+
+
+def _seconds(stamps: ArrayLike) -> Array:
+    return np.asarray(stamps, np.float64) * 1e-6
+
+
+def _sensors(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Track]:
+    """Rotor speeds and magnetic field, where the log has them; the rotors in the order of PX4's outputs."""
+    found = {}
+    if "esc_status" in topics:
+        esc = topics["esc_status"]
+        count = int(np.max(esc.get("esc_count", 0), initial=0))
+        rpm = [esc[field] for k in range(count) if (field := f"esc[{k}].esc_rpm") in esc]
+        if rpm:
+            speeds = np.abs(table("esc_status", rpm, len(rpm))) * (np.pi / 30)
+            found["rotor_vel"] = Track(_seconds(esc["timestamp"]), speeds)
+    for topic, fields in MAGNETOMETERS.items():
+        data = topics.get(topic, {})
+        if "mag" not in found and all(field in data for field in fields):
+            gauss = table(topic, [data[field] for field in fields], 3)
+            found["mag"] = Track(_seconds(data["timestamp"]), gauss * 1e-4)
+    return found

@@ -10,7 +10,7 @@ long ago.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import control
 import matplotlib
@@ -23,6 +23,7 @@ from scipy.optimize import root_scalar
 from quadsim.control.cascade import Controller
 from quadsim.control.gains import PHASE_MARGIN_DEG, Margins, attitude_loop, blocks, margins, rate_loop
 from quadsim.dataset.figures import STYLE
+from quadsim.estimator import OtherSensors
 from quadsim.flight.loop import FlightLoop
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.files import save_figure
@@ -78,7 +79,7 @@ class DelayedTruth:
         now = roll_pitch_from_quat(quat)
         self._line = [*(self._line or [now] * self._samples), now]
 
-    def update(self, gyro: Array, accel: Array) -> Array:
+    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Give what was true."""
         return self._line.pop(0)
 

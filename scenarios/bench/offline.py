@@ -8,7 +8,7 @@ import numpy as np
 
 import estimators
 from estimators.evaluation.comparison import silenced_twin
-from estimators.evaluation.flights import imu_of, vehicle_of
+from estimators.evaluation.flights import imu_of, other_sensors, vehicle_of
 from estimators.metrics import attitude_error, inclination_rmse, share_without_number
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import roll_pitch_from_quat
@@ -46,7 +46,7 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow
     data = open_dataset(dataset)
     rate_hz = float(data.attrs["rate_hz"])
     gyro, accel, quat = (data[name].to_numpy().astype(np.float64) for name in ("gyro", "accel", "quat"))
-    truth = roll_pitch_from_quat(quat)
+    truth, others = roll_pitch_from_quat(quat), other_sensors(data)
     flown = np.arange(truth.shape[1]) < data["valid_steps"].to_numpy()[:, None]
     counted = np.where(flown[..., None], truth, np.nan)
     rows: list[OfflineRow] = []
@@ -56,7 +56,7 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow
         for start, roll_pitch in starts.items():
             try:
                 estimator = estimators.create(name, rate_hz, vehicle=vehicle_of(data), imu=imu_of(data))
-                estimate = estimators.run(estimator, gyro, accel, roll_pitch=roll_pitch, quat=quat)
+                estimate = estimators.run(estimator, gyro, accel, roll_pitch, quat, **others)
             except (ValueError, OSError) as error:
                 rows.append(OfflineRow(name, start, note=str(error)))
                 continue
