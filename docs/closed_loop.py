@@ -32,13 +32,13 @@ from quadsim.vehicle import GRAVITY, load_vehicle
 from scenarios.bench import estimator_delay as loops
 from scenarios.bench.breaking import DISTURBANCES, BreakingPoint, breaking_points
 from scenarios.bench.cell import fly as fly_mission
-from scenarios.bench.demo import SLOW
 from scenarios.bench.flight_metrics import flight_metrics
 from scenarios.bench.linear_bound import least_error
 from scenarios.bench.pairs import ALL, paired_differences
 from scenarios.bench.runner import Results, bench, suite_digest
 from scenarios.bench.settings import FlightSettings, ScenarioChanges
 from scenarios.bench.verdict import TRUTH, total, verdict
+from scenarios.demo import SLOW
 from scenarios.report.publish import publish
 
 OUT = Path(__file__).parents[1] / "reports" / "closed-loop"

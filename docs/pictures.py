@@ -6,8 +6,8 @@ from pages import load_page
 from PIL import Image
 
 from quadsim.vehicle import load_vehicle
-from scenarios.bench.single import fly_scenario
 from scenarios.report.flight_picture import flight_picture
+from scenarios.single_flight import fly_scenario
 
 
 def main() -> None:

@@ -33,8 +33,8 @@ from scenarios.bench.flight_metrics import (
 from scenarios.bench.runner import bench, load_results
 from scenarios.bench.series import unpack_series
 from scenarios.bench.settings import FlightSettings, ScenarioChanges
-from scenarios.bench.single import fly_scenario
 from scenarios.report.terminal import closed_loop_table
+from scenarios.single_flight import fly_scenario
 
 SHORT = 0.3
 TOO_TILTED = (

@@ -94,7 +94,7 @@ def fly(
     """
     from scenarios.bench.cell import file_name
     from scenarios.bench.settings import FlightSettings, ScenarioChanges
-    from scenarios.bench.single import fly_scenario
+    from scenarios.single_flight import fly_scenario
 
     parts = (scenario, estimator, *(each for each in (vehicle, imu, tuning) if each is not None))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
@@ -220,7 +220,7 @@ def demo(
     workers: Workers = None,
 ) -> None:
     """Run it all in small: generate flights, score estimators on them, close the loop, write the report."""
-    from scenarios.bench.demo import demo as run_demo
+    from scenarios.demo import demo as run_demo
     from scenarios.report.terminal import closed_loop_table, offline_table
 
     done = run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers, stage=progress_bar)

@@ -12,10 +12,10 @@ from quadsim.render import film, replay
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 
-from ..report.page import ClosedLoopSection, write_report
-from .cell import fly, make_cell
-from .runner import NO_CHANGES, Results
-from .settings import FlightSettings, ScenarioChanges
+from .bench.cell import fly, make_cell
+from .bench.runner import NO_CHANGES, Results
+from .bench.settings import FlightSettings, ScenarioChanges
+from .report.page import ClosedLoopSection, write_report
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
 """Columns of the CSV file: SI units and radians."""

@@ -11,12 +11,12 @@ from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.runs.files import write_csv
 
-from ..report.flight_picture import cover
-from ..report.page import ClosedLoopSection, OfflineSection, write_report
-from .offline import OfflineRow, offline_errors, table_of
-from .pairs import paired_differences
-from .runner import Progress, Results, bench
-from .settings import FlightSettings
+from .bench.offline import OfflineRow, offline_errors, table_of
+from .bench.pairs import paired_differences
+from .bench.runner import Progress, Results, bench
+from .bench.settings import FlightSettings
+from .report.flight_picture import cover
+from .report.page import ClosedLoopSection, OfflineSection, write_report
 
 log = logging.getLogger(__name__)
 
