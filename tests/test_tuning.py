@@ -32,7 +32,9 @@ def bowl(x):
 @pytest.mark.parametrize("search", [swarm, evolution])
 def test_searches_find_the_lowest_point(search):
     found = search(
-        lambda x: np.sum((x - [0.2, 0.9]) ** 2, axis=1), [0.5, 0.5], particles=60, iterations=60, seed=1
+        lambda x: np.sum((x - [0.2, 0.9]) ** 2, axis=1),
+        [0.5, 0.5],
+        SearchSettings(particles=60, iterations=60, seed=1),
     )
     np.testing.assert_allclose(found.position, [0.2, 0.9], atol=0.02)
     assert found.cost == pytest.approx(np.sum((found.position - [0.2, 0.9]) ** 2))
