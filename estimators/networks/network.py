@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from quadsim.runs.compiled import njit
 
 from ..loihi.chip import partition
-from ..loihi.neurons import BIAS_MANT_MAX, STATE_ONE, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, wrap
+from ..loihi.neurons import BIAS_MANT_MAX, STATE_ONE, VTH_MAX, Chip, LoihiLayer, LoihiNetwork, decay, shift, wrap
 from ..loihi.neurons import step as step_chip
-from .encoder import ENCODER, INPUT_ONE, encode_sample, input_scaling
+from .encoder import ENCODER, encode_sample, encoded, input_scaling
 from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Weights, rest
 from .forward import run as run_floats
 from .gru import run_gru
@@ -141,10 +141,9 @@ class Spiking:
         one = float(STATE_ONE) if config.quantised else 1.0
         weights = real_weights(config, tensors)
         by_source = (np.ascontiguousarray(w.T) * one for w in weights[: len(MATRICES)])
-        self._weights = Weights(*by_source, *weights[len(MATRICES) :])
+        self._network = tuple(input_scaling(config.inputs)), (*by_source, *weights[len(MATRICES) :])
         self._sizes = config.encoding, config.hidden, len(weights.w_out), config.recurrent_delay
         self._quantised, self._settings = config.quantised, (config.steps_per_sample, config.output_scale / one)
-        self._scaling = input_scaling(config.inputs)
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
@@ -152,8 +151,9 @@ class Spiking:
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+        encoder, state = states
         run_floats(
-            (gyro, accel), self._scaling, self._weights, *states, self._settings, self._quantised, out
+            (gyro, accel), *self._network, encoder, tuple(state), self._settings, self._quantised, out
         )
 
 
@@ -204,6 +204,7 @@ class OnLoihi:
         w_in = np.ascontiguousarray(w["w_in"].T, np.int32)
         self.host = Host(*input_scaling(config.inputs), w_in, w["syn0"])
         self.steps, self.scale = config.steps_per_sample, config.output_scale / STATE_ONE
+        self._network, self._settings = (tuple(self.host), tuple(self.chip.parameters)), (self.steps, self.scale)
 
     def zero(self, n: int) -> tuple[Encoder, LoihiState]:
         """Everything at rest."""
@@ -212,8 +213,8 @@ class OnLoihi:
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        settings = self.steps, self.scale
-        _run_on_loihi((gyro, accel), self.host, self.chip.parameters, *states, settings, out)
+        encoder, state = states
+        _run_on_loihi((gyro, accel), *self._network, encoder, tuple(state), self._settings, out)
 
 
 class Recurrent:
@@ -240,7 +241,7 @@ class Recurrent:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         encoder, (h0, h1) = states
-        x = scaled_inputs(self._scaling, gyro, accel, encoder)
+        x = encoded(self._scaling, gyro, accel, encoder)
         run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
 
@@ -276,6 +277,7 @@ def _check_attitude(roll_pitch: ArrayLike | None, n: int) -> None:
 
 @njit(cache=True)
 def _run_on_loihi(readings, host, chip, encoder, state, settings, out):
+    host, chip, state = Host(*host), Chip(*chip), LoihiState(*state)
     gyro, accel = readings
     steps, scale = settings
     outputs = state.v[:, state.v.shape[1] - out.shape[2] :]
