@@ -89,9 +89,16 @@ def encode_sample(gyro, accel, scaling, state):
 
 
 @njit(cache=True)
+def encode(gyro, accel, scaling, state):
+    """Scale one sample of n vehicles, (n, 3) each, into the states (n,) of their encoders."""
+    for n in range(state.shape[0]):
+        encode_sample(gyro[n], accel[n], scaling, state[n])
+
+
+@njit(cache=True)
 def _encode(gyro, accel, scaling, state, x):
-    for n in range(gyro.shape[0]):
-        for t in range(gyro.shape[1]):
-            encode_sample(gyro[n, t], accel[n, t], scaling, state[n])
+    for t in range(gyro.shape[1]):
+        encode(gyro[:, t], accel[:, t], scaling, state)
+        for n in range(gyro.shape[0]):
             for k in range(6):
                 x[n, t, k] = state[n].inputs[k] / INPUT_ONE

@@ -18,7 +18,7 @@ from quadsim.runs.compiled import njit
 from ..loihi.chip import partition
 from ..loihi.neurons import BIAS_MANT_MAX, STATE_ONE, VTH_MAX, Chip, LoihiLayer, LoihiNetwork, decay, shift, wrap
 from ..loihi.neurons import step as step_chip
-from .encoder import ENCODER, encode_sample, encoded, input_scaling
+from .encoder import ENCODER, encode, encoded, input_scaling
 from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Weights, rest
 from .forward import run as run_floats
 from .gru import run_gru
@@ -282,8 +282,7 @@ def _run_on_loihi(readings, host, chip, encoder, state, settings, out):
     steps, scale = settings
     outputs = state.v[:, state.v.shape[1] - out.shape[2] :]
     for t in range(gyro.shape[1]):
-        for n in range(gyro.shape[0]):
-            encode_sample(gyro[n, t], accel[n, t], host, encoder[n])
+        encode(gyro[:, t], accel[:, t], host, encoder)
         for _ in range(steps):
             step_on_loihi(host, chip, encoder, state)
         for n in range(gyro.shape[0]):
