@@ -91,8 +91,7 @@ def step(
     u0 = wrapped(decay(state.u0, w.syn0) + drive, 23)
     v1 = membrane(state.v1, state.s1, u1, w.mem1)
     v0 = membrane(state.v0, state.s0, _straight(u0, _bias(u0)) if quantised else u0, w.mem0)
-    one = STATE_ONE if quantised else 1.0
-    s0, s1 = superspike(v0 / one - THRESHOLD), superspike(v1 / one - THRESHOLD)
+    s0, s1 = (superspike((v / STATE_ONE if quantised else v) - THRESHOLD) for v in (v0, v1))
     return State(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else state.s1, u2, v2)
 
 

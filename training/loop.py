@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.analysis.ablation import connected
-from estimators.networks.encoder import INPUT_STATE, scaled_inputs
+from estimators.networks.encoder import ENCODER, scaled_inputs
 from estimators.networks.network import NetworkEstimator, Recurrent, Spiking
 from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, save_network
@@ -79,7 +79,7 @@ class _Run:
         _start(model, config, flights, self.steps)
         self._take(model)
         self.history: list[Epoch] = []
-        self._input_state = np.zeros((config.batch_size, INPUT_STATE))
+        self._input_state = np.zeros(config.batch_size, ENCODER)
         self._whole = _size(self.model)
 
     def _take(self, model: Model, state: dict[str, Any] | None = None) -> None:

@@ -16,7 +16,7 @@ from estimators.analysis.ablation import living
 from estimators.networks.symmetry import Ties, ties
 from estimators.spiking import MATRICES, TIME_CONSTANTS, Weights, quantise_decay, quantise_weights
 
-from .backends.fused import Workspace, attsnn
+from .backends import BACKENDS, Backend
 
 OUTPUTS = 2
 Values = TypeVar("Values", Tensor, NDArray[np.floating])
@@ -80,7 +80,7 @@ class AttSNN(nn.Module):
             if self.ties:
                 kept &= torch.from_numpy(self.ties[name].sign != 0).reshape(kept.shape)
             self.register_buffer(f"{name}_kept", kept)
-        self._spaces: dict[tuple[int, int], Workspace] = {}
+        self.backend: Backend = BACKENDS["fused"](quantised, recurrent_delay, threads)
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
         """Set a weight matrix, and its rows' scales to their root mean square."""
@@ -116,18 +116,8 @@ class AttSNN(nn.Module):
 
         Sequences that are not `fresh` (n,) go on from the last window of this shape; None: all are fresh.
         """
-        weights = self.weights()
-        out, rates = attsnn(x, weights, self.space(x, weights), fresh)
+        out, rates = self.backend.forward(x, self.weights(), fresh)
         return out * self.output_scale, rates
-
-    def space(self, x: Tensor, weights: Weights) -> Workspace:
-        """The workspace for windows of this shape."""
-        key = (x.shape[0], x.shape[1])
-        if key not in self._spaces:
-            self._spaces[key] = Workspace(
-                x.shape[1], x.shape[0], weights, self.quantised, self.recurrent_delay, self.threads
-            )
-        return self._spaces[key]
 
     @torch.no_grad()
     def constrain(self) -> None:
@@ -156,10 +146,9 @@ class AttSNN(nn.Module):
         """
         if not self.quantised:
             return
-        traces = self._spaces[x.shape[0], x.shape[1]].traces
+        peaks = self.backend.peak_currents(CURRENT_EVERY)
         for layer, names in ((0, ("w_in",)), (1, ("w_ff", "w_rec"))):
-            currents = [getattr(trace, f"u{layer}")[::CURRENT_EVERY] for trace in traces]
-            most = np.max([np.abs(u).max((0, 1)) for u in currents], 0)
+            most = peaks[layer]
             if most.max() <= CURRENT_MAX:
                 continue
             first = self.ties[f"mem{layer}"].first if self.ties else np.arange(most.size)
@@ -190,7 +179,7 @@ class AttSNN(nn.Module):
                 for name, value in self.state_dict().items()
             }
         )
-        smaller._spaces = {key: space.without(encoding, hidden) for key, space in self._spaces.items()}
+        smaller.backend = self.backend.connected(encoding, hidden)
         return smaller
 
     @property

@@ -17,7 +17,6 @@ from ..networks.encoder import ENCODER, scaled_inputs
 from ..networks.network import real_weights
 from ..networks.weights_file import shipped_network
 from ..registry import create, names
-from ..spiking import Weights, rest, step
 
 RATE_HZ = 200.0
 CALLS = 100
@@ -29,19 +28,37 @@ Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
 
 
 class TorchSNN:
-    """Att-SNN as one would write it in PyTorch: a loop of tensor operations, float32."""
+    """Att-SNN as one would write it in PyTorch for inference: no gradients, no rounding, float32.
+
+    `estimators.spiking.step`, the reference, handles both and would take half as long again.
+    """
 
     def __init__(self) -> None:
         self.config, tensors = shipped_network("att-snn")
-        self.weights = Weights(*(torch.tensor(w).float() for w in real_weights(self.config, tensors)))
-        self.encoder, self.state = np.zeros(1, ENCODER), rest(1, self.weights)
+        weights = [torch.tensor(w, dtype=torch.float32) for w in real_weights(self.config, tensors)]
+        self.w_in, self.w_ff, self.w_rec, self.w_out = (w.T for w in weights[:4])
+        self.taus = weights[4:]
+        sizes = [self.config.encoding, self.config.hidden, 2]
+        self.encoder = np.zeros(1, ENCODER)
+        self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
         x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.encoder)
-        self.state = step(torch.from_numpy(x[:, 0].astype(np.float32)), self.weights, self.state)
-        return self.state.v2.numpy() * self.config.output_scale
+        sample = torch.from_numpy(x[:, 0].astype(np.float32))
+        drives = [
+            sample @ self.w_in,
+            self.s[0] @ self.w_ff + self.s[1] @ self.w_rec,
+            self.s[1] @ self.w_out,
+        ]
+        for k, drive in enumerate(drives):
+            self.u[k] = self.u[k] * self.taus[2 * k] + drive
+            self.v[k] = self.v[k] * self.taus[2 * k + 1] + self.u[k]
+            if k < 2:
+                self.s[k] = (self.v[k] > 0.5).float()
+                self.v[k] = self.v[k] * (1 - self.s[k])
+        return self.v[2].numpy() * self.config.output_scale
 
 
 class TorchGRU:
