@@ -96,7 +96,10 @@ def step(
 
 
 def states(
-    x: Tensor, weights: Weights[Tensor], quantised: bool = False, recurrent_delay: int = 1,
+    x: Tensor,
+    weights: Weights[Tensor],
+    quantised: bool = False,
+    recurrent_delay: int = 1,
     state: State[Tensor] | None = None,
 ) -> list[State[Tensor]]:
     """State after each step of a sequence.

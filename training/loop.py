@@ -183,7 +183,7 @@ class _Run:
             torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimiser.step()
         if isinstance(self.model, AttSNN):
-            self.model.stay_in_range(x)
+            self.model.stay_in_range()
         self.model.constrain()
         return float(attitude_loss(estimate.detach(), wanted)), rates.tolist()
 
@@ -425,7 +425,7 @@ def _sample(
     return x.numpy(), np.repeat(batch.roll_pitch, config.steps_per_sample, 1)
 
 
-def _inputs(config: TrainConfig, batch: Batch, state: NDArray[np.float64] | None = None) -> Tensor:
+def _inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | None = None) -> Tensor:
     """Scaled inputs of each network step, shape (n, steps, 6); `state` as in `scaled_inputs`."""
     x = scaled_inputs(config.inputs, batch.gyro, batch.accel, state)
     if config.model == "att-rnn":

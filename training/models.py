@@ -135,14 +135,11 @@ class AttSNN(nn.Module):
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
 
     @torch.no_grad()
-    def stay_in_range(self, x: Tensor) -> None:
-        """Weaken the inputs of neurons whose currents came near the ends of the chip's range just now.
+    def stay_in_range(self) -> None:
+        """Weaken the inputs of neurons whose currents neared the ends of the chip's range in the last window.
 
         Beyond them a current wraps round to the other sign: a neuron that training keeps silencing would
         spike in every other step at once, and no gradient leads back.
-
-        Args:
-            x: The window that was run last.
         """
         if not self.quantised:
             return

@@ -16,7 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 from quadsim.runs.compiled import njit
 
 from ..loihi.chip import partition
-from ..loihi.neurons import BIAS_MANT_MAX, STATE_ONE, VTH_MAX, Chip, LoihiLayer, LoihiNetwork, decay, shift, wrap
+from ..loihi.neurons import (
+    BIAS_MANT_MAX,
+    STATE_ONE,
+    VTH_MAX,
+    Chip,
+    LoihiLayer,
+    LoihiNetwork,
+    decay,
+    shift,
+    wrap,
+)
 from ..loihi.neurons import step as step_chip
 from .encoder import ENCODER, encode, encoded, input_scaling
 from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Weights, rest
@@ -143,7 +153,10 @@ class Spiking:
         by_source = (np.ascontiguousarray(w.T) * one for w in weights[: len(MATRICES)])
         self._network = tuple(input_scaling(config.inputs)), (*by_source, *weights[len(MATRICES) :])
         self._sizes = config.encoding, config.hidden, len(weights.w_out), config.recurrent_delay
-        self._quantised, self._settings = config.quantised, (config.steps_per_sample, config.output_scale / one)
+        self._quantised, self._settings = (
+            config.quantised,
+            (config.steps_per_sample, config.output_scale / one),
+        )
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
@@ -152,9 +165,7 @@ class Spiking:
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
         encoder, state = states
-        run_floats(
-            (gyro, accel), *self._network, encoder, tuple(state), self._settings, self._quantised, out
-        )
+        run_floats((gyro, accel), *self._network, encoder, tuple(state), self._settings, self._quantised, out)
 
 
 class Host(NamedTuple):
@@ -204,7 +215,10 @@ class OnLoihi:
         w_in = np.ascontiguousarray(w["w_in"].T, np.int32)
         self.host = Host(*input_scaling(config.inputs), w_in, w["syn0"])
         self.steps, self.scale = config.steps_per_sample, config.output_scale / STATE_ONE
-        self._network, self._settings = (tuple(self.host), tuple(self.chip.parameters)), (self.steps, self.scale)
+        self._network, self._settings = (
+            (tuple(self.host), tuple(self.chip.parameters)),
+            (self.steps, self.scale),
+        )
 
     def zero(self, n: int) -> tuple[Encoder, LoihiState]:
         """Everything at rest."""

@@ -362,7 +362,11 @@ class _Fused(torch.autograd.Function):
         space.each(run)
         space.runs += 1
         ctx.delay, ctx.space, ctx.run, ctx.x, ctx.weights = (
-            backend.recurrent_delay, space, space.runs, samples, w
+            backend.recurrent_delay,
+            space,
+            space.runs,
+            samples,
+            w,
         )
         out = np.concatenate([trace.v2[2:] for trace in space.traces], 1)
         counts = [
@@ -439,7 +443,5 @@ class Fused:
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Fused:
         """The backend of these neurons alone."""
         smaller = copy(self)
-        smaller._spaces = {
-            shape: space.connected(encoding, hidden) for shape, space in self._spaces.items()
-        }
+        smaller._spaces = {shape: space.connected(encoding, hidden) for shape, space in self._spaces.items()}
         return smaller

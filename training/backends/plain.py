@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.networks.forward import MATRICES, STATE_ONE, State, Weights
+from estimators.networks.forward import STATE_ONE, State, Weights
 from estimators.spiking import rest, states
 
 
@@ -43,14 +43,18 @@ class Plain:
 
     def spikes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Spikes of both layers in the last window."""
-        first, second = (np.stack([getattr(s, n).numpy(force=True) > 0 for s in self._every], 1) for n in ("s0", "s1"))
+        first, second = (
+            np.stack([getattr(s, n).numpy(force=True) > 0 for s in self._every], 1) for n in ("s0", "s1")
+        )
         return first, second
 
     def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Largest currents of both layers in the last window."""
         one = STATE_ONE if self.quantised else 1.0
         first, second = (
-            np.abs([getattr(s, n).numpy(force=True) / one for s in self._every[every - 1 :: every]]).max((0, 1))
+            np.abs([getattr(s, n).numpy(force=True) / one for s in self._every[every - 1 :: every]]).max(
+                (0, 1)
+            )
             for n in ("u0", "u1")
         )
         return first, second
