@@ -74,7 +74,7 @@ class LoihiLayer:
 
 
 class Chip(NamedTuple):
-    """A network as the chip holds it. Sources of spikes are its inputs and then its neurons, layer by layer."""
+    """A network as the chip holds it. Spikes have sources: its inputs, then its neurons, layer by layer."""
 
     weights: NDArray[np.int32]
     """Mantissas of the weights by source, shape (sources, neurons)."""

@@ -120,7 +120,7 @@ def _bias(current):
 
 
 @njit(cache=True, inline="always")
-def _list_spikes(v, threshold, spikes):
+def list_spikes(v, threshold, spikes):
     """Write the number of neurons above the threshold and then their indices into `spikes`."""
     count = 0
     for i in range(v.shape[0]):
@@ -166,29 +166,15 @@ def _membrane(v, u, tau, threshold, quantised):
 
 
 @njit(cache=True, inline="always")
-def row(state, n):
-    """The state of one copy."""
-    return State(
-        state.u0[n],
-        state.v0[n],
-        state.s0[n],
-        state.u1[n],
-        state.v1[n],
-        state.s1[n],
-        state.s1_delayed[n],
-        state.u2[n],
-        state.v2[n],
-    )
-
-
-@njit(cache=True, inline="always")
 def step(x, w, state, total, drive, quantised):
-    """One step of one copy of the network, whose state changes in place.
+    """One step of one copy of the network, whose currents and potentials change in place.
+
+    The spikes are those of the step before; `list_spikes` finds the new ones.
 
     Args:
         x: Input sample, shape (inputs,).
         w: Weights by source, in state units.
-        state: State of the copy, see `row`.
+        state: State of the copy.
         total: Zeros in the type of the weights, shape (h1,), to add in; zeros again afterwards.
         drive: The same, shape (h0,).
         quantised: Integer arithmetic (True) or floats; a literal, for loops that branch are not vectorised.
@@ -231,25 +217,42 @@ def step(x, w, state, total, drive, quantised):
             u = _bias(u)  # reaches the chip as a bias mantissa
         v0[i] = _membrane(v0[i], u, w.mem0[i], threshold, quantised)
 
-    state.s1_delayed[:] = state.s1
-    _list_spikes(v0, threshold, state.s0)
-    _list_spikes(v1, threshold, state.s1)
+
+@njit(cache=True, inline="always")
+def _row(state, n):
+    """The state of one copy."""
+    return State(
+        state.u0[n],
+        state.v0[n],
+        state.s0[n],
+        state.u1[n],
+        state.v1[n],
+        state.s1[n],
+        state.s1_delayed[n],
+        state.u2[n],
+        state.v2[n],
+    )
 
 
 @njit(cache=True, inline="always")
 def _run(readings, scaling, weights, encoder, state, settings, quantised, out):
     gyro, accel = readings
     steps, scale = settings
+    threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
     x = np.empty(6)
     total, drive = np.zeros(weights.w_ff.shape[1], weights.w_ff.dtype), np.zeros(weights.w_ff.shape[0])
     for n in range(gyro.shape[0]):
-        copy = row(state, n)
+        copy = _row(state, n)
         for t in range(gyro.shape[1]):
             encode_sample(gyro[n, t], accel[n, t], scaling, encoder[n])
             for k in range(6):
                 x[k] = encoder[n].inputs[k] / INPUT_ONE
             for _ in range(steps):
                 step(x, weights, copy, total, drive, quantised)
+                for k in range(1 + copy.s1[0]):
+                    copy.s1_delayed[k] = copy.s1[k]
+                list_spikes(copy.v0, threshold, copy.s0)
+                list_spikes(copy.v1, threshold, copy.s1)
             for o in range(out.shape[2]):
                 out[n, t, o] = copy.v2[o] * scale
 

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.networks.forward import MATRICES, STATE_ONE, THRESHOLD, State, Weights, row, step
+from estimators.networks.forward import MATRICES, STATE_ONE, THRESHOLD, State, Weights, list_spikes, step
 from estimators.spiking import SURROGATE_WIDTH
 from quadsim.runs.compiled import njit
 
@@ -71,50 +71,42 @@ def _copy(source, factor, target):
 
 
 @njit(cache=True, inline="always")
-def _initial(trace, delay, one):
-    """The state before the window, in state units."""
+def _initial(trace, one):
+    """Currents and potentials of the layers before the window, in state units, (n, size) each."""
     n, h0 = trace.u0.shape[1:]
     h1, outputs = trace.u1.shape[2], trace.u2.shape[2]
-    s1 = trace.s1[1].copy()
-    state = State(
-        np.zeros((n, h0)),
-        np.zeros((n, h0)),
-        trace.s0[1].copy(),
-        np.zeros((n, h1)),
-        np.zeros((n, h1)),
-        s1,
-        s1 if delay == 1 else trace.s1[0].copy(),
-        np.zeros((n, outputs)),
-        np.zeros((n, outputs)),
-    )
+    u0, v0, u1, v1 = np.zeros((n, h0)), np.zeros((n, h0)), np.zeros((n, h1)), np.zeros((n, h1))
+    u2, v2 = np.zeros((n, outputs)), np.zeros((n, outputs))
     for b in range(n):
-        _copy(trace.u0[0, b], one, state.u0[b])
-        _copy(trace.v0[1, b], one, state.v0[b])
-        _copy(trace.u1[0, b], one, state.u1[b])
-        _copy(trace.v1[1, b], one, state.v1[b])
-        _copy(trace.u2[0, b], one, state.u2[b])
-        _copy(trace.v2[1, b], one, state.v2[b])
-    return state
+        _copy(trace.u0[0, b], one, u0[b])
+        _copy(trace.v0[1, b], one, v0[b])
+        _copy(trace.u1[0, b], one, u1[b])
+        _copy(trace.v1[1, b], one, v1[b])
+        _copy(trace.u2[0, b], one, u2[b])
+        _copy(trace.v2[1, b], one, v2[b])
+    return u0, v0, u1, v1, u2, v2
 
 
 @njit(cache=True, inline="always")
 def _forward(x, weights, trace, delay, quantised):
     one = STATE_ONE if quantised else 1.0
-    unit = 1.0 / one
+    unit, threshold = 1.0 / one, THRESHOLD * one
     total, drive = np.zeros(weights.w_ff.shape[1], weights.w_ff.dtype), np.zeros(weights.w_ff.shape[0])
-    state = _initial(trace, delay, one)
+    u0, v0, u1, v1, u2, v2 = _initial(trace, one)
+    s0, s1 = trace.s0, trace.s1
     for t in range(x.shape[0]):
         for b in range(x.shape[1]):
-            copy = row(state, b)
-            step(x[t, b], weights, copy, total, drive, quantised)
-            trace.s0[t + 2, b] = copy.s0
-            trace.s1[t + 2, b] = copy.s1
-            _copy(copy.v0, unit, trace.v0[t + 2, b])
-            _copy(copy.u0, unit, trace.u0[t + 1, b])
-            _copy(copy.v1, unit, trace.v1[t + 2, b])
-            _copy(copy.u1, unit, trace.u1[t + 1, b])
-            _copy(copy.v2, unit, trace.v2[t + 2, b])
-            _copy(copy.u2, unit, trace.u2[t + 1, b])
+            delayed = s1[t + 2 - delay, b]
+            state = State(u0[b], v0[b], s0[t + 1, b], u1[b], v1[b], s1[t + 1, b], delayed, u2[b], v2[b])
+            step(x[t, b], weights, state, total, drive, quantised)
+            list_spikes(state.v0, threshold, s0[t + 2, b])
+            list_spikes(state.v1, threshold, s1[t + 2, b])
+            _copy(state.v0, unit, trace.v0[t + 2, b])
+            _copy(state.u0, unit, trace.u0[t + 1, b])
+            _copy(state.v1, unit, trace.v1[t + 2, b])
+            _copy(state.u1, unit, trace.u1[t + 1, b])
+            _copy(state.v2, unit, trace.v2[t + 2, b])
+            _copy(state.u2, unit, trace.u2[t + 1, b])
 
 
 @njit(cache=True, nogil=True)

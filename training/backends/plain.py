@@ -43,21 +43,17 @@ class Plain:
 
     def spikes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Spikes of both layers in the last window."""
-        first, second = (
-            np.stack([getattr(s, n).numpy(force=True) > 0 for s in self._every], 1) for n in ("s0", "s1")
-        )
+        first, second = (np.stack(self._values(name), 1) > 0 for name in ("s0", "s1"))
         return first, second
 
     def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Largest currents of both layers in the last window."""
         one = STATE_ONE if self.quantised else 1.0
-        first, second = (
-            np.abs([getattr(s, n).numpy(force=True) / one for s in self._every[every - 1 :: every]]).max(
-                (0, 1)
-            )
-            for n in ("u0", "u1")
-        )
-        return first, second
+        first, second = (np.abs(self._values(name)[every - 1 :: every]).max((0, 1)) for name in ("u0", "u1"))
+        return first / one, second / one
+
+    def _values(self, name: str) -> list[NDArray]:
+        return [getattr(state, name).numpy(force=True) for state in self._every]
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Plain:
         """The backend of these neurons alone."""
