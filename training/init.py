@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from estimators.networks.forward import MATRICES, TIME_CONSTANTS
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import load_network
-from estimators.spiking import MATRICES, TIME_CONSTANTS
 
 from .models import AttRNN, AttSNN
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from estimators.analysis.ablation import living
+from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
 from estimators.networks.symmetry import Ties, ties
-from estimators.spiking import MATRICES, TIME_CONSTANTS, Weights, quantise_decay, quantise_weights
+from estimators.spiking import quantise_decay, quantise_weights
 
 from .backends import BACKENDS, Backend
 

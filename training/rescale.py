@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.networks.forward import TIME_CONSTANTS
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import NetworkConfig, Tensors
-from estimators.spiking import TIME_CONSTANTS
 from quadsim.config.ranges import SAMPLE_RATE
 
 

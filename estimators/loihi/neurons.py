@@ -221,8 +221,8 @@ def step(chip, state):
 
 def _chip(layers: Sequence[LoihiLayer]) -> Chip:
     """The layers in one record: a source's row of weights begins with its own layer, if that is recurrent."""
-    sizes = [np.shape(layer.w_in)[0] for layer in layers]
-    n_in = np.shape(layers[0].w_in)[1]
+    n_in = np.asarray(layers[0].w_in).shape[1]
+    sizes = [np.asarray(layer.w_in).shape[0] for layer in layers]
     edges = np.cumsum([0, *sizes])
     weights = np.zeros((n_in + edges[-1], edges[-1]), np.int32)
     targets = np.zeros((n_in + edges[-1], 2), np.int64)

@@ -298,10 +298,10 @@ class Workspace:
         self.dtype = weights.w_ff.detach().numpy().dtype
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self.parts = [slice(lo, hi) for lo, hi in pairwise(edges)]
-        self._allocate(weights.w_in.shape[0], weights.w_ff.shape[0], weights.w_out.shape[0])
+        self._allocate((weights.w_in.shape[0], weights.w_ff.shape[0], weights.w_out.shape[0]))
         self.runs = 0
 
-    def _allocate(self, *sizes: int) -> None:
+    def _allocate(self, sizes: tuple[int, int, int]) -> None:
         self.sizes = sizes
         self.traces = [
             Trace.empty(self.steps, part.stop - part.start, sizes, self.dtype) for part in self.parts
@@ -310,7 +310,7 @@ class Workspace:
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Workspace:
         """A workspace of these neurons alone, where the next window goes on from the last one here."""
         smaller = copy(self)
-        smaller._allocate(encoding.size, hidden.size, self.sizes[2])
+        smaller._allocate((encoding.size, hidden.size, self.sizes[2]))
         for old, new in zip(self.traces, smaller.traces, strict=True):
             new.v2[-2:], new.u2[-1] = old.v2[-2:], old.u2[-1]
             new.u0[-1], new.u1[-1] = old.u0[-1][:, encoding], old.u1[-1][:, hidden]

@@ -57,9 +57,11 @@ class Plain:
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Plain:
         """The backend of these neurons alone."""
-        smaller, layers = copy(self), (encoding, encoding, encoding, hidden, hidden, hidden, hidden)
+        smaller = copy(self)
         smaller._ends = {
-            shape: State(*(x[:, neurons] for x, neurons in zip(end, layers, strict=False)), *end[-2:])
+            shape: State(
+                *(x[:, encoding] for x in end[:3]), *(x[:, hidden] for x in end[3:7]), u2=end.u2, v2=end.v2
+            )
             for shape, end in self._ends.items()
         }
         return smaller
