@@ -80,4 +80,4 @@ def test_windows_go_on_from_the_state_of_the_one_before(cut, seed):
     ]
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), x)
     np.testing.assert_array_equal(state, whole)
-    np.testing.assert_array_equal(state[:, 6], lost.sum(1))
+    np.testing.assert_array_equal(state["missing"], lost.sum(1))
