@@ -18,8 +18,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators.analysis.latency import CALLS, PAPER_US, RATE_HZ, Update, contenders, measure
-from estimators.networks.encoder import INPUT_STATE, encode_sample
-from estimators.networks.network import OnLoihi, create_network, drive
+from estimators.networks.encoder import ENCODER, encode_sample
+from estimators.networks.network import Host, OnLoihi, create_network, drive
 from estimators.registry import NETWORKS
 from quadsim.dataset.figures import STYLE
 
@@ -27,9 +27,10 @@ HOST = "att-snn-loihi, host alone"
 
 
 @njit(cache=True)
-def _on_host(gyro, accel, offset, gain, w_in, du, inputs, current, bias):
-    encode_sample(gyro[0], accel[0], offset, gain, inputs)
-    drive(inputs, w_in, du, current, bias)
+def _on_host(gyro, accel, host, encoder, current, bias):
+    host = Host(*host)
+    encode_sample(gyro[0], accel[0], host, encoder[0])
+    drive(encoder[0].inputs, host, current, bias)
 
 
 def host_part() -> Update:
@@ -37,8 +38,9 @@ def host_part() -> Update:
     core = create_network("att-snn-loihi", RATE_HZ).core
     assert isinstance(core, OnLoihi)
     neurons = core.chip.sizes[0]
-    states = np.zeros(INPUT_STATE), np.zeros(neurons, np.int64), np.zeros(neurons, np.int64)
-    return lambda gyro, accel: _on_host(gyro, accel, *core.host, *states)
+    host, encoder = tuple(core.host), np.zeros(1, ENCODER)
+    current, bias = np.zeros((2, neurons), np.int64)
+    return lambda gyro, accel: _on_host(gyro, accel, host, encoder, current, bias)
 
 
 def every_contender() -> dict[str, Update]:

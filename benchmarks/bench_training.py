@@ -29,8 +29,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.spiking import THRESHOLD, TIME_CONSTANTS, Weights, forward, quantise_decay, quantise_weights
-from training.backends.fused import Workspace, attsnn
+from estimators.networks.forward import THRESHOLD, TIME_CONSTANTS
+from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
+from training.backends.fused import Fused
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"
@@ -56,9 +57,8 @@ def inputs(n: int, steps: int) -> Tensor:
 
 
 def fused(n: int, steps: int, quantised: bool = True, threads: int = 1) -> Network:
-    weights = parameters()
-    space = Workspace(steps, n, weights, quantised, 1, threads)
-    return lambda x: attsnn(x, weights, space)[0]
+    weights, backend = parameters(), Fused(quantised, threads=threads)
+    return lambda x: backend.forward(x, weights)[0]
 
 
 def plain(n: int, steps: int) -> Network:
@@ -238,7 +238,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the table as CSV")
     args = parser.parse_args()
     rows = list(measure(args.rounds))
-    rates = attsnn(inputs(4, STEPS), parameters(), Workspace(STEPS, 4, parameters()))[1]
+    rates = Fused().forward(inputs(4, STEPS), parameters())[1]
     print(f"spike rates: encoding {rates[0]:.3f}, hidden {rates[1]:.3f} per neuron and step")
     print(f"{'variant':<28} {'wall [s]':>9} {'CPU [s]':>9} {'x fused':>8} {'CPU x':>7} {'memory [MB]':>12}")
     for row in rows:

@@ -204,8 +204,7 @@ def _nir_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]
     import_nir._to_tensor = lambda x: torch.as_tensor(x, dtype=torch.float64)
     net = norse.torch.from_nir(nir.NIRGraph(nodes, edges), dt=float(graph.metadata["dt"])).double()
     x = torch.tensor(scaled_inputs(config.inputs, gyro, accel))
-    weights, taus = real_weights(config, tensors)
-    own = Weights(*map(torch.tensor, (*weights, *taus)))
+    own = Weights(*map(torch.tensor, real_weights(config, tensors)))
     _, _, floats = forward(x, own)
     _, _, chip = forward(x, own, quantised=True)
     state, spikes = None, []

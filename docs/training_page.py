@@ -30,7 +30,6 @@ from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking, real
 from estimators.networks.symmetry import OPERATIONS, is_symmetric, ties
 from estimators.networks.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
 from estimators.registry import FILTERPY, NETWORKS
-from estimators.spiking import Weights
 from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator, Readings
 from training.augment import roll_pitch_of_up
@@ -61,8 +60,7 @@ def made() -> dict[str, AttitudeEstimator]:
 def without_rounding(name: str) -> NetworkEstimator:
     """A spiking network with its quantised weights, but real-valued states."""
     config, tensors = load_network(name)
-    weights, taus = real_weights(config, tensors)
-    real = dict(zip(Weights._fields, [*weights, *taus], strict=True))
+    real = real_weights(config, tensors)._asdict()
     return NetworkEstimator(Spiking(config.model_copy(update={"quantised": False}), real), config.rate_hz)
 
 

@@ -6,15 +6,11 @@ Rounding passes gradients straight through; the reset does not carry a gradient.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
-from .networks.forward import BIAS_EXP
+from .networks.forward import BIAS_EXP, MATRICES, STATE_ONE, THRESHOLD, State, Weights
 
-THRESHOLD = 0.5
-STATE_ONE = 2.0**14
 SURROGATE_WIDTH = 20.0
 _V_MAX = 2.0**23 - 1
 _OUTPUT_THRESHOLD = 131071.0 * 64
@@ -44,34 +40,6 @@ def superspike(x: Tensor) -> Tensor:
     return _SuperSpike.apply(x)  # pyright: ignore[reportReturnType]  (torch types apply as Any | None)
 
 
-class Weights(NamedTuple):
-    """The network's parameters as tensors, in units of 1.0."""
-
-    w_in: Tensor
-    """Encoding weights, shape (h0, inputs)."""
-    w_ff: Tensor
-    """Encoding to hidden layer, shape (h1, h0)."""
-    w_rec: Tensor
-    """Recurrent weights, shape (h1, h1)."""
-    w_out: Tensor
-    """Hidden layer to outputs, shape (outputs, h1)."""
-    syn0: Tensor
-    """τ_syn of the encoding layer, shape (h0,)."""
-    mem0: Tensor
-    """τ_mem of the encoding layer, shape (h0,)."""
-    syn1: Tensor
-    """τ_syn of the hidden layer, shape (h1,)."""
-    mem1: Tensor
-    """τ_mem of the hidden layer, shape (h1,)."""
-    syn2: Tensor
-    """τ_syn of the outputs, shape (1,)."""
-    mem2: Tensor
-    """τ_mem of the outputs, shape (1,)."""
-
-
-MATRICES, TIME_CONSTANTS = Weights._fields[:4], Weights._fields[4:]
-
-
 def quantise_weights(w: Tensor) -> Tensor:
     """Nearest weight of the chip: even mantissas -256...254 of 1/256. Gradient straight through."""
     return _straight(w, torch.clamp(torch.round(w * 128), -128, 127) / 128)
@@ -82,23 +50,25 @@ def quantise_decay(tau: Tensor) -> Tensor:
     return _straight(tau, 1 - torch.clamp(torch.round(4096 * (1 - tau)), 1, 4096) / 4096)
 
 
-def forward(
-    x: Tensor, weights: Weights, quantised: bool = False, recurrent_delay: int = 1
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Run the network from rest, one PyTorch operation after the other.
+def rest(n: int, weights: Weights[Tensor]) -> State[Tensor]:
+    """State of `n` copies at rest; here spikes are 0 or 1, of shape (n, neurons)."""
+    w = weights.w_ff
+    h0, h1, outputs = (w.new_zeros(n, size) for size in (w.shape[1], w.shape[0], len(weights.w_out)))
+    return State(h0, h0, h0, h1, h1, h1, h1, outputs, outputs)
+
+
+def step(
+    x: Tensor, w: Weights[Tensor], state: State[Tensor], quantised: bool = False, recurrent_delay: int = 1
+) -> State[Tensor]:
+    """One step of the network, one PyTorch operation after the other.
 
     Args:
-        x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
-        weights: Parameters (for the quantised network already on the chip's grid).
+        x: Scaled input (for the quantised network in steps of 2^-10), shape (n, inputs).
+        w: Parameters, the matrices in state units (for the quantised network on the chip's grid).
+        state: State after the step before.
         quantised: Round as the chip does.
         recurrent_delay: 1: the chip's time convention; 2: the paper's equations.
-
-    Returns:
-        Output potentials (n, T, outputs), spikes of the encoding (n, T, h0) and hidden layer (n, T, h1).
     """
-    n, steps, _ = x.shape
-    one = STATE_ONE if quantised else 1.0
-    w_in, w_ff, w_rec, w_out = (w * one for w in weights[:4])
 
     def decay(value: Tensor, tau: Tensor) -> Tensor:
         return _straight(value * tau, torch.trunc(value * tau)) if quantised else value * tau
@@ -106,40 +76,62 @@ def forward(
     def wrapped(value: Tensor, bits: int) -> Tensor:
         return _straight(value, _wrap(value, bits)) if quantised else value
 
-    def clipped(value: Tensor) -> Tensor:
-        return _straight(value, value.clamp(-_V_MAX, _V_MAX)) if quantised else value
+    def membrane(v: Tensor, s: Tensor, u: Tensor, tau: Tensor) -> Tensor:
+        v = decay(v * (1 - s.detach()), tau) + u
+        return _straight(v, v.clamp(-_V_MAX, _V_MAX)) if quantised else v
 
-    def integrated(v: Tensor) -> Tensor:
-        if not quantised:
-            return v
-        return _straight(v, torch.where(v > _OUTPUT_THRESHOLD, 0.0, v.clamp(min=-_V_MAX)))
+    u2 = wrapped(decay(state.u2, w.syn2) + wrapped(state.s1 @ w.w_out.T, 21), 23)
+    v2 = decay(state.v2, w.mem2) + u2
+    drive = x @ w.w_in.T
+    if quantised:
+        v2 = _straight(v2, torch.where(v2 > _OUTPUT_THRESHOLD, 0.0, v2.clamp(min=-_V_MAX)))
+        drive = _straight(drive, torch.trunc(drive))
+    sums = state.s0 @ w.w_ff.T + state.s1_delayed @ w.w_rec.T
+    u1 = wrapped(decay(state.u1, w.syn1) + wrapped(sums, 21), 23)
+    u0 = wrapped(decay(state.u0, w.syn0) + drive, 23)
+    v1 = membrane(state.v1, state.s1, u1, w.mem1)
+    v0 = membrane(state.v0, state.s0, _straight(u0, _bias(u0)) if quantised else u0, w.mem0)
+    s0, s1 = (superspike((v / STATE_ONE if quantised else v) - THRESHOLD) for v in (v0, v1))
+    return State(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else state.s1, u2, v2)
 
-    def fire(v: Tensor) -> tuple[Tensor, Tensor]:
-        s = superspike(v / one - THRESHOLD)
-        return s, v * (1 - s.detach())
 
-    u0, v0, s0 = (x.new_zeros(n, w_in.shape[0]) for _ in range(3))
-    u1, v1, s1 = (x.new_zeros(n, w_ff.shape[0]) for _ in range(3))
-    u2, v2 = (x.new_zeros(n, w_out.shape[0]) for _ in range(2))
-    late = s1
-    outputs, encoding, hidden = [], [], []
-    for t in range(steps):
-        u2 = wrapped(decay(u2, weights.syn2) + wrapped(s1 @ w_out.T, 21), 23)
-        v2 = integrated(decay(v2, weights.mem2) + u2)
-        feedback = s1 if recurrent_delay == 1 else late
-        u1 = wrapped(decay(u1, weights.syn1) + wrapped(s0 @ w_ff.T + feedback @ w_rec.T, 21), 23)
-        drive = x[:, t] @ w_in.T
-        u0 = wrapped(
-            decay(u0, weights.syn0) + (_straight(drive, torch.trunc(drive)) if quantised else drive), 23
-        )
-        bias = _straight(u0, _bias(u0)) if quantised else u0
-        late = s1
-        s1, v1 = fire(clipped(decay(v1, weights.mem1) + u1))
-        s0, v0 = fire(clipped(decay(v0, weights.mem0) + bias))
-        outputs.append(v2 / one)
-        encoding.append(s0)
-        hidden.append(s1)
-    return torch.stack(outputs, 1), torch.stack(encoding, 1), torch.stack(hidden, 1)
+def states(
+    x: Tensor,
+    weights: Weights[Tensor],
+    quantised: bool = False,
+    recurrent_delay: int = 1,
+    state: State[Tensor] | None = None,
+) -> list[State[Tensor]]:
+    """State after each step of a sequence.
+
+    Args:
+        x: Scaled input, shape (n, T, inputs).
+        weights: Parameters in units of 1.0 (for the quantised network on the chip's grid).
+        quantised: Round as the chip does.
+        recurrent_delay: 1 or 2 steps.
+        state: State before the first step; None: at rest.
+    """
+    one = STATE_ONE if quantised else 1.0
+    w = Weights(*(matrix * one for matrix in weights[: len(MATRICES)]), *weights[len(MATRICES) :])
+    state, every = rest(len(x), w) if state is None else state, []
+    for sample in x.unbind(1):
+        state = step(sample, w, state, quantised, recurrent_delay)
+        every.append(state)
+    return every
+
+
+def forward(
+    x: Tensor, weights: Weights[Tensor], quantised: bool = False, recurrent_delay: int = 1
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Run the network from rest; arguments as those of `states`.
+
+    Returns:
+        Output potentials (n, T, outputs), spikes of the encoding (n, T, h0) and hidden layer (n, T, h1).
+    """
+    every = states(x, weights, quantised, recurrent_delay)
+    one = STATE_ONE if quantised else 1.0
+    v2, s0, s1 = (torch.stack([getattr(each, name) for each in every], 1) for name in ("v2", "s0", "s1"))
+    return v2 / one, s0, s1
 
 
 def _straight(value: Tensor, rounded: Tensor) -> Tensor:

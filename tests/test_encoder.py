@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from estimators.networks.encoder import INPUT_MAX, INPUT_ONE, INPUT_STATE, scaled_inputs
+from estimators.networks.encoder import ENCODER, INPUT_MAX, INPUT_ONE, scaled_inputs
 from estimators.networks.weights_file import PAPER_SCALING, InputScaling
 from estimators.sanitise import FORCE_MAX, RATE_MAX
 
@@ -37,11 +37,11 @@ def test_the_last_good_sample_stands_for_a_missing_one_and_is_counted():
     gyro, accel = samples(1, 10)
     whole = scaled_inputs(InputScaling(), gyro, accel)
     gyro[0, 3, 1], gyro[0, 4], accel[0, 6], accel[0, 7, 2], accel[0, 8] = np.nan, 1e30, 0.0, np.nan, -1000.0
-    state = np.zeros((1, INPUT_STATE))
+    state = np.zeros(1, ENCODER)
     x = scaled_inputs(InputScaling(), gyro, accel, state)
     whole[0, 3:5, :3], whole[0, 6:9, 3:] = whole[0, 2, :3], whole[0, 5, 3:]
     np.testing.assert_array_equal(x, whole)
-    assert state[0, 6] == 5
+    assert state["missing"] == [5]
 
 
 def test_inputs_are_zero_before_the_first_good_sample():
@@ -51,7 +51,7 @@ def test_inputs_are_zero_before_the_first_good_sample():
 
 @given(READINGS, READINGS, GOOD, GOOD)
 def test_a_good_sample_gives_the_inputs_that_it_gives_a_new_encoder(gyro, accel, last_gyro, last_accel):
-    inputs, state = InputScaling(), np.zeros((1, INPUT_STATE))
+    inputs, state = InputScaling(), np.zeros(1, ENCODER)
     scaled_inputs(inputs, gyro, accel, state)
     x = scaled_inputs(inputs, last_gyro, last_accel, state)
     np.testing.assert_array_equal(x, scaled_inputs(inputs, last_gyro, last_accel))
@@ -72,7 +72,7 @@ def test_windows_go_on_from_the_state_of_the_one_before(cut, seed):
     gyro, accel = samples(2, 40, seed)
     lost = np.random.default_rng(seed).random((2, 40)) < 0.3
     gyro[lost], accel[lost] = np.nan, 0.0
-    whole, state = np.zeros((2, INPUT_STATE)), np.zeros((2, INPUT_STATE))
+    whole, state = np.zeros(2, ENCODER), np.zeros(2, ENCODER)
     x = scaled_inputs(InputScaling(), gyro, accel, whole)
     parts = [
         scaled_inputs(InputScaling(), gyro[:, part], accel[:, part], state)
@@ -80,4 +80,4 @@ def test_windows_go_on_from_the_state_of_the_one_before(cut, seed):
     ]
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), x)
     np.testing.assert_array_equal(state, whole)
-    np.testing.assert_array_equal(state[:, 6], lost.sum(1))
+    np.testing.assert_array_equal(state["missing"], lost.sum(1))

@@ -77,12 +77,13 @@ def same_spikes_for(weights, steps, seed, steps_per_sample=1):
         a = floats.update(gyro[:, t], accel[:, t])
         b = chip.update(gyro[:, t], accel[:, t])
         np.testing.assert_array_equal(a, b)
-        _, state, lists = floats._states
-        _, _, _, after, u, _, _ = chip._states
-        encoding, hidden = lists[0, 1 : 1 + lists[0, 0]], lists[0, h0 + 2 : h0 + 2 + lists[0, h0 + 1]]
-        np.testing.assert_array_equal(encoding, np.flatnonzero(after[0, :h0]))
-        np.testing.assert_array_equal(hidden, np.flatnonzero(after[0, h0:both]))
-        np.testing.assert_array_equal(state[0, 2 * h0 : h0 + both], u[0, h0:both])
+        (_, state), (_, on_chip) = floats._states, chip._states
+        encoding, hidden = (spikes[0, 1 : 1 + spikes[0, 0]] for spikes in (state.s0, state.s1))
+        np.testing.assert_array_equal(encoding, np.flatnonzero(on_chip.spikes[0, :h0]))
+        np.testing.assert_array_equal(hidden, np.flatnonzero(on_chip.spikes[0, h0:both]))
+        np.testing.assert_array_equal(state.u0[0], on_chip.current[0])
+        np.testing.assert_array_equal(state.u1[0], on_chip.u[0, h0:both])
+        np.testing.assert_array_equal(state.v2[0], on_chip.v[0, both:])
         counts += len(encoding), len(hidden)
     assert np.all(counts > steps // 10)
 

@@ -7,7 +7,7 @@ import pytest
 
 from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error
-from estimators.networks.encoder import INPUT_STATE, scaled_inputs
+from estimators.networks.encoder import ENCODER, scaled_inputs
 from estimators.networks.network import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
 from estimators.networks.weights_file import NetworkConfig, load_network
 from quadsim.dataset.generation import generate
@@ -70,10 +70,12 @@ def test_the_input_part_of_the_state_is_the_last_inputs_and_a_count(name):
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0, 1, (5, 40, 3)), rng.normal([0, 0, 9.8], 0.5, (5, 40, 3))
     states = core.zero(5)
-    assert states[0].shape == (5, INPUT_STATE) == (5, 7)
+    assert states[0].shape == (5,)
+    assert states[0].dtype == ENCODER == [("inputs", float, 6), ("missing", np.int64)]
     core.run(states, gyro, accel, np.empty((5, 40, 2)))
     x = scaled_inputs(config.inputs, gyro[:, -1:], accel[:, -1:])[:, 0]
-    np.testing.assert_array_equal(states[0], np.column_stack([1024 * x, np.zeros(5)]))
+    np.testing.assert_array_equal(states[0]["inputs"], 1024 * x)
+    np.testing.assert_array_equal(states[0]["missing"], 0)
 
 
 def test_the_inputs_have_offsets_and_ranges_and_no_other_setting():

@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 import torch
 
-from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
-from training.backends.fused import Workspace, attsnn
+from estimators.spiking import Weights, quantise_decay, quantise_weights
+from training.backends import BACKENDS
+from training.backends.fused import Fused
+from training.backends.plain import Plain
 
 
 def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0):
@@ -34,20 +36,17 @@ def gradients(output, rates, weights, seed=2):
 @pytest.mark.parametrize(
     ("n", "steps", "h0", "h1", "threads"), [(5, 60, 13, 9, 1), (1, 4, 3, 4, 1), (8, 90, 100, 100, 2)]
 )
-def test_fused_network_equals_the_pytorch_loop(quantised, delay, n, steps, h0, h1, threads):
+def test_fused_backend_equals_plain_pytorch(quantised, delay, n, steps, h0, h1, threads):
     weights, x = random_weights(h0, h1, quantised=quantised), random_input(n, steps)
-    expected, encoding, hidden = forward(x, weights, quantised, delay)
-    space = Workspace(steps, n, weights, quantised, delay, threads)
-    output, rates = attsnn(x, weights, space)
-    expected_rates = torch.stack([encoding.mean(), hidden.mean()])
+    reference, fused = Plain(quantised, delay), Fused(quantised, delay, threads)
+    expected, expected_rates = reference.forward(x, weights)
+    output, rates = fused.forward(x, weights)
     np.testing.assert_allclose(rates.detach(), expected_rates.detach(), rtol=1e-12)
-    for spikes, name in ((encoding, "s0"), (hidden, "s1")):
-        lists = np.concatenate([getattr(trace, name)[2:] for trace in space.traces], 1)
-        mine = np.zeros(spikes.shape)
-        for t in range(steps):
-            for b in range(n):
-                mine[b, t, lists[t, b, 1 : 1 + lists[t, b, 0]]] = 1
-        np.testing.assert_array_equal(mine, spikes.detach().numpy())
+    for mine, theirs in zip(fused.spikes(), reference.spikes(), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    for mine, theirs in zip(fused.peak_currents(), reference.peak_currents(), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=0, atol=0 if quantised else 1e-11)
+    encoding, hidden = fused.spikes()
     if steps > 10:
         assert 0.01 < encoding.mean() < 0.9
         assert 0.01 < hidden.mean() < 0.9
@@ -58,34 +57,54 @@ def test_fused_network_equals_the_pytorch_loop(quantised, delay, n, steps, h0, h
         np.testing.assert_allclose(mine / scale, theirs / scale, rtol=0, atol=1e-10, err_msg=name)
 
 
+@pytest.mark.parametrize("name", BACKENDS)
 @pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("delay", [1, 2])
-def test_carried_windows_are_one_long_window_but_for_sequences_that_start_anew(quantised, delay):
+def test_windows_that_go_on_are_one_long_window_but_for_sequences_that_are_reset(name, quantised, delay):
     weights, x = random_weights(12, 10, quantised=quantised), random_input(3, 120)
-    whole = attsnn(x, weights, Workspace(120, 3, weights, quantised, delay))[0].detach()
-    space = Workspace(40, 3, weights, quantised, delay)
-    fresh = [np.array(rows) for rows in ([True] * 3, [False] * 3, [False, True, False])]
+    backend = BACKENDS[name](quantised, delay)
+    whole = backend.forward(x, weights)[0].detach()
+    resets = [np.array(rows) for rows in ([True] * 3, [False] * 3, [False, True, False])]
     parts = [
-        attsnn(x[:, 40 * k : 40 * k + 40], weights, space, fresh[k])[0].detach().clone() for k in range(3)
+        backend.forward(x[:, 40 * k : 40 * k + 40], weights, resets[k])[0].detach().clone() for k in range(3)
     ]
     joined, atol = torch.cat(parts, 1), 0 if quantised else 1e-11
     np.testing.assert_allclose(joined[::2], whole[::2], rtol=0, atol=atol)
-    anew = attsnn(x[:, 80:], weights, Workspace(40, 3, weights, quantised, delay))[0].detach()
+    anew = BACKENDS[name](quantised, delay).forward(x[:, 80:], weights)[0].detach()
     np.testing.assert_allclose(joined[1, :80], whole[1, :80], rtol=0, atol=atol)
     np.testing.assert_allclose(joined[1, 80:], anew[1], rtol=0, atol=atol)
 
 
-def test_windows_carry_neurons_whose_potential_is_at_the_chip_s_limit():
+@pytest.mark.parametrize("name", BACKENDS)
+def test_windows_go_on_without_neurons_that_reach_nothing(name):
+    weights, x = random_weights(12, 10), random_input(3, 80)
+    encoding, hidden = np.arange(0, 12, 2), np.arange(1, 10)
+    with torch.no_grad():
+        weights.w_ff[:, 1::2], weights.w_rec[:, 0], weights.w_out[:, 0] = 0.0, 0.0, 0.0
+    backend = BACKENDS[name]()
+    whole = backend.forward(x, weights)[0].detach()[:, 40:]
+    backend.forward(x[:, :40], weights)
+    w = weights
+    fewer = Weights(
+        w.w_in[encoding], w.w_ff[hidden][:, encoding], w.w_rec[hidden][:, hidden], w.w_out[:, hidden],
+        w.syn0[encoding], w.mem0[encoding], w.syn1[hidden], w.mem1[hidden], w.syn2, w.mem2,
+    )  # fmt: skip
+    going_on = backend.connected(encoding, hidden).forward(x[:, 40:], fewer, np.zeros(3, bool))[0]
+    np.testing.assert_array_equal(going_on.detach(), whole)
+
+
+def test_windows_go_on_with_neurons_whose_potential_is_at_the_chip_s_limit():
     weights, x = random_weights(12, 10), random_input(3, 1200)
     with torch.no_grad():
         weights.w_ff[:5], weights.w_ff[5:] = -1.0, 127 / 128
         weights.syn1[:], weights.mem1[:] = 4095 / 4096, 4095 / 4096
-    long, short = Workspace(1200, 3, weights), Workspace(400, 3, weights)
-    whole = attsnn(x, weights, long)[0].detach()
-    assert long.traces[0].v1.min() == -(2**23 - 1) / 2**14
-    fresh = np.ones(3, bool)
+    backend = Fused()
+    whole = backend.forward(x, weights)[0].detach()
+    assert backend._last.traces[0].v1.min() == -(2**23 - 1) / 2**14
+    reset = np.ones(3, bool)
     parts = [
-        attsnn(x[:, 400 * k : 400 * k + 400], weights, short, fresh & (k == 0))[0].detach() for k in range(3)
+        backend.forward(x[:, 400 * k : 400 * k + 400], weights, reset & (k == 0))[0].detach()
+        for k in range(3)
     ]
     np.testing.assert_array_equal(torch.cat(parts, 1), whole)
 
@@ -95,17 +114,13 @@ def test_quantised_float32_window_equals_the_float64_one():
     narrow = Weights(*(w.detach().float().requires_grad_() for w in wide))
     x = random_input(4, 300)
     np.testing.assert_array_equal(
-        attsnn(x, narrow, Workspace(300, 4, narrow))[0].detach(),
-        attsnn(x, wide, Workspace(300, 4, wide))[0].detach().float(),
+        Fused().forward(x, narrow)[0].detach(), Fused().forward(x, wide)[0].detach().float()
     )
 
 
-def test_a_trace_that_is_gone_is_not_used():
-    weights, x = random_weights(5, 5), random_input(2, 10)
-    space = Workspace(10, 2, weights)
-    first, _ = attsnn(x, weights, space)
-    attsnn(x, weights, space)
+def test_a_trace_that_is_overwritten_is_not_used():
+    weights, x, backend = random_weights(5, 5), random_input(2, 10), Fused()
+    first, _ = backend.forward(x, weights)
+    backend.forward(x, weights)
     with pytest.raises(RuntimeError, match="another window"):
         first.sum().backward()
-    with pytest.raises(ValueError, match=r"batch: \(2, 9\)"):
-        attsnn(x[:, :9], weights, space)

@@ -91,12 +91,11 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
     out = np.empty((1, 1, 2))
     for t, (theirs, roll_pitch) in enumerate(states):
         core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
-        inputs, current, _, after, u, v, _ = mine
-        expected = {
-            "input": inputs[0, :6],             "u0": current[0], "u1": u[0, h0:-2], "u2": u[0, -2:],
-            "v0": v[0, :h0], "v1": v[0, h0:-2], "v2": v[0, -2:],
-            "s0": after[0, :h0], "s1": after[0, h0:-2], "skipped": inputs[0, 6],
-        }  # fmt: skip
+        (encoder,), state = mine
+        u, v, spikes = state.u[0], state.v[0], state.spikes[0]
+        expected = {"input": encoder["inputs"], "skipped": encoder["missing"]}
+        expected |= {"u0": state.current[0], "u1": u[h0:-2], "u2": u[-2:]}
+        expected |= {"v0": v[:h0], "v1": v[h0:-2], "v2": v[-2:], "s0": spikes[:h0], "s1": spikes[h0:-2]}
         for name, value in expected.items():
             np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
         np.testing.assert_array_equal(roll_pitch, out[0, 0], err_msg=f"roll and pitch at {t}")
@@ -130,8 +129,7 @@ def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path, monkeypatch):
             nodes[name].v_threshold += 1e-11
         net = norse.from_nir(nir.NIRGraph(nodes, edges), dt=float(graph.metadata["dt"])).double()
         x = torch.tensor(scaled_inputs(config.inputs, gyro[None], accel[None]))
-        weights, taus = real_weights(config, tensors)
-        _, _, hidden = forward(x, Weights(*map(torch.tensor, (*weights, *taus))))
+        _, _, hidden = forward(x, Weights(*map(torch.tensor, real_weights(config, tensors))))
         state, spikes = None, []
         with torch.no_grad():
             for t in range(x.shape[1]):

@@ -234,7 +234,7 @@ def _streams(
             yield Batch(gyro[:, part], accel[:, part], roll_pitch[:, part], np.full(n, k == 0))
 
 
-def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.float64] | None = None) -> Tensor:
+def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | None = None) -> Tensor:
     """Scaled inputs of each network step, shape (n, steps, 6); `state` as in `scaled_inputs`."""
     x = scaled_inputs(config.inputs, batch.gyro, batch.accel, state)
     if config.model == "att-rnn":

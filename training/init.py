@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from estimators.networks.forward import MATRICES, TIME_CONSTANTS
 from estimators.networks.network import real_weights
 from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
-from estimators.spiking import MATRICES, TIME_CONSTANTS
 
 from .config import TrainConfig
 from .data import TrainingFlights, sample_windows
@@ -150,11 +150,11 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
         return
     if (config.model, config.encoding, config.hidden) != ("att-snn", *model.w_ff.shape[::-1]):
         raise ValueError(f"init: {path} holds {layers}")
-    weights, taus = real_weights(config, tensors)
-    for name, w in zip(MATRICES, weights, strict=True):
-        model.set_weights(name, w)
-    for name, tau in zip(TIME_CONSTANTS, taus, strict=True):
-        inside = np.clip(tau, 1 / 1024, 4095 / 4096)
+    values = real_weights(config, tensors)._asdict()
+    for name in MATRICES:
+        model.set_weights(name, values[name])
+    for name in TIME_CONSTANTS:
+        inside = np.clip(values[name], 1 / 1024, 4095 / 4096)
         with torch.no_grad():
             getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
 
@@ -228,12 +228,7 @@ def _spikes(model: AttSNN, x: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
     """Spikes of both layers, (n, T, h)."""
     with torch.no_grad():
         model(torch.from_numpy(x))
-    trace = model.space(torch.from_numpy(x), model.weights()).traces
-    both = []
-    for name in ("v0", "v1"):
-        v = np.concatenate([getattr(t, name)[2:] for t in trace], 1)
-        both.append((v > 0.5).transpose(1, 0, 2))
-    return both[0], both[1]
+    return model.backend.spikes()
 
 
 def _filtered(signal: NDArray, tau: NDArray) -> NDArray:

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.networks.encoder import INPUT_STATE
+from estimators.networks.encoder import ENCODER
 from estimators.networks.network import NetworkEstimator, Recurrent, Spiking
 from estimators.spiking import MATRICES
 
@@ -143,7 +143,7 @@ class Training:
         self.model: AttSNN | AttRNN = initial_model(config, flights, self.steps)
         self.optimiser = new_optimiser(self.model, config)
         self.history: list[Epoch] = []
-        self._input_state = np.zeros((config.batch_size, INPUT_STATE))
+        self._input_state = np.zeros(config.batch_size, ENCODER)
         self._unpruned = self.model.parameter_count
 
     def one_epoch(self) -> Epoch:
@@ -194,7 +194,7 @@ class Training:
             torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
         self.optimiser.step()
         if isinstance(model, AttSNN):
-            model.limit_currents(x)
+            model.limit_currents()
         model.constrain()
         return float(attitude_loss(estimate.detach(), target)), rates.tolist()
 

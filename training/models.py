@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from estimators.analysis.ablation import living
+from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
 from estimators.networks.symmetry import Ties, ties
-from estimators.spiking import MATRICES, TIME_CONSTANTS, Weights, quantise_decay, quantise_weights
+from estimators.spiking import quantise_decay, quantise_weights
 
-from .backends.fused import Workspace, attsnn
+from .backends import BACKENDS, Backend
 
 OUTPUTS = 2
 Values = TypeVar("Values", Tensor, NDArray[np.floating])
@@ -78,7 +79,7 @@ class AttSNN(nn.Module):
             if self.sharing:
                 connected &= torch.from_numpy(self.sharing[name].sign != 0).reshape(connected.shape)
             self.register_buffer(f"{name}_connected", connected)
-        self._spaces: dict[tuple[int, int], Workspace] = {}
+        self.backend: Backend = BACKENDS["fused"](quantised, recurrent_delay, threads)
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
         """Set a weight matrix, and its rows' scales to their root mean square."""
@@ -115,18 +116,8 @@ class AttSNN(nn.Module):
         Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
         window of this shape; None: all are reset.
         """
-        weights = self.weights()
-        out, rates = attsnn(x, weights, self.space(x, weights), reset)
+        out, rates = self.backend.forward(x, self.weights(), reset)
         return out * self.output_scale, rates
-
-    def space(self, x: Tensor, weights: Weights) -> Workspace:
-        """The workspace for windows of this shape."""
-        key = (x.shape[0], x.shape[1])
-        if key not in self._spaces:
-            self._spaces[key] = Workspace(
-                x.shape[1], x.shape[0], weights, self.quantised, self.recurrent_delay, self.threads
-            )
-        return self._spaces[key]
 
     @torch.no_grad()
     def constrain(self) -> None:
@@ -144,21 +135,17 @@ class AttSNN(nn.Module):
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
 
     @torch.no_grad()
-    def limit_currents(self, x: Tensor) -> None:
-        """Weaken the inputs of neurons whose currents came near the ends of the chip's range.
+    def limit_currents(self) -> None:
+        """Weaken the inputs of neurons whose currents neared the ends of the chip's range in the last window.
 
         Beyond them a current wraps round to the other sign: a neuron that training silences further would
         then spike in every other step, and no gradient leads back.
-
-        Args:
-            x: The last window, whose currents are checked.
         """
         if not self.quantised:
             return
-        traces = self._spaces[x.shape[0], x.shape[1]].traces
+        peaks = self.backend.peak_currents(CURRENT_EVERY)
         for layer, names in ((0, ("w_in",)), (1, ("w_ff", "w_rec"))):
-            currents = [getattr(trace, f"u{layer}")[::CURRENT_EVERY] for trace in traces]
-            most = np.max([np.abs(u).max((0, 1)) for u in currents], 0)
+            most = peaks[layer]
             if most.max() <= CURRENT_MAX:
                 continue
             first = self.sharing[f"mem{layer}"].first if self.sharing else np.arange(most.size)
@@ -187,7 +174,7 @@ class AttSNN(nn.Module):
                 for name, value in self.state_dict().items()
             }
         )
-        smaller._spaces = {key: space.without(encoding, hidden) for key, space in self._spaces.items()}
+        smaller.backend = self.backend.connected(encoding, hidden)
         return smaller
 
     @property

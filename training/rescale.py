@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.networks.forward import TIME_CONSTANTS
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import NetworkConfig, Tensors
-from estimators.spiking import TIME_CONSTANTS, Weights
 from quadsim.config.ranges import SAMPLE_RATE
 
 
@@ -28,9 +28,8 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
         raise ValueError(f"{config.model} has no time constants to rescale, att-snn has")
     SAMPLE_RATE.of("rate_hz", rate_hz)
     k = rate_hz / config.rate_hz
-    weights, taus = real_weights(config, tensors)
-    clipped = [np.clip(tau, 0.0, 4095 / 4096) for tau in taus]
-    old = dict(zip(Weights._fields, [*weights, *clipped], strict=True))
+    old = real_weights(config, tensors)._asdict()
+    old |= {name: np.clip(old[name], 0.0, 4095 / 4096) for name in TIME_CONSTANTS}
     new = {name: old[name] ** (1 / k) for name in TIME_CONSTANTS}
 
     def area(name: str) -> NDArray[np.float64]:

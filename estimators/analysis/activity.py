@@ -7,11 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.runs.compiled import njit
-
-from ..loihi.neurons import step_arrays
-from ..networks.encoder import encode_sample
-from ..networks.network import OnLoihi, drive
+from ..networks.encoder import encode
+from ..networks.network import OnLoihi, step_on_loihi
 
 Array = NDArray[np.float64]
 
@@ -51,48 +48,28 @@ class Activity:
 
 
 def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
-    """Run a network on the chip from rest and keep what its neurons did.
+    """Run a network on the chip from rest and record what its neurons do.
 
     Args:
         core: The network.
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force (n, T, 3) [m/s²].
     """
+    gyro, accel = np.asarray(gyro, np.float64), np.asarray(accel, np.float64)
     n, samples, _ = gyro.shape
     neurons, steps = sum(core.chip.sizes), samples * core.steps
     spikes = np.zeros((n, steps, neurons), np.int8)
     active = np.zeros((n, neurons), np.int64)
     potentials = np.zeros((steps, neurons), np.int32)
-    out = np.empty((n, samples, 2))
-    gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-    _record(
-        gyro, accel, *core.host, core.steps, core.scale, core.zero(n), core.chip.parameters,
-        spikes, active, potentials, out,
-    )  # fmt: skip
+    estimate = np.empty((n, samples, 2))
+    encoder, state = core.zero(n)
+    for t in range(samples):
+        encode(gyro[:, t], accel[:, t], core.host, encoder)
+        for k in range(t * core.steps, (t + 1) * core.steps):
+            step_on_loihi(core.host, core.chip.parameters, encoder, state)
+            spikes[:, k], potentials[k] = state.spikes, state.v[0]
+            active += (state.u != 0) | (state.v != 0) | (state.bias != 0) | (state.spikes != 0)
+        estimate[:, t] = state.v[:, -2:] * core.scale
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
-    return Activity((first, second, third), spikes, active, potentials / threshold, out)
-
-
-@njit(cache=True)
-def _record(
-    gyro, accel, offset, gain, w_in, du, steps, scale, states, parameters, spikes, active, potentials, out
-):  # fmt: skip
-    inputs, current, before, after, u, v, bias = states
-    outputs = v[:, v.shape[1] - out.shape[2] :]
-    for t in range(gyro.shape[1]):
-        for n in range(gyro.shape[0]):
-            encode_sample(gyro[n, t], accel[n, t], offset, gain, inputs[n])
-        for k in range(steps):
-            for n in range(gyro.shape[0]):
-                drive(inputs[n], w_in, du, current[n], bias[n])
-            step_arrays(before, after, u, v, bias, *parameters)
-            spikes[:, t * steps + k] = after
-            potentials[t * steps + k] = v[0]
-            for n in range(gyro.shape[0]):
-                for i in range(v.shape[1]):
-                    if u[n, i] != 0 or v[n, i] != 0 or bias[n, i] != 0 or after[n, i] != 0:
-                        active[n, i] += 1
-        for n in range(gyro.shape[0]):
-            for k in range(out.shape[2]):
-                out[n, t, k] = outputs[n, k] * scale
+    return Activity((first, second, third), spikes, active, potentials / threshold, estimate)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..networks.encoder import INPUT_STATE, scaled_inputs
+from ..networks.encoder import ENCODER, scaled_inputs
 from ..networks.network import real_weights
 from ..networks.weights_file import shipped_network
 from ..registry import create, names
@@ -28,23 +28,24 @@ Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
 
 
 class TorchSNN:
-    """Att-SNN as one would write it in PyTorch: a loop of tensor operations, float32."""
+    """Att-SNN as one would write it in PyTorch for inference: no gradients, no rounding, float32.
+
+    `estimators.spiking.step`, the reference, handles both and would take half as long again.
+    """
 
     def __init__(self) -> None:
         self.config, tensors = shipped_network("att-snn")
-        weights, taus = real_weights(self.config, tensors)
-        self.w_in, self.w_ff, self.w_rec, self.w_out = (
-            torch.tensor(w, dtype=torch.float32).T for w in weights
-        )
-        self.taus = [torch.tensor(tau, dtype=torch.float32) for tau in taus]
+        weights = [torch.tensor(w, dtype=torch.float32) for w in real_weights(self.config, tensors)]
+        self.w_in, self.w_ff, self.w_rec, self.w_out = (w.T for w in weights[:4])
+        self.taus = weights[4:]
         sizes = [self.config.encoding, self.config.hidden, 2]
-        self.inputs = np.zeros((1, INPUT_STATE))
+        self.encoder = np.zeros(1, ENCODER)
         self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
-        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.inputs)
+        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.encoder)
         sample = torch.from_numpy(x[:, 0].astype(np.float32))
         drives = [
             sample @ self.w_in,

@@ -47,15 +47,17 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
     if config.model != "att-snn" or config.recurrent_delay != 1:
         raise ValueError("a NIR graph needs weights of att-snn with a recurrent delay of 1")
     step = dt or 1.0 / (config.rate_hz * config.steps_per_sample)
-    weights, taus = real_weights(config, tensors)
+    values = real_weights(config, tensors)
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([6])})}
     edges = []
-    for (name, (source, target)), weight in zip(CONNECTIONS.items(), weights, strict=True):
-        nodes[name] = nir.Linear(weight=weight, metadata=_integers(config, mantissa=tensors[name]))
+    for name, (source, target) in CONNECTIONS.items():
+        nodes[name] = nir.Linear(
+            weight=getattr(values, name), metadata=_integers(config, mantissa=tensors[name])
+        )
         edges += [(source, name), (name, target)]
     sizes = (config.encoding, config.hidden, 2)
-    for k, (layer, names) in enumerate(LAYERS.items()):
-        syn, mem = (np.broadcast_to(tau, sizes[k]) for tau in taus[2 * k : 2 * k + 2])
+    for size, (layer, names) in zip(sizes, LAYERS.items(), strict=True):
+        syn, mem = (np.broadcast_to(getattr(values, name), size) for name in names)
         decays = dict(zip(("du", "dv"), (tensors[name] for name in names), strict=True))
         nodes[layer] = _neurons(layer, syn, mem, step, _integers(config, **decays))
     nodes["finish"] = nir.Output({"output": np.array([2])})

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,6 +73,36 @@ class LoihiLayer:
         self.bias_exp = _vector("bias_exp", self.bias_exp, size, 0, BIAS_EXP_MAX)
 
 
+class Chip(NamedTuple):
+    """A network as the chip holds it. Spikes have sources: its inputs, then its neurons, layer by layer."""
+
+    weights: NDArray[np.int32]
+    """Mantissas of the weights by source, shape (sources, neurons)."""
+    targets: Ints
+    """First neuron that a source has synapses on, and the one after the last, shape (sources, 2)."""
+    bias_exp: Ints
+    """Exponents of the biases, as the next three of shape (neurons,)."""
+    du: Ints
+    """Decays of the currents."""
+    dv: Ints
+    """Decays of the membrane potentials."""
+    vth: Ints
+    """Mantissas of the thresholds."""
+
+
+class ChipState(NamedTuple):
+    """What the chip's neurons hold, one row for each copy of the network."""
+
+    spikes: NDArray[np.int8]
+    """Spikes of the last step, 0 or 1, shape (n, sources)."""
+    u: Ints
+    """Currents, shape (n, neurons)."""
+    v: Ints
+    """Membrane potentials after the reset, shape (n, neurons)."""
+    bias: Ints
+    """Bias mantissas, shape (n, neurons)."""
+
+
 class LoihiNetwork:
     """Layers in a chain, stepped together: in one step every layer reads the spikes of the previous step.
 
@@ -99,35 +130,23 @@ class LoihiNetwork:
                 )
         self.n_in = w_in[0].shape[1]
         self.sizes = [w.shape[0] for w in w_in]
-        # The sources of all spikes stand in one row: the network's input, then layer after layer.
-        self._start = np.cumsum([self.n_in, *self.sizes]).astype(np.int64)
-        fan_in = [np.vstack([w.T, _recurrent_rows(layer)]) for w, layer in zip(w_in, layers, strict=True)]
-        rows = np.array([(w.shape[1], r.shape[0]) for w, r in zip(w_in, fan_in, strict=True)], np.int64)
-        weights = np.concatenate([r.ravel() for r in fan_in]).astype(np.int32)
-        vectors = [
-            np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int64)
-            for name in ("bias_mant", "bias_exp", "du", "dv", "vth")
-        ]
-        self.bias_mant = vectors[0]
-        self.parameters = (vectors[1], weights, rows, self._start, *vectors[2:])
-        """What `step_arrays` takes after the state."""
+        self.parameters = _chip(self.layers)
+        self.bias_mant = np.concatenate([np.asarray(layer.bias_mant) for layer in layers])
         self.reset()
 
-    def zero_state(self, n: int) -> tuple[NDArray[np.int8], NDArray[np.int8], Ints, Ints, Ints]:
-        """State of `n` copies at rest: spikes before and after a step, currents, potentials, biases."""
-        total = int(self._start[-1]) - self.n_in
-        spikes = np.zeros((2, n, self.n_in + total), np.int8)
-        bias = np.tile(self.bias_mant, (n, 1))
-        return spikes[0], spikes[1], np.zeros((n, total), np.int64), np.zeros((n, total), np.int64), bias
+    def rest(self, n: int) -> ChipState:
+        """States of `n` copies at rest."""
+        sources, neurons = self.parameters.weights.shape
+        u, v = np.zeros((2, n, neurons), np.int64)
+        return ChipState(np.zeros((n, sources), np.int8), u, v, np.tile(self.bias_mant, (n, 1)))
 
     def reset(self, n: int = 1) -> None:
         """Set the currents, potentials and spikes of `n` independent copies to zero."""
-        self._state = self.zero_state(n)
-        _, after, u, v, _ = self._state
-        edges = self._start[1:-1] - self.n_in
-        self.u: list[Ints] = np.split(u, edges, axis=1)
-        self.v: list[Ints] = np.split(v, edges, axis=1)
-        self.s: list[NDArray[np.int8]] = np.split(after[:, self.n_in :], edges, axis=1)
+        self._state = self.rest(n)
+        edges = np.cumsum(self.sizes)[:-1]
+        self.u: list[Ints] = np.split(self._state.u, edges, axis=1)
+        self.v: list[Ints] = np.split(self._state.v, edges, axis=1)
+        self.s: list[NDArray[np.int8]] = np.split(self._state.spikes[:, self.n_in :], edges, axis=1)
 
     def step(
         self, spikes_in: ArrayLike | None = None, bias_mant: ArrayLike | None = None
@@ -146,13 +165,13 @@ class LoihiNetwork:
         Raises:
             ValueError: A shape that does not fit.
         """
-        _, after, u, _, bias = self._state
-        n, first = u.shape[0], self.sizes[0]
-        after[:, : self.n_in] = 0 if spikes_in is None else _fit("spikes_in", spikes_in, n, self.n_in)
-        bias[:, :first] = (
-            self.bias_mant[:first] if bias_mant is None else _fit("bias_mant", bias_mant, n, first)
-        )
-        step_arrays(*self._state, *self.parameters)
+        state, first = self._state, self.sizes[0]
+        n = len(state.u)
+        arriving = 0 if spikes_in is None else _fit("spikes_in", spikes_in, n, self.n_in)
+        own = self.bias_mant[:first]
+        state.bias[:, :first] = own if bias_mant is None else _fit("bias_mant", bias_mant, n, first)
+        step(self.parameters, state)
+        state.spikes[:, : self.n_in] = arriving
         return self.s[-1]
 
 
@@ -175,51 +194,54 @@ def wrap(x: int, bits: int) -> int:
 
 
 @njit(cache=True)
-def step_arrays(before, after, u, v, bias, bias_exp, weights, rows, start, du, dv, vth):
-    """One step of `n` copies: all layers read the spikes in `before`, and `after` gets the new ones.
+def step(chip, state):
+    """One step of all copies: every layer reads the spikes of the step before; the state changes in place."""
+    n_in = chip.weights.shape[0] - chip.weights.shape[1]
+    sums = np.empty(chip.weights.shape[1], np.int32)
+    for n in range(state.u.shape[0]):
+        spikes, u, v, bias = state.spikes[n], state.u[n], state.v[n], state.bias[n]
+        sums[:] = 0
+        for source in range(spikes.size):
+            if spikes[source] != 0:
+                first, end = chip.targets[source]
+                weights = chip.weights[source, first:end]
+                into = sums[first:end]
+                for i in range(into.size):
+                    into[i] += weights[i]
+        for j in range(u.size):  # short loops without branches, for the vector unit
+            u[j] = wrap(decay(u[j], chip.du[j]) + wrap(int(sums[j]) << 6, 21), 23)
+        for j in range(u.size):
+            driven = decay(v[j], chip.dv[j]) + u[j] + (bias[j] << chip.bias_exp[j])
+            v[j] = min(max(driven, -STATE_MAX), STATE_MAX)
+        for j in range(u.size):
+            fires = v[j] > chip.vth[j] << 6
+            spikes[n_in + j] = fires
+            v[j] = 0 if fires else v[j]
 
-    Args:
-        before: Spikes one step ago, the network's input first, shape (n, in + neurons); overwritten.
-        after: Spikes after the last step, and in its first columns those of this step's input; changed.
-        u: Currents, shape (n, neurons); changed.
-        v: Membrane potentials after the reset, shape (n, neurons); changed.
-        bias: Bias mantissas of this step, shape (n, neurons).
-        bias_exp: Exponents of the biases, shape (neurons,).
-        weights: For each layer the rows of its feed-forward and of its recurrent sources, flattened.
-        rows: Numbers of these rows, shape (layers, 2).
-        start: First source of each layer in `before`, shape (layers + 1,).
-        du: Decays of the currents, shape (neurons,).
-        dv: Decays of the potentials, shape (neurons,).
-        vth: Threshold mantissas, shape (neurons,).
-    """
-    n_in = start[0]
-    dendrite = np.empty(u.shape[1], np.int32)
-    for b in range(u.shape[0]):
-        sent, arrive, currents, potentials = before[b], after[b], u[b], v[b]
-        sent[n_in:] = arrive[n_in:]
-        dendrite[:] = 0
-        offset = 0
-        for k in range(rows.shape[0]):
-            into = dendrite[start[k] - n_in : start[k + 1] - n_in]
-            below = 0 if k == 0 else start[k - 1]
-            for row in range(rows[k, 1]):
-                source = below + row if row < rows[k, 0] else start[k] + row - rows[k, 0]
-                if sent[source] != 0:
-                    begin = offset + row * into.size
-                    weight = weights[begin : begin + into.size]
-                    for i in range(into.size):
-                        into[i] += weight[i]
-            offset += rows[k, 1] * into.size
-        for j in range(currents.size):  # short loops without branches, for the vector unit
-            currents[j] = wrap(decay(currents[j], du[j]) + wrap(int(dendrite[j]) << 6, 21), 23)
-        for j in range(currents.size):
-            driven = decay(potentials[j], dv[j]) + currents[j] + (bias[b, j] << bias_exp[j])
-            potentials[j] = min(max(driven, -STATE_MAX), STATE_MAX)
-        for j in range(currents.size):
-            fires = potentials[j] > vth[j] << 6
-            arrive[n_in + j] = fires
-            potentials[j] = 0 if fires else potentials[j]
-        sent[:n_in] = arrive[:n_in]
+
+def _chip(layers: Sequence[LoihiLayer]) -> Chip:
+    """The layers in one record: a source's row of weights begins with its own layer, if that is recurrent."""
+    n_in = np.asarray(layers[0].w_in).shape[1]
+    sizes = [np.asarray(layer.w_in).shape[0] for layer in layers]
+    edges = np.cumsum([0, *sizes])
+    weights = np.zeros((n_in + edges[-1], edges[-1]), np.int32)
+    targets = np.zeros((n_in + edges[-1], 2), np.int64)
+    below = slice(0, n_in)
+    for k, layer in enumerate(layers):
+        own = slice(edges[k], edges[k + 1])
+        sources = slice(n_in + own.start, n_in + own.stop)
+        w_in, w_rec = np.asarray(layer.w_in), layer.w_rec
+        if w_in.shape[1]:
+            weights[below, own], targets[below, 1] = w_in.T, own.stop
+        if w_rec is not None:
+            weights[sources, own] = np.asarray(w_rec).T
+        targets[sources] = own.stop if w_rec is None else own.start, own.stop
+        below = sources
+    vectors = (
+        np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int64)
+        for name in ("bias_exp", "du", "dv", "vth")
+    )
+    return Chip(weights, targets, *vectors)
 
 
 def _layer_size(layer: LoihiLayer) -> int:
@@ -262,11 +284,6 @@ def _check_range(name: str, x: Ints, low: int, high: int) -> None:
     wrong = x[(x < low) | (x > high)]
     if wrong.size:
         raise ValueError(f"{name}: value {wrong.flat[0]}, allowed are {low}...{high}")
-
-
-def _recurrent_rows(layer: LoihiLayer) -> NDArray[np.int32]:
-    size = np.asarray(layer.w_in).shape[0]
-    return np.zeros((0, size), np.int32) if layer.w_rec is None else np.asarray(layer.w_rec).T
 
 
 def _fit(name: str, value: ArrayLike, n: int, size: int) -> NDArray[np.generic]:

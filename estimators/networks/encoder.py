@@ -8,6 +8,8 @@ last good inputs.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,18 +23,27 @@ Array = NDArray[np.float64]
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
-INPUT_STATE = 7
-"""Numbers in the state of the encoder: the 6 last inputs, and the count of missing samples."""
+ENCODER = np.dtype([("inputs", np.float64, 6), ("missing", np.int64)])
+"""State of the encoder: the last integer inputs, and how many samples were missing in part or whole."""
 
 
-def input_scaling(inputs: InputScaling) -> tuple[Array, Array]:
-    """Offset and gain (6,) of the readings: integer input = round((reading - offset) gain)."""
+class Scaling(NamedTuple):
+    """Scaling of the readings, gyroscope first: integer input = round((reading - offset) gain)."""
+
+    offset: Array
+    """Shape (6,) [rad/s, m/s²]."""
+    gain: Array
+    """Shape (6,)."""
+
+
+def input_scaling(inputs: InputScaling) -> Scaling:
+    """Offset and gain of a network's inputs."""
     offset = np.array([0.0, 0.0, 0.0, *inputs.accel_offset])
-    return offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel])
+    return Scaling(offset, INPUT_ONE / np.array([*[inputs.gyro] * 3, *inputs.accel]))
 
 
 def scaled_inputs(
-    inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike, state: NDArray[np.generic] | None = None
+    inputs: InputScaling, gyro: ArrayLike, accel: ArrayLike, state: NDArray[np.void] | None = None
 ) -> Array:
     """Inputs of the network.
 
@@ -40,21 +51,20 @@ def scaled_inputs(
         inputs: Offsets and ranges.
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force (n, T, 3) [m/s²].
-        state: State of the encoder (n, INPUT_STATE) so far, changed in place; None: a new one.
+        state: State of the encoder, `ENCODER` (n,), changed in place; None: a new one.
 
     Returns:
         The inputs (n, T, 6) in steps of 1/1024.
     """
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-    state = np.zeros((len(gyro), INPUT_STATE)) if state is None else state
+    state = np.zeros(len(gyro), ENCODER) if state is None else state
     return encoded(input_scaling(inputs), gyro, accel, state)
 
 
-def encoded(scaling: tuple[Array, Array], gyro: Array, accel: Array, state: NDArray[np.generic]) -> Array:
+def encoded(scaling: Scaling, gyro: Array, accel: Array, state: NDArray[np.void]) -> Array:
     """What `scaled_inputs` returns, of contiguous arrays and the offset and gain of `input_scaling`."""
     x = np.empty((*gyro.shape[:2], 6))
-    encode(gyro, accel, *scaling, state, x)
-    x /= INPUT_ONE
+    _encode(gyro, accel, scaling, state, x)
     return x
 
 
@@ -64,25 +74,31 @@ def _integer(value, gain):
 
 
 @njit(cache=True)
-def encode_sample(gyro, accel, offset, gain, state):
-    """Scale one sample, (3,) [rad/s] and (3,) [m/s²], into the state (7,) of the encoder."""
+def encode_sample(gyro, accel, scaling, state):
+    """Scale one sample, (3,) [rad/s] and (3,) [m/s²], into the state of an encoder."""
     rate_found = rate_usable(gyro[0], gyro[1], gyro[2])
     force_found = force_usable(accel[0], accel[1], accel[2])
     if rate_found:
         for k in range(3):
-            state[k] = _integer(gyro[k] - offset[k], gain[k])
+            state.inputs[k] = _integer(gyro[k] - scaling.offset[k], scaling.gain[k])
     if force_found:
         for k in range(3):
-            state[3 + k] = _integer(accel[k] - offset[3 + k], gain[3 + k])
+            state.inputs[3 + k] = _integer(accel[k] - scaling.offset[3 + k], scaling.gain[3 + k])
     if not (rate_found and force_found):
-        state[6] += 1.0
+        state.missing += 1
 
 
 @njit(cache=True)
-def encode(gyro, accel, offset, gain, state, x):
-    """Integer inputs x (n, T, 6) of readings (n, T, 3) twice; the states (n, 7) are changed."""
-    for n in range(gyro.shape[0]):
-        for t in range(gyro.shape[1]):
-            encode_sample(gyro[n, t], accel[n, t], offset, gain, state[n])
+def encode(gyro, accel, scaling, state):
+    """Scale one sample of n vehicles, (n, 3) each, into the states (n,) of their encoders."""
+    for n in range(state.shape[0]):
+        encode_sample(gyro[n], accel[n], scaling, state[n])
+
+
+@njit(cache=True)
+def _encode(gyro, accel, scaling, state, x):
+    for t in range(gyro.shape[1]):
+        encode(gyro[:, t], accel[:, t], scaling, state)
+        for n in range(gyro.shape[0]):
             for k in range(6):
-                x[n, t, k] = state[n, k]
+                x[n, t, k] = state[n].inputs[k] / INPUT_ONE

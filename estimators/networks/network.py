@@ -8,7 +8,7 @@ gets the initial attitude. Nothing here imports torch: inference is compiled.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol, Unpack
+from typing import NamedTuple, Protocol, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,14 +17,28 @@ from quadsim.estimator import OtherSensors
 from quadsim.runs.compiled import njit
 
 from ..loihi.chip import partition
-from ..loihi.neurons import BIAS_MANT_MAX, VTH_MAX, LoihiLayer, LoihiNetwork, decay, shift, step_arrays, wrap
-from .encoder import INPUT_STATE, encode_sample, encoded, input_scaling
-from .forward import BIAS_EXP, run_network, zero_state
+from ..loihi.neurons import (
+    BIAS_MANT_MAX,
+    STATE_ONE,
+    VTH_MAX,
+    Chip,
+    LoihiLayer,
+    LoihiNetwork,
+    decay,
+    shift,
+    wrap,
+)
+from ..loihi.neurons import step as step_chip
+from .encoder import ENCODER, encode, encoded, input_scaling
+from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Weights, rest
+from .forward import run as run_floats
 from .gru import run_gru
 from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
-States = tuple[NDArray[np.generic], ...]
+Encoder = NDArray[np.void]
+States = tuple[Encoder, tuple[NDArray, ...]]
+"""State of the encoder (n,), and arrays of the network's state, each with one row per vehicle."""
 
 
 def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
@@ -58,7 +72,7 @@ class Core(Protocol):
     """A network without memory of its own: states go in, are changed, and outputs come back."""
 
     def zero(self, n: int) -> States:
-        """States of `n` vehicles at the start, each array with one row per vehicle."""
+        """States of `n` vehicles at the start."""
         ...
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
@@ -99,8 +113,10 @@ class NetworkEstimator:
         """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
         rows = np.arange(len(self._states[0]))[np.asarray(ids)]
         _check_attitude(roll_pitch, rows.size)
-        for mine, fresh in zip(self._states, self.core.zero(rows.size), strict=True):
-            mine[rows] = fresh
+        (encoder, state), (encoder_0, state_0) = self._states, self.core.zero(rows.size)
+        encoder[rows] = encoder_0
+        for mine, initial in zip(state, state_0, strict=True):
+            mine[rows] = initial
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
@@ -125,7 +141,7 @@ class NetworkEstimator:
     @property
     def skipped(self) -> NDArray[np.int64]:
         """Samples since the start that were missing in part or whole, shape (n,)."""
-        return self._states[0][:, 6].astype(np.int64)
+        return self._states[0]["missing"].copy()
 
 
 class Spiking:
@@ -133,24 +149,48 @@ class Spiking:
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
         """Lay the weights out for the kernel."""
-        one = 2.0**14 if config.quantised else 1.0
-        weights, taus = real_weights(config, tensors)
-        self._weights = np.concatenate([w.T.ravel() for w in weights]) * one
-        self._taus = np.concatenate(taus)
-        self._sizes = (config.encoding, config.hidden, config.recurrent_delay, config.steps_per_sample)
-        self._quantised, self._scale = config.quantised, config.output_scale / one
-        self._scaling = input_scaling(config.inputs)
+        one = float(STATE_ONE) if config.quantised else 1.0
+        weights = real_weights(config, tensors)
+        by_source = (np.ascontiguousarray(w.T) * one for w in weights[: len(MATRICES)])
+        self._network = tuple(input_scaling(config.inputs)), (*by_source, *weights[len(MATRICES) :])
+        self._sizes = config.encoding, config.hidden, len(weights.w_out), config.recurrent_delay
+        self._quantised, self._settings = (
+            config.quantised,
+            (config.steps_per_sample, config.output_scale / one),
+        )
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (np.zeros((n, INPUT_STATE)), *zero_state(n, *self._sizes[:2]))
+        return np.zeros(n, ENCODER), rest(n, *self._sizes)
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        inputs, state, spikes = states
-        x = encoded(self._scaling, gyro, accel, inputs)
-        run_network(x, self._weights, self._taus, self._sizes, self._quantised, state, spikes, out)
-        out *= self._scale
+        encoder, state = states
+        run_floats((gyro, accel), *self._network, encoder, tuple(state), self._settings, self._quantised, out)
+
+
+class Host(NamedTuple):
+    """What the host of a chip encodes with."""
+
+    offset: Array
+    """Of the readings, shape (6,) [rad/s, m/s²]."""
+    gain: Array
+    """Of the readings, shape (6,)."""
+    w_in: NDArray[np.int32]
+    """Mantissas of the encoding weights by source, shape (6, h0)."""
+    du: NDArray[np.int64]
+    """Decays of the encoding layer's currents, shape (h0,)."""
+
+
+class LoihiState(NamedTuple):
+    """The host's currents and, as in `ChipState`, what the chip's neurons hold."""
+
+    current: NDArray[np.int64]
+    """Currents of the encoding layer [state units], shape (n, h0)."""
+    spikes: NDArray[np.int8]
+    u: NDArray[np.int64]
+    v: NDArray[np.int64]
+    bias: NDArray[np.int64]
 
 
 class OnLoihi:
@@ -173,19 +213,23 @@ class OnLoihi:
             ]
         )
         self.cores = partition(self.chip.layers)
-        self.host = *input_scaling(config.inputs), np.ascontiguousarray(w["w_in"].T, np.int32), w["syn0"]
-        """What the host encodes with: offset and gain of the inputs, weights (6, h0) and decays (h0,)."""
-        self.steps, self.scale = config.steps_per_sample, config.output_scale / 2**14
+        w_in = np.ascontiguousarray(w["w_in"].T, np.int32)
+        self.host = Host(*input_scaling(config.inputs), w_in, w["syn0"])
+        self.steps, self.scale = config.steps_per_sample, config.output_scale / STATE_ONE
+        self._network, self._settings = (
+            (tuple(self.host), tuple(self.chip.parameters)),
+            (self.steps, self.scale),
+        )
 
-    def zero(self, n: int) -> States:
+    def zero(self, n: int) -> tuple[Encoder, LoihiState]:
         """Everything at rest."""
         current = np.zeros((n, self.chip.sizes[0]), np.int64)
-        return (np.zeros((n, INPUT_STATE)), current, *self.chip.zero_state(n))
+        return np.zeros(n, ENCODER), LoihiState(current, *self.chip.rest(n))
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        parameters = self.chip.parameters
-        _run_on_loihi(gyro, accel, *self.host, self.steps, self.scale, states, parameters, out)
+        encoder, state = states
+        _run_on_loihi((gyro, accel), *self._network, encoder, tuple(state), self._settings, out)
 
 
 class Recurrent:
@@ -207,22 +251,23 @@ class Recurrent:
 
     def zero(self, n: int) -> States:
         """Everything at rest."""
-        return (np.zeros((n, INPUT_STATE)), *(np.zeros((n, units), np.float32) for units in self._sizes))
+        return np.zeros(n, ENCODER), tuple(np.zeros((n, units), np.float32) for units in self._sizes)
 
     def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        inputs, h0, h1 = states
-        x = encoded(self._scaling, gyro, accel, inputs)
+        encoder, (h0, h1) = states
+        x = encoded(self._scaling, gyro, accel, encoder)
         run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
         out *= self._scale
 
 
-def real_weights(config: NetworkConfig, tensors: Tensors) -> tuple[list[Array], list[Array]]:
-    """Weights (4) and time constants (6) of a spiking network in units of 1.0, in the order of the layers."""
-    one = 256 if config.quantised else 1
-    weights = [tensors[name].astype(np.float64) / one for name in ("w_in", "w_ff", "w_rec", "w_out")]
-    taus = [tensors[name].astype(np.float64) for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2")]
-    return weights, [1 - tau / 4096 for tau in taus] if config.quantised else taus
+def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
+    """Weights and time constants of a spiking network in units of 1.0."""
+    values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
+    if config.quantised:
+        values |= {name: values[name] / 256 for name in MATRICES}
+        values |= {name: 1 - values[name] / 4096 for name in TIME_CONSTANTS}
+    return Weights(**values)
 
 
 def silenced(config: NetworkConfig, tensors: Tensors) -> Tensors:
@@ -246,38 +291,44 @@ def _check_attitude(roll_pitch: ArrayLike | None, n: int) -> None:
 
 
 @njit(cache=True)
-def _run_on_loihi(gyro, accel, offset, gain, w_in, du, steps, scale, states, parameters, out):
-    inputs, current, before, after, u, v, bias = states
-    outputs = v[:, v.shape[1] - out.shape[2] :]
+def _run_on_loihi(readings, host, chip, encoder, state, settings, out):
+    host, chip, state = Host(*host), Chip(*chip), LoihiState(*state)
+    gyro, accel = readings
+    steps, scale = settings
+    outputs = state.v[:, state.v.shape[1] - out.shape[2] :]
     for t in range(gyro.shape[1]):
-        for n in range(gyro.shape[0]):
-            encode_sample(gyro[n, t], accel[n, t], offset, gain, inputs[n])
+        encode(gyro[:, t], accel[:, t], host, encoder)
         for _ in range(steps):
-            for n in range(gyro.shape[0]):
-                drive(inputs[n], w_in, du, current[n], bias[n])
-            step_arrays(before, after, u, v, bias, *parameters)
+            step_on_loihi(host, chip, encoder, state)
         for n in range(gyro.shape[0]):
             for k in range(out.shape[2]):
                 out[n, t, k] = outputs[n, k] * scale
 
 
 @njit(cache=True)
-def drive(x, w_in, du, current, bias):
+def step_on_loihi(host, chip, encoder, state):
+    """One step of all copies on the host and on the chip, whose state changes in place."""
+    for n in range(encoder.shape[0]):
+        drive(encoder[n].inputs, host, state.current[n], state.bias[n])
+    step_chip(chip, state)
+
+
+@njit(cache=True)
+def drive(x, host, current, bias):
     """Advance the host's currents of the encoding layer by one step; write them as bias mantissas.
 
     Args:
-        x: Integer inputs, shape (6,) or longer.
-        w_in: Mantissas of the encoding weights, shape (6, h0).
-        du: Decays of the currents, shape (h0,).
+        x: Integer inputs, shape (6,).
+        host: What the host encodes with.
         current: Currents [state units], shape (h0,); changed.
         bias: Bias mantissas of the chip's neurons, whose first h0 are the encoding layer; changed.
     """
     total = np.zeros(current.size, np.int32)
-    for k in range(w_in.shape[0]):
-        value, row = np.int32(x[k]), w_in[k]
+    for k in range(host.w_in.shape[0]):
+        value, weights = np.int32(x[k]), host.w_in[k]
         for i in range(total.size):
-            total[i] += value * row[i]
+            total[i] += value * weights[i]
     for i in range(current.size):
         # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
-        current[i] = wrap(decay(current[i], du[i]) + shift(int(total[i]), 4), 23)
+        current[i] = wrap(decay(current[i], host.du[i]) + shift(int(total[i]), 4), 23)
         bias[i] = min(max(shift(current[i], BIAS_EXP), -BIAS_MANT_MAX), BIAS_MANT_MAX)
