@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated
 
 import numpy as np
@@ -68,6 +69,7 @@ class FlightConfig(Strict):
     )
 
 
+@cache
 def sample_dtype(rotors: int) -> np.dtype:
     """A recorded sample of a vehicle with so many rotors, fields as in `quadsim.plant.State`."""
     return np.dtype(
@@ -166,7 +168,7 @@ def simulate_flights(
             plant.wind[:] = wind[:, 0]
         if k >= warmup:
             record(k - warmup, plant.vehicles, plant.pose, plant.twist, controllers, log, end)
-    flown = {name: log[name] for name in log.dtype.names}
+    flown = {name: log[name] for name in log.dtype.names or ()}
     gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
         config.imu,
         flown["ang_vel"],

@@ -6,6 +6,7 @@ crashed. What came after is not counted.
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ ERROR_BINS = 106
 """and how many equal parts it has."""
 
 
+@cache
 def log_dtype(rotors: int) -> np.dtype:
     """A sample in the log of a vehicle with so many rotors."""
     return np.dtype(
