@@ -292,6 +292,8 @@ class Flights:
             span = vehicle.motor.omega_max - vehicle.hover_rotor_vel
             self._scale = np.repeat(self._scale, len(vehicle.rotors)) * span
         self.action, self._hover_rotor_vel = np.zeros((n, self._scale.size)), vehicle.hover_rotor_vel
+        self._records = np.zeros(n, OBSERVATION)
+        self._observation = self._records.view(np.float32).reshape(n, -1)
         self._scene: Scene | None = None
         self._window: Window | None = None
         self._shown_at = 0.0
@@ -332,19 +334,18 @@ class Flights:
         if again is not None and len(again):
             mission.restart(again, seeds or [])
         loop.sense()
-        observation, reward = np.empty(mission.n, OBSERVATION), np.empty(mission.n)
-        mission.crashed = follow_and_observe(*mission.records, observation, reward)
+        reward = np.empty(mission.n)
+        mission.crashed = follow_and_observe(*mission.records, self._records, reward)
         if self._live:
             self._show()
-        return observation.view(np.float32).reshape(mission.n, -1), reward
+        return self._observation.copy(), reward
 
     def observe(self) -> tuple[NDArray[np.float32], Array]:
         """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
-        mission = self.mission
-        observation, reward = np.empty(mission.n, OBSERVATION), np.empty(mission.n)
-        flights, _, target, measured, pose, twist = mission.records
-        observe(flights, target, measured, pose, twist, observation, reward)
-        return observation.view(np.float32).reshape(mission.n, -1), reward
+        flights, _, target, measured, pose, twist = self.mission.records
+        reward = np.empty(self.mission.n)
+        observe(flights, target, measured, pose, twist, self._records, reward)
+        return self._observation.copy(), reward
 
     def picture(self, index: int) -> Image:
         """Draw one vehicle."""

@@ -1,6 +1,7 @@
 """Rotors and frame: first-order lag, thrust, H-force and drag as one body wrench. Compiled equations."""
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from .runs.compiled import njit
 from .vehicle import AIR_DENSITY, Vehicle
 
 
+@cache
 def vehicle_dtype(rotors: int) -> np.dtype:
     """The record of one simulated vehicle with so many rotors: its constants, then its state."""
     return np.dtype(

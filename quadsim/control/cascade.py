@@ -18,7 +18,8 @@ state comes from an external position sensor.
 """
 
 import math
-from typing import Any, Literal, get_args
+from functools import cache
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ from ..runs.compiled import njit
 from ..vehicle import GRAVITY, Gains, Vehicle
 
 Array = NDArray[np.float64]
+Command: TypeAlias = NDArray[Any]
+"""Floats, (n, width of the level), or records, (n,)."""
 Level = Literal["position", "velocity", "attitude", "rate", "rotor"]
 LEVELS: tuple[Level, ...] = get_args(Level)
 POSITION, VELOCITY, ATTITUDE, RATE, ROTOR = range(5)
@@ -63,6 +66,7 @@ MAX_TRIM = 0.2  # bound of the rate integral over the largest angular accelerati
 IDLE = 0.05  # lowest rotor speed commanded in flight, over the highest
 
 
+@cache
 def controller_dtype(rotors: int) -> np.dtype:
     """The record of one controller: its constants, its command, and its state."""
     return np.dtype(
@@ -282,7 +286,7 @@ class Controller:
         for name in ("wind_acc", "trim", "has_last_axis"):
             self.records[name][ids] = 0
 
-    def accept(self, level: Level, command: NDArray[Any]) -> NDArray[Any]:
+    def accept(self, level: Level, command: Command) -> NDArray[np.void]:
         """Write a command of floats, (n, width) as in the table of this module, to the records.
 
         Returns:
@@ -307,7 +311,7 @@ class Controller:
     def step(
         self,
         level: Level,
-        command: NDArray[np.float64 | np.void],
+        command: Command,
         position: Array,
         velocity: Array,
         attitude: Array,

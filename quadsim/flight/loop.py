@@ -5,12 +5,11 @@ the state at k + 1. `FlightLoop` is that loop, whoever drives it.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..control.cascade import LEVELS, MEASURED, Controller, Level, control
+from ..control.cascade import LEVELS, MEASURED, Command, Controller, Level, control
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors
 from ..external import ExternalSensor
 from ..imu.kernel import ACCEL, GYRO, measure
@@ -21,8 +20,6 @@ from ..runs.compiled import njit
 from ..vehicle import Vehicle
 
 Array = NDArray[np.float64]
-Command: TypeAlias = NDArray[np.float64] | NDArray[np.void]
-"""Floats, (n, width), or records, (n,): see `quadsim.control.cascade`."""
 
 
 class FlightLoop:
@@ -157,6 +154,7 @@ class FlightLoop:
     def sense(self) -> None:
         """The second half of `step`: IMU, external sensor and estimate."""
         plant, imu, measured = self.plant, self.imu, self.measured_state
+        last_valid = self.rate if self.corrupt is None else self.rate.copy()
         if imu is None:
             sense_truth(plant.vehicles, plant.pose, plant.twist, plant.reaction, measured)
         else:
@@ -169,14 +167,12 @@ class FlightLoop:
         if self.corrupt is not None:
             self.readings = self._sample.map(np.copy)
             self.corrupt(self.readings, self.k)
-            np.copyto(self.rate, self.gyro, where=np.isfinite(self.gyro))
-        else:
-            self.rate[:] = self.gyro
+            self.rate[:] = np.where(np.isfinite(self.gyro), self.gyro, last_valid)
         if self.estimator is not None:
             if self._observe is not None:
                 self._observe(plant.quat)
             self.attitude = self.readings.give(self.estimator.update, self._accepted)
-        measured["roll_pitch"] = self.attitude
+            measured["roll_pitch"] = self.attitude
 
 
 @njit(cache=True)
@@ -190,13 +186,14 @@ def control_step(level, set_points, measured, controllers, vehicles, pose, twist
 
 @njit(cache=True)
 def sense_truth(vehicles, pose, twist, reaction, measured):
-    """Everything after it, but for the IMU: `update_truth`, and position, velocity and yaw to `measured`."""
+    """Everything after it, but for the IMU: `update_truth`, and the true state to `measured`."""
     update_truth(vehicles, pose, twist, reaction)
     for i in range(measured.shape[0]):
+        m, p = measured[i], vehicles[i]
         for axis in range(3):
-            measured[i].position[axis] = pose[i].position[axis]
-            measured[i].velocity[axis] = twist[i].velocity[axis]
-        measured[i].yaw = vehicles[i].yaw
+            m.position[axis], m.velocity[axis] = pose[i].position[axis], twist[i].velocity[axis]
+            m.gyro[axis] = twist[i].ang_vel[axis]
+        m.roll_pitch[0], m.roll_pitch[1], m.yaw = p.roll_pitch[0], p.roll_pitch[1], p.yaw
 
 
 @njit(cache=True)
@@ -209,3 +206,5 @@ def sense(at, noise, imus, vehicles, pose, twist, reaction, measured):
         for axis in range(3):
             x[GYRO, axis], x[ACCEL, axis] = twist[i].ang_vel[axis], p.specific_force[axis]
         measure(imus[i], noise[i, :, at], x, p.ang_acc, p.rotor_vel)
+        for axis in range(3):
+            measured[i].gyro[axis] = imus[i].reading[GYRO, axis]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.ranges import steps_of
-from ..control.cascade import SET_POINT, Level
+from ..control.cascade import SET_POINT, Command, Level
 from ..estimator import AttitudeEstimator
 from ..external import ExternalSensor, ExternalSpec, load_external
 from ..imu.spec import load_imu
@@ -22,7 +22,7 @@ from ..trajectory.reference import reference
 from ..vehicle import load_vehicle
 from ..wind import wind_series
 from .faults import VehicleFaults, sensor_faults
-from .loop import Command, FlightLoop
+from .loop import FlightLoop
 from .scenario import Scenario
 
 Array = NDArray[np.float64]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated
 
 import numpy as np
@@ -68,6 +69,7 @@ class FlightConfig(Strict):
     )
 
 
+@cache
 def sample_dtype(rotors: int) -> np.dtype:
     """A recorded sample of a vehicle with so many rotors, fields as in `quadsim.plant.State`."""
     return np.dtype(

@@ -7,6 +7,7 @@ crash. Samples after it are not counted.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -32,6 +33,7 @@ ERROR_BINS = 106
 """and how many equal parts it has."""
 
 
+@cache
 def log_dtype(rotors: int) -> np.dtype[np.void]:
     """One sample of a flight's log."""
     return np.dtype(
@@ -43,10 +45,7 @@ def log_dtype(rotors: int) -> np.dtype[np.void]:
             ("tracking", "f8"),  # angle between the true and the commanded thrust axis [rad]
             ("tilt", "f8"),  # [rad]
             ("rotor_vel", "f8", rotors),  # [rad/s]
-            (
-                "command_change",
-                "f8",
-            ),  # RMS over the rotors of the command's change since the last sample [rad/s]
+            ("command_change", "f8"),  # RMS over the rotors, since the last sample [rad/s]
         ]
     )
 
