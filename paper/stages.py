@@ -95,7 +95,7 @@ def run_stages(
     """Make what is missing, independent stages side by side.
 
     Args:
-        stages: What is wanted, inputs before what needs them.
+        stages: What is required, inputs before what needs them.
         out: Folder for the stages' folders.
         workers: Processes, by default one for each CPU; 1 stays in this process.
         progress: Called now and then.

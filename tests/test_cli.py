@@ -220,22 +220,22 @@ def test_bench_finds_breaking_points_and_reports_them_again(quadsim, tmp_path):
     assert code == 0
     assert "> 64" in out
     assert {path.name for path in tmp_path.glob("*.csv")} == {"results.csv", "flights.csv", "breaking.csv"}
-    assert "Where they break" in (tmp_path / "report.html").read_text()
+    assert "Breaking points: least" in (tmp_path / "report.html").read_text()
     (tmp_path / "report.html").unlink()
     assert quadsim("report", tmp_path)[0] == 0
-    assert "Where they break" in (tmp_path / "report.html").read_text()
+    assert "Breaking points: least" in (tmp_path / "report.html").read_text()
     assert quadsim("report", tmp_path, "--out", tmp_path / "else" / "a.html")[0] == 0
     assert 'href="../results.csv"' in (tmp_path / "else" / "a.html").read_text()
     assert quadsim("bench", *flown, "--out", tmp_path)[0] == 0
     assert quadsim("report", tmp_path)[0] == 0  # of the last run, which looked for none
-    assert "Where they break" not in (tmp_path / "report.html").read_text()
+    assert "Breaking points: least" not in (tmp_path / "report.html").read_text()
 
 
 def test_a_breaking_point_that_cannot_be_is_refused_before_anything_is_flown(quadsim, tmp_path):
     flown = ["--scenario", "hover", "--estimator", "truth", "--seeds", 1, "--duration", 3, "--workers", 1]
     code, _, err = quadsim("bench", *flown, "--breaking-point", "bias", "--out", tmp_path / "out")
     assert (code, (tmp_path / "out").exists()) == (2, False)
-    assert "sets in at 6 s" in err
+    assert "begins at 6 s" in err
 
 
 def test_ctrl_c_in_a_training_keeps_its_weights_and_exits_as_interrupted(quadsim, tmp_path, monkeypatch):

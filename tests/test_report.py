@@ -127,7 +127,7 @@ def test_verdict_speaks_of_the_estimator_in_focus_and_compares_with_the_truth():
 def test_estimators_that_did_not_run_come_last_and_are_told():
     result = verdict([row("a", "x", reason="no weights"), row("a", "y", crashes=10)])
     assert [s.text for s in result.standings] == ["crashed in a (10 of 10) · error 1.00°", "did not run"]
-    assert verdict([row("a", "x", reason="no weights")]).headline == "No estimator flew."
+    assert verdict([row("a", "x", reason="no weights")]).headline == "No estimator ran."
 
 
 def test_recorded_flights_have_a_verdict_of_their_own():

@@ -123,7 +123,7 @@ METRICS = (
     ),
     Metric(
         "crash_rate", "Crash rate", "", 2,
-        "Share of flights that tilted over, hit the ground or flew away, with its 95 % Wilson interval.",
+        "Share of flights that tilted over, hit the ground or went out of bounds; 95 % Wilson interval.",
     ),
     Metric(
         "attitude_deg", "Attitude tracking", "deg", 2,

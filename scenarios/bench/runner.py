@@ -60,7 +60,7 @@ class Results:
             for name in self.estimators:
                 if other := tuning_misfit(name, tuning_of(name, tuning), scenario.vehicle, scenario.imu):
                     flown = f"{Path(scenario.vehicle).stem} with {Path(scenario.imu).stem}"
-                    found.setdefault(f"for {other}, not for the {flown} that flew", {})[name] = None
+                    found.setdefault(f"for {other}, not for {flown}, which was simulated", {})[name] = None
         return [
             f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of that vehicle, then --tuning FILE."
             for text, who in found.items()

@@ -59,7 +59,7 @@ def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] =
     standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
     flown = [name for name in ranked if totals[name].flights]
     if not flown:
-        only = "Only the truth flew." if TRUTH in names and totals[TRUTH].flights else "No estimator flew."
+        only = "Only the truth ran." if TRUTH in names and totals[TRUTH].flights else "No estimator ran."
         return Verdict(only, [], standings)
     best, truth = totals[flown[0]], totals.get(TRUTH)
     lines = []
