@@ -5,7 +5,7 @@ import pytest
 
 from estimators.loihi.neurons import LoihiLayer, LoihiNetwork, decay, wrap
 
-GOLDEN = Path(__file__).parent / "data" / "loihi"
+GOLDEN = Path(__file__).parents[1] / "data" / "loihi"
 CASES = ["a_single_bias", "b_rec100_het", "c_att_like"]
 
 

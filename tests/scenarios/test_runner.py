@@ -226,7 +226,7 @@ from scenarios.bench.settings import FlightSettings
 names = ["hover", "wind-2", "wind-5", "wind-8"]
 bench(names, ["truth", "mahony"], sys.argv[1], FlightSettings(2), workers=2)
 """
-    run = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], cwd=Path(__file__).parents[1])
+    run = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], cwd=Path(__file__).parents[2])
     await_true(lambda: len(list(tmp_path.glob("cells/*.json"))) >= 1, seconds=300)  # workers compile first
     workers = children(run.pid)
     run.kill()

@@ -203,7 +203,7 @@ dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 40, 1.0, sys.arg
 """
     out = tmp_path / "killed.zarr"
     run = subprocess.Popen(
-        [sys.executable, "-c", script, str(out), CONFIG.model_dump_json()], cwd=Path(__file__).parents[1]
+        [sys.executable, "-c", script, str(out), CONFIG.model_dump_json()], cwd=Path(__file__).parents[2]
     )
     markers = partial_folder(out) / "flights"
     await_true(lambda: markers.is_dir() and len(list(markers.glob("*.json"))) >= 3)
