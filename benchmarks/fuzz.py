@@ -57,7 +57,7 @@ from scenarios.report.publish import publish
 
 LIMIT_S, LIMIT_BYTES = 10.0, 2e9
 FLOWN = 20
-"""Samples for which a scenario that is taken is flown."""
+"""Samples for which an accepted scenario is simulated."""
 HOSTILE = (
     0, -1, 1, 1e9, -1e9, 1e300, 5e-324, 1e-12, float("inf"), float("nan"), 2**63, True, False, "", "x",
     "../x", "/dev/zero", "<b>", "\x00", "\U0001f681", [], [[]], {}, [1e300] * 3, [0.0, 0.0, 0.0],

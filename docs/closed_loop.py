@@ -1,6 +1,6 @@
 """Fly the whole suite and write the page: `python docs/closed_loop.py` makes closed-loop.md and its figures.
 
-A run that is cut short goes on where it stopped, as `quadsim bench` does.
+A run that is cut short resumes, as `quadsim bench` does.
 """
 
 import json
@@ -125,7 +125,7 @@ def standing_rows(results: Results, without: Results, files: Mapping[str, str]) 
 
     Args:
         results: Of the suite.
-        without: Of the suite flown with silenced networks.
+        without: Of the suite with silenced networks.
         files: Networks to the files of their silenced weights.
     """
     standings = [s.estimator for s in verdict(results.rows).standings]
@@ -272,7 +272,7 @@ def silenced_files() -> dict[str, str]:
 
 
 def silenced_text(results: Results, path: str | None) -> str:
-    """Error and crashes of a network that was flown silenced; a dash for other estimators."""
+    """Error and crashes of a silenced network; a dash for other estimators."""
     if path is None:
         return "–"
     sums = total([row for row in results.rows if row.estimator == path])

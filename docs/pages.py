@@ -165,7 +165,7 @@ class Page:
         )
 
     def changed(self) -> list[str]:
-        """Inputs that are new, gone or other than when the page was made."""
+        """Inputs that are new, removed or other than when the page was made."""
         before = read_lock(self.root).get(self.name, {})
         names = sorted({*before, *self.inputs})
         return [name for name in names if before.get(name) != self.inputs.get(name)]

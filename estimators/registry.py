@@ -83,7 +83,7 @@ def create(
             `quadsim tune`; None for the shipped domain of the vehicle and the IMU.
         vehicle: The airframe, by its name, file or model: shipped parameters are those tuned for it, where
             there are such, and ekf-drag takes its drag from there. The others need none.
-        imu: The IMU, likewise.
+        imu: The IMU, by its name, file or model.
         params: The filter's own parameters; for a network `weights`.
 
     Raises:
@@ -141,7 +141,7 @@ def tuning_misfit(
     Args:
         name: Estimator.
         tuning: As in `create`.
-        vehicle: What is flown, as in `create`.
+        vehicle: The simulated vehicle, as in `create`.
         imu: What it carries, as in `create`.
     """
     airframe, sensor = loaded(vehicle, imu)
@@ -162,8 +162,8 @@ def tuned_elsewhere(
     Args:
         estimators: Names of estimators.
         tuning: As in `create`.
-        vehicle: What flew, as in `create`.
-        imu: What it carried, as in `create`.
+        vehicle: The simulated vehicle, as in `create`.
+        imu: Its IMU, as in `create`.
     """
     found: dict[str, list[str]] = {}
     if vehicle is not None and imu is not None:

@@ -54,7 +54,7 @@ def tuned_for(
         name: Estimator.
         source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU.
         vehicle: The airframe, if it is known.
-        imu: Its IMU, likewise.
+        imu: Its IMU.
 
     Raises:
         ValueError: A file was asked for and does not have the estimator, or cannot be read.
@@ -82,11 +82,11 @@ def shipped_for(name: str, vehicle: Vehicle | None, imu: ImuSpec | None) -> Tune
 
 
 def misfit(tuned: Tuned, vehicle: Vehicle, imu: ImuSpec) -> str:
-    """How a table's vehicle or IMU differs from those that are flown, in words; empty where neither does.
+    """How a table's vehicle or IMU differs from those simulated, in words; empty where neither does.
 
     Args:
         tuned: The table.
-        vehicle: What is flown.
+        vehicle: The simulated vehicle.
         imu: What it carries.
     """
     others = [f"the {tuned.vehicle}" * bool(tuned.vehicle and tuned.vehicle != vehicle.name)]

@@ -1,4 +1,4 @@
-"""Figures, drawn from the stages' numbers; told apart by line, marker and hatching, so that grey will do."""
+"""Figures, drawn from the stages' numbers; distinguished by line, marker and hatching, for grey too."""
 
 from __future__ import annotations
 

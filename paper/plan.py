@@ -26,7 +26,7 @@ NETWORKS = {"att-rnn": ["att-rnn", RNN], "att-snn": ["att-snn-loihi", SNN]}
 
 
 def shipped_networks() -> dict[str, list[str]]:
-    """Networks with the weights that ship; a digest of these, so that new ones are scored anew."""
+    """Networks with the weights that ship; a digest of these, so that new ones are scored again."""
     found = {}
     for label, model in SHIPPED.items():
         weights = files("assets") / "weights" / f"{model.removesuffix('-loihi')}.safetensors"

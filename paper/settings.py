@@ -20,7 +20,7 @@ class Budget(Strict):
     window_s: Seconds = 5.0
     """Length of a window [s]."""
     windows_per_stream: Number = 3
-    """Windows that follow one another with the state carried over."""
+    """Windows that follow one another with the state carried to the next."""
     batch_size: Number = 40
     """Windows in a batch."""
 

@@ -1,4 +1,4 @@
-"""Stages: parts of the work that are kept, each in a folder of its own, and redone only when they must be.
+"""Stages: parts of the work, each stored in a folder of its own, and redone only when they must be.
 
 A stage is a function with settings and inputs. Its fingerprint covers its settings, those of all stages that
 it takes from, and the version: while that stays the same, a finished stage is read back and a killed one goes
@@ -104,7 +104,7 @@ def run_stages(
         Names of the stages that were made; the others had been.
 
     Raises:
-        ChildProcessError: A worker process died; what is finished is kept.
+        ChildProcessError: A worker process died; finished stages stay.
     """
     prints = fingerprints(stages)
     missing = [stage for stage in stages if not is_finished(out / stage.name, prints[stage.name])]

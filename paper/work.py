@@ -62,7 +62,7 @@ def train(
     folder: Path, inputs: Inputs, *, data: Sequence[str], validation: Sequence[str], preset: str, seed: int,
     init: str = "", **choices: Any,
 ) -> None:  # fmt: skip
-    """Train a network on stages of flights; `init` is a stage whose weights it goes on from."""
+    """Train a network on stages of flights; `init` is a stage whose weights it continues from."""
     if init:
         choices["init"] = str(inputs[init] / WEIGHTS)
     config = make_config(

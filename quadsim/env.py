@@ -50,7 +50,7 @@ ACTION_SCALE: dict[Level, tuple[float, ...]] = {
     "rate": (6.0, 6.0, 2.0, GRAVITY),
     "rotor": (1.0,),
 }
-"""What an action of 1 stands for at each level; each rotor: from hover speed to the highest."""
+"""What an action of 1 means at each level; each rotor: from hover speed to the highest."""
 
 Made: TypeAlias = AttitudeEstimator | str | Path | Callable[[float], AttitudeEstimator] | None
 """An estimator, or what makes one: see `made_for`."""
@@ -123,7 +123,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
 
     | argument      | default    | meaning                                                                |
     |---------------|------------|------------------------------------------------------------------------|
-    | `estimator`   | None       | whose roll and pitch are flown on; None for the true ones              |
+    | `estimator`   | None       | source of roll and pitch; None for the true ones                       |
     | `scenario`    | "hover"    | a `Scenario`, the name of a shipped one or the path of a TOML file     |
     | `level`       | "attitude" | where the action enters the controller                                 |
     | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
@@ -236,7 +236,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Fly one sample with actions (n, numbers); episodes that ended in the last step begin anew."""
+        """Advance one sample with actions (n, numbers); episodes that ended in the last step restart."""
         flights, mission = self._flights, self._flights.mission
         again = np.flatnonzero(self._done)
         seeds = [flight_seed(self._random[i]) for i in again]
@@ -318,7 +318,7 @@ class Flights:
     def step(
         self, again: NDArray[np.int64] | None = None, seeds: list[np.random.SeedSequence] | None = None
     ) -> tuple[NDArray[np.float32], Array]:
-        """Fly one sample with the actions in `action`; flights `again` begin anew in place of it.
+        """Advance one sample with the actions in `action`; flights `again` restart in place of it.
 
         Returns:
             Observations (n, 17) and rewards (n,) at its end, as new arrays.
@@ -387,7 +387,7 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
         estimator: A name, weights or "module:Class", as `estimators.create` takes them, made for the
             scenario's vehicle and IMU; a function or class that makes one of `rate_hz`; an estimator, which
             is copied; None for the true attitude.
-        scenario: What is flown.
+        scenario: The scenario of the flight.
         rate_hz: Samples per second.
 
     Raises:
@@ -447,7 +447,7 @@ class OnePerVehicle:
         self.restart(np.arange(n), roll_pitch)
 
     def restart(self, ids: NDArray[np.int64], roll_pitch: ArrayLike | None = None) -> None:
-        """Start some vehicles anew, at attitudes (m, 2) [rad] where these are known."""
+        """Reset some vehicles, to attitudes (m, 2) [rad] where these are known."""
         known = None if roll_pitch is None else np.asarray(roll_pitch)
         for row, vehicle in enumerate(ids):
             self._each[vehicle].reset(1, roll_pitch=None if known is None else known[row : row + 1])

@@ -394,7 +394,7 @@ def _gl_context(width: int, height: int) -> _Context:
 
     MuJoCo chooses its backend from an environment variable when it is first imported; here the backends are
     tried in turn instead, so that nobody has to set anything. PyOpenGL serves only one of them at a time and
-    is loaded anew for the next.
+    is loaded again for the next.
     """
     reasons = []
     chosen = os.environ.get("PYOPENGL_PLATFORM")

@@ -145,7 +145,7 @@ def load_vehicle(source: str | Path) -> Vehicle:
 
 
 class Randomisation(Strict):
-    """Relative spread, per flight, of a vehicle's numbers: each is multiplied by 1 + U(−spread, spread)."""
+    """Relative half-width of each number's range, drawn per flight: a factor of 1 + U(−spread, spread)."""
 
     mass: float = Field(default=0.0, ge=0, lt=0.5, description="Spread of the mass (the inertia follows).")
     inertia: float = Field(

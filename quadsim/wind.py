@@ -74,7 +74,7 @@ class Recording(Strict):
 
 
 WindSpec: TypeAlias = Annotated[Constant | Gust | Dryden | Recording, Field(discriminator="kind")]
-"""Any wind of a TOML file, told apart by its `kind`: "constant", "gust", "dryden" or "file"."""
+"""Any wind of a TOML file, distinguished by its `kind`: "constant", "gust", "dryden" or "file"."""
 
 
 def gust_one_minus_cosine(

@@ -83,7 +83,7 @@ class Recipe(Strict):
     stop_early: bool = True
     """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
     augmentation: Augmentation = Augmentation()
-    """Sensor errors and symmetries, drawn anew for every window or stream."""
+    """Sensor errors and symmetries, drawn for every window or stream."""
     huber_threshold: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
     """Error above which the loss is linear, not quadratic, so that the unavoidable errors after an unknown
     initial attitude weigh less [rad]; 0: quadratic everywhere."""

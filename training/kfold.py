@@ -58,7 +58,7 @@ def kfold(
 ) -> list[Score]:
     """Train and score every fold of every domain and model; write `kfold.csv`, `table1.csv` and `kfold.png`.
 
-    A run that was stopped continues: each fold resumes from its checkpoint, and a finished one is kept.
+    A run that was stopped continues: each fold resumes from its checkpoint, and a finished one is read back.
 
     Args:
         domains: Datasets; with more than one, each fold is also tested on all the others.

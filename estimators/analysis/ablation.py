@@ -26,7 +26,7 @@ class Pruned:
     """A network on the way, errors on the validation flights from an unknown start."""
 
     removed: float
-    """Share of all encoding and hidden neurons that are gone."""
+    """Share of all encoding and hidden neurons that are removed."""
     encoding: int
     hidden: int
     parameters: int
@@ -69,7 +69,7 @@ def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> 
 def without(
     config: NetworkConfig, tensors: Tensors, keep: Sequence[NDArray[np.int64]]
 ) -> tuple[NetworkConfig, Tensors]:
-    """The network of the neurons that are kept, indices of the encoding and of the hidden layer."""
+    """The network of the connected neurons, indices of the encoding and of the hidden layer."""
     encoding, hidden = (np.sort(np.asarray(ids, dtype=np.int64)) for ids in keep)
     smaller = {
         "w_in": tensors["w_in"][encoding],

@@ -1,8 +1,8 @@
 """What an update costs: operations counted on flights, and a modelled energy with named coefficients.
 
 The chip's energies are those of Davies et al. 2018, simulated before there was a chip: a lower bound, dynamic
-only, without leakage. The host, which scales the readings and drives the encoding layer, is counted apart.
-Neither is a measurement.
+only, without leakage. The host, which scales the readings and drives the encoding layer, is counted
+separately. Neither is a measurement.
 """
 
 from __future__ import annotations

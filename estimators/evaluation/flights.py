@@ -56,7 +56,7 @@ class Flights:
         return self.map(lambda each: each[:count], None if self.start is None else self.start[:count])
 
     def pieces(self, count: int) -> "Flights":
-        """Every flight cut into `count` pieces of one length, started anew: all but the first in motion."""
+        """Every flight cut into `count` pieces of one length: all but the first in motion."""
         steps = self.gyro.shape[1] // count
         if steps < 1:
             raise ValueError(f"pieces: {count} of flights of {self.gyro.shape[1]} samples")

@@ -115,7 +115,7 @@ def _integrated(y, quantised):
 
 @njit(cache=True, inline="always")
 def _bias(current):
-    """The bias mantissa that stands for a current, toward zero, times its step."""
+    """The bias mantissa of a current, rounded toward zero, times its step."""
     return min(max(np.trunc(current / _BIAS_STEP), -_MANT_MAX), _MANT_MAX) * _BIAS_STEP
 
 

@@ -55,7 +55,7 @@ class Ties(NamedTuple):
 
 
 def ties(encoding: int, hidden: int) -> dict[str, Ties]:
-    """The ties of every weight and time constant of Att-SNN that D4 leaves free; the outputs' own have none.
+    """The sharing of each weight and time constant of Att-SNN that D4 leaves free; the outputs have none.
 
     Args:
         encoding: Neurons of the encoding layer.

@@ -33,7 +33,7 @@ def generate(
     """Generate labelled synthetic flights: IMU samples and everything that was true.
 
     The defaults are the paper's size, 35 flights of 100 s at 200 Hz, and take some ten seconds. A killed run
-    goes on where it stopped when the same command is given again; the number of workers changes nothing.
+    resumes when the same command is given again; the number of workers changes nothing.
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """

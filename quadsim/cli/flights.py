@@ -154,7 +154,7 @@ def bench(
 ) -> None:
     """Fly scenarios × estimators × seeds in closed loop, and report which estimator is best.
 
-    Finished cells are stored: the same command goes on where a killed run stopped. Breaking points are
+    Finished cells are stored: the same command resumes a killed run. Breaking points are
     searched by bisection, with the same estimators and seeds, and join the report.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony

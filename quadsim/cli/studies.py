@@ -98,11 +98,11 @@ def paper(
     """Make every table and figure of the paper from nothing, and judge which of its claims hold here.
 
     Stroobants, Dupeyroux and de Croon (2022), without a Loihi, a quadrotor or a motion-capture hall: flights
-    are generated, filters tuned, networks trained and flown. Writes paper.md with its figures, and a page
+    are generated, filters tuned, networks trained and simulated. Writes paper.md with its figures, and a page
     each on sample rates, network sizes and minutes of flight.
 
-    quick takes some minutes on two cores, full about an hour or two. Every part is kept in the folder: the
-    same command goes on where a killed one stopped, and makes nothing twice.
+    quick takes some minutes on two cores, full about an hour or two. Every part is stored in the folder: the
+    same command resumes a killed run, and makes nothing twice.
 
     Example: quadsim paper --out reports/paper --only table2,fig6
     """

@@ -85,7 +85,7 @@ def controller_dtype(rotors: int) -> np.dtype:
             ("rate_cmd", "f8", 3),  # body axes [rad/s]
             ("thrust_cmd", "f8"),  # per mass [m/s²]
             ("rotor_vel_cmd", "f8", rotors),  # the result [rad/s]
-            ("thrust_axis", "f8", 3),  # wanted by the levels above the rate, world axes
+            ("thrust_axis", "f8", 3),  # commanded by the levels above the rate, world axes
             ("wind_acc", "f8", 3),  # integral of the velocity error, world axes [m/s²]
             ("trim", "f8", 3),  # integral of the rate error, body axes [rad/s²]
             ("last_axis", "f8", 3),  # thrust axis of the last set-point, world axes
@@ -240,7 +240,7 @@ def control(level, set_points, measured, controllers):
                 zx, zy, zz, size = _thrust_direction(ax, ay, az)
                 axis = (zx, zy, zz)
                 bx, by, bz = rotate_core(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
-                # only the part of the wanted force along the estimated thrust axis can be made now
+                # only the part of the commanded force along the estimated thrust axis can be made now
                 thrust = size * max(zx * bx + zy * by + zz * bz, 0.2)
             c.thrust_axis[0], c.thrust_axis[1], c.thrust_axis[2] = axis
             p, r, s = _attitude_stage(g, q, axis, yaw - m.yaw)

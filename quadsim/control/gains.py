@@ -1,6 +1,6 @@
 """Loop design: controller gains from phase margins, with the `control` package.
 
-Every loop is closed around the one inside it, and its gain is the one that gives the wanted phase margin:
+Every loop is closed around the one inside it, and its gain is the one that gives the required phase margin:
 
     rate      L = (k_rate + k_rate_i / s) / s · M(s) · e^{−s T/2}
     attitude  L = k_att · T_rate(s) / s · e^{−s T_est}
@@ -133,7 +133,7 @@ def _delay(seconds: float) -> TransferFunction:
 
 
 def _gain_for(loop: Callable[[float], TransferFunction], phase_deg: float, name: str) -> float:
-    """The largest gain with the wanted phase margin: scan down from where the loop has none, then bisect."""
+    """The largest gain with the required phase margin: scan down to where the loop has it, then bisect."""
     grid = np.geomspace(200.0, 0.02, 80)
     excess = [_phase_margin(loop(k)) - phase_deg for k in grid]
     above = next((i for i, e in enumerate(excess) if e > 0), None)

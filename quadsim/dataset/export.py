@@ -1,7 +1,7 @@
 """Datasets in the formats of other tools: NetCDF, Parquet, EuRoC (ASL) folders of CSV, and ROS 2 bags.
 
-Only the samples flown are exported, except to NetCDF, which holds the whole dataset. Time counts from the
-start of each flight.
+Only the samples before a flight's end are exported, except to NetCDF, which holds the whole dataset. Time
+counts from the start of each flight.
 """
 
 import importlib
@@ -216,7 +216,7 @@ def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 
 def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.Dataset]]:
-    """Each flight with the samples flown, loaded; reports progress when the caller asks for the next."""
+    """Each flight's samples before its end, loaded; reports progress when the caller asks for the next."""
     total = dataset.sizes["flight"]
     for flight in range(total):
         one = dataset.isel(flight=flight)

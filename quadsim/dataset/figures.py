@@ -103,7 +103,7 @@ def _flown(dataset: xr.Dataset, flight: int) -> xr.Dataset:
 
 
 def _all_samples(dataset: xr.Dataset, every: int) -> list[Quantity]:
-    """The same of all flights, thinned evenly."""
+    """The same of all flights, decimated."""
     flights = [
         _quantities(_flown(dataset, flight).isel(time=slice(None, None, every)))
         for flight in range(dataset.sizes["flight"])

@@ -43,12 +43,12 @@ def generate(
     """Simulate flights and write them as a labelled Zarr store.
 
     The files depend on the configuration, the seed and the code alone, not on the number of workers. An
-    interrupted run goes on where it stopped when it is called again with the same arguments; a finished one
+    interrupted run resumes when it is called again with the same arguments; a finished one
     returns at once, unless the code has changed since. Worker processes import the caller's main module, so
     a script calls this under `if __name__ == "__main__":`.
 
     Args:
-        config: What is flown.
+        config: The recipe of the flights.
         flights: Number of flights; flight i has the i-th child of the seed.
         duration_s: Length of each flight [s].
         out: Path of the dataset; grows as `out.partial` until it is whole.
@@ -66,7 +66,7 @@ def generate(
 
     Raises:
         ValueError: A bad argument, another dataset in the way, or another process that writes it.
-        OSError: The dataset cannot be written, or workers keep dying; what is done is kept.
+        OSError: The dataset cannot be written, or workers keep dying; finished flights stay.
     """
     plan = _plan(config, flights, duration_s, seed, rate_hz)
     workers = process_count(None if workers is None else _at_least("workers", workers, 1), plan.flights)

@@ -65,10 +65,10 @@ def verify(path: str | Path, progress: Progress | None = None) -> int:
 
 
 def dataset_info(path: str | Path) -> dict[str, object]:
-    """Summary of a dataset, over the samples flown; keys end in their unit.
+    """Summary of a dataset, over the samples before each flight's end; keys end in their unit.
 
     Returns:
-        Size, rate, seed and configuration, and how widely it flew: standard deviation of roll and of pitch
+        Size, rate, seed and configuration, and standard deviation of roll and of pitch
         over all samples, largest tilt, body rate and speed.
 
     Raises:

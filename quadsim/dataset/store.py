@@ -135,13 +135,13 @@ class Attributes(BaseModel):
     rate_hz: SampleRate
     duration_s: Annotated[float, Between(0.0, 1e7, "s")]
     code: str = ""
-    """Digest of the code that simulated them; empty in datasets of versions that kept none."""
+    """Digest of the code that simulated them; empty in datasets of versions without it."""
     config: str
     """The configuration, as JSON."""
 
 
 class Record(NamedTuple):
-    """What is kept of a whole flight beside its chunks."""
+    """What is stored of a complete flight beside its chunks."""
 
     valid_steps: int
     end_reason: str
@@ -223,7 +223,7 @@ def whole_flights(folder: Path) -> dict[int, Record]:
             record = Record(**json.loads(file.read_text(encoding="utf-8")))
             whole = record.stored_bytes == stored_bytes(folder / "data", flight)
         except (ValueError, TypeError, FileNotFoundError):
-            continue  # cut short by a crash of the machine: the flight is flown again
+            continue  # cut short by a crash of the machine: the flight is simulated again
         if whole:
             records[flight] = record
     return records

@@ -146,7 +146,7 @@ def sensor_faults(
 ) -> Corrupt | None:
     """What the faults do to the IMU of n vehicles; None where they do nothing.
 
-    Every vehicle's samples must come in order; k = 0 starts a vehicle anew.
+    Every vehicle's samples must come in order; k = 0 resets a vehicle.
 
     Args:
         faults: All faults; those of the vehicle are passed over.

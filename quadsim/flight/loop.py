@@ -34,7 +34,7 @@ class FlightLoop:
         vehicle: One vehicle, or n of them. The controller is tuned for the first.
         n: Number of vehicles.
         rate_hz: Samples per second.
-        imu: IMU to fly on; None for a perfect one.
+        imu: The IMU; None for a perfect one.
         estimator: Source of roll and pitch; None for the truth.
         seed: Seed of the IMU, an integer or one SeedSequence per vehicle.
         contact: Whether the ground can be touched; the engine then makes 1 ms steps, implicitly.
@@ -90,7 +90,7 @@ class FlightLoop:
         ang_vel: ArrayLike | None = None,
         known_attitude: bool = False,
     ) -> None:
-        """Start all vehicles anew; arguments as for `Plant.reset`.
+        """Reset all vehicles; arguments as for `Plant.reset`.
 
         The estimator starts level, unless `known_attitude`: then it starts at the true roll and pitch.
         """
@@ -112,7 +112,7 @@ class FlightLoop:
         ang_vel: ArrayLike | None = None,
         known_attitude: bool = False,
     ) -> None:
-        """Start some vehicles anew while the others fly on; the next `sense` gives their first sample.
+        """Reset some vehicles while the others continue; the next `sense` gives their first sample.
 
         Raises:
             ValueError: If the estimator cannot restart single vehicles.
@@ -131,7 +131,7 @@ class FlightLoop:
             restart(ids, roll_pitch=self.true_attitude[ids] if known_attitude else None)
 
     def step(self, level: Level, command: Command, wind: Array | None = None) -> None:
-        """Fly on by one sample: control from the present estimate, move, sense.
+        """Advance by one sample: control from the present estimate, move, sense.
 
         Args:
             level: Where the command enters the cascade, see `quadsim.control.cascade`.
@@ -177,7 +177,7 @@ class FlightLoop:
 
 @njit(cache=True)
 def control_step(level, set_points, measured, controllers, vehicles, pose, twist, wrench):
-    """Everything before the engine's step: `control`, then `actuate`; the samples' count k goes on."""
+    """Everything before the engine's step: `control`, then `actuate`; the samples' count k increases."""
     for i in range(measured.shape[0]):
         measured[i].k += 1
     control(level, set_points, measured, controllers)

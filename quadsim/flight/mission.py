@@ -89,7 +89,7 @@ class Mission:
         self.air, self.cause = self._flights["wind"], self._flights["cause"]
 
     def begin(self, seeds: Seeds) -> None:
-        """Begin all flights anew, one seed each."""
+        """Begin all flights, one seed each."""
         if len(seeds) != self.n:
             raise ValueError(f"{len(seeds)} seeds for {self.n} flights; there must be one for each")
         self._plans = self._plan(seeds)
@@ -126,9 +126,9 @@ class Mission:
         look_up(*self.records[:4])
 
     def restart(self, ids: NDArray[np.int64], seeds: Seeds) -> None:
-        """Begin some flights anew, one seed each, while the others go on; call `sense` before they are read.
+        """Restart some flights, one seed each, while the others continue; call `sense` before they are read.
 
-        Sensor noise and faults go on with what the seed of the vehicle's first flight holds for its next.
+        Sensor noise and faults continue with what the seed of the vehicle's first flight holds for its next.
         """
         self._plans[ids] = plans = self._plan(seeds)
         self._flights["cause"][ids] = self._flights["crashed"][ids] = FLYING
@@ -136,7 +136,7 @@ class Mission:
         self.loop.restart(ids, *start, known_attitude=self.scenario.start.known_attitude)
 
     def step(self, level: Level = "position", command: Command | None = None) -> None:
-        """Fly on by one sample, to the scenario's set-point or on a command at a level of the controller."""
+        """Advance by one sample, to the scenario's set-point or on a command at a level of the controller."""
         self.move(level, command)
         self.sense()
 

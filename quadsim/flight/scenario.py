@@ -28,7 +28,7 @@ class Start(Strict):
     rate_deg: RateDeg = 0.0
     """Size of the body rate, about a horizontal axis drawn for each seed [deg/s]."""
     known_attitude: bool = False
-    """Whether the estimator is told its attitude; otherwise it starts level."""
+    """Whether the initial attitude is given to the estimator; otherwise it starts level."""
 
 
 class Crash(Strict):
@@ -39,11 +39,11 @@ class Crash(Strict):
     altitude: Coordinate = 0.0
     """Height of the centre of mass below which the ground is hit, world z [m]."""
     distance: Distance = 10.0
-    """Distance from the set-point beyond which the vehicle has flown away [m]."""
+    """Distance from the set-point beyond which the vehicle is out of bounds [m]."""
 
 
 class Scenario(Strict):
-    """One flight situation, to be flown on any estimator and any number of seeds."""
+    """One flight situation, to be simulated with any estimator and any number of seeds."""
 
     description: str
     """What it asks of an estimator, in a sentence; shown in reports."""

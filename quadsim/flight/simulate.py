@@ -1,4 +1,4 @@
-"""Flights for a dataset: many at once, flown with the true attitude plus a configured error, and recorded."""
+"""Flights for a dataset: many at once, with the true attitude plus a configured error, recorded."""
 
 import math
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ MAX_BODY_RATE = 150.0  # rad/s: a vehicle beyond either has diverged
 
 
 class AttitudeError(Strict):
-    """Errors in the roll and pitch that a flight is flown on, as an estimator in the loop would make them.
+    """Errors in the roll and pitch that the controller gets, as an estimator in the loop would make them.
 
     First-order Gauss-Markov on each angle. The vehicle then swings as it does on a real estimator.
     """

@@ -99,7 +99,7 @@ class LogReport:
     gravity: tuple[float, float, float] | None
     """Mean specific force, turned to the world by the truth [m/s²]: (0, 0, 9.81) where frames agree."""
     truth_delay_s: float | None
-    """How late the truth is, by its body rates [s]; None where there is too little motion to tell."""
+    """How late the truth is, by its body rates [s]; None where there is too little motion."""
     agreement: float | None
     """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
     slope: float | None

@@ -40,7 +40,7 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
         rate_hz: Samples per second.
 
     Returns:
-        What was found; None where there is too little motion to tell.
+        The result; None where there is too little motion.
     """
     known = np.asarray(np.isfinite(quat).all(axis=1))
     span = max(round(SPAN_S * rate_hz), 1)

@@ -40,7 +40,7 @@ class Bounded(io.BufferedReader):
         """Bytes, as long as there are any to spend."""
         found = super().read(size)
         self.left -= len(found) + 1
-        if self.left < 0:  # pyulog takes a ValueError for a damaged message, and goes on
+        if self.left < 0:  # pyulog takes a ValueError for a damaged message, and continues
             raise OSError(errno.EIO, "damaged: no end of the log is found", str(self.path))
         return found
 

@@ -73,7 +73,7 @@ def executor_of(cluster: str | None) -> Iterator[Executor | None]:
     except ImportError:
         raise ValueError("--cluster needs Dask: pip install 'quadsim[cluster]'") from None
     for name in ("distributed", *logging.root.manager.loggerDict):
-        if name.startswith("distributed"):  # a lost cluster is said in one line, by us
+        if name.startswith("distributed"):  # a lost cluster is one line, ours
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(cluster, timeout="10s")

@@ -81,7 +81,7 @@ def submit_jobs(
     except CancelledError as error:
         raise ChildProcessError(CLUSTER_LOST) from error
     finally:
-        if not isinstance(executor, ProcessPoolExecutor):  # which goes on without us
+        if not isinstance(executor, ProcessPoolExecutor):  # which continues without us
             for future in running:
                 future.cancel()
 

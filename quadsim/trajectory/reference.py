@@ -159,7 +159,7 @@ def _from_file(path: Path, time: Array) -> SetPoints:
     return out
 
 
-# --- random manoeuvres: records of segments, flown by one compiled function ---
+# --- random manoeuvres: records of segments, evaluated by one compiled function ---
 
 SEGMENT = np.dtype(
     [

@@ -57,7 +57,7 @@ class Lissajous(Strict):
 
 
 class Waypoints(Strict):
-    """Minimum snap through waypoints, at rest at both ends; flown again and again until time is up.
+    """Minimum snap through waypoints, at rest at both ends; repeated until time is up.
 
     For given times the curve that minimises ∫ ‖d⁴x/dt⁴‖² is the interpolating spline of degree 7
     (Mellinger & Kumar 2011); times follow from distance over speed.
@@ -87,7 +87,7 @@ class Mix(Strict):
     """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, stops and turns.
 
     A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
-    up to `max_tilt_deg`, so roll and pitch spread over about 0.25 rad.
+    up to `max_tilt_deg`, so the standard deviation of roll and pitch is about 0.25 rad.
     """
 
     kind: Literal["mix"] = "mix"
@@ -144,7 +144,7 @@ class Doublets(Strict):
 
 
 class SetPointFile(Strict):
-    """A user's set-points: CSV with columns t, x, y, z and, if wanted, yaw [s, m, rad]; splined between."""
+    """A user's set-points: CSV with columns t, x, y, z and optionally yaw [s, m, rad]; splined between."""
 
     kind: Literal["file"] = "file"
     path: str = Field(description="The CSV file.")

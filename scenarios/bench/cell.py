@@ -75,7 +75,7 @@ def file_name(name: str) -> str:
 
 
 def weights_digest(estimator: str) -> str:
-    """Digest of the weights, or of the user's module, that an estimator's name stands for; none of others."""
+    """Digest of the weights, or of the user's module, that an estimator's name means; none of others."""
     source = estimator if is_weights(estimator) else own_source(estimator)
     return digest_if_there(source) if source else ""
 
@@ -116,7 +116,7 @@ def fly_cell(
         mission = Mission(scenario, made, settings.seeds, settings.rate_hz)
         log, end = fly(mission, settings.seed)
         return make_cell(name, estimator, fingerprint, mission, log, end)
-    except Exception as error:  # whatever an estimator does, the other cells go on
+    except Exception as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
         return failed_cell(name, estimator, fingerprint, f"{kind}{error}")
 

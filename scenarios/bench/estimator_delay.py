@@ -4,7 +4,7 @@ The linear loop is that of `quadsim.control.gains`, an angular acceleration d ad
 
     θ / d = S_rate / s² / (1 + L_att),   S_rate = 1 / (1 + L_rate)
 
-The steps are flown by the whole simulator, rotor limits and sampling included, on the true attitude of so
+The steps are simulated, rotor limits and sampling included, with the true attitude of so
 long ago.
 """
 
@@ -48,9 +48,9 @@ class Response(NamedTuple):
     margins: Margins  #: with the given gains
     sensitivity_db: float  #: largest |1 / (1 + L)|: by how much some disturbances are made worse
     rejection: Array  #: |θ / d| at `FREQUENCIES` [s²]
-    step: Array  #: roll in the flown step, (T,) [deg]
+    step: Array  #: roll in the simulated step, (T,) [deg]
     linear: Array  #: the same of the linear loop, (T,) [deg]
-    overshoot: float  #: of the flown step, as a share of it; infinite if it grows
+    overshoot: float  #: of the simulated step, as a share of it; infinite if it grows
     settling_s: float  #: when it stays within `SETTLED`; infinite if it does not
     redesigned: float  #: crossover if the gain were chosen for this delay [rad/s]
 
@@ -99,7 +99,7 @@ def responses(
 
 
 def fly_step(vehicle: Vehicle, gains: Gains, rate_hz: float, samples: int) -> Array:
-    """Roll (T,) [deg] after the command steps from 0 to `STEP_DEG`, flown on the truth of `samples` ago."""
+    """Roll (T,) [deg] after the command steps from 0 to `STEP_DEG`, with the truth of `samples` ago."""
     loop = FlightLoop(vehicle, rate_hz=rate_hz, estimator=DelayedTruth(samples, rate_hz))
     loop.controller = Controller(vehicle, rate_hz=rate_hz, gains=gains)
     loop.reset(position=[[0.0, 0.0, 20.0]])

@@ -51,7 +51,7 @@ def least_error(
     if turbulence is not None:
         length, _, along, _ = dryden_scales(turbulence.altitude, turbulence.wind_20ft)
         sigma, lasts = float(along), float(length) / turbulence.airspeed
-    # One axis: speed, lean, biases of gyroscope and accelerometer, steady wind, turbulence.
+    # One axis: speed, tilt, biases of gyroscope and accelerometer, steady wind, turbulence.
     rates = np.zeros((6, 6))
     rates[0, [0, 1, 4, 5]] = -drag, GRAVITY, drag, drag
     rates[1, 2], rates[5, 5] = -1.0, -1 / lasts

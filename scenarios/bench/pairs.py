@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 PAIRED = ("error_deg", "attitude_deg", "position_m")
 """Metrics that are compared."""
 ALL = "all"
-"""Stands for all scenarios together."""
+"""Means all scenarios together."""
 
 
 @dataclass(frozen=True)

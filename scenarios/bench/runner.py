@@ -172,7 +172,7 @@ def cell_path(out: Path, scenario: str, estimator: str) -> Path:
 
 
 def suite_digest() -> str:
-    """Digest of the code and data that a cell's numbers come from: change these, and cells are flown anew."""
+    """Digest of the code and data that a cell's numbers come from: change these, and cells run again."""
     files = [path for path in (ROOT / "assets").rglob("*.*") if "__pycache__" not in path.parts]
     assets = {path.relative_to(ROOT).as_posix(): file_digest(path) for path in files}
     return fingerprint(code_digest("scenarios.bench.cell", "estimators"), assets)

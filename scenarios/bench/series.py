@@ -1,4 +1,4 @@
-"""One flight in time, small enough for a page: thinned, and packed into 16-bit integers."""
+"""One flight in time, small enough for a page: decimated, and packed into 16-bit integers."""
 
 import base64
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class FlightSeries:
 
 
 def pack_series(log: NDArray[np.void], rate_hz: float) -> FlightSeries:
-    """One flight's log (T,) of `flight_metrics.log_dtype`, thinned to `SERIES_HZ`."""
+    """One flight's log (T,) of `flight_metrics.log_dtype`, decimated to `SERIES_HZ`."""
     every = max(round(rate_hz / SERIES_HZ), 1)
     thin = log[::every]
     angles = np.degrees(np.hstack([thin["euler"], thin["estimate"]]))

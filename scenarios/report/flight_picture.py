@@ -15,7 +15,7 @@ from ..bench.series import unpack_series
 SHOWN = {"step": (1.9, 4.2), "figure-8": (5.5, 10.0), "racing": (0.5, 5.0)}
 """Scenarios that make a good picture, best first, and the part to show [s]."""
 PREFERRED = ("att-snn-loihi", "ekf")
-"""Whose flight to show, if it was flown."""
+"""Whose flight to show, if it was simulated."""
 
 
 class Picture(NamedTuple):

@@ -271,7 +271,7 @@ def test_a_long_gap_holds_the_attitude(flights, name):
     gyro[:, 200:] = np.nan
     accel[:, 200:] = np.nan
     out = run(make(name), gyro, accel)
-    if name != "vqf":  # whose bias estimate goes on turning it, slowly
+    if name != "vqf":  # whose bias estimate turns it on, slowly
         assert np.degrees(np.abs(out[:, 230:] - out[:, 230:231])).max() < 2.0
     assert np.isfinite(out).all()
 

@@ -1,4 +1,4 @@
-"""`quadsim paper` at a tiny size: its stages are kept, its claims judged from numbers, its pages whole."""
+"""`quadsim paper` at a tiny size: its stages are stored, its claims judged from numbers, its pages whole."""
 
 import json
 import re

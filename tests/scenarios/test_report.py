@@ -48,7 +48,7 @@ def flight(seed, scenario, estimator, cause="", error=1.0):
 
 @pytest.fixture(scope="module")
 def results():
-    """Two scenarios on three estimators: one flown, one that crashes half the time, one that did not run."""
+    """Two scenarios, three estimators: one flies, one crashes half the time, one did not run."""
     scenario = Scenario(description="Hold a place & <stay> there.", duration_s=2.0)
     mission = Mission(scenario, estimators.create("mahony"), 2)
     log, end = fly(mission, 0)

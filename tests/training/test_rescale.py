@@ -1,4 +1,4 @@
-"""A network carried to another sample rate."""
+"""A network for another sample rate."""
 
 import numpy as np
 import pytest

@@ -50,7 +50,7 @@ def same(a, b):
 
 
 def killed_and_resumed(dataset, out, **choices):
-    """A run that is killed in its second epoch and goes on."""
+    """A run that is killed in its second epoch and resumes."""
 
     def die(epoch, config):
         if epoch.epoch == 1:

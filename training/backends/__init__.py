@@ -18,7 +18,7 @@ from .plain import Plain
 
 
 class Backend(Protocol):
-    """Runs windows of Att-SNN; windows of one shape go on from each other."""
+    """Runs windows of Att-SNN; windows of one shape continue from each other."""
 
     def forward(
         self, x: Tensor, weights: Weights[Tensor], reset: NDArray[np.bool_] | None = None
@@ -46,7 +46,7 @@ class Backend(Protocol):
         ...
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Backend:
-        """The backend of these neurons alone; its windows go on from the last ones here."""
+        """The backend of these neurons alone; its windows continue from the last ones here."""
         ...
 
 

@@ -308,7 +308,7 @@ class Workspace:
         ]
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Workspace:
-        """A workspace of these neurons alone, where the next window goes on from the last one here."""
+        """A workspace of these neurons alone, where the next window continues from the last one here."""
         smaller = copy(self)
         smaller._allocate((encoding.size, hidden.size, self.sizes[2]))
         for old, new in zip(self.traces, smaller.traces, strict=True):
