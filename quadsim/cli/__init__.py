@@ -65,6 +65,6 @@ def main() -> None:
     except SystemExit as end:
         if end.code == 130:  # typer's for Ctrl-C, and it says nothing
             Console(stderr=True).print(
-                "quadsim: interrupted; what was finished is kept: give the same command again"
+                "quadsim: interrupted; finished work stays: give the same command again"
             )
         raise

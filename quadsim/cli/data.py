@@ -18,7 +18,7 @@ def generate(
     flights: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 35,
     duration: Annotated[float, typer.Option(min=0.1, help="Length of each flight in seconds.")] = 100.0,
     recipe: Annotated[
-        str, typer.Option(help="What is flown: a shipped recipe or a TOML file.")
+        str, typer.Option(help="What to simulate: a shipped recipe or a TOML file.")
     ] = "hummingbird",
     vehicle: Annotated[
         str | None, typer.Option(help="Another vehicle: a shipped name or a TOML file.")
