@@ -248,7 +248,7 @@ def test_ctrl_c_in_a_training_keeps_its_weights_and_exits_as_interrupted(quadsim
     settings = [f"--set={pair}" for pair in ("batches=1", "batch_size=2", "window_s=0.5")]
     code, out, err = quadsim("train", "--data", "data.zarr", "--out", "run", *settings)
     assert code == 130
-    assert "interrupted; what was finished is kept" in err
+    assert "interrupted; finished work stays" in err
     assert "best.safetensors" in out
     assert (tmp_path / "run" / "best.safetensors").is_file()
 
