@@ -3,7 +3,10 @@ import { ticks } from "./canvas.js";
 import { cell, colour, data } from "./data.js";
 import { $, all, css, node } from "./dom.js";
 
-export function drawMap() {
+/** Every chart: drawn at first, and again when a choice, the size or the theme changes. */
+export const CHARTS = [drawMap, drawViolins, drawForest];
+
+function drawMap() {
   const metric = data.metrics.find((m) => m.key === $("map-metric").value);
   const cells = all(".heat td").map((td) => [td, cell(td.dataset.scenario, td.dataset.estimator)]);
   const positive = cells.map(([, c]) => c?.values[metric.key]).filter((v) => v > 0);
@@ -19,7 +22,7 @@ export function drawMap() {
   }
 }
 
-export function drawViolins() {
+function drawViolins() {
   const scenario = $("spread-scenario").value, { low, high, bins } = data.edges;
   const rows = data.estimators.filter((e) => e !== "truth").map((e) => {
     const total = new Float64Array(bins);
@@ -50,7 +53,8 @@ function label(name, x, y) {
   return [node("title", {}, name), node("text", { x, y, "text-anchor": "end" }, name)];
 }
 
-export function drawForest() {
+function drawForest() {
+  if (!$("pairs")) return;
   const base = $("pairs-base").value, unit = $("pairs-metric").selectedOptions[0].dataset.unit;
   const rows = (data.pairs[$("pairs-metric").value + "|" + $("pairs-scenario").value] ?? []).flatMap(([a, b, mean, low, high, n, only, other]) =>
     a === base ? [[b, mean === null ? null : -mean, high === null ? null : -high, low === null ? null : -low, n, other, only]]

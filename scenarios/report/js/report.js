@@ -1,5 +1,5 @@
 /* The entry: what the controls do. */
-import { drawForest, drawMap, drawViolins } from "./charts.js";
+import { CHARTS } from "./charts.js";
 import { colour, data, dotOf, state } from "./data.js";
 import { $, all } from "./dom.js";
 import { QUANTITIES } from "./quantities.js";
@@ -29,16 +29,13 @@ function closedLoop() {
     chip.dataset.estimator = name;
     $("chips").append(chip);
   }
-  $("map-metric").onchange = drawMap;
-  $("quantity").onchange = redraw;
-  $("spread-scenario").onchange = drawViolins;
+  for (const id of ["map-metric", "quantity", "spread-scenario"]) $(id).onchange = redraw;
   $("table-scenario").onchange = (event) => {
     for (const row of $("results").tBodies[0].rows) row.hidden = event.target.value && row.dataset.scenario !== event.target.value;
   };
   if ($("pairs")) {
     for (const name of data.estimators) $("pairs-base").add(new Option(name, name, false, name === data.best));
-    for (const id of ["pairs-base", "pairs-scenario", "pairs-metric"]) $(id).onchange = drawForest;
-    drawForest();
+    for (const id of ["pairs-base", "pairs-scenario", "pairs-metric"]) $(id).onchange = redraw;
   }
   for (const select of all("select.scenario")) select.onchange = () => choose(select.value);
   for (const td of all(".heat td")) {
@@ -51,8 +48,6 @@ function closedLoop() {
   for (const change of ["resize", "beforeprint", "afterprint"]) addEventListener(change, redraw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(state.scenario);
-  drawMap();
-  drawViolins();
 }
 function choose(scenario) {
   state.scenario = scenario;
@@ -66,8 +61,7 @@ function redraw() {
   for (const td of all(".heat td")) td.classList.toggle("chosen", td.dataset.scenario === state.scenario && state.shown.has(td.dataset.estimator));
   drawPlot();
   drawStage();
-  drawViolins();
-  if ($("pairs")) drawForest();
+  for (const draw of CHARTS) draw();
 }
 
 makeSortable();
