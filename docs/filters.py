@@ -122,12 +122,17 @@ def without(flights: Flights, gyro_bias: Array, accel_bias: Array) -> dict[str, 
         ],
         axis=-1,
     )
+    gyro, accel = flights.gyro - gyro_bias, flights.accel - accel_bias
+    changes = {
+        "as recorded": {},
+        "gyroscope bias removed": {"gyro": gyro},
+        "accelerometer bias removed": {"accel": accel},
+        "both removed": {"gyro": gyro, "accel": accel},
+        "accelerometer reads gravity and its bias": {"accel": 9.81 * up + accel_bias},
+    }
     return {
-        "as recorded": flights,
-        "gyroscope bias removed": replace(flights, gyro=flights.gyro - gyro_bias),
-        "accelerometer bias removed": replace(flights, accel=flights.accel - accel_bias),
-        "both removed": replace(flights, gyro=flights.gyro - gyro_bias, accel=flights.accel - accel_bias),
-        "accelerometer reads gravity and its bias": replace(flights, accel=9.81 * up + accel_bias),
+        what: replace(flights, readings=flights.readings._replace(**change))
+        for what, change in changes.items()
     }
 
 
