@@ -50,7 +50,7 @@ def compiled(tmp_path, request):
 
     def build(weights, h0, h1):
         export_weights(weights, tmp_path / "c", "c99")
-        driver = request.path.parent / "data" / "loihi" / "driver.c"
+        driver = request.path.parents[1] / "data" / "loihi" / "driver.c"
         flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
         sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
         subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
