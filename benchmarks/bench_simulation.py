@@ -26,7 +26,7 @@ import quadsim  # noqa: F401  registers the environment
 from quadsim.dataset.generation import generate
 from quadsim.flight.simulate import FlightConfig, simulate_flights
 from quadsim.imu.spec import load_imu
-from quadsim.plant import Plant
+from quadsim.engine import vehicle_model
 from quadsim.vehicle import load_vehicle
 
 RATE = 200.0
@@ -74,8 +74,8 @@ def rotorpy_flight(duration: float) -> Callable[[], object] | None:
 def main() -> None:
     config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.0)
     seeds = np.random.SeedSequence(0).spawn(64)
-    plant = Plant(config.vehicle)
-    data = mujoco.MjData(plant.model)
+    model = vehicle_model(config.vehicle, 1 / RATE, "RK4", contact=False)
+    data = mujoco.MjData(model)
     steps, flights, flight_steps, env_steps, rotor_s = 20000, 64, 2000, 4000, 0.5
     env = gymnasium.make("quadsim/Quadrotor-v0", disable_env_checker=True).unwrapped
     env.reset(seed=0)
@@ -87,7 +87,7 @@ def main() -> None:
             env.step(action)
 
     jobs: dict[str, tuple[Callable[[], object], float]] = {
-        "raw mj_step, RK4, in C": (raw_steps(plant.model, data, steps), steps),
+        "raw mj_step, RK4, in C": (raw_steps(model, data, steps), steps),
         "bulk: controller, noise, recording": (
             lambda: simulate_flights(config, seeds, flight_steps, RATE),
             flights * flight_steps,

@@ -16,9 +16,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import SAMPLE_RATE
-from .control.cascade import ATTITUDE, LEVELS, POSITION, RATE, ROTOR, SET_POINT, VELOCITY, Level
+from .control.cascade import ATTITUDE, LEVELS, POSITION, RATE, ROTOR, VELOCITY, Level
 from .estimator import AttitudeEstimator, OtherSensors, Readings, accepted_sensors
-from .flight.mission import CAUSES, FLYING, Mission, follow
+from .flight.mission import CAUSES, FLYING, Mission
 from .flight.scenario import Scenario, load_scenario
 from .render import Image, Scene, View, Window
 from .runs.compiled import njit
@@ -177,7 +177,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         flights = self._flights
         if self._over:
             raise ValueError("the episode is over; call reset to begin another")
-        flights.action[0] = _finite(action, flights.action.shape[1:])
+        flights.action[0] = _shaped(action, flights.action.shape[1:])
         observation, reward = flights.step()
         mission = flights.mission
         cause, over = mission.cause.item(), mission.k.item() >= mission.steps
@@ -240,7 +240,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         flights, mission = self._flights, self._flights.mission
         again = np.flatnonzero(self._done)
         seeds = [flight_seed(self._random[i]) for i in again]
-        flights.action[:] = _finite(actions, flights.action.shape)
+        flights.action[:] = _shaped(actions, flights.action.shape)
         observation, reward = flights.step(again, seeds)
         terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
         reward[again] = 0.0
@@ -286,7 +286,7 @@ class Flights:
             made = OnePerVehicle(made)
         self.mission = Mission(scenario, made, n, rate_hz, duration_s)
         self._level: Level = level
-        self._index, self._set_points = LEVELS.index(level), np.zeros(n, SET_POINT)
+        self._index = LEVELS.index(level)
         vehicle, self._scale = self.mission.vehicle, np.array(ACTION_SCALE[level])
         if level == "rotor":
             span = vehicle.motor.omega_max - vehicle.hover_rotor_vel
@@ -325,26 +325,24 @@ class Flights:
         """
         if not self._begun:
             raise ValueError("step was called before reset")
-        mission, loop = self.mission, self.mission.loop
-        to_command(
-            self._index, self.action, self._scale, self._hover_rotor_vel, mission.target, self._set_points,
-            loop.controller.records,
-        )  # fmt: skip
-        mission.move(self._level, self._set_points)
+        mission = self.mission
+        finite = to_command(self._index, self.action, self._scale, self._hover_rotor_vel, *mission.records)
+        if not finite:
+            raise ValueError("an action is not a finite number; has the policy diverged?")
         if again is not None and len(again):
+            mission.move(self._level)
             mission.restart(again, seeds or [])
-        loop.sense()
-        reward = np.empty(mission.n)
-        mission.crashed = follow_and_observe(*mission.records, self._records, reward)
+            mission.sense()
+        else:
+            mission.step(self._level)
         if self._live:
             self._show()
-        return self._observation.copy(), reward
+        return self.observe()
 
     def observe(self) -> tuple[NDArray[np.float32], Array]:
         """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
-        flights, _, target, measured, pose, twist = self.mission.records
         reward = np.empty(self.mission.n)
-        observe(flights, target, measured, pose, twist, self._records, reward)
+        observe(*self.mission.records, self._records, reward)
         return self._observation.copy(), reward
 
     def picture(self, index: int) -> Image:
@@ -466,12 +464,10 @@ class OnePerVehicle:
                 observe(quat[i : i + 1])
 
 
-def _finite(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _shaped(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     action = np.asarray(action, dtype=np.float64)
     if action.shape != shape:
         raise ValueError(f"an action has shape {action.shape}; it must be {shape}")
-    if not np.isfinite(action).all():
-        raise ValueError("an action is not a finite number; has the policy diverged?")
     return action
 
 
@@ -487,18 +483,19 @@ def flight_seed(random: np.random.Generator) -> np.random.SeedSequence:
 
 
 @njit(cache=True)
-def to_command(level, action, scale, hover_rotor_vel, target, set_points, controllers):
-    """Write the commands of actions (n, numbers) to set-points and controllers; see `QuadrotorEnv`."""
+def to_command(level, action, scale, hover_rotor_vel, flights, loops):
+    """Write the commands of actions (n, numbers) to the loops; see `QuadrotorEnv`. False if one is not finite."""
     u = np.empty(scale.size)
     for i in range(action.shape[0]):
-        wanted, out, c = target[i], set_points[i], controllers[i]
+        wanted, out, c = flights[i].target, loops[i].set_point, loops[i].controller
         for j in range(scale.size):
+            if not np.isfinite(action[i, j]):
+                return False
             u[j] = min(max(action[i, j], -1.0), 1.0) * scale[j]
         if level == POSITION:
-            set_points[i] = wanted
             for j in range(3):
-                out.position[j] += u[j]
-            out.yaw += u[3]
+                out.position[j] = wanted.position[j] + u[j]
+            out.yaw = wanted.yaw + u[3]
         elif level == VELOCITY:
             for j in range(3):
                 out.velocity[j] = wanted.velocity[j] + u[j]
@@ -512,14 +509,7 @@ def to_command(level, action, scale, hover_rotor_vel, target, set_points, contro
         elif level == ROTOR:
             for j in range(scale.size):
                 c.rotor_vel_cmd[j] = hover_rotor_vel + u[j]
-
-
-@njit(cache=True)
-def follow_and_observe(flights, plans, target, measured, pose, twist, observation, reward):
-    """`follow` of the mission, then `observe`."""
-    crashed = follow(flights, plans, target, measured, pose, twist)
-    observe(flights, target, measured, pose, twist, observation, reward)
-    return crashed
+    return True
 
 
 @njit(cache=True, inline="always")
@@ -527,19 +517,19 @@ def _clip(value, limit):
     return min(max(value, -limit), limit)
 
 
-@njit(cache=True, inline="always")
-def observe(flights, target, measured, pose, twist, observation, reward):
-    """Write observations (n,) and rewards (n,); see the tables of `QuadrotorEnv` and `follow`."""
+@njit(cache=True)
+def observe(flights, loops, observation, reward):
+    """Write observations (n,) and rewards (n,); see the tables of `QuadrotorEnv`."""
     for i in range(observation.shape[0]):
-        out, wanted, m = observation[i], target[i], measured[i]
+        out, wanted, m, p = observation[i], flights[i].target, loops[i].measured, loops[i].vehicle
         distance = speed = 0.0  # squared errors
         for j in range(3):
             out.position_error[j] = _clip(wanted.position[j] - m.position[j], POSITION_LIMIT)
             out.velocity_error[j] = _clip(wanted.velocity[j] - m.velocity[j], VELOCITY_LIMIT)
             out.acceleration[j] = _clip(wanted.acceleration[j], ACCELERATION_LIMIT)
             out.gyro[j] = _clip(m.gyro[j], RATE_LIMIT)
-            distance += (wanted.position[j] - pose[i].position[j]) ** 2
-            speed += (wanted.velocity[j] - twist[i].velocity[j]) ** 2
+            distance += (wanted.position[j] - p.position[j]) ** 2
+            speed += (wanted.velocity[j] - p.velocity[j]) ** 2
         out.roll_pitch[0] = _clip(m.roll_pitch[0], np.pi)
         out.roll_pitch[1] = _clip(m.roll_pitch[1], np.pi)
         error = wanted.yaw - m.yaw

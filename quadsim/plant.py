@@ -1,17 +1,15 @@
 """The plant: n multirotors in MuJoCo, driven by rotor-speed commands and wind, one sample at a time."""
 
-import logging
 import math
 from collections.abc import Sequence
-from importlib import resources
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import SAMPLE_RATE
+from .engine import ENGINES, Engine, MujocoEngine, is_free_body, vehicle_model
+from .free_body import advance
 from .rotation import euler_core, rotate_inverse_core
 from .rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
 from .runs.compiled import njit
@@ -19,20 +17,10 @@ from .vehicle import GRAVITY, Vehicle
 
 Array = NDArray[np.float64]
 
-# the engine would otherwise write a file into the working directory for every vehicle that diverges
-mujoco.set_mju_user_warning(logging.getLogger(__name__).info)
-
 FLIGHT_STEP = 0.005
 """Longest RK4 step [s]: within 1e-5° of a converged solution over an aggressive manoeuvre."""
 CONTACT_STEP = 0.001
 """Longest step where the ground can be touched [s]."""
-
-POSE = np.dtype([("position", "f8", 3), ("quat", "f8", 4)])
-"""A row of MuJoCo's qpos: centre of mass, world [m], and quat_WB."""
-TWIST = np.dtype([("velocity", "f8", 3), ("ang_vel", "f8", 3)])
-"""A row of its qvel: of the centre of mass, world [m/s], and body rate, body axes [rad/s]."""
-WRENCH = np.dtype([("force", "f8", 3), ("moment", "f8", 3)])
-"""A row of its ctrl, in body axes, or of its qfrc_constraint, force in world axes [N, N m]."""
 
 
 class State(NamedTuple):
@@ -47,88 +35,91 @@ class State(NamedTuple):
     ang_acc: Array  #: (n, 3) angular acceleration, body axes [rad/s²]
 
 
-def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bool = False) -> str:
-    """The MuJoCo model of one vehicle as XML."""
-    return (
-        (resources.files("assets") / "quadrotor.xml")
-        .read_text(encoding="utf-8")
-        .format(
-            name=vehicle.name,
-            timestep=repr(timestep),
-            integrator=integrator,
-            gravity=GRAVITY,
-            contact="enable" if contact else "disable",
-            mass=repr(vehicle.mass),
-            inertia=" ".join(map(repr, vehicle.inertia)),
-            size=" ".join(map(repr, vehicle.frame.size)),
-        )
-    )
-
-
 @njit(cache=True, inline="always")
-def air_velocity(p, q, velocity):
+def air_velocity(p):
     """Velocity relative to the air, body axes, a tuple [m/s]."""
-    vx, vy, vz = velocity[0] - p.wind[0], velocity[1] - p.wind[1], velocity[2] - p.wind[2]
-    return rotate_inverse_core(q[0], q[1], q[2], q[3], vx, vy, vz)
+    q, v, wind = p.quat, p.velocity, p.wind
+    return rotate_inverse_core(q[0], q[1], q[2], q[3], v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
 
 
 @njit(cache=True, inline="always")
-def actuate(rotor_vel_cmd, vehicles, pose, twist, wrench):
-    """Advance the rotors by one step of the engine and write the wrench, averaged over it.
+def actuate(p, rotor_vel_cmd):
+    """Advance the rotors of one vehicle by a step and write force and moment, averaged over it.
 
     Rotor lag is exact. Drag is taken at mid-step from the current acceleration: second order in dt.
 
     Args:
-        rotor_vel_cmd: (n, rotors) commanded rotor speeds [rad/s].
-        vehicles: (n,) records of `vehicle_dtype`.
-        pose: (n,) records of `POSE`.
-        twist: (n,) records of `TWIST`.
-        wrench: (n,) records of `WRENCH`, written.
+        p: Record of `vehicle_dtype`.
+        rotor_vel_cmd: (rotors,) commanded rotor speeds [rad/s].
     """
-    speed = np.empty(rotor_vel_cmd.shape[1])
-    square = np.empty(rotor_vel_cmd.shape[1])
-    for k in range(vehicles.shape[0]):
-        p, q, w, out = vehicles[k], pose[k].quat, twist[k].ang_vel, wrench[k]
-        half = 0.5 * p.dt
-        for i in range(p.rotor_vel.shape[0]):
-            ref = min(max(rotor_vel_cmd[k, i], 0.0), p.omega_max)
-            now = p.rotor_vel[i]
-            tau = p.tau_up if ref > now else p.tau_down
-            p.rotor_vel[i], speed[i], square[i] = lag(now, ref, tau, p.dt)
-        vx, vy, vz = air_velocity(p, q, twist[k].velocity)
-        gx, gy, gz = rotate_inverse_core(q[0], q[1], q[2], q[3], 0.0, 0.0, -GRAVITY)
-        ax = p.specific_force[0] + gx - (w[1] * vz - w[2] * vy)
-        ay = p.specific_force[1] + gy - (w[2] * vx - w[0] * vz)
-        az = p.specific_force[2] + gz - (w[0] * vy - w[1] * vx)
-        midpoint_vel = (vx + half * ax, vy + half * ay, vz + half * az)
-        midpoint_rate = (w[0] + half * p.ang_acc[0], w[1] + half * p.ang_acc[1], w[2] + half * p.ang_acc[2])
-        out.force[0], out.force[1], out.force[2], out.moment[0], out.moment[1], out.moment[2] = (
-            aerodynamic_wrench(p, speed, square, midpoint_vel, midpoint_rate)
-        )
+    q, w, half = p.quat, p.ang_vel, 0.5 * p.dt
+    for i in range(p.rotor_vel.shape[0]):
+        ref = min(max(rotor_vel_cmd[i], 0.0), p.omega_max)
+        now = p.rotor_vel[i]
+        tau = p.tau_up if ref > now else p.tau_down
+        p.rotor_vel[i], p.mean_speed[i], p.mean_square[i] = lag(now, ref, tau, p.dt)
+    vx, vy, vz = air_velocity(p)
+    gx, gy, gz = rotate_inverse_core(q[0], q[1], q[2], q[3], 0.0, 0.0, -GRAVITY)
+    ax = p.specific_force[0] + gx - (w[1] * vz - w[2] * vy)
+    ay = p.specific_force[1] + gy - (w[2] * vx - w[0] * vz)
+    az = p.specific_force[2] + gz - (w[0] * vy - w[1] * vx)
+    midpoint_vel = (vx + half * ax, vy + half * ay, vz + half * az)
+    midpoint_rate = (w[0] + half * p.ang_acc[0], w[1] + half * p.ang_acc[1], w[2] + half * p.ang_acc[2])
+    f, m = p.force, p.moment
+    f[0], f[1], f[2], m[0], m[1], m[2] = aerodynamic_wrench(
+        p, p.mean_speed, p.mean_square, midpoint_vel, midpoint_rate
+    )
 
 
 @njit(cache=True, inline="always")
-def update_truth(vehicles, pose, twist, reaction):
+def update_truth(p):
     """Write specific force, angular acceleration and Euler angles of this instant, ground reaction included.
 
-    reaction: (n,) records of `WRENCH`, or none in free flight; the others as for `actuate`.
+    Args:
+        p: Record of `vehicle_dtype`.
     """
-    square = np.empty(vehicles[0].rotor_vel.shape[0])
-    for k in range(vehicles.shape[0]):
-        p, q, w = vehicles[k], pose[k].quat, (twist[k].ang_vel[0], twist[k].ang_vel[1], twist[k].ang_vel[2])
-        for i in range(p.rotor_vel.shape[0]):
-            square[i] = p.rotor_vel[i] * p.rotor_vel[i]
-        air_vel = air_velocity(p, q, twist[k].velocity)
-        fx, fy, fz, mx, my, mz = aerodynamic_wrench(p, p.rotor_vel, square, air_vel, w)
-        if reaction.shape[0] > 0:
-            ground, moment = reaction[k].force, reaction[k].moment
-            cx, cy, cz = rotate_inverse_core(q[0], q[1], q[2], q[3], ground[0], ground[1], ground[2])
-            fx, fy, fz = fx + cx, fy + cy, fz + cz
-            mx, my, mz = mx + moment[0], my + moment[1], mz + moment[2]
-        f, a = p.specific_force, p.ang_acc
-        f[0], f[1], f[2] = fx / p.mass, fy / p.mass, fz / p.mass
-        a[0], a[1], a[2] = angular_acceleration(p.inertia, (mx, my, mz), w)
-        p.roll_pitch[0], p.roll_pitch[1], p.yaw = euler_core(q[0], q[1], q[2], q[3])
+    q, w = p.quat, (p.ang_vel[0], p.ang_vel[1], p.ang_vel[2])
+    for i in range(p.rotor_vel.shape[0]):
+        p.mean_square[i] = p.rotor_vel[i] * p.rotor_vel[i]
+    fx, fy, fz, mx, my, mz = aerodynamic_wrench(p, p.rotor_vel, p.mean_square, air_velocity(p), w)
+    ground, moment = p.ground_force, p.ground_moment
+    cx, cy, cz = rotate_inverse_core(q[0], q[1], q[2], q[3], ground[0], ground[1], ground[2])
+    f, a = p.specific_force, p.ang_acc
+    f[0], f[1], f[2] = (fx + cx) / p.mass, (fy + cy) / p.mass, (fz + cz) / p.mass
+    moments = (mx + moment[0], my + moment[1], mz + moment[2])
+    a[0], a[1], a[2] = angular_acceleration(p.inertia, moments, w)
+    p.roll_pitch[0], p.roll_pitch[1], p.yaw = euler_core(q[0], q[1], q[2], q[3])
+
+
+@njit(cache=True, inline="always")
+def fly(p, rotor_vel_cmd, substeps):
+    """Move one vehicle in free flight over a sample; specific force and angular acceleration stay behind."""
+    for i in range(substeps):
+        if i:
+            update_truth(p)
+        actuate(p, rotor_vel_cmd)
+        advance(p)
+
+
+@njit(cache=True)
+def actuate_all(vehicles, rotor_vel_cmd):
+    """`actuate` for all vehicles (n,) and their commands (n, rotors)."""
+    for i in range(vehicles.shape[0]):
+        actuate(vehicles[i], rotor_vel_cmd[i])
+
+
+@njit(cache=True)
+def update_truth_all(vehicles):
+    """`update_truth` for all vehicles (n,)."""
+    for i in range(vehicles.shape[0]):
+        update_truth(vehicles[i])
+
+
+@njit(cache=True)
+def fly_all(vehicles, rotor_vel_cmd, substeps):
+    """`fly` for all vehicles (n,) and their commands (n, rotors)."""
+    for i in range(vehicles.shape[0]):
+        fly(vehicles[i], rotor_vel_cmd[i], substeps)
 
 
 class Plant:
@@ -136,8 +127,8 @@ class Plant:
 
     `position`, `velocity`, `quat`, `ang_vel`, `rotor_vel`, `specific_force` and `ang_acc` are views of the
     current state, all of one instant; `step` returns copies. `rotor_effect` (n, rotors) scales the thrust of
-    each rotor and may be written at any time; `set_mass` changes masses in flight. `vehicles`, `pose`,
-    `twist`, `wrench` and `reaction` are the records that `actuate` and `update_truth` take.
+    each rotor and may be written at any time; `set_mass` changes masses in flight. `vehicles` are the records
+    that `fly` and `update_truth` take.
 
     Args:
         vehicle: One vehicle for all, or a sequence of n of them (as many rotors, own numbers).
@@ -145,9 +136,12 @@ class Plant:
         rate_hz: Samples per second; each is one RK4 step of at most 5 ms (1 ms with contact), or several.
         integrator: A MuJoCo integrator: "RK4", or "implicitfast", "Euler", "implicit".
         contact: Whether the ground can be touched: take-off, landing, crashes.
+        engine: "mujoco"; "compiled", MuJoCo's RK4 of a free body, compiled; "auto", compiled where it can be.
+        records: (n,) records of `quadsim.rotors.vehicle_dtype` to use, for loops with larger records.
 
     Raises:
-        ValueError: For a rate or a number of vehicles that is not positive, or an unknown integrator.
+        ValueError: For a rate or a number of vehicles that is not positive, an unknown integrator or engine,
+            or if the compiled engine is required where it cannot be used.
     """
 
     def __init__(
@@ -157,15 +151,14 @@ class Plant:
         rate_hz: float = 200.0,
         integrator: str = "RK4",
         contact: bool = False,
+        engine: Engine = "auto",
+        records: NDArray[np.void] | None = None,
     ) -> None:
         if n < 1:
             raise ValueError(f"n is {n}; a plant needs at least one vehicle")
         SAMPLE_RATE.of("rate_hz", rate_hz)
-        integrators = [name.removeprefix("mjINT_") for name in mujoco.mjtIntegrator.__members__]
-        if integrator.upper() not in [name.upper() for name in integrators]:
-            raise ValueError(
-                f"unknown integrator {integrator!r}; choose one of RK4, implicitfast, implicit, Euler"
-            )
+        if engine not in ENGINES:
+            raise ValueError(f"unknown engine {engine!r}; choose one of {', '.join(ENGINES)}")
         vehicles = [vehicle] * n if isinstance(vehicle, Vehicle) else list(vehicle)
         if len(vehicles) != n:
             raise ValueError(f"{len(vehicles)} vehicles were given for n = {n}")
@@ -174,22 +167,21 @@ class Plant:
         self.n, self.rate_hz, self.dt, self.contact = n, rate_hz, 1.0 / rate_hz, contact
         self.vehicle = vehicles[0]
         self.substeps = math.ceil(self.dt / (CONTACT_STEP if contact else FLIGHT_STEP) - 1e-9)
-        self.vehicles = vehicle_records(vehicles, self.dt / self.substeps)
-        xml = mjcf(self.vehicle, self.dt / self.substeps, integrator, contact)
-        self.model = mujoco.MjModel.from_xml_string(xml)
-        self.batch = Batch(self.model, n, nthread=1)
-        self.pose, self.twist = self._bind("qpos", POSE), self._bind("qvel", TWIST)
-        self.wrench = self._bind("ctrl", WRENCH)
-        self.reaction = self._bind("qfrc_constraint", WRENCH) if contact else np.empty(0, WRENCH)
-        self._stage = (mujoco.mjtStage.mjSTAGE_ACC if contact else mujoco.mjtStage.mjSTAGE_NONE).value
-        self.position, self.quat = self.pose["position"], self.pose["quat"]
-        self.velocity, self.ang_vel = self.twist["velocity"], self.twist["ang_vel"]
-        self.rotor_vel, self.rotor_effect = self.vehicles["rotor_vel"], self.vehicles["effect"]
-        self.specific_force, self.ang_acc = self.vehicles["specific_force"], self.vehicles["ang_acc"]
-        self.roll_pitch, self.yaw = self.vehicles["roll_pitch"], self.vehicles["yaw"]
-        self.wind = self.vehicles["wind"]
-        if any(v is not vehicles[0] for v in vehicles):
-            self._write_inertia()
+        step = self.dt / self.substeps
+        self.vehicles = vehicle_records(vehicles, step) if records is None else records
+        if records is not None:
+            records[:] = vehicle_records(vehicles, step)
+        model = vehicle_model(self.vehicle, step, integrator, contact)
+        free = is_free_body(model)
+        if engine == "compiled" and not free:
+            raise ValueError(
+                'engine = "compiled" integrates one free body by RK4; where the ground can be touched, or '
+                'with another integrator, use "mujoco" or "auto"'
+            )
+        self.engine = None if free and engine != "mujoco" else MujocoEngine(model, self.vehicles, contact)
+        for name in (*State._fields, "roll_pitch", "yaw", "wind"):
+            setattr(self, name, self.vehicles[name])
+        self.rotor_effect = self.vehicles["effect"]
         self.reset()
 
     def reset(
@@ -226,12 +218,13 @@ class Plant:
         self.velocity[rows] = _rows("velocity", velocity, (rows.size, 3), 0.0)
         self.ang_vel[rows] = _rows("ang_vel", ang_vel, (rows.size, 3), 0.0)
         self.rotor_vel[rows] = _rows("rotor_vel", rotor_vel, (rows.size, rotors), hover[:, None])
-        self.wrench[rows], self.wind[rows] = 0.0, 0.0
-        if self.contact:
-            self.batch.forward()
+        for name in ("force", "moment", "wind"):
+            self.vehicles[name][rows] = 0.0
         others = np.delete(np.arange(self.n), rows)
         unchanged = self.vehicles[others]
-        self._update_truth()
+        if self.engine is not None:
+            self.engine.forward()
+        update_truth_all(self.vehicles)
         self.vehicles[others] = unchanged
         return self.state()
 
@@ -250,18 +243,21 @@ class Plant:
         """
         command = _rows("rotor_vel_cmd", rotor_vel_cmd, self.rotor_vel.shape, 0.0)
         self.wind[:] = _rows("wind", wind, (self.n, 3), 0.0)
-        self._actuate(command)
-        self.integrate(command)
-        self._update_truth()
+        if self.engine is None:
+            fly_all(self.vehicles, command, self.substeps)
+        else:
+            self.finish_move(command)
+        update_truth_all(self.vehicles)
         return self.state()
 
-    def integrate(self, rotor_vel_cmd: Array) -> None:
-        """`step` without its first `actuate` and last `update_truth`, for loops that compile these two."""
-        self.batch.step(stage=self._stage)
-        for _ in range(self.substeps - 1):
-            self._update_truth()
-            self._actuate(rotor_vel_cmd)
-            self.batch.step(stage=self._stage)
+    def finish_move(self, rotor_vel_cmd: Array) -> None:
+        """Move all vehicles over a sample by MuJoCo; specific force and angular acceleration stay behind."""
+        assert self.engine is not None
+        for i in range(self.substeps):
+            if i:
+                update_truth_all(self.vehicles)
+            actuate_all(self.vehicles, rotor_vel_cmd)
+            self.engine.step()
 
     def state(self) -> State:
         """Copies of the live arrays."""
@@ -274,23 +270,8 @@ class Plant:
             raise ValueError(f"mass is {new.min()} kg; it must be positive")
         self.vehicles["inertia"] *= (new / self.vehicles["mass"])[:, None]
         self.vehicles["mass"] = new
-        self._write_inertia()
-
-    def _bind(self, name: str, record: np.dtype) -> NDArray[np.void]:
-        """The engine's rows of all vehicles as records, (n,)."""
-        return self.batch.bind(name).view(record)[:, 0]
-
-    def _actuate(self, rotor_vel_cmd: Array) -> None:
-        actuate(rotor_vel_cmd, self.vehicles, self.pose, self.twist, self.wrench)
-
-    def _update_truth(self) -> None:
-        update_truth(self.vehicles, self.pose, self.twist, self.reaction)
-
-    def _write_inertia(self) -> None:
-        body = self.model.body("quadrotor").id
-        self.batch.expand("body_mass")[:, body] = self.vehicles["mass"]
-        self.batch.expand("body_inertia")[:, body] = self.vehicles["inertia"]
-        self.batch.set_const()
+        if self.engine is not None:
+            self.engine.write_inertia()
 
 
 def _rows(name: str, value: ArrayLike | None, shape: tuple[int, ...], default: ArrayLike) -> Array:

@@ -30,7 +30,17 @@ def vehicle_dtype(rotors: int) -> np.dtype:
             ("effect", "f8", rotors),  # thrust relative to a healthy rotor
             ("dt", "f8"),  # of one step of the engine
             ("wind", "f8", 3),  # world axes
+            ("position", "f8", 3),  # of the centre of mass, world [m]
+            ("quat", "f8", 4),  # quat_WB
+            ("velocity", "f8", 3),  # of the centre of mass, world [m/s]
+            ("ang_vel", "f8", 3),  # body axes [rad/s]
             ("rotor_vel", "f8", rotors),
+            ("mean_speed", "f8", rotors),  # of the rotors over the step,
+            ("mean_square", "f8", rotors),  # and of their squares
+            ("force", "f8", 3),  # aerodynamic, body axes, constant over the step [N],
+            ("moment", "f8", 3),  # and its moment [N m]
+            ("ground_force", "f8", 3),  # reaction of the ground, world axes [N],
+            ("ground_moment", "f8", 3),  # and its moment, body axes [N m]
             ("specific_force", "f8", 3),
             ("ang_acc", "f8", 3),
             ("roll_pitch", "f8", 2),

@@ -87,6 +87,7 @@ def controller_dtype(rotors: int) -> np.dtype:
             ("rotor_vel_cmd", "f8", rotors),  # the result [rad/s]
             ("thrust_axis", "f8", 3),  # commanded by the levels above the rate, world axes
             ("wind_acc", "f8", 3),  # integral of the velocity error, world axes [m/s²]
+            ("ang_acc_cmd", "f8", 3),  # commanded, body axes [rad/s²]
             ("trim", "f8", 3),  # integral of the rate error, body axes [rad/s²]
             ("last_axis", "f8", 3),  # thrust axis of the last set-point, world axes
             ("has_last_axis", "i8"),
@@ -142,18 +143,20 @@ def _attitude_stage(g, q, axis, yaw_error):
 
 
 @njit(cache=True, inline="always")
-def _rate_stage(c, gyro, wanted, torque):
-    """PI on body rate: the torque to ask for, gyroscopic term included, written to `torque` (3,) [N m]."""
-    g, inertia = c.gains, c.inertia
+def _rate_stage(c, gyro, wanted):
+    """PI on body rate: the torque to ask for, gyroscopic term included, a tuple [N m]."""
+    g, inertia, acc = c.gains, c.inertia, c.ang_acc_cmd
     for i in range(3):
         proportional, integral = (g.rate, g.rate_integral) if i < 2 else (g.yaw_rate, g.yaw_rate_integral)
         error = wanted[i] - gyro[i]
         bound = MAX_TRIM * c.max_ang_acc[i]
         c.trim[i] = min(max(c.trim[i] + integral * c.dt * error, -bound), bound)
-        torque[i] = inertia[i] * (proportional * error + c.trim[i])
-    torque[0] += (inertia[2] - inertia[1]) * gyro[1] * gyro[2]
-    torque[1] += (inertia[0] - inertia[2]) * gyro[2] * gyro[0]
-    torque[2] += (inertia[1] - inertia[0]) * gyro[0] * gyro[1]
+        acc[i] = proportional * error + c.trim[i]
+    return (
+        inertia[0] * acc[0] + (inertia[2] - inertia[1]) * gyro[1] * gyro[2],
+        inertia[1] * acc[1] + (inertia[0] - inertia[2]) * gyro[2] * gyro[0],
+        inertia[2] * acc[2] + (inertia[1] - inertia[0]) * gyro[0] * gyro[1],
+    )
 
 
 @njit(cache=True, inline="always")
@@ -197,57 +200,60 @@ def _tilt_rate(c, q, target):
 
 
 @njit(cache=True, inline="always")
-def control(level, set_points, measured, controllers):
-    """One step of the cascade for n vehicles, to their `rotor_vel_cmd`.
+def control(level, u, m, c):
+    """One step of the cascade for one vehicle, to its `rotor_vel_cmd`.
 
     Args:
         level: 0 position … 4 rotor.
-        set_points: (n,) records of `SET_POINT`, for the levels position and velocity.
-        measured: (n,) records of `MEASURED`.
-        controllers: (n,) records of `controller_dtype`; the commands of the other levels are in them.
+        u: Record of `SET_POINT`, for the levels position and velocity.
+        m: Record of `MEASURED`.
+        c: Record of `controller_dtype`; the commands of the other levels are in it.
     """
-    torque = np.empty(3)
-    for k in range(controllers.shape[0]):
-        c, u, m = controllers[k], set_points[k], measured[k]
-        if level == ROTOR:
-            for i in range(c.rotor_vel_cmd.shape[0]):
-                c.rotor_vel_cmd[i] = min(max(c.rotor_vel_cmd[i], 0.0), c.max_rotor_vel)
-            continue
-        g, q = c.gains, from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
-        thrust = c.thrust_cmd
-        if level == RATE:
-            rate = (c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2])
+    if level == ROTOR:
+        for i in range(c.rotor_vel_cmd.shape[0]):
+            c.rotor_vel_cmd[i] = min(max(c.rotor_vel_cmd[i], 0.0), c.max_rotor_vel)
+        return
+    g, q = c.gains, from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
+    thrust = c.thrust_cmd
+    if level == RATE:
+        rate = (c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2])
+    else:
+        tilt_rate = (0.0, 0.0)
+        if level == ATTITUDE:
+            yaw = c.attitude_cmd[2]
+            w = from_euler_core(c.attitude_cmd[0], c.attitude_cmd[1], yaw)
+            axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
         else:
-            tilt_rate = (0.0, 0.0)
-            if level == ATTITUDE:
-                yaw = c.attitude_cmd[2]
-                w = from_euler_core(c.attitude_cmd[0], c.attitude_cmd[1], yaw)
-                axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
+            yaw, v, a = u.yaw, u.velocity, u.acceleration
+            if level == POSITION:
+                ex, ey, ez = _clip_norm(
+                    g.position * (u.position[0] - m.position[0]),
+                    g.position * (u.position[1] - m.position[1]),
+                    g.position * (u.position[2] - m.position[2]),
+                    MAX_SPEED_ERROR,
+                )
+                wanted = (v[0] + ex, v[1] + ey, v[2] + ez)
+                ax, ay, az = _velocity_stage(c, m.velocity, wanted, (a[0], a[1], a[2]))
+                tilt_rate = _tilt_rate(c, q, u)
             else:
-                yaw, v, a = u.yaw, u.velocity, u.acceleration
-                if level == POSITION:
-                    ex, ey, ez = _clip_norm(
-                        g.position * (u.position[0] - m.position[0]),
-                        g.position * (u.position[1] - m.position[1]),
-                        g.position * (u.position[2] - m.position[2]),
-                        MAX_SPEED_ERROR,
-                    )
-                    wanted = (v[0] + ex, v[1] + ey, v[2] + ez)
-                    ax, ay, az = _velocity_stage(c, m.velocity, wanted, (a[0], a[1], a[2]))
-                    tilt_rate = _tilt_rate(c, q, u)
-                else:
-                    ax, ay, az = _velocity_stage(c, m.velocity, (v[0], v[1], v[2]), (0.0, 0.0, 0.0))
-                zx, zy, zz, size = _thrust_direction(ax, ay, az)
-                axis = (zx, zy, zz)
-                bx, by, bz = rotate_core(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
-                # only the part of the commanded force along the estimated thrust axis can be made now
-                thrust = size * max(zx * bx + zy * by + zz * bz, 0.2)
-            c.thrust_axis[0], c.thrust_axis[1], c.thrust_axis[2] = axis
-            p, r, s = _attitude_stage(g, q, axis, yaw - m.yaw)
-            forward_yaw = u.yaw_rate if level == POSITION else 0.0
-            rate = (p + tilt_rate[0], r + tilt_rate[1], s + forward_yaw)
-        _rate_stage(c, m.gyro, rate, torque)
-        _allocate(c, c.mass * thrust, torque)
+                ax, ay, az = _velocity_stage(c, m.velocity, (v[0], v[1], v[2]), (0.0, 0.0, 0.0))
+            zx, zy, zz, size = _thrust_direction(ax, ay, az)
+            axis = (zx, zy, zz)
+            bx, by, bz = rotate_core(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
+            # only the part of the commanded force along the estimated thrust axis can be made now
+            thrust = size * max(zx * bx + zy * by + zz * bz, 0.2)
+        c.thrust_axis[0], c.thrust_axis[1], c.thrust_axis[2] = axis
+        p, r, s = _attitude_stage(g, q, axis, yaw - m.yaw)
+        forward_yaw = u.yaw_rate if level == POSITION else 0.0
+        rate = (p + tilt_rate[0], r + tilt_rate[1], s + forward_yaw)
+    _allocate(c, c.mass * thrust, _rate_stage(c, m.gyro, rate))
+
+
+@njit(cache=True)
+def control_all(level, set_points, measured, controllers):
+    """`control` for all vehicles, (n,) records each."""
+    for i in range(controllers.shape[0]):
+        control(level, set_points[i], measured[i], controllers[i])
 
 
 class Controller:
@@ -261,14 +267,20 @@ class Controller:
         n: Number of vehicles.
         rate_hz: Samples per second.
         gains: Other gains than the vehicle's.
+        records: (n,) records of `controller_dtype` to use, for loops with larger records.
     """
 
     def __init__(
-        self, vehicle: Vehicle, n: int = 1, rate_hz: float = 200.0, gains: Gains | None = None
+        self,
+        vehicle: Vehicle,
+        n: int = 1,
+        rate_hz: float = 200.0,
+        gains: Gains | None = None,
+        records: NDArray[np.void] | None = None,
     ) -> None:
         self.n = n
         self.gains = gains or vehicle.controller or _designed(vehicle, rate_hz)
-        self.records = np.zeros(n, controller_dtype(len(vehicle.rotors)))
+        self.records = np.zeros(n, controller_dtype(len(vehicle.rotors))) if records is None else records
         c, allocation = self.records, vehicle.allocation
         square = allocation.shape[0] == allocation.shape[1]
         mixer = np.linalg.inv(allocation) if square else np.linalg.pinv(allocation)
@@ -332,7 +344,7 @@ class Controller:
         measured = np.zeros(self.n, MEASURED)
         measured["position"], measured["velocity"], measured["yaw"] = position, velocity, yaw
         measured["roll_pitch"], measured["gyro"] = attitude, gyro
-        control(LEVELS.index(level), self.accept(level, command), measured, self.records)
+        control_all(LEVELS.index(level), self.accept(level, command), measured, self.records)
         return self.rotor_vel_cmd
 
 

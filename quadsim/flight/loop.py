@@ -5,21 +5,48 @@ the state at k + 1. `FlightLoop` is that loop, whoever drives it.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..control.cascade import LEVELS, MEASURED, Command, Controller, Level, control
+from ..control.cascade import (
+    LEVELS,
+    MEASURED,
+    SET_POINT,
+    Command,
+    Controller,
+    Level,
+    control,
+    controller_dtype,
+)
+from ..engine import Engine
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors
 from ..external import ExternalSensor
-from ..imu.kernel import ACCEL, GYRO, measure
+from ..imu.kernel import ACCEL, GYRO, IMU, measure
 from ..imu.spec import ImuSpec
 from ..imu.stream import ImuStream
-from ..plant import Plant, actuate, update_truth
+from ..plant import Plant, fly, update_truth
+from ..rotors import vehicle_dtype
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
 
 Array = NDArray[np.float64]
+
+
+@cache
+def loop_dtype(rotors: int) -> np.dtype:
+    """The record of one closed loop: everything about its vehicle, sensors and controller."""
+    return np.dtype(
+        [
+            ("vehicle", vehicle_dtype(rotors)),
+            ("imu", IMU),
+            ("measured", MEASURED),
+            ("set_point", SET_POINT),
+            ("controller", controller_dtype(rotors)),
+        ],
+        align=True,
+    )
 
 
 class FlightLoop:
@@ -41,6 +68,8 @@ class FlightLoop:
         external: Source of position, velocity and yaw; None for the truth.
         corrupt: Called as corrupt(readings, k) on every sample, k (n,) counting each vehicle's samples from
             0; may change readings in place: sensor faults. At NaN the controller holds its last body rate.
+        nominal: The vehicle that the controller is tuned for, instead of the first.
+        engine: What integrates the motion, see `quadsim.plant.Plant`.
     """
 
     def __init__(
@@ -55,20 +84,26 @@ class FlightLoop:
         contact: bool = False,
         external: ExternalSensor | None = None,
         corrupt: Callable[[Readings, NDArray[np.int64]], None] | None = None,
+        nominal: Vehicle | None = None,
+        engine: Engine = "auto",
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
         self.n, self.rate_hz = n, rate_hz
-        self.plant = Plant(vehicle, n, rate_hz, "implicitfast" if contact else "RK4", contact)
-        self.controller = Controller(self.plant.vehicle, n, rate_hz)
-        self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed)
-        self.estimator = estimator
+        first = vehicle if isinstance(vehicle, Vehicle) else vehicle[0]
+        self.records = records = np.zeros(n, loop_dtype(len(first.rotors)))
+        integrator = "implicitfast" if contact else "RK4"
+        self.plant = Plant(vehicle, n, rate_hz, integrator, contact, engine, records["vehicle"])
+        self.controller = Controller(nominal or first, n, rate_hz, records=records["controller"])
+        self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed, records["imu"])
+        self.noise = np.empty((n, 0, 0, 3)) if self.imu is None else self.imu.noise
+        self.estimator, self._last_rate = estimator, np.zeros((n, 3))
         self.external = external
         self.corrupt = corrupt
         self._observe = getattr(estimator, "observe", None)
         self._accepted = () if estimator is None else accepted_sensors(estimator.update)
         self.attitude = self.true_attitude = self.plant.roll_pitch
-        self.yaw, self.measured_state = self.plant.yaw, np.zeros(n, MEASURED)
+        self.yaw, self.measured_state = self.plant.yaw, records["measured"]
         self.k, self.rate = self.measured_state["k"], self.measured_state["gyro"]
         rotor_vel = self.plant.rotor_vel.view()
         rotor_vel.flags.writeable = False  # the plant's state
@@ -138,73 +173,124 @@ class FlightLoop:
             command: (n, width of the level), or (n,) records.
             wind: (n, 3) world [m/s]; None for still air.
         """
-        self.move(level, command, wind)
-        self.sense()
+        self.plant.wind[:] = 0.0 if wind is None else wind
+        index = self.accept(level, command)
+        if self.plant.engine is None:
+            move_and_sense(index, self.records, self.plant.substeps, self.noise, self.next_noise())
+            self.estimate()
+        else:
+            self.move_on(index)
+            self.sense()
 
     def move(self, level: Level, command: Command, wind: Array | None = None) -> None:
         """The first half of `step`: control and motion."""
-        plant, controller = self.plant, self.controller
-        plant.wind[:] = 0.0 if wind is None else wind
-        control_step(
-            LEVELS.index(level), controller.accept(level, command), self.measured_state, controller.records,
-            plant.vehicles, plant.pose, plant.twist, plant.wrench,
-        )  # fmt: skip
-        plant.integrate(controller.rotor_vel_cmd)
+        self.plant.wind[:] = 0.0 if wind is None else wind
+        self.move_on(self.accept(level, command))
+
+    def move_on(self, level: int) -> None:
+        """`move` on the commands in the records, at the level of this number."""
+        if self.plant.engine is None:
+            move(level, self.records, self.plant.substeps)
+        else:
+            start_move(level, self.records)
+            self.plant.finish_move(self.controller.rotor_vel_cmd)
 
     def sense(self) -> None:
         """The second half of `step`: IMU, external sensor and estimate."""
-        plant, imu, measured = self.plant, self.imu, self.measured_state
-        last_valid = self.rate if self.corrupt is None else self.rate.copy()
-        if imu is None:
-            sense_truth(plant.vehicles, plant.pose, plant.twist, plant.reaction, measured)
-        else:
-            sense(
-                imu.next_samples(), imu.noise, imu.records,
-                plant.vehicles, plant.pose, plant.twist, plant.reaction, measured,
-            )  # fmt: skip
+        sense(self.records, self.noise, self.next_noise())
+        self.estimate()
+
+    def accept(self, level: Level, command: Command) -> int:
+        """Write a command to the records; returns the number of its level."""
+        self.records["set_point"] = self.controller.accept(level, command)
+        return LEVELS.index(level)
+
+    def estimate(self) -> None:
+        """External sensor, sensor faults and estimate, from the last sample of the IMU."""
+        measured = self.measured_state
         if self.external is not None:
             self.external.measure(measured)
         if self.corrupt is not None:
             self.readings = self._sample.map(np.copy)
             self.corrupt(self.readings, self.k)
-            self.rate[:] = np.where(np.isfinite(self.gyro), self.gyro, last_valid)
+            self._last_rate = np.where(np.isfinite(self.gyro), self.gyro, self._last_rate)
+            self.rate[:] = self._last_rate
         if self.estimator is not None:
             if self._observe is not None:
-                self._observe(plant.quat)
+                self._observe(self.plant.quat)
             self.attitude = self.readings.give(self.estimator.update, self._accepted)
             measured["roll_pitch"] = self.attitude
 
-
-@njit(cache=True)
-def control_step(level, set_points, measured, controllers, vehicles, pose, twist, wrench):
-    """Everything before the engine's step: `control`, then `actuate`; the samples' count k increases."""
-    for i in range(measured.shape[0]):
-        measured[i].k += 1
-    control(level, set_points, measured, controllers)
-    actuate(controllers.rotor_vel_cmd, vehicles, pose, twist, wrench)
+    def next_noise(self) -> int:
+        """Place of the IMU's next sample in `noise`; it counts as taken."""
+        return 0 if self.imu is None else self.imu.next_samples()
 
 
-@njit(cache=True)
-def sense_truth(vehicles, pose, twist, reaction, measured):
-    """Everything after it, but for the IMU: `update_truth`, and the true state to `measured`."""
-    update_truth(vehicles, pose, twist, reaction)
-    for i in range(measured.shape[0]):
-        m, p = measured[i], vehicles[i]
+@njit(cache=True, inline="always")
+def start_one(level, loop):
+    """Control of one vehicle: the count of samples increases, and its rotors get their command."""
+    loop.measured.k += 1
+    control(level, loop.set_point, loop.measured, loop.controller)
+
+
+@njit(cache=True, inline="always")
+def sense_truth(loop):
+    """Truth of one vehicle at this instant, to its records of vehicle and measured state."""
+    p, m = loop.vehicle, loop.measured
+    update_truth(p)
+    for axis in range(3):
+        m.position[axis], m.velocity[axis], m.gyro[axis] = p.position[axis], p.velocity[axis], p.ang_vel[axis]
+    m.roll_pitch[0], m.roll_pitch[1], m.yaw = p.roll_pitch[0], p.roll_pitch[1], p.yaw
+
+
+@njit(cache=True, inline="always")
+def sense_one(loop, noise, at, x):
+    """`sense_truth`, then the sample of the IMU.
+
+    Args:
+        loop: Record of `loop_dtype`.
+        noise: (NOISES, block, 3) standard normal numbers of its IMU; without an IMU, of length 0.
+        at: Place of this sample in the block.
+        x: (2, 3) memory.
+    """
+    sense_truth(loop)
+    if noise.shape[0] > 0:
+        p, m = loop.vehicle, loop.measured
         for axis in range(3):
-            m.position[axis], m.velocity[axis] = pose[i].position[axis], twist[i].velocity[axis]
-            m.gyro[axis] = twist[i].ang_vel[axis]
-        m.roll_pitch[0], m.roll_pitch[1], m.yaw = p.roll_pitch[0], p.roll_pitch[1], p.yaw
+            x[GYRO, axis], x[ACCEL, axis] = p.ang_vel[axis], p.specific_force[axis]
+        measure(loop.imu, noise[:, at], x, p.ang_acc, p.rotor_vel)
+        for axis in range(3):
+            m.gyro[axis] = loop.imu.reading[GYRO, axis]
 
 
 @njit(cache=True)
-def sense(at, noise, imus, vehicles, pose, twist, reaction, measured):
-    """Everything after it: `sense_truth`, then the IMU's sample at place `at` of its block of noise."""
-    sense_truth(vehicles, pose, twist, reaction, measured)
+def start_move(level, loops):
+    """What comes before MuJoCo's steps."""
+    for i in range(loops.shape[0]):
+        start_one(level, loops[i])
+
+
+@njit(cache=True)
+def move(level, loops, substeps):
+    """Control and motion over a sample, (n,) records of `loop_dtype`."""
+    for i in range(loops.shape[0]):
+        start_one(level, loops[i])
+        fly(loops[i].vehicle, loops[i].controller.rotor_vel_cmd, substeps)
+
+
+@njit(cache=True)
+def sense(loops, noise, at):
+    """`sense_one` for all: (n,) records, noise (n, NOISES, block, 3)."""
     x = np.empty((2, 3))
-    for i in range(imus.shape[0]):
-        p = vehicles[i]
-        for axis in range(3):
-            x[GYRO, axis], x[ACCEL, axis] = twist[i].ang_vel[axis], p.specific_force[axis]
-        measure(imus[i], noise[i, :, at], x, p.ang_acc, p.rotor_vel)
-        for axis in range(3):
-            measured[i].gyro[axis] = imus[i].reading[GYRO, axis]
+    for i in range(loops.shape[0]):
+        sense_one(loops[i], noise[i], at, x)
+
+
+@njit(cache=True)
+def move_and_sense(level, loops, substeps, noise, at):
+    """`move`, then `sense`."""
+    x = np.empty((2, 3))
+    for i in range(loops.shape[0]):
+        start_one(level, loops[i])
+        fly(loops[i].vehicle, loops[i].controller.rotor_vel_cmd, substeps)
+        sense_one(loops[i], noise[i], at, x)

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.ranges import steps_of
-from ..control.cascade import SET_POINT, Command, Level
+from ..control.cascade import LEVELS, SET_POINT, Command, Level
 from ..estimator import AttitudeEstimator
 from ..external import ExternalSensor, ExternalSpec, load_external
 from ..imu.spec import load_imu
+from ..plant import fly
 from ..rotation import quat_from_euler, quat_from_rotvec, quat_multiply
 from ..runs.compiled import njit
 from ..seeding import child
@@ -22,7 +23,7 @@ from ..trajectory.reference import reference
 from ..vehicle import load_vehicle
 from ..wind import wind_series
 from .faults import VehicleFaults, sensor_faults
-from .loop import FlightLoop
+from .loop import FlightLoop, sense_one, start_one
 from .scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -39,7 +40,8 @@ FLIGHT = np.dtype(
         ("min_cos_tilt", "f8"),  # limits of flight: cosine of the largest tilt,
         ("min_altitude", "f8"),  # lowest height [m]
         ("max_distance", "f8"),  # and largest distance from the set-point [m]
-        ("wind", "f8", 3),  # of the current sample
+        ("target", SET_POINT),  # of the current sample
+        ("wind", "f8", 3),
         ("crashed", "i8"),  # why it is down at this sample, and
         ("cause", "i8"),  # why it first was
     ],
@@ -57,9 +59,6 @@ class Mission:
     samples; `target` (n,), records of `SET_POINT`, and `air` (n, 3) are its set-point and wind; `cause` (n,)
     tells which flights have crashed, and why. What a crashed vehicle does then means nothing: it is put back
     above its set-point as often as it crashes again, so that no number overflows.
-
-    `sense` is `loop.sense`, then `crashed`, the number of vehicles down, from `follow(*records)`; an inner
-    loop may do these two itself, with `follow` inside a kernel of its own.
 
     Args:
         scenario: What to fly.
@@ -82,11 +81,12 @@ class Mission:
         self.steps = steps_of(scenario.duration_s if duration_s is None else duration_s, rate_hz)
         self._imu, self._estimator = load_imu(scenario.imu), estimator
         self._external = load_external(scenario.external)
-        self._flights, self.target = np.zeros(n, FLIGHT), np.zeros(n, SET_POINT)
+        self._flights = np.zeros(n, FLIGHT)
         self._flights["min_cos_tilt"] = math.cos(math.radians(scenario.crash.tilt_deg))
         self._flights["min_altitude"] = scenario.crash.altitude
         self._flights["max_distance"] = scenario.crash.distance
-        self.air, self.cause = self._flights["wind"], self._flights["cause"]
+        self.target, self.air = self._flights["target"], self._flights["wind"]
+        self.cause = self._flights["cause"]
 
     def begin(self, seeds: Seeds) -> None:
         """Begin all flights, one seed each."""
@@ -105,25 +105,17 @@ class Mission:
             estimator=self._estimator,
             seed=[child(seed, SENSOR) for seed in seeds],
             contact=self.scenario.contact,
+            engine=self.scenario.engine,
             external=external,
             corrupt=sensor_faults(faults, self.n, self.rate_hz, [child(seed, FAULT) for seed in seeds]),
         )
         self._faults = VehicleFaults(faults, self.loop.plant)
         self.k = self.loop.k
         self.cause[:] = self._flights["crashed"] = FLYING
-        self.crashed = 0
-        plant = self.loop.plant
-        self.records = (
-            self._flights,
-            self._plans,
-            self.target,
-            self.loop.measured_state,
-            plant.pose,
-            plant.twist,
-        )
+        self.crashed, self.records = 0, (self._flights, self.loop.records)
         start = self._start(seeds, self._plans["target"][:, 0])
         self.loop.reset(*start, known_attitude=self.scenario.start.known_attitude)
-        look_up(*self.records[:4])
+        look_up_all(*self.records, self._plans)
 
     def restart(self, ids: NDArray[np.int64], seeds: Seeds) -> None:
         """Restart some flights, one seed each, while the others continue; call `sense` before they are read.
@@ -136,24 +128,45 @@ class Mission:
         self.loop.restart(ids, *start, known_attitude=self.scenario.start.known_attitude)
 
     def step(self, level: Level = "position", command: Command | None = None) -> None:
-        """Advance by one sample, to the scenario's set-point or on a command at a level of the controller."""
-        self.move(level, command)
-        self.sense()
+        """Advance by one sample, on a command at a level of the controller.
+
+        Without one, the command is in the records of the loop, where the scenario's set-point is by default.
+        """
+        loop = self.loop
+        if loop.plant.engine is None:
+            self._prepare()
+            index = self._accept(level, command)
+            self.crashed = step(
+                index, *self.records, self._plans, loop.plant.substeps, loop.noise, loop.next_noise()
+            )
+            loop.estimate()
+        else:
+            self.move(level, command)
+            self.sense()
 
     def move(self, level: Level = "position", command: Command | None = None) -> None:
         """The first half of `step`: control and motion."""
+        self._prepare()
+        index = self._accept(level, command)
+        self.loop.plant.wind[:] = self.air
+        self.loop.move_on(index)
+
+    def sense(self) -> None:
+        """The second half of `step`: IMU, estimate, the next set-point, and who has crashed."""
+        self.loop.sense()
+        self.crashed = follow_all(*self.records, self._plans)
+
+    def _accept(self, level: Level, command: Command | None) -> int:
+        return LEVELS.index(level) if command is None else self.loop.accept(level, command)
+
+    def _prepare(self) -> None:
+        """Put crashed vehicles back above their set-points, and let the faults of vehicles act."""
         if self.crashed:
             crashed = np.flatnonzero(self._flights["crashed"])
             self.loop.plant.reset(position=self.target["position"][crashed] + [0.0, 0.0, 1.0], ids=crashed)
             self.loop.controller.reset(crashed)
         if self._faults.any:
             self._faults.apply(self.k)
-        self.loop.move(level, self.target if command is None else command, self.air)
-
-    def sense(self) -> None:
-        """The second half of `step`: IMU, estimate, the next set-point, and who has crashed."""
-        self.loop.sense()
-        self.crashed = follow(*self.records)
 
     def _plan(self, seeds: Seeds) -> NDArray[np.void]:
         """Set-points and winds of whole flights, (n, steps + 1) records of `PLAN`."""
@@ -184,52 +197,79 @@ class Mission:
 
 
 @njit(cache=True, inline="always")
-def look_up(flights, plans, target, measured):
-    """Copy each flight's set-point and wind of its sample k; the last one holds for ever."""
-    for i in range(flights.shape[0]):
-        now = plans[i, min(measured[i].k, plans.shape[1] - 1)]
-        target[i] = now.target
-        for axis in range(3):
-            flights[i].wind[axis] = now.wind[axis]
+def look_up(flight, loop, plan):
+    """Copy a flight's set-point and wind of its sample k, the set-point to the loop too; the last one holds."""
+    now = plan[min(loop.measured.k, plan.shape[0] - 1)]
+    flight.target = now.target
+    loop.set_point = now.target
+    for axis in range(3):
+        flight.wind[axis] = now.wind[axis]
 
 
 @njit(cache=True, inline="always")
-def follow(flights, plans, target, measured, pose, twist):
-    """`look_up`, then write which vehicles are down now, and why, and return how many.
-
-    `cause` keeps the first reason.
+def follow(flight, loop, plan):
+    """`look_up`, then write whether a vehicle is down now, and why; `cause` keeps the first reason.
 
     Args:
-        flights: (n,) records of `FLIGHT`.
-        plans: (n, T) records of `PLAN`.
-        target: (n,) records of `SET_POINT`, written.
-        measured: (n,) records of `MEASURED`; only the count of samples is read.
-        pose: (n,) records of `POSE`, the truth.
-        twist: (n,) records of `TWIST`, the truth.
+        flight: Record of `FLIGHT`.
+        loop: Record of `loop_dtype`.
+        plan: (T,) records of `PLAN`.
     """
-    look_up(flights, plans, target, measured)
+    look_up(flight, loop, plan)
+    p, q, w, wanted = loop.vehicle.position, loop.vehicle.quat, loop.vehicle.ang_vel, flight.target.position
+    cos_tilt = 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
+    distance = math.sqrt((p[0] - wanted[0]) ** 2 + (p[1] - wanted[1]) ** 2 + (p[2] - wanted[2]) ** 2)
+    rate = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
+    flight.crashed = FLYING
+    if not (rate < 1e4 and distance < 1e6):  # false for NaN as well
+        flight.crashed = DIVERGED
+    elif cos_tilt < flight.min_cos_tilt:
+        flight.crashed = TILTED
+    elif p[2] < flight.min_altitude:
+        flight.crashed = GROUNDED
+    elif distance > flight.max_distance:
+        flight.crashed = OUT_OF_BOUNDS
+    if flight.cause == FLYING:
+        flight.cause = flight.crashed
+    return flight.crashed != FLYING
+
+
+@njit(cache=True)
+def look_up_all(flights, loops, plans):
+    """`look_up` for all: (n,) records, plans (n, T)."""
+    for i in range(flights.shape[0]):
+        look_up(flights[i], loops[i], plans[i])
+
+
+@njit(cache=True)
+def follow_all(flights, loops, plans):
+    """`follow` for all; returns how many are down."""
     crashed = 0
     for i in range(flights.shape[0]):
-        flight, p, q, w, wanted = (
-            flights[i],
-            pose[i].position,
-            pose[i].quat,
-            twist[i].ang_vel,
-            target[i].position,
-        )
-        cos_tilt = 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
-        distance = math.sqrt((p[0] - wanted[0]) ** 2 + (p[1] - wanted[1]) ** 2 + (p[2] - wanted[2]) ** 2)
-        rate = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
-        flight.crashed = FLYING
-        if not (rate < 1e4 and distance < 1e6):  # false for NaN as well
-            flight.crashed = DIVERGED
-        elif cos_tilt < flight.min_cos_tilt:
-            flight.crashed = TILTED
-        elif p[2] < flight.min_altitude:
-            flight.crashed = GROUNDED
-        elif distance > flight.max_distance:
-            flight.crashed = OUT_OF_BOUNDS
-        if flight.cause == FLYING:
-            flight.cause = flight.crashed
-        crashed += flight.crashed != FLYING
+        crashed += follow(flights[i], loops[i], plans[i])
+    return crashed
+
+
+@njit(cache=True)
+def step(level, flights, loops, plans, substeps, noise, at):
+    """One sample of all flights, but for the estimate; returns how many are down.
+
+    Args:
+        level: Number of the level of the command in the records.
+        flights: (n,) records of `FLIGHT`.
+        loops: (n,) records of `loop_dtype`.
+        plans: (n, T) records of `PLAN`.
+        substeps: Steps of integration a sample.
+        noise: (n, NOISES, block, 3) of the IMUs.
+        at: Place of this sample in the block.
+    """
+    crashed, x = 0, np.empty((2, 3))
+    for i in range(flights.shape[0]):
+        flight, loop = flights[i], loops[i]
+        for axis in range(3):
+            loop.vehicle.wind[axis] = flight.wind[axis]
+        start_one(level, loop)
+        fly(loop.vehicle, loop.controller.rotor_vel_cmd, substeps)
+        sense_one(loop, noise[i], at, x)
+        crashed += follow(flight, loop, plans[i])
     return crashed

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from ..config.ranges import Between
 from ..config.toml import Strict, load_toml, located
+from ..engine import Engine
 from ..imu.spec import load_imu
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, load_vehicle
@@ -28,6 +29,9 @@ class Recipe(Strict):
     attitude_error: AttitudeError = Field(
         default=AttitudeError(), description="What the controller is told wrongly."
     )
+    engine: Engine = Field(
+        default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
+    )
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
         default=4.0, description="Flown before recording [s]."
     )
@@ -47,5 +51,6 @@ def flight_config(recipe: Recipe) -> FlightConfig:
         wind=recipe.wind,
         randomisation=recipe.randomisation,
         attitude_error=recipe.attitude_error,
+        engine=recipe.engine,
         warmup_s=recipe.warmup_s,
     )

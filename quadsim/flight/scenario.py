@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from ..config.ranges import Between, Coordinate, Distance, Position, RateDeg, Speed
 from ..config.toml import Strict, describe, load_toml, located, preset_names
+from ..engine import Engine
 from ..trajectory.specs import Hover, Trajectory
 from ..wind import WindSpec
 from .faults import Fault
@@ -57,6 +58,8 @@ class Scenario(Strict):
     """Where position, velocity and yaw come from: a shipped external sensor, or the path of a TOML file."""
     contact: bool = False
     """Whether the ground can be touched, at five times the cost; otherwise to reach it is to crash."""
+    engine: Engine = "auto"
+    """What integrates the motion: "mujoco"; "compiled", the same scheme compiled, without contact; or "auto"."""
     trajectory: Trajectory = Hover()
     """The set-points."""
     wind: tuple[WindSpec, ...] = ()

@@ -12,16 +12,18 @@ from scipy.signal import lfilter
 
 from ..config.ranges import Between
 from ..config.toml import Strict
-from ..control.cascade import Controller
+from ..control.cascade import LEVELS, SET_POINT
+from ..engine import Engine
 from ..imu.spec import ImuSpec
 from ..imu.stream import simulate_imu_with_bias
+from ..plant import fly
 from ..runs.compiled import njit
 from ..seeding import child
 from ..trajectory.reference import reference
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, Vehicle, randomise
 from ..wind import WindSpec, wind_series
-from .loop import FlightLoop
+from .loop import FlightLoop, sense_truth, start_one
 
 Array = NDArray[np.float64]
 
@@ -63,10 +65,18 @@ class FlightConfig(Strict):
     attitude_error: AttitudeError = Field(
         default=AttitudeError(), description="What the controller is told wrongly; nothing by default."
     )
+    engine: Engine = Field(
+        default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
+    )
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
         default=4.0,
         description="Flown before recording, so that flights begin in the midst of motion [s].",
     )
+
+
+PATH = np.dtype([("target", SET_POINT), ("wind", "f8", 3), ("attitude_error", "f8", 2)])
+"""What is planned for a sample: set-point, wind [m/s], and error of the roll and pitch for control [rad]."""
+ON_POSITION = LEVELS.index("position")
 
 
 @cache
@@ -87,47 +97,82 @@ def sample_dtype(rotors: int) -> np.dtype:
     )
 
 
-@njit(cache=True)
-def record(k, vehicles, pose, twist, controllers, log, end):
-    """Write sample k of every vehicle into log (n, T); a vehicle that has diverged ends there.
+@njit(cache=True, inline="always")
+def record(k, loop, log, end):
+    """Write sample k of a flight into its log (T,), records of `sample_dtype`.
 
-    Args:
-        k: Sample.
-        vehicles: (n,) records of the plant; also `pose` and `twist`.
-        pose: See vehicles.
-        twist: See vehicles.
-        controllers: (n,) records of the controller.
-        log: (n, T) records of `sample_dtype`.
-        end: (n,) number of valid samples, T while all is well; later ones repeat the last.
+    Returns how many of the samples so far are valid: `end` while all is well; a vehicle that has diverged
+    ends there, and later samples repeat its last.
     """
-    for i in range(log.shape[0]):
-        row, p, at, v = log[i, k], vehicles[i], pose[i], twist[i]
-        speed = rate = not_finite = 0.0  # the last stays 0 if every number is finite
-        for j in range(3):
-            row.position[j], row.velocity[j], row.ang_vel[j] = at.position[j], v.velocity[j], v.ang_vel[j]
-            row.specific_force[j], row.ang_acc[j], row.wind[j] = p.specific_force[j], p.ang_acc[j], p.wind[j]
-            speed += v.velocity[j] ** 2
-            rate += v.ang_vel[j] ** 2
-            not_finite += 0.0 * (at.position[j] + p.specific_force[j] + p.ang_acc[j] + p.wind[j])
-        for j in range(4):
-            row.quat[j] = at.quat[j]
-            not_finite += 0.0 * at.quat[j]
-        for j in range(p.rotor_vel.shape[0]):
-            row.rotor_vel[j], row.rotor_vel_cmd[j] = p.rotor_vel[j], controllers[i].rotor_vel_cmd[j]
-            not_finite += 0.0 * row.rotor_vel[j] + 0.0 * row.rotor_vel_cmd[j]
-        if not_finite == 0.0 and speed < MAX_SPEED**2 and rate < MAX_BODY_RATE**2 and end[i] > k:
-            continue
-        end[i] = min(end[i], k)
-        if k > 0:
-            log[i, k] = log[i, k - 1]
-            continue
-        for j in range(3):
-            row.position[j] = row.velocity[j] = row.ang_vel[j] = 0.0
-            row.specific_force[j] = row.ang_acc[j] = row.wind[j] = 0.0
-        for j in range(p.rotor_vel.shape[0]):
-            row.rotor_vel[j] = row.rotor_vel_cmd[j] = 0.0
-        row.quat[0] = 1.0  # level: even a flight without a valid sample holds rotations
-        row.quat[1:] = 0.0
+    row, p, c = log[k], loop.vehicle, loop.controller
+    speed = rate = not_finite = 0.0  # the last stays 0 if every number is finite
+    for j in range(3):
+        row.position[j], row.velocity[j], row.ang_vel[j] = p.position[j], p.velocity[j], p.ang_vel[j]
+        row.specific_force[j], row.ang_acc[j], row.wind[j] = p.specific_force[j], p.ang_acc[j], p.wind[j]
+        speed += p.velocity[j] ** 2
+        rate += p.ang_vel[j] ** 2
+        not_finite += 0.0 * (p.position[j] + p.specific_force[j] + p.ang_acc[j] + p.wind[j])
+    for j in range(4):
+        row.quat[j] = p.quat[j]
+        not_finite += 0.0 * p.quat[j]
+    for j in range(p.rotor_vel.shape[0]):
+        row.rotor_vel[j], row.rotor_vel_cmd[j] = p.rotor_vel[j], c.rotor_vel_cmd[j]
+        not_finite += 0.0 * row.rotor_vel[j] + 0.0 * row.rotor_vel_cmd[j]
+    if not_finite == 0.0 and speed < MAX_SPEED**2 and rate < MAX_BODY_RATE**2 and end > k:
+        return end
+    if k > 0:
+        log[k] = log[k - 1]
+        return min(end, k)
+    for j in range(3):
+        row.position[j] = row.velocity[j] = row.ang_vel[j] = 0.0
+        row.specific_force[j] = row.ang_acc[j] = row.wind[j] = 0.0
+    for j in range(p.rotor_vel.shape[0]):
+        row.rotor_vel[j] = row.rotor_vel_cmd[j] = 0.0
+    row.quat[0] = 1.0  # level: even a flight without a valid sample holds rotations
+    row.quat[1:] = 0.0
+    return 0
+
+
+@njit(cache=True, inline="always")
+def start_sample(k, loop, path):
+    """Set-point, error of the attitude, wind and control for the step from sample k − 1 to k."""
+    before, now = path[k - 1], path[k]
+    loop.set_point = before.target
+    for j in range(2):
+        loop.measured.roll_pitch[j] += before.attitude_error[j]
+    for j in range(3):
+        loop.vehicle.wind[j] = now.wind[j]
+    start_one(ON_POSITION, loop)
+
+
+@njit(cache=True)
+def start_samples(k, loops, paths):
+    """`start_sample` of all flights, paths (n, T) records of `PATH`."""
+    for i in range(loops.shape[0]):
+        start_sample(k, loops[i], paths[i])
+
+
+@njit(cache=True)
+def finish_samples(k, loops, log, end):
+    """Truth and record of sample k ≥ 0 of all flights, after MuJoCo has moved them."""
+    for i in range(loops.shape[0]):
+        sense_truth(loops[i])
+        if k >= 0:
+            end[i] = record(k, loops[i], log[i], end[i])
+
+
+@njit(cache=True)
+def fly_flights(loops, paths, substeps, log, end):
+    """All samples of all flights but their first, recorded where there is a place in log for them."""
+    warmup = paths.shape[1] - log.shape[1]
+    for i in range(loops.shape[0]):
+        loop = loops[i]
+        for k in range(1, paths.shape[1]):
+            start_sample(k, loop, paths[i])
+            fly(loop.vehicle, loop.controller.rotor_vel_cmd, substeps)
+            sense_truth(loop)
+            if k >= warmup:
+                end[i] = record(k - warmup, loop, log[i], end[i])
 
 
 def simulate_flights(
@@ -147,27 +192,28 @@ def simulate_flights(
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
     n, warmup = len(seeds), round(config.warmup_s * rate_hz)
-    path, body, air, imu, sight = ([child(seed, part) for seed in seeds] for part in range(5))
+    samples = warmup + steps
+    trajectory, body, air, imu, sight = ([child(seed, part) for seed in seeds] for part in range(5))
     vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
-    target = reference(config.trajectory, warmup + steps, rate_hz, path)
-    wind = wind_series(config.wind, n, warmup + steps, rate_hz, air) if config.wind else None
-    error = None
+    paths = np.zeros((n, samples), PATH)
+    paths["target"] = target = reference(config.trajectory, samples, rate_hz, trajectory)
+    if config.wind:
+        paths["wind"] = wind_series(config.wind, n, samples, rate_hz, air)
     if config.attitude_error.sd_deg:
-        error = config.attitude_error.series(warmup + steps, rate_hz, sight)
-    loop = FlightLoop(vehicles, n, rate_hz=rate_hz)
-    loop.controller = Controller(config.vehicle, n, rate_hz)
+        paths["attitude_error"] = config.attitude_error.series(samples, rate_hz, sight)
+    loop = FlightLoop(vehicles, n, rate_hz=rate_hz, nominal=config.vehicle, engine=config.engine)
     loop.reset(position=target["position"][:, 0], velocity=target["velocity"][:, 0])
-    plant, controllers, measured = loop.plant, loop.controller.records, loop.measured_state["roll_pitch"]
+    loop.plant.wind[:] = paths["wind"][:, 0]
     log, end = np.zeros((n, steps), sample_dtype(len(config.vehicle.rotors))), np.full(n, steps)
-    for k in range(warmup + steps):
-        if k:
-            if error is not None:
-                measured += error[:, k - 1]
-            loop.step("position", target[:, k - 1], None if wind is None else wind[:, k])
-        elif wind is not None:
-            plant.wind[:] = wind[:, 0]
-        if k >= warmup:
-            record(k - warmup, plant.vehicles, plant.pose, plant.twist, controllers, log, end)
+    if warmup == 0:
+        finish_samples(0, loop.records, log, end)
+    if loop.plant.engine is None:
+        fly_flights(loop.records, paths, loop.plant.substeps, log, end)
+    else:
+        for k in range(1, samples):
+            start_samples(k, loop.records, paths)
+            loop.plant.finish_move(loop.controller.rotor_vel_cmd)
+            finish_samples(k - warmup, loop.records, log, end)
     flown = {name: log[name] for name in log.dtype.names or ()}
     gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
         config.imu,

@@ -41,7 +41,9 @@ class ImuStream:
     `records` (n,) and `noise` are what `quadsim.imu.kernel.measure` takes.
     """
 
-    def __init__(self, spec: ImuSpec, n: int, rate_hz: float, seed: Seed) -> None:
+    def __init__(
+        self, spec: ImuSpec, n: int, rate_hz: float, seed: Seed, records: NDArray[np.void] | None = None
+    ) -> None:
         """Switch on, with biases and scale factors drawn for this flight.
 
         Args:
@@ -49,6 +51,7 @@ class ImuStream:
             n: Number of vehicles.
             rate_hz: Samples per second.
             seed: Whole number, seed sequence, or one seed sequence per vehicle.
+            records: (n,) records of `quadsim.imu.kernel.IMU` to use, for loops with larger records.
 
         Raises:
             ValueError: An argument is out of range.
@@ -60,7 +63,8 @@ class ImuStream:
         self.rate_hz = rate_hz
         self._seeds = vehicle_seeds(seed, n)
         self._flight = np.zeros(n, dtype=np.int64)
-        self.records = np.tile(_constants(spec, 1.0 / rate_hz), n)
+        self.records = np.zeros(n, IMU) if records is None else records
+        self.records[:] = _constants(spec, 1.0 / rate_hz)
         self.gyro, self.accel = self.records["reading"].swapaxes(0, 1)
         self.needs_ang_acc = bool(self.records["lever_arm_on"][0])
         self.needs_rotor_vel = bool(self.records["vibration_on"][0])

@@ -165,12 +165,12 @@ def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Log, NDArray[np.in
     Its flights are those with the numbers `first`, `first` + 1, ... of the seed.
     """
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
-    loop, plant, controller = mission.loop, mission.loop.plant, mission.loop.controller
     log = np.zeros((mission.steps, mission.n), log_dtype(len(mission.vehicle.rotors)))
-    last_command, end = controller.rotor_vel_cmd.copy(), np.full(mission.n, mission.steps)
+    last_command = mission.loop.controller.rotor_vel_cmd.copy()
+    end = np.full(mission.n, mission.steps)
     for k in range(mission.steps):
         mission.step()
-        row, measured = log[k], loop.measured_state
-        write_row(plant.vehicles, plant.pose, controller.records, measured, mission.target, last_command, row)
-        end[(mission.cause > 0) & (end > k)] = k
+        write_row(*mission.records, last_command, log[k])
+        if mission.crashed:
+            end[(mission.cause > 0) & (end > k)] = k
     return log.swapaxes(0, 1), end

@@ -156,20 +156,20 @@ METRICS = (
 
 
 @njit(cache=True)
-def write_row(vehicles, pose, controllers, measured, target, last_command, row):
+def write_row(flights, loops, last_command, row):
     """Write one sample of n flights into `row` (n,), and the command into `last_command` (n, rotors).
 
-    The others are records (n,) of plant, controller and mission; `measured` holds the estimate.
+    flights and loops are the records of the mission, (n,).
     """
     for i in range(row.shape[0]):
-        out, p, c = row[i], vehicles[i], controllers[i]
-        axis, quat = c.thrust_axis, pose[i].quat
+        out, p, c, target = row[i], loops[i].vehicle, loops[i].controller, flights[i].target
+        axis, quat, estimate = c.thrust_axis, p.quat, loops[i].measured.roll_pitch
         w, x, y, z = quat[0], quat[1], quat[2], quat[3]
         up_x, up_y, up_z = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         for j in range(3):
-            out.position[j], out.target[j] = pose[i].position[j], target[i].position[j]
+            out.position[j], out.target[j] = p.position[j], target.position[j]
         for j in range(2):
-            out.euler[j], out.estimate[j] = p.roll_pitch[j], measured[i].roll_pitch[j]
+            out.euler[j], out.estimate[j] = p.roll_pitch[j], estimate[j]
         out.euler[2] = p.yaw
         cx = up_y * axis[2] - up_z * axis[1]
         cy = up_z * axis[0] - up_x * axis[2]

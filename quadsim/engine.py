@@ -1,0 +1,127 @@
+"""MuJoCo as the engine of the plant: it moves the vehicles, with contact where the ground can be touched."""
+
+import logging
+from importlib import resources
+from typing import Literal, get_args
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from .runs.compiled import njit
+from .vehicle import GRAVITY, Vehicle
+
+# the engine would otherwise write a file into the working directory for every vehicle that diverges
+mujoco.set_mju_user_warning(logging.getLogger(__name__).info)
+
+Engine = Literal["auto", "mujoco", "compiled"]
+"""What integrates the motion: the compiled scheme where it can (auto), MuJoCo, or the compiled scheme only."""
+ENGINES: tuple[Engine, ...] = get_args(Engine)
+BODY = 1
+"""Index of the vehicle among the model's bodies."""
+
+
+def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bool = False) -> str:
+    """The MuJoCo model of one vehicle as XML."""
+    return (
+        (resources.files("assets") / "quadrotor.xml")
+        .read_text(encoding="utf-8")
+        .format(
+            name=vehicle.name,
+            timestep=repr(timestep),
+            integrator=integrator,
+            gravity=GRAVITY,
+            contact="enable" if contact else "disable",
+            mass=repr(vehicle.mass),
+            inertia=" ".join(map(repr, vehicle.inertia)),
+            size=" ".join(map(repr, vehicle.frame.size)),
+        )
+    )
+
+
+def vehicle_model(vehicle: Vehicle, timestep: float, integrator: str, contact: bool) -> mujoco.MjModel:
+    """The MuJoCo model of one vehicle.
+
+    Raises:
+        ValueError: MuJoCo has no such integrator.
+    """
+    known = [name.removeprefix("mjINT_").upper() for name in mujoco.mjtIntegrator.__members__]
+    if integrator.upper() not in known:
+        raise ValueError(
+            f"unknown integrator {integrator!r}; choose one of RK4, implicitfast, implicit, Euler"
+        )
+    return mujoco.MjModel.from_xml_string(mjcf(vehicle, timestep, integrator, contact))
+
+
+def is_free_body(model: mujoco.MjModel) -> bool:
+    """Whether a model is one rigid body in free flight, as `quadsim.free_body` integrates it."""
+    option = model.opt
+    return (
+        (model.nbody, model.njnt, model.nv, model.neq, model.ntendon) == (2, 1, 6, 0, 0)
+        and option.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        and bool(option.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        and option.density == option.viscosity == 0.0
+        and np.array_equal(option.gravity, (0.0, 0.0, -GRAVITY))
+        and not (model.dof_damping.any() or model.dof_armature.any() or model.body_ipos[BODY].any())
+        and np.array_equal(model.body_iquat[BODY], (1.0, 0.0, 0.0, 0.0))
+    )
+
+
+class MujocoEngine:
+    """n copies of a model, which exchange their state with the records of the plant.
+
+    Args:
+        model: The model of one vehicle, its six actuators the wrench in body axes.
+        vehicles: (n,) records of `quadsim.rotors.vehicle_dtype`; masses and inertias are theirs.
+        contact: Whether the ground can be touched.
+    """
+
+    def __init__(self, model: mujoco.MjModel, vehicles: NDArray[np.void], contact: bool) -> None:
+        self.vehicles, self.contact = vehicles, contact
+        self.batch = Batch(model, len(vehicles), nthread=1)
+        self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self.reaction = self.batch.bind("qfrc_constraint") if contact else np.zeros_like(self.qvel)
+        self._stage = (mujoco.mjtStage.mjSTAGE_ACC if contact else mujoco.mjtStage.mjSTAGE_NONE).value
+        if len(np.unique(vehicles["mass"])) > 1 or len(np.unique(vehicles["inertia"], axis=0)) > 1:
+            self.write_inertia()
+
+    def step(self) -> None:
+        """Move all vehicles by one step under the force and moment of their records."""
+        _write(self.vehicles, self.qpos, self.qvel, self.ctrl)
+        self.batch.step(stage=self._stage)
+        _read(self.vehicles, self.qpos, self.qvel, self.reaction)
+
+    def forward(self) -> None:
+        """Write the reaction of the ground at the present state."""
+        _write(self.vehicles, self.qpos, self.qvel, self.ctrl)
+        if self.contact:
+            self.batch.forward()
+        _read(self.vehicles, self.qpos, self.qvel, self.reaction)
+
+    def write_inertia(self) -> None:
+        """Give the models the masses and inertias of the records."""
+        self.batch.expand("body_mass")[:, BODY] = self.vehicles["mass"]
+        self.batch.expand("body_inertia")[:, BODY] = self.vehicles["inertia"]
+        self.batch.set_const()
+
+
+@njit(cache=True)
+def _write(vehicles, qpos, qvel, ctrl):
+    for i in range(vehicles.shape[0]):
+        p = vehicles[i]
+        qpos[i, :3], qpos[i, 3:], qvel[i, :3], qvel[i, 3:] = p.position, p.quat, p.velocity, p.ang_vel
+        ctrl[i, :3], ctrl[i, 3:] = p.force, p.moment
+
+
+@njit(cache=True)
+def _read(vehicles, qpos, qvel, reaction):
+    for i in range(vehicles.shape[0]):
+        p = vehicles[i]
+        p.position[:], p.quat[:], p.velocity[:], p.ang_vel[:] = (
+            qpos[i, :3],
+            qpos[i, 3:],
+            qvel[i, :3],
+            qvel[i, 3:],
+        )
+        p.ground_force[:], p.ground_moment[:] = reaction[i, :3], reaction[i, 3:]
