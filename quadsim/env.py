@@ -326,7 +326,7 @@ class Flights:
         if not self._begun:
             raise ValueError("step was called before reset")
         mission = self.mission
-        finite = to_command(self._index, self.action, self._scale, self._hover_rotor_vel, *mission.records)
+        finite = to_command(self._index, self.action, self._scale, self._hover_rotor_vel, mission.records)
         if not finite:
             raise ValueError("an action is not a finite number; has the policy diverged?")
         if again is not None and len(again):
@@ -342,7 +342,7 @@ class Flights:
     def observe(self) -> tuple[NDArray[np.float32], Array]:
         """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
         reward = np.empty(self.mission.n)
-        observe(*self.mission.records, self._records, reward)
+        observe(self.mission.records, self._records, reward)
         return self._observation.copy(), reward
 
     def picture(self, index: int) -> Image:
@@ -483,11 +483,11 @@ def flight_seed(random: np.random.Generator) -> np.random.SeedSequence:
 
 
 @njit(cache=True)
-def to_command(level, action, scale, hover_rotor_vel, flights, loops):
+def to_command(level, action, scale, hover_rotor_vel, loops):
     """Write the commands of actions (n, numbers) to the loops; see `QuadrotorEnv`. False if one is not finite."""
     u = np.empty(scale.size)
     for i in range(action.shape[0]):
-        wanted, out, c = flights[i].target, loops[i].set_point, loops[i].controller
+        wanted, out, c = loops[i].flight.target, loops[i].set_point, loops[i].controller
         for j in range(scale.size):
             if not np.isfinite(action[i, j]):
                 return False
@@ -518,10 +518,10 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def observe(flights, loops, observation, reward):
+def observe(loops, observation, reward):
     """Write observations (n,) and rewards (n,); see the tables of `QuadrotorEnv`."""
     for i in range(observation.shape[0]):
-        out, wanted, m, p = observation[i], flights[i].target, loops[i].measured, loops[i].vehicle
+        out, wanted, m, p = observation[i], loops[i].flight.target, loops[i].measured, loops[i].vehicle
         distance = speed = 0.0  # squared errors
         for j in range(3):
             out.position_error[j] = _clip(wanted.position[j] - m.position[j], POSITION_LIMIT)
@@ -535,4 +535,4 @@ def observe(flights, loops, observation, reward):
         error = wanted.yaw - m.yaw
         out.yaw_error = np.arctan2(np.sin(error), np.cos(error))
         out.heading[0], out.heading[1] = np.cos(m.yaw), np.sin(m.yaw)
-        reward[i] = 1.0 / (1.0 + distance + 0.1 * speed) if flights[i].cause == FLYING else 0.0
+        reward[i] = 1.0 / (1.0 + distance + 0.1 * speed) if loops[i].flight.cause == FLYING else 0.0

@@ -34,6 +34,20 @@ from ..vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
+FLIGHT = np.dtype(
+    [
+        ("min_cos_tilt", "f8"),  # limits of flight: cosine of the largest tilt,
+        ("min_altitude", "f8"),  # lowest height [m]
+        ("max_distance", "f8"),  # and largest distance from the set-point [m]
+        ("target", SET_POINT),  # of the current sample
+        ("wind", "f8", 3),
+        ("crashed", "i8"),  # why it is down at this sample, and
+        ("cause", "i8"),  # why it first was
+    ],
+    align=True,
+)
+
+
 @cache
 def loop_dtype(rotors: int) -> np.dtype:
     """The record of one closed loop: everything about its vehicle, sensors and controller."""
@@ -44,6 +58,7 @@ def loop_dtype(rotors: int) -> np.dtype:
             ("measured", MEASURED),
             ("set_point", SET_POINT),
             ("controller", controller_dtype(rotors)),
+            ("flight", FLIGHT),
         ],
         align=True,
     )

@@ -35,19 +35,6 @@ CAUSES = ("", "tilted over", "hit the ground", "flew away", "diverged")
 
 PLAN = np.dtype([("target", SET_POINT), ("wind", "f8", 3)])
 """What is planned for a sample: the set-point, and the wind that follows, world axes [m/s]."""
-FLIGHT = np.dtype(
-    [
-        ("min_cos_tilt", "f8"),  # limits of flight: cosine of the largest tilt,
-        ("min_altitude", "f8"),  # lowest height [m]
-        ("max_distance", "f8"),  # and largest distance from the set-point [m]
-        ("target", SET_POINT),  # of the current sample
-        ("wind", "f8", 3),
-        ("crashed", "i8"),  # why it is down at this sample, and
-        ("cause", "i8"),  # why it first was
-    ],
-    align=True,
-)
-
 TRAJECTORY, AIR, SENSOR, BEGINNING, FAULT, EXTERNAL = range(6)
 """Children of a flight's seed, one for each component that draws from it."""
 
@@ -81,12 +68,6 @@ class Mission:
         self.steps = steps_of(scenario.duration_s if duration_s is None else duration_s, rate_hz)
         self._imu, self._estimator = load_imu(scenario.imu), estimator
         self._external = load_external(scenario.external)
-        self._flights = np.zeros(n, FLIGHT)
-        self._flights["min_cos_tilt"] = math.cos(math.radians(scenario.crash.tilt_deg))
-        self._flights["min_altitude"] = scenario.crash.altitude
-        self._flights["max_distance"] = scenario.crash.distance
-        self.target, self.air = self._flights["target"], self._flights["wind"]
-        self.cause = self._flights["cause"]
 
     def begin(self, seeds: Seeds) -> None:
         """Begin all flights, one seed each."""
@@ -111,11 +92,15 @@ class Mission:
         )
         self._faults = VehicleFaults(faults, self.loop.plant)
         self.k = self.loop.k
-        self.cause[:] = self._flights["crashed"] = FLYING
-        self.crashed, self.records = 0, (self._flights, self.loop.records)
+        self.records, self.crashed, crash = self.loop.records, 0, self.scenario.crash
+        self._flights = self.records["flight"]
+        self._flights["min_cos_tilt"] = math.cos(math.radians(crash.tilt_deg))
+        self._flights["min_altitude"], self._flights["max_distance"] = crash.altitude, crash.distance
+        self.target, self.air = self._flights["target"], self._flights["wind"]
+        self.cause = self._flights["cause"]
         start = self._start(seeds, self._plans["target"][:, 0])
         self.loop.reset(*start, known_attitude=self.scenario.start.known_attitude)
-        look_up_all(*self.records, self._plans)
+        look_up_all(self.records, self._plans)
 
     def restart(self, ids: NDArray[np.int64], seeds: Seeds) -> None:
         """Restart some flights, one seed each, while the others continue; call `sense` before they are read.
@@ -137,7 +122,7 @@ class Mission:
             self._prepare()
             index = self._accept(level, command)
             self.crashed = step(
-                index, *self.records, self._plans, loop.plant.substeps, loop.noise, loop.next_noise()
+                index, self.records, self._plans, loop.plant.substeps, loop.noise, loop.next_noise()
             )
             loop.estimate()
         else:
@@ -154,7 +139,7 @@ class Mission:
     def sense(self) -> None:
         """The second half of `step`: IMU, estimate, the next set-point, and who has crashed."""
         self.loop.sense()
-        self.crashed = follow_all(*self.records, self._plans)
+        self.crashed = follow_all(self.records, self._plans)
 
     def _accept(self, level: Level, command: Command | None) -> int:
         return LEVELS.index(level) if command is None else self.loop.accept(level, command)
@@ -197,9 +182,9 @@ class Mission:
 
 
 @njit(cache=True, inline="always")
-def look_up(flight, loop, plan):
+def look_up(loop, plan):
     """Copy a flight's set-point and wind of its sample k, the set-point to the loop too; the last one holds."""
-    now = plan[min(loop.measured.k, plan.shape[0] - 1)]
+    flight, now = loop.flight, plan[min(loop.measured.k, plan.shape[0] - 1)]
     flight.target = now.target
     loop.set_point = now.target
     for axis in range(3):
@@ -207,15 +192,15 @@ def look_up(flight, loop, plan):
 
 
 @njit(cache=True, inline="always")
-def follow(flight, loop, plan):
+def follow(loop, plan):
     """`look_up`, then write whether a vehicle is down now, and why; `cause` keeps the first reason.
 
     Args:
-        flight: Record of `FLIGHT`.
         loop: Record of `loop_dtype`.
         plan: (T,) records of `PLAN`.
     """
-    look_up(flight, loop, plan)
+    look_up(loop, plan)
+    flight = loop.flight
     p, q, w, wanted = loop.vehicle.position, loop.vehicle.quat, loop.vehicle.ang_vel, flight.target.position
     cos_tilt = 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
     distance = math.sqrt((p[0] - wanted[0]) ** 2 + (p[1] - wanted[1]) ** 2 + (p[2] - wanted[2]) ** 2)
@@ -235,28 +220,27 @@ def follow(flight, loop, plan):
 
 
 @njit(cache=True)
-def look_up_all(flights, loops, plans):
-    """`look_up` for all: (n,) records, plans (n, T)."""
-    for i in range(flights.shape[0]):
-        look_up(flights[i], loops[i], plans[i])
+def look_up_all(loops, plans):
+    """`look_up` for all: (n,) records of `loop_dtype`, plans (n, T) of `PLAN`."""
+    for i in range(loops.shape[0]):
+        look_up(loops[i], plans[i])
 
 
 @njit(cache=True)
-def follow_all(flights, loops, plans):
+def follow_all(loops, plans):
     """`follow` for all; returns how many are down."""
     crashed = 0
-    for i in range(flights.shape[0]):
-        crashed += follow(flights[i], loops[i], plans[i])
+    for i in range(loops.shape[0]):
+        crashed += follow(loops[i], plans[i])
     return crashed
 
 
 @njit(cache=True)
-def step(level, flights, loops, plans, substeps, noise, at):
+def step(level, loops, plans, substeps, noise, at):
     """One sample of all flights, but for the estimate; returns how many are down.
 
     Args:
         level: Number of the level of the command in the records.
-        flights: (n,) records of `FLIGHT`.
         loops: (n,) records of `loop_dtype`.
         plans: (n, T) records of `PLAN`.
         substeps: Steps of integration a sample.
@@ -264,12 +248,12 @@ def step(level, flights, loops, plans, substeps, noise, at):
         at: Place of this sample in the block.
     """
     crashed, x = 0, np.empty((2, 3))
-    for i in range(flights.shape[0]):
-        flight, loop = flights[i], loops[i]
+    for i in range(loops.shape[0]):
+        loop = loops[i]
         for axis in range(3):
-            loop.vehicle.wind[axis] = flight.wind[axis]
+            loop.vehicle.wind[axis] = loop.flight.wind[axis]
         start_one(level, loop)
         fly(loop.vehicle, loop.controller.rotor_vel_cmd, substeps)
         sense_one(loop, noise[i], at, x)
-        crashed += follow(flight, loop, plans[i])
+        crashed += follow(loop, plans[i])
     return crashed

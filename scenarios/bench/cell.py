@@ -170,7 +170,7 @@ def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Log, NDArray[np.in
     end = np.full(mission.n, mission.steps)
     for k in range(mission.steps):
         mission.step()
-        write_row(*mission.records, last_command, log[k])
+        write_row(mission.records, last_command, log[k])
         if mission.crashed:
             end[(mission.cause > 0) & (end > k)] = k
     return log.swapaxes(0, 1), end

@@ -156,13 +156,13 @@ METRICS = (
 
 
 @njit(cache=True)
-def write_row(flights, loops, last_command, row):
+def write_row(loops, last_command, row):
     """Write one sample of n flights into `row` (n,), and the command into `last_command` (n, rotors).
 
-    flights and loops are the records of the mission, (n,).
+    loops: (n,) records of `quadsim.flight.loop.loop_dtype`.
     """
     for i in range(row.shape[0]):
-        out, p, c, target = row[i], loops[i].vehicle, loops[i].controller, flights[i].target
+        out, p, c, target = row[i], loops[i].vehicle, loops[i].controller, loops[i].flight.target
         axis, quat, estimate = c.thrust_axis, p.quat, loops[i].measured.roll_pitch
         w, x, y, z = quat[0], quat[1], quat[2], quat[3]
         up_x, up_y, up_z = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
