@@ -1,0 +1,166 @@
+"""The compiled engine against MuJoCo, which defines the physics."""
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from quadsim.engine import is_free_body, mjcf, vehicle_model
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.scenario import load_scenario
+from quadsim.flight.simulate import simulate_flights
+from quadsim.free_body import advance, dexp_inverse
+from quadsim.plant import Plant
+from quadsim.rotation import quat_from_rotvec, quat_multiply
+from quadsim.runs.compiled import njit
+from quadsim.seeding import vehicle_seeds
+from quadsim.vehicle import load_vehicle
+
+HUMMINGBIRD = load_vehicle("hummingbird")
+STATE = ("position", "velocity", "quat", "ang_vel")
+
+
+@njit(cache=True)
+def advance_all(vehicles):
+    for i in range(vehicles.shape[0]):
+        advance(vehicles[i])
+
+
+def random_bodies(rng, n):
+    """Masses from 10 g to 10 kg, any inertia that a rigid body can have, spins to 40 rad/s."""
+    vehicles = []
+    for _ in range(n):
+        mass, radius = float(10 ** rng.uniform(-2, 1)), rng.uniform(0.02, 0.2)
+        a, b = rng.uniform(0.5, 2.0, 2)
+        inertia = np.array([a, b, rng.uniform(1.05 * abs(a - b), 0.95 * (a + b))]) * mass * radius**2
+        motor = HUMMINGBIRD.motor.model_copy(update={"k_f": HUMMINGBIRD.motor.k_f * mass / HUMMINGBIRD.mass})
+        numbers = {"mass": mass, "inertia": tuple(inertia.tolist()), "motor": motor}
+        vehicles.append(HUMMINGBIRD.model_copy(update=numbers))
+    spin = rng.normal(size=(n, 3))
+    spin *= rng.uniform(0, 40, (n, 1)) / np.linalg.norm(spin, axis=1, keepdims=True)
+    start = {"quat": rng.normal(size=(n, 4)), "velocity": 5 * rng.normal(size=(n, 3)), "ang_vel": spin}
+    return vehicles, start
+
+
+def difference(plant, other):
+    """Largest difference of each body's state, relative to its size where that is above 1."""
+    worst = np.zeros(plant.n)
+    for name in STATE:
+        x, y = plant.vehicles[name], other.vehicles[name]
+        worst = np.maximum(worst, np.abs(x - y).max(1) / np.maximum(1.0, np.linalg.norm(x, axis=1)))
+    return worst
+
+
+def test_a_step_of_any_body_is_mujocos_to_round_off():
+    rng = np.random.default_rng(0)
+    vehicles, start = random_bodies(rng, 64)
+    plant, engine = Plant(vehicles, 64, engine="compiled"), Plant(vehicles, 64, engine="mujoco")
+    mass, inertia = plant.vehicles["mass"][:, None], plant.vehicles["inertia"]
+    engine.reset(**start)
+    for _ in range(200):
+        engine.vehicles["force"] = 5.0 * mass * rng.normal(size=(64, 3))
+        engine.vehicles["moment"] = 10.0 * inertia * rng.normal(size=(64, 3))
+        plant.vehicles[:] = engine.vehicles
+        advance_all(plant.vehicles)
+        engine.engine.step()
+        assert difference(engine, plant).max() < 2e-14
+
+
+def test_free_bodies_part_no_faster_than_mujoco_parts_from_itself_rounded_once_more():
+    # MuJoCo's moment contains v × m v, zero but for its rounding: that of m v² beside I dω/dt
+    rng = np.random.default_rng(1)
+    vehicles, start = random_bodies(rng, 16)
+    engine, rounded, plant = (Plant(vehicles, 16, engine=each) for each in ("mujoco", "mujoco", "compiled"))
+    for each in (engine, rounded, plant):
+        each.reset(**start)
+    worst = np.zeros((2, 16))
+    for _ in range(4000):
+        engine.engine.step()
+        rounded.engine.step()
+        advance_all(plant.vehicles)
+        p = rounded.vehicles
+        energy = p["mass"][:, None] * np.sum(p["velocity"] ** 2, axis=1, keepdims=True)
+        size = np.abs(p["ang_vel"]) + rounded.dt * energy / p["inertia"]
+        p["ang_vel"] += 2.3e-16 * size * rng.integers(-1, 2, (16, 3))
+        worst = np.maximum(worst, [difference(engine, plant), difference(engine, rounded)])
+    assert np.all(worst[0] < 1e-12 + 10.0 * worst[1])
+    assert np.median(worst[0]) < 2.0 * np.median(worst[1])
+
+
+@pytest.mark.parametrize("recipe", ["hummingbird", "px4", "robust", "windy"])
+def test_flights_of_20_s_agree_to_1e_12(recipe):
+    config = flight_config(load_recipe(recipe))
+    by_engine = [
+        simulate_flights(config.model_copy(update={"engine": each}), vehicle_seeds(0, 8), 4000)
+        for each in ("mujoco", "compiled")
+    ]
+    for name in (*STATE, "specific_force", "gyro", "accel"):
+        assert_allclose(by_engine[1][name], by_engine[0][name], rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+def test_flights_of_ten_minutes_agree_to_1e_9():
+    config = flight_config(load_recipe("hummingbird"))
+    by_engine = [
+        simulate_flights(config.model_copy(update={"engine": each}), vehicle_seeds(1, 1), 120_000)
+        for each in ("mujoco", "compiled")
+    ]
+    for name in STATE:
+        assert_allclose(by_engine[1][name], by_engine[0][name], rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("size", [1e-9, 9.9e-3, 1.01e-2, 1.0, 3.0])
+def test_dexp_inverse_is_the_rate_of_the_rotation_vector(size):
+    rng = np.random.default_rng(2)
+    u, w = rng.normal(size=(2, 3))
+    u *= size / np.linalg.norm(u)
+    h = 1e-6 * max(size, 1e-3)
+    rate = np.array(dexp_inverse(tuple(u), tuple(w)))
+    turned = quat_multiply(quat_from_rotvec(u), quat_from_rotvec(h * w))
+    assert_allclose(quat_from_rotvec(u + h * rate), turned, atol=20 * h * h)
+
+
+def test_the_records_have_the_mass_and_the_inertia_of_the_mjcf():
+    plant = Plant(HUMMINGBIRD)
+    model = vehicle_model(HUMMINGBIRD, 0.005, "RK4", contact=False)
+    assert plant.vehicles["mass"][0] == model.body_mass[1]
+    assert np.array_equal(plant.vehicles["inertia"][0], model.body_inertia[1])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("</worldbody>", '<body><freejoint/><geom size="0.1"/></body></worldbody>'),  # a second body
+        ('<site name="com"/>', '<site name="com"/><body><joint/><geom size="0.1"/></body>'),  # a joint
+        ('<inertial pos="0 0 0"', '<inertial pos="0 0 0.1"'),
+        ('gravity="', 'density="1.2" gravity="'),
+        ('integrator="RK4"', 'integrator="Euler"'),
+        ('contact="disable"', 'contact="enable"'),
+    ],
+)
+def test_anything_but_one_free_body_is_left_to_mujoco(change):
+    xml = mjcf(HUMMINGBIRD, 0.005)
+    assert is_free_body(mujoco.MjModel.from_xml_string(xml))
+    assert change[0] in xml
+    assert not is_free_body(mujoco.MjModel.from_xml_string(xml.replace(*change)))
+
+
+def test_auto_is_compiled_in_free_flight_and_mujoco_on_the_ground():
+    assert Plant(HUMMINGBIRD).engine is None
+    assert Plant(HUMMINGBIRD, contact=True, integrator="implicitfast").engine is not None
+    assert Plant(HUMMINGBIRD, integrator="Euler").engine is not None
+
+
+def test_bad_engines_are_named():
+    with pytest.raises(ValueError, match=r"unknown engine 'bullet'; choose one of auto, mujoco, compiled"):
+        Plant(HUMMINGBIRD, engine="bullet")
+    with pytest.raises(ValueError, match=r'engine = "compiled" integrates one free body'):
+        Plant(HUMMINGBIRD, contact=True, integrator="implicitfast", engine="compiled")
+
+
+def test_a_scenario_takes_an_engine(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('description = "x"\nengine = "mujoco"\n')
+    assert load_scenario(path).engine == "mujoco"
+    path.write_text('description = "x"\nengine = "bullet"\n')
+    with pytest.raises(ValueError, match="engine"):
+        load_scenario(path)
