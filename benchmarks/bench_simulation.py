@@ -1,20 +1,23 @@
-"""How close the simulator comes to the speed of its engine, and how it compares with rotorpy.
+"""What a simulated step costs, beside the engine it replaces and beside other simulators.
 
-    python benchmarks/bench_simulation.py            # one thread, rounds interleaved, medians and ratios
-    pip install rotorpy                              # for the last row
+    python benchmarks/bench_simulation.py       # one thread, rounds interleaved, medians and ratios
+    pip install crazyflow rotorpy               # for their rows
 
 Everything is measured in one run, a fraction of a second of each job in turn. A ratio is the median of the
-ratios within the rounds, so that a machine that slows down for a while slows both sides of it.
+ratios within the rounds, so that a machine that slows down for a while slows both sides of it. Wall and CPU
+time differ where a job uses several threads, or has to wait.
 """
 
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -22,21 +25,29 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+import estimators
 import quadsim  # noqa: F401  registers the environment
-from quadsim.dataset.generation import generate
+from quadsim.engine import vehicle_model
+from quadsim.flight.mission import Mission
+from quadsim.flight.scenario import load_scenario
 from quadsim.flight.simulate import FlightConfig, simulate_flights
 from quadsim.imu.spec import load_imu
-from quadsim.engine import vehicle_model
 from quadsim.vehicle import load_vehicle
+from scenarios.bench.cell import fly
 
 RATE = 200.0
-ROUNDS = 15
+ROUNDS = 9
 
 
-def seconds(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
+Job = tuple[Callable[[], object], float]
+"""What is timed, and how many steps of a vehicle it makes."""
+
+
+def seconds(work: Callable[[], object]) -> tuple[float, float]:
+    """Wall and CPU time."""
+    wall, cpu = time.perf_counter(), time.process_time()
     work()
-    return time.perf_counter() - start
+    return time.perf_counter() - wall, time.process_time() - cpu
 
 
 def raw_steps(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> Callable[[], object]:
@@ -71,51 +82,128 @@ def rotorpy_flight(duration: float) -> Callable[[], object] | None:
     return work
 
 
+def crazyflow_batch(n: int, integrator: str, steps: int) -> Callable[[], object] | None:
+    """Its own position controller and first-principles model of a Crazyflie, float32, nothing recorded."""
+    try:
+        import jax
+        from crazyflow.control import Control
+        from crazyflow.dynamics import Dynamics
+        from crazyflow.sim import Sim
+    except ImportError:
+        return None
+    sim = Sim(
+        n_worlds=n,
+        dynamics=Dynamics.first_principles,
+        control=Control.state,
+        integrator=integrator,
+        freq=int(RATE),
+        state_freq=int(RATE),
+        attitude_freq=int(RATE),
+        body_rate_freq=int(RATE),
+        force_torque_freq=int(RATE),
+    )
+    command = np.zeros((n, 1, 13), np.float32)
+    command[..., 2] = 1.0
+
+    def work() -> None:
+        sim.reset()
+        sim.state_control(command)
+        sim.step(steps)
+        jax.block_until_ready(sim.data.states.pos)
+
+    return work
+
+
+def environment(n: int, steps: int) -> Job:
+    """Steps of the environment, one or a batch."""
+    if n == 1:
+        env = gymnasium.make("quadsim/Quadrotor-v0", disable_env_checker=True).unwrapped
+        action = np.zeros(4, np.float32)
+    else:
+        env = gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n)
+        action = np.zeros((n, 4), np.float32)
+    env.reset(seed=0)
+
+    def work() -> None:
+        env.reset(seed=0)
+        for _ in range(steps):
+            env.step(action)
+
+    return work, n * steps
+
+
+def cell(estimator: str, n: int = 20) -> Job:
+    """Flights of a benchmark's cell, logged: scenario `wind-gust`."""
+    scenario = load_scenario("wind-gust")
+    made = estimators.create(estimator, RATE, vehicle=scenario.vehicle, imu=scenario.imu)
+    mission = Mission(scenario, made, n, RATE)
+    return lambda: fly(mission, seed=0), n * mission.steps
+
+
+def cold_start() -> dict[str, list[float]]:
+    """Wall and CPU time of a first and a second `quadsim generate` with an empty cache of compiled code."""
+    spent: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/cache"}
+        for which in ("first", "second"):
+            before, wall = os.times(), time.perf_counter()
+            arguments = [
+                "generate",
+                "--flights",
+                "35",
+                "--duration",
+                "100",
+                "--out",
+                f"{folder}/{which}.zarr",
+            ]
+            command = [sys.executable, "-m", "quadsim.cli", *arguments]
+            subprocess.run(command, env=environment, check=True, capture_output=True)
+            after = os.times()
+            cpu = after.children_user + after.children_system - before.children_user - before.children_system
+            spent[which] = [time.perf_counter() - wall, cpu]
+    return spent
+
+
 def main() -> None:
     config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.0)
     seeds = np.random.SeedSequence(0).spawn(64)
     model = vehicle_model(config.vehicle, 1 / RATE, "RK4", contact=False)
-    data = mujoco.MjData(model)
-    steps, flights, flight_steps, env_steps, rotor_s = 20000, 64, 2000, 4000, 0.5
-    env = gymnasium.make("quadsim/Quadrotor-v0", disable_env_checker=True).unwrapped
-    env.reset(seed=0)
-    action = env.action_space.sample() * 0
-
-    def env_loop() -> None:
-        env.reset(seed=0)
-        for _ in range(env_steps):
-            env.step(action)
-
-    jobs: dict[str, tuple[Callable[[], object], float]] = {
-        "raw mj_step, RK4, in C": (raw_steps(model, data, steps), steps),
-        "bulk: controller, noise, recording": (
-            lambda: simulate_flights(config, seeds, flight_steps, RATE),
-            flights * flight_steps,
-        ),
-        "gymnasium step, n = 1": (env_loop, env_steps),
+    on_mujoco = config.model_copy(update={"engine": "mujoco"})
+    jobs: dict[str, Job] = {
+        "raw mj_step, RK4, in C": (raw_steps(model, mujoco.MjData(model), 20000), 20000),
+        "bulk: controller, IMU, recording": (lambda: simulate_flights(config, seeds, 1000, RATE), 64_000),
+        "the same, engine = mujoco": (lambda: simulate_flights(on_mujoco, seeds, 250, RATE), 16_000),
+        "environment, n = 1": environment(1, 4000),
+        "environment, n = 64": environment(64, 2000),
+        "benchmark cell, truth": cell("truth"),
+        "benchmark cell, mahony": cell("mahony"),
+        "benchmark cell, ekf-drag": cell("ekf-drag"),
+        "benchmark cell, att-snn-loihi": cell("att-snn-loihi"),
     }
-    rotorpy = rotorpy_flight(rotor_s)
-    if rotorpy:
-        jobs["rotorpy: controller, IMU, recording"] = (rotorpy, rotor_s * RATE)
+    peers = {
+        "crazyflow, RK4, n = 64": (crazyflow_batch(64, "rk4", 1000), 64_000),
+        "crazyflow, RK4, n = 1024": (crazyflow_batch(1024, "rk4", 100), 102_400),
+        "crazyflow, Euler, n = 1024": (crazyflow_batch(1024, "euler", 100), 102_400),
+        "rotorpy: controller, IMU, recording": (rotorpy_flight(0.5), 0.5 * RATE),
+    }
+    jobs |= {name: (work, steps) for name, (work, steps) in peers.items() if work is not None}
     for work, _ in jobs.values():
         work()  # compile and warm up
-    times = {name: np.empty(ROUNDS) for name in jobs}
+    times = {name: np.empty((ROUNDS, 2)) for name in jobs}
     for i in range(ROUNDS):
-        for name, (work, count) in jobs.items():
-            times[name][i] = seconds(work) / count * 1e6
+        for name, (work, steps) in jobs.items():
+            times[name][i] = np.array(seconds(work)) / steps * 1e6
     raw, bulk = (times[name] for name in list(jobs)[:2])
-
-    table = Table("job", "µs a step", "raw / job", "job / raw", "job / bulk")
-    table.title = f"one thread, median of {ROUNDS} rounds"
+    table = Table("job", "wall [µs]", "CPU [µs]", "÷ raw", "÷ bulk", title="One step of one vehicle")
     for name, spent in times.items():
-        ratios = (raw / spent, spent / raw, spent / bulk)
-        table.add_row(name, f"{np.median(spent):.2f}", *(f"{np.median(ratio):.2f}" for ratio in ratios))
+        wall, cpu = np.median(spent, axis=0)
+        ratios = (np.median(spent[:, 1] / other[:, 1]) for other in (raw, bulk))
+        table.add_row(name, f"{wall:.2f}", f"{cpu:.2f}", *(f"{ratio:.2f}" for ratio in ratios))
+    table.caption = f"medians of {ROUNDS} rounds; ratios of CPU time"
     console = Console()
     console.print(table)
-    with tempfile.TemporaryDirectory() as folder:
-        recipe = config.model_copy(update={"warmup_s": 4.0})
-        spent = seconds(lambda: generate(recipe, 35, 100.0, Path(folder) / "paper.zarr", workers=2))
-    console.print(f"35 flights of 100 s at 200 Hz to disk, two processes started from nothing: {spent:.1f} s")
+    for which, (wall, cpu) in cold_start().items():
+        console.print(f"{which} generate --flights 35 in a fresh environment: {wall:.1f} s, CPU {cpu:.1f} s")
 
 
 if __name__ == "__main__":
