@@ -16,7 +16,7 @@ from .vehicle import GRAVITY, Vehicle
 mujoco.set_mju_user_warning(logging.getLogger(__name__).info)
 
 Engine = Literal["auto", "mujoco", "compiled"]
-"""What integrates the motion: the compiled scheme where it can (auto), MuJoCo, or the compiled scheme only."""
+"""What integrates the motion: MuJoCo, its scheme for a free body compiled, or that where it can be (auto)."""
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 BODY = 1
 """Index of the vehicle among the model's bodies."""
@@ -110,18 +110,19 @@ class MujocoEngine:
 def _write(vehicles, qpos, qvel, ctrl):
     for i in range(vehicles.shape[0]):
         p = vehicles[i]
-        qpos[i, :3], qpos[i, 3:], qvel[i, :3], qvel[i, 3:] = p.position, p.quat, p.velocity, p.ang_vel
-        ctrl[i, :3], ctrl[i, 3:] = p.force, p.moment
+        for j in range(3):
+            qpos[i, j], qvel[i, j], qvel[i, 3 + j] = p.position[j], p.velocity[j], p.ang_vel[j]
+            ctrl[i, j], ctrl[i, 3 + j] = p.force[j], p.moment[j]
+        for j in range(4):
+            qpos[i, 3 + j] = p.quat[j]
 
 
 @njit(cache=True)
 def _read(vehicles, qpos, qvel, reaction):
     for i in range(vehicles.shape[0]):
         p = vehicles[i]
-        p.position[:], p.quat[:], p.velocity[:], p.ang_vel[:] = (
-            qpos[i, :3],
-            qpos[i, 3:],
-            qvel[i, :3],
-            qvel[i, 3:],
-        )
-        p.ground_force[:], p.ground_moment[:] = reaction[i, :3], reaction[i, 3:]
+        for j in range(3):
+            p.position[j], p.velocity[j], p.ang_vel[j] = qpos[i, j], qvel[i, j], qvel[i, 3 + j]
+            p.ground_force[j], p.ground_moment[j] = reaction[i, j], reaction[i, 3 + j]
+        for j in range(4):
+            p.quat[j] = qpos[i, 3 + j]

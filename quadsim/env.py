@@ -484,7 +484,7 @@ def flight_seed(random: np.random.Generator) -> np.random.SeedSequence:
 
 @njit(cache=True)
 def to_command(level, action, scale, hover_rotor_vel, loops):
-    """Write the commands of actions (n, numbers) to the loops; see `QuadrotorEnv`. False if one is not finite."""
+    """Write the commands of actions (n, numbers) to the loops; False if an action is not finite."""
     u = np.empty(scale.size)
     for i in range(action.shape[0]):
         wanted, out, c = loops[i].flight.target, loops[i].set_point, loops[i].controller
@@ -512,7 +512,7 @@ def to_command(level, action, scale, hover_rotor_vel, loops):
     return True
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _clip(value, limit):
     return min(max(value, -limit), limit)
 

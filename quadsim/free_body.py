@@ -13,7 +13,7 @@ from .runs.compiled import njit
 from .vehicle import GRAVITY
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def dexp_inverse(u, w):
     """Derivative of the rotation vector u of q = q₀ ⊗ exp(u) while the body turns at w, body axes.
 
@@ -34,9 +34,9 @@ def dexp_inverse(u, w):
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def turned(q, u):
-    """q ⊗ exp(u), normalised: the attitude after a rotation by the vector u, body axes [rad]."""
+    """Multiply q ⊗ exp(u) and normalise: the attitude after a rotation by the vector u, body axes [rad]."""
     x, y, z = u
     angle = math.sqrt(x * x + y * y + z * z)
     c, s = math.cos(0.5 * angle), 0.5
@@ -51,20 +51,21 @@ def turned(q, u):
     return a / norm, b / norm, d / norm, e / norm
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def scaled(k, a):
+    """Vector k a."""
     return k * a[0], k * a[1], k * a[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def moved(x, k, a):
-    """x + k a."""
+    """Vector x + k a."""
     return x[0] + k * a[0], x[1] + k * a[1], x[2] + k * a[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def weighted(a, b, c, d):
-    """(a + 2 b + 2 c + d) / 6."""
+    """Weighted mean (a + 2 b + 2 c + d) / 6."""
     return (
         (a[0] + 2.0 * (b[0] + c[0]) + d[0]) / 6.0,
         (a[1] + 2.0 * (b[1] + c[1]) + d[1]) / 6.0,
@@ -72,7 +73,7 @@ def weighted(a, b, c, d):
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def acceleration(p, q):
     """Acceleration under force and gravity at an attitude, world [m/s²]."""
     f, m = p.force, p.mass
@@ -80,7 +81,7 @@ def acceleration(p, q):
     return fx, fy, fz - GRAVITY
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def advance(p):
     """Move one body by a step under a force and a moment that are constant in body axes.
 

@@ -35,14 +35,14 @@ class State(NamedTuple):
     ang_acc: Array  #: (n, 3) angular acceleration, body axes [rad/s²]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def air_velocity(p):
     """Velocity relative to the air, body axes, a tuple [m/s]."""
     q, v, wind = p.quat, p.velocity, p.wind
     return rotate_inverse_core(q[0], q[1], q[2], q[3], v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def actuate(p, rotor_vel_cmd):
     """Advance the rotors of one vehicle by a step and write force and moment, averaged over it.
 
@@ -71,7 +71,7 @@ def actuate(p, rotor_vel_cmd):
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def update_truth(p):
     """Write specific force, angular acceleration and Euler angles of this instant, ground reaction included.
 
@@ -91,7 +91,7 @@ def update_truth(p):
     p.roll_pitch[0], p.roll_pitch[1], p.yaw = euler_core(q[0], q[1], q[2], q[3])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def fly(p, rotor_vel_cmd, substeps):
     """Move one vehicle in free flight over a sample; specific force and angular acceleration stay behind."""
     for i in range(substeps):

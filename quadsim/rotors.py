@@ -63,7 +63,7 @@ def vehicle_records(vehicles: list[Vehicle], dt: float) -> NDArray[np.void]:
     return records
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def lag(omega, ref, tau, dt):
     """First-order lag over dt towards ref: the speed at the end, its mean and mean square over the interval.
 
@@ -76,7 +76,7 @@ def lag(omega, ref, tau, dt):
     return ref + gap * decay, ref + mean_gap, mean_square
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def aerodynamic_wrench(p, speed, square, air_vel, ang_vel):
     """Aerodynamic force and moment on the vehicle, body axes, about the centre of mass.
 
@@ -118,7 +118,7 @@ def aerodynamic_wrench(p, speed, square, air_vel, ang_vel):
     return fx, fy, fz, mx, my, mz
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def angular_acceleration(inertia, moment, ang_vel):
     """Euler's equation I ω̇ = M − ω × I ω, principal body axes, of tuples [rad/s²]."""
     mx, my, mz = moment

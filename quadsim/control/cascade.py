@@ -103,7 +103,7 @@ def _clip_norm(x, y, z, limit):
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _velocity_stage(c, velocity, wanted, feedforward):
     """PI on velocity plus feed-forward: the acceleration to ask for, world, a tuple [m/s²]."""
     g, integral = c.gains, c.wind_acc
@@ -130,7 +130,7 @@ def _thrust_direction(ax, ay, az):
     return fx / size, fy / size, fz / size, size
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _attitude_stage(g, q, axis, yaw_error):
     """P on tilt and yaw: the body rate to ask for, towards a thrust axis (Brescianini & D'Andrea 2018)."""
     bx, by, bz = rotate_inverse_core(q[0], q[1], q[2], q[3], axis[0], axis[1], axis[2])
@@ -142,7 +142,7 @@ def _attitude_stage(g, q, axis, yaw_error):
     return p, r, min(max(g.yaw * error, -MAX_YAW_RATE), MAX_YAW_RATE)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _rate_stage(c, gyro, wanted):
     """PI on body rate: the torque to ask for, gyroscopic term included, a tuple [N m]."""
     g, inertia, acc = c.gains, c.inertia, c.ang_acc_cmd
@@ -159,7 +159,7 @@ def _rate_stage(c, gyro, wanted):
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _allocate(c, thrust, torque):
     """Write rotor speeds for thrust and torque; what does not fit gives way: yaw first, then thrust."""
     out = c.rotor_vel_cmd
@@ -182,7 +182,7 @@ def _allocate(c, thrust, torque):
         out[i] = math.sqrt(min(max(out[i] + room * c.per_yaw[i] * torque[2], low), high))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _tilt_rate(c, q, target):
     """Body rate about x and y with which the set-point's own thrust axis z turns, ω = z × ż; it is stored."""
     acceleration, last = target.acceleration, c.last_axis
@@ -199,7 +199,7 @@ def _tilt_rate(c, q, target):
     return x, y
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def control(level, u, m, c):
     """One step of the cascade for one vehicle, to its `rotor_vel_cmd`.
 

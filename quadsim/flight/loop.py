@@ -188,14 +188,8 @@ class FlightLoop:
             command: (n, width of the level), or (n,) records.
             wind: (n, 3) world [m/s]; None for still air.
         """
-        self.plant.wind[:] = 0.0 if wind is None else wind
-        index = self.accept(level, command)
-        if self.plant.engine is None:
-            move_and_sense(index, self.records, self.plant.substeps, self.noise, self.next_noise())
-            self.estimate()
-        else:
-            self.move_on(index)
-            self.sense()
+        self.move(level, command, wind)
+        self.sense()
 
     def move(self, level: Level, command: Command, wind: Array | None = None) -> None:
         """The first half of `step`: control and motion."""
@@ -241,14 +235,14 @@ class FlightLoop:
         return 0 if self.imu is None else self.imu.next_samples()
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def start_one(level, loop):
     """Control of one vehicle: the count of samples increases, and its rotors get their command."""
     loop.measured.k += 1
     control(level, loop.set_point, loop.measured, loop.controller)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def sense_truth(loop):
     """Truth of one vehicle at this instant, to its records of vehicle and measured state."""
     p, m = loop.vehicle, loop.measured
@@ -258,7 +252,7 @@ def sense_truth(loop):
     m.roll_pitch[0], m.roll_pitch[1], m.yaw = p.roll_pitch[0], p.roll_pitch[1], p.yaw
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def sense_one(loop, noise, at, x):
     """`sense_truth`, then the sample of the IMU.
 
@@ -298,14 +292,4 @@ def sense(loops, noise, at):
     """`sense_one` for all: (n,) records, noise (n, NOISES, block, 3)."""
     x = np.empty((2, 3))
     for i in range(loops.shape[0]):
-        sense_one(loops[i], noise[i], at, x)
-
-
-@njit(cache=True)
-def move_and_sense(level, loops, substeps, noise, at):
-    """`move`, then `sense`."""
-    x = np.empty((2, 3))
-    for i in range(loops.shape[0]):
-        start_one(level, loops[i])
-        fly(loops[i].vehicle, loops[i].controller.rotor_vel_cmd, substeps)
         sense_one(loops[i], noise[i], at, x)

@@ -181,9 +181,9 @@ class Mission:
         )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def look_up(loop, plan):
-    """Copy a flight's set-point and wind of its sample k, the set-point to the loop too; the last one holds."""
+    """Copy set-point and wind of a flight's sample k; the last ones hold from then on."""
     flight, now = loop.flight, plan[min(loop.measured.k, plan.shape[0] - 1)]
     flight.target = now.target
     loop.set_point = now.target
@@ -191,7 +191,7 @@ def look_up(loop, plan):
         flight.wind[axis] = now.wind[axis]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def follow(loop, plan):
     """`look_up`, then write whether a vehicle is down now, and why; `cause` keeps the first reason.
 

@@ -59,7 +59,7 @@ class Scenario(Strict):
     contact: bool = False
     """Whether the ground can be touched, at five times the cost; otherwise to reach it is to crash."""
     engine: Engine = "auto"
-    """What integrates the motion: "mujoco"; "compiled", the same scheme compiled, without contact; or "auto"."""
+    """What integrates the motion: "mujoco", "compiled" (its scheme for free flight), or "auto"."""
     trajectory: Trajectory = Hover()
     """The set-points."""
     wind: tuple[WindSpec, ...] = ()

@@ -97,7 +97,7 @@ def sample_dtype(rotors: int) -> np.dtype:
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def record(k, loop, log, end):
     """Write sample k of a flight into its log (T,), records of `sample_dtype`.
 
@@ -128,12 +128,12 @@ def record(k, loop, log, end):
         row.specific_force[j] = row.ang_acc[j] = row.wind[j] = 0.0
     for j in range(p.rotor_vel.shape[0]):
         row.rotor_vel[j] = row.rotor_vel_cmd[j] = 0.0
-    row.quat[0] = 1.0  # level: even a flight without a valid sample holds rotations
-    row.quat[1:] = 0.0
+    # level: even a flight without a valid sample holds rotations
+    row.quat[0], row.quat[1], row.quat[2], row.quat[3] = 1.0, 0.0, 0.0, 0.0
     return 0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def start_sample(k, loop, path):
     """Set-point, error of the attitude, wind and control for the step from sample k − 1 to k."""
     before, now = path[k - 1], path[k]
