@@ -8,6 +8,7 @@ orders and frames are in this module.
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -138,8 +139,16 @@ _QUAT = np.zeros(4)
 
 
 def _over_arrays(layout: str) -> Callable[[Callable[..., None]], Callable[..., Array]]:
-    """Decorator: a generalized ufunc of float64 operands with the given layout."""
-    return guvectorize([(float64[:],) * layout.count("(")], layout)
+    """Decorator: a generalized ufunc of float64 operands with the given layout, compiled when first called."""
+
+    def decorate(function: Callable[..., None]) -> Callable[..., Array]:
+        @cache
+        def compiled() -> Callable[..., Array]:
+            return guvectorize([(float64[:],) * layout.count("(")], layout)(function)
+
+        return lambda *operands: compiled()(*operands)
+
+    return decorate
 
 
 @_over_arrays("(q),(q)->(q)")

@@ -25,6 +25,7 @@ Progress = Callable[[int, int], None]
 BATCH_FLIGHTS = 16  # more gain no speed
 BATCH_BYTES = 400e6  # memory that a worker may use for a batch,
 SAMPLE_BYTES = 600  # of which a sample of a flight takes this much while it is simulated
+WORTH_A_PROCESS = 2_000_000  # samples that take longer than the start of a process does
 ATTEMPTS = 4  # a worker may die this often
 
 
@@ -54,8 +55,8 @@ def generate(
         out: Path of the dataset; grows as `out.partial` until it is whole.
         seed: Seed of everything random.
         rate_hz: Samples per second.
-        workers: Processes, by default one for each CPU; 1 stays in this process. With an executor, how many
-            workers it has.
+        workers: Processes; 1 stays in this process. By default one for each CPU, but 1 for few samples. With
+            an executor, how many workers it has.
         executor: Where to run in place of processes of our own, for instance a Dask client's
             `get_executor()`; its workers need quadsim and the same file system.
         progress: Called with the flights done and their total at the start and after each flight.
@@ -69,6 +70,8 @@ def generate(
         OSError: The dataset cannot be written, or workers keep dying; finished flights stay.
     """
     plan = _plan(config, flights, duration_s, seed, rate_hz)
+    if workers is None and plan.flights * plan.steps < WORTH_A_PROCESS and executor is None:
+        workers = 1
     workers = process_count(None if workers is None else _at_least("workers", workers, 1), plan.flights)
     out = Path(out).expanduser().absolute()
     try:

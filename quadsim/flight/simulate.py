@@ -8,7 +8,6 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.signal import lfilter
 
 from ..config.ranges import Between
 from ..config.toml import Strict
@@ -46,6 +45,8 @@ class AttitudeError(Strict):
 
     def series(self, n_steps: int, rate_hz: float, seeds: Sequence[np.random.SeedSequence]) -> Array:
         """Errors of roll and pitch of one flight per seed, (n, steps, 2) [rad], stationary from the start."""
+        from scipy.signal import lfilter  # takes half a second
+
         white = np.stack([np.random.default_rng(seed).normal(size=(n_steps, 2)) for seed in seeds])
         kept = math.exp(-1.0 / (rate_hz * self.time_s))
         white[:, 1:] *= math.sqrt(1.0 - kept**2)
