@@ -2,7 +2,6 @@
 
 import logging
 from importlib import resources
-from typing import Literal, get_args
 
 import mujoco
 import numpy as np
@@ -15,9 +14,6 @@ from .vehicle import GRAVITY, Vehicle
 # the engine would otherwise write a file into the working directory for every vehicle that diverges
 mujoco.set_mju_user_warning(logging.getLogger(__name__).info)
 
-Engine = Literal["auto", "mujoco", "compiled"]
-"""What integrates the motion: MuJoCo, its scheme for a free body compiled, or that where it can be (auto)."""
-ENGINES: tuple[Engine, ...] = get_args(Engine)
 BODY = 1
 """Index of the vehicle among the model's bodies."""
 

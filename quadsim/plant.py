@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .config.ranges import SAMPLE_RATE
-from .engine import ENGINES, Engine, MujocoEngine, is_free_body, vehicle_model
+from .config.ranges import ENGINES, SAMPLE_RATE, Engine
+from .engine import MujocoEngine, is_free_body, vehicle_model
 from .free_body import advance
 from .rotation import euler_core, rotate_inverse_core
 from .rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records

@@ -139,7 +139,7 @@ _QUAT = np.zeros(4)
 
 
 def _over_arrays(layout: str) -> Callable[[Callable[..., None]], Callable[..., Array]]:
-    """Decorator: a generalized ufunc of float64 operands with the given layout, compiled when first called."""
+    """Decorator: a generalized ufunc of float64 operands of a layout, compiled when first called."""
 
     def decorate(function: Callable[..., None]) -> Callable[..., Array]:
         @cache

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
-from .options import Rate, Seed, Workers
+from .options import EngineToo, Rate, Seed, Workers
 
 dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
 
@@ -24,6 +24,7 @@ def generate(
         str | None, typer.Option(help="Another vehicle: a shipped name or a TOML file.")
     ] = None,
     imu: Annotated[str | None, typer.Option(help="Another IMU: a shipped name or a TOML file.")] = None,
+    engine: EngineToo = None,
     rate: Rate = 200.0,
     seed: Seed = 0,
     workers: Workers = None,
@@ -41,7 +42,8 @@ def generate(
     from ..dataset.reading import dataset_info
     from ..flight.recipe import flight_config, load_recipe
 
-    changes = {name: value for name, value in {"vehicle": vehicle, "imu": imu}.items() if value is not None}
+    given = {"vehicle": vehicle, "imu": imu, "engine": engine}
+    changes = {name: value for name, value in given.items() if value is not None}
     config = flight_config(load_recipe(recipe).model_copy(update=changes))
     with executor_of(cluster) as executor, progress_bar("generate", "flights") as progress:
         path = generate_dataset(

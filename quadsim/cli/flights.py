@@ -8,7 +8,7 @@ from rich.table import Table
 
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
-from .options import ImuToo, Rate, Seed, TuningOption, VehicleToo, Workers, headline, warn_of
+from .options import EngineToo, ImuToo, Rate, Seed, TuningOption, VehicleToo, Workers, headline, warn_of
 
 
 def design(
@@ -76,6 +76,7 @@ def fly(
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
     vehicle: VehicleToo = None,
     imu: ImuToo = None,
+    engine: EngineToo = None,
     tuning: TuningOption = None,
     rate: Rate = 200.0,
     seed: Seed = 0,
@@ -104,7 +105,7 @@ def fly(
             estimator,
             folder,
             FlightSettings(seeds, seed, rate, tuning),
-            ScenarioChanges(duration, vehicle, imu),
+            ScenarioChanges(duration, vehicle, imu, engine=engine),
             flight=flight,
             video=video,
             view=view,
@@ -140,6 +141,7 @@ def bench(
     ] = None,
     vehicle: VehicleToo = None,
     imu: ImuToo = None,
+    engine: EngineToo = None,
     tuning: TuningOption = None,
     breaking_point: Annotated[
         list[str] | None,
@@ -171,7 +173,7 @@ def bench(
     names = estimator or estimators.names()
     searched = chosen(breaking_point or [], duration)
     settings = FlightSettings(seeds, seed, rate, tuning)
-    changes = ScenarioChanges(duration, vehicle, imu, external)
+    changes = ScenarioChanges(duration, vehicle, imu, external, engine)
     points = []
     with executor_of(cluster) as executor:
         with progress_bar("fly", "cells") as progress:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from ..config.ranges import Engine
 from ..config.toml import merged
 from ..runs.console import output
 
@@ -39,6 +40,14 @@ VehicleToo = Annotated[
 ]
 ImuToo = Annotated[
     str | None, typer.Option(help="IMU in place of the scenarios': a shipped name or a TOML file.")
+]
+EngineToo = Annotated[
+    Engine | None,
+    typer.Option(
+        "--engine",
+        help="What integrates the motion: mujoco, compiled (its scheme for free flight, the same numbers to "
+        "1e-12, several times faster) or auto, compiled where nothing can touch.",
+    ),
 ]
 TuningOption = Annotated[
     str | None,

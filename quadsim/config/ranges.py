@@ -5,7 +5,7 @@ The ends are wide: a value beyond them is a slip of the pen or of the unit, and 
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import AfterValidator, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
@@ -119,3 +119,7 @@ ForceVector: TypeAlias = tuple[_ForcePart, _ForcePart, _ForcePart]
 
 Mass: TypeAlias = Annotated[float, Between(1e-3, 1000.0, "kg")]
 RotorSpeed: TypeAlias = Annotated[float, Between(1.0, 1e5, "rad/s")]
+
+Engine = Literal["auto", "mujoco", "compiled"]
+"""What integrates the motion: MuJoCo, its scheme for a free body compiled, or that where it can be (auto)."""
+ENGINES: tuple[Engine, ...] = get_args(Engine)

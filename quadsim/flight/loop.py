@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..config.ranges import Engine
 from ..control.cascade import (
     LEVELS,
     MEASURED,
@@ -20,7 +21,6 @@ from ..control.cascade import (
     control,
     controller_dtype,
 )
-from ..engine import Engine
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors
 from ..external import ExternalSensor
 from ..imu.kernel import ACCEL, GYRO, IMU, measure

@@ -5,9 +5,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ..config.ranges import Between
+from ..config.ranges import Between, Engine
 from ..config.toml import Strict, load_toml, located
-from ..engine import Engine
 from ..imu.spec import load_imu
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, load_vehicle

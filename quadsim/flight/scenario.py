@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ValidationError
+from pydantic import ValidationError, model_validator
 
-from ..config.ranges import Between, Coordinate, Distance, Position, RateDeg, Speed
+from ..config.ranges import Between, Coordinate, Distance, Engine, Position, RateDeg, Speed
 from ..config.toml import Strict, describe, load_toml, located, preset_names
-from ..engine import Engine
 from ..trajectory.specs import Hover, Trajectory
 from ..wind import WindSpec
 from .faults import Fault
@@ -70,6 +69,12 @@ class Scenario(Strict):
     """What goes wrong, in the order in which it acts on a sample."""
     crash: Crash = Crash()
     """What counts as a crash."""
+
+    @model_validator(mode="after")
+    def _engine_can(self) -> "Scenario":
+        if self.contact and self.engine == "compiled":
+            raise ValueError('engine = "compiled" has no contact; use "auto" or "mujoco", or contact = false')
+        return self
 
 
 def load_scenario(source: str | Path) -> Scenario:

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..config.ranges import Between
+from ..config.ranges import Between, Engine
 from ..config.toml import Strict
 from ..control.cascade import LEVELS, SET_POINT
-from ..engine import Engine
 from ..imu.spec import ImuSpec
 from ..imu.stream import simulate_imu_with_bias
 from ..plant import fly

@@ -38,6 +38,8 @@ class ScenarioChanges:
     """A shipped name or a TOML file."""
     external: str | None = None
     """External sensor, for example "ideal"."""
+    engine: str | None = None
+    """Integrator of the motion: "auto", "mujoco" or "compiled"."""
 
     def of(self, scenario: Scenario) -> Scenario:
         """A scenario with these fields, checked.
