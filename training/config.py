@@ -20,6 +20,7 @@ from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged
 
 from .augment import Augmentation
+from .backends import BACKENDS
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Step = Annotated[float, Between(1e-6, 1e6)]
@@ -119,6 +120,8 @@ class TrainConfig(Recipe):
     """Of the initial weights, the split, the windows and the sensor errors."""
     threads: Annotated[int, Between(1, 1024)] = 1
     """Threads that share a batch; the result depends on their number in the last digits only."""
+    backend: str = "fused"
+    """What computes the outputs and gradients of att-snn: a key of `training.backends.BACKENDS`."""
     preset: str = "paper"
     """Preset that the other values started from: a shipped name or a TOML file."""
     init: str = ""
@@ -127,6 +130,8 @@ class TrainConfig(Recipe):
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
+        if self.backend not in BACKENDS:
+            raise ValueError(f"backend: {self.backend}, should be one of {', '.join(BACKENDS)}")
         constants = 2 * (self.encoding + self.hidden) + 2
         if self.model == "att-snn" and 0 < self.pruning_target <= constants:
             raise ValueError(
@@ -167,11 +172,9 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
     values = loaded.model_dump(exclude_unset=True, exclude={"needs_init", "att_rnn"})
     if choices.get("model") == "att-rnn":
         values = merged(values, loaded.att_rnn.model_dump(exclude_unset=True))
-    for name in ("data", "validation"):
-        if isinstance(choices.get(name), str | Path):
-            choices[name] = (str(choices[name]),)
-        elif isinstance(choices.get(name), list | tuple):
-            choices[name] = tuple(str(path) for path in choices[name])
+    for name in {"data", "validation"} & choices.keys():
+        paths = choices[name]
+        choices[name] = (str(paths),) if isinstance(paths, str | Path) else tuple(map(str, paths))
     if choices.get("init"):
         values |= _from_weights(choices, values)
     elif loaded.needs_init:

@@ -15,6 +15,7 @@ from estimators.networks.network import real_weights
 from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
 
+from .backends import BACKENDS
 from .config import TrainConfig
 from .data import TrainingFlights, sample_windows
 from .models import AttRNN, AttSNN
@@ -60,8 +61,8 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
                 f"symmetric: layers of {encoding} and {hidden} neurons, at least {len(OPERATIONS)} of each "
                 "share weights; give more, or symmetric=false"
             )
-        options = config.quantised, config.recurrent_delay, config.output_scale, config.threads
-        model = AttSNN(encoding, hidden, *options, config.symmetric)
+        backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
+        model = AttSNN(encoding, hidden, backend, config.output_scale, config.symmetric)
     if config.init:
         initialise_from_weights(model, config.init)
         if isinstance(model, AttSNN) and config.prunes:
@@ -69,8 +70,8 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
     elif isinstance(model, AttSNN) and config.initialisation == "random":
         initialise_random(model, config.seed)
     elif isinstance(model, AttSNN):
-        x, roll_pitch = sample_windows(config, flights, steps, (config.seed, 0))
-        initialise_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample)
+        samples = sample_windows(config, flights, steps, (config.seed, 0))
+        initialise_from_data(model, *samples, config.seed, config.steps_per_sample)
     return model
 
 
@@ -91,12 +92,11 @@ def initialise_from_data(
     roll_pitch: NDArray[np.floating],
     seed: int,
     steps_per_sample: int = 1,
-    fan_in: int = 25,
 ) -> None:
     """Solve, not train, a network: a leaky integrator over random features of the input.
 
-    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a
-    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
+    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read 25
+    encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
     reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
     Engineering Framework, Eliasmith & Anderson 2003).
 
@@ -106,7 +106,6 @@ def initialise_from_data(
         roll_pitch: Targets, shape (n, T, 2) [rad].
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
-        fan_in: Encoders that each hidden neuron reads.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     _initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
@@ -119,7 +118,7 @@ def initialise_from_data(
     w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / deviation * gain * (1 - tau)
     w_ff = np.zeros((h1, h0))
     for row in w_ff:
-        chosen = rng.choice(h0, min(fan_in, h0), replace=False)
+        chosen = rng.choice(h0, min(25, h0), replace=False)
         row[chosen] = rng.normal(size=chosen.size)
     w_rec = rng.normal(size=(h1, h1)) * (rng.random((h1, h1)) < 0.1) * 0.02
     model.set_weights("w_in", w_in)
@@ -159,25 +158,24 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
             getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
 
 
-def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -> int:
+def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) -> int:
     """Draw new input weights of hidden neurons that never or always spike; their output weights become 0.
 
     The estimate does not change: one of the neurons that always spike, or where weights are shared the first
-    group of them, stays and takes over the output weights of the others. A re-initialised neuron reads a few
-    encoders and a few other hidden neurons.
+    group of them, stays and takes over the output weights of the others. A re-initialised neuron reads ten
+    encoders and ten other hidden neurons.
 
     Args:
         model: To change.
         x: Scaled inputs, shape (n, T, 6).
         seed: Of the new weights.
-        fan_in: Neurons that each re-initialised one reads, half of either layer.
 
     Returns:
         How many neurons were re-initialised.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     first, second = _spikes(model, x)
-    group = model.sharing["mem1"].first if model.sharing else np.arange(second.shape[2])
+    group = model.first("mem1")
     rate = (np.bincount(group, second.mean((0, 1))) / np.maximum(np.bincount(group), 1))[group]
     always = rate > DEAD[1]
     stays = always & (group == group[always.argmax()])
@@ -197,7 +195,7 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, 
     for row in dead:
         for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", active)):
             w[name][row] = 0.0
-            chosen = rng.choice(sources, min(fan_in // 2, sources.size), replace=False)
+            chosen = rng.choice(sources, min(10, sources.size), replace=False)
             w[name][row, chosen] = rng.normal(size=chosen.size)
     for name in ("w_ff", "w_rec"):
         w[name] = model.shared(name, w[name])

@@ -25,7 +25,7 @@ from estimators.spiking import MATRICES
 from .config import TrainConfig, make_config
 from .data import Batch, TrainingFlights, flights_of, network_inputs, sample_windows, windows
 from .init import initial_model, reinitialise_dead_neurons
-from .loss import attitude_loss, finished, rate_cost
+from .loss import attitude_loss, finished, total_cost
 from .models import AttRNN, AttSNN, prune_connections
 from .optim import learning_rate, new_optimiser, resized_state
 from .run_folder import Epoch, claim, contents_of, exported, plot, save_best, save_checkpoint, write_log
@@ -186,10 +186,8 @@ class Training:
         estimate, rates = model(x, batch.reset)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
         target = torch.from_numpy(batch.roll_pitch)
-        cost = attitude_loss(estimate, target, config.huber_threshold)
-        cost = cost + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))
         self.optimiser.zero_grad()
-        cost.backward()
+        total_cost(estimate, target, rates, config).backward()
         if config.clip > 0:
             torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
         self.optimiser.step()

@@ -20,6 +20,9 @@ from .plain import Plain
 class Backend(Protocol):
     """Runs windows of Att-SNN; windows of one shape continue from each other."""
 
+    quantised: bool
+    """Compute as the chip does."""
+
     def forward(
         self, x: Tensor, weights: Weights[Tensor], reset: NDArray[np.bool_] | None = None
     ) -> tuple[Tensor, Tensor]:
