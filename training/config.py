@@ -26,7 +26,7 @@ Number = Annotated[int, Between(1, 1_000_000)]
 Step = Annotated[float, Between(1e-6, 1e6)]
 
 
-class Recipe(Strict):
+class TrainingRecipe(Strict):
     """How a network is trained: what a preset may set. The defaults are the paper's recipe."""
 
     encoding: Neurons = 100
@@ -94,16 +94,16 @@ class Recipe(Strict):
     """Spikes per neuron and step that cost nothing, encoding and hidden layer."""
 
 
-class Preset(Recipe):
+class Preset(TrainingRecipe):
     """A file of `assets/presets`, or a user's."""
 
     needs_init: bool = False
     """Whether a run continues from weights, which `init` has to name."""
-    att_rnn: Recipe = Field(default=Recipe(), alias="att-rnn")
+    att_rnn: TrainingRecipe = Field(default=TrainingRecipe(), alias="att-rnn")
     """What differs for att-rnn."""
 
 
-class TrainConfig(Recipe):
+class TrainConfig(TrainingRecipe):
     """A training run: a recipe, the network, its data and its seed."""
 
     model: Literal["att-snn", "att-rnn"] = "att-snn"
@@ -180,7 +180,7 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
     elif loaded.needs_init:
         raise ValueError(f"preset {preset} continues from weights: give init, a shipped name or a file")
     try:
-        changed = merged(merged(Recipe().model_dump(), values), choices)
+        changed = merged(merged(TrainingRecipe().model_dump(), values), choices)
         config = TrainConfig.model_validate(changed | {"preset": str(preset)})
     except ValidationError as error:
         raise ValueError(f"training: {describe(error, TrainConfig)}") from error

@@ -36,7 +36,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableEntry:
     """An entry of Table 1: mean and standard deviation over the folds."""
 
     model: str
@@ -47,17 +47,17 @@ class Cell:
     sd_deg: float
 
 
-def table(scores: Sequence[Score]) -> list[Cell]:
+def table(scores: Sequence[Score]) -> list[TableEntry]:
     """Mean and standard deviation over the folds, in the order in which they first come."""
     keys = dict.fromkeys((s.model, s.trained_on, s.tested_on) for s in scores)
     cells = []
     for key in keys:
         errors = [s.error_deg for s in scores if (s.model, s.trained_on, s.tested_on) == key]
-        cells.append(Cell(*key, len(errors), float(np.mean(errors)), float(np.std(errors, ddof=1))))
+        cells.append(TableEntry(*key, len(errors), float(np.mean(errors)), float(np.std(errors, ddof=1))))
     return cells
 
 
-def terminal_table(cells: Sequence[Cell]) -> Table:
+def terminal_table(cells: Sequence[TableEntry]) -> Table:
     """A row for each model and domain that it was trained on, a column for what it was tested on."""
     tested = list(dict.fromkeys(cell.tested_on for cell in cells))
     rows = {(cell.model, cell.trained_on): {} for cell in cells}
@@ -90,13 +90,8 @@ def plot(path: Path, scores: Sequence[Score]) -> None:
             axes.plot([], [], "s", color=LINES[1 + models.index(model) % 2][0], label=model)
         labels = [f"{cell.trained_on}\n{cell.tested_on}" for cell in cells]
         axes.set_xticks(range(len(cells)), labels, rotation=0 if len(cells) < 9 else 45)
-        top = max(s.error_deg for s in scores)
-        axes.set(
-            ylabel="mean absolute error [°]",
-            xlabel="trained on, and below it tested on",
-            ylim=(0, 1.15 * top),
-        )
-        axes.set_xlim(-0.6, len(cells) - 0.4)
+        axes.set(ylabel="mean absolute error [°]", xlabel="trained on, and below it tested on")
+        axes.set(ylim=(0, 1.15 * max(s.error_deg for s in scores)), xlim=(-0.6, len(cells) - 0.4))
         axes.grid(axis="x", visible=False)
         axes.legend(title="folds (dots), mean ± SD")
         save_figure(path, figure, dpi=150)

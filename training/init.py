@@ -92,11 +92,12 @@ def initialise_from_data(
     roll_pitch: NDArray[np.floating],
     seed: int,
     steps_per_sample: int = 1,
+    fan_in: int = 25,
 ) -> None:
     """Solve, not train, a network: a leaky integrator over random features of the input.
 
-    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read 25
-    encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
+    Encoders have random directions in the inputs and log-uniform gains over a decade; hidden neurons read a
+    few encoders each over time constants from a step to seconds. Each layer is scaled so that its currents
     reach the threshold on the data, and the output weights are solved by ridge regression (the Neural
     Engineering Framework, Eliasmith & Anderson 2003).
 
@@ -106,6 +107,7 @@ def initialise_from_data(
         roll_pitch: Targets, shape (n, T, 2) [rad].
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
+        fan_in: Encoders that each hidden neuron reads.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     _initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
@@ -118,7 +120,7 @@ def initialise_from_data(
     w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / deviation * gain * (1 - tau)
     w_ff = np.zeros((h1, h0))
     for row in w_ff:
-        chosen = rng.choice(h0, min(25, h0), replace=False)
+        chosen = rng.choice(h0, min(fan_in, h0), replace=False)
         row[chosen] = rng.normal(size=chosen.size)
     w_rec = rng.normal(size=(h1, h1)) * (rng.random((h1, h1)) < 0.1) * 0.02
     model.set_weights("w_in", w_in)
