@@ -20,6 +20,7 @@ from quadsim.runs.spread import spread
 from quadsim.vehicle import load_vehicle
 
 from .cell import (
+    CELL,
     Cell,
     digest_if_there,
     failed_cell,
@@ -125,7 +126,7 @@ def bench(
         if cell.reason:
             log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
         else:
-            cell.save(cell_path(out, cell.scenario, cell.estimator))
+            write_json(cell_path(out, cell.scenario, cell.estimator), asdict(cell))
         if progress:
             progress(len(cells), len(pairs))
     results = Results(loaded, names, settings, [cells[pair] for pair in pairs])
@@ -147,7 +148,7 @@ def load_results(out: str | Path) -> Results:
         settings = dict(index["settings"])
         scenarios, names = _parse(settings.pop("scenarios")), settings.pop("estimators")
         settings = FlightSettings(**settings)
-        failed = {(f["scenario"], f["estimator"]): Cell.of_json(f) for f in index["failed"]}
+        failed = {(f["scenario"], f["estimator"]): CELL.validate_python(f) for f in index["failed"]}
         fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
     except FileNotFoundError:
         raise ValueError(f"{out}: no benchmark results (there is no bench.json)") from None

@@ -68,12 +68,11 @@ def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] =
         lines.append(f"Its attitude tracking error is {ratio:.2f} × that with the true attitude.")
     equals = [name for name in flown[1:] if totals[name].crashes == best.crashes]
     tied = [name for name in equals if _is_tied(flown[0], name, pairs)]
-    doubt = (
-        f"Its error is not significantly different from that of {_listed(tied)} (paired 95 % CI includes 0)."
-        if tied
-        else ""
-    )
-    lines += [doubt] * bool(doubt)
+    doubt = ""
+    if tied:
+        others = " and ".join(filter(None, [", ".join(tied[:-1]), tied[-1]]))
+        doubt = f"Its error is not significantly different from that of {others} (paired 95 % CI includes 0)."
+        lines.append(doubt)
     if focus in flown[1:]:
         lines.append(_sentence(focus, totals[focus], truth))
     return Verdict(_headline(flown[0], best), lines, standings, doubt)
@@ -111,10 +110,8 @@ def total(rows: Sequence[CellRow]) -> Total:
 
 def _headline(name: str, best: Total) -> str:
     if best.crashes:
-        return (
-            f"Fly {name}: it crashed least, in {best.crashes} of {best.flights} flights, "
-            f"with an error of {best.error:.2f}°."
-        )
+        crashes = f"in {best.crashes} of {best.flights} flights"
+        return f"Fly {name}: it crashed least, {crashes}, with an error of {best.error:.2f}°."
     flights = f"{best.flights} flight{'s' if best.flights > 1 else ''}"
     return f"Fly {name}: no crash in {flights}, and the smallest error, {best.error:.2f}°."
 
@@ -128,17 +125,12 @@ def _is_tied(best: str, other: str, pairs: Sequence[PairRow]) -> bool:
     )
 
 
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
 def _sentence(name: str, each: Total, truth: Total | None) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
     text = f"{name}: {crashes} in {each.flights} flights, error {each.error:.2f}°"
     if truth and truth.attitude > 0:
-        text += (
-            f", attitude tracking error {each.attitude / truth.attitude:.2f} × that with the true attitude"
-        )
+        ratio = each.attitude / truth.attitude
+        text += f", attitude tracking error {ratio:.2f} × that with the true attitude"
     return text + "."
 
 

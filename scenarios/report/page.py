@@ -20,6 +20,7 @@ from ..bench.cell import Cell
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS
 from ..bench.pairs import ALL, PAIRED, PairRow
 from ..bench.runner import Results
+from ..bench.settings import FlightSettings
 from ..bench.verdict import TRUTH, offline_verdict, verdict
 from .flight_picture import Picture
 
@@ -75,22 +76,21 @@ def write_report(
     """
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
-    results = closed_loop.results if closed_loop else None
-    pairs, still = (closed_loop.pairs, closed_loop.still) if closed_loop else ((), None)
-    offline = offline or OfflineSection(())
-    rows = results.rows if results else []
+    closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
+    results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
+    rows = results.rows
     context = {
         "title": title,
-        "verdict": verdict(rows, focus, pairs) if rows else offline_verdict(offline.rows),
-        "warnings": results.warnings if results else [],
+        "verdict": verdict(rows, focus, closed_loop.pairs) if rows else offline_verdict(offline.rows),
+        "warnings": results.warnings,
         "rows": rows,
         "metrics": METRICS if rows else (),
-        "scenarios": _scenarios(results),
-        "estimators": results.estimators if results else [],
+        "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
+        "estimators": results.estimators,
         "lookup": {(row.scenario, row.estimator): row for row in rows},
-        "pairs": bool(pairs),
+        "pairs": bool(closed_loop.pairs),
         "paired": [metric for metric in METRICS if metric.key in PAIRED],
-        "breaking": _breaking(closed_loop.points if closed_loop else ()),
+        "breaking": _breaking(closed_loop.points),
         "offline": _offline_table(offline.rows),
         "offline_caption": offline.caption,
         "pictures": {
@@ -108,14 +108,8 @@ def write_report(
     return write_whole(Path(path).expanduser(), _environment().get_template("report.html").render(context))
 
 
-def _scenarios(results: Results | None) -> list[dict[str, str]]:
-    if results is None:
-        return []
-    return [{"name": n, "description": s.description} for n, s in results.scenarios.items()]
-
-
-def _footer(results: Results | None) -> str:
-    if results is None:
+def _footer(results: Results) -> str:
+    if not results.cells:
         return ""
     s = results.settings
     return (
@@ -166,22 +160,20 @@ def _label(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _payload(
-    closed_loop: ClosedLoopSection | None, offline: Sequence[Mapping[str, object]], focus: str
-) -> str:
-    results = closed_loop.results if closed_loop else None
-    names = results.estimators if results else [str(row.get("estimator")) for row in offline]
-    ranked = [s.estimator for s in verdict(results.rows, focus).standings] if results else []
+def _payload(closed_loop: ClosedLoopSection, offline: Sequence[Mapping[str, object]], focus: str) -> str:
+    results = closed_loop.results
+    names = results.estimators or [str(row.get("estimator")) for row in offline]
+    ranked = [s.estimator for s in verdict(results.rows, focus).standings]
     shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
-        "scenarios": list(results.scenarios) if results else [],
+        "scenarios": list(results.scenarios),
         "shown": shown,
         "metrics": [vars(metric) for metric in METRICS],
         "edges": {"low": low, "high": high, "bins": ERROR_BINS},
     }
-    if closed_loop and results:
+    if results.cells:
         vehicle = load_vehicle(next(iter(results.scenarios.values())).vehicle)
         data |= {
             "cells": {f"{cell.scenario}|{cell.estimator}": _cell(cell) for cell in results.cells},
