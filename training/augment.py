@@ -1,9 +1,8 @@
 """Augmentation: new sensor errors and the symmetries of a quadrotor for each batch of streams.
 
-White noise has the simulator's equation. The other errors have equations of their own, for streams of float32
-without rotor speeds: vibration is two tones at random frequencies, not the imbalance of simulated rotors; the
-low-pass is the first-order recursion without the simulator's triangle hold; the mounting is a random small
-rotation, not the three angles of an IMU's file.
+White noise has the simulator's equation. The others differ from it, since streams have no rotor speeds:
+vibration is two tones at random frequencies, the low-pass a first-order recursion, the mounting a random small
+rotation.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ WANDER_HZ = 3.0
 """Standard deviation of that frequency within a stream."""
 HAND_HELD_HZ = 1.0
 """Corner of the accelerations of a hand-held sensor."""
-
 
 RateError = Annotated[float, Between(0.0, 10.0, "rad/s")]
 ForceError = Annotated[float, Between(0.0, 50.0, "m/s²")]
@@ -208,8 +206,6 @@ def _turns(n: int, rng: np.random.Generator) -> Array:
 
 def _small_rotations(angles: Array) -> Array:
     """First-order rotations, made orthonormal."""
-    x, y, z = angles.T
-    one = np.ones_like(x)
-    first = np.stack([one, -z, y, z, one, -x, -y, x, one], -1).reshape(-1, 3, 3)
-    u, _, vt = np.linalg.svd(first)
+    (x, y, z), one = angles.T, np.ones(len(angles))
+    u, _, vt = np.linalg.svd(np.stack([one, -z, y, z, one, -x, -y, x, one], -1).reshape(-1, 3, 3))
     return u @ vt

@@ -98,9 +98,8 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
             try:
                 training.restore(torch.load(out / "checkpoint.pt", weights_only=True))
             except (RuntimeError, KeyError, TypeError) as error:
-                raise ValueError(
-                    f"{out}: its checkpoint is of another version of quadsim, choose another folder"
-                ) from error
+                text = "its checkpoint is of another version of quadsim, choose another folder"
+                raise ValueError(f"{out}: {text}") from error
         reason = _all_epochs(training, out, progress)
     finally:
         torch.set_num_threads(threads)
@@ -243,21 +242,19 @@ class Training:
 
     def save_best(self, out: Path, epoch: Epoch) -> None:
         """Write the slow weights as the run's best."""
-        note = {
-            "epoch": epoch.epoch + 1,
-            "updates": epoch.updates,
-            "validation_flights": len(self.validation),
-            "validation_error_deg": round(epoch.val_error_deg, 4),
-        }
+        flights, error = len(self.validation), round(epoch.val_error_deg, 4)
+        note = {"epoch": epoch.epoch + 1, "updates": epoch.updates}
+        note |= {"validation_flights": flights, "validation_error_deg": error}
         with self.optimiser.evaluated():
             save_best(out, self.model, self.config, self.flights, note)
 
     def checkpoint(self) -> dict[str, Any]:
         """What `restore` needs to continue."""
+        history = [asdict(epoch) for epoch in self.history]
         return {
             "model": self.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
-            "history": [asdict(epoch) for epoch in self.history],
+            "history": history,
         }
 
     def restore(self, state: dict[str, Any]) -> None:

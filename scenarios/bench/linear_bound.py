@@ -22,11 +22,10 @@ def least_error(
 ) -> float:
     """RMS angle between the true vertical and that of the best linear estimator, about hover.
 
-    It reads gyroscope and accelerometer, and knows the attitude and the speed that it starts with, the drag,
-    all noise densities, the standard deviations of the biases, and of the wind that it is steady, or Dryden turbulence of
-    this size. None that knows less is better in the mean over winds and biases: a Kalman filter is the best
-    linear estimator, and its covariance does not depend on the readings (Anderson & Moore, "Optimal
-    Filtering", 1979, ch. 5). One that bets on calm air, or on standing still, is better where it is right.
+    It reads gyroscope and accelerometer, and knows the initial attitude and speed, the drag, all noise
+    densities, the standard deviations of the biases, and whether the wind is steady or Dryden turbulence of
+    this size. A Kalman filter has the least variance of all linear estimators, and its covariance does not
+    depend on the readings (Anderson & Moore, "Optimal Filtering", 1979, ch. 5).
 
     Args:
         imu: Noise, random walks and turn-on biases.

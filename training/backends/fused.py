@@ -1,9 +1,8 @@
 """Att-SNN, forward and surrogate-gradient backward over a window, compiled.
 
-The steps are those of `estimators.networks.forward`, which fly. The tests compare with the backend in plain
-PyTorch: the same spikes, gradients to 1e-10 in float64. What makes it fast: forward and weight gradients add
-rows of the neurons that spiked; the gradient of the spikes is one matrix product per step for the whole
-batch; buffers are reused. The batch is split over threads; sums are added in the order of the parts.
+The steps are those of `estimators.networks.forward`. Forward pass and weight gradients add rows of the neurons
+that spiked; the gradient of the spikes is one matrix product per step for the whole batch; buffers are reused.
+The batch is split over threads; sums are added in the order of the parts.
 """
 
 from __future__ import annotations
@@ -26,24 +25,21 @@ Floats = NDArray[np.floating]
 
 
 class Trace(NamedTuple):
-    """What the forward pass leaves for the backward pass, time first. Rows 0 and 1 come before the window."""
+    """What the forward pass leaves for the backward pass, time first. Rows 0 and 1 come before the window.
+
+    Encoding layer (0), hidden layer (1) and outputs (2), of size h each: currents u, row t + 1 is step t,
+    shape (T + 1, n, h); potentials v before the reset, row t + 2 is step t, shape (T + 2, n, h); spikes s,
+    their number and then the neurons, shape (T + 2, n, h + 1).
+    """
 
     u0: Floats
-    """Currents of the encoding layer, row t + 1 is step t, shape (T + 1, n, h0)."""
     v0: Floats
-    """Its potentials before the reset, row t + 2 is step t, shape (T + 2, n, h0)."""
     s0: NDArray[np.uint16]
-    """Its spikes: their number, then the neurons, shape (T + 2, n, h0 + 1)."""
     u1: Floats
-    """Hidden layer, shape (T + 1, n, h1)."""
     v1: Floats
-    """Shape (T + 2, n, h1)."""
     s1: NDArray[np.uint16]
-    """Shape (T + 2, n, h1 + 1)."""
     u2: Floats
-    """Outputs, shape (T + 1, n, outputs)."""
     v2: Floats
-    """Shape (T + 2, n, outputs)."""
 
     @classmethod
     def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], dtype: np.dtype) -> Trace:
@@ -398,18 +394,14 @@ class Fused:
 
     def spikes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Spikes of both layers in the last window."""
-        first, second = (
-            np.concatenate([getattr(trace, name)[2:] for trace in self._last.traces], 1) > THRESHOLD
-            for name in ("v0", "v1")
-        )
-        return first.transpose(1, 0, 2), second.transpose(1, 0, 2)
+        traces = self._last.traces
+        v0, v1 = (np.concatenate([getattr(each, v)[2:] for each in traces], 1) for v in ("v0", "v1"))
+        return v0.transpose(1, 0, 2) > THRESHOLD, v1.transpose(1, 0, 2) > THRESHOLD
 
     def peak_currents(self, every: int = 1) -> tuple[Floats, Floats]:
         """Largest currents of both layers in the last window."""
-        first, second = (
-            np.max([np.abs(getattr(trace, name)[::every]).max((0, 1)) for trace in self._last.traces], 0)
-            for name in ("u0", "u1")
-        )
+        largest = [[np.abs(u[::every]).max((0, 1)) for u in (each.u0, each.u1)] for each in self._last.traces]
+        first, second = (np.max(parts, 0) for parts in zip(*largest, strict=True))
         return first, second
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Fused:
