@@ -1,8 +1,8 @@
 """Augmentation: new sensor errors and the symmetries of a quadrotor for each batch of streams.
 
 White noise has the simulator's equation. The others differ from it, since streams have no rotor speeds:
-vibration is two tones at random frequencies, the low-pass a first-order recursion, the mounting a random small
-rotation.
+vibration is two tones at random frequencies, the low-pass a first-order recursion, the mounting a small
+random rotation.
 """
 
 from __future__ import annotations

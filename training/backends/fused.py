@@ -1,8 +1,8 @@
 """Att-SNN, forward and surrogate-gradient backward over a window, compiled.
 
-The steps are those of `estimators.networks.forward`. Forward pass and weight gradients add rows of the neurons
-that spiked; the gradient of the spikes is one matrix product per step for the whole batch; buffers are reused.
-The batch is split over threads; sums are added in the order of the parts.
+The steps are those of `estimators.networks.forward`. Forward pass and weight gradients add rows of the
+neurons that spiked; the gradient of the spikes is one matrix product per step for the whole batch; buffers
+are reused. The batch is split over threads; sums are added in the order of the parts.
 """
 
 from __future__ import annotations
