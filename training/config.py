@@ -201,9 +201,5 @@ def _from_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, 
     shared = is_symmetric(tensors)
     if choices.get("symmetric") and not shared:
         raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
-    return {
-        "inputs": network.inputs,
-        "symmetric": values.get("symmetric", False) and shared,
-        "reinitialise_until": 0.0,
-        **fixed,
-    }
+    fixed |= {"inputs": network.inputs, "symmetric": values.get("symmetric", False) and shared}
+    return {"reinitialise_until": 0.0, **fixed}

@@ -157,12 +157,9 @@ def load_results(out: str | Path) -> Results:
     cells = []
     for pair in [(s, e) for s in scenarios for e in names]:
         cell = failed.get(pair) or load_cell(cell_path(out, *pair))
-        if cell is None:
-            raise ValueError(f"{cell_path(out, *pair)}: missing or damaged; run the benchmark again")
-        if cell.fingerprint != fingerprints.get(pair):
-            raise ValueError(
-                f"{cell_path(out, *pair)}: of another run than the rest; run the benchmark again"
-            )
+        if cell is None or cell.fingerprint != fingerprints.get(pair):
+            wrong = "of another run than the rest" if cell else "missing or damaged"
+            raise ValueError(f"{cell_path(out, *pair)}: {wrong}; run the benchmark again")
         cells.append(cell)
     return Results(scenarios, names, settings, cells)
 
@@ -196,9 +193,7 @@ def _load(
         raise ValueError(f"{settings.tuning}: it has no table of {', '.join(names)}")
     for name in names:
         if name not in estimators.names():
-            estimators.create(
-                name, settings.rate_hz
-            )  # names the valid ones, or what is wrong with the weights
+            estimators.create(name, settings.rate_hz)  # raises: the valid ones, or what is wrong with weights
     if not loaded or not names:
         raise ValueError(f"nothing to fly: give at least one {'estimator' if loaded else 'scenario'}")
     return loaded
@@ -211,11 +206,7 @@ def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, c
         "vehicle": load_vehicle(scenario.vehicle).model_dump(mode="json"),
         "imu": load_imu(scenario.imu).model_dump(mode="json"),
         "external": load_external(scenario.external).model_dump(mode="json"),
-        "files": [
-            digest_if_there(part.path)
-            for part in (scenario.trajectory, *scenario.wind)
-            if part.kind == "file"
-        ],
+        "files": [digest_if_there(p.path) for p in (scenario.trajectory, *scenario.wind) if p.kind == "file"],
         "weights": weights_digest(estimator),
         "tuning": tuning and load_tuning(tuning)[estimator].model_dump(),
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],

@@ -57,25 +57,25 @@ def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] =
     ranked = sorted((name for name in names if name != TRUTH), key=lambda name: totals[name].rank)
     references = [name for name in names if name == TRUTH]
     standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
-    flown = [name for name in ranked if totals[name].flights]
-    if not flown:
+    simulated = [name for name in ranked if totals[name].flights]
+    if not simulated:
         only = "Only the truth ran." if TRUTH in names and totals[TRUTH].flights else "No estimator ran."
         return Verdict(only, [], standings)
-    best, truth = totals[flown[0]], totals.get(TRUTH)
+    best, truth = totals[simulated[0]], totals.get(TRUTH)
     lines = []
     if truth and truth.attitude > 0:
         ratio = best.attitude / truth.attitude
         lines.append(f"Its attitude tracking error is {ratio:.2f} × that with the true attitude.")
-    equals = [name for name in flown[1:] if totals[name].crashes == best.crashes]
-    tied = [name for name in equals if _is_tied(flown[0], name, pairs)]
+    equals = [name for name in simulated[1:] if totals[name].crashes == best.crashes]
+    tied = [name for name in equals if _is_tied(simulated[0], name, pairs)]
     doubt = ""
     if tied:
         others = " and ".join(filter(None, [", ".join(tied[:-1]), tied[-1]]))
         doubt = f"Its error is not significantly different from that of {others} (paired 95 % CI includes 0)."
         lines.append(doubt)
-    if focus in flown[1:]:
+    if focus in simulated[1:]:
         lines.append(_sentence(focus, totals[focus], truth))
-    return Verdict(_headline(flown[0], best), lines, standings, doubt)
+    return Verdict(_headline(simulated[0], best), lines, standings, doubt)
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
@@ -94,18 +94,13 @@ def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
 
 def total(rows: Sequence[CellRow]) -> Total:
     """Add up an estimator's rows."""
-    flown = [row for row in rows if not row.reason]
+    simulated = [row for row in rows if not row.reason]
     error, attitude = (
-        [value for row in flown if (value := getattr(row, key)) is not None]
+        float(np.mean([v for row in simulated if (v := getattr(row, key)) is not None] or [0.0]))
         for key in ("error_deg", "attitude_deg")
     )
-    return Total(
-        flights=sum(row.flights or 0 for row in flown),
-        crashes=sum(row.crashes or 0 for row in flown),
-        error=float(np.mean(error)) if error else 0.0,
-        attitude=float(np.mean(attitude)) if attitude else 0.0,
-        failed=len(rows) - len(flown),
-    )
+    flights, crashes = (sum(getattr(row, key) or 0 for row in simulated) for key in ("flights", "crashes"))
+    return Total(flights, crashes, error, attitude, len(rows) - len(simulated))
 
 
 def _headline(name: str, best: Total) -> str:
@@ -135,11 +130,8 @@ def _sentence(name: str, each: Total, truth: Total | None) -> str:
 
 
 def _standing(name: str, each: Total, rows: Sequence[CellRow]) -> Standing:
-    crashed = [
-        f"{row.scenario} ({row.crashes} of {row.flights})"
-        for row in rows
-        if row.estimator == name and not row.reason and row.crashes
-    ]
+    own = [row for row in rows if row.estimator == name and row.crashes]
+    crashed = [f"{row.scenario} ({row.crashes} of {row.flights})" for row in own]
     if not each.flights:
         return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"

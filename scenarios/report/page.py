@@ -125,18 +125,17 @@ def _breaking(points: Sequence[BreakingPoint]) -> dict[str, object]:
     kinds = {key: DISTURBANCES[key] for key in DISTURBANCES if any(p.disturbance == key for p in points)}
     scale = {key: max([p.flies_at or 0.0 for p in points if p.disturbance == key] or [0.0]) for key in kinds}
     found = {(p.estimator, p.disturbance): p for p in points}
-    rows = []
-    for name in dict.fromkeys(point.estimator for point in points):
-        entries = []
-        for key in kinds:
-            point = found.get((name, key))
-            flown = (point.flies_at or 0.0) if point else 0.0
-            value = None if point is None or point.reason else point.crashes_at or 2 * flown
-            share = flown / scale[key] if scale[key] else 0.0
-            text = point.text if point else "–"
-            title = (point.reason or f"{point.cause}, of {point.seeds} flights") if point else ""
-            entries.append({"text": text, "value": value, "share": share, "title": title})
-        rows.append({"estimator": name, "entries": entries})
+
+    def entry(point: BreakingPoint | None, most: float) -> dict[str, object]:
+        if point is None:
+            return {"text": "–", "value": None, "share": 0.0, "title": ""}
+        level = point.flies_at or 0.0
+        value = None if point.reason else point.crashes_at or 2 * level
+        title = point.reason or f"{point.cause}, of {point.seeds} flights"
+        return {"text": point.text, "value": value, "share": level / most if most else 0.0, "title": title}
+
+    names = dict.fromkeys(point.estimator for point in points)
+    rows = [{"estimator": n, "entries": [entry(found.get((n, k)), scale[k]) for k in kinds]} for n in names]
     return {"kinds": list(kinds.values()), "rows": rows}
 
 
