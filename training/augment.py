@@ -172,7 +172,8 @@ def _filter_and_delay(
     """Low-pass and delay both sensors, (2, n, T, 3); the first samples repeat."""
     _, n, steps, _ = both.shape
     if augmentation.low_pass_hz is not None:
-        corner = np.exp(rng.uniform(*np.log(augmentation.low_pass_hz), n))
+        low, high = np.log(augmentation.low_pass_hz)
+        corner = np.exp(rng.uniform(low, high, n))
         for signal in both:
             _low_pass(signal, -np.expm1(-2 * np.pi * corner / rate_hz))
     delay = rng.integers(0, round(augmentation.delay_max_s * rate_hz) + 1, n)
