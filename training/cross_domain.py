@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from rich.table import Table
+from rich.table import Column, Table
 
 from quadsim.dataset.figures import LINES, STYLE
 from quadsim.runs.files import save_figure
@@ -64,10 +64,9 @@ def terminal_table(cells: Sequence[TableEntry]) -> Table:
     for cell in cells:
         rows[cell.model, cell.trained_on][cell.tested_on] = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}"
     title = f"Mean absolute error of roll and pitch, mean ± SD over {cells[0].folds} folds, °"
-    shown = Table("model", "trained on", title=title)
-    for name in tested:
-        heading = {TRAIN: "its training flights", TEST: "its unseen flights"}.get(name, f"all of {name}")
-        shown.add_column(heading, justify="right")
+    own = {TRAIN: "its training flights", TEST: "its unseen flights"}
+    headings = (Column(own.get(name, f"all of {name}"), justify="right") for name in tested)
+    shown = Table("model", "trained on", *headings, title=title)
     for (model, domain), errors in rows.items():
         shown.add_row(model, domain, *(errors.get(name, "") for name in tested))
     return shown

@@ -169,12 +169,8 @@ def windows(
     Streams differ in length, from one window to `windows_per_stream`, log-uniform: every batch has some that
     have just begun and some that have long settled.
 
-    Args:
-        flights: To draw from.
-        config: `batches`, `batch_size`, `windows_per_stream` (fewer where the flights are shorter) and
-            `augmentation`, drawn once per stream (noise per sample).
-        steps: Samples in a window.
-        seed: Of this epoch.
+    `windows_per_stream` is less where the flights are shorter; `augmentation` is drawn once per stream, noise
+    per sample. A window has `steps` samples; `seed` is that of the epoch.
     """
     available = flights.gyro.shape[1]
     if steps < 1:

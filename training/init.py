@@ -23,7 +23,6 @@ from .models import AttRNN, AttSNN
 DEAD = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron carries no information."""
 
-
 Range = tuple[float, float]
 PAPER_TAUS = {name: (1.0, 5.0) for name in TIME_CONSTANTS} | {"syn2": (2.0, 2.0), "mem2": (5.0, 5.0)}
 """Ranges of the paper's initial time constants, log-uniform [network steps]."""
@@ -39,12 +38,7 @@ SOLVED_TAUS = {
 
 
 def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> AttSNN | AttRNN:
-    """The network of a run before its first update.
-
-    Args:
-        config: Of the run.
-        flights: To train on; a few windows of `steps` samples solve the network, where it is solved.
-        steps: Samples in a window.
+    """The network of a run before its first update; windows of `steps` samples solve a solved one.
 
     Raises:
         ValueError: Layers of a size that the network cannot have, or weights of another network.
@@ -167,13 +161,7 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
     group of them, stays and takes over the output weights of the others. A re-initialised neuron reads ten
     encoders and ten other hidden neurons.
 
-    Args:
-        model: To change.
-        x: Scaled inputs, shape (n, T, 6).
-        seed: Of the new weights.
-
-    Returns:
-        How many neurons were re-initialised.
+    Returns how many neurons were re-initialised; `x` are scaled inputs, shape (n, T, 6).
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     first, second = _spikes(model, x)

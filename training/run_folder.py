@@ -51,12 +51,7 @@ class Epoch:
 
 
 def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None) -> None:
-    """Make the folder this run's.
-
-    Args:
-        out: The folder.
-        config: Of the run.
-        contents: Digests by `contents_of`; None: they are not compared.
+    """Make the folder this run's; `contents` are digests by `contents_of`, None: they are not compared.
 
     Raises:
         ValueError: It holds a run with another configuration, of another version, or on files that have
@@ -130,12 +125,7 @@ def save_best(
 ) -> None:
     """Write `best.safetensors`; of a pruned network only the neurons that are still connected.
 
-    Args:
-        out: The run's folder.
-        model: With the weights to save.
-        config: Of the run.
-        flights: It was trained on.
-        note: What the file says of the training, besides its configuration, code and flights.
+    `note` is what the file says of the training, besides its configuration, code and number of flights.
     """
     code = {"config": json.loads(config.model_dump_json()), "commit": commit()}
     note = code | {"training_flights": len(flights)} | note

@@ -1,7 +1,4 @@
-"""Breaking points: the least wind, gyro bias or loss of samples at which a flight crashes, by bisection.
-
-At a level below it no flight crashes; the bracket is narrower than a tolerance, if more is worse.
-"""
+"""Breaking points: the least wind, gyro bias or loss of samples at which a flight crashes, by bisection."""
 
 import logging
 from collections.abc import Callable, Sequence

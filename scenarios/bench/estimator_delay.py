@@ -85,14 +85,7 @@ class DelayedTruth:
 def responses(
     vehicle: Vehicle, gains: Gains, rate_hz: float = 200.0, delays_ms: Sequence[float] = DELAYS_MS
 ) -> list[Response]:
-    """The attitude loop at each delay of the estimator, with the same gains.
-
-    Args:
-        vehicle: The vehicle.
-        gains: Of its controller.
-        rate_hz: Samples per second; delays are rounded to whole samples.
-        delays_ms: Delays [ms].
-    """
+    """The attitude loop with the same gains at each delay of the estimator [ms], rounded to whole samples."""
     return [_response(vehicle, gains, rate_hz, round(ms * rate_hz / 1e3)) for ms in delays_ms]
 
 

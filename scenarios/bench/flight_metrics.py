@@ -171,11 +171,7 @@ def flight_metrics(
 ) -> FlightMetrics[Array]:
     """Every metric of each flight, (n,); NaN where it has no value.
 
-    Args:
-        log: (n, T) of `log_dtype`.
-        end: (n,) samples before the crash, T without one.
-        rate_hz: Samples per second.
-        vehicle: For the power.
+    `log` is (n, T) of `log_dtype`; `end` (n,) the samples before the crash, T without one.
     """
     valid = log.copy()
     valid[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
@@ -197,12 +193,7 @@ def flight_metrics(
 
 
 def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
-    """When the error is first below `CONVERGED_DEG` for `CONVERGED_S`, (n,) [s]; NaN if never.
-
-    Args:
-        inclination_deg: (n, T) [deg]; NaN counts as large.
-        rate_hz: Samples per second.
-    """
+    """When the error (n, T) [deg] is first below `CONVERGED_DEG` for `CONVERGED_S`, (n,) [s]; or NaN."""
     steps = max(round(CONVERGED_S * rate_hz), 1)
     if inclination_deg.shape[1] < steps:
         return np.full(len(inclination_deg), np.nan)
@@ -214,12 +205,8 @@ def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
 def recovery_time(distance: Array, complete: NDArray[np.bool_], rate_hz: float) -> Array:
     """The longest time beyond `OUT_OF_BOUNDS_M` before it came back, (n,) [s]; NaN where it did not.
 
-    A flight that is out of bounds at its end has not come back if that has lasted for a second.
-
-    Args:
-        distance: (n, T) from the set-point [m].
-        complete: (n,) whether a flight lasted to its end.
-        rate_hz: Samples per second.
+    Not counted as back: a flight out of bounds for the last second. `distance` (n, T) is from the set-point
+    [m]; `complete` (n,) are flights that lasted to their end.
     """
     longest, spell = np.zeros((2, len(distance)))
     for outside in (distance > OUT_OF_BOUNDS_M).T:

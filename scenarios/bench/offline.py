@@ -35,14 +35,7 @@ class OfflineRow:
 
 
 def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow]:
-    """Errors of estimators on all flights of a dataset, from a known and from an unknown initial attitude.
-
-    Networks are never given the initial attitude: they have the unknown start alone.
-
-    Args:
-        dataset: Path of a dataset.
-        names: Names of estimators.
-    """
+    """Errors of estimators on a dataset, from a known (not networks) and an unknown initial attitude."""
     data = open_dataset(dataset)
     rate_hz = float(data.attrs["rate_hz"])
     gyro, accel, quat = (data[name].to_numpy().astype(np.float64) for name in ("gyro", "accel", "quat"))

@@ -51,12 +51,8 @@ class PairRow:
 def paired_differences(flights: Sequence[FlightRow], level: float = 0.95) -> list[PairRow]:
     """Every two estimators on the same seeds of each scenario, and of all together.
 
-    The interval is Student's over seeds; for all scenarios a seed's difference is first averaged over them,
-    for its flights share their sensor noise.
-
-    Args:
-        flights: One row per flight, as in `Results.flights`.
-        level: Of the interval.
+    The interval of a `level` is Student's over seeds; for all scenarios a seed's difference is first averaged
+    over them, for its flights share their sensor noise.
     """
     scenarios = list(dict.fromkeys(f.scenario for f in flights))
     names = list(dict.fromkeys(f.estimator for f in flights))

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 
 import estimators
@@ -57,11 +58,10 @@ class Results:
     def warnings(self) -> list[str]:
         """Parameters that were tuned for another vehicle or IMU than those simulated."""
         tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
-        for scenario in self.scenarios.values():
-            for name in self.estimators:
-                if other := tuning_misfit(name, tuning_of(name, tuning), scenario.vehicle, scenario.imu):
-                    flown = f"{Path(scenario.vehicle).stem} with {Path(scenario.imu).stem}"
-                    found.setdefault(f"for {other}, not for {flown}, which was simulated", {})[name] = None
+        for s, name in product(self.scenarios.values(), self.estimators):
+            if other := tuning_misfit(name, tuning_of(name, tuning), s.vehicle, s.imu):
+                simulated = f"{Path(s.vehicle).stem} with {Path(s.imu).stem}"
+                found.setdefault(f"for {other}, not for {simulated}, which was simulated", {})[name] = None
         return [
             f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of that vehicle, then --tuning FILE."
             for text, who in found.items()
@@ -86,10 +86,9 @@ def bench(
 ) -> Results:
     """Fly every scenario with every estimator and the same seeds; write `results.csv` and `flights.csv`.
 
-    The results depend on the arguments and the code alone, not on the number of workers. Every finished cell
-    is stored under `out/cells`; a later run with the same scenario, estimator, seeds and code takes it from
-    there. Worker processes import the caller's main module, so a script calls this under
-    `if __name__ == "__main__":`.
+    The results do not depend on the number of workers. Every finished cell is stored under `out/cells`; a
+    later run with the same scenario, estimator, seeds and code reads it. Worker processes import the caller's
+    main module, so a script calls this under `if __name__ == "__main__":`.
 
     Args:
         scenarios: Names of shipped scenarios or paths of TOML files.
@@ -146,7 +145,8 @@ def load_results(out: str | Path) -> Results:
     try:
         index = read_json(out / "bench.json")
         settings = dict(index["settings"])
-        scenarios, names = _parse(settings.pop("scenarios")), settings.pop("estimators")
+        scenarios, names = settings.pop("scenarios"), settings.pop("estimators")
+        scenarios = {name: Scenario.model_validate_json(json.dumps(s)) for name, s in scenarios.items()}
         settings = FlightSettings(**settings)
         failed = {(f["scenario"], f["estimator"]): CELL.validate_python(f) for f in index["failed"]}
         fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
@@ -212,10 +212,6 @@ def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, c
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
     return fingerprint(content)
-
-
-def _parse(scenarios: dict[str, object]) -> dict[str, Scenario]:
-    return {name: Scenario.model_validate_json(json.dumps(each)) for name, each in scenarios.items()}
 
 
 def _save_index(out: Path, results: Results) -> None:

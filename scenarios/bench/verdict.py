@@ -45,12 +45,9 @@ class Total(NamedTuple):
 
 
 def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] = ()) -> Verdict:
-    """Rank the estimators of a benchmark and describe the best, then `focus`.
+    """Rank the estimators of a benchmark; describe the best, then `focus` if it ran.
 
-    Args:
-        rows: A row for each scenario and estimator.
-        focus: The estimator to describe besides the best, if it ran.
-        pairs: Paired differences, for the estimators that do not differ significantly from the best.
+    `pairs`, paired differences, decide which estimators do not differ significantly from the best.
     """
     names = list(dict.fromkeys(row.estimator for row in rows))
     totals = {name: total([row for row in rows if row.estimator == name]) for name in names}

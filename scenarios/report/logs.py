@@ -37,13 +37,7 @@ class Contenders:
         vehicle: str | Path | Vehicle | None = None,
         imu: ImuSpec | None = None,
     ) -> dict[str, AttitudeEstimator]:
-        """Make them.
-
-        Args:
-            default: Names where none are given.
-            rate_hz: Samples per second.
-            vehicle: The airframe where none is given.
-            imu: The IMU.
+        """Make them; `default` names and the `vehicle` stand in where none are given.
 
         Raises:
             ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle

@@ -105,7 +105,15 @@ def write_report(
         "script": script("report.js"),
         "payload": _payload(closed_loop, offline.rows, focus),
     }
-    return write_whole(Path(path).expanduser(), _environment().get_template("report.html").render(context))
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("scenarios.report", ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = _number
+    return write_whole(Path(path).expanduser(), environment.get_template("report.html").render(context))
 
 
 def _footer(results: Results) -> str:
@@ -143,12 +151,9 @@ def _offline_table(rows: Sequence[Mapping[str, object]]) -> dict[str, object] | 
     if not rows:
         return None
     keys = list(dict.fromkeys(key for row in rows for key in row))
-    columns = [{"key": key, "label": _label(key), "numeric": _numeric(rows, key)} for key in keys]
+    numeric = {k: all(isinstance(row.get(k), int | float | np.number | None) for row in rows) for k in keys}
+    columns = [{"key": key, "label": _label(key), "numeric": numeric[key]} for key in keys]
     return {"columns": columns, "rows": [{key: row.get(key) for key in keys} for row in rows]}
-
-
-def _numeric(rows: Sequence[Mapping[str, object]], key: str) -> bool:
-    return all(isinstance(row.get(key), int | float | np.number | None) for row in rows)
 
 
 def _label(key: str) -> str:
@@ -200,8 +205,8 @@ def _pairs(pairs: Sequence[PairRow]) -> dict[str, list]:
 
 
 def _cell(cell: Cell) -> dict[str, object]:
-    values = {metric.key: getattr(cell.row, metric.key) for metric in METRICS}
-    series = asdict(cell.series) if cell.series else None
+    row, series = cell.row, asdict(cell.series) if cell.series else None
+    values = {metric.key: getattr(row, metric.key) for metric in METRICS}
     return {"values": values, "histogram": cell.histogram, "series": series}
 
 
@@ -218,21 +223,6 @@ def script(entry: str) -> str:
 
     visit(entry)
     return '"use strict";\n' + "\n".join(found.values())
-
-
-def _environment() -> jinja2.Environment:
-    def source(name: str) -> str:
-        return (files("scenarios.report") / name).read_text(encoding="utf-8")
-
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(source),
-        autoescape=lambda name: True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = _number
-    return environment
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -118,15 +118,14 @@ def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
 def offline_table(rows: Sequence[OfflineRow]) -> Table:
     """Errors on recorded flights, one estimator a row, in the order given."""
     starts = {"level": "unknown initial attitude", "known": "known initial attitude"}
-    errors = {(row.estimator, row.start): _error(row) for row in rows}
+    errors = {
+        (r.estimator, r.start): "did not run" if r.mean_deg is None else f"{r.mean_deg:.2f} ± {r.sd_deg:.2f}"
+        for r in rows
+    }
     silenced = {r.estimator: "–" if r.silenced_deg is None else f"{r.silenced_deg:.2f}" for r in rows}
     entries = ([n, *(errors.get((n, start), "–") for start in starts), s] for n, s in silenced.items())
     title = "On recorded flights: error of roll and pitch, mean ± SD over flights, °"
     return _table(title, ["estimator"], [*starts.values(), "silenced"], entries)
-
-
-def _error(row: OfflineRow) -> str:
-    return "did not run" if row.mean_deg is None else f"{row.mean_deg:.2f} ± {row.sd_deg:.2f}"
 
 
 def cores_table(cores: Sequence[Core]) -> Table:

@@ -264,17 +264,10 @@ def _product(a, b, used, out):
 
 
 class Workspace:
-    """The buffers of one window shape, and the state that one window hands to the next.
+    """The buffers of windows of `steps` samples of n sequences, and the state between two windows."""
 
-    Args:
-        steps: Length of the window.
-        n: Sequences in the batch.
-        weights: Parameters of the network, for their sizes and their floating type.
-        threads: Parts into which the batch is split.
-    """
-
-    def __init__(self, steps: int, n: int, weights: Weights[Tensor], threads: int = 1) -> None:
-        """Allocate the buffers."""
+    def __init__(self, steps: int, n: int, weights: Weights[Tensor], threads: int) -> None:
+        """Allocate the buffers, of the sizes and the floating type of the weights."""
         self.steps, self.n = steps, n
         self.dtype = weights.w_ff.detach().numpy().dtype
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
@@ -368,13 +361,7 @@ class _Fused(torch.autograd.Function):
 
 
 class Fused:
-    """The compiled backend, on the CPU; see `Backend`.
-
-    Args:
-        quantised: Compute as the chip does.
-        recurrent_delay: 1 or 2 steps.
-        threads: Parts of a batch that run side by side.
-    """
+    """The compiled backend, on the CPU; see `Backend` and `BACKENDS`."""
 
     def __init__(self, quantised: bool = True, recurrent_delay: int = 1, threads: int = 1) -> None:
         """Start without buffers; each shape of a window gets its own."""
