@@ -1,6 +1,5 @@
 """A small, real version of the whole chain: generate flights, score estimators on them, fly them, report."""
 
-import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -18,9 +17,9 @@ from .bench.settings import FlightSettings
 from .report.flight_picture import cover
 from .report.page import ClosedLoopSection, OfflineSection, write_report
 
-log = logging.getLogger(__name__)
-
 SCENARIOS = ("hover", "step", "wind-gust", "initial-tilt")
+DURATION_S = 30.0
+"""Length of the generated flights [s]."""
 SLOW = ("ukf-filterpy",)
 """Left out of the small version: the same numbers as the compiled filter, in ten times the time."""
 RECORDED = (
@@ -46,7 +45,6 @@ def demo(
     out: str | Path,
     *,
     flights: int = 6,
-    duration_s: float = 30.0,
     seeds: int = 5,
     seed: int = 0,
     workers: int | None = None,
@@ -57,7 +55,6 @@ def demo(
     Args:
         out: Folder for everything.
         flights: Flights to generate.
-        duration_s: Length of these [s].
         seeds: Flights of each estimator in each scenario.
         seed: Seed of everything random.
         workers: Processes, by default one for each CPU.
@@ -69,32 +66,17 @@ def demo(
     """
     out = Path(out).expanduser()
     names = [name for name in estimators.names() if name not in SLOW]
-    with stage("generate", "flights") as progress:
-        recipe = flight_config(load_recipe("hummingbird"))
-        dataset = generate(
-            recipe,
-            flights,
-            duration_s,
-            out / "flights.zarr",
-            seed=seed,
-            workers=workers,
-            progress=progress,
-            overwrite=True,
-        )
-    with stage("fly", "cells") as progress:
-        results = bench(
-            SCENARIOS, names, out, FlightSettings(seeds, seed), workers=workers, progress=progress
-        )
-    offline = offline_errors(dataset, names)
+    recipe, path = flight_config(load_recipe("hummingbird")), out / "flights.zarr"
+    with stage("generate", "flights") as bar:
+        generate(recipe, flights, DURATION_S, path, seed=seed, workers=workers, progress=bar, overwrite=True)
+    with stage("fly", "cells") as bar:
+        results = bench(SCENARIOS, names, out, FlightSettings(seeds, seed), workers=workers, progress=bar)
+    offline = offline_errors(path, names)
     write_csv(out / "recorded.csv", table_of(offline))
     still, note = cover(results.cells)
     pairs = paired_differences(results.flights)
     write_csv(out / "pairs.csv", pairs)
-    caption = RECORDED.format(flights=flights, duration_s=duration_s)
-    report = write_report(
-        out / "report.html",
-        ClosedLoopSection(results, pairs, still=still),
-        OfflineSection(table_of(offline), caption),
-        csv=["results.csv", "flights.csv", "pairs.csv", "recorded.csv"],
-    )
-    return Demo(report, results, offline, note)
+    recorded = OfflineSection(table_of(offline), RECORDED.format(flights=flights, duration_s=DURATION_S))
+    csv = ["results.csv", "flights.csv", "pairs.csv", "recorded.csv"]
+    section = ClosedLoopSection(results, pairs, still=still)
+    return Demo(write_report(out / "report.html", section, recorded, csv=csv), results, offline, note)

@@ -64,9 +64,8 @@ def fly_scenario(
         raise ValueError(f"flight is {flight}; flights count from 0")
     scenario, name = changes.of(load_scenario(source)), Path(source).name.removesuffix(".toml")
     rate_hz = settings.rate_hz
-    made = estimators.create(
-        estimator, rate_hz, tuning=settings.tuning, vehicle=scenario.vehicle, imu=scenario.imu
-    )
+    parts = {"vehicle": scenario.vehicle, "imu": scenario.imu}
+    made = estimators.create(estimator, rate_hz, tuning=settings.tuning, **parts)
     mission = Mission(scenario, made, settings.seeds, rate_hz)
     log, end = fly(mission, settings.seed, flight)
     cell = make_cell(name, estimator, "", mission, log, end)
@@ -77,13 +76,8 @@ def fly_scenario(
     time = np.arange(len(first)) / rate_hz
     table = np.column_stack([time, *(first[key] for key in ("position", "euler", "estimate", "target"))])
     write_csv(out / "flight.csv", [dict(zip(COLUMNS, row, strict=True)) for row in table.tolist()])
-    report = write_report(
-        out / "report.html",
-        ClosedLoopSection(results),
-        title=f"{name} with attitude from {estimator}",
-        csv=["flight.csv"],
-        focus=estimator,
-    )
+    section, title = ClosedLoopSection(results), f"{name} with attitude from {estimator}"
+    report = write_report(out / "report.html", section, title=title, csv=["flight.csv"], focus=estimator)
     poses = (time, first["position"], quat_from_euler(*first["euler"].T))
     film_path = film(out / "flight.mp4", mission.vehicle, *poses) if video else None
     if view:

@@ -1,9 +1,8 @@
 """Augmentation: new sensor errors and the symmetries of a quadrotor for each batch of streams.
 
-White noise has the simulator's equation. The other errors have equations of their own, for streams of float32
-without rotor speeds: vibration is two tones at random frequencies, not the imbalance of simulated rotors; the
-low-pass is the first-order recursion without the simulator's triangle hold; the mounting is a random small
-rotation, not the three angles of an IMU's file.
+White noise has the simulator's equation. The others differ from it, since streams have no rotor speeds:
+vibration is two tones at random frequencies, the low-pass a first-order recursion, the mounting a small
+random rotation.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ WANDER_HZ = 3.0
 """Standard deviation of that frequency within a stream."""
 HAND_HELD_HZ = 1.0
 """Corner of the accelerations of a hand-held sensor."""
-
 
 RateError = Annotated[float, Between(0.0, 10.0, "rad/s")]
 ForceError = Annotated[float, Between(0.0, 50.0, "m/s²")]
@@ -105,17 +103,18 @@ def augment(
         up = _rotate(turn, up) * reflect
     if augmentation.hand_held > 0:
         specific_force = _hand_held(specific_force, up, augmentation.hand_held, rate_hz, rng)
+    both = np.stack([ang_vel, specific_force])  # (2, n, T, 3)
     if augmentation.mounting_max_deg > 0:
         mounting = _small_rotations(_within(np.radians(augmentation.mounting_max_deg), n, rng)).astype(dtype)
-        ang_vel, specific_force = _rotate(mounting, ang_vel), _rotate(mounting, specific_force)
+        both = _rotate(mounting, both)
     if augmentation.vibration_share > 0:
-        ang_vel, specific_force = _vibrate(ang_vel, specific_force, augmentation, rate_hz, rng)
+        both = both + _vibration(n, both.shape[2], augmentation, rate_hz, rng).astype(dtype)
     if augmentation.low_pass_hz is not None or augmentation.delay_max_s > 0:
-        ang_vel, specific_force = _filter_and_delay(ang_vel, specific_force, augmentation, rate_hz, rng)
+        both = _filter_and_delay(both, augmentation, rate_hz, rng)
     measured = []
     for signal, bias, largest, power, density in (
-        (ang_vel, augmentation.gyro_bias, augmentation.gyro_bias_max, 1, augmentation.gyro_noise),
-        (specific_force, augmentation.accel_bias, augmentation.accel_bias_max, 2, augmentation.accel_noise),
+        (both[0], augmentation.gyro_bias, augmentation.gyro_bias_max, 1, augmentation.gyro_noise),
+        (both[1], augmentation.accel_bias, augmentation.accel_bias_max, 2, augmentation.accel_noise),
     ):
         offset = rng.normal(0, bias, (n, 1, 3)).astype(dtype)
         if largest > 0:
@@ -149,18 +148,11 @@ def _hand_held(
     return out
 
 
-def _vibrate(
-    ang_vel: Array,
-    specific_force: Array,
-    augmentation: Augmentation,
-    rate_hz: float,
-    rng: np.random.Generator,
-) -> tuple[Array, Array]:
-    """Add a tone of each of two rotors, folded by the sampling; the gyroscope has a hundredth of it."""
-    n, steps, _ = ang_vel.shape
-    low, high = augmentation.vibration
-    size = rng.uniform(low, high, (n, 1)) * (rng.random((n, 1)) < augmentation.vibration_share)
-    out = []
+def _vibration(
+    n: int, steps: int, augmentation: Augmentation, rate_hz: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Tones of two rotors, folded by the sampling, (2, n, T, 3); the gyroscope has a hundredth of them."""
+    size = rng.uniform(*augmentation.vibration, (n, 1)) * (rng.random((n, 1)) < augmentation.vibration_share)
     tones = np.zeros((2, n, steps, 3), np.float32)
     for _ in range(2):
         wander = rng.standard_normal((n, -(-steps // 20)), dtype=np.float32).cumsum(axis=1)
@@ -171,28 +163,21 @@ def _vibrate(
         for sensor, scale in enumerate((0.01, 1.0)):
             a, b = (rng.uniform(-1, 1, (2, n, 1, 3)) * (scale * size)[None, ..., None] / 2).astype(np.float32)
             tones[sensor] += a * sine + b * cosine
-    for signal, tone in zip((ang_vel, specific_force), tones, strict=True):
-        out.append(signal + tone.astype(signal.dtype))
-    return out[0], out[1]
+    return tones
 
 
 def _filter_and_delay(
-    ang_vel: Array,
-    specific_force: Array,
-    augmentation: Augmentation,
-    rate_hz: float,
-    rng: np.random.Generator,
-) -> tuple[Array, Array]:
-    """Low-pass and delay both sensors; the first samples repeat."""
-    n, steps, _ = ang_vel.shape
-    both = np.concatenate([ang_vel, specific_force], axis=2)
+    both: Array, augmentation: Augmentation, rate_hz: float, rng: np.random.Generator
+) -> Array:
+    """Low-pass and delay both sensors, (2, n, T, 3); the first samples repeat."""
+    _, n, steps, _ = both.shape
     if augmentation.low_pass_hz is not None:
         low, high = np.log(augmentation.low_pass_hz)
         corner = np.exp(rng.uniform(low, high, n))
-        _low_pass(both, -np.expm1(-2 * np.pi * corner / rate_hz))
+        for signal in both:
+            _low_pass(signal, -np.expm1(-2 * np.pi * corner / rate_hz))
     delay = rng.integers(0, round(augmentation.delay_max_s * rate_hz) + 1, n)
-    both = both[np.arange(n)[:, None], np.maximum(np.arange(steps) - delay[:, None], 0)]
-    return both[..., :3], both[..., 3:]
+    return both[:, np.arange(n)[:, None], np.maximum(np.arange(steps) - delay[:, None], 0)]
 
 
 @njit(cache=True)
@@ -222,8 +207,6 @@ def _turns(n: int, rng: np.random.Generator) -> Array:
 
 def _small_rotations(angles: Array) -> Array:
     """First-order rotations, made orthonormal."""
-    x, y, z = angles.T
-    one = np.ones_like(x)
-    first = np.stack([one, -z, y, z, one, -x, -y, x, one], -1).reshape(-1, 3, 3)
-    u, _, vt = np.linalg.svd(first)
+    (x, y, z), one = angles.T, np.ones(len(angles))
+    u, _, vt = np.linalg.svd(np.stack([one, -z, y, z, one, -x, -y, x, one], -1).reshape(-1, 3, 3))
     return u @ vt

@@ -20,12 +20,13 @@ from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged
 
 from .augment import Augmentation
+from .backends import BACKENDS
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Step = Annotated[float, Between(1e-6, 1e6)]
 
 
-class Recipe(Strict):
+class TrainingRecipe(Strict):
     """How a network is trained: what a preset may set. The defaults are the paper's recipe."""
 
     encoding: Neurons = 100
@@ -93,16 +94,16 @@ class Recipe(Strict):
     """Spikes per neuron and step that cost nothing, encoding and hidden layer."""
 
 
-class Preset(Recipe):
+class Preset(TrainingRecipe):
     """A file of `assets/presets`, or a user's."""
 
     needs_init: bool = False
     """Whether a run continues from weights, which `init` has to name."""
-    att_rnn: Recipe = Field(default=Recipe(), alias="att-rnn")
+    att_rnn: TrainingRecipe = Field(default=TrainingRecipe(), alias="att-rnn")
     """What differs for att-rnn."""
 
 
-class TrainConfig(Recipe):
+class TrainConfig(TrainingRecipe):
     """A training run: a recipe, the network, its data and its seed."""
 
     model: Literal["att-snn", "att-rnn"] = "att-snn"
@@ -119,6 +120,8 @@ class TrainConfig(Recipe):
     """Of the initial weights, the split, the windows and the sensor errors."""
     threads: Annotated[int, Between(1, 1024)] = 1
     """Threads that share a batch; the result depends on their number in the last digits only."""
+    backend: str = "fused"
+    """What computes the outputs and gradients of att-snn: a key of `training.backends.BACKENDS`."""
     preset: str = "paper"
     """Preset that the other values started from: a shipped name or a TOML file."""
     init: str = ""
@@ -127,6 +130,8 @@ class TrainConfig(Recipe):
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
+        if self.backend not in BACKENDS:
+            raise ValueError(f"backend: {self.backend}, should be one of {', '.join(BACKENDS)}")
         constants = 2 * (self.encoding + self.hidden) + 2
         if self.model == "att-snn" and 0 < self.pruning_target <= constants:
             raise ValueError(
@@ -167,17 +172,15 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
     values = loaded.model_dump(exclude_unset=True, exclude={"needs_init", "att_rnn"})
     if choices.get("model") == "att-rnn":
         values = merged(values, loaded.att_rnn.model_dump(exclude_unset=True))
-    for name in ("data", "validation"):
-        if isinstance(choices.get(name), str | Path):
-            choices[name] = (str(choices[name]),)
-        elif isinstance(choices.get(name), list | tuple):
-            choices[name] = tuple(str(path) for path in choices[name])
+    for name in {"data", "validation"} & choices.keys():
+        paths = choices[name]
+        choices[name] = (str(paths),) if isinstance(paths, str | Path) else tuple(map(str, paths))
     if choices.get("init"):
         values |= _from_weights(choices, values)
     elif loaded.needs_init:
         raise ValueError(f"preset {preset} continues from weights: give init, a shipped name or a file")
     try:
-        changed = merged(merged(Recipe().model_dump(), values), choices)
+        changed = merged(merged(TrainingRecipe().model_dump(), values), choices)
         config = TrainConfig.model_validate(changed | {"preset": str(preset)})
     except ValidationError as error:
         raise ValueError(f"training: {describe(error, TrainConfig)}") from error
@@ -198,9 +201,5 @@ def _from_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, 
     shared = is_symmetric(tensors)
     if choices.get("symmetric") and not shared:
         raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
-    return {
-        "inputs": network.inputs,
-        "symmetric": values.get("symmetric", False) and shared,
-        "reinitialise_until": 0.0,
-        **fixed,
-    }
+    fixed |= {"inputs": network.inputs, "symmetric": values.get("symmetric", False) and shared}
+    return {"reinitialise_until": 0.0, **fixed}

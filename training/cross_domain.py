@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from rich.table import Table
+from rich.table import Column, Table
 
 from quadsim.dataset.figures import LINES, STYLE
 from quadsim.runs.files import save_figure
@@ -36,7 +36,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableEntry:
     """An entry of Table 1: mean and standard deviation over the folds."""
 
     model: str
@@ -47,27 +47,26 @@ class Cell:
     sd_deg: float
 
 
-def table(scores: Sequence[Score]) -> list[Cell]:
+def table(scores: Sequence[Score]) -> list[TableEntry]:
     """Mean and standard deviation over the folds, in the order in which they first come."""
     keys = dict.fromkeys((s.model, s.trained_on, s.tested_on) for s in scores)
     cells = []
     for key in keys:
         errors = [s.error_deg for s in scores if (s.model, s.trained_on, s.tested_on) == key]
-        cells.append(Cell(*key, len(errors), float(np.mean(errors)), float(np.std(errors, ddof=1))))
+        cells.append(TableEntry(*key, len(errors), float(np.mean(errors)), float(np.std(errors, ddof=1))))
     return cells
 
 
-def terminal_table(cells: Sequence[Cell]) -> Table:
+def terminal_table(cells: Sequence[TableEntry]) -> Table:
     """A row for each model and domain that it was trained on, a column for what it was tested on."""
     tested = list(dict.fromkeys(cell.tested_on for cell in cells))
     rows = {(cell.model, cell.trained_on): {} for cell in cells}
     for cell in cells:
         rows[cell.model, cell.trained_on][cell.tested_on] = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}"
     title = f"Mean absolute error of roll and pitch, mean ± SD over {cells[0].folds} folds, °"
-    shown = Table("model", "trained on", title=title)
-    for name in tested:
-        heading = {TRAIN: "its training flights", TEST: "its unseen flights"}.get(name, f"all of {name}")
-        shown.add_column(heading, justify="right")
+    own = {TRAIN: "its training flights", TEST: "its unseen flights"}
+    headings = (Column(own.get(name, f"all of {name}"), justify="right") for name in tested)
+    shown = Table("model", "trained on", *headings, title=title)
     for (model, domain), errors in rows.items():
         shown.add_row(model, domain, *(errors.get(name, "") for name in tested))
     return shown
@@ -90,13 +89,8 @@ def plot(path: Path, scores: Sequence[Score]) -> None:
             axes.plot([], [], "s", color=LINES[1 + models.index(model) % 2][0], label=model)
         labels = [f"{cell.trained_on}\n{cell.tested_on}" for cell in cells]
         axes.set_xticks(range(len(cells)), labels, rotation=0 if len(cells) < 9 else 45)
-        top = max(s.error_deg for s in scores)
-        axes.set(
-            ylabel="mean absolute error [°]",
-            xlabel="trained on, and below it tested on",
-            ylim=(0, 1.15 * top),
-        )
-        axes.set_xlim(-0.6, len(cells) - 0.4)
+        axes.set(ylabel="mean absolute error [°]", xlabel="trained on, and below it tested on")
+        axes.set(ylim=(0, 1.15 * max(s.error_deg for s in scores)), xlim=(-0.6, len(cells) - 0.4))
         axes.grid(axis="x", visible=False)
         axes.legend(title="folds (dots), mean ± SD")
         save_figure(path, figure, dpi=150)

@@ -28,23 +28,18 @@ SIGNALS = ("ang_vel", "specific_force", "gyro", "accel", "up")
 
 @dataclass(frozen=True)
 class TrainingFlights:
-    """Flights of equal length; float32.
-
-    Args:
-        ang_vel: True body rate, shape (n, T, 3) [rad/s].
-        specific_force: True specific force, body axes, shape (n, T, 3) [m/s²].
-        gyro: The measured rate.
-        accel: The measured specific force.
-        up: World's up in body axes, shape (n, T, 3).
-        rate_hz: Samples per second.
-    """
+    """Flights of equal length; float32, shape (n, T, 3), body axes."""
 
     ang_vel: Float32
+    """True body rate [rad/s]; `gyro` is the measured one."""
     specific_force: Float32
+    """True specific force [m/s²]; `accel` is the measured one."""
     gyro: Float32
     accel: Float32
     up: Float32
+    """World's up."""
     rate_hz: float
+    """Samples per second."""
 
     def __len__(self) -> int:
         """Number of flights."""
@@ -110,24 +105,19 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
     if config.folds:
         parts = fold_split(len(flights), config.folds, config.fold, config.seed)
     elif config.validation:
-        return flights, _validation(config, flights), flights.select([])
+        parts = [np.arange(len(flights)), [], []]
     else:
         parts = split(len(flights), config.seed)
     train, validation, test = (flights.select(ids) for ids in parts)
-    return train, _validation(config, flights) if config.validation else validation, test
+    if config.validation:
+        validation, rate = load_training_flights(config.validation), flights.rate_hz
+        if validation.rate_hz != rate:
+            raise ValueError(f"validation at {validation.rate_hz:g} Hz, but the data are at {rate:g} Hz")
+    return train, validation, test
 
 
-def _validation(config: TrainConfig, flights: TrainingFlights) -> TrainingFlights:
-    validation = load_training_flights(config.validation)
-    if validation.rate_hz != flights.rate_hz:
-        raise ValueError(
-            f"validation at {validation.rate_hz:g} Hz, but the data are at {flights.rate_hz:g} Hz"
-        )
-    return validation
-
-
-def split(flights: int, seed: int, shares: tuple[float, float, float] = (0.7, 0.2, 0.1)) -> list[NDArray]:
-    """Ids of the training, validation and test flights, drawn without replacement; at least one each.
+def split(flights: int, seed: int) -> list[NDArray]:
+    """Ids of 70 % training, 20 % validation and 10 % test flights, without replacement; at least one each.
 
     Raises:
         ValueError: Fewer than three flights.
@@ -135,8 +125,7 @@ def split(flights: int, seed: int, shares: tuple[float, float, float] = (0.7, 0.
     if flights < 3:
         raise ValueError(f"a split needs at least 3 flights, got {flights}")
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(flights)
-    last = max(1, round(shares[2] * flights))
-    middle = max(1, round(shares[1] * flights))
+    last, middle = max(1, round(0.1 * flights)), max(1, round(0.2 * flights))
     return [np.sort(order[: -last - middle]), np.sort(order[-last - middle : -last]), np.sort(order[-last:])]
 
 
@@ -180,12 +169,8 @@ def windows(
     Streams differ in length, from one window to `windows_per_stream`, log-uniform: every batch has some that
     have just begun and some that have long settled.
 
-    Args:
-        flights: To draw from.
-        config: `batches`, `batch_size`, `windows_per_stream` (fewer where the flights are shorter) and
-            `augmentation`, drawn once per stream (noise per sample).
-        steps: Samples in a window.
-        seed: Of this epoch.
+    `windows_per_stream` is less where the flights are shorter; `augmentation` is drawn once per stream, noise
+    per sample. A window has `steps` samples; `seed` is that of the epoch.
     """
     available = flights.gyro.shape[1]
     if steps < 1:
@@ -207,27 +192,16 @@ def windows(
 
 
 def _streams(
-    flights: TrainingFlights,
-    augmentation: Augmentation,
-    n: int,
-    steps: int,
-    most: int,
-    rng: np.random.Generator,
+    flights: TrainingFlights, drawn: Augmentation, n: int, steps: int, most: int, rng: np.random.Generator
 ) -> Iterator[Batch]:
     """Windows of `n` streams of one length, then of `n` others, without end."""
     while True:
         length = int(np.exp(rng.uniform(0, np.log(most + 1)))) * steps
         rows = rng.integers(len(flights), size=n)[:, None]
         first = rng.integers(flights.gyro.shape[1] - length + 1, size=n)
-        index = first[:, None] + np.arange(length)
-        gyro, accel, up = augment(
-            flights.ang_vel[rows, index],
-            flights.specific_force[rows, index],
-            flights.up[rows, index],
-            augmentation,
-            flights.rate_hz,
-            rng,
-        )
+        index = rows, first[:, None] + np.arange(length)
+        signals = flights.ang_vel[index], flights.specific_force[index], flights.up[index]
+        gyro, accel, up = augment(*signals, drawn, flights.rate_hz, rng)
         roll_pitch = roll_pitch_of_up(up)
         for k in range(0, length, steps):
             part = slice(k, k + steps)

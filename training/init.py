@@ -15,13 +15,13 @@ from estimators.networks.network import real_weights
 from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
 
+from .backends import BACKENDS
 from .config import TrainConfig
 from .data import TrainingFlights, sample_windows
 from .models import AttRNN, AttSNN
 
 DEAD = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron carries no information."""
-
 
 Range = tuple[float, float]
 PAPER_TAUS = {name: (1.0, 5.0) for name in TIME_CONSTANTS} | {"syn2": (2.0, 2.0), "mem2": (5.0, 5.0)}
@@ -38,12 +38,7 @@ SOLVED_TAUS = {
 
 
 def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> AttSNN | AttRNN:
-    """The network of a run before its first update.
-
-    Args:
-        config: Of the run.
-        flights: To train on; a few windows of `steps` samples solve the network, where it is solved.
-        steps: Samples in a window.
+    """The network of a run before its first update; windows of `steps` samples solve a solved one.
 
     Raises:
         ValueError: Layers of a size that the network cannot have, or weights of another network.
@@ -60,8 +55,8 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
                 f"symmetric: layers of {encoding} and {hidden} neurons, at least {len(OPERATIONS)} of each "
                 "share weights; give more, or symmetric=false"
             )
-        options = config.quantised, config.recurrent_delay, config.output_scale, config.threads
-        model = AttSNN(encoding, hidden, *options, config.symmetric)
+        backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
+        model = AttSNN(encoding, hidden, backend, config.output_scale, config.symmetric)
     if config.init:
         initialise_from_weights(model, config.init)
         if isinstance(model, AttSNN) and config.prunes:
@@ -69,8 +64,8 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
     elif isinstance(model, AttSNN) and config.initialisation == "random":
         initialise_random(model, config.seed)
     elif isinstance(model, AttSNN):
-        x, roll_pitch = sample_windows(config, flights, steps, (config.seed, 0))
-        initialise_from_data(model, x, roll_pitch, config.seed, config.steps_per_sample)
+        samples = sample_windows(config, flights, steps, (config.seed, 0))
+        initialise_from_data(model, *samples, config.seed, config.steps_per_sample)
     return model
 
 
@@ -159,25 +154,18 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
             getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
 
 
-def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, fan_in: int = 20) -> int:
+def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) -> int:
     """Draw new input weights of hidden neurons that never or always spike; their output weights become 0.
 
     The estimate does not change: one of the neurons that always spike, or where weights are shared the first
-    group of them, stays and takes over the output weights of the others. A re-initialised neuron reads a few
-    encoders and a few other hidden neurons.
+    group of them, stays and takes over the output weights of the others. A re-initialised neuron reads ten
+    encoders and ten other hidden neurons.
 
-    Args:
-        model: To change.
-        x: Scaled inputs, shape (n, T, 6).
-        seed: Of the new weights.
-        fan_in: Neurons that each re-initialised one reads, half of either layer.
-
-    Returns:
-        How many neurons were re-initialised.
+    Returns how many neurons were re-initialised; `x` are scaled inputs, shape (n, T, 6).
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     first, second = _spikes(model, x)
-    group = model.sharing["mem1"].first if model.sharing else np.arange(second.shape[2])
+    group = model.first("mem1")
     rate = (np.bincount(group, second.mean((0, 1))) / np.maximum(np.bincount(group), 1))[group]
     always = rate > DEAD[1]
     stays = always & (group == group[always.argmax()])
@@ -197,7 +185,7 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int, 
     for row in dead:
         for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", active)):
             w[name][row] = 0.0
-            chosen = rng.choice(sources, min(fan_in // 2, sources.size), replace=False)
+            chosen = rng.choice(sources, min(10, sources.size), replace=False)
             w[name][row, chosen] = rng.normal(size=chosen.size)
     for name in ("w_ff", "w_rec"):
         w[name] = model.shared(name, w[name])

@@ -6,25 +6,22 @@ training flights, on its test flights, and on all flights of every other domain.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from estimators.metrics import Summary, attitude_error
+from estimators.metrics import attitude_error
 from estimators.networks.network import create_network
 from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
 from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 
 from .config import TrainConfig, make_config
 from .cross_domain import TEST, TRAIN, Score, plot, table
-from .data import TrainingFlights, flights_of, load_training_flights
+from .data import flights_of, load_training_flights
 from .loop import INTERRUPTED, run
 from .run_folder import claim, contents_of
-
-log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int, str], None]
 """progress(epochs done, most epochs, a text with the number of folds done)."""
@@ -82,7 +79,21 @@ def kfold(
     jobs = _jobs(domains, out, models, preset, folds, choices)
     for job in jobs:  # report a mistake in any of them before the first is trained
         claim(job.out, job.config)
-    scores = [score for of_fold in _run_all(jobs, workers, executor, progress) for score in of_fold]
+
+    def tick(running: Iterable[int] = ()) -> None:
+        if progress:
+            done = [(job.out / "scores.json").is_file() for job in jobs]
+            epochs = [job.config.epochs if d else _epochs(job.out) for job, d in zip(jobs, done, strict=True)]
+            most = sum(job.config.epochs for job in jobs)
+            progress(sum(epochs), most, f"{sum(done)} of {len(jobs)} folds done")
+
+    here = executor is None and process_count(workers, len(jobs)) == 1
+    arguments = {k: (job, tick) if here else (job,) for k, job in enumerate(jobs)}
+    try:
+        results = run_jobs(run_fold, arguments, workers, executor, tick=tick)
+        scores = [score for _, of_fold in results for score in of_fold]
+    except BrokenExecutor as error:
+        raise ChildProcessError(WORKER_DIED) from error
     scores.sort(key=lambda s: (s.model, s.trained_on, s.fold))
     write_csv(out / "kfold.csv", scores)
     write_csv(out / "table1.csv", table(scores))
@@ -100,21 +111,13 @@ def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[Score
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
     others = {name: load_training_flights([path]) for name, path in job.others.items()}
-    scores = []
+    scores, model = [], job.config.model
     for name, flights in {TRAIN: train, TEST: test, **others}.items():
-        error = _error(job.config.model, result.weights, flights)
-        scores.append(
-            Score(
-                model=job.config.model,
-                trained_on=job.domain,
-                fold=job.config.fold,
-                tested_on=name,
-                flights=len(flights),
-                error_deg=error.mean,
-                flight_sd_deg=error.sd,
-                epoch=result.best.epoch + 1,
-            )
-        )
+        network = create_network(model, flights.rate_hz, result.weights)
+        network.reset(len(flights))
+        error = attitude_error(network.sequence(flights.gyro, flights.accel), flights.roll_pitch)
+        size, epoch = len(flights), result.best.epoch + 1
+        scores.append(Score(model, job.domain, job.config.fold, name, size, error.mean, error.sd, epoch))
     write_json(job.out / "scores.json", [asdict(score) for score in scores])
     return scores
 
@@ -151,32 +154,6 @@ def _finished(job: Job) -> list[Score] | None:
     except (FileNotFoundError, ValueError, TypeError):
         return None
     return scores if [s.tested_on for s in scores] == [TRAIN, TEST, *job.others] else None
-
-
-def _error(model: str, weights: Path, flights: TrainingFlights) -> Summary:
-    est = create_network(model, flights.rate_hz, weights)
-    est.reset(len(flights))
-    return attitude_error(est.sequence(flights.gyro, flights.accel), flights.roll_pitch)
-
-
-def _run_all(
-    jobs: Sequence[Job], workers: int | None, executor: Executor | None, progress: Progress | None
-) -> list[list[Score]]:
-    """Run the folds wherever they are to be run: the scores of each."""
-
-    def tick(running: Iterable[int] = ()) -> None:
-        if progress:
-            done = [(job.out / "scores.json").is_file() for job in jobs]
-            epochs = [job.config.epochs if d else _epochs(job.out) for job, d in zip(jobs, done, strict=True)]
-            most = sum(job.config.epochs for job in jobs)
-            progress(sum(epochs), most, f"{sum(done)} of {len(jobs)} folds done")
-
-    here = executor is None and process_count(workers, len(jobs)) == 1
-    arguments = {k: (job, tick) if here else (job,) for k, job in enumerate(jobs)}
-    try:
-        return [scores for _, scores in run_jobs(run_fold, arguments, workers, executor, tick=tick)]
-    except BrokenExecutor as error:
-        raise ChildProcessError(WORKER_DIED) from error
 
 
 def _epochs(out: Path) -> int:

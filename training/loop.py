@@ -25,7 +25,7 @@ from estimators.spiking import MATRICES
 from .config import TrainConfig, make_config
 from .data import Batch, TrainingFlights, flights_of, network_inputs, sample_windows, windows
 from .init import initial_model, reinitialise_dead_neurons
-from .loss import attitude_loss, finished, rate_cost
+from .loss import attitude_loss, finished, total_cost
 from .models import AttRNN, AttSNN, prune_connections
 from .optim import learning_rate, new_optimiser, resized_state
 from .run_folder import Epoch, claim, contents_of, exported, plot, save_best, save_checkpoint, write_log
@@ -98,9 +98,8 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
             try:
                 training.restore(torch.load(out / "checkpoint.pt", weights_only=True))
             except (RuntimeError, KeyError, TypeError) as error:
-                raise ValueError(
-                    f"{out}: its checkpoint is of another version of quadsim, choose another folder"
-                ) from error
+                text = "its checkpoint is of another version of quadsim, choose another folder"
+                raise ValueError(f"{out}: {text}") from error
         reason = _all_epochs(training, out, progress)
     finally:
         torch.set_num_threads(threads)
@@ -186,10 +185,8 @@ class Training:
         estimate, rates = model(x, batch.reset)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
         target = torch.from_numpy(batch.roll_pitch)
-        cost = attitude_loss(estimate, target, config.huber_threshold)
-        cost = cost + config.rate_cost * rate_cost(rates, torch.tensor(config.rate_targets))
         self.optimiser.zero_grad()
-        cost.backward()
+        total_cost(estimate, target, rates, config).backward()
         if config.clip > 0:
             torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
         self.optimiser.step()
@@ -245,21 +242,19 @@ class Training:
 
     def save_best(self, out: Path, epoch: Epoch) -> None:
         """Write the slow weights as the run's best."""
-        note = {
-            "epoch": epoch.epoch + 1,
-            "updates": epoch.updates,
-            "validation_flights": len(self.validation),
-            "validation_error_deg": round(epoch.val_error_deg, 4),
-        }
+        flights, error = len(self.validation), round(epoch.val_error_deg, 4)
+        note = {"epoch": epoch.epoch + 1, "updates": epoch.updates}
+        note |= {"validation_flights": flights, "validation_error_deg": error}
         with self.optimiser.evaluated():
             save_best(out, self.model, self.config, self.flights, note)
 
     def checkpoint(self) -> dict[str, Any]:
         """What `restore` needs to continue."""
+        history = [asdict(epoch) for epoch in self.history]
         return {
             "model": self.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
-            "history": [asdict(epoch) for epoch in self.history],
+            "history": history,
         }
 
     def restore(self, state: dict[str, Any]) -> None:

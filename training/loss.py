@@ -3,11 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import huber_loss
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
+
+
+def total_cost(estimate: Tensor, target: Tensor, rates: Tensor, config: TrainConfig) -> Tensor:
+    """What an update minimises: the sum of all losses, each times its weight in the configuration [rad²].
+
+    Args:
+        estimate: Roll and pitch, shape (n, T, 2) [rad].
+        target: The true ones.
+        rates: Spikes per neuron and step of the encoding and of the hidden layer, shape (2,).
+        config: Of the run.
+    """
+    excess = (rates - torch.tensor(config.rate_targets)).clamp(min=0.0).sum()
+    return attitude_loss(estimate, target, config.huber_threshold) + config.rate_cost * excess
 
 
 def attitude_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -> Tensor:
@@ -23,29 +40,12 @@ def attitude_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0
     return huber_loss(size, torch.zeros_like(size), delta=huber_threshold)
 
 
-def rate_cost(rates: Tensor, targets: Tensor) -> Tensor:
-    """How far the layers' spike rates lie above their targets, summed; both (2,)."""
-    return (rates - targets).clamp(min=0.0).sum()
-
-
-def finished(losses: Sequence[float], window: int = 20, rise: float = 1.1, patience: int = 50) -> str | None:
-    """Whether a run of validation losses has ended, as in the paper.
-
-    Args:
-        losses: One for each epoch so far.
-        window: Epochs in the moving average.
-        rise: The moving average may exceed its lowest by this factor.
-        patience: Epochs that the lowest loss may be old.
-
-    Returns:
-        The reason to stop, or None.
-    """
-    if not losses:
-        return None
-    if len(losses) - 1 - int(np.argmin(losses)) >= patience:
-        return f"the lowest validation loss is {patience} epochs old"
-    if len(losses) > window:
-        average = np.convolve(losses, np.full(window, 1 / window), mode="valid")
-        if average[-1] > rise * average.min():
-            return f"the {window}-epoch average is above {rise:g} times its lowest"
+def finished(losses: Sequence[float]) -> str | None:
+    """The paper's reason to stop after these validation losses, one for each epoch; None: there is none."""
+    if losses and len(losses) - 1 - int(np.argmin(losses)) >= 50:
+        return "the lowest validation loss is 50 epochs old"
+    if len(losses) > 20:
+        average = np.convolve(losses, np.full(20, 1 / 20), mode="valid")
+        if average[-1] > 1.1 * average.min():
+            return "the 20-epoch average is above 1.1 times its lowest"
     return None

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -14,14 +12,11 @@ from torch import Tensor, nn
 
 from estimators.analysis.ablation import living
 from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
-from estimators.networks.symmetry import Ties, ties
+from estimators.networks.symmetry import ties
+from estimators.networks.weights_file import NetworkConfig, expected_shapes
 from estimators.spiking import quantise_decay, quantise_weights
 
-from .backends import BACKENDS, Backend
-
-OUTPUTS = 2
-Values = TypeVar("Values", Tensor, NDArray[np.floating])
-
+from .backends import Backend
 
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
@@ -38,48 +33,35 @@ class AttSNN(nn.Module):
     Args:
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the recurrent layer.
-        quantised: Run as the chip does, weights and decays on its grid.
-        recurrent_delay: 1 (the chip) or 2 (the paper's equations).
+        backend: Computes outputs and gradients; a quantised one takes weights on the chip's grid.
         output_scale: Radians for an output potential of 1.0.
-        threads: Parts of a batch that run side by side.
         symmetric: Whether weights are shared as `estimators.networks.symmetry` says.
     """
 
+    w_in: Tensor
+    w_ff: Tensor
+    syn0: Tensor
+    syn1: Tensor
+
     def __init__(
-        self,
-        encoding: int = 100,
-        hidden: int = 100,
-        quantised: bool = True,
-        recurrent_delay: int = 1,
-        output_scale: float = 1.0,
-        threads: int = 1,
-        symmetric: bool = False,
+        self, encoding: int, hidden: int, backend: Backend, output_scale: float = 1.0, symmetric: bool = False
     ) -> None:
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
-        self.quantised, self.recurrent_delay = quantised, recurrent_delay
-        self.output_scale, self.threads = output_scale, threads
-        self.w_in = nn.Parameter(torch.zeros(encoding, 6))
-        self.w_ff = nn.Parameter(torch.zeros(hidden, encoding))
-        self.w_rec = nn.Parameter(torch.zeros(hidden, hidden))
-        self.w_out = nn.Parameter(torch.zeros(OUTPUTS, hidden))
-        self.syn0 = nn.Parameter(torch.zeros(encoding))
-        self.mem0 = nn.Parameter(torch.zeros(encoding))
-        self.syn1 = nn.Parameter(torch.zeros(hidden))
-        self.mem1 = nn.Parameter(torch.zeros(hidden))
-        self.syn2 = nn.Parameter(torch.zeros(1))
-        self.mem2 = nn.Parameter(torch.zeros(1))
+        self.backend, self.output_scale = backend, output_scale
+        network = NetworkConfig(model="att-snn", encoding=encoding, hidden=hidden)
+        for name, shape in expected_shapes(network).items():
+            self.register_parameter(name, nn.Parameter(torch.zeros(shape)))
         for name in MATRICES:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
         self.sharing = ties(encoding, hidden) if symmetric else {}
         for name, sharing in self.sharing.items():
-            getattr(self, name).register_hook(partial(_mean, sharing))
+            getattr(self, name).register_hook(lambda g, mean=sharing.mean: torch.from_numpy(mean(g.numpy())))
         for name in MATRICES:
             connected = torch.ones(getattr(self, name).shape, dtype=torch.bool)
             if self.sharing:
                 connected &= torch.from_numpy(self.sharing[name].sign != 0).reshape(connected.shape)
             self.register_buffer(f"{name}_connected", connected)
-        self.backend: Backend = BACKENDS["fused"](quantised, recurrent_delay, threads)
 
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
         """Set a weight matrix, and its rows' scales to their root mean square."""
@@ -88,26 +70,25 @@ class AttSNN(nn.Module):
         scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
         if self.sharing:  # rows that share their weights share their scale
             layer = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1"}.get(name)
-            scale = self.shared(layer, scale) if layer else scale.mean()
+            scale = torch.from_numpy(self.shared(layer, scale.numpy())) if layer else scale.mean()
         with torch.no_grad():
             getattr(self, f"{name}_scale").copy_(scale)
             getattr(self, name).copy_(w / scale)
 
-    def shared(self, name: str, values: Values) -> Values:
+    def shared(self, name: str, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """The values of a parameter in which entries that share a weight have that of the first of them."""
-        if not self.sharing:
-            return values
-        if isinstance(values, Tensor):
-            return torch.from_numpy(self.sharing[name].copied(values.detach().numpy()))
-        return self.sharing[name].copied(values)
+        return self.sharing[name].copied(values) if self.sharing else values
+
+    def first(self, name: str) -> NDArray[np.int64]:
+        """For each entry of a parameter the flat index of the first that shares its weight."""
+        return self.sharing[name].first if self.sharing else np.arange(getattr(self, name).numel())
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
         w = [getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES]
         tau = [torch.sigmoid(getattr(self, name)) for name in TIME_CONSTANTS]
-        if self.quantised:
-            w = [quantise_weights(x) for x in w]
-            tau = [quantise_decay(x) for x in tau]
+        if self.backend.quantised:
+            w, tau = map(quantise_weights, w), map(quantise_decay, tau)
         return Weights(*w, *tau)
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
@@ -123,13 +104,13 @@ class AttSNN(nn.Module):
     def constrain(self) -> None:
         """Make shared weights equal and pruned ones 0; clip all to the range where they can be trained."""
         for name in self.sharing:
-            getattr(self, name).copy_(self.shared(name, getattr(self, name)))
+            getattr(self, name).copy_(
+                torch.from_numpy(self.shared(name, getattr(self, name).detach().numpy()))
+            )
         for name in MATRICES:
-            getattr(self, name).mul_(getattr(self, f"{name}_connected"))
-        if self.quantised:
-            for name in MATRICES:
+            w = getattr(self, name).mul_(getattr(self, f"{name}_connected"))
+            if self.backend.quantised:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
-                w = getattr(self, name)
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
         for name in TIME_CONSTANTS:
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
@@ -141,14 +122,13 @@ class AttSNN(nn.Module):
         Beyond them a current wraps round to the other sign: a neuron that training silences further would
         then spike in every other step, and no gradient leads back.
         """
-        if not self.quantised:
+        if not self.backend.quantised:
             return
-        peaks = self.backend.peak_currents(CURRENT_EVERY)
-        for layer, names in ((0, ("w_in",)), (1, ("w_ff", "w_rec"))):
-            most = peaks[layer]
+        layers = (("mem0", ("w_in",)), ("mem1", ("w_ff", "w_rec")))
+        for most, (layer, names) in zip(self.backend.peak_currents(CURRENT_EVERY), layers, strict=True):
             if most.max() <= CURRENT_MAX:
                 continue
-            first = self.sharing[f"mem{layer}"].first if self.sharing else np.arange(most.size)
+            first = self.first(layer)
             of_group = np.zeros_like(most)
             np.maximum.at(of_group, first, most)
             weaker = torch.from_numpy((CURRENT_MAX / np.maximum(of_group, CURRENT_MAX))[first])
@@ -166,24 +146,21 @@ class AttSNN(nn.Module):
     def subset(self, neurons: Sequence[NDArray[np.int64]]) -> AttSNN:
         """The network of these neurons of both layers alone; its windows continue from the last ones here."""
         encoding, hidden = neurons
-        options = self.quantised, self.recurrent_delay, self.output_scale, self.threads, bool(self.sharing)
-        smaller = AttSNN(encoding.size, hidden.size, *options)
+        backend = self.backend.connected(encoding, hidden)
+        smaller = AttSNN(encoding.size, hidden.size, backend, self.output_scale, bool(self.sharing))
         smaller.load_state_dict(
             {
                 name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)
                 for name, value in self.state_dict().items()
             }
         )
-        smaller.backend = self.backend.connected(encoding, hidden)
         return smaller
 
     @property
     def connected_neurons(self) -> list[NDArray[np.int64]]:
         """Neurons of both layers that an input reaches and that reach an output."""
         connected = [getattr(self, f"{name}_connected").numpy() for name in MATRICES]
-        layers = (("mem0", self.w_in.shape[0]), ("mem1", self.w_ff.shape[0]))
-        groups = [self.sharing[name].first if self.sharing else np.arange(size) for name, size in layers]
-        return living(connected, groups)
+        return living(connected, [self.first("mem0"), self.first("mem1")])
 
     @torch.no_grad()
     def disconnect_zeros(self) -> None:
@@ -217,7 +194,7 @@ def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], mo
     effects, sizes, firsts = [], [], []
     for name in MATRICES:
         connected = getattr(model, f"{name}_connected").numpy().ravel()
-        first = model.sharing[name].first if model.sharing else np.arange(connected.size)
+        first = model.first(name)
         w, g2 = (
             values.detach().numpy().ravel().astype(np.float64)
             for values in (getattr(model, name), squared_gradients[name])
@@ -236,10 +213,6 @@ def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], mo
     model.constrain()
 
 
-def _mean(sharing: Ties, gradient: Tensor) -> Tensor:
-    return torch.from_numpy(sharing.mean(gradient.numpy()))
-
-
 class AttRNN(nn.Module):
     """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles)."""
 
@@ -247,7 +220,7 @@ class AttRNN(nn.Module):
         """Build with PyTorch's own initial weights."""
         super().__init__()
         self.gru = nn.GRU(6, hidden, num_layers=2, batch_first=True)
-        self.out = nn.Linear(hidden, OUTPUTS)
+        self.out = nn.Linear(hidden, 2)
         self._state: Tensor | None = None
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:

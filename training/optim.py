@@ -80,13 +80,8 @@ class Lookahead:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that a resumed run needs, the fast optimiser's state included."""
-        return {
-            "optimizer": self.optimizer.state_dict(),
-            "slow": [p.clone() for p in self.slow],
-            "steps": self.steps,
-            "k": self.k,
-            "alpha": self.alpha,
-        }
+        counters = {"steps": self.steps, "k": self.k, "alpha": self.alpha}
+        return {"optimizer": self.optimizer.state_dict(), "slow": [p.clone() for p in self.slow], **counters}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from the result of `state_dict`."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from estimators.analysis.ablation import Pruned, error_deg, importance, pruned
 from estimators.analysis.activity import record
-from estimators.evaluation.flights import Flights, load_flights
+from estimators.evaluation.flights import load_flights
 from estimators.networks.network import OnLoihi
 from estimators.networks.weights_file import load_network, parameters, save_network, shipped_network
 from quadsim.dataset.reading import open_dataset
@@ -53,7 +53,8 @@ def prune(
     if stages < 1:
         raise ValueError(f"stages: {stages}, should be at least 1")
     config, tensors = shipped_network("att-snn") if weights is None else load_network(weights)
-    flights, scored = _flights(data, RANKED_ON), _flights(validation)
+    flights = load_flights(list(map(open_dataset, data)), RANKED_ON)
+    scored = load_flights(list(map(open_dataset, validation)))
     full = config.encoding, config.hidden
     start = Path(out) / "unpruned.safetensors"
     save_network(start, config, tensors)
@@ -66,26 +67,14 @@ def prune(
         cut, fewer = pruned(config, tensors, importance(tensors, activity, by), max(share, 0.0))
         before = Path(out) / f"cut-{stage}.safetensors"
         save_network(before, cut, fewer)
-        result = train(
-            data=data,
-            out=Path(out) / f"stage-{stage}",
-            preset="best",
-            progress=progress,
-            validation=validation,
-            init=str(before),
-            **choices,
-        )
+        files = {"data": data, "validation": validation, "init": str(before)}
+        result = train(out=Path(out) / f"stage-{stage}", preset="best", progress=progress, **files, **choices)
         weights, cut_error = result.weights, error_deg(cut, fewer, scored)
         config, tensors = load_network(weights)
         tuned = error_deg(config, tensors, scored)
         if tuned > cut_error:  # training did not help
             weights, config, tensors, tuned = before, cut, fewer, cut_error
-        removed = 1 - (config.encoding + config.hidden) / sum(full)
-        done.append(
-            Pruned(removed, config.encoding, config.hidden, parameters(tensors), cut_error, tuned, weights)
-        )
+        sizes = config.encoding, config.hidden
+        removed = 1 - sum(sizes) / sum(full)
+        done.append(Pruned(removed, *sizes, parameters(tensors), cut_error, tuned, weights))
     return done
-
-
-def _flights(paths: tuple[str, ...], count: int | None = None) -> Flights:
-    return load_flights([open_dataset(path) for path in paths], count)

@@ -19,7 +19,7 @@ from estimators.analysis.ablation import connected
 from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, save_network
 from estimators.spiking import MATRICES
 from quadsim.runs.files import drop_parts, save_figure, write_csv, write_whole
-from quadsim.runs.fingerprint import code_digest
+from quadsim.runs.fingerprint import ROOT, code_digest
 
 from .config import TrainConfig
 from .data import TrainingFlights
@@ -51,12 +51,7 @@ class Epoch:
 
 
 def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None) -> None:
-    """Make the folder this run's.
-
-    Args:
-        out: The folder.
-        config: Of the run.
-        contents: Digests by `contents_of`; None: they are not compared.
+    """Make the folder this run's; `contents` are digests by `contents_of`, None: they are not compared.
 
     Raises:
         ValueError: It holds a run with another configuration, of another version, or on files that have
@@ -67,12 +62,12 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file():
         try:
-            there = TrainConfig.model_validate_json(file.read_text(encoding="utf-8"))
-        except ValidationError as error:
+            before = TrainConfig.model_validate_json(file.read_text(encoding="utf-8"))
+        except ValidationError:
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
-            ) from error
-        if there != config:
+            ) from None
+        if before != config:
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     write_whole(file, text)
     if contents is None:
@@ -86,11 +81,8 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
 
 def contents_of(config: TrainConfig, flights: TrainingFlights, validation: TrainingFlights) -> dict[str, str]:
     """Digests of what a run reads, so that a run on other files is refused."""
-    digests = {
-        "data": flights.digest(),
-        "validation": validation.digest(),
-        "code": code_digest("training.loop"),
-    }
+    digests = {"data": flights.digest(), "validation": validation.digest()}
+    digests["code"] = code_digest("training.loop")
     if config.init:
         digest = hashlib.blake2b(digest_size=16)
         for name, tensor in sorted(load_network(config.init)[1].items()):
@@ -133,17 +125,11 @@ def save_best(
 ) -> None:
     """Write `best.safetensors`; of a pruned network only the neurons that are still connected.
 
-    Args:
-        out: The run's folder.
-        model: With the weights to save.
-        config: Of the run.
-        flights: It was trained on.
-        note: What the file says of the training, besides its configuration, code and flights.
+    `note` is what the file says of the training, besides its configuration, code and number of flights.
     """
     code = {"config": json.loads(config.model_dump_json()), "commit": commit()}
-    network, tensors = exported(
-        model, config, flights.rate_hz, code | {"training_flights": len(flights)} | note
-    )
+    note = code | {"training_flights": len(flights)} | note
+    network, tensors = exported(model, config, flights.rate_hz, note)
     if config.prunes:
         network, tensors = connected(network, tensors)
     save_network(out / "best.safetensors", network, tensors)
@@ -176,15 +162,13 @@ def plot(out: Path, history: list[Epoch]) -> None:
 
 def commit() -> str:
     """The commit of the code, where it runs from its own repository; "-dirty" where that has changes."""
-    root = Path(__file__).parents[1]
 
     def git(*arguments: str) -> str:
-        return subprocess.run(
-            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=False
-        ).stdout.strip()
+        command = ["git", "-C", str(ROOT), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
     try:
-        ours = Path(git("rev-parse", "--show-toplevel") or "/").samefile(root)
+        ours = Path(git("rev-parse", "--show-toplevel") or "/").samefile(ROOT)
         return git("describe", "--always", "--dirty", "--exclude=*") if ours else ""
     except OSError:  # no git
         return ""

@@ -211,7 +211,7 @@ def report(
     results = load_results(folder)
     reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
     points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
-    console.print(headline(publish(folder, results, points, out).report, results), soft_wrap=True)
+    console.print(headline(publish(folder, results, points, out)[0], results), soft_wrap=True)
 
 
 def demo(

@@ -1,7 +1,4 @@
-"""Breaking points: the least wind, gyro bias or loss of samples at which a flight crashes, by bisection.
-
-At a level below it no flight crashes; the bracket is narrower than a tolerance, if more is worse.
-"""
+"""Breaking points: the least wind, gyro bias or loss of samples at which a flight crashes, by bisection."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -87,9 +84,7 @@ class BreakingPoint:
         """The least level that crashes, in words."""
         if self.reason:
             return "did not run"
-        if self.crashes_at is None:
-            return f"> {self.flies_at:.3g}"
-        return f"{self.crashes_at:.3g}"
+        return f"> {self.flies_at:.3g}" if self.crashes_at is None else f"{self.crashes_at:.3g}"
 
 
 def chosen(names: Sequence[str], duration_s: float | None = None) -> list[str]:
@@ -98,9 +93,8 @@ def chosen(names: Sequence[str], duration_s: float | None = None) -> list[str]:
     Raises:
         ValueError: For an unknown disturbance, or one that begins after the end of the flights.
     """
-    for name in names:
-        if name not in (*DISTURBANCES, "all"):
-            raise ValueError(f'unknown breaking point "{name}"; valid: {", ".join(DISTURBANCES)}, all')
+    if unknown := [name for name in names if name not in (*DISTURBANCES, "all")]:
+        raise ValueError(f'unknown breaking point "{unknown[0]}"; valid: {", ".join(DISTURBANCES)}, all')
     valid = list(DISTURBANCES) if "all" in names else list(dict.fromkeys(names))
     for name in valid:
         faults = load_scenario(DISTURBANCES[name].scenario).faults
@@ -132,8 +126,8 @@ def breaking_points(
         out: Folder of the results; files go to `out/breaking`.
         settings: Seeds, sample rate, tuning; flights of all estimators and levels have the same seeds.
         changes: Fields that replace those of the scenarios.
-        workers: Processes, as in `spread`.
-        executor: Where to run in place of processes of our own.
+        workers: Processes, as for `bench`; so are `executor` and `progress`.
+        executor: Where to run.
         progress: Called with the points done and their total.
 
     Raises:
@@ -178,12 +172,10 @@ def break_point(
 
     def crashes(level: float) -> bool:
         cell = fly_cell(disturbance, kind.change(base, level), estimator, settings)
-        if cell.reason:
-            reasons.append(cell.reason)
-            return True
+        reasons.extend([cell.reason] * bool(cell.reason))
         first = min((f for f in cell.flights if f.cause), key=lambda f: f.flown_s, default=None)
         causes[level] = first.cause if first else ""
-        return first is not None
+        return bool(cell.reason or first)
 
     low, high = bisect(crashes, kind.most, kind.tolerance)
     if reasons:

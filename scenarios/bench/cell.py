@@ -1,12 +1,12 @@
 """One cell of the benchmark: a scenario simulated with one estimator and many seeds, and its file."""
 
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 import estimators
 from estimators.custom import own_source
@@ -14,7 +14,7 @@ from estimators.registry import is_weights
 from estimators.tuned import load_tuning
 from quadsim.flight.mission import CAUSES, Mission
 from quadsim.flight.scenario import Scenario
-from quadsim.runs.files import read_json, write_json
+from quadsim.runs.files import read_json
 from quadsim.runs.fingerprint import content_digest
 from quadsim.seeding import vehicle_seeds
 
@@ -56,16 +56,9 @@ class Cell:
         """The cell as one row of the table."""
         return summarise(self.scenario, self.estimator, self.reason, self.flights)
 
-    def save(self, path: Path) -> None:
-        """Write the cell, whole or not at all."""
-        write_json(path, asdict(self))
 
-    @classmethod
-    def of_json(cls, content: dict[str, Any]) -> "Cell":
-        """The cell that was written as JSON."""
-        series = content["series"] and FlightSeries.of_json(content["series"])
-        flights = [FlightRow(**flight) for flight in content["flights"]]
-        return cls(**content | {"flights": flights, "series": series})
+CELL = TypeAdapter(Cell)
+"""Reads a cell that was written as JSON."""
 
 
 def file_name(name: str) -> str:
@@ -91,8 +84,8 @@ def digest_if_there(path: str | Path) -> str:
 def load_cell(path: Path) -> Cell | None:
     """A cell from its file; None where there is no whole one."""
     try:
-        return Cell.of_json(read_json(path))
-    except (OSError, ValueError, KeyError, TypeError):
+        return CELL.validate_python(read_json(path))
+    except (OSError, ValueError):
         return None
 
 
@@ -106,14 +99,11 @@ def fly_cell(
 ) -> Cell:
     """Simulate all flights of a cell at once; a failure is a cell with its reason."""
     try:
+        tuning, rate_hz = tuning_of(estimator, settings.tuning), settings.rate_hz
         made = estimators.create(
-            estimator,
-            settings.rate_hz,
-            tuning=tuning_of(estimator, settings.tuning),
-            vehicle=scenario.vehicle,
-            imu=scenario.imu,
+            estimator, rate_hz, tuning=tuning, vehicle=scenario.vehicle, imu=scenario.imu
         )
-        mission = Mission(scenario, made, settings.seeds, settings.rate_hz)
+        mission = Mission(scenario, made, settings.seeds, rate_hz)
         log, end = fly(mission, settings.seed)
         return make_cell(name, estimator, fingerprint, mission, log, end)
     except Exception as error:  # whatever an estimator does, the other cells continue

@@ -4,8 +4,7 @@ The linear loop is that of `quadsim.control.gains`, an angular acceleration d ad
 
     θ / d = S_rate / s² / (1 + L_att),   S_rate = 1 / (1 + L_rate)
 
-The steps are simulated, rotor limits and sampling included, with the true attitude of so
-long ago.
+The steps are simulated with rotor limits and sampling, and with the true attitude delayed.
 """
 
 from collections.abc import Sequence
@@ -63,11 +62,10 @@ class Response(NamedTuple):
 
 
 class DelayedTruth:
-    """The true attitude of some samples ago: an estimator with a delay and nothing else wrong."""
+    """The true attitude of some samples ago: an estimator with a delay and no other error."""
 
     def __init__(self, samples: int, rate_hz: float) -> None:
-        self.rate_hz = rate_hz
-        self._samples = samples
+        self.rate_hz, self._samples = rate_hz, samples
         self._line: list[Array] = []
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
@@ -87,14 +85,7 @@ class DelayedTruth:
 def responses(
     vehicle: Vehicle, gains: Gains, rate_hz: float = 200.0, delays_ms: Sequence[float] = DELAYS_MS
 ) -> list[Response]:
-    """The attitude loop at each delay of the estimator, with the same gains.
-
-    Args:
-        vehicle: The vehicle.
-        gains: Of its controller.
-        rate_hz: Samples per second; delays are rounded to whole samples.
-        delays_ms: Delays [ms].
-    """
+    """The attitude loop with the same gains at each delay of the estimator [ms], rounded to whole samples."""
     return [_response(vehicle, gains, rate_hz, round(ms * rate_hz / 1e3)) for ms in delays_ms]
 
 
@@ -165,8 +156,8 @@ def _response(vehicle: Vehicle, gains: Gains, rate_hz: float, samples: int) -> R
     time = np.arange(round(STEP_S * rate_hz) + 1) / rate_hz
     linear = control.step_response(control.feedback(forward, b.estimator), time).outputs
     step = fly_step(vehicle, gains, rate_hz, samples)
-    off = np.flatnonzero(np.abs(step / STEP_DEG - 1) > SETTLED)
-    late = int(off[-1]) + 1 if off.size else 0
+    unsettled = np.flatnonzero(np.abs(step / STEP_DEG - 1) > SETTLED)
+    settled = int(unsettled[-1]) + 1 if unsettled.size else 0
     gain = root_scalar(
         lambda k: margins(attitude_loop(b, gains.rate, k)).phase_deg - PHASE_MARGIN_DEG["attitude"],
         bracket=(0.1 * gains.attitude, 2.0 * gains.attitude),
@@ -180,7 +171,7 @@ def _response(vehicle: Vehicle, gains: Gains, rate_hz: float, samples: int) -> R
         step,
         STEP_DEG * np.asarray(linear, dtype=np.float64),
         float(step.max() / STEP_DEG - 1),
-        late / rate_hz if late < step.size else np.inf,
+        settled / rate_hz if settled < step.size else np.inf,
         margins(attitude_loop(b, gains.rate, gain)).crossover,
     )
 
@@ -190,23 +181,17 @@ def _size(system: control.TransferFunction, omega: Array) -> Array:
 
 
 def _draw_margins(axes: Axes, found: Sequence[Response]) -> None:
-    delay = [each.delay_ms for each in found]
-    axes.plot(
-        delay, [each.margins.phase_deg for each in found], "o-", color="#0072b2", label="phase margin [°]"
-    )
-    axes.plot(
-        delay, [each.margins.delay_ms for each in found], "s--", color="#e08a00", label="spare delay [ms]"
-    )
+    delay, sensitivity = [each.delay_ms for each in found], [each.sensitivity_db for each in found]
+    phase, spare = zip(*((each.margins.phase_deg, each.margins.delay_ms) for each in found), strict=True)
+    lines = axes.plot(delay, phase, "o-", color="#0072b2", label="phase margin [°]")
+    lines += axes.plot(delay, spare, "s--", color="#e08a00", label="spare delay [ms]")
     axes.axhline(45, color="#999999", lw=0.8, ls=":")
-    most = max(each.margins.delay_ms for each in found)
-    axes.set(title="Margins of the attitude loop", xlabel="delay of the estimator [ms]", ylim=(0, 1.5 * most))
+    title, label = "Margins of the attitude loop", "delay of the estimator [ms]"
+    axes.set(title=title, xlabel=label, ylim=(0, 1.5 * max(spare)))
     twin = axes.twinx()
-    twin.plot(
-        delay, [each.sensitivity_db for each in found], "^-.", color="#111111", label="peak of |S| [dB]"
-    )
-    twin.set(ylabel="peak of |S| [dB]", ylim=(0, 1.5 * max(each.sensitivity_db for each in found)))
+    lines += twin.plot(delay, sensitivity, "^-.", color="#111111", label="peak of |S| [dB]")
+    twin.set(ylabel="peak of |S| [dB]", ylim=(0, 1.5 * max(sensitivity)))
     twin.grid(visible=False)
-    lines = [*axes.get_lines()[:2], *twin.get_lines()]
     axes.legend(lines, [str(line.get_label()) for line in lines], fontsize=8, ncols=2, loc="upper center")
 
 

@@ -112,47 +112,28 @@ class Metric:
     help: str
 
 
-METRICS = (
-    Metric(
-        "error_deg", "Estimation error", "deg", 2,
-        "Mean absolute error of roll and pitch, pooled, in flight; the mean over flights.",
-    ),
-    Metric(
-        "inclination_deg", "Inclination error", "deg", 2,
-        "RMS of the angle between the true and the estimated direction of gravity; the mean over flights.",
-    ),
-    Metric(
-        "crash_rate", "Crash rate", "", 2,
-        "Share of flights that tilted over, hit the ground or went out of bounds; 95 % Wilson interval.",
-    ),
-    Metric(
-        "attitude_deg", "Attitude tracking", "deg", 2,
-        "RMS of the angle between the true thrust axis and the wanted one; the mean over flights.",
-    ),
-    Metric(
-        "position_m", "Position tracking", "m", 3,
-        "RMS distance from the set-point; the mean over flights.",
-    ),
-    Metric("worst_tilt_deg", "Largest tilt", "deg", 1, "Largest tilt of any flight."),
-    Metric(
-        "converge_s", "Time to converge", "s", 2,
-        f"When the inclination error first is below {CONVERGED_DEG:g}° and stays so for {CONVERGED_S:g} s; "
-        "the median over flights, empty if most never get there.",
-    ),
-    Metric(
-        "recover_s", "Recovery time", "s", 2,
-        f"The longest time it took to come back, once more than {OUT_OF_BOUNDS_M:g} m from the set-point, "
-        "0 if never there; the median over flights, empty if most crash or stay away.",
-    ),
-    Metric(
-        "power_w", "Rotor power", "W", 1,
-        "Mean mechanical power of the rotors, Σ k_m k_f ω³; the mean over flights.",
-    ),
-    Metric(
-        "jitter", "Command jitter", "rad/s", 2,
-        "RMS change of the rotor commands from one sample to the next; the mean over flights.",
-    ),
-)  # fmt: skip
+METRICS = tuple(Metric(*row) for row in (
+    ("error_deg", "Estimation error", "deg", 2,
+     "Mean absolute error of roll and pitch, pooled, in flight; the mean over flights."),
+    ("inclination_deg", "Inclination error", "deg", 2,
+     "RMS of the angle between the true and the estimated direction of gravity; the mean over flights."),
+    ("crash_rate", "Crash rate", "", 2,
+     "Share of flights that tilted over, hit the ground or went out of bounds; 95 % Wilson interval."),
+    ("attitude_deg", "Attitude tracking", "deg", 2,
+     "RMS of the angle between the true thrust axis and the wanted one; the mean over flights."),
+    ("position_m", "Position tracking", "m", 3, "RMS distance from the set-point; the mean over flights."),
+    ("worst_tilt_deg", "Largest tilt", "deg", 1, "Largest tilt of any flight."),
+    ("converge_s", "Time to converge", "s", 2,
+     f"When the inclination error first is below {CONVERGED_DEG:g}° and stays so for {CONVERGED_S:g} s; "
+     "the median over flights, empty if most never get there."),
+    ("recover_s", "Recovery time", "s", 2,
+     f"The longest time it took to come back, once more than {OUT_OF_BOUNDS_M:g} m from the set-point, "
+     "0 if never there; the median over flights, empty if most crash or stay away."),
+    ("power_w", "Rotor power", "W", 1,
+     "Mean mechanical power of the rotors, Σ k_m k_f ω³; the mean over flights."),
+    ("jitter", "Command jitter", "rad/s", 2,
+     "RMS change of the rotor commands from one sample to the next; the mean over flights."),
+))  # fmt: skip
 
 
 @njit(cache=True)
@@ -190,55 +171,42 @@ def flight_metrics(
 ) -> FlightMetrics[Array]:
     """Every metric of each flight, (n,); NaN where it has no value.
 
-    Args:
-        log: (n, T) of `log_dtype`.
-        end: (n,) samples before the crash, T without one.
-        rate_hz: Samples per second.
-        vehicle: For the power.
+    `log` is (n, T) of `log_dtype`; `end` (n,) the samples before the crash, T without one.
     """
-    flown = log.copy()
-    flown[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
-    estimate, truth = flown["estimate"], flown["euler"][..., :2]
+    valid = log.copy()
+    valid[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
+    estimate, truth = valid["estimate"], valid["euler"][..., :2]
     inclination = inclination_error(estimate, truth)
-    distance = np.linalg.norm(flown["position"] - flown["target"], axis=-1)
-    power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(flown["rotor_vel"] ** 3, axis=-1)
+    distance = np.linalg.norm(valid["position"] - valid["target"], axis=-1)
+    power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(valid["rotor_vel"] ** 3, axis=-1)
     return FlightMetrics(
         error_deg=attitude_error(estimate, truth).sequences,
         inclination_deg=_rms(inclination),
-        attitude_deg=np.degrees(_rms(flown["tracking"])),
+        attitude_deg=np.degrees(_rms(valid["tracking"])),
         position_m=_rms(distance),
-        worst_tilt_deg=np.degrees(np.nanmax(flown["tilt"], axis=1)),
+        worst_tilt_deg=np.degrees(np.nanmax(valid["tilt"], axis=1)),
         converge_s=convergence_time(inclination, rate_hz),
         recover_s=recovery_time(distance, end == log.shape[1], rate_hz),
         power_w=np.nanmean(power, axis=1),
-        jitter=_rms(flown["command_change"]),
+        jitter=_rms(valid["command_change"]),
     )
 
 
 def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:
-    """When the error is first below `CONVERGED_DEG` for `CONVERGED_S`, (n,) [s]; NaN if never.
-
-    Args:
-        inclination_deg: (n, T) [deg]; NaN counts as large.
-        rate_hz: Samples per second.
-    """
-    hold = max(round(CONVERGED_S * rate_hz), 1)
-    good = (inclination_deg < CONVERGED_DEG).astype(np.int64)
-    total = np.concatenate([np.zeros((len(good), 1), dtype=np.int64), np.cumsum(good, axis=1)], axis=1)
-    stays = total[:, hold:] - total[:, :-hold] == hold
-    first = stays.argmax(axis=1) if stays.shape[1] else np.zeros(len(good), dtype=np.int64)
-    return np.where(stays.any(axis=1), first / rate_hz, np.nan)
+    """When the error (n, T) [deg] is first below `CONVERGED_DEG` for `CONVERGED_S`, (n,) [s]; or NaN."""
+    steps = max(round(CONVERGED_S * rate_hz), 1)
+    if inclination_deg.shape[1] < steps:
+        return np.full(len(inclination_deg), np.nan)
+    total = np.cumsum(np.pad(inclination_deg < CONVERGED_DEG, ((0, 0), (1, 0))), axis=1)
+    settled = total[:, steps:] - total[:, :-steps] == steps
+    return np.where(settled.any(axis=1), settled.argmax(axis=1) / rate_hz, np.nan)
 
 
 def recovery_time(distance: Array, complete: NDArray[np.bool_], rate_hz: float) -> Array:
     """The longest time beyond `OUT_OF_BOUNDS_M` before it came back, (n,) [s]; NaN where it did not.
 
-    A flight that is out of bounds at its end has not come back if that has lasted for a second.
-
-    Args:
-        distance: (n, T) from the set-point [m].
-        complete: (n,) whether a flight lasted to its end.
-        rate_hz: Samples per second.
+    Not counted as back: a flight out of bounds for the last second. `distance` (n, T) is from the set-point
+    [m]; `complete` (n,) are flights that lasted to their end.
     """
     longest, spell = np.zeros((2, len(distance)))
     for outside in (distance > OUT_OF_BOUNDS_M).T:

@@ -1,4 +1,4 @@
-"""What an IMU tells about roll and pitch at best: the error of the best linear estimator."""
+"""The error of the best linear estimator of roll and pitch from an IMU."""
 
 import numpy as np
 
@@ -22,11 +22,10 @@ def least_error(
 ) -> float:
     """RMS angle between the true vertical and that of the best linear estimator, about hover.
 
-    It reads gyroscope and accelerometer, and knows the attitude and the speed that it starts with, the drag,
-    all noise densities, the spreads of the biases, and of the wind that it is steady, or Dryden turbulence of
-    this size. None that knows less is better in the mean over winds and biases: a Kalman filter is the best
-    linear estimator, and its covariance does not depend on the readings (Anderson & Moore, "Optimal
-    Filtering", 1979, ch. 5). One that bets on calm air, or on standing still, is better where it is right.
+    It reads gyroscope and accelerometer, and knows the initial attitude and speed, the drag, all noise
+    densities, the standard deviations of the biases, and whether the wind is steady or Dryden turbulence of
+    this size. A Kalman filter has the least variance of all linear estimators, and its covariance does not
+    depend on the readings (Anderson & Moore, "Optimal Filtering", 1979, ch. 5).
 
     Args:
         imu: Noise, random walks and turn-on biases.
@@ -47,26 +46,26 @@ def least_error(
         raise ValueError(f"speed_sd: {speed_sd:g} m/s, should be above 0, or inf where nothing is known")
     step, drag = 1 / rate_hz, 1 / vehicle.drag_time_constant
     turbulence = next((wind for wind in scenario.wind if isinstance(wind, Dryden)), None)
-    sigma, lasts = 0.0, 1.0
+    sigma, correlation_s = 0.0, 1.0
     if turbulence is not None:
         length, _, along, _ = dryden_scales(turbulence.altitude, turbulence.wind_20ft)
-        sigma, lasts = float(along), float(length) / turbulence.airspeed
+        sigma, correlation_s = float(along), float(length) / turbulence.airspeed
     # One axis: speed, tilt, biases of gyroscope and accelerometer, steady wind, turbulence.
     rates = np.zeros((6, 6))
     rates[0, [0, 1, 4, 5]] = -drag, GRAVITY, drag, drag
-    rates[1, 2], rates[5, 5] = -1.0, -1 / lasts
-    move = np.eye(6) + step * rates
-    blows = sigma * np.sqrt(2 / lasts)
-    walks = [0.0, imu.gyro.noise, imu.gyro.random_walk, imu.accel.random_walk, 0.0, blows]
+    rates[1, 2], rates[5, 5] = -1.0, -1 / correlation_s
+    transition = np.eye(6) + step * rates
+    drive = sigma * np.sqrt(2 / correlation_s)
+    walks = [0.0, imu.gyro.noise, imu.gyro.random_walk, imu.accel.random_walk, 0.0, drive]
     added = step * np.diag(np.square(walks))
-    spread = np.diag(np.square([0.0, 0.0, imu.gyro.turn_on, imu.accel.turn_on, STEADY_WIND, sigma]))
+    covariance = np.diag(np.square([0.0, 0.0, imu.gyro.turn_on, imu.accel.turn_on, STEADY_WIND, sigma]))
     readings = [(np.array([-drag, 0.0, 0.0, 1.0, drag, drag]), imu.accel.noise), (np.eye(6)[0], speed_sd)]
     total = 0.0
     for _ in range(steps):
-        spread = move @ spread @ move.T + added
+        covariance = transition @ covariance @ transition.T + added
         for row, noise in readings:
             if np.isfinite(noise):
-                column = spread @ row
-                spread = spread - np.outer(column, column) / (row @ column + noise**2 * rate_hz)
-        total += 2 * spread[1, 1]
+                column = covariance @ row
+                covariance = covariance - np.outer(column, column) / (row @ column + noise**2 * rate_hz)
+        total += 2 * covariance[1, 1]
     return float(np.sqrt(total / steps))

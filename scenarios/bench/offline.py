@@ -1,7 +1,7 @@
 """Estimators on recorded flights, without a loop: the table of their errors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,20 +35,13 @@ class OfflineRow:
 
 
 def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow]:
-    """Errors of estimators on all flights of a dataset, from a known and from an unknown initial attitude.
-
-    Networks are never given the initial attitude: they have the unknown start alone.
-
-    Args:
-        dataset: Path of a dataset.
-        names: Names of estimators.
-    """
+    """Errors of estimators on a dataset, from a known (not networks) and an unknown initial attitude."""
     data = open_dataset(dataset)
     rate_hz = float(data.attrs["rate_hz"])
     gyro, accel, quat = (data[name].to_numpy().astype(np.float64) for name in ("gyro", "accel", "quat"))
     truth, others = roll_pitch_from_quat(quat), other_sensors(data)
-    flown = np.arange(truth.shape[1]) < data["valid_steps"].to_numpy()[:, None]
-    counted = np.where(flown[..., None], truth, np.nan)
+    valid = np.arange(truth.shape[1]) < data["valid_steps"].to_numpy()[:, None]
+    counted = np.where(valid[..., None], truth, np.nan)
     rows: list[OfflineRow] = []
     for name in names:
         twin = silenced_twin(name, rate_hz)
@@ -60,25 +53,15 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow
             except (ValueError, OSError) as error:
                 rows.append(OfflineRow(name, start, note=str(error)))
                 continue
-            error = attitude_error(estimate, counted)
-            rows.append(
-                OfflineRow(
-                    name,
-                    start,
-                    error.median,
-                    error.mean,
-                    error.sd,
-                    share_without_number(estimate, counted),
-                    twin and attitude_error(estimators.run(twin, gyro, accel), counted).mean,
-                    inclination_rmse(estimate, counted).mean,
-                )
-            )
+            error, inclination = attitude_error(estimate, counted), inclination_rmse(estimate, counted).mean
+            silenced = twin and attitude_error(estimators.run(twin, gyro, accel), counted).mean
+            share = share_without_number(estimate, counted)
+            errors = error.median, error.mean, error.sd, share, silenced, inclination
+            rows.append(OfflineRow(name, start, *errors))
     return rows
 
 
 def table_of(rows: Sequence[OfflineRow]) -> list[dict[str, object]]:
     """The rows by column; without the column of notes if there are none."""
-    columns = [
-        each.name for each in fields(OfflineRow) if each.name != "note" or any(row.note for row in rows)
-    ]
-    return [{key: getattr(row, key) for key in columns} for row in rows]
+    noted = any(row.note for row in rows)
+    return [{key: value for key, value in vars(row).items() if noted or key != "note"} for row in rows]

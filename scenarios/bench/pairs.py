@@ -51,12 +51,8 @@ class PairRow:
 def paired_differences(flights: Sequence[FlightRow], level: float = 0.95) -> list[PairRow]:
     """Every two estimators on the same seeds of each scenario, and of all together.
 
-    The interval is Student's over seeds; for all scenarios a seed's difference is first averaged over them,
-    for its flights share their sensor noise.
-
-    Args:
-        flights: One row per flight, as in `Results.flights`.
-        level: Of the interval.
+    The interval of a `level` is Student's over seeds; for all scenarios a seed's difference is first averaged
+    over them, for its flights share their sensor noise.
     """
     scenarios = list(dict.fromkeys(f.scenario for f in flights))
     names = list(dict.fromkeys(f.estimator for f in flights))
@@ -91,10 +87,8 @@ def _mean_over_scenarios(difference: Array) -> Array:
 def _interval(difference: Array, level: float) -> tuple[int, float | None, float | None, float | None]:
     """Number of pairs, mean, and the ends of its interval."""
     known = difference[np.isfinite(difference)]
-    if not known.size:
-        return 0, None, None, None
+    if known.size < 2:
+        return known.size, float(known[0]) if known.size else None, None, None
     mean = float(known.mean())
-    if known.size == 1:
-        return 1, mean, None, None
     half = float(student.ppf(0.5 + 0.5 * level, known.size - 1) * known.std(ddof=1) / np.sqrt(known.size))
     return int(known.size), mean, mean - half, mean + half

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 
 import estimators
@@ -20,6 +21,7 @@ from quadsim.runs.spread import spread
 from quadsim.vehicle import load_vehicle
 
 from .cell import (
+    CELL,
     Cell,
     digest_if_there,
     failed_cell,
@@ -56,11 +58,10 @@ class Results:
     def warnings(self) -> list[str]:
         """Parameters that were tuned for another vehicle or IMU than those simulated."""
         tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
-        for scenario in self.scenarios.values():
-            for name in self.estimators:
-                if other := tuning_misfit(name, tuning_of(name, tuning), scenario.vehicle, scenario.imu):
-                    flown = f"{Path(scenario.vehicle).stem} with {Path(scenario.imu).stem}"
-                    found.setdefault(f"for {other}, not for {flown}, which was simulated", {})[name] = None
+        for s, name in product(self.scenarios.values(), self.estimators):
+            if other := tuning_misfit(name, tuning_of(name, tuning), s.vehicle, s.imu):
+                simulated = f"{Path(s.vehicle).stem} with {Path(s.imu).stem}"
+                found.setdefault(f"for {other}, not for {simulated}, which was simulated", {})[name] = None
         return [
             f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of that vehicle, then --tuning FILE."
             for text, who in found.items()
@@ -85,10 +86,9 @@ def bench(
 ) -> Results:
     """Fly every scenario with every estimator and the same seeds; write `results.csv` and `flights.csv`.
 
-    The results depend on the arguments and the code alone, not on the number of workers. Every finished cell
-    is stored under `out/cells`; a later run with the same scenario, estimator, seeds and code takes it from
-    there. Worker processes import the caller's main module, so a script calls this under
-    `if __name__ == "__main__":`.
+    The results do not depend on the number of workers. Every finished cell is stored under `out/cells`; a
+    later run with the same scenario, estimator, seeds and code reads it. Worker processes import the caller's
+    main module, so a script calls this under `if __name__ == "__main__":`.
 
     Args:
         scenarios: Names of shipped scenarios or paths of TOML files.
@@ -125,7 +125,7 @@ def bench(
         if cell.reason:
             log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
         else:
-            cell.save(cell_path(out, cell.scenario, cell.estimator))
+            write_json(cell_path(out, cell.scenario, cell.estimator), asdict(cell))
         if progress:
             progress(len(cells), len(pairs))
     results = Results(loaded, names, settings, [cells[pair] for pair in pairs])
@@ -145,9 +145,10 @@ def load_results(out: str | Path) -> Results:
     try:
         index = read_json(out / "bench.json")
         settings = dict(index["settings"])
-        scenarios, names = _parse(settings.pop("scenarios")), settings.pop("estimators")
+        scenarios, names = settings.pop("scenarios"), settings.pop("estimators")
+        scenarios = {name: Scenario.model_validate_json(json.dumps(s)) for name, s in scenarios.items()}
         settings = FlightSettings(**settings)
-        failed = {(f["scenario"], f["estimator"]): Cell.of_json(f) for f in index["failed"]}
+        failed = {(f["scenario"], f["estimator"]): CELL.validate_python(f) for f in index["failed"]}
         fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
     except FileNotFoundError:
         raise ValueError(f"{out}: no benchmark results (there is no bench.json)") from None
@@ -156,12 +157,9 @@ def load_results(out: str | Path) -> Results:
     cells = []
     for pair in [(s, e) for s in scenarios for e in names]:
         cell = failed.get(pair) or load_cell(cell_path(out, *pair))
-        if cell is None:
-            raise ValueError(f"{cell_path(out, *pair)}: missing or damaged; run the benchmark again")
-        if cell.fingerprint != fingerprints.get(pair):
-            raise ValueError(
-                f"{cell_path(out, *pair)}: of another run than the rest; run the benchmark again"
-            )
+        if cell is None or cell.fingerprint != fingerprints.get(pair):
+            wrong = "of another run than the rest" if cell else "missing or damaged"
+            raise ValueError(f"{cell_path(out, *pair)}: {wrong}; run the benchmark again")
         cells.append(cell)
     return Results(scenarios, names, settings, cells)
 
@@ -195,9 +193,7 @@ def _load(
         raise ValueError(f"{settings.tuning}: it has no table of {', '.join(names)}")
     for name in names:
         if name not in estimators.names():
-            estimators.create(
-                name, settings.rate_hz
-            )  # names the valid ones, or what is wrong with the weights
+            estimators.create(name, settings.rate_hz)  # raises: the valid ones, or what is wrong with weights
     if not loaded or not names:
         raise ValueError(f"nothing to fly: give at least one {'estimator' if loaded else 'scenario'}")
     return loaded
@@ -210,20 +206,12 @@ def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, c
         "vehicle": load_vehicle(scenario.vehicle).model_dump(mode="json"),
         "imu": load_imu(scenario.imu).model_dump(mode="json"),
         "external": load_external(scenario.external).model_dump(mode="json"),
-        "files": [
-            digest_if_there(part.path)
-            for part in (scenario.trajectory, *scenario.wind)
-            if part.kind == "file"
-        ],
+        "files": [digest_if_there(p.path) for p in (scenario.trajectory, *scenario.wind) if p.kind == "file"],
         "weights": weights_digest(estimator),
         "tuning": tuning and load_tuning(tuning)[estimator].model_dump(),
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
     return fingerprint(content)
-
-
-def _parse(scenarios: dict[str, object]) -> dict[str, Scenario]:
-    return {name: Scenario.model_validate_json(json.dumps(each)) for name, each in scenarios.items()}
 
 
 def _save_index(out: Path, results: Results) -> None:

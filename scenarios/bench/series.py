@@ -2,7 +2,6 @@
 
 import base64
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,32 +28,24 @@ class FlightSeries:
     """Time between two samples [s]."""
     channels: dict[str, Channel]
 
-    @classmethod
-    def of_json(cls, content: dict[str, Any]) -> "FlightSeries":
-        """The series that was written as JSON."""
-        channels = {name: Channel(**channel) for name, channel in content["channels"].items()}
-        return cls(content["dt"], channels)
-
 
 def pack_series(log: NDArray[np.void], rate_hz: float) -> FlightSeries:
     """One flight's log (T,) of `flight_metrics.log_dtype`, decimated to `SERIES_HZ`."""
     every = max(round(rate_hz / SERIES_HZ), 1)
-    thin = log[::every]
-    angles = np.degrees(np.hstack([thin["euler"], thin["estimate"]]))
+    shown = log[::every]
+    angles = np.degrees(np.hstack([shown["euler"], shown["estimate"]]))
     names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
-    columns = np.hstack([angles, thin["position"], thin["target"]])
+    columns = np.hstack([angles, shown["position"], shown["target"]])
     return FlightSeries(every / rate_hz, dict(zip(names, map(_pack, columns.T), strict=True)))
 
 
 def unpack_series(series: FlightSeries) -> dict[str, Array]:
     """Every channel of a flight, each (T,), and its `time` [s]."""
     found = {
-        name: np.multiply(
-            channel.scale, np.frombuffer(base64.b64decode(channel.data), dtype="<i2"), dtype=np.float64
-        )
+        name: channel.scale * np.frombuffer(base64.b64decode(channel.data), "<i2").astype(np.float64)
         for name, channel in series.channels.items()
     }
-    return found | {"time": np.asarray(series.dt * np.arange(len(found["x"])), dtype=np.float64)}
+    return found | {"time": series.dt * np.arange(len(found["x"]), dtype=np.float64)}
 
 
 def _pack(values: Array) -> Channel:

@@ -45,38 +45,34 @@ class Total(NamedTuple):
 
 
 def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] = ()) -> Verdict:
-    """Rank the estimators of a benchmark and describe the best, then `focus`.
+    """Rank the estimators of a benchmark; describe the best, then `focus` if it ran.
 
-    Args:
-        rows: A row for each scenario and estimator.
-        focus: The estimator to describe besides the best, if it ran.
-        pairs: Paired differences, for the estimators that do not differ significantly from the best.
+    `pairs`, paired differences, decide which estimators do not differ significantly from the best.
     """
     names = list(dict.fromkeys(row.estimator for row in rows))
     totals = {name: total([row for row in rows if row.estimator == name]) for name in names}
     ranked = sorted((name for name in names if name != TRUTH), key=lambda name: totals[name].rank)
     references = [name for name in names if name == TRUTH]
     standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
-    flown = [name for name in ranked if totals[name].flights]
-    if not flown:
+    simulated = [name for name in ranked if totals[name].flights]
+    if not simulated:
         only = "Only the truth ran." if TRUTH in names and totals[TRUTH].flights else "No estimator ran."
         return Verdict(only, [], standings)
-    best, truth = totals[flown[0]], totals.get(TRUTH)
+    best, truth = totals[simulated[0]], totals.get(TRUTH)
     lines = []
     if truth and truth.attitude > 0:
         ratio = best.attitude / truth.attitude
         lines.append(f"Its attitude tracking error is {ratio:.2f} × that with the true attitude.")
-    equals = [name for name in flown[1:] if totals[name].crashes == best.crashes]
-    tied = [name for name in equals if _is_tied(flown[0], name, pairs)]
-    doubt = (
-        f"Its error is not significantly different from that of {_listed(tied)} (paired 95 % CI includes 0)."
-        if tied
-        else ""
-    )
-    lines += [doubt] * bool(doubt)
-    if focus in flown[1:]:
+    equals = [name for name in simulated[1:] if totals[name].crashes == best.crashes]
+    tied = [name for name in equals if _is_tied(simulated[0], name, pairs)]
+    doubt = ""
+    if tied:
+        others = " and ".join(filter(None, [", ".join(tied[:-1]), tied[-1]]))
+        doubt = f"Its error is not significantly different from that of {others} (paired 95 % CI includes 0)."
+        lines.append(doubt)
+    if focus in simulated[1:]:
         lines.append(_sentence(focus, totals[focus], truth))
-    return Verdict(_headline(flown[0], best), lines, standings, doubt)
+    return Verdict(_headline(simulated[0], best), lines, standings, doubt)
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
@@ -95,26 +91,19 @@ def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
 
 def total(rows: Sequence[CellRow]) -> Total:
     """Add up an estimator's rows."""
-    flown = [row for row in rows if not row.reason]
+    simulated = [row for row in rows if not row.reason]
     error, attitude = (
-        [value for row in flown if (value := getattr(row, key)) is not None]
+        float(np.mean([v for row in simulated if (v := getattr(row, key)) is not None] or [0.0]))
         for key in ("error_deg", "attitude_deg")
     )
-    return Total(
-        flights=sum(row.flights or 0 for row in flown),
-        crashes=sum(row.crashes or 0 for row in flown),
-        error=float(np.mean(error)) if error else 0.0,
-        attitude=float(np.mean(attitude)) if attitude else 0.0,
-        failed=len(rows) - len(flown),
-    )
+    flights, crashes = (sum(getattr(row, key) or 0 for row in simulated) for key in ("flights", "crashes"))
+    return Total(flights, crashes, error, attitude, len(rows) - len(simulated))
 
 
 def _headline(name: str, best: Total) -> str:
     if best.crashes:
-        return (
-            f"Fly {name}: it crashed least, in {best.crashes} of {best.flights} flights, "
-            f"with an error of {best.error:.2f}°."
-        )
+        crashes = f"in {best.crashes} of {best.flights} flights"
+        return f"Fly {name}: it crashed least, {crashes}, with an error of {best.error:.2f}°."
     flights = f"{best.flights} flight{'s' if best.flights > 1 else ''}"
     return f"Fly {name}: no crash in {flights}, and the smallest error, {best.error:.2f}°."
 
@@ -128,26 +117,18 @@ def _is_tied(best: str, other: str, pairs: Sequence[PairRow]) -> bool:
     )
 
 
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
 def _sentence(name: str, each: Total, truth: Total | None) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
     text = f"{name}: {crashes} in {each.flights} flights, error {each.error:.2f}°"
     if truth and truth.attitude > 0:
-        text += (
-            f", attitude tracking error {each.attitude / truth.attitude:.2f} × that with the true attitude"
-        )
+        ratio = each.attitude / truth.attitude
+        text += f", attitude tracking error {ratio:.2f} × that with the true attitude"
     return text + "."
 
 
 def _standing(name: str, each: Total, rows: Sequence[CellRow]) -> Standing:
-    crashed = [
-        f"{row.scenario} ({row.crashes} of {row.flights})"
-        for row in rows
-        if row.estimator == name and not row.reason and row.crashes
-    ]
+    own = [row for row in rows if row.estimator == name and row.crashes]
+    crashed = [f"{row.scenario} ({row.crashes} of {row.flights})" for row in own]
     if not each.flights:
         return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"

@@ -39,9 +39,7 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flig
     with progress_bar("evaluate", "runs") as bar:
         done = evaluate(flights, made, slow_flights=slow_flights, seed=seed, progress=bar)
     done.write_csv(out / "evaluation.csv")
-    pictures = {name: out / f"{name}.png" for name in FIGURES}
-    for name, path in pictures.items():
-        save_figure(path, FIGURES[name](done), dpi=130)
+    pictures = {n: save_figure(out / f"{n}.png", draw(done), dpi=130) for n, draw in FIGURES.items()}
     caption = f"{flights.sizes['flight']} flights of {data}, without a loop."
     notes = [*evaluation_notes(done.rows), *tuned_elsewhere(made, contenders.tuning, airframe, imu)]
     page = write_report(
@@ -55,13 +53,10 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flig
     for note in notes:
         output.print(note, soft_wrap=True)
     rated = [row for row in done.rows if row.initial == "unknown" and row.estimator != "truth"]
-    if not rated:
-        output.print(f"{page}", soft_wrap=True)
-        return
-    best = min(rated, key=lambda row: row.behind_deg)
-    tied = [row.estimator for row in rated if row.tied and row is not best and row.flights == best.flights]
-    output.print(
-        f"{page}: the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
-        + (f", not significantly different from {', '.join(tied)}" if tied else ""),
-        soft_wrap=True,
-    )
+    last = f"{page}"
+    if rated:
+        best = min(rated, key=lambda row: row.behind_deg)
+        tied = [r.estimator for r in rated if r.tied and r is not best and r.flights == best.flights]
+        last += f": the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
+        last += f", not significantly different from {', '.join(tied)}" if tied else ""
+    output.print(last, soft_wrap=True)

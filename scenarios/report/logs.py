@@ -37,13 +37,7 @@ class Contenders:
         vehicle: str | Path | Vehicle | None = None,
         imu: ImuSpec | None = None,
     ) -> dict[str, AttitudeEstimator]:
-        """Make them.
-
-        Args:
-            default: Names where none are given.
-            rate_hz: Samples per second.
-            vehicle: The airframe where none is given.
-            imu: The IMU.
+        """Make them; `default` names and the `vehicle` stand in where none are given.
 
         Raises:
             ValueError: Weights of another kind of network, or given twice; a filter that needs a vehicle
@@ -93,29 +87,17 @@ def evaluate_logs(
     headings = ("estimator", "raw, °", "silenced, °", "bias removed, °")
     table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°")
     for name in scores.estimators:
-        silenced = scores.silenced(name)
-        table.add_row(
-            name,
-            f"{scores.mean(name, RAW):.2f}",
-            "–" if math.isnan(silenced) else f"{silenced:.2f}",
-            f"{scores.mean(name, KNOWN):.2f}",
-        )
+        errors = scores.mean(name, RAW), scores.silenced(name), scores.mean(name, KNOWN)
+        table.add_row(name, *("–" if math.isnan(error) else f"{error:.2f}" for error in errors))
     output.print(table)
     for row in scores.rows:
         if row.without_number > 0.0 and row.bias == RAW:
-            output.print(
-                f"{row.log}: {100.0 * row.without_number:.1f} % of the estimates of {row.estimator} are "
-                "no number; each counts as 180°",
-                soft_wrap=True,
-            )
+            share = f"{100.0 * row.without_number:.1f} % of the estimates of {row.estimator}"
+            output.print(f"{row.log}: {share} are no number; each counts as 180°", soft_wrap=True)
     for log, bias in scores.gyro_bias.items():
         shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
-        seconds = scores.counted[log].sum() / rate
-        output.print(
-            f"{log}: {seconds:.0f} s scored, gyro bias ({shown}) °/s", soft_wrap=True, highlight=False
-        )
+        text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, gyro bias ({shown}) °/s"
+        output.print(text, soft_wrap=True, highlight=False)
     best = scores.estimators[0]
-    output.print(
-        f"{out / 'logs.csv'}: the smallest raw error is {best}'s, {scores.mean(best, RAW):.2f}°",
-        soft_wrap=True,
-    )
+    last = f"the smallest raw error is {best}'s, {scores.mean(best, RAW):.2f}°"
+    output.print(f"{out / 'logs.csv'}: {last}", soft_wrap=True)

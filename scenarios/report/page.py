@@ -20,6 +20,7 @@ from ..bench.cell import Cell
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS
 from ..bench.pairs import ALL, PAIRED, PairRow
 from ..bench.runner import Results
+from ..bench.settings import FlightSettings
 from ..bench.verdict import TRUTH, offline_verdict, verdict
 from .flight_picture import Picture
 
@@ -75,22 +76,21 @@ def write_report(
     """
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
-    results = closed_loop.results if closed_loop else None
-    pairs, still = (closed_loop.pairs, closed_loop.still) if closed_loop else ((), None)
-    offline = offline or OfflineSection(())
-    rows = results.rows if results else []
+    closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
+    results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
+    rows = results.rows
     context = {
         "title": title,
-        "verdict": verdict(rows, focus, pairs) if rows else offline_verdict(offline.rows),
-        "warnings": results.warnings if results else [],
+        "verdict": verdict(rows, focus, closed_loop.pairs) if rows else offline_verdict(offline.rows),
+        "warnings": results.warnings,
         "rows": rows,
         "metrics": METRICS if rows else (),
-        "scenarios": _scenarios(results),
-        "estimators": results.estimators if results else [],
+        "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
+        "estimators": results.estimators,
         "lookup": {(row.scenario, row.estimator): row for row in rows},
-        "pairs": bool(pairs),
+        "pairs": bool(closed_loop.pairs),
         "paired": [metric for metric in METRICS if metric.key in PAIRED],
-        "breaking": _breaking(closed_loop.points if closed_loop else ()),
+        "breaking": _breaking(closed_loop.points),
         "offline": _offline_table(offline.rows),
         "offline_caption": offline.caption,
         "pictures": {
@@ -105,17 +105,19 @@ def write_report(
         "script": script("report.js"),
         "payload": _payload(closed_loop, offline.rows, focus),
     }
-    return write_whole(Path(path).expanduser(), _environment().get_template("report.html").render(context))
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("scenarios.report", ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = _number
+    return write_whole(Path(path).expanduser(), environment.get_template("report.html").render(context))
 
 
-def _scenarios(results: Results | None) -> list[dict[str, str]]:
-    if results is None:
-        return []
-    return [{"name": n, "description": s.description} for n, s in results.scenarios.items()]
-
-
-def _footer(results: Results | None) -> str:
-    if results is None:
+def _footer(results: Results) -> str:
+    if not results.cells:
         return ""
     s = results.settings
     return (
@@ -131,18 +133,17 @@ def _breaking(points: Sequence[BreakingPoint]) -> dict[str, object]:
     kinds = {key: DISTURBANCES[key] for key in DISTURBANCES if any(p.disturbance == key for p in points)}
     scale = {key: max([p.flies_at or 0.0 for p in points if p.disturbance == key] or [0.0]) for key in kinds}
     found = {(p.estimator, p.disturbance): p for p in points}
-    rows = []
-    for name in dict.fromkeys(point.estimator for point in points):
-        entries = []
-        for key in kinds:
-            point = found.get((name, key))
-            flown = (point.flies_at or 0.0) if point else 0.0
-            value = None if point is None or point.reason else point.crashes_at or 2 * flown
-            share = flown / scale[key] if scale[key] else 0.0
-            text = point.text if point else "–"
-            title = (point.reason or f"{point.cause}, of {point.seeds} flights") if point else ""
-            entries.append({"text": text, "value": value, "share": share, "title": title})
-        rows.append({"estimator": name, "entries": entries})
+
+    def entry(point: BreakingPoint | None, most: float) -> dict[str, object]:
+        if point is None:
+            return {"text": "–", "value": None, "share": 0.0, "title": ""}
+        level = point.flies_at or 0.0
+        value = None if point.reason else point.crashes_at or 2 * level
+        title = point.reason or f"{point.cause}, of {point.seeds} flights"
+        return {"text": point.text, "value": value, "share": level / most if most else 0.0, "title": title}
+
+    names = dict.fromkeys(point.estimator for point in points)
+    rows = [{"estimator": n, "entries": [entry(found.get((n, k)), scale[k]) for k in kinds]} for n in names]
     return {"kinds": list(kinds.values()), "rows": rows}
 
 
@@ -150,12 +151,9 @@ def _offline_table(rows: Sequence[Mapping[str, object]]) -> dict[str, object] | 
     if not rows:
         return None
     keys = list(dict.fromkeys(key for row in rows for key in row))
-    columns = [{"key": key, "label": _label(key), "numeric": _numeric(rows, key)} for key in keys]
+    numeric = {k: all(isinstance(row.get(k), int | float | np.number | None) for row in rows) for k in keys}
+    columns = [{"key": key, "label": _label(key), "numeric": numeric[key]} for key in keys]
     return {"columns": columns, "rows": [{key: row.get(key) for key in keys} for row in rows]}
-
-
-def _numeric(rows: Sequence[Mapping[str, object]], key: str) -> bool:
-    return all(isinstance(row.get(key), int | float | np.number | None) for row in rows)
 
 
 def _label(key: str) -> str:
@@ -166,22 +164,20 @@ def _label(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _payload(
-    closed_loop: ClosedLoopSection | None, offline: Sequence[Mapping[str, object]], focus: str
-) -> str:
-    results = closed_loop.results if closed_loop else None
-    names = results.estimators if results else [str(row.get("estimator")) for row in offline]
-    ranked = [s.estimator for s in verdict(results.rows, focus).standings] if results else []
+def _payload(closed_loop: ClosedLoopSection, offline: Sequence[Mapping[str, object]], focus: str) -> str:
+    results = closed_loop.results
+    names = results.estimators or [str(row.get("estimator")) for row in offline]
+    ranked = [s.estimator for s in verdict(results.rows, focus).standings]
     shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
-        "scenarios": list(results.scenarios) if results else [],
+        "scenarios": list(results.scenarios),
         "shown": shown,
         "metrics": [vars(metric) for metric in METRICS],
         "edges": {"low": low, "high": high, "bins": ERROR_BINS},
     }
-    if closed_loop and results:
+    if results.cells:
         vehicle = load_vehicle(next(iter(results.scenarios.values())).vehicle)
         data |= {
             "cells": {f"{cell.scenario}|{cell.estimator}": _cell(cell) for cell in results.cells},
@@ -209,8 +205,8 @@ def _pairs(pairs: Sequence[PairRow]) -> dict[str, list]:
 
 
 def _cell(cell: Cell) -> dict[str, object]:
-    values = {metric.key: getattr(cell.row, metric.key) for metric in METRICS}
-    series = asdict(cell.series) if cell.series else None
+    row, series = cell.row, asdict(cell.series) if cell.series else None
+    values = {metric.key: getattr(row, metric.key) for metric in METRICS}
     return {"values": values, "histogram": cell.histogram, "series": series}
 
 
@@ -227,21 +223,6 @@ def script(entry: str) -> str:
 
     visit(entry)
     return '"use strict";\n' + "\n".join(found.values())
-
-
-def _environment() -> jinja2.Environment:
-    def source(name: str) -> str:
-        return (files("scenarios.report") / name).read_text(encoding="utf-8")
-
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(source),
-        autoescape=lambda name: True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = _number
-    return environment
 
 
 def _number(value: float | None, digits: int) -> str:

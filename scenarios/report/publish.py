@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from quadsim.runs.files import write_csv
 
@@ -14,16 +13,9 @@ from .flight_picture import cover
 from .page import ClosedLoopSection, write_report
 
 
-class Published(NamedTuple):
-    """What was written."""
-
-    report: Path
-    note: str  #: why there is no picture; empty if there is one
-
-
 def publish(
     folder: str | Path, results: Results, points: Sequence[BreakingPoint] = (), path: Path | None = None
-) -> Published:
+) -> tuple[Path, str]:
     """Write pairs.csv, breaking.csv if there are such points, and report.html, which links to them.
 
     Args:
@@ -31,6 +23,9 @@ def publish(
         results: What it returned.
         points: Breaking points.
         path: The report, by default report.html in the folder.
+
+    Returns:
+        The report, and why there is no picture; empty if there is one.
 
     Raises:
         OSError: If a file cannot be written.
@@ -46,4 +41,4 @@ def publish(
     still, note = cover(results.cells)
     page = path or folder / "report.html"
     links = [Path(os.path.relpath(folder / name, page.expanduser().parent)).as_posix() for name in files]
-    return Published(write_report(page, ClosedLoopSection(results, pairs, points, still), csv=links), note)
+    return write_report(page, ClosedLoopSection(results, pairs, points, still), csv=links), note

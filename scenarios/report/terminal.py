@@ -1,73 +1,63 @@
 """Results as tables for a terminal."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rich.box import SIMPLE
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from estimators.analysis.ablation import Pruned
 from estimators.evaluation.comparison import EvaluationRow
 from estimators.loihi.chip import LIMITS, Core
 
-from ..bench.breaking import DISTURBANCES, BreakingPoint
+from ..bench.breaking import BreakingPoint
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
 from ..bench.runner import Results
 from ..bench.verdict import verdict
 
 
+def _table(
+    title: str, left: Sequence[str], right: Iterable[str], rows: Iterable[Iterable[str | Text]]
+) -> Table:
+    """A table with headings of columns that are aligned to the left, then of those to the right."""
+    table = Table(*left, *(Column(heading, justify="right") for heading in right), title=title)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def closed_loop_table(results: Results) -> Table:
     """Estimators from best to worst against scenarios: mean error, and crashes where there were any."""
-    scenarios = list(results.scenarios)
-    rows = {(row.scenario, row.estimator): row for row in results.rows}
-    table = Table("estimator", title="In closed loop: error of roll and pitch, °; ✕ crashed flights")
-    for name in scenarios:
-        table.add_column(name, justify="right")
-    for standing in verdict(results.rows).standings:
-        entries = (_entry(rows[name, standing.estimator]) for name in scenarios)
-        table.add_row(standing.estimator, *entries)
-    return table
+    found = {(row.scenario, row.estimator): row for row in results.rows}
+    names = [standing.estimator for standing in verdict(results.rows).standings]
+    rows = ([name, *(_entry(found[scenario, name]) for scenario in results.scenarios)] for name in names)
+    title = "In closed loop: error of roll and pitch, °; ✕ crashed flights"
+    return _table(title, ["estimator"], results.scenarios, rows)
 
 
 def breaking_table(points: Sequence[BreakingPoint]) -> Table:
     """Estimators against disturbances: the least level at which one crashed."""
-    kinds = list(dict.fromkeys(point.disturbance for point in points))
-    table = Table("estimator", title="Breaking points: the least level at which a flight crashed")
-    for kind in kinds:
-        table.add_column(
-            f"{kind}{', ' if DISTURBANCES[kind].unit else ''}{DISTURBANCES[kind].unit}", justify="right"
-        )
-    for name in dict.fromkeys(point.estimator for point in points):
-        found = {point.disturbance: point for point in points if point.estimator == name}
-        table.add_row(name, *(found[kind].text if kind in found else "" for kind in kinds))
-    return table
+    headings = {p.disturbance: f"{p.disturbance}, {p.unit}" if p.unit else p.disturbance for p in points}
+    found = {(point.estimator, point.disturbance): point.text for point in points}
+    names = dict.fromkeys(point.estimator for point in points)
+    rows = ([name, *(found.get((name, kind), "") for kind in headings)] for name in names)
+    title = "Breaking points: the least level at which a flight crashed"
+    return _table(title, ["estimator"], headings.values(), rows)
 
 
 def evaluation_table(rows: Sequence[EvaluationRow], title: str) -> Table:
     """Errors on recorded flights with their confidence, convergence from an initial tilt, and run time."""
     table = Table(title=title, box=SIMPLE, padding=(0, 1, 0, 0))
-    table.add_column("estimator", overflow="fold")
-    table.add_column("start", overflow="fold")
-    for heading in (
-        "median°", "mean° (95 %)", "SD°", "silenced°", "behind the best°", "20→2° s", "45→2° s", "ns",
-    ):  # fmt: skip
-        table.add_column(heading, justify="right", overflow="fold")
+    headings = "median°", "mean° (95 %)", "SD°", "silenced°", "behind the best°", "20→2° s", "45→2° s", "ns"
+    for heading in ("estimator", "start", *headings):
+        table.add_column(heading, justify="right" if heading in headings else "left", overflow="fold")
     for row in rows:
         settling = ["never" if math.isnan(s) else f"{s:.1f}" for s in (row.settle_20_s, row.settle_45_s)]
         mean = f"{row.mean_deg:.2f} ({row.mean_low_deg:.2f}–{row.mean_high_deg:.2f})"
-        table.add_row(
-            row.estimator,
-            row.initial,
-            f"{row.median_deg:.2f}",
-            mean,
-            f"{row.sd_deg:.2f}",
-            row.silenced,
-            row.behind,
-            *settling,
-            f"{row.runtime_ns:.0f}",
-        )
+        errors = f"{row.median_deg:.2f}", mean, f"{row.sd_deg:.2f}", row.silenced, row.behind
+        table.add_row(row.estimator, row.initial, *errors, *settling, f"{row.runtime_ns:.0f}")
     return table
 
 
@@ -127,33 +117,23 @@ def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
 
 def offline_table(rows: Sequence[OfflineRow]) -> Table:
     """Errors on recorded flights, one estimator a row, in the order given."""
-    table = Table(
-        "estimator", title="On recorded flights: error of roll and pitch, mean ± SD over flights, °"
-    )
     starts = {"level": "unknown initial attitude", "known": "known initial attitude"}
-    for heading in (*starts.values(), "silenced"):
-        table.add_column(heading, justify="right")
-    errors = {(row.estimator, row.start): _error(row) for row in rows}
-    silenced = {row.estimator: row.silenced_deg for row in rows}
-    for name, silent in silenced.items():
-        text = "–" if silent is None else f"{silent:.2f}"
-        table.add_row(name, *(errors.get((name, start), "–") for start in starts), text)
-    return table
-
-
-def _error(row: OfflineRow) -> str:
-    return "did not run" if row.mean_deg is None else f"{row.mean_deg:.2f} ± {row.sd_deg:.2f}"
+    errors = {
+        (r.estimator, r.start): "did not run" if r.mean_deg is None else f"{r.mean_deg:.2f} ± {r.sd_deg:.2f}"
+        for r in rows
+    }
+    silenced = {r.estimator: "–" if r.silenced_deg is None else f"{r.silenced_deg:.2f}" for r in rows}
+    entries = ([n, *(errors.get((n, start), "–") for start in starts), s] for n, s in silenced.items())
+    title = "On recorded flights: error of roll and pitch, mean ± SD over flights, °"
+    return _table(title, ["estimator"], [*starts.values(), "silenced"], entries)
 
 
 def cores_table(cores: Sequence[Core]) -> Table:
     """The neurons of each core of a chip, and how much of each limit they take."""
-    table = Table("core", "neurons of layer", title="On the chip: used of what a core has")
-    for name, limit in LIMITS.items():
-        table.add_column(f"{name}\n({limit})", justify="right")
-    for number, core in enumerate(cores):
-        layers = ", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items())
-        table.add_row(str(number), layers, *map(str, core.used().values()))
-    return table
+    headings = [f"{name}\n({limit})" for name, limit in LIMITS.items()]
+    layers = [", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items()) for core in cores]
+    rows = ([str(k), layers[k], *map(str, core.used().values())] for k, core in enumerate(cores))
+    return _table("On the chip: used of what a core has", ["core", "neurons of layer"], headings, rows)
 
 
 def plain_table(rows: Sequence[tuple[str, str]]) -> Table:
@@ -166,13 +146,12 @@ def plain_table(rows: Sequence[tuple[str, str]]) -> Table:
 
 def stages_table(stages: Sequence[Pruned]) -> Table:
     """A network pruned step by step: its size, and its error after the cut and after training on."""
-    table = Table("removed", "neurons", title="Pruned: error of roll and pitch from an unknown start, °")
-    for heading in ("parameters", "after the cut", "trained on"):
-        table.add_column(heading, justify="right")
-    for each in stages:
-        sizes = f"{100 * each.removed:.0f} %", f"{each.encoding} + {each.hidden}", f"{each.parameters}"
-        table.add_row(*sizes, f"{each.cut_deg:.2f}", f"{each.tuned_deg:.2f}")
-    return table
+    rows = []
+    for s in stages:
+        errors = f"{s.cut_deg:.2f}", f"{s.tuned_deg:.2f}"
+        rows.append((f"{100 * s.removed:.0f} %", f"{s.encoding} + {s.hidden}", f"{s.parameters}", *errors))
+    title = "Pruned: error of roll and pitch from an unknown start, °"
+    return _table(title, ["removed", "neurons"], ["parameters", "after the cut", "trained on"], rows)
 
 
 def _entry(row: CellRow) -> Text:

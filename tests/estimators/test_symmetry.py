@@ -13,6 +13,7 @@ from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric,
 from estimators.networks.weights_file import save_network
 from estimators.spiking import MATRICES
 from training.augment import roll_pitch_of_up
+from training.backends.fused import Fused
 from training.config import make_config
 from training.init import initialise_from_data
 from training.models import AttSNN, prune_connections
@@ -24,7 +25,7 @@ G = 9.81
 def network(encoding, hidden, seed=0):
     """A symmetric network with a solved start, and its files' contents."""
     rng = np.random.default_rng(seed)
-    model = AttSNN(encoding, hidden, symmetric=True, output_scale=1 / 256)
+    model = AttSNN(encoding, hidden, Fused(), symmetric=True, output_scale=1 / 256)
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
     initialise_from_data(model, x, 0.1 * x[:, :, :2], seed=seed, fan_in=8)
     config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)

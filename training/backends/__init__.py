@@ -20,6 +20,9 @@ from .plain import Plain
 class Backend(Protocol):
     """Runs windows of Att-SNN; windows of one shape continue from each other."""
 
+    quantised: bool
+    """Compute as the chip does."""
+
     def forward(
         self, x: Tensor, weights: Weights[Tensor], reset: NDArray[np.bool_] | None = None
     ) -> tuple[Tensor, Tensor]:
@@ -27,7 +30,7 @@ class Backend(Protocol):
 
         Args:
             x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
-            weights: Parameters (for the quantised network already on the chip's grid).
+            weights: Parameters (for the quantised network on the chip's grid).
             reset: Sequences (n,) that start from rest, the others where the last window of this shape
                 ended. None: all.
 
@@ -51,4 +54,4 @@ class Backend(Protocol):
 
 
 BACKENDS = {"fused": Fused, "plain": Plain}
-"""Constructors that take `quantised`, `recurrent_delay` and `threads`."""
+"""Constructors that take `quantised`, `recurrent_delay` (1 or 2 steps) and `threads`, which share a batch."""

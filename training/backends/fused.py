@@ -1,9 +1,8 @@
 """Att-SNN, forward and surrogate-gradient backward over a window, compiled.
 
-The steps are those of `estimators.networks.forward`, which fly. The tests compare with the backend in plain
-PyTorch: the same spikes, gradients to 1e-10 in float64. What makes it fast: forward and weight gradients add
-rows of the neurons that spiked; the gradient of the spikes is one matrix product per step for the whole
-batch; buffers are reused. The batch is split over threads; sums are added in the order of the parts.
+The steps are those of `estimators.networks.forward`. Forward pass and weight gradients add rows of the
+neurons that spiked; the gradient of the spikes is one matrix product per step for the whole batch; buffers
+are reused. The batch is split over threads; sums are added in the order of the parts.
 """
 
 from __future__ import annotations
@@ -26,24 +25,21 @@ Floats = NDArray[np.floating]
 
 
 class Trace(NamedTuple):
-    """What the forward pass leaves for the backward pass, time first. Rows 0 and 1 come before the window."""
+    """What the forward pass leaves for the backward pass, time first. Rows 0 and 1 come before the window.
+
+    Encoding layer (0), hidden layer (1) and outputs (2), of size h each: currents u, row t + 1 is step t,
+    shape (T + 1, n, h); potentials v before the reset, row t + 2 is step t, shape (T + 2, n, h); spikes s,
+    their number and then the neurons, shape (T + 2, n, h + 1).
+    """
 
     u0: Floats
-    """Currents of the encoding layer, row t + 1 is step t, shape (T + 1, n, h0)."""
     v0: Floats
-    """Its potentials before the reset, row t + 2 is step t, shape (T + 2, n, h0)."""
     s0: NDArray[np.uint16]
-    """Its spikes: their number, then the neurons, shape (T + 2, n, h0 + 1)."""
     u1: Floats
-    """Hidden layer, shape (T + 1, n, h1)."""
     v1: Floats
-    """Shape (T + 2, n, h1)."""
     s1: NDArray[np.uint16]
-    """Shape (T + 2, n, h1 + 1)."""
     u2: Floats
-    """Outputs, shape (T + 1, n, outputs)."""
     v2: Floats
-    """Shape (T + 2, n, outputs)."""
 
     @classmethod
     def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], dtype: np.dtype) -> Trace:
@@ -71,28 +67,13 @@ def _copy(source, factor, target):
 
 
 @njit(cache=True, inline="always")
-def _initial(trace, one):
-    """Currents and potentials of the layers before the window, in state units, (n, size) each."""
-    n, h0 = trace.u0.shape[1:]
-    h1, outputs = trace.u1.shape[2], trace.u2.shape[2]
-    u0, v0, u1, v1 = np.zeros((n, h0)), np.zeros((n, h0)), np.zeros((n, h1)), np.zeros((n, h1))
-    u2, v2 = np.zeros((n, outputs)), np.zeros((n, outputs))
-    for b in range(n):
-        _copy(trace.u0[0, b], one, u0[b])
-        _copy(trace.v0[1, b], one, v0[b])
-        _copy(trace.u1[0, b], one, u1[b])
-        _copy(trace.v1[1, b], one, v1[b])
-        _copy(trace.u2[0, b], one, u2[b])
-        _copy(trace.v2[1, b], one, v2[b])
-    return u0, v0, u1, v1, u2, v2
-
-
-@njit(cache=True, inline="always")
 def _forward(x, weights, trace, delay, quantised):
     one = STATE_ONE if quantised else 1.0
     unit, threshold = 1.0 / one, THRESHOLD * one
     total, drive = np.zeros(weights.w_ff.shape[1], weights.w_ff.dtype), np.zeros(weights.w_ff.shape[0])
-    u0, v0, u1, v1, u2, v2 = _initial(trace, one)
+    u0, v0 = trace.u0[0].astype(np.float64) * one, trace.v0[1].astype(np.float64) * one
+    u1, v1 = trace.u1[0].astype(np.float64) * one, trace.v1[1].astype(np.float64) * one
+    u2, v2 = trace.u2[0].astype(np.float64) * one, trace.v2[1].astype(np.float64) * one
     s0, s1 = trace.s0, trace.s1
     for t in range(x.shape[0]):
         for b in range(x.shape[1]):
@@ -118,6 +99,43 @@ def forward_window(x, weights, trace, delay, quantised):
         _forward(x, weights, trace, delay, False)
 
 
+class LayerGradients(NamedTuple):
+    """Time constants of a layer and gradients of its state, all of shape (n h,)."""
+
+    syn: Floats
+    mem: Floats
+    ds: Floats
+    dv: Floats
+    du: Floats
+    sum_syn: Floats
+    """Gradients of the time constants, summed over the steps."""
+    sum_mem: Floats
+
+
+@njit(cache=True, inline="always")
+def _layer_gradients(syn, mem, n):
+    """Gradients of 0 for a layer of n sequences with the time constants `syn` and `mem` (h,)."""
+    each = np.ones((n, 1), syn.dtype)
+    syn, mem = (each * syn).ravel(), (each * mem).ravel()
+    ds, dv, du = np.zeros_like(syn), np.zeros_like(syn), np.zeros_like(syn)
+    return LayerGradients(syn, mem, ds, dv, du, np.zeros_like(syn), np.zeros_like(syn))
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _step_back(v, before, current, layer, constants):
+    """Gradients of a layer's currents and potentials, from those of its spikes and of the next step."""
+    threshold, width, one, zero, _, _ = constants
+    syn, mem, ds, dv, du, sum_syn, sum_mem = layer
+    for i in range(v.shape[0]):
+        start = before[i] if before[i] <= threshold else zero
+        slope = one + width * abs(v[i] - threshold)
+        d = (zero if v[i] > threshold else mem[i] * dv[i]) + ds[i] / (slope * slope)
+        dv[i] = d
+        du[i] = d + syn[i] * du[i]
+        sum_mem[i] += d * start
+        sum_syn[i] += du[i] * current[i]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward_window(x, grad, weights, trace, gradients, constants, delay):
     """Add the gradients of a window.
@@ -132,28 +150,17 @@ def backward_window(x, grad, weights, trace, gradients, constants, delay):
             and of the hidden layer, in the floating type of the computation.
         delay: Of the recurrent connection, 1 or 2.
     """
-    threshold, width, one, zero, cost0, cost1 = (
-        constants[0],
-        constants[1],
-        constants[2],
-        constants[3],
-        constants[4],
-        constants[5],
-    )
+    _, _, _, _, cost0, cost1 = constants
     v0, v1, v2, u0, u1, u2 = trace.v0, trace.v1, trace.v2, trace.u0, trace.u1, trace.u2
     w_out, g_in, g_out = weights.w_out, gradients.w_in, gradients.w_out
     w_down = np.concatenate((weights.w_ff, weights.w_rec), 1)
     steps, n = x.shape[:2]
     h0, h1, outputs = v0.shape[2], v1.shape[2], v2.shape[2]
-    syn0, mem0 = _tile(weights.syn0, n), _tile(weights.mem0, n)
-    syn1, mem1 = _tile(weights.syn1, n), _tile(weights.mem1, n)
+    layer0 = _layer_gradients(weights.syn0, weights.mem0, n)
+    layer1 = _layer_gradients(weights.syn1, weights.mem1, n)
+    ds0, du0, ds1, du1 = layer0.ds, layer0.du, layer1.ds, layer1.du
     syn2, mem2 = weights.syn2[0], weights.mem2[0]
-    du0, dv0 = np.zeros_like(syn0), np.zeros_like(syn0)
-    du1, dv1 = np.zeros_like(syn1), np.zeros_like(syn1)
-    a_syn0, a_mem0 = np.zeros_like(syn0), np.zeros_like(syn0)
-    a_syn1, a_mem1 = np.zeros_like(syn1), np.zeros_like(syn1)
     du2, dv2 = np.zeros((n, outputs), v0.dtype), np.zeros((n, outputs), v0.dtype)
-    ds0, ds1 = np.zeros_like(syn0), np.zeros_like(syn1)
     down, down_before = np.zeros((n, h0 + h1), v0.dtype), np.zeros((n, h0 + h1), v0.dtype)
     used = _used(w_down)
     for t in range(steps - 1, -1, -1):
@@ -174,26 +181,8 @@ def backward_window(x, grad, weights, trace, gradients, constants, delay):
                 gradients.syn2[0] += du2[b, o] * u2[t, b, o]
                 gradients.mem2[0] += dv2[b, o] * v2[t + 1, b, o]
 
-        v, before, current1 = v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), u1[t].reshape(-1)
-        for i in range(v.shape[0]):
-            start = before[i] if before[i] <= threshold else zero
-            slope = one + width * abs(v[i] - threshold)
-            d = (zero if v[i] > threshold else mem1[i] * dv1[i]) + ds1[i] / (slope * slope)
-            dv1[i] = d
-            du1[i] = d + syn1[i] * du1[i]
-            a_mem1[i] += d * start
-            a_syn1[i] += du1[i] * current1[i]
-
-        v, before, current0 = v0[t + 2].reshape(-1), v0[t + 1].reshape(-1), u0[t].reshape(-1)
-        for i in range(v.shape[0]):
-            start = before[i] if before[i] <= threshold else zero
-            slope = one + width * abs(v[i] - threshold)
-            d = (zero if v[i] > threshold else mem0[i] * dv0[i]) + ds0[i] / (slope * slope)
-            dv0[i] = d
-            du0[i] = d + syn0[i] * du0[i]
-            a_mem0[i] += d * start
-            a_syn0[i] += du0[i] * current0[i]
-
+        _step_back(v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), u1[t].reshape(-1), layer1, constants)
+        _step_back(v0[t + 2].reshape(-1), v0[t + 1].reshape(-1), u0[t].reshape(-1), layer0, constants)
         for b in range(n):
             d0, d1 = du0[b * h0 : (b + 1) * h0], du1[b * h1 : (b + 1) * h1]
             for k in range(x.shape[2]):
@@ -211,11 +200,11 @@ def backward_window(x, grad, weights, trace, gradients, constants, delay):
         _product(du1.reshape(n, h1), w_down, used, down)
     for b in range(n):
         for i in range(h0):
-            gradients.syn0[i] += a_syn0[b * h0 + i]
-            gradients.mem0[i] += a_mem0[b * h0 + i]
+            gradients.syn0[i] += layer0.sum_syn[b * h0 + i]
+            gradients.mem0[i] += layer0.sum_mem[b * h0 + i]
         for i in range(h1):
-            gradients.syn1[i] += a_syn1[b * h1 + i]
-            gradients.mem1[i] += a_mem1[b * h1 + i]
+            gradients.syn1[i] += layer1.sum_syn[b * h1 + i]
+            gradients.mem1[i] += layer1.sum_mem[b * h1 + i]
 
 
 @njit(cache=True, inline="always")
@@ -235,14 +224,6 @@ def _add_to_rows(rows, values, spikes):
         j0 = spikes[k]
         for i in range(values.shape[0]):
             rows[j0, i] += values[i]
-
-
-@njit(cache=True)
-def _tile(values, n):
-    tiled = np.empty(n * values.shape[0], values.dtype)
-    for b in range(n):
-        tiled[b * values.shape[0] : (b + 1) * values.shape[0]] = values
-    return tiled
 
 
 @njit(cache=True, nogil=True)
@@ -283,17 +264,10 @@ def _product(a, b, used, out):
 
 
 class Workspace:
-    """The buffers of one window shape, and the state that one window hands to the next.
+    """The buffers of windows of `steps` samples of n sequences, and the state between two windows."""
 
-    Args:
-        steps: Length of the window.
-        n: Sequences in the batch.
-        weights: Parameters of the network, for their sizes and their floating type.
-        threads: Parts into which the batch is split.
-    """
-
-    def __init__(self, steps: int, n: int, weights: Weights[Tensor], threads: int = 1) -> None:
-        """Allocate the buffers."""
+    def __init__(self, steps: int, n: int, weights: Weights[Tensor], threads: int) -> None:
+        """Allocate the buffers, of the sizes and the floating type of the weights."""
         self.steps, self.n = steps, n
         self.dtype = weights.w_ff.detach().numpy().dtype
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
@@ -353,13 +327,8 @@ class _Fused(torch.autograd.Function):
 
         space.each(run)
         space.runs += 1
-        ctx.delay, ctx.space, ctx.run, ctx.x, ctx.weights = (
-            backend.recurrent_delay,
-            space,
-            space.runs,
-            samples,
-            w,
-        )
+        ctx.delay, ctx.space, ctx.run = backend.recurrent_delay, space, space.runs
+        ctx.x, ctx.weights = samples, w
         out = np.concatenate([trace.v2[2:] for trace in space.traces], 1)
         counts = [
             sum(int(getattr(trace, name)[2:, :, 0].sum()) for trace in space.traces) for name in ("s0", "s1")
@@ -375,7 +344,7 @@ class _Fused(torch.autograd.Function):
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
         grad = grads[0].numpy()
         costs = grads[1].numpy() / space.places
-        constants = np.array([THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *costs], space.dtype)
+        constants = tuple(np.array([THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *costs], space.dtype))
 
         def run(part: slice, trace: Trace) -> Weights[Floats]:
             gradients = Weights(*(np.zeros(w.shape[::-1], space.dtype) for w in weights))
@@ -392,13 +361,7 @@ class _Fused(torch.autograd.Function):
 
 
 class Fused:
-    """The compiled backend, on the CPU; see `Backend`.
-
-    Args:
-        quantised: Compute as the chip does.
-        recurrent_delay: 1 or 2 steps.
-        threads: Parts of a batch that run side by side.
-    """
+    """The compiled backend, on the CPU; see `Backend` and `BACKENDS`."""
 
     def __init__(self, quantised: bool = True, recurrent_delay: int = 1, threads: int = 1) -> None:
         """Start without buffers; each shape of a window gets its own."""
@@ -418,18 +381,14 @@ class Fused:
 
     def spikes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Spikes of both layers in the last window."""
-        first, second = (
-            np.concatenate([getattr(trace, name)[2:] for trace in self._last.traces], 1) > THRESHOLD
-            for name in ("v0", "v1")
-        )
-        return first.transpose(1, 0, 2), second.transpose(1, 0, 2)
+        traces = self._last.traces
+        v0, v1 = (np.concatenate([getattr(each, v)[2:] for each in traces], 1) for v in ("v0", "v1"))
+        return v0.transpose(1, 0, 2) > THRESHOLD, v1.transpose(1, 0, 2) > THRESHOLD
 
     def peak_currents(self, every: int = 1) -> tuple[Floats, Floats]:
         """Largest currents of both layers in the last window."""
-        first, second = (
-            np.max([np.abs(getattr(trace, name)[::every]).max((0, 1)) for trace in self._last.traces], 0)
-            for name in ("u0", "u1")
-        )
+        largest = [[np.abs(u[::every]).max((0, 1)) for u in (each.u0, each.u1)] for each in self._last.traces]
+        first, second = (np.max(parts, 0) for parts in zip(*largest, strict=True))
         return first, second
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Fused:

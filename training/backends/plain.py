@@ -14,13 +14,7 @@ from estimators.spiking import rest, states
 
 
 class Plain:
-    """One PyTorch operation after the other; see `Backend`.
-
-    Args:
-        quantised: Compute as the chip does.
-        recurrent_delay: 1 or 2 steps.
-        threads: Not used: PyTorch has its own.
-    """
+    """One PyTorch operation after the other, in PyTorch's own threads; see `Backend` and `BACKENDS`."""
 
     def __init__(self, quantised: bool = True, recurrent_delay: int = 1, threads: int = 1) -> None:
         """Start from rest."""
