@@ -45,9 +45,9 @@ class AttitudeError(Strict):
     def series(self, n_steps: int, rate_hz: float, seeds: Sequence[np.random.SeedSequence]) -> Array:
         """Errors of roll and pitch of one flight per seed, (n, steps, 2) [rad], stationary from the start."""
         white = np.stack([np.random.default_rng(seed).normal(size=(n_steps, 2)) for seed in seeds])
-        kept = math.exp(-1.0 / (rate_hz * self.time_s))
-        white[:, 1:] *= math.sqrt(1.0 - kept**2)
-        return math.radians(self.sd_deg) * np.asarray(lfilter([1.0], [1.0, -kept], white, axis=1))
+        decay = math.exp(-1.0 / (rate_hz * self.time_s))
+        white[:, 1:] *= math.sqrt(1.0 - decay**2)
+        return math.radians(self.sd_deg) * np.asarray(lfilter([1.0], [1.0, -decay], white, axis=1))
 
 
 class FlightConfig(Strict):
@@ -61,7 +61,7 @@ class FlightConfig(Strict):
         default=Randomisation(), description="Spread of the vehicle's numbers."
     )
     attitude_error: AttitudeError = Field(
-        default=AttitudeError(), description="What the controller is told wrongly; nothing by default."
+        default=AttitudeError(), description="Error of the roll and pitch that the controller gets; none by default."
     )
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
         default=4.0,
@@ -147,13 +147,13 @@ def simulate_flights(
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
     n, warmup = len(seeds), round(config.warmup_s * rate_hz)
-    path, body, air, imu, sight = ([child(seed, part) for seed in seeds] for part in range(5))
+    path, body, air, imu, angles = ([child(seed, part) for seed in seeds] for part in range(5))
     vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
     target = reference(config.trajectory, warmup + steps, rate_hz, path)
     wind = wind_series(config.wind, n, warmup + steps, rate_hz, air) if config.wind else None
     error = None
     if config.attitude_error.sd_deg:
-        error = config.attitude_error.series(warmup + steps, rate_hz, sight)
+        error = config.attitude_error.series(warmup + steps, rate_hz, angles)
     loop = FlightLoop(vehicles, n, rate_hz=rate_hz)
     loop.controller = Controller(config.vehicle, n, rate_hz)
     loop.reset(position=target["position"][:, 0], velocity=target["velocity"][:, 0])
