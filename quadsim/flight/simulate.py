@@ -61,7 +61,8 @@ class FlightConfig(Strict):
         default=Randomisation(), description="Spread of the vehicle's numbers."
     )
     attitude_error: AttitudeError = Field(
-        default=AttitudeError(), description="Error of the roll and pitch that the controller gets; none by default."
+        default=AttitudeError(),
+        description="Error of the roll and pitch that the controller gets.",
     )
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
         default=4.0,
