@@ -253,7 +253,7 @@ def control(level, set_points, measured, controllers):
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
-    After a step, `rotor_vel_cmd` (n, rotors) holds its command and `thrust_axis` (n, 3) where it wants the
+    After `control`, `rotor_vel_cmd` (n, rotors) holds its command and `thrust_axis` (n, 3) where it wants the
     thrust to point, world axes. `records` are the last argument of `control`, for kernels that call it.
 
     Args:
@@ -266,7 +266,6 @@ class Controller:
     def __init__(
         self, vehicle: Vehicle, n: int = 1, rate_hz: float = 200.0, gains: Gains | None = None
     ) -> None:
-        self.n = n
         self.gains = gains or vehicle.controller or _designed(vehicle, rate_hz)
         self.records = np.zeros(n, controller_dtype(len(vehicle.rotors)))
         c, allocation = self.records, vehicle.allocation
@@ -307,33 +306,6 @@ class Controller:
             case "rotor":
                 c["rotor_vel_cmd"] = command
         return out
-
-    def step(
-        self,
-        level: Level,
-        command: Command,
-        position: Array,
-        velocity: Array,
-        attitude: Array,
-        yaw: Array,
-        gyro: Array,
-    ) -> Array:
-        """Rotor speeds (n, rotors) [rad/s] for a command at a level; the array is reused by the next call.
-
-        Args:
-            level: Where in the cascade the command enters.
-            command: (n, width) as in the table of this module, or records.
-            position: (n, 3) world [m].
-            velocity: (n, 3) world [m/s].
-            attitude: (n, 2) estimated roll and pitch [rad].
-            yaw: (n,) [rad].
-            gyro: (n, 3) measured body rate [rad/s].
-        """
-        measured = np.zeros(self.n, MEASURED)
-        measured["position"], measured["velocity"], measured["yaw"] = position, velocity, yaw
-        measured["roll_pitch"], measured["gyro"] = attitude, gyro
-        control(LEVELS.index(level), self.accept(level, command), measured, self.records)
-        return self.rotor_vel_cmd
 
 
 def _designed(vehicle: Vehicle, rate_hz: float) -> Gains:

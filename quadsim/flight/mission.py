@@ -112,15 +112,8 @@ class Mission:
         self.k = self.loop.k
         self.cause[:] = self._flights["crashed"] = FLYING
         self.crashed = 0
-        plant = self.loop.plant
-        self.records = (
-            self._flights,
-            self._plans,
-            self.target,
-            self.loop.measured_state,
-            plant.pose,
-            plant.twist,
-        )
+        measured, plant = self.loop.measured_state, self.loop.plant
+        self.records = (self._flights, self._plans, self.target, measured, plant.pose, plant.twist)
         start = self._start(seeds, self._plans["target"][:, 0])
         self.loop.reset(*start, known_attitude=self.scenario.start.known_attitude)
         look_up(*self.records[:4])
@@ -210,13 +203,8 @@ def follow(flights, plans, target, measured, pose, twist):
     look_up(flights, plans, target, measured)
     crashed = 0
     for i in range(flights.shape[0]):
-        flight, p, q, w, wanted = (
-            flights[i],
-            pose[i].position,
-            pose[i].quat,
-            twist[i].ang_vel,
-            target[i].position,
-        )
+        flight, p, wanted = flights[i], pose[i].position, target[i].position
+        q, w = pose[i].quat, twist[i].ang_vel
         cos_tilt = 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
         distance = math.sqrt((p[0] - wanted[0]) ** 2 + (p[1] - wanted[1]) ** 2 + (p[2] - wanted[2]) ** 2)
         rate = w[0] ** 2 + w[1] ** 2 + w[2] ** 2

@@ -66,7 +66,7 @@ class FlightConfig(Strict):
     )
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
         default=4.0,
-        description="Flown before recording, so that flights begin in the midst of motion [s].",
+        description="Simulated before recording, so that flights begin in motion [s].",
     )
 
 
@@ -169,17 +169,13 @@ def simulate_flights(
             plant.wind[:] = wind[:, 0]
         if k >= warmup:
             record(k - warmup, plant.vehicles, plant.pose, plant.twist, controllers, log, end)
-    flown = {name: log[name] for name in log.dtype.names or ()}
+    flights = {name: log[name] for name in log.dtype.names or ()}
+    rate, force, rotor_vel = flights["ang_vel"], flights["specific_force"], flights["rotor_vel"]
+    ang_acc = flights.pop("ang_acc")
     gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
-        config.imu,
-        flown["ang_vel"],
-        flown["specific_force"],
-        rate_hz,
-        imu,
-        ang_acc=flown.pop("ang_acc"),
-        rotor_vel=flown["rotor_vel"],
+        config.imu, rate, force, rate_hz, imu, ang_acc, rotor_vel
     )
-    return flown | {
+    return flights | {
         "gyro": gyro,
         "accel": accel,
         "gyro_bias": gyro_bias,
