@@ -161,11 +161,6 @@ def _rotate(q, v, out):
     out[0], out[1], out[2] = rotate_core(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
 
 
-@_over_arrays("(q),(v)->(v)")
-def _rotate_inverse(q, v, out):
-    out[0], out[1], out[2] = rotate_inverse_core(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
-
-
 @_over_arrays("(q)->(q)")
 def _normalize(q, out):
     out[0], out[1], out[2], out[3] = normalize_core(q[0], q[1], q[2], q[3])
@@ -223,7 +218,7 @@ def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
 
 def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> Array:
     """World vectors v (..., 3) in body axes, by unit quaternions q (..., 4)."""
-    return _rotate_inverse(_components("q", q, 4), _components("v", v, 3))
+    return quat_rotate(quat_conjugate(q), v)
 
 
 def quat_normalize(q: ArrayLike) -> Array:

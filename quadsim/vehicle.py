@@ -172,14 +172,9 @@ def randomise(vehicle: Vehicle, spread: Randomisation, rng: np.random.Generator)
     across, along = factor(spread.inertia), factor(spread.inertia)
     ixx, iyy, izz = vehicle.inertia
     ixx, iyy = ixx * mass * across, iyy * mass * across
+    factors = {"k_f": k_f, "k_m": k_m, "rotor_drag": drag, "tau_up": lag, "tau_down": lag}
     motor = vehicle.motor.model_copy(
-        update={
-            "k_f": vehicle.motor.k_f * k_f,
-            "k_m": vehicle.motor.k_m * k_m,
-            "rotor_drag": vehicle.motor.rotor_drag * drag,
-            "tau_up": vehicle.motor.tau_up * lag,
-            "tau_down": vehicle.motor.tau_down * lag,
-        }
+        update={name: getattr(vehicle.motor, name) * each for name, each in factors.items()}
     )
     frame = vehicle.frame.model_copy(update={"drag_area": tuple(a * area for a in vehicle.frame.drag_area)})
     return vehicle.model_copy(

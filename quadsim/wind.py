@@ -156,59 +156,15 @@ def _add_turbulence(random, vehicles, vehicle, out):
             x[i + 1] = p.decay[axis] * ((1.0 - tau) * x2 - tau * x1) + p.l21[axis] * n1 + p.l22[axis] * n2
 
 
-class Turbulence:
-    """Dryden turbulence of n vehicles, one block of time after another."""
-
-    def __init__(
-        self,
-        n: int,
-        rate_hz: float,
-        *,
-        airspeed: ArrayLike,
-        altitude: ArrayLike,
-        wind_20ft: ArrayLike,
-        seed: Seed,
-        heading: ArrayLike = 0.0,
-    ) -> None:
-        """Start at time 0, in the stationary state; arguments as in `dryden`."""
-        _check_grid(n, 0, rate_hz)
-        speed = np.maximum(_per_vehicle("airspeed", airspeed, n), MIN_AIRSPEED)
-        height, strength = _per_vehicle("altitude", altitude, n), _per_vehicle("wind_20ft", wind_20ft, n)
-        length_u, length_w, sigma_u, sigma_w = dryden_scales(height, strength)
-        lengths = np.stack([length_u, length_u, length_w], axis=-1)
-        angle = _per_vehicle("heading", heading, n, lowest=-np.inf)
-        self._vehicles = np.zeros(n, _TURBULENCE)
-        self._vehicles["scale"] = np.stack([sigma_u, sigma_u / 2.0, sigma_w / 2.0], axis=-1)
-        self._vehicles["direction"] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        self._set_coefficients(speed[:, None] / (lengths * rate_hz))
-        self._seeds = vehicle_seeds(seed, n)
-        self._flight = np.zeros(n, dtype=np.int64)
-        self._random = [self._start(vehicle) for vehicle in range(n)]
-
-    def _set_coefficients(self, tau: Array) -> None:
-        """Transition and noise of one step, tau = dt / T (n, 3); nothing cancels where tau is small."""
-        p, decay = self._vehicles, np.exp(-tau)
-        p["tau"], p["decay"] = tau, decay
-        p["l11"] = np.sqrt(gammainc(3.0, 2.0 * tau))  # 1 − e^{−2τ} (1 + 2τ + 2τ²)
-        p["l21"] = 2.0 * (tau * decay) ** 2 / p["l11"]
-        p["l22"] = np.sqrt(-np.expm1(-2.0 * tau) + 2.0 * tau * (1.0 - tau) * decay**2 - p["l21"] ** 2)
-        p["l11"][:, 0] = np.sqrt(-np.expm1(-2.0 * tau[:, 0]))
-
-    def _start(self, vehicle: int) -> np.random.Generator:
-        random = np.random.default_rng(child(self._seeds[vehicle], int(self._flight[vehicle])))
-        self._vehicles["state"][vehicle] = random.standard_normal(5)
-        return random
-
-    def reset(self, ids: Sequence[int] | NDArray[np.int64]) -> None:
-        """Begin a new flight, with new turbulence, for some of the vehicles."""
-        for vehicle in ids:
-            self._flight[vehicle] += 1
-            self._random[vehicle] = self._start(vehicle)
-
-    def add_to(self, wind: Array) -> None:
-        """Add the next block of turbulence to a wind, shape (n, steps, 3) [m/s]."""
-        for vehicle, random in enumerate(self._random):
-            _add_turbulence(random, self._vehicles, vehicle, wind[vehicle])
+def _turbulence(tau: Array) -> NDArray[np.void]:
+    """Records (n,) with transition and noise of one step, tau = dt / T (n, 3)."""
+    p, decay = np.zeros(len(tau), _TURBULENCE), np.exp(-tau)
+    p["tau"], p["decay"] = tau, decay  # nothing below cancels where tau is small
+    p["l11"] = np.sqrt(gammainc(3.0, 2.0 * tau))  # 1 − e^{−2τ} (1 + 2τ + 2τ²)
+    p["l21"] = 2.0 * (tau * decay) ** 2 / p["l11"]
+    p["l22"] = np.sqrt(-np.expm1(-2.0 * tau) + 2.0 * tau * (1.0 - tau) * decay**2 - p["l21"] ** 2)
+    p["l11"][:, 0] = np.sqrt(-np.expm1(-2.0 * tau[:, 0]))
+    return p
 
 
 def dryden(
@@ -239,68 +195,52 @@ def dryden(
     Raises:
         ValueError: An argument is out of range.
     """
-    _check_grid(n, steps, rate_hz)
+    if n < 1 or steps < 0:
+        raise ValueError(f"n={n}, steps={steps}; need n ≥ 1 and steps ≥ 0")
+    SAMPLE_RATE.of("rate_hz", rate_hz)
+    speed = np.maximum(_per_vehicle("airspeed", airspeed, n), MIN_AIRSPEED)
+    height, strength = _per_vehicle("altitude", altitude, n), _per_vehicle("wind_20ft", wind_20ft, n)
+    length_u, length_w, sigma_u, sigma_w = dryden_scales(height, strength)
+    lengths = np.stack([length_u, length_u, length_w], axis=-1)
+    angle = _per_vehicle("heading", heading, n, lowest=-np.inf)
+    vehicles = _turbulence(speed[:, None] / (lengths * rate_hz))
+    vehicles["scale"] = np.stack([sigma_u, sigma_u / 2.0, sigma_w / 2.0], axis=-1)
+    vehicles["direction"] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     wind = np.zeros((n, steps, 3))
-    strength = {"airspeed": airspeed, "altitude": altitude, "wind_20ft": wind_20ft, "heading": heading}
-    Turbulence(n, rate_hz, seed=seed, **strength).add_to(wind)
+    for vehicle, parent in enumerate(vehicle_seeds(seed, n)):
+        random = np.random.default_rng(child(parent, 0))
+        vehicles["state"][vehicle] = random.standard_normal(5)
+        _add_turbulence(random, vehicles, vehicle, wind[vehicle])
     return wind
 
 
-class WindStream:
-    """The sum of several winds for n vehicles, taken in blocks: a long flight needs no long array."""
-
-    def __init__(self, specs: Sequence[WindSpec], n: int, rate_hz: float, seed: Seed) -> None:
-        """Start all vehicles at time 0.
-
-        Args:
-            specs: Winds to add up; none is still air.
-            n: Number of vehicles.
-            rate_hz: Samples per second.
-            seed: Whole number, seed sequence, or one seed sequence per vehicle.
-        """
-        _check_grid(n, 0, rate_hz)
-        seeds = vehicle_seeds(seed, n)
-        self.rate_hz = rate_hz
-        self._step = np.zeros(n, dtype=np.int64)
-        self._of_time = [_function_of_time(spec) for spec in specs if not isinstance(spec, Dryden)]
-        turbulence = [spec for spec in specs if isinstance(spec, Dryden)]
-        self._turbulence = [
-            Turbulence(
-                n,
-                rate_hz,
-                airspeed=spec.airspeed,
-                altitude=spec.altitude,
-                wind_20ft=spec.wind_20ft,
-                heading=np.radians(spec.heading_deg),
-                seed=[child(each, index) for each in seeds],
-            )
-            for index, spec in enumerate(turbulence)
-        ]
-
-    def reset(self, ids: Sequence[int] | NDArray[np.int64] | None = None) -> None:
-        """Begin a new flight at time 0, with new turbulence, for some vehicles or for all."""
-        chosen = np.arange(len(self._step)) if ids is None else np.asarray(ids, dtype=np.int64)
-        self._step[chosen] = 0
-        for each in self._turbulence:
-            each.reset(chosen)
-
-    def take(self, steps: int) -> Array:
-        """Wind of the next samples in world axes, shape (n, steps, 3) [m/s]."""
-        wind = np.zeros((len(self._step), steps, 3))
-        first = self._step[:1] if np.all(self._step == self._step[0]) else self._step
-        time = (first[:, None] + np.arange(steps)) / self.rate_hz
-        for velocity in self._of_time:
-            wind += velocity(time)
-        for each in self._turbulence:
-            each.add_to(wind)
-        self._step += steps
-        return wind
-
-
 def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, seed: Seed) -> Array:
-    """The sum of several winds in world axes, shape (n, steps, 3) [m/s]; arguments as in `WindStream`."""
-    _check_grid(n, steps, rate_hz)
-    return WindStream(specs, n, rate_hz, seed).take(steps)
+    """The sum of several winds from time 0 on, world axes, shape (n, steps, 3) [m/s]; none is still air.
+
+    Args:
+        specs: Winds to add up.
+        n: Number of vehicles.
+        steps: Number of samples.
+        rate_hz: Samples per second.
+        seed: Whole number, seed sequence, or one seed sequence per vehicle.
+    """
+    wind, time = np.zeros((n, steps, 3)), np.arange(steps)[None] / rate_hz
+    for spec in specs:
+        if not isinstance(spec, Dryden):
+            wind += _function_of_time(spec)(time)
+    seeds = vehicle_seeds(seed, n)
+    for index, spec in enumerate(spec for spec in specs if isinstance(spec, Dryden)):
+        wind += dryden(
+            n,
+            steps,
+            rate_hz,
+            spec.airspeed,
+            spec.altitude,
+            spec.wind_20ft,
+            seed=[child(each, index) for each in seeds],
+            heading=np.radians(spec.heading_deg),
+        )
+    return wind
 
 
 def read_recording(path: str | Path) -> tuple[Array, Array]:
@@ -323,11 +263,9 @@ def read_recording(path: str | Path) -> tuple[Array, Array]:
     strongest = int(np.argmax(np.abs(table[:, 1:]).max(axis=1)))
     for speed in table[strongest, 1:]:
         WIND.of(f"{path}, line {rows[strongest + 1][0]}: wind", speed)
-    late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
-    if late.size:
-        line = rows[int(late[0]) + 2][0]
+    for row in np.flatnonzero(np.diff(table[:, 0]) <= 0.0) + 1:
         raise ValueError(
-            f"{path}, line {line}: time {table[late[0] + 1, 0]:g} s does not come after the line before"
+            f"{path}, line {rows[row + 1][0]}: time {table[row, 0]:g} s does not come after the line before"
         )
     return table[:, 0], table[:, 1:]
 
@@ -358,12 +296,6 @@ def _function_of_time(spec: Constant | Gust | Recording) -> Callable[[Array], Ar
         case Recording():
             times, winds = read_recording(spec.path)
             return lambda time: np.stack([np.interp(time, times, column) for column in winds.T], axis=-1)
-
-
-def _check_grid(n: int, steps: int, rate_hz: float) -> None:
-    if n < 1 or steps < 0:
-        raise ValueError(f"n={n}, steps={steps}; need n ≥ 1 and steps ≥ 0")
-    SAMPLE_RATE.of("rate_hz", rate_hz)
 
 
 def _per_vehicle(name: str, value: ArrayLike, n: int, lowest: float = 0.0) -> Array:

@@ -249,17 +249,10 @@ def control(level, u, m, c):
     _allocate(c, c.mass * thrust, _rate_stage(c, m.gyro, rate))
 
 
-@njit(cache=True)
-def control_all(level, set_points, measured, controllers):
-    """`control` for all vehicles, (n,) records each."""
-    for i in range(controllers.shape[0]):
-        control(level, set_points[i], measured[i], controllers[i])
-
-
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
-    After a step, `rotor_vel_cmd` (n, rotors) holds its command and `thrust_axis` (n, 3) where it wants the
+    After `control`, `rotor_vel_cmd` (n, rotors) holds its command and `thrust_axis` (n, 3) where it wants the
     thrust to point, world axes. `records` are the last argument of `control`, for kernels that call it.
 
     Args:
@@ -278,7 +271,6 @@ class Controller:
         gains: Gains | None = None,
         records: NDArray[np.void] | None = None,
     ) -> None:
-        self.n = n
         self.gains = gains or vehicle.controller or _designed(vehicle, rate_hz)
         self.records = np.zeros(n, controller_dtype(len(vehicle.rotors))) if records is None else records
         c, allocation = self.records, vehicle.allocation
@@ -319,33 +311,6 @@ class Controller:
             case "rotor":
                 c["rotor_vel_cmd"] = command
         return out
-
-    def step(
-        self,
-        level: Level,
-        command: Command,
-        position: Array,
-        velocity: Array,
-        attitude: Array,
-        yaw: Array,
-        gyro: Array,
-    ) -> Array:
-        """Rotor speeds (n, rotors) [rad/s] for a command at a level; the array is reused by the next call.
-
-        Args:
-            level: Where in the cascade the command enters.
-            command: (n, width) as in the table of this module, or records.
-            position: (n, 3) world [m].
-            velocity: (n, 3) world [m/s].
-            attitude: (n, 2) estimated roll and pitch [rad].
-            yaw: (n,) [rad].
-            gyro: (n, 3) measured body rate [rad/s].
-        """
-        measured = np.zeros(self.n, MEASURED)
-        measured["position"], measured["velocity"], measured["yaw"] = position, velocity, yaw
-        measured["roll_pitch"], measured["gyro"] = attitude, gyro
-        control_all(LEVELS.index(level), self.accept(level, command), measured, self.records)
-        return self.rotor_vel_cmd
 
 
 def _designed(vehicle: Vehicle, rate_hz: float) -> Gains:

@@ -6,6 +6,7 @@ seed.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
@@ -156,18 +157,16 @@ def sensor_faults(
     """
     seeds = vehicle_seeds(seed, n)
     chain = [
-        _corruption(fault, n, rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
+        _corruption(fault, rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
         for index, fault in enumerate(faults)
         if isinstance(fault, SensorFault)
     ]
-    if not chain:
-        return None
 
     def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
         for link in chain:
             link(readings, k)
 
-    return corrupt
+    return corrupt if chain else None
 
 
 class VehicleFaults:
@@ -209,92 +208,82 @@ class VehicleFaults:
                     effect *= 1.0 - (1.0 - fault.effect) * faded[:, None]
 
 
-def _corruption(fault: SensorFault, n: int, rate_hz: float, random: list[np.random.Generator]) -> Corrupt:
+def _corruption(fault: SensorFault, rate_hz: float, random: list[np.random.Generator]) -> Corrupt:
+    """What one fault does to the readings of vehicles with these random numbers, one generator each."""
+    n = len(random)
+    start = 0 if isinstance(fault, Saturation | Delay) else round(fault.at_s * rate_hz)
+    length = max(round(fault.length_s * rate_hz), 1) if isinstance(fault, Dropout | Stuck) else 0
     match fault:
         case GyroBiasStep():
-            return _bias_step(np.radians(fault.bias_deg), np.zeros(3), round(fault.at_s * rate_hz))
+            return partial(_add_bias, start, np.radians(fault.bias_deg), np.zeros(3))
         case AccelBiasStep():
-            return _bias_step(np.zeros(3), np.array(fault.bias), round(fault.at_s * rate_hz))
+            return partial(_add_bias, start, np.zeros(3), np.array(fault.bias))
         case Vibration():
-            return _vibration(fault, rate_hz, np.stack([rng.uniform(0, 2 * np.pi, 6) for rng in random]))
+            phase = np.stack([rng.uniform(0, 2 * np.pi, 6) for rng in random])
+            return partial(_vibrate, fault, start, 2 * np.pi * fault.frequency_hz / rate_hz, phase)
         case Dropout():
-            return _dropout(fault, rate_hz, random)
+            return partial(_drop, fault.probability, start, length, np.zeros(n, dtype=np.int64), random)
         case Stuck():
-            return _stuck(fault, rate_hz, n)
+            period = np.inf if fault.every_s is None else max(round(fault.every_s * rate_hz), length + 1)
+            return partial(_repeat, start, length, period, Readings(np.zeros((n, 3)), np.zeros((n, 3))))
         case Saturation():
-            return _saturation(fault)
+            rate = np.inf if fault.gyro_deg is None else np.radians(fault.gyro_deg)
+            return partial(_saturate, rate, np.inf if fault.accel is None else fault.accel)
         case Delay():
-            return _delay(round(fault.delay_s * rate_hz), n)
+            return partial(_delay, np.zeros((round(fault.delay_s * rate_hz) + 1, n, 6)))
 
 
-def _bias_step(gyro_bias: Array, accel_bias: Array, start: int) -> Corrupt:
-    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
-        on = (k >= start)[:, None]
-        readings.gyro[:] += on * gyro_bias
-        readings.accel[:] += on * accel_bias
-
-    return corrupt
-
-
-def _vibration(fault: Vibration, rate_hz: float, phase: Array) -> Corrupt:
-    rate, start = 2 * np.pi * fault.frequency_hz / rate_hz, round(fault.at_s * rate_hz)
-
-    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
-        wave = (k >= start)[:, None] * np.sin(rate * k[:, None] + phase)
-        readings.gyro[:] += np.radians(fault.gyro_deg) * wave[:, :3]
-        readings.accel[:] += fault.accel * wave[:, 3:]
-
-    return corrupt
+def _add_bias(
+    start: int, gyro_bias: Array, accel_bias: Array, readings: Readings, k: NDArray[np.int64]
+) -> None:
+    on = (k >= start)[:, None]
+    readings.gyro[:] += on * gyro_bias
+    readings.accel[:] += on * accel_bias
 
 
-def _dropout(fault: Dropout, rate_hz: float, random: list[np.random.Generator]) -> Corrupt:
-    start, length = round(fault.at_s * rate_hz), max(round(fault.length_s * rate_hz), 1)
-    left = np.zeros(len(random), dtype=np.int64)
-
-    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
-        left[k == 0] = 0
-        begins = np.array([rng.random() < fault.probability for rng in random])
-        left[begins & (left == 0) & (k >= start)] = length
-        readings.gyro[left > 0] = np.nan
-        readings.accel[left > 0] = np.nan
-        np.maximum(left - 1, 0, out=left)
-
-    return corrupt
+def _vibrate(
+    fault: Vibration, start: int, rate: float, phase: Array, readings: Readings, k: NDArray[np.int64]
+) -> None:
+    wave = (k >= start)[:, None] * np.sin(rate * k[:, None] + phase)
+    readings.gyro[:] += np.radians(fault.gyro_deg) * wave[:, :3]
+    readings.accel[:] += fault.accel * wave[:, 3:]
 
 
-def _stuck(fault: Stuck, rate_hz: float, n: int) -> Corrupt:
-    start, length = round(fault.at_s * rate_hz), max(round(fault.length_s * rate_hz), 1)
-    period = np.inf if fault.every_s is None else max(round(fault.every_s * rate_hz), length + 1)
-    last_gyro, last_accel = np.zeros((n, 3)), np.zeros((n, 3))
-
-    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
-        stuck = (k >= start) & (k > 0) & ((k - start) % period < length)
-        readings.gyro[stuck], readings.accel[stuck] = last_gyro[stuck], last_accel[stuck]
-        last_gyro[:], last_accel[:] = readings.gyro, readings.accel
-
-    return corrupt
-
-
-def _saturation(fault: Saturation) -> Corrupt:
-    rate = np.inf if fault.gyro_deg is None else np.radians(fault.gyro_deg)
-    force = np.inf if fault.accel is None else fault.accel
-
-    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
-        np.clip(readings.gyro, -rate, rate, out=readings.gyro)
-        np.clip(readings.accel, -force, force, out=readings.accel)
-
-    return corrupt
+def _drop(
+    probability: float,
+    start: int,
+    length: int,
+    left: NDArray[np.int64],
+    random: list[np.random.Generator],
+    readings: Readings,
+    k: NDArray[np.int64],
+) -> None:
+    left[k == 0] = 0
+    begins = np.array([rng.random() < probability for rng in random])
+    left[begins & (left == 0) & (k >= start)] = length
+    readings.gyro[left > 0] = readings.accel[left > 0] = np.nan
+    np.maximum(left - 1, 0, out=left)
 
 
-def _delay(samples: int, n: int) -> Corrupt:
-    line = np.zeros((samples + 1, n, 6))
-    rows = np.arange(n)
+def _repeat(
+    start: int, length: int, period: float, last: Readings, readings: Readings, k: NDArray[np.int64]
+) -> None:
+    stuck = (k >= start) & (k > 0) & ((k - start) % period < length)
+    for now, before in ((readings.gyro, last.gyro), (readings.accel, last.accel)):
+        now[stuck] = before[stuck]
+        before[:] = now
 
-    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
-        now = np.hstack([readings.gyro, readings.accel])
-        line[:, k == 0] = now[k == 0]
-        line[k % (samples + 1), rows] = now
-        oldest = line[(k + 1) % (samples + 1), rows]
-        readings.gyro[:], readings.accel[:] = oldest[:, :3], oldest[:, 3:]
 
-    return corrupt
+def _saturate(rate: float, force: float, readings: Readings, k: NDArray[np.int64]) -> None:
+    np.clip(readings.gyro, -rate, rate, out=readings.gyro)
+    np.clip(readings.accel, -force, force, out=readings.accel)
+
+
+def _delay(line: Array, readings: Readings, k: NDArray[np.int64]) -> None:
+    """Delay by the length of the line (samples + 1, n, 6), less one sample."""
+    slots, rows = len(line), np.arange(len(k))
+    now = np.hstack([readings.gyro, readings.accel])
+    line[:, k == 0] = now[k == 0]
+    line[k % slots, rows] = now
+    oldest = line[(k + 1) % slots, rows]
+    readings.gyro[:], readings.accel[:] = oldest[:, :3], oldest[:, 3:]

@@ -144,13 +144,7 @@ class FlightLoop:
 
         The estimator starts level, unless `known_attitude`: then it starts at the true roll and pitch.
         """
-        self.plant.reset(position, velocity, quat, ang_vel)
-        self.controller.reset()
-        self.k[:] = 0
-        if self.imu is not None:
-            self.imu.reset()
-        if self.estimator is not None:
-            self.estimator.reset(self.n, roll_pitch=self.true_attitude.copy() if known_attitude else None)
+        self.restart(np.arange(self.n), position, velocity, quat, ang_vel, known_attitude)
         self.sense()
 
     def restart(

@@ -26,7 +26,7 @@ class Recipe(Strict):
         default=Randomisation(), description="Spread of the vehicle's numbers."
     )
     attitude_error: AttitudeError = Field(
-        default=AttitudeError(), description="What the controller is told wrongly."
+        default=AttitudeError(), description="Error of the roll and pitch that the controller gets."
     )
     engine: Engine = Field(
         default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'

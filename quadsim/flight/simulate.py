@@ -47,9 +47,9 @@ class AttitudeError(Strict):
         from scipy.signal import lfilter  # takes half a second
 
         white = np.stack([np.random.default_rng(seed).normal(size=(n_steps, 2)) for seed in seeds])
-        kept = math.exp(-1.0 / (rate_hz * self.time_s))
-        white[:, 1:] *= math.sqrt(1.0 - kept**2)
-        return math.radians(self.sd_deg) * np.asarray(lfilter([1.0], [1.0, -kept], white, axis=1))
+        decay = math.exp(-1.0 / (rate_hz * self.time_s))
+        white[:, 1:] *= math.sqrt(1.0 - decay**2)
+        return math.radians(self.sd_deg) * np.asarray(lfilter([1.0], [1.0, -decay], white, axis=1))
 
 
 class FlightConfig(Strict):
@@ -63,14 +63,15 @@ class FlightConfig(Strict):
         default=Randomisation(), description="Spread of the vehicle's numbers."
     )
     attitude_error: AttitudeError = Field(
-        default=AttitudeError(), description="What the controller is told wrongly; nothing by default."
+        default=AttitudeError(),
+        description="Error of the roll and pitch that the controller gets.",
     )
     engine: Engine = Field(
         default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
     )
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
         default=4.0,
-        description="Flown before recording, so that flights begin in the midst of motion [s].",
+        description="Simulated before recording, so that flights begin in motion [s].",
     )
 
 
@@ -193,14 +194,14 @@ def simulate_flights(
     """
     n, warmup = len(seeds), round(config.warmup_s * rate_hz)
     samples = warmup + steps
-    trajectory, body, air, imu, sight = ([child(seed, part) for seed in seeds] for part in range(5))
+    trajectory, body, air, imu, angles = ([child(seed, part) for seed in seeds] for part in range(5))
     vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
     paths = np.zeros((n, samples), PATH)
     paths["target"] = target = reference(config.trajectory, samples, rate_hz, trajectory)
     if config.wind:
         paths["wind"] = wind_series(config.wind, n, samples, rate_hz, air)
     if config.attitude_error.sd_deg:
-        paths["attitude_error"] = config.attitude_error.series(samples, rate_hz, sight)
+        paths["attitude_error"] = config.attitude_error.series(samples, rate_hz, angles)
     loop = FlightLoop(vehicles, n, rate_hz=rate_hz, nominal=config.vehicle, engine=config.engine)
     loop.reset(position=target["position"][:, 0], velocity=target["velocity"][:, 0])
     loop.plant.wind[:] = paths["wind"][:, 0]
@@ -214,17 +215,13 @@ def simulate_flights(
             start_samples(k, loop.records, paths)
             loop.plant.finish_move(loop.controller.rotor_vel_cmd)
             finish_samples(k - warmup, loop.records, log, end)
-    flown = {name: log[name] for name in log.dtype.names or ()}
+    flights = {name: log[name] for name in log.dtype.names or ()}
+    rate, force, rotor_vel = flights["ang_vel"], flights["specific_force"], flights["rotor_vel"]
+    ang_acc = flights.pop("ang_acc")
     gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
-        config.imu,
-        flown["ang_vel"],
-        flown["specific_force"],
-        rate_hz,
-        imu,
-        ang_acc=flown.pop("ang_acc"),
-        rotor_vel=flown["rotor_vel"],
+        config.imu, rate, force, rate_hz, imu, ang_acc, rotor_vel
     )
-    return flown | {
+    return flights | {
         "gyro": gyro,
         "accel": accel,
         "gyro_bias": gyro_bias,

@@ -1,4 +1,4 @@
-"""The arithmetic of the IMU: a record of coefficients and state per vehicle, and one function per error."""
+"""The arithmetic of the IMU: a record of coefficients and state per vehicle, one function for each error."""
 
 import math
 from typing import NamedTuple
@@ -6,9 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from scipy.special import ndtri
 
+from ..rotation import matrix_from_quat, quat_from_euler
 from ..runs.compiled import njit
 from ..vehicle import MAX_ROTORS
+from .spec import ImuSpec
 
 Array = NDArray[np.float64]
 
@@ -77,6 +80,52 @@ def low_pass_coefficients(corner: float, order: int, dt: float) -> tuple[Array, 
     block[:2, :2], block[:2, 2], block[2, 3] = A * corner * dt, B * corner * dt, 1.0
     step = np.asarray(expm(block), dtype=np.float64)
     return step[:2, :2], step[:2, 2] - step[:2, 3], step[:2, 3]
+
+
+def constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
+    """Record of an IMU with what is the same for all flights, shape (1,)."""
+    records = np.zeros(1, IMU)
+    p = records[0]
+    p["dt"] = dt
+    p["lever_arm"], p["lever_arm_on"] = spec.lever_arm, any(spec.lever_arm)
+    p["drop_below"] = ndtri(spec.dropped)
+    if spec.vibration is not None:
+        p["vibration_on"] = 1
+        p["amplitude"] = np.array([spec.vibration.gyro, spec.vibration.accel]) / spec.vibration.rotor_vel**2
+    for index, sensor in enumerate((spec.gyro, spec.accel)):
+        corner, order, tau = 2.0 * math.pi * sensor.low_pass_hz, sensor.low_pass_order, sensor.time_constant
+        p["low_pass_on"][index], p["order"][index] = corner > 0.0, order
+        p["corner"][index] = corner or np.inf
+        p["transition"][index], p["from_last"][index], p["from_new"][index] = low_pass_coefficients(
+            corner, order, dt
+        )
+        p["white"][index] = white_noise_sd(sensor.noise, dt)
+        p["decay"][index] = math.exp(-dt / (tau or math.inf))
+        p["diffusion"][index] = sensor.walk_sd * math.sqrt(-math.expm1(-2.0 * dt / (tau or math.inf)))
+        p["resolution"][index], p["limit"][index] = sensor.resolution, sensor.limit
+    return records
+
+
+def draw_flight(p: np.void, spec: ImuSpec, random: np.random.Generator) -> None:
+    """Draw what is constant in a flight into its record. New draws go last: the order fixes the numbers."""
+    turn_on, walk, scale = random.standard_normal((3, 2, 3))
+    misalignment, g_sensitivity = random.standard_normal((2, 3, 3)), random.standard_normal((3, 3))
+    sensor_from_body = matrix_from_quat(quat_from_euler(*np.radians(spec.mounting_deg))).T
+    p["phase_offset"] = random.uniform(0.0, 2.0 * np.pi, (MAX_ROTORS, 2, 3))
+    p["force_matrix"] = spec.g_sensitivity * g_sensitivity @ sensor_from_body
+    for index, sensor in enumerate((spec.gyro, spec.accel)):
+        p["turn_on"][index] = sensor.turn_on * turn_on[index]
+        p["walk"][index] = sensor.walk_sd * walk[index]
+        error = sensor.misalignment * misalignment[index]
+        np.fill_diagonal(error, 1.0 + sensor.scale_factor * scale[index])
+        p["matrix"][index] = error @ sensor_from_body
+    p["bias"], p["started"] = p["turn_on"] + p["walk"], 0
+
+
+def noise_streams(spec: ImuSpec) -> list[int]:
+    """Streams of random numbers that an IMU uses."""
+    sizes = (spec.gyro.noise, spec.accel.noise, spec.gyro.random_walk, spec.accel.random_walk, spec.dropped)
+    return [index for index, size in enumerate(sizes) if size > 0.0]
 
 
 @njit(cache=True)

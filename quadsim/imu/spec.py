@@ -1,5 +1,6 @@
 """The errors of an IMU as a typed model, read from TOML."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias, TypeVar
@@ -45,6 +46,18 @@ class Sensor(Strict):
         if self.saturation is not None and self.resolution > self.saturation:
             raise ValueError(f"resolution {self.resolution} must not exceed saturation {self.saturation}")
         return self
+
+    @property
+    def walk_sd(self) -> float:
+        """Stationary standard deviation of the bias random walk, σ_b √(τ/2) [unit]."""
+        return self.random_walk * math.sqrt((self.time_constant or 0.0) / 2.0)
+
+    @property
+    def limit(self) -> float:
+        """Largest reading: the largest multiple of the resolution within the range [unit]."""
+        if self.saturation is None or self.resolution == 0.0:
+            return self.saturation or math.inf
+        return self.resolution * math.floor(self.saturation / self.resolution * (1.0 + 1e-12))
 
 
 class Vibration(Strict):

@@ -13,19 +13,16 @@ From the truth at the centre of mass, in body axes, to the reading; every part c
 Whole arrays and single samples go through the same compiled pass and give the same numbers.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
 
 from ..config.ranges import SAMPLE_RATE
-from ..rotation import matrix_from_quat, quat_from_euler
 from ..seeding import Seed, child, vehicle_seeds
 from ..vehicle import MAX_ROTORS
-from .kernel import ACCEL, GYRO, IMU, NOISES, Motion, low_pass_coefficients, measure_series, white_noise_sd
-from .spec import ImuSpec, Sensor
+from .kernel import ACCEL, GYRO, IMU, NOISES, Motion, constants, draw_flight, measure_series, noise_streams
+from .spec import ImuSpec
 
 Array = NDArray[np.float64]
 
@@ -64,12 +61,11 @@ class ImuStream:
         self._seeds = vehicle_seeds(seed, n)
         self._flight = np.zeros(n, dtype=np.int64)
         self.records = np.zeros(n, IMU) if records is None else records
-        self.records[:] = _constants(spec, 1.0 / rate_hz)
+        self.records[:] = constants(spec, 1.0 / rate_hz)
         self.gyro, self.accel = self.records["reading"].swapaxes(0, 1)
         self.needs_ang_acc = bool(self.records["lever_arm_on"][0])
         self.needs_rotor_vel = bool(self.records["vibration_on"][0])
-        self._sensor_from_body = matrix_from_quat(quat_from_euler(*np.radians(spec.mounting_deg))).T
-        self._noises = _noises(spec)
+        self._noises = noise_streams(spec)
         self._random: list[list[np.random.Generator]] = [[] for _ in range(n)]
         self.noise = np.zeros((n, NOISES, BLOCK, 3))
         self._at = 0
@@ -138,12 +134,10 @@ class ImuStream:
     def _switch_on(self, vehicle: int) -> None:
         """Draw what stays for a flight, and restart the noise from here."""
         seed, flight = self._seeds[vehicle], int(self._flight[vehicle])
-        random = np.random.default_rng(child(seed, flight, 0))
-        _draw_flight(self.records[vehicle], self.spec, self._sensor_from_body, random)
+        draw_flight(self.records[vehicle], self.spec, np.random.default_rng(child(seed, flight, 0)))
         self._random[vehicle] = [
             np.random.default_rng(child(seed, flight, 1 + each)) for each in self._noises
         ]
-        self.records["bias"][vehicle] = self.records["turn_on"][vehicle] + self.records["walk"][vehicle]
         self._fill(vehicle, self._at)
 
     def _fill(self, vehicle: int, begin: int) -> None:
@@ -212,69 +206,6 @@ def simulate_imu(
         ValueError: An array has the wrong shape or holds a number that is not finite.
     """
     return simulate_imu_with_bias(spec, ang_vel, specific_force, rate_hz, seed, ang_acc, rotor_vel)[:2]
-
-
-def _constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
-    """What an IMU's record holds for all flights, shape (1,)."""
-    records = np.zeros(1, IMU)
-    p = records[0]
-    p["dt"] = dt
-    p["lever_arm"], p["lever_arm_on"] = spec.lever_arm, any(spec.lever_arm)
-    p["drop_below"] = ndtri(spec.dropped)
-    if spec.vibration is not None:
-        p["vibration_on"] = 1
-        p["amplitude"] = np.array([spec.vibration.gyro, spec.vibration.accel]) / spec.vibration.rotor_vel**2
-    for index, sensor in enumerate((spec.gyro, spec.accel)):
-        corner = 2.0 * math.pi * sensor.low_pass_hz
-        p["low_pass_on"][index] = corner > 0.0
-        p["corner"][index] = corner if corner > 0.0 else np.inf
-        p["order"][index] = sensor.low_pass_order
-        if corner > 0.0:
-            p["transition"][index], p["from_last"][index], p["from_new"][index] = low_pass_coefficients(
-                corner, sensor.low_pass_order, dt
-            )
-        p["white"][index] = white_noise_sd(sensor.noise, dt)
-        tau = sensor.time_constant or math.inf
-        p["decay"][index] = math.exp(-dt / tau)
-        p["diffusion"][index] = _walk_spread(sensor) * math.sqrt(-math.expm1(-2.0 * dt / tau))
-        p["resolution"][index] = sensor.resolution
-        p["limit"][index] = _limit(sensor)
-    return records
-
-
-def _limit(sensor: Sensor) -> float:
-    """Largest multiple of the resolution that is within the range."""
-    if sensor.saturation is None:
-        return math.inf
-    if sensor.resolution == 0.0:
-        return sensor.saturation
-    return sensor.resolution * math.floor(sensor.saturation / sensor.resolution * (1.0 + 1e-12))
-
-
-def _walk_spread(sensor: Sensor) -> float:
-    """Stationary standard deviation of the bias random walk, σ_b √(τ/2)."""
-    return sensor.random_walk * math.sqrt((sensor.time_constant or 0.0) / 2.0)
-
-
-def _noises(spec: ImuSpec) -> list[int]:
-    """Which of the random streams an IMU uses."""
-    sizes = (spec.gyro.noise, spec.accel.noise, spec.gyro.random_walk, spec.accel.random_walk, spec.dropped)
-    return [index for index, size in enumerate(sizes) if size > 0.0]
-
-
-def _draw_flight(p: np.void, spec: ImuSpec, sensor_from_body: Array, random: np.random.Generator) -> None:
-    """Draw what stays for a flight into its record. New draws go last: the order fixes the numbers."""
-    turn_on, walk, scale = random.standard_normal((3, 2, 3))
-    misalignment, g_sensitivity = random.standard_normal((2, 3, 3)), random.standard_normal((3, 3))
-    p["phase_offset"] = random.uniform(0.0, 2.0 * np.pi, (MAX_ROTORS, 2, 3))
-    p["force_matrix"] = spec.g_sensitivity * g_sensitivity @ sensor_from_body
-    for index, sensor in enumerate((spec.gyro, spec.accel)):
-        p["turn_on"][index] = sensor.turn_on * turn_on[index]
-        p["walk"][index] = _walk_spread(sensor) * walk[index]
-        error = sensor.misalignment * misalignment[index]
-        np.fill_diagonal(error, 1.0 + sensor.scale_factor * scale[index])
-        p["matrix"][index] = error @ sensor_from_body
-    p["started"] = 0
 
 
 def _given(name: str, value: ArrayLike | None) -> ArrayLike:

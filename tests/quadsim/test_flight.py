@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadsim.config.toml import preset_names
-from quadsim.control.cascade import LEVELS, Controller
+from quadsim.control.cascade import LEVELS, MEASURED, Controller, control
 from quadsim.control.gains import loop_margins
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.simulate import AttitudeError, FlightConfig, simulate_flights
@@ -91,8 +91,9 @@ def test_a_command_is_followed_at_every_level(level, command, read, wanted):
 def test_rotor_commands_stay_within_the_rotors(numbers, level):
     controller = Controller(HUMMINGBIRD, 1)
     command = np.array([numbers])[:, : 11 if level == "position" else 4]
-    zero = np.zeros((1, 3))
-    out = controller.step(level, command, zero, zero, np.zeros((1, 2)), np.zeros(1), zero)
+    set_points = controller.accept(level, command)
+    control(LEVELS.index(level), set_points[0], np.zeros(1, MEASURED)[0], controller.records[0])
+    out = controller.rotor_vel_cmd
     assert np.all((out >= 0) & (out <= HUMMINGBIRD.motor.omega_max))
 
 

@@ -10,9 +10,8 @@ from quadsim.wind import (
     Dryden,
     Gust,
     Recording,
-    Turbulence,
     WindSpec,
-    WindStream,
+    _turbulence,
     dryden,
     dryden_scales,
     gust_one_minus_cosine,
@@ -74,9 +73,7 @@ def test_start_is_stationary_over_seeds():
 
 @pytest.mark.parametrize("tau", [1e-7, 1e-4, 0.02, 1.0, 3.0])
 def test_one_step_is_exact_by_van_loan(tau):
-    turbulence = Turbulence(1, 1.0, airspeed=1.0, altitude=20.0, wind_20ft=1.0, seed=0)
-    turbulence._set_coefficients(np.full((1, 3), tau))
-    p = turbulence._vehicles[0]
+    p = _turbulence(np.full((1, 3), tau))[0]
     A = np.array([[0.0, 1.0], [-1.0, -2.0]])
     Q = np.diag([0.0, 4.0])  # gives the stationary covariance 1
     van_loan = linalg.expm(np.block([[-A, Q], [np.zeros((2, 2)), A.T]]) * tau)
@@ -162,27 +159,6 @@ def test_two_turbulences_of_one_flight_are_independent():
     assert not np.allclose(wind_series(SPECS[2:], 1, 50, 200.0, seed=3), 2.0 * first)
 
 
-def test_blocks_of_a_stream_join_without_a_seam():
-    stream = WindStream(SPECS, 3, 200.0, seed=4)
-    blocks = np.concatenate([stream.take(steps) for steps in (1, 0, 7, 32)], axis=1)
-    assert np.array_equal(blocks, wind_series(SPECS, 3, 40, 200.0, seed=4))
-
-
-def test_reset_restarts_only_the_chosen_vehicles_with_new_turbulence():
-    straight = WindStream(SPECS, 3, 200.0, seed=4)
-    stream = WindStream(SPECS, 3, 200.0, seed=4)
-    first = straight.take(20)
-    stream.take(20)
-    stream.reset([1])
-    after, going_on = stream.take(20), straight.take(20)
-    assert np.array_equal(after[[0, 2]], going_on[[0, 2]])
-    assert not np.allclose(after[1], first[1])
-    steady = WindStream(SPECS[:2], 3, 200.0, seed=4)
-    steady.take(20)
-    steady.reset()
-    assert np.array_equal(steady.take(20), wind_series(SPECS[:2], 3, 20, 200.0, seed=4))
-
-
 def test_seed_sequences_choose_the_vehicles():
     parents = np.random.SeedSequence(8).spawn(3)
     series = wind_series(SPECS, 3, 10, 200.0, seed=8)
@@ -219,7 +195,7 @@ def test_bad_recording_is_refused_with_its_line(tmp_path, text, reason):
 
 def test_missing_recording_is_one_clear_line(tmp_path):
     with pytest.raises(ValueError, match="cannot be read: No such file"):
-        WindStream([Recording(path=str(tmp_path / "none.csv"))], 1, 200.0, seed=0)
+        wind_series([Recording(path=str(tmp_path / "none.csv"))], 1, 5, 200.0, seed=0)
 
 
 @pytest.mark.parametrize(
