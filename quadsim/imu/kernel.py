@@ -174,7 +174,7 @@ def _vibrate(p, x, rotor_vel):
                 x[sensor, axis] += p.amplitude[sensor, axis] * gain * wave
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _turn_to_sensor_axes(p, x):
     """Apply mounting, scale factor and misalignment, and the gyroscope's sensitivity to force."""
     wx, wy, wz, fx, fy, fz = x[GYRO, 0], x[GYRO, 1], x[GYRO, 2], x[ACCEL, 0], x[ACCEL, 1], x[ACCEL, 2]
@@ -185,7 +185,7 @@ def _turn_to_sensor_axes(p, x):
         x[ACCEL, axis] = N[0] * fx + N[1] * fy + N[2] * fz
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _add_bias_and_noise(p, x, noise):
     """Add turn-on bias, bias random walk and white noise; the walk moves on."""
     for sensor in range(2):
@@ -196,7 +196,7 @@ def _add_bias_and_noise(p, x, noise):
             p.walk[sensor, axis] = p.decay[sensor] * walk + p.diffusion[sensor] * noise[WALK + sensor, axis]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _read_out(p, x, noise):
     """Write the reading: the nearest multiple of the resolution (0: as it is) within ± limit; NaN stays NaN.
 
@@ -217,7 +217,7 @@ def _read_out(p, x, noise):
             p.reading[sensor, axis] = value
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def measure(p, noise, x, ang_acc, rotor_vel):
     """Take one sample of one IMU, to `reading` and `bias` of its record: every error in turn.
 
@@ -268,9 +268,10 @@ def measure_series(imus, noise, place, samples, motion, out, bias):
         for t in range(first, end):
             # an array that its IMU does not use has one sample
             acc, rotor_vel = motion.ang_acc[i], motion.rotor_vel[i]
-            x[GYRO], x[ACCEL] = motion.ang_vel[i, t], motion.specific_force[i, t]
-            measure(
-                p, noise[i, :, place + t - first], x,
-                acc[min(t, acc.shape[0] - 1)], rotor_vel[min(t, rotor_vel.shape[0] - 1)],
-            )  # fmt: skip
-            out[:, i, t], bias[:, i, t] = p.reading, p.bias
+            for j in range(3):
+                x[GYRO, j], x[ACCEL, j] = motion.ang_vel[i, t, j], motion.specific_force[i, t, j]
+            acc, rotor_vel = acc[min(t, acc.shape[0] - 1)], rotor_vel[min(t, rotor_vel.shape[0] - 1)]
+            measure(p, noise[i, :, place + t - first], x, acc, rotor_vel)
+            for sensor in range(2):
+                for j in range(3):
+                    out[sensor, i, t, j], bias[sensor, i, t, j] = p.reading[sensor, j], p.bias[sensor, j]

@@ -261,15 +261,19 @@ def _rest_to_rest(s):
 
 @njit(cache=True)
 def _fly_segments(segments, turns, time, out):
-    base = out[0].position.copy()
+    base = np.empty(3)
+    for i in range(3):
+        base[i] = out[0].position[i]
     seg, turn, heading = 0, 0, 0.0
     for k in range(time.size):
         while seg < segments.size and time[k] >= segments[seg].start + segments[seg].length:
             if segments[seg].kind == _DASH or segments[seg].kind == _JUMP:
-                base += segments[seg].first
+                for i in range(3):
+                    base[i] += segments[seg].first[i]
             seg += 1
         p, v, acc = out[k].position, out[k].velocity, out[k].acceleration
-        p[:] = base
+        for i in range(3):
+            p[i] = base[i]
         if seg < segments.size and time[k] >= segments[seg].start:
             row = segments[seg]
             length, first, second = row.length, row.first, row.second
@@ -281,7 +285,8 @@ def _fly_segments(segments, turns, time, out):
                     v[i] = first[i] * slope / length
                     acc[i] = first[i] * bend / length**2
             elif row.kind == _JUMP:
-                p += first
+                for i in range(3):
+                    p[i] += first[i]
             elif row.kind == _LOOP:
                 # the window rises over the first quarter of the segment and falls over the last
                 edge, sign = 4.0 * min(s, 1.0 - s), (1.0 if s < 0.5 else -1.0)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
 from quadsim.runs import surroundings
-from quadsim.runs.compiled import OneWriter, float64, guvectorize
+from quadsim.runs.compiled import float64, guvectorize, njit
 from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint, source_digest
 
@@ -167,18 +167,40 @@ def test_compiled_code_is_kept_for_one_state_of_all_compiled_files(tmp_path):
     assert surroundings.compiled_digest(tmp_path) != before
 
 
-def test_processes_that_compile_different_variants_take_different_files(tmp_path):
-    first, second = (OneWriter(str(tmp_path), "f", 0.0) for _ in range(2))
-    with FileLock(f"{tmp_path}/f.nbi.lock"):
-        waiting = threading.Thread(target=first.save, args=("for floats", b"1"))
+def test_a_function_is_compiled_by_one_process_at_a_time():
+    @njit(cache=True)
+    def triple(x):
+        return 3 * x
+
+    made = []
+    lock = triple._cache._lock.lock_file
+    with FileLock(lock):
+        waiting = threading.Thread(target=lambda: made.append(triple(2.0)))
         waiting.start()
         waiting.join(0.3)
-        assert waiting.is_alive()
-        assert not list(tmp_path.glob("*.nb?"))
+        assert not made
     waiting.join()
-    second.save("for whole numbers", b"2")
-    assert first.load("for floats") == second.load("for floats") == b"1"
-    assert first.load("for whole numbers") == b"2"
+    assert made == [6.0]
+    assert triple(2) == 6  # another variant, and the lock is free again
+    with FileLock(lock, timeout=0):
+        pass
+
+
+def test_processes_that_start_together_compile_a_function_once(tmp_path):
+    script = tmp_path / "shared.py"
+    script.write_text(
+        "import quadsim\n"
+        "from quadsim.runs.compiled import njit\n"
+        "@njit(cache=True)\n"
+        "def f(x):\n"
+        "    return x * x + 1.0\n"
+        "assert f(2.0) == 5.0\n"
+        "print(sum(f.stats.cache_misses.values()))\n"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, str(script)]
+    both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert sorted(each.communicate()[0].strip() for each in both) == ["0", "1"]
 
 
 def test_a_generalized_ufunc_is_compiled_by_one_process_at_a_time():
