@@ -27,6 +27,7 @@ install: .venv/installed
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	# a test counts operations with NeuroBench; what it depends on, for its data sets, would bring audio and more
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps neurobench
+	$(BIN)/quadsim compile
 	touch $@
 
 clean:

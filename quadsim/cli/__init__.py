@@ -12,7 +12,7 @@ from io import TextIOWrapper
 import typer
 from rich.console import Console
 
-from . import data, flights, logs, networks, studies
+from . import data, flights, installation, logs, networks, studies
 
 app = typer.Typer(
     name="quadsim",
@@ -42,6 +42,7 @@ for verb in (
     studies.paper,
 ):
     app.command()(verb)
+app.command("compile")(installation.compile_code)
 
 
 def main() -> None:

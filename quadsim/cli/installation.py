@@ -1,0 +1,58 @@
+"""The verb `compile`: what an installation does once, so that no later command has to."""
+
+import tempfile
+from pathlib import Path
+
+from ..runs.console import output as console
+from ..runs.console import progress_bar
+
+TRAINING = {"epochs": 1, "batches": 1, "batch_size": 4, "window_s": 0.5}
+
+
+def compile_code() -> None:
+    """Compile simulator, estimators and trainer, so that no later command waits for it.
+
+    Runs each of them for a moment. Without this, each compiles what it needs when it is first used, which
+    takes up to half a minute. `make install` ends with it; a change of the code needs it again.
+
+    Example: quadsim compile
+    """
+    import gymnasium
+    import numpy as np
+
+    import estimators
+    from scenarios.bench.runner import bench
+    from scenarios.bench.settings import FlightSettings, ScenarioChanges
+    from training.loop import train
+
+    from ..dataset.generation import generate
+    from ..dataset.reading import dataset_info
+    from ..flight.recipe import flight_config, load_recipe
+
+    names = [name for name in estimators.names() if "filterpy" not in name]
+    recipes = ("hummingbird", "windy")
+
+    def simulate(folder: Path) -> None:
+        for name in recipes:
+            dataset_info(generate(flight_config(load_recipe(name)), 4, 2.0, folder / name, workers=1))
+
+    def fly(folder: Path) -> None:
+        changes = ScenarioChanges(duration_s=0.1)
+        for n in (1, 2):
+            bench(["hover", "take-off"], names, folder / f"bench-{n}", FlightSettings(n), changes, workers=1)
+            env = gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, estimator="mahony")
+            env.reset(seed=0)
+            env.step(np.zeros((n, 4), np.float32))
+
+    def learn(folder: Path) -> None:
+        for model in ("att-snn", "att-rnn"):
+            preset = "best" if model == "att-snn" else "paper"
+            train(model, str(folder / recipes[0]), folder / model, preset, **TRAINING)
+
+    with progress_bar("compile", "parts") as bar, tempfile.TemporaryDirectory() as folder:
+        parts = (simulate, fly, learn)
+        for done, part in enumerate(parts):
+            bar(done, len(parts))
+            part(Path(folder))
+        bar(len(parts), len(parts))
+    console.print("simulator, estimators and trainer are compiled")
