@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from .flight_metrics import FlightRow
 
@@ -90,5 +90,5 @@ def _interval(difference: Array, level: float) -> tuple[int, float | None, float
     if known.size < 2:
         return known.size, float(known[0]) if known.size else None, None, None
     mean = float(known.mean())
-    half = float(student.ppf(0.5 + 0.5 * level, known.size - 1) * known.std(ddof=1) / np.sqrt(known.size))
+    half = float(stdtrit(known.size - 1, 0.5 + 0.5 * level) * known.std(ddof=1) / np.sqrt(known.size))
     return int(known.size), mean, mean - half, mean + half
