@@ -27,7 +27,7 @@ from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking, real_weights
-from estimators.networks.symmetry import OPERATIONS, is_symmetric, ties
+from estimators.networks.symmetry import OPERATIONS, is_symmetric, weight_sharing
 from estimators.networks.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
 from estimators.registry import FILTERPY, NETWORKS
 from quadsim.dataset.reading import open_dataset
@@ -141,9 +141,9 @@ def training_cells(training: dict) -> tuple[str, ...]:
 
 def free_parameters(tensors: Tensors) -> int:
     """Different numbers among a symmetric network's parameters: shared ones count once."""
-    shared = ties(len(tensors["w_in"]), len(tensors["w_ff"]))
+    shared = weight_sharing(len(tensors["w_in"]), len(tensors["w_ff"]))
     there = {name: tensors[name].ravel() != 0 for name in shared}
-    return 2 + sum(np.unique(tied.first[there[name]]).size for name, tied in shared.items())
+    return 2 + sum(np.unique(sharing.first[there[name]]).size for name, sharing in shared.items())
 
 
 def symmetry_text(tensors: Tensors, flights: Flights) -> str:

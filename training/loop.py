@@ -128,7 +128,7 @@ def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str
     except KeyboardInterrupt:
         return INTERRUPTED
     except FloatingPointError as error:
-        log.error("%s: training stopped, the best weights so far are kept", error)
+        log.error("%s: training stopped, the best weights so far stay", error)
         return str(error)
     return f"all {config.epochs} epochs done"
 

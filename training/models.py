@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from estimators.analysis.ablation import living
+from estimators.analysis.ablation import connected_neurons
 from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
-from estimators.networks.symmetry import ties
+from estimators.networks.symmetry import weight_sharing
 from estimators.networks.weights_file import NetworkConfig, expected_shapes
 from estimators.spiking import quantise_decay, quantise_weights
 
@@ -54,7 +54,7 @@ class AttSNN(nn.Module):
             self.register_parameter(name, nn.Parameter(torch.zeros(shape)))
         for name in MATRICES:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
-        self.sharing = ties(encoding, hidden) if symmetric else {}
+        self.sharing = weight_sharing(encoding, hidden) if symmetric else {}
         for name, sharing in self.sharing.items():
             getattr(self, name).register_hook(lambda g, mean=sharing.mean: torch.from_numpy(mean(g.numpy())))
         for name in MATRICES:
@@ -77,7 +77,7 @@ class AttSNN(nn.Module):
 
     def shared(self, name: str, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """The values of a parameter in which entries that share a weight have that of the first of them."""
-        return self.sharing[name].copied(values) if self.sharing else values
+        return self.sharing[name].apply(values) if self.sharing else values
 
     def first(self, name: str) -> NDArray[np.int64]:
         """For each entry of a parameter the flat index of the first that shares its weight."""
@@ -160,7 +160,7 @@ class AttSNN(nn.Module):
     def connected_neurons(self) -> list[NDArray[np.int64]]:
         """Neurons of both layers that an input reaches and that reach an output."""
         connected = [getattr(self, f"{name}_connected").numpy() for name in MATRICES]
-        return living(connected, [self.first("mem0"), self.first("mem1")])
+        return connected_neurons(connected, [self.first("mem0"), self.first("mem1")])
 
     @torch.no_grad()
     def disconnect_zeros(self) -> None:

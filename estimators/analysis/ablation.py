@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..evaluation.flights import Flights
 from ..metrics import attitude_error
 from ..networks.network import NetworkEstimator, Spiking
-from ..networks.symmetry import is_symmetric, ties
+from ..networks.symmetry import is_symmetric, weight_sharing
 from ..networks.weights_file import NetworkConfig, Tensors
 from .activity import Activity
 
@@ -89,11 +89,15 @@ def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, T
     Its outputs are the same to the last bit. At least one neuron, or where weights are shared one group,
     stays in each layer.
     """
-    keep = living([tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out")], _groups(tensors))
+    keep = connected_neurons(
+        [tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out")], _groups(tensors)
+    )
     return without(config, tensors, keep)
 
 
-def living(connections: Sequence[Bools], groups: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+def connected_neurons(
+    connections: Sequence[Bools], groups: Sequence[NDArray[np.int64]]
+) -> list[NDArray[np.int64]]:
     """Neurons of the encoding and of the hidden layer that an input reaches and that reach an output.
 
     Args:
@@ -142,8 +146,8 @@ def pruned(
     order = np.argsort(-whole, kind="stable")[: np.count_nonzero(sizes)]
     stay = np.cumsum(sizes[order]) <= round(group.size * (1 - fraction))
     stay[:2] = True
-    kept = np.flatnonzero(np.isin(group, order[stay]))
-    return without(config, tensors, [kept[kept < encoding], kept[kept >= encoding] - encoding])
+    chosen = np.flatnonzero(np.isin(group, order[stay]))
+    return without(config, tensors, [chosen[chosen < encoding], chosen[chosen >= encoding] - encoding])
 
 
 def _groups(tensors: Tensors) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -151,7 +155,7 @@ def _groups(tensors: Tensors) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     encoding, hidden = len(tensors["mem0"]), len(tensors["mem1"])
     if not is_symmetric(tensors):
         return np.arange(encoding), np.arange(hidden)
-    shared = ties(encoding, hidden)
+    shared = weight_sharing(encoding, hidden)
     return shared["mem0"].first, shared["mem1"].first
 
 

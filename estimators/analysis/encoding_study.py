@@ -102,8 +102,8 @@ def tuning_curves(activity: Activity, flights: Flights, smooth_s: float = 0.1) -
     blocks = samples // block
     per_sample = activity.spikes.shape[1] // samples
     n, _, neurons = activity.spikes.shape
-    kept = activity.spikes[:, : blocks * block * per_sample]
-    rate = kept.reshape(n, blocks, -1, neurons).mean(axis=2).reshape(-1, neurons)
+    spikes = activity.spikes[:, : blocks * block * per_sample]
+    rate = spikes.reshape(n, blocks, -1, neurons).mean(axis=2).reshape(-1, neurons)
     signals = np.degrees(np.concatenate([flights.truth, flights.gyro[..., :2]], axis=2))
     means = signals[:, : blocks * block].reshape(n, blocks, block, 4).mean(axis=2).reshape(-1, 4)
     return {name: _curve(rate, means[:, k]) for k, name in enumerate(QUANTITIES)}

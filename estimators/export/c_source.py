@@ -33,9 +33,9 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
     integers = {name: value.astype(np.int64) for name, value in tensors.items()}
     halves = {name: integers[name] // 2 for name in ("w_in", "w_ff", "w_rec", "w_out")}
     by_source = {name: value.T for name, value in halves.items()}
-    kept = {name: DECAY_ONE - value for name, value in integers.items() if name not in by_source}
-    arrays = {name: _braces(value) for name, value in (by_source | kept).items()}
-    arrays |= {name: str(kept[name][0]) for name in ("syn2", "mem2")}
+    decays = {name: DECAY_ONE - value for name, value in integers.items() if name not in by_source}
+    arrays = {name: _braces(value) for name, value in (by_source | decays).items()}
+    arrays |= {name: str(decays[name][0]) for name in ("syn2", "mem2")}
     values = {
         "encoding": config.encoding,
         "hidden": config.hidden,

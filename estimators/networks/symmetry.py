@@ -34,7 +34,7 @@ OPERATIONS = np.array(
 """The eight of D4: the identity first, then the mirror, the turn, the mirror and then the turn, ..."""
 
 
-class Ties(NamedTuple):
+class WeightSharing(NamedTuple):
     """Entries of an array that are one weight: each is `sign` times the entry `first`."""
 
     first: Ints
@@ -54,7 +54,7 @@ class Ties(NamedTuple):
         return (means[self.first] * self.sign).astype(values.dtype).reshape(values.shape)
 
 
-def ties(encoding: int, hidden: int) -> dict[str, Ties]:
+def weight_sharing(encoding: int, hidden: int) -> dict[str, WeightSharing]:
     """The sharing of each weight and time constant of Att-SNN that D4 leaves free; the outputs have none.
 
     Args:
@@ -71,15 +71,17 @@ def ties(encoding: int, hidden: int) -> dict[str, Ties]:
     layers = {"w_in": (first, rates_forces), "w_ff": (second, first), "w_rec": (second, second),
               "w_out": (angles, second), "syn0": (first, single), "mem0": (first, single),
               "syn1": (second, single), "mem1": (second, single)}  # fmt: skip
-    return {name: _ties(rows, columns) for name, (rows, columns) in layers.items()}
+    return {name: _sharing(rows, columns) for name, (rows, columns) in layers.items()}
 
 
 def is_symmetric(tensors: Mapping[str, NDArray]) -> bool:
     """Whether a network's tensors share their weights as D4 asks; those of a GRU do not."""
     if "w_in" not in tensors:
         return False
-    shared = ties(len(tensors["w_in"]), len(tensors["w_ff"]))
-    return all(np.array_equal(tied.copied(tensors[name]), tensors[name]) for name, tied in shared.items())
+    shared = weight_sharing(len(tensors["w_in"]), len(tensors["w_ff"]))
+    return all(
+        np.array_equal(sharing.apply(tensors[name]), tensors[name]) for name, sharing in shared.items()
+    )
 
 
 Action = tuple[Ints, NDArray[np.floating]]
@@ -112,7 +114,7 @@ def _on_neurons(n: int, operation: int) -> Ints:
     return source
 
 
-def _ties(rows: list[Action], columns: list[Action]) -> Ties:
+def _sharing(rows: list[Action], columns: list[Action]) -> WeightSharing:
     width = columns[0][0].size
     both = list(zip(rows, columns, strict=True))
     entries = np.array([(row[:, None] * width + column).ravel() for (row, _), (column, _) in both])
@@ -121,4 +123,4 @@ def _ties(rows: list[Action], columns: list[Action]) -> Ties:
     towards = entries == first
     sign = signs[towards.argmax(0), np.arange(first.size)]
     torn = (towards & (signs != sign)).any(0)  # an operation that maps the entry onto minus itself
-    return Ties(first, np.where(torn, 0.0, sign).astype(np.float32))
+    return WeightSharing(first, np.where(torn, 0.0, sign).astype(np.float32))

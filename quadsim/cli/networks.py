@@ -173,7 +173,7 @@ def tune(
 
     from ..dataset.reading import open_dataset
 
-    flown = [open_dataset(path) for path in data]
+    datasets = [open_dataset(path) for path in data]
     options = [f"--data {path}" for path in data]
     options += [f"--particles {particles} --iterations {iterations}"]
     options += [f"--flights {flights}"] * (flights is not None)
@@ -187,7 +187,7 @@ def tune(
 
             tuned = tune_filter(
                 name,
-                flown,
+                datasets,
                 SearchSettings(search, particles, iterations, seed),
                 FlightSelection(flights, pieces, initial),
                 workers=threads,

@@ -18,7 +18,7 @@ from .reading import open_dataset
 
 Array = NDArray[np.float64]
 
-LINES = (("#111111", "-"), ("#0072b2", "--"), ("#e08a00", "-."))  # told apart in grey too
+LINES = (("#111111", "-"), ("#0072b2", "--"), ("#e08a00", "-."))  # distinct in grey too
 STYLE: dict[RcKeyType, object] = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -66,7 +66,7 @@ def plot(path: str | Path, out_png: str | Path) -> Path:
     flights, rate_hz = dataset.sizes["flight"], dataset.attrs["rate_hz"]
     every = max(1, int(dataset["valid_steps"].sum()) // SAMPLES)
     longest = int(np.argmax(dataset["valid_steps"].to_numpy()))
-    shown = _flown(dataset, longest).isel(time=slice(max(1, round(SHOWN_S * rate_hz))))
+    shown = _valid_samples(dataset, longest).isel(time=slice(max(1, round(SHOWN_S * rate_hz))))
     if shown.sizes["time"] == 0:
         raise ValueError(f"{path}: every flight ended before its first sample; there is nothing to draw")
     with matplotlib.rc_context(STYLE):
@@ -85,10 +85,10 @@ def plot(path: str | Path, out_png: str | Path) -> Path:
     return out
 
 
-def _quantities(flown: xr.Dataset) -> list[Quantity]:
+def _quantities(flight: xr.Dataset) -> list[Quantity]:
     """What is drawn of some samples of one flight."""
-    gyro, accel = flown["gyro"].to_numpy(), flown["accel"].to_numpy()
-    angles = np.degrees(roll_pitch_from_quat(flown["quat"].to_numpy().astype(float)))
+    gyro, accel = flight["gyro"].to_numpy(), flight["accel"].to_numpy()
+    angles = np.degrees(roll_pitch_from_quat(flight["quat"].to_numpy().astype(float)))
     return [
         Quantity("Gyroscope", "rad/s", "xyz", gyro),
         Quantity("Accelerometer x, y", "m/s²", "xy", accel[:, :2]),
@@ -97,7 +97,7 @@ def _quantities(flown: xr.Dataset) -> list[Quantity]:
     ]
 
 
-def _flown(dataset: xr.Dataset, flight: int) -> xr.Dataset:
+def _valid_samples(dataset: xr.Dataset, flight: int) -> xr.Dataset:
     one = dataset.isel(flight=flight)
     return one.isel(time=slice(int(one["valid_steps"])))
 
@@ -105,7 +105,7 @@ def _flown(dataset: xr.Dataset, flight: int) -> xr.Dataset:
 def _all_samples(dataset: xr.Dataset, every: int) -> list[Quantity]:
     """The same of all flights, decimated."""
     flights = [
-        _quantities(_flown(dataset, flight).isel(time=slice(None, None, every)))
+        _quantities(_valid_samples(dataset, flight).isel(time=slice(None, None, every)))
         for flight in range(dataset.sizes["flight"])
     ]
     return [

@@ -82,9 +82,7 @@ def generate(
     except ChildProcessError:
         raise
     except OSError as error:
-        raise OSError(
-            f"cannot write {out}: {error.strerror or error}; flights done so far are kept"
-        ) from error
+        raise OSError(f"cannot write {out}: {error.strerror or error}; finished flights stay") from error
     return out
 
 
@@ -180,7 +178,7 @@ def _fly_all(
             if executor is not None or attempt == ATTEMPTS - 1:
                 raise ChildProcessError(
                     f"worker processes keep dying (out of memory, or killed); {done} of {plan.flights} "
-                    "flights are kept: rerun to resume, with fewer workers"
+                    "flights are finished and stay: rerun to resume, with fewer workers"
                 ) from error
             log.warning("a worker process died; starting again with the flights that are missing")
 

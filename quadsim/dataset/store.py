@@ -360,13 +360,13 @@ def fault(path: Path, flight: int) -> str:
         if stored_bytes(path, flight) != _array(group, "stored_bytes")[flight]:
             return "a file is cut short"
         values = {name: np.asarray(_array(group, name)[flight]) for name in VARIABLES}
-        kept = str(_array(group, "checksum")[flight])
+        stored = str(_array(group, "checksum")[flight])
     except Exception as error:  # whatever a codec says of what it cannot decode
         return f"it cannot be read: {error}"
     for name, array in values.items():
         if not np.isfinite(array).all():
             return f"{name} is not finite"
-    return "" if checksum(values) == kept else "its checksum differs"
+    return "" if checksum(values) == stored else "its checksum differs"
 
 
 def checksum(values: Mapping[str, NDArray[np.float32]]) -> str:
@@ -459,7 +459,7 @@ def _write_coordinates(store: Path, plan: Plan | RecordedPlan, records: Sequence
     put("time", "time", time, units="s", long_name="time since the start of the flight")
     for dim, names in labels(plan).items():
         put(dim, dim, np.array(names, dtype=object), long_name="component")
-    per_flight("valid_steps", long_name="samples flown; any later ones repeat the last of them")
+    per_flight("valid_steps", long_name="valid samples; any later ones repeat the last of them")
     per_flight("end_reason", long_name="why the flight ended early; empty if it lasted its full time")
     per_flight("checksum", long_name="SHA-256 over the numbers of the flight, variable after variable")
     per_flight("stored_bytes", units="byte", long_name="size of the flight on the disk")

@@ -32,7 +32,7 @@ class Recipe(Strict):
         default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
     )
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
-        default=4.0, description="Flown before recording [s]."
+        default=4.0, description="Simulated before recording [s]."
     )
 
 

@@ -330,10 +330,10 @@ def _together(time: Array) -> NDArray[np.bool_]:
     """Stamps with `FEWEST` neighbours in the log that are near in time; the others are a clock's mistakes."""
     cuts = np.flatnonzero(np.abs(np.diff(time)) > LONGEST_GAP_S) + 1
     runs = np.split(np.arange(time.size), cuts)
-    kept = np.zeros(time.size, bool)
+    usable = np.zeros(time.size, bool)
     for run in runs:
-        kept[run] = run.size >= FEWEST
-    return kept
+        usable[run] = run.size >= FEWEST
+    return usable
 
 
 def _median_norm(quat: Array | None) -> float | None:

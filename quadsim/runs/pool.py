@@ -11,8 +11,8 @@ from contextlib import contextmanager, nullcontext
 from multiprocessing.connection import wait
 from typing import TypeVar
 
-CLUSTER_LOST = "the cluster was lost; what is finished is kept: give the same command again"
-WORKER_DIED = "a worker process died (out of memory, or killed); what is finished is kept: rerun to go on"
+CLUSTER_LOST = "the cluster was lost; finished work stays: give the same command again"
+WORKER_DIED = "a worker process died (out of memory, or killed); finished work stays: rerun to go on"
 POLL_S = 1.0
 """Time between two calls of `tick`."""
 

@@ -92,7 +92,7 @@ class Mix(Strict):
 
     kind: Literal["mix"] = "mix"
     position: Position = Field(
-        default=(0.0, 0.0, 20.0), description="Start and centre of the flown volume [m]."
+        default=(0.0, 0.0, 20.0), description="Start and centre of the flight volume [m]."
     )
     max_tilt_deg: PeakTilt = Field(default=45.0, description="Largest tilt that a reference asks for [deg].")
     min_tilt_deg: Annotated[float, Between(0.0, 55.0, "°")] = Field(

@@ -128,10 +128,10 @@ def make_cell(
     Raises:
         ValueError: If numbers of the flight grew beyond all bounds.
     """
-    flown = log[np.arange(mission.steps) < end[:, None]]
-    if not np.isfinite(flown["estimate"]).all():
+    valid = log[np.arange(mission.steps) < end[:, None]]
+    if not np.isfinite(valid["estimate"]).all():
         raise ValueError(f"{estimator} estimated a roll or pitch that is no finite number")
-    if not (np.abs(flown.view(np.float64)) < BOUNDLESS).all():
+    if not (np.abs(valid.view(np.float64)) < BOUNDLESS).all():
         raise ValueError("numbers of the flight grew beyond all bounds; is one of the scenario too large?")
     metrics = vars(flight_metrics(log, end, mission.rate_hz, mission.vehicle))
     flights = [

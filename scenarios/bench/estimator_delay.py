@@ -116,7 +116,10 @@ def draw(found: Sequence[Response], rate_hz: float = 200.0, title: str = "") -> 
             label = f"{each.delay_ms:g} ms"
             panels[1, 0].plot(time, each.linear, color=colour, label=label)
             panels[1, 1].plot(time, each.step, color=colour, label=label)
-        for axes, name in ((panels[1, 0], "Step of roll, linear loop"), (panels[1, 1], "The same, flown")):
+        for axes, name in (
+            (panels[1, 0], "Step of roll, linear loop"),
+            (panels[1, 1], "The same, simulated"),
+        ):
             axes.axhline(STEP_DEG, color="#999999", lw=0.8, ls=":")
             axes.set(title=name, xlabel="time [s]", ylabel="roll [°]", ylim=(-1, 20), xlim=(0, STEP_S))
         panels[1, 1].legend(title="delay of the estimator", ncols=2, fontsize=8, title_fontsize=8)

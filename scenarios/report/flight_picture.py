@@ -27,17 +27,17 @@ class Picture(NamedTuple):
 
 def cover(cells: Sequence[Cell], vehicle: str = "hummingbird") -> tuple[Picture | None, str]:
     """A picture for the top of a report, or None and the reason why there is none."""
-    flown = {
+    simulated = {
         (cell.scenario, cell.estimator): cell
         for cell in cells
         if cell.series
         and cell.scenario in SHOWN
         and unpack_series(cell.series)["time"][-1] > SHOWN[cell.scenario][0]
     }
-    names = [*PREFERRED, *(estimator for _, estimator in flown)]
-    chosen = next((flown[s, e] for s in SHOWN for e in names if (s, e) in flown), None)
+    names = [*PREFERRED, *(estimator for _, estimator in simulated)]
+    chosen = next((simulated[s, e] for s in SHOWN for e in names if (s, e) in simulated), None)
     if chosen is None:
-        return None, f"no picture: none of {', '.join(SHOWN)} was flown for long enough"
+        return None, f"no picture: none of {', '.join(SHOWN)} lasted long enough"
     start, end = SHOWN[chosen.scenario]
     try:
         image = flight_picture(chosen, load_vehicle(vehicle), start, end)

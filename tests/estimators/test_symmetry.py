@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from estimators.analysis.ablation import connected, pruned
 from estimators.analysis.activity import record
 from estimators.networks.network import OnLoihi
-from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, ties
+from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
 from estimators.spiking import MATRICES
 from training.augment import roll_pitch_of_up
@@ -100,19 +100,19 @@ def test_turned_and_mirrored_readings_give_the_turned_outputs_to_the_last_bit(en
 @settings(max_examples=25, deadline=None)
 def test_copies_and_means_are_fixed_by_the_symmetry(encoding, hidden):
     shapes = {"w_in": (encoding, 6), "w_ff": (hidden, encoding), "w_out": (2, hidden), "mem1": (hidden,)}
-    for name, tied in ties(encoding, hidden).items():
+    for name, sharing in weight_sharing(encoding, hidden).items():
         if name in shapes:
             values = np.random.default_rng(0).normal(size=shapes[name])
-            copied, mean = tied.copied(values), tied.mean(values)
-            np.testing.assert_array_equal(tied.copied(copied), copied)
-            np.testing.assert_array_equal(tied.copied(mean), mean)
-            np.testing.assert_allclose(tied.mean(copied), copied, atol=1e-12)
+            copied, mean = sharing.apply(values), sharing.mean(values)
+            np.testing.assert_array_equal(sharing.apply(copied), copied)
+            np.testing.assert_array_equal(sharing.apply(mean), mean)
+            np.testing.assert_allclose(sharing.mean(copied), copied, atol=1e-12)
             assert np.linalg.norm(mean) <= np.linalg.norm(values)  # a projection
 
 
 def test_a_hundred_neurons_a_layer_share_a_few_weights():
-    shared = ties(100, 100)
-    different = {name: len(np.unique(tied.first[tied.sign != 0])) for name, tied in shared.items()}
+    shared = weight_sharing(100, 100)
+    different = {name: len(np.unique(sharing.first[sharing.sign != 0])) for name, sharing in shared.items()}
     assert different["w_rec"] == different["w_ff"] == 1251  # of 10000
     assert different["mem0"] == different["mem1"] == 13
 
@@ -122,9 +122,9 @@ def test_gradients_are_shared_as_the_weights_are():
     x = torch.from_numpy(np.round(np.random.default_rng(1).normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024)
     out, _ = model(x)
     out.square().mean().backward()
-    for name, tied in model.sharing.items():
+    for name, sharing in model.sharing.items():
         gradient = getattr(model, name).grad.numpy()
-        np.testing.assert_array_equal(tied.copied(gradient), gradient)
+        np.testing.assert_array_equal(sharing.apply(gradient), gradient)
         assert np.abs(gradient).max() > 0
 
 

@@ -243,7 +243,9 @@ def test_workers_that_keep_dying_are_one_clear_error(tmp_path, monkeypatch):
         for worker in multiprocessing.active_children():
             worker.kill()
 
-    with pytest.raises(ChildProcessError, match=r"keep dying .*of 40 flights are kept: rerun to resume"):
+    with pytest.raises(
+        ChildProcessError, match=r"keep dying .*of 40 flights are finished and stay: rerun to resume"
+    ):
         generate(CONFIG, 40, DURATION, tmp_path / "x.zarr", workers=2, progress=kill_all_workers)
 
 

@@ -101,7 +101,7 @@ def test_cover_shows_the_preferred_flight_or_says_why_not():
     picture, note = cover(cells)
     assert picture is not None
     assert (picture.caption, note) == ("step with truth, from 1.9 s to 4.2 s", "")
-    assert cover(cells[:1]) == (None, "no picture: none of step, figure-8, racing was flown for long enough")
+    assert cover(cells[:1]) == (None, "no picture: none of step, figure-8, racing lasted long enough")
 
 
 @pytest.mark.parametrize(
