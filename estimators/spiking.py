@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .networks.forward import BIAS_EXP, MATRICES, STATE_ONE, THRESHOLD, State, Weights
+from .networks.forward import BIAS_EXP, MATRICES, STATE_ONE, THRESHOLD, NetworkState, Weights
 
 SURROGATE_WIDTH = 20.0
 _V_MAX = 2.0**23 - 1
@@ -50,16 +50,20 @@ def quantise_decay(tau: Tensor) -> Tensor:
     return _straight(tau, 1 - torch.clamp(torch.round(4096 * (1 - tau)), 1, 4096) / 4096)
 
 
-def rest(n: int, weights: Weights[Tensor]) -> State[Tensor]:
+def rest(n: int, weights: Weights[Tensor]) -> NetworkState[Tensor]:
     """State of `n` copies at rest; here spikes are 0 or 1, of shape (n, neurons)."""
     w = weights.w_ff
     h0, h1, outputs = (w.new_zeros(n, size) for size in (w.shape[1], w.shape[0], len(weights.w_out)))
-    return State(h0, h0, h0, h1, h1, h1, h1, outputs, outputs)
+    return NetworkState(h0, h0, h0, h1, h1, h1, h1, outputs, outputs)
 
 
 def step(
-    x: Tensor, w: Weights[Tensor], state: State[Tensor], quantised: bool = False, recurrent_delay: int = 1
-) -> State[Tensor]:
+    x: Tensor,
+    w: Weights[Tensor],
+    state: NetworkState[Tensor],
+    quantised: bool = False,
+    recurrent_delay: int = 1,
+) -> NetworkState[Tensor]:
     """One step of the network, one PyTorch operation after the other.
 
     Args:
@@ -92,7 +96,7 @@ def step(
     v1 = membrane(state.v1, state.s1, u1, w.mem1)
     v0 = membrane(state.v0, state.s0, _straight(u0, _bias(u0)) if quantised else u0, w.mem0)
     s0, s1 = (superspike((v / STATE_ONE if quantised else v) - THRESHOLD) for v in (v0, v1))
-    return State(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else state.s1, u2, v2)
+    return NetworkState(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else state.s1, u2, v2)
 
 
 def states(
@@ -100,8 +104,8 @@ def states(
     weights: Weights[Tensor],
     quantised: bool = False,
     recurrent_delay: int = 1,
-    state: State[Tensor] | None = None,
-) -> list[State[Tensor]]:
+    state: NetworkState[Tensor] | None = None,
+) -> list[NetworkState[Tensor]]:
     """State after each step of a sequence.
 
     Args:

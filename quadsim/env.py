@@ -154,7 +154,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         duration_s: float | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._flights = Flights(estimator, scenario, level, 1, rate_hz, duration_s, render_mode)
+        self._flights = Episodes(estimator, scenario, level, 1, rate_hz, duration_s, render_mode)
         self.render_mode = render_mode
         self.observation_space, self.action_space = self._flights.spaces()
         self._over = False
@@ -213,7 +213,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         duration_s: float | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._flights = Flights(estimator, scenario, level, num_envs, rate_hz, duration_s, render_mode)
+        self._flights = Episodes(estimator, scenario, level, num_envs, rate_hz, duration_s, render_mode)
         self.num_envs, self.render_mode = num_envs, render_mode
         self.single_observation_space, self.single_action_space = self._flights.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -259,7 +259,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self._flights.close()
 
 
-class Flights:
+class Episodes:
     """What both environments do: a mission, driven by actions, turned into observations and rewards."""
 
     def __init__(

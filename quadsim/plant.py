@@ -179,9 +179,13 @@ class Plant:
                 'with another integrator, use "mujoco" or "auto"'
             )
         self.engine = None if free and engine != "mujoco" else MujocoEngine(model, self.vehicles, contact)
-        for name in (*State._fields, "roll_pitch", "yaw", "wind"):
-            setattr(self, name, self.vehicles[name])
-        self.rotor_effect = self.vehicles["effect"]
+        v = self.vehicles
+        self.position, self.velocity, self.quat, self.ang_vel = (
+            v[name] for name in ("position", "velocity", "quat", "ang_vel")
+        )
+        self.rotor_vel, self.rotor_effect, self.wind = v["rotor_vel"], v["effect"], v["wind"]
+        self.specific_force, self.ang_acc = v["specific_force"], v["ang_acc"]
+        self.roll_pitch, self.yaw = v["roll_pitch"], v["yaw"]
         self.reset()
 
     def reset(

@@ -65,7 +65,7 @@ class Dryden(Strict):
     """Direction of flight through the air, counter-clockwise from world x [deg]."""
 
 
-class Recording(Strict):
+class WindRecording(Strict):
     """Wind measured over time: a CSV file with the header `t,x,y,z` [s, m/s], linear between its rows."""
 
     kind: Literal["file"] = "file"
@@ -73,7 +73,7 @@ class Recording(Strict):
     """The file; before its first row and after its last one these hold."""
 
 
-WindSpec: TypeAlias = Annotated[Constant | Gust | Dryden | Recording, Field(discriminator="kind")]
+WindSpec: TypeAlias = Annotated[Constant | Gust | Dryden | WindRecording, Field(discriminator="kind")]
 """Any wind of a TOML file, distinguished by its `kind`: "constant", "gust", "dryden" or "file"."""
 
 
@@ -280,7 +280,7 @@ def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
     return numbers
 
 
-def _function_of_time(spec: Constant | Gust | Recording) -> Callable[[Array], Array]:
+def _function_of_time(spec: Constant | Gust | WindRecording) -> Callable[[Array], Array]:
     """Wind (..., 3) [m/s] at times (...) [s] of a wind that is the same for every seed."""
     match spec:
         case Constant():
@@ -293,7 +293,7 @@ def _function_of_time(spec: Constant | Gust | Recording) -> Callable[[Array], Ar
                 rise=spec.rise,
                 hold=spec.hold,
             )
-        case Recording():
+        case WindRecording():
             times, winds = read_recording(spec.path)
             return lambda time: np.stack([np.interp(time, times, column) for column in winds.T], axis=-1)
 

@@ -39,7 +39,7 @@ def manipulations(flights: Flights) -> dict[str, tuple[Array, Array]]:
 
 
 @dataclass(frozen=True)
-class Response:
+class StimulusResponse:
     """What a network estimates from manipulated inputs."""
 
     error_deg: float
@@ -54,7 +54,7 @@ class Response:
     """Roll and pitch of the first flight, (T, 2) [rad]."""
 
 
-def responses(est: NetworkEstimator, flights: Flights) -> dict[str, Response]:
+def responses(est: NetworkEstimator, flights: Flights) -> dict[str, StimulusResponse]:
     """Error and gain of a network under each manipulation, from an unknown start."""
     found = {}
     for name, (gyro, accel) in manipulations(flights).items():
@@ -64,7 +64,9 @@ def responses(est: NetworkEstimator, flights: Flights) -> dict[str, Response]:
             _gain(estimate, flights.truth, flights.rate_hz, low, high)
             for low, high in ((0.0, np.inf), (0.0, SLOW_HZ), (FAST_HZ, np.inf))
         )
-        found[name] = Response(attitude_error(estimate, flights.truth).mean, whole, slow, fast, estimate[0])
+        found[name] = StimulusResponse(
+            attitude_error(estimate, flights.truth).mean, whole, slow, fast, estimate[0]
+        )
     return found
 
 
@@ -78,7 +80,7 @@ def _gain(estimate: Array, truth: Array, rate_hz: float, low: float, high: float
 
 
 @dataclass(frozen=True)
-class Tuning:
+class TuningCurves:
     """Spike rates of all neurons against one quantity."""
 
     centres: Array
@@ -89,7 +91,7 @@ class Tuning:
     """Share of the variance of a neuron's smoothed rate that its curve explains, (neurons,)."""
 
 
-def tuning_curves(activity: Activity, flights: Flights, smooth_s: float = 0.1) -> dict[str, Tuning]:
+def tuning_curves(activity: Activity, flights: Flights, smooth_s: float = 0.1) -> dict[str, TuningCurves]:
     """Mean rate of every neuron in bins of roll, pitch and their rates, which hold equally many samples.
 
     Args:
@@ -109,12 +111,12 @@ def tuning_curves(activity: Activity, flights: Flights, smooth_s: float = 0.1) -
     return {name: _curve(rate, means[:, k]) for k, name in enumerate(QUANTITIES)}
 
 
-def preferred(curves: dict[str, Tuning]) -> NDArray[np.int64]:
+def preferred(curves: dict[str, TuningCurves]) -> NDArray[np.int64]:
     """For each neuron the quantity that explains most of its rate, as an index into `QUANTITIES`."""
     return np.argmax([curves[name].explained for name in QUANTITIES], axis=0)
 
 
-def _curve(rate: Array, quantity: Array) -> Tuning:
+def _curve(rate: Array, quantity: Array) -> TuningCurves:
     edges = np.quantile(quantity, np.linspace(0, 1, BINS + 1))
     place = np.clip(np.searchsorted(edges, quantity, side="right") - 1, 0, BINS - 1)
     counts = np.bincount(place, minlength=BINS)
@@ -124,4 +126,4 @@ def _curve(rate: Array, quantity: Array) -> Tuning:
         between = np.nansum(counts * (mean - rate.mean(axis=0)[:, None]) ** 2, axis=1) / len(rate)
         explained = np.nan_to_num(between / rate.var(axis=0))
     centres = np.bincount(place, quantity, BINS) / np.maximum(counts, 1)
-    return Tuning(centres, mean, explained)
+    return TuningCurves(centres, mean, explained)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..loihi.chip import Core
+from ..loihi.chip import ChipCore
 from ..networks.network import OnLoihi
 from ..networks.weights_file import NetworkConfig
 from .activity import Activity
@@ -103,7 +103,7 @@ def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
     }
 
 
-def synapses(cores: Sequence[Core], neurons: int) -> NDArray[np.int64]:
+def synapses(cores: Sequence[ChipCore], neurons: int) -> NDArray[np.int64]:
     """Synapses of each neuron on each core, (neurons, cores)."""
     return np.stack([core.synapses[-neurons:] for core in cores], axis=1)
 

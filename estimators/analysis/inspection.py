@@ -20,7 +20,7 @@ from ..networks.weights_file import NetworkConfig, Tensors, load_network, shippe
 from . import inspection_figures as figures
 from .ablation import CRITERIA, ablation, importance
 from .activity import Activity, record
-from .encoding_study import Response, Tuning, preferred, responses, tuning_curves
+from .encoding_study import StimulusResponse, TuningCurves, preferred, responses, tuning_curves
 from .energy import Cost, costs, counts
 
 FRACTIONS = tuple(np.round(np.arange(0.0, 0.65, 0.05), 2))
@@ -38,8 +38,8 @@ class Inspection:
     core: OnLoihi
     activity: Activity
     costs: list[Cost]
-    responses: dict[str, Response]
-    tuning: dict[str, Tuning]
+    responses: dict[str, StimulusResponse]
+    tuning: dict[str, TuningCurves]
     ablation: dict[str, NDArray[np.float64]]
     """Criterion to the error at each of FRACTIONS [deg]."""
     truth: NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from quadsim.dataset.figures import STYLE
 
 from .activity import Activity
-from .encoding_study import Response, Tuning, preferred
+from .encoding_study import StimulusResponse, TuningCurves, preferred
 
 Array = NDArray[np.float64]
 COLOURS = ("#33658a", "#c0563b", "#e08a00", "#777777")
@@ -117,7 +117,7 @@ def ablation_curve(
     return figure
 
 
-def manipulated(found: Mapping[str, Response], truth: Array, rate_hz: float) -> Figure:
+def manipulated(found: Mapping[str, StimulusResponse], truth: Array, rate_hz: float) -> Figure:
     """Roll of the first flight estimated from manipulated inputs (the paper's Fig. 8)."""
     length = min(round(SHOWN_S * rate_hz), len(truth))
     time = np.arange(length) / rate_hz
@@ -136,7 +136,7 @@ def manipulated(found: Mapping[str, Response], truth: Array, rate_hz: float) -> 
     return figure
 
 
-def tuning(activity: Activity, curves: Mapping[str, Tuning]) -> Figure:
+def tuning(activity: Activity, curves: Mapping[str, TuningCurves]) -> Figure:
     """Rates of the hidden neurons against roll, pitch and their rates, sorted by what they follow."""
     best = activity.of_layer(preferred(dict(curves)), 1)
     with matplotlib.rc_context(STYLE):

@@ -31,7 +31,7 @@ _INDEX_BITS = (6, 7, 8, 9, 10)
 
 
 @dataclass
-class Core:
+class ChipCore:
     """The neurons of one core.
 
     Args:
@@ -64,10 +64,12 @@ class Core:
             "synaptic bits": synaptic_bits(self.synapses, count),
         }
 
-    def with_neuron(self, layer: int, neuron: int, profile: tuple[int, int], vth: int, inputs: Ints) -> Core:
+    def with_neuron(
+        self, layer: int, neuron: int, profile: tuple[int, int], vth: int, inputs: Ints
+    ) -> ChipCore:
         """A core that holds one neuron more, whose synapses come from the sources `inputs`."""
         neurons = {**self.neurons, layer: [*self.neurons.get(layer, ()), neuron]}
-        core = Core(self.sources, neurons, self.profiles | {profile}, self.thresholds | {vth})
+        core = ChipCore(self.sources, neurons, self.profiles | {profile}, self.thresholds | {vth})
         core.synapses = self.synapses.copy()
         core.synapses[inputs] += 1
         return core
@@ -93,7 +95,7 @@ def synaptic_bits(synapses: Ints, compartments: int) -> int:
     return int(_WORD_BITS * np.sum(whole * words(_BLOCK) + np.where(rest > 0, words(rest), 0)))
 
 
-def excess(core: Core) -> list[str]:
+def excess(core: ChipCore) -> list[str]:
     """Every limit of a core that is exceeded, and by how much; empty where it fits."""
     return [
         f"{used} {name}, a core has {LIMITS[name]}: {used - LIMITS[name]} too many"
@@ -102,7 +104,7 @@ def excess(core: Core) -> list[str]:
     ]
 
 
-def partition(layers: Sequence[LoihiLayer]) -> list[Core]:
+def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
     """Place a network: layer after layer, neurons of one profile together, a new core when the last is full.
 
     Args:
@@ -116,7 +118,7 @@ def partition(layers: Sequence[LoihiLayer]) -> list[Core]:
     """
     starts = _starts(layers)
     sources = int(starts[-1])
-    core, cores = Core(sources), []
+    core, cores = ChipCore(sources), []
     for k, layer in enumerate(layers):
         fan_in, profiles, vth = _fan_in(layer, int(starts[k])), decay_profiles(layer), np.asarray(layer.vth)
         for neuron in np.lexsort(profiles.T):
@@ -124,7 +126,7 @@ def partition(layers: Sequence[LoihiLayer]) -> list[Core]:
             profile = int(profiles[i, 0]), int(profiles[i, 1])
             grown = core.with_neuron(k, i, profile, int(vth[i]), fan_in[i])
             if excess(grown):
-                alone = Core(sources).with_neuron(k, i, profile, int(vth[i]), fan_in[i])
+                alone = ChipCore(sources).with_neuron(k, i, profile, int(vth[i]), fan_in[i])
                 if wrong := excess(alone):
                     raise ValueError(f"neuron {i} of layer {k}: {wrong[0]}")
                 cores.append(core)
@@ -162,7 +164,7 @@ def _fan_in(layer: LoihiLayer, start: int) -> list[Ints]:
     return [start - w_in.shape[1] + np.flatnonzero(row) for row in weights]
 
 
-def _count_fan_out(cores: Sequence[Core], starts: Ints) -> None:
+def _count_fan_out(cores: Sequence[ChipCore], starts: Ints) -> None:
     """Axons of each core: one for every neuron and every core that the neuron has synapses on."""
     reached = np.sum([core.synapses > 0 for core in cores], axis=0)
     for core in cores:

@@ -66,7 +66,7 @@ class Weights(NamedTuple, Generic[Values]):
 MATRICES, TIME_CONSTANTS = Weights._fields[:4], Weights._fields[4:]
 
 
-class State(NamedTuple, Generic[Values]):
+class NetworkState(NamedTuple, Generic[Values]):
     """Currents u, membrane potentials v and spikes s of the layers, one row for each copy of the network."""
 
     u0: Values
@@ -89,11 +89,11 @@ class State(NamedTuple, Generic[Values]):
     """Shape (n, outputs)."""
 
 
-def rest(n: int, h0: int, h1: int, outputs: int = 2, recurrent_delay: int = 1) -> State[NDArray]:
+def rest(n: int, h0: int, h1: int, outputs: int = 2, recurrent_delay: int = 1) -> NetworkState[NDArray]:
     """States of `n` copies at rest."""
     u0, v0, u1, v1, u2, v2 = (np.zeros((n, size)) for size in (h0, h0, h1, h1, outputs, outputs))
     s0, s1, delayed = (np.zeros((n, size + 1), np.int32) for size in (h0, h1, h1))
-    return State(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else delayed, u2, v2)
+    return NetworkState(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else delayed, u2, v2)
 
 
 @njit(cache=True, inline="always")
@@ -221,7 +221,7 @@ def step(x, w, state, total, drive, quantised):
 @njit(cache=True, inline="always")
 def _row(state, n):
     """The state of one copy."""
-    return State(
+    return NetworkState(
         state.u0[n],
         state.v0[n],
         state.s0[n],
@@ -268,12 +268,12 @@ def run(readings, scaling, weights, encoder, state, settings, quantised, out):
         scaling: `Scaling` of the readings.
         weights: `Weights` by source, in state units.
         encoder: States of the encoder, shape (n,); changed.
-        state: `State` of the network; changed.
+        state: `NetworkState` of the network; changed.
         settings: Network steps for each sample, and radians for a state unit.
         quantised: Integer arithmetic (True) or floats.
         out: Roll and pitch after each sample [rad], shape (n, T, outputs); written.
     """
-    scaling, weights, state = Scaling(*scaling), Weights(*weights), State(*state)
+    scaling, weights, state = Scaling(*scaling), Weights(*weights), NetworkState(*state)
     if quantised:
         _run(readings, scaling, weights, encoder, state, settings, True, out)
     else:

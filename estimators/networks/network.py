@@ -68,7 +68,7 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
     return NetworkEstimator(OnLoihi(config, tensors), rate_hz)
 
 
-class Core(Protocol):
+class NetworkCore(Protocol):
     """A network without memory of its own: states go in, are changed, and outputs come back."""
 
     def zero(self, n: int) -> States:
@@ -81,7 +81,7 @@ class Core(Protocol):
 
 
 class NetworkEstimator:
-    """A network that estimates the attitude of n vehicles: the estimator protocol around a `Core`.
+    """A network that estimates the attitude of n vehicles: the estimator protocol around a `NetworkCore`.
 
     A network never gets the initial attitude, as in the paper: `reset` and `restart` accept one, as those of
     every estimator do, and ignore it.
@@ -91,7 +91,7 @@ class NetworkEstimator:
         rate_hz: Samples per second.
     """
 
-    def __init__(self, core: Core, rate_hz: float) -> None:
+    def __init__(self, core: NetworkCore, rate_hz: float) -> None:
         """Start with one vehicle of unknown attitude."""
         self.core, self.rate_hz = core, rate_hz
         self.reset()

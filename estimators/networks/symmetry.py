@@ -42,7 +42,7 @@ class WeightSharing(NamedTuple):
     sign: Signs
     """Its sign, one for each entry; 0 where an operation maps the weight onto minus itself: it must be 0."""
 
-    def copied(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+    def apply(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """The array with each weight as its first entry has it."""
         return (values.ravel()[self.first] * self.sign.astype(values.dtype)).reshape(values.shape)
 

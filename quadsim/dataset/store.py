@@ -78,7 +78,7 @@ PER_FLIGHT = ("valid_steps", "end_reason", "checksum", "stored_bytes")
 
 Seed = Annotated[int, Between(0, 2**63 - 1)]
 FLIGHTS = Between(1, 10_000_000)
-Flights = Annotated[int, FLIGHTS]
+FlightCount = Annotated[int, FLIGHTS]
 Samples = Annotated[int, Between(1, 1_000_000_000)]
 
 
@@ -88,7 +88,7 @@ class Plan(Strict):
     format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
     quadsim_version: str
     seed: Seed
-    flights: Flights
+    flights: FlightCount
     steps: Samples
     rate_hz: SampleRate
     code: str
@@ -115,7 +115,7 @@ class RecordedPlan(Strict):
     format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
     quadsim_version: str
     seed: Seed = 0
-    flights: Flights
+    flights: FlightCount
     steps: Samples
     rate_hz: SampleRate
     code: str = ""
@@ -130,7 +130,7 @@ class Attributes(BaseModel):
     format_version: Annotated[int, Between(1, 1000)] = FORMAT_VERSION
     quadsim_version: str
     seed: Seed
-    flights: Flights
+    flights: FlightCount
     steps: Samples
     rate_hz: SampleRate
     duration_s: Annotated[float, Between(0.0, 1e7, "s")]

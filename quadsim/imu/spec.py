@@ -60,7 +60,7 @@ class Sensor(Strict):
         return self.resolution * math.floor(self.saturation / self.resolution * (1.0 + 1e-12))
 
 
-class Vibration(Strict):
+class RotorVibration(Strict):
     """What the imbalance of each rotor shakes; a property of the airframe more than of the sensor."""
 
     rotor_vel: RotorSpeed
@@ -84,7 +84,7 @@ class ImuSpec(Strict):
     """Roll, pitch and yaw of the sensor with respect to the body [deg]; readings are in sensor axes."""
     g_sensitivity: Annotated[float, Between(0.0, 1.0, "rad/s per m/s²")] = 0.0
     """Standard deviation of each element of the gyro's sensitivity to specific force [rad/s per m/s²]."""
-    vibration: Vibration | None = None
+    vibration: RotorVibration | None = None
     """Vibration of the rotors; left out, there is none."""
     dropped: Annotated[float, Between(0.0, 0.99)] = 0.0
     """Share of the samples that are lost; the reading is then the one before."""

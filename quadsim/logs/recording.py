@@ -17,7 +17,7 @@ from ..rotation import (
 )
 
 Array = NDArray[np.float64]
-Frame = Literal["flu", "frd"]
+AxesConvention = Literal["flu", "frd"]
 """Body forward-left-up in a world with z up (ROS), or forward-right-down in north-east-down (PX4)."""
 
 

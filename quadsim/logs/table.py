@@ -11,7 +11,7 @@ from pydantic import model_validator
 from ..config.ranges import Between, SampleRate
 from ..config.toml import Strict, load_toml, nearest
 from ..rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
-from .recording import Array, Frame, Recording, Track, axes_matrix, from_frd
+from .recording import Array, AxesConvention, Recording, Track, axes_matrix, from_frd
 
 Column = str | Annotated[int, Between(0, 9999)]
 """A name in the header, or a number counted from 0."""
@@ -96,7 +96,7 @@ class Table(Strict):
     """The first row that is read holds names."""
     skip_rows: Annotated[int, Between(0, 10**6)] = 0
     """Rows before that."""
-    frame: Frame = "flu"
+    frame: AxesConvention = "flu"
     """flu: body forward-left-up, world z up; frd: forward-right-down in north-east-down."""
     axes: str = "x,y,z"
     """Axes of the frame as axes of the IMU, such as "z,-y,x"; the attitude is of the frame already."""

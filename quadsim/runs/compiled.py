@@ -49,7 +49,7 @@ class OneCompiler(caching.FunctionCache):
             self._lock.release(force=True)
 
 
-dispatcher.FunctionCache = OneCompiler
+dispatcher.FunctionCache = OneCompiler  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def guvectorize(signatures: list[Any], layout: str) -> Callable[[Callable[..., None]], Callable[..., Any]]:

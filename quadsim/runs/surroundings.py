@@ -72,7 +72,7 @@ def _choose_cache(name: str) -> None:
     else:
         place = Path(tempfile.mkdtemp(prefix="numba-"))
         log.warning(
-            "no compiled code can be stored in %s: it is compiled anew in every run; set NUMBA_CACHE_DIR to a "
+            "no compiled code can be stored in %s: every run compiles it; set NUMBA_CACHE_DIR to a "
             "folder that can be written",
             " or ".join(map(str, places)),
         )

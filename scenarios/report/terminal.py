@@ -9,7 +9,7 @@ from rich.text import Text
 
 from estimators.analysis.ablation import Pruned
 from estimators.evaluation.comparison import EvaluationRow
-from estimators.loihi.chip import LIMITS, Core
+from estimators.loihi.chip import LIMITS, ChipCore
 
 from ..bench.breaking import BreakingPoint
 from ..bench.flight_metrics import CellRow
@@ -128,7 +128,7 @@ def offline_table(rows: Sequence[OfflineRow]) -> Table:
     return _table(title, ["estimator"], [*starts.values(), "silenced"], entries)
 
 
-def cores_table(cores: Sequence[Core]) -> Table:
+def cores_table(cores: Sequence[ChipCore]) -> Table:
     """The neurons of each core of a chip, and how much of each limit they take."""
     headings = [f"{name}\n({limit})" for name, limit in LIMITS.items()]
     layers = [", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items()) for core in cores]

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from quadsim.config.toml import preset_names
-from quadsim.imu.spec import PARTS, ImuSpec, Sensor, Vibration, load_imu
+from quadsim.imu.spec import PARTS, ImuSpec, RotorVibration, Sensor, load_imu
 from quadsim.imu.stream import BLOCK, ImuStream, simulate_imu, simulate_imu_with_bias
 from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
 
@@ -16,7 +16,7 @@ EVERYTHING = load_imu("px4-mini").model_copy(
     update={
         "lever_arm": (0.03, -0.01, 0.02),
         "mounting_deg": (5.0, -10.0, 90.0),
-        "vibration": Vibration(rotor_vel=450.0, gyro=(0.02, 0.02, 0.01), accel=(1.0, 1.0, 2.0)),
+        "vibration": RotorVibration(rotor_vel=450.0, gyro=(0.02, 0.02, 0.01), accel=(1.0, 1.0, 2.0)),
         "dropped": 0.05,
     }
 )
@@ -379,7 +379,8 @@ def test_gyro_error_by_force_is_proportional_and_has_its_spread():
 def vibrating(rotor_vel: float, rate_hz: float, low_pass_hz: float = 0.0) -> np.ndarray:
     """What one rotor shakes, axis x of the accelerometer."""
     spec = ImuSpec(
-        accel=Sensor(low_pass_hz=low_pass_hz), vibration=Vibration(rotor_vel=400.0, accel=(0.5, 0.0, 0.0))
+        accel=Sensor(low_pass_hz=low_pass_hz),
+        vibration=RotorVibration(rotor_vel=400.0, accel=(0.5, 0.0, 0.0)),
     )
     speeds = np.zeros((1, 4000, 4))
     speeds[..., 1] = rotor_vel

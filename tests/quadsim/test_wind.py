@@ -9,7 +9,7 @@ from quadsim.wind import (
     Constant,
     Dryden,
     Gust,
-    Recording,
+    WindRecording,
     WindSpec,
     _turbulence,
     dryden,
@@ -168,10 +168,10 @@ def test_seed_sequences_choose_the_vehicles():
 def test_recording_is_interpolated_and_held_at_its_ends(tmp_path):
     path = tmp_path / "wind.csv"
     path.write_text("t, x, y, z\n1,0,0,0\n2,4,-2,1\n\n")
-    wind = wind_series([Recording(path=str(path))], 2, 4, 1.0, seed=0)
+    wind = wind_series([WindRecording(path=str(path))], 2, 4, 1.0, seed=0)
     assert wind[0].tolist() == [[0, 0, 0], [0, 0, 0], [4, -2, 1], [4, -2, 1]]
     assert np.array_equal(wind[0], wind[1])
-    assert wind_series([Recording(path=str(path))], 1, 4, 2.0, seed=0)[0, 3].tolist() == [2.0, -1.0, 0.5]
+    assert wind_series([WindRecording(path=str(path))], 1, 4, 2.0, seed=0)[0, 3].tolist() == [2.0, -1.0, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_bad_recording_is_refused_with_its_line(tmp_path, text, reason):
 
 def test_missing_recording_is_one_clear_line(tmp_path):
     with pytest.raises(ValueError, match="cannot be read: No such file"):
-        wind_series([Recording(path=str(tmp_path / "none.csv"))], 1, 5, 200.0, seed=0)
+        wind_series([WindRecording(path=str(tmp_path / "none.csv"))], 1, 5, 200.0, seed=0)
 
 
 @pytest.mark.parametrize(

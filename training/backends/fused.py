@@ -17,7 +17,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.networks.forward import MATRICES, STATE_ONE, THRESHOLD, State, Weights, list_spikes, step
+from estimators.networks.forward import (
+    MATRICES,
+    STATE_ONE,
+    THRESHOLD,
+    NetworkState,
+    Weights,
+    list_spikes,
+    step,
+)
 from estimators.spiking import SURROGATE_WIDTH
 from quadsim.runs.compiled import njit
 
@@ -78,7 +86,9 @@ def _forward(x, weights, trace, delay, quantised):
     for t in range(x.shape[0]):
         for b in range(x.shape[1]):
             delayed = s1[t + 2 - delay, b]
-            state = State(u0[b], v0[b], s0[t + 1, b], u1[b], v1[b], s1[t + 1, b], delayed, u2[b], v2[b])
+            state = NetworkState(
+                u0[b], v0[b], s0[t + 1, b], u1[b], v1[b], s1[t + 1, b], delayed, u2[b], v2[b]
+            )
             step(x[t, b], weights, state, total, drive, quantised)
             list_spikes(state.v0, threshold, s0[t + 2, b])
             list_spikes(state.v1, threshold, s1[t + 2, b])

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.networks.forward import STATE_ONE, State, Weights
+from estimators.networks.forward import STATE_ONE, NetworkState, Weights
 from estimators.spiking import rest, states
 
 
@@ -19,7 +19,7 @@ class Plain:
     def __init__(self, quantised: bool = True, recurrent_delay: int = 1, threads: int = 1) -> None:
         """Start from rest."""
         self.quantised, self.recurrent_delay = quantised, recurrent_delay
-        self._ends: dict[tuple[int, int], State[Tensor]] = {}
+        self._ends: dict[tuple[int, int], NetworkState[Tensor]] = {}
 
     def forward(
         self, x: Tensor, weights: Weights[Tensor], reset: NDArray[np.bool_] | None = None
@@ -28,9 +28,9 @@ class Plain:
         shape, one = (x.shape[0], x.shape[1]), STATE_ONE if self.quantised else 1.0
         state = self._ends.get(shape, rest(len(x), weights))
         going_on = torch.from_numpy(np.zeros(len(x), bool) if reset is None else ~reset).to(x.device)
-        state = State(*(each * going_on[:, None] for each in state))
+        state = NetworkState(*(each * going_on[:, None] for each in state))
         self._every = states(x.to(weights.w_ff), weights, self.quantised, self.recurrent_delay, state)
-        self._ends[shape] = State(*(each.detach() for each in self._every[-1]))
+        self._ends[shape] = NetworkState(*(each.detach() for each in self._every[-1]))
         output = torch.stack([each.v2 for each in self._every], 1) / one
         rates = [torch.stack([getattr(each, s).mean() for each in self._every]).mean() for s in ("s0", "s1")]
         return output, torch.stack(rates)
@@ -53,7 +53,7 @@ class Plain:
         """The backend of these neurons alone."""
         smaller = copy(self)
         smaller._ends = {
-            shape: State(
+            shape: NetworkState(
                 *(x[:, encoding] for x in end[:3]), *(x[:, hidden] for x in end[3:7]), u2=end.u2, v2=end.v2
             )
             for shape, end in self._ends.items()
