@@ -253,13 +253,12 @@ class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
     After `control`, `rotor_vel_cmd` (n, rotors) holds its command and `thrust_axis` (n, 3) where it wants the
-    thrust to point, world axes. `records` are the last argument of `control`, for kernels that call it.
+    thrust to point, world axes. `records` (n,) are what `control` takes.
 
     Args:
         vehicle: The nominal vehicle; its `controller` gains are used, or designed when it has none.
         n: Number of vehicles.
         rate_hz: Samples per second.
-        gains: Other gains than the vehicle's.
         records: (n,) records of `controller_dtype` to use, for loops with larger records.
     """
 
@@ -268,10 +267,9 @@ class Controller:
         vehicle: Vehicle,
         n: int = 1,
         rate_hz: float = 200.0,
-        gains: Gains | None = None,
         records: NDArray[np.void] | None = None,
     ) -> None:
-        self.gains = gains or vehicle.controller or _designed(vehicle, rate_hz)
+        self.gains = vehicle.controller or _designed(vehicle, rate_hz)
         self.records = np.zeros(n, controller_dtype(len(vehicle.rotors))) if records is None else records
         c, allocation = self.records, vehicle.allocation
         square = allocation.shape[0] == allocation.shape[1]

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root_scalar
 
-from quadsim.control.cascade import Controller
 from quadsim.control.gains import PHASE_MARGIN_DEG, Margins, attitude_loop, blocks, margins, rate_loop
 from quadsim.dataset.figures import STYLE
 from quadsim.estimator import OtherSensors
@@ -91,8 +90,8 @@ def responses(
 
 def fly_step(vehicle: Vehicle, gains: Gains, rate_hz: float, samples: int) -> Array:
     """Roll (T,) [deg] after the command steps from 0 to `STEP_DEG`, with the truth of `samples` ago."""
+    vehicle = vehicle.model_copy(update={"controller": gains})
     loop = FlightLoop(vehicle, rate_hz=rate_hz, estimator=DelayedTruth(samples, rate_hz))
-    loop.controller = Controller(vehicle, rate_hz=rate_hz, gains=gains)
     loop.reset(position=[[0.0, 0.0, 20.0]])
     command = np.array([[np.radians(STEP_DEG), 0.0, 0.0, GRAVITY]])
     roll = np.zeros(round(STEP_S * rate_hz) + 1)

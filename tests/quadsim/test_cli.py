@@ -20,6 +20,7 @@ VERBS = [
     "bench",
     "report",
     "export",
+    "compile",
     "design",
     "demo",
     "inspect",
