@@ -77,10 +77,11 @@ class VqfFilter:
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
         rate, force, lost = self._sanitised(np.asarray(gyro)[:, None], np.asarray(accel)[:, None])
-        for i, each in enumerate(self.filters):
-            if lost[i, 0]:
-                _start_again(each)
-            each.update(rate[i, 0], force[i, 0])
+        if lost.any():
+            for i in np.flatnonzero(lost):
+                _start_again(self.filters[i])
+        for each, its_rate, its_force in zip(self.filters, rate[:, 0], force[:, 0], strict=True):
+            each.update(its_rate, its_force)
         return roll_pitch_from_quat(self.quat)
 
     def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
@@ -133,18 +134,24 @@ class VqfFilter:
         gyro, accel = paired(gyro, accel)
         if len(gyro) != len(self.filters):
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {len(self.filters)}")
-        rate, force, unseen = sanitise(self._samples, self._dt, gyro, accel, False)
-        return rate, force, ends_of_gaps(unseen, self._unseen)
+        return usable(self._samples, self._unseen, self._dt, gyro, accel)
 
 
 @njit(cache=True)
-def ends_of_gaps(unseen, so_far):
-    """The samples (n, T) that end a gap longer than VQF bears.
+def usable(states, so_far, dt, gyro, accel):
+    """Samples to give to VQF, and which of them end a gap longer than it bears.
 
     Args:
-        unseen: Variance of what is turned unseen before each sample (n, T) [rad²].
-        so_far: Sum of it in a gap that lasts (n,) [rad²]; updated.
+        states: Records (n,) of `SAMPLES`, updated.
+        so_far: Variance of what was turned unseen in a gap that lasts (n,) [rad²]; updated.
+        dt: Sample period [s].
+        gyro: (n, T, 3) [rad/s].
+        accel: (n, T, 3) [m/s²].
+
+    Returns:
+        Rate and specific force (n, T, 3), as of `sanitise`, and the ends of gaps (n, T).
     """
+    rate, force, unseen = sanitise(states, dt, gyro, accel, False)
     lost = np.zeros(unseen.shape, np.bool_)
     for i in range(unseen.shape[0]):
         for t in range(unseen.shape[1]):
@@ -153,7 +160,7 @@ def ends_of_gaps(unseen, so_far):
             else:
                 lost[i, t] = so_far[i] > LOST * LOST
                 so_far[i] = 0.0
-    return lost
+    return rate, force, lost
 
 
 def _run(vqf: VQF, rate: Array, force: Array, lost: NDArray[np.bool_]) -> Array:
