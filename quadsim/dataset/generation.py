@@ -177,8 +177,9 @@ def _fly_all(
         except BrokenExecutor as error:
             if executor is not None or attempt == ATTEMPTS - 1:
                 raise ChildProcessError(
-                    f"worker processes keep dying (out of memory, or killed); {done} of {plan.flights} "
-                    "flights are finished and stay: rerun to resume, with fewer workers"
+                    f"worker processes keep dying (out of memory, or killed); {done} complete "
+                    f"flights of {plan.flights} stay in {folder}; run the same command to continue, with "
+                    "fewer workers"
                 ) from error
             log.warning("a worker process died; starting again with the flights that are missing")
 

@@ -103,7 +103,7 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY) -> Calibratio
     stretches = [still_stretch(log) for log in logs]
     rates = [1.0 / float(np.median(np.diff(log.time))) for log in logs]
     if max(rates) > 1.02 * min(rates):
-        raise ValueError(f"logs at {min(rates):.1f} to {max(rates):.1f} Hz; one rate is wanted")
+        raise ValueError(f"logs at {min(rates):.1f} to {max(rates):.1f} Hz; one rate is required")
     rate = float(np.mean(rates))
     gyros = [log.gyro[part] for log, part in zip(logs, stretches, strict=True)]
     accels = [log.accel[part] for log, part in zip(logs, stretches, strict=True)]
@@ -154,7 +154,7 @@ def still_stretch(log: Recording) -> slice:
     if (longest[1] - longest[0]) * second * period < LEAST_S:
         found = (longest[1] - longest[0]) * second * period
         raise ValueError(
-            f"{log.name}: at rest for {found:.0f} s at a stretch; at least {LEAST_S:g} s are wanted"
+            f"{log.name}: at rest for {found:.0f} s at a stretch; at least {LEAST_S:g} s are required"
         )
     return slice(int(longest[0]) * second, int(longest[1]) * second)
 
@@ -215,15 +215,10 @@ def _fit(times: Array, variance: Array, freedom: Array) -> tuple[float, float, f
     def residual(p: Array) -> Array:
         return sure * np.log(model_variance(times, *np.exp(p)) / variance)
 
-    white = np.sqrt(variance[0] * times[0])
-    best = None
-    for tau in (longest / 30, longest / 3, longest):
-        walk = np.sqrt(variance[-1] / times[-1])
-        start = np.log([white, walk, tau])
-        bounds = (np.log([white / 10, walk / 1e3, 10 * times[0]]), np.log([white * 10, walk * 1e3, longest]))
-        found = least_squares(residual, start, bounds=bounds)
-        best = found if best is None or found.cost < best.cost else best
-    assert best is not None
+    white, walk = np.sqrt(variance[0] * times[0]), np.sqrt(variance[-1] / times[-1])
+    bounds = (np.log([white / 10, walk / 1e3, 10 * times[0]]), np.log([white * 10, walk * 1e3, longest]))
+    starts = (np.log([white, walk, tau]) for tau in (longest / 30, longest / 3, longest))
+    best = min((least_squares(residual, start, bounds=bounds) for start in starts), key=lambda fit: fit.cost)
     noise, walk, tau = np.exp(best.x)
     flat = np.sum((sure * np.log(model_variance(times, noise, 0.0, 1.0) / variance)) ** 2) / 2
     if flat < best.cost + 3.0:  # the walk explains no more than chance

@@ -36,7 +36,7 @@ def convert(logs: Sequence[xr.Dataset], out: str | Path, piece_s: float = 20.0) 
         raise ValueError(f"{out} exists already: move it, or choose another --out")
     rates = {float(log.attrs["rate_hz"]) for log in logs}
     if len(rates) != 1:
-        raise ValueError(f"logs at {sorted(rates)} Hz; one rate is wanted")
+        raise ValueError(f"logs at {sorted(rates)} Hz; one rate is required")
     rate_hz = rates.pop()
     steps = round(piece_s * rate_hz)
     pieces = [piece for log in logs for piece in _pieces(log, steps)]

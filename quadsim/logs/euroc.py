@@ -69,7 +69,7 @@ def _numbers(file: Path, least: int) -> Array:
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     if values.shape[1] < least or len(values) < 2:
-        raise ValueError(f"{file}: {values.shape} numbers, at least {least} columns and 2 rows are wanted")
+        raise ValueError(f"{file}: {values.shape} numbers, at least {least} columns and 2 rows are required")
     return values
 
 

@@ -119,13 +119,13 @@ def axes_matrix(axes: str) -> Array:
     return matrix
 
 
-def table(name: str, columns: Sequence[ArrayLike], width: int) -> Array:
-    """Columns of a log as (T, width) numbers.
+def table(name: str, columns: Sequence[ArrayLike]) -> Array:
+    """Columns of a log as (T, len(columns)) numbers.
 
     Raises:
-        ValueError: A column is missing or of another length.
+        ValueError: The columns differ in length.
     """
     values = [np.asarray(column, np.float64).ravel() for column in columns]
-    if len(values) != width or len({value.size for value in values}) != 1:
-        raise ValueError(f"{name}: {width} columns of one length are required")
+    if len({value.size for value in values}) != 1:
+        raise ValueError(f"{name}: {len(values)} columns of one length are required")
     return np.stack(values, axis=1)

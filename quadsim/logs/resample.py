@@ -300,7 +300,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         notes=log.notes,
         **counted,
     )
-    dataset.attrs["log"] = {key: value for key, value in asdict(report).items()}
+    dataset.attrs["log"] = asdict(report)
     return dataset, report
 
 
@@ -329,11 +329,8 @@ def split(log: Recording) -> list[Recording]:
 def _together(time: Array) -> NDArray[np.bool_]:
     """Stamps with `FEWEST` neighbours in the log that are near in time; the others are a clock's mistakes."""
     cuts = np.flatnonzero(np.abs(np.diff(time)) > LONGEST_GAP_S) + 1
-    runs = np.split(np.arange(time.size), cuts)
-    usable = np.zeros(time.size, bool)
-    for run in runs:
-        usable[run] = run.size >= FEWEST
-    return usable
+    sizes = np.diff(cuts, prepend=0, append=time.size)
+    return np.repeat(sizes >= FEWEST, sizes)
 
 
 def _median_norm(quat: Array | None) -> float | None:

@@ -136,11 +136,10 @@ def read_table(path: Path) -> Recording:
     def columns(wanted: tuple[Column, ...]) -> Array:
         return values[:, [_index(file, names, values.shape[1], each) for each in wanted]]
 
-    steps = len(values)
     if spec.time.column is not None:
         time = columns((spec.time.column,))[:, 0] * TIMES[spec.time.unit]
     else:
-        time = np.arange(steps) / (spec.time.rate_hz or 1.0)
+        time = np.arange(len(values)) / (spec.time.rate_hz or 1.0)
     turn = axes_matrix(spec.axes)
     gyro = columns(spec.gyro.columns) * RATES[spec.gyro.unit] @ turn.T
     accel = columns(spec.accel.columns) * FORCES[spec.accel.unit] * (-1 if spec.accel.negate else 1) @ turn.T
@@ -154,11 +153,10 @@ def read_table(path: Path) -> Recording:
         quat, truth = quat_from_euler(*angles.T), "roll, pitch and yaw of the file"
     sensors = {}
     if spec.rotor_vel is not None:
-        speeds = columns(spec.rotor_vel.columns) * SPEEDS[spec.rotor_vel.unit]
-        sensors["rotor_vel"] = Track(time, speeds)
+        sensors["rotor_vel"] = Track(time, columns(spec.rotor_vel.columns) * SPEEDS[spec.rotor_vel.unit])
     if spec.mag is not None:
         sensors["mag"] = Track(time, columns(spec.mag.columns) * FIELDS[spec.mag.unit] @ turn.T)
-    known = np.full(steps, False) if quat is None else np.isfinite(quat).all(axis=1)
+    known = np.full(len(values), False) if quat is None else np.isfinite(quat).all(axis=1)
     log = Recording(
         path.stem, "CSV", time, gyro, accel, truth=truth,
         truth_time=None if quat is None else time[known], quat=None if quat is None else quat[known],

@@ -58,15 +58,15 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
     notes = []
     if "sensor_combined" in topics:
         data = topics["sensor_combined"]
-        gyro = table("sensor_combined", [data[f"gyro_rad[{k}]"] for k in range(3)], 3)
-        accel = table("sensor_combined", [data[f"accelerometer_m_s2[{k}]"] for k in range(3)], 3)
+        gyro = table("sensor_combined", [data[f"gyro_rad[{k}]"] for k in range(3)])
+        accel = table("sensor_combined", [data[f"accelerometer_m_s2[{k}]"] for k in range(3)])
         notes.append("IMU from sensor_combined")
     elif "vehicle_imu" in topics:
         data = topics["vehicle_imu"]
         dt = np.asarray(data["delta_angle_dt"], np.float64)[:, None] * 1e-6
         dv = np.asarray(data["delta_velocity_dt"], np.float64)[:, None] * 1e-6
-        gyro = table("vehicle_imu", [data[f"delta_angle[{k}]"] for k in range(3)], 3) / dt
-        accel = table("vehicle_imu", [data[f"delta_velocity[{k}]"] for k in range(3)], 3) / dv
+        gyro = table("vehicle_imu", [data[f"delta_angle[{k}]"] for k in range(3)]) / dt
+        accel = table("vehicle_imu", [data[f"delta_velocity[{k}]"] for k in range(3)]) / dv
         notes.append("IMU from the increments of vehicle_imu")
     else:
         raise ValueError(
@@ -88,7 +88,7 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
         raise ValueError(f'{path}: no topic "{chosen}"; topics: {", ".join(sorted(topics))}')
     found = topics[chosen]
     stamps = found.get("timestamp_sample", found["timestamp"])
-    quat = table(chosen, [found[f"q[{k}]"] for k in range(4)], 4)
+    quat = table(chosen, [found[f"q[{k}]"] for k in range(4)])
     truth = f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}"
     return from_frd(replace(recorded, truth=truth, truth_time=_seconds(stamps), quat=quat))
 
@@ -105,11 +105,11 @@ def _sensors(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Track]:
         count = int(np.max(esc.get("esc_count", 0), initial=0))
         rpm = [esc[field] for k in range(count) if (field := f"esc[{k}].esc_rpm") in esc]
         if rpm:
-            speeds = np.abs(table("esc_status", rpm, len(rpm))) * (np.pi / 30)
+            speeds = np.abs(table("esc_status", rpm)) * (np.pi / 30)
             found["rotor_vel"] = Track(_seconds(esc["timestamp"]), speeds)
     for topic, fields in MAGNETOMETERS.items():
         data = topics.get(topic, {})
         if "mag" not in found and all(field in data for field in fields):
-            gauss = table(topic, [data[field] for field in fields], 3)
+            gauss = table(topic, [data[field] for field in fields])
             found["mag"] = Track(_seconds(data["timestamp"]), gauss * 1e-4)
     return found

@@ -244,7 +244,8 @@ def test_workers_that_keep_dying_are_one_clear_error(tmp_path, monkeypatch):
             worker.kill()
 
     with pytest.raises(
-        ChildProcessError, match=r"keep dying .*of 40 flights are finished and stay: rerun to resume"
+        ChildProcessError,
+        match=r"keep dying .*complete flights of 40 stay in .*x\.zarr\.partial; run the same command",
     ):
         generate(CONFIG, 40, DURATION, tmp_path / "x.zarr", workers=2, progress=kill_all_workers)
 
