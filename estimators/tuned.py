@@ -71,19 +71,6 @@ def tuned_for(
     return next(iter([*fitting, *ours]), tables.get(DEFAULT_DOMAIN))
 
 
-def misfit(tuned: Tuned, vehicle: Vehicle, imu: ImuSpec) -> str:
-    """How a table's vehicle or IMU differs from those simulated, in words; empty where neither does.
-
-    Args:
-        tuned: The table.
-        vehicle: The simulated vehicle.
-        imu: What it carries.
-    """
-    others = [f"the {tuned.vehicle}" * bool(tuned.vehicle and tuned.vehicle != vehicle.name)]
-    others += [f"the IMU {tuned.imu}" * bool(tuned.imu and load_imu(tuned.imu) != imu)]
-    return " and ".join(filter(None, others))
-
-
 def to_toml(tables: dict[str, Tuned], comment: str) -> str:
     """Text of a tuning file, with a comment on top; what may not stand in a comment is left out."""
     shown = "".join(each for each in comment if each.isprintable() or each in "\n\t")

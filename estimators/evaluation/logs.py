@@ -114,6 +114,7 @@ def score_logs(
     Raises:
         ValueError: Unknown estimators, or two logs of one name.
     """
+    progress = progress or (lambda *_: None)
     titles = [str(log.attrs["source"]) for log in logs]
     if len(set(titles)) < len(titles):
         raise ValueError(f"logs must differ in name: {', '.join(titles)}")
@@ -132,8 +133,7 @@ def score_logs(
         for which in (RAW, KNOWN):
             scores.rows.append(_row(title, LEVEL, which, np.zeros_like(truth[0]), truth[0], counted, rate))
         for name, est in made.items():
-            if progress is not None:
-                progress(done, len(logs) * len(made), name)
+            progress(done, len(logs) * len(made), name)
             for which, offset in ((RAW, np.zeros(3)), (KNOWN, bias)):
                 if not np.isfinite(offset).all():
                     scores.rows.append(LogRow(title, name, which, float("nan"), float("nan"), 0.0, 0.0))
