@@ -23,7 +23,7 @@ from .filters.eskf import ESKF
 from .filters.madgwick import MADGWICK
 from .filters.mahony import MAHONY
 from .truth import Truth
-from .tuned import misfit, tuned_for
+from .tuned import tuned_for
 
 Array = NDArray[np.float64]
 
@@ -148,7 +148,11 @@ def tuning_misfit(
     if name not in names() or not parameters(name) or airframe is None or sensor is None:
         return ""
     tuned = tuned_for(name, tuning, airframe, sensor)
-    return "" if tuned is None else misfit(tuned, airframe, sensor)
+    if tuned is None:
+        return ""
+    others = [f"the {tuned.vehicle}" * bool(tuned.vehicle and tuned.vehicle != airframe.name)]
+    others += [f"the IMU {tuned.imu}" * bool(tuned.imu and load_imu(tuned.imu) != sensor)]
+    return " and ".join(filter(None, others))
 
 
 def tuned_elsewhere(
@@ -215,9 +219,10 @@ def _values(
     tuned = tuned_for(name, tuning, vehicle, imu)
     found = {} if tuned is None else checked(f"{tuning or 'tuning'}: {name}", spec, tuned.values)
     tuned_rate = DEFAULT_RATE_HZ if tuned is None else tuned.rate_hz
-    elsewhere = {key: found.get(key, each.default) for key, each in spec.items()}
-    ratio = tuned_rate / rate_hz
-    values = {key: given.get(key, spec[key].carried(value, ratio)) for key, value in elsewhere.items()}
+    values = {
+        key: given.get(key, each.carried(found.get(key, each.default), tuned_rate / rate_hz))
+        for key, each in spec.items()
+    }
     if missing := [key for key, value in values.items() if math.isnan(value)]:
         raise ValueError(
             f"{name} needs a vehicle, for its drag: give --vehicle (in Python vehicle=), a shipped name or a "

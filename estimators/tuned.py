@@ -52,46 +52,23 @@ def tuned_for(
 
     Args:
         name: Estimator.
-        source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU.
+        source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU, else
+            of the vehicle, else the default one.
         vehicle: The airframe, if it is known.
         imu: Its IMU.
 
     Raises:
         ValueError: A file was asked for and does not have the estimator, or cannot be read.
     """
-    if source is None:
-        return shipped_for(name, vehicle, imu)
-    tables = load_tuning(source)
-    if name not in tables:
-        raise ValueError(f"{source}: no table [{name}]; it has {', '.join(tables) or 'none'}")
-    return tables[name]
-
-
-def shipped_for(name: str, vehicle: Vehicle | None, imu: ImuSpec | None) -> Tuned | None:
-    """Shipped table of one estimator: for vehicle and IMU, else for the vehicle, else of the default domain.
-
-    Args:
-        name: Estimator.
-        vehicle: The airframe; None where it is not known.
-        imu: Its IMU; None where it is not known.
-    """
+    if source is not None:
+        tables = load_tuning(source)
+        if name not in tables:
+            raise ValueError(f"{source}: no table [{name}]; it has {', '.join(tables) or 'none'}")
+        return tables[name]
     tables = {domain: table for domain in preset_names("tuning") if (table := load_tuning(domain).get(name))}
     ours = [each for each in tables.values() if vehicle is not None and each.vehicle == vehicle.name]
     fitting = [each for each in ours if imu is not None and each.imu and load_imu(each.imu) == imu]
     return next(iter([*fitting, *ours]), tables.get(DEFAULT_DOMAIN))
-
-
-def misfit(tuned: Tuned, vehicle: Vehicle, imu: ImuSpec) -> str:
-    """How a table's vehicle or IMU differs from those simulated, in words; empty where neither does.
-
-    Args:
-        tuned: The table.
-        vehicle: The simulated vehicle.
-        imu: What it carries.
-    """
-    others = [f"the {tuned.vehicle}" * bool(tuned.vehicle and tuned.vehicle != vehicle.name)]
-    others += [f"the IMU {tuned.imu}" * bool(tuned.imu and load_imu(tuned.imu) != imu)]
-    return " and ".join(filter(None, others))
 
 
 def to_toml(tables: dict[str, Tuned], comment: str) -> str:

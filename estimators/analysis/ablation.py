@@ -48,10 +48,9 @@ def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> 
         ValueError: No such criterion.
     """
     rates = activity.of_layer(activity.rates, 0), activity.of_layer(activity.rates, 1)
-    outgoing = (["w_ff"], ["w_rec", "w_out"])
     sizes = [
         np.sqrt(sum((tensors[name].astype(np.float64) ** 2).sum(axis=0) for name in names))
-        for names in outgoing
+        for names in (["w_ff"], ["w_rec", "w_out"])
     ]
     rng = np.random.default_rng(seed)
     values = {

@@ -179,8 +179,6 @@ td, th {{ padding: 0.15rem 1rem 0.15rem 0; border-bottom: 1px solid #ddd }}
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["<table>"]
-    if any(header):
-        lines.append("<tr>" + "".join(f"<th>{html.escape(each)}</th>" for each in header) + "</tr>")
-    lines += ["<tr>" + "".join(f"<td>{html.escape(each)}</td>" for each in row) + "</tr>" for row in rows]
-    return "\n".join([*lines, "</table>"])
+    cells = [("th", header)] * any(header) + [("td", row) for row in rows]
+    lines = ["".join(f"<{tag}>{html.escape(each)}</{tag}>" for each in row) for tag, row in cells]
+    return "\n".join(["<table>", *(f"<tr>{line}</tr>" for line in lines), "</table>"])

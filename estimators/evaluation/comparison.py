@@ -43,10 +43,6 @@ BLOCK_S = 0.5
 """Error over time is averaged over blocks of this length."""
 
 
-SLOW = FILTERPY
-"""Estimators that are hundreds of times as slow as the others, a Python object a vehicle."""
-
-
 @dataclass(frozen=True)
 class EvaluationRow:
     """One line of the table. Errors are of roll and pitch pooled, one mean absolute error a sequence."""
@@ -146,13 +142,14 @@ def evaluate(
         estimators: Names, made for the dataset's vehicle, or estimators under the names they are to have.
         initial: Which rows to make.
         settle_s: Time that an estimator started in a tilt is given to recover [s].
-        slow_flights: Flights that those in `SLOW` are run on; None for all.
+        slow_flights: Flights that filterpy's slow estimators are run on; None for all.
         seed: Of the bootstrap and of the choice of those starts.
         progress: Called before every run.
 
     Raises:
         ValueError: For a dataset that is not one, or an unknown estimator.
     """
+    progress = progress or (lambda *_: None)
     flights = load_flights([dataset])
     rate_hz = flights.rate_hz
     made = (
@@ -166,31 +163,37 @@ def evaluate(
     starts = {name: _starts_of(est, initial) for name, est in made.items()}
     runs, done = sum(len(TILTS_DEG) + len(each) for each in starts.values()), 0
     for name, est in made.items():
-        flown = flights.first(slow_flights) if slow_flights and name in SLOW else flights
+        flown = flights.first(slow_flights) if slow_flights and name in FILTERPY else flights
         _run(est, flown.map(lambda each: each[:, :2]))  # compiles
         times = []
         for tilt in TILTS_DEG:
-            if progress is not None:
-                progress(done, runs, name)
+            progress(done, runs, name)
             done += 1
             result.settling[name, tilt] = _settling(est, tilted_starts(flown, tilt, steps, seed))
             times.append(_time_below(result.settling[name, tilt]))
         without = silenced_twin(name, rate_hz)
         for start in starts[name]:
-            if progress is not None:
-                progress(done, runs, name)
+            progress(done, runs, name)
             done += 1
             chosen = flown.known() if start == "known" else flown
             begin = time.perf_counter()
             estimate = _run(est, chosen)
             runtime = (time.perf_counter() - begin) / chosen.truth[..., 0].size * 1e9
             error = attitude_error(estimate, chosen.truth)
+            low, high = error.mean_interval(seed=seed)
+            silent = np.nan if without is None else attitude_error(_run(without, chosen), chosen.truth).mean
             result.sequences[name, start] = error.sequences
             result.over_time[name, start] = _blocks(estimate, chosen.truth, result.time_s.size)
             measured.append(
-                _errors(name, start, error, seed)
-                | {
-                    "silenced_deg": float("nan") if without is None else _mean_error(without, chosen),
+                {
+                    "estimator": name,
+                    "initial": start,
+                    "median_deg": error.median,
+                    "mean_deg": error.mean,
+                    "sd_deg": error.sd,
+                    "mean_low_deg": low,
+                    "mean_high_deg": high,
+                    "silenced_deg": silent,
                     "inclination_rmse_deg": inclination_rmse(estimate, chosen.truth).mean,
                     "settle_20_s": times[0],
                     "settle_45_s": times[1],
@@ -200,8 +203,7 @@ def evaluate(
                     "without_number": share_without_number(estimate, chosen.truth),
                 }
             )
-    if progress is not None:
-        progress(runs, runs, "")
+    progress(runs, runs, "")
     for each in measured:
         behind, low, high = _behind(result.sequences, each["estimator"], each["initial"], seed)
         row = EvaluationRow(**each, behind_deg=behind, behind_low_deg=low, behind_high_deg=high)
@@ -257,10 +259,6 @@ def _starts_of(est: AttitudeEstimator, initial: Sequence[Initial]) -> list[Initi
     return [start for start in initial if start == "unknown" or not isinstance(est, NetworkEstimator)]
 
 
-def _mean_error(est: AttitudeEstimator, flights: Flights) -> float:
-    return attitude_error(_run(est, flights), flights.truth).mean
-
-
 def _run(est: AttitudeEstimator, flights: Flights) -> Array:
     others = flights.readings.others
     return run_quietly(est, flights.gyro, flights.accel, flights.start, flights.quat, **others)
@@ -284,12 +282,8 @@ def _time_below(curve: Array) -> float:
     return 0.0 if above.size == 0 else (float(above[-1]) + 1.0) * BLOCK_S
 
 
-def _block(rate_hz: float) -> int:
-    return max(1, round(BLOCK_S * rate_hz))
-
-
 def _block_times(steps: int, rate_hz: float) -> Array:
-    size = _block(rate_hz)
+    size = max(1, round(BLOCK_S * rate_hz))
     return (np.arange(steps // size, dtype=np.float64) + 0.5) * size / rate_hz
 
 
@@ -298,19 +292,6 @@ def _blocks(estimate: Array, truth: Array, blocks: int) -> Array:
     error = absolute_error(estimate, truth).mean(axis=-1)
     parts = np.array_split(error, blocks, axis=1)
     return np.stack([np.asarray(np.nanmean(part, axis=1), np.float64) for part in parts], axis=1)
-
-
-def _errors(name: str, start: str, error: Summary, seed: int) -> dict[str, Any]:
-    low, high = error.mean_interval(seed=seed)
-    return {
-        "estimator": name,
-        "initial": start,
-        "median_deg": error.median,
-        "mean_deg": error.mean,
-        "sd_deg": error.sd,
-        "mean_low_deg": low,
-        "mean_high_deg": high,
-    }
 
 
 def _behind(

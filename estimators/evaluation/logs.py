@@ -18,7 +18,7 @@ from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitc
 from quadsim.runs.files import write_csv
 
 from ..metrics import absolute_error, inclination_error, share_without_number
-from ..registry import names, needs_vehicle
+from ..registry import FILTERPY, names, needs_vehicle
 from ..running import run
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
@@ -30,8 +30,6 @@ LEVEL = "level"
 """The row of a guess that never looks at the sensor: how far the log is from level."""
 RAW, KNOWN = "raw", "known"
 """Gyroscope as it reads, and with its mean bias over the log taken off."""
-SLOW = ("ekf-filterpy", "ukf-filterpy")
-"""Not run unless asked for."""
 SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
 RATE_MAX = 2.0
@@ -116,6 +114,7 @@ def score_logs(
     Raises:
         ValueError: Unknown estimators, or two logs of one name.
     """
+    progress = progress or (lambda *_: None)
     titles = [str(log.attrs["source"]) for log in logs]
     if len(set(titles)) < len(titles):
         raise ValueError(f"logs must differ in name: {', '.join(titles)}")
@@ -134,8 +133,7 @@ def score_logs(
         for which in (RAW, KNOWN):
             scores.rows.append(_row(title, LEVEL, which, np.zeros_like(truth[0]), truth[0], counted, rate))
         for name, est in made.items():
-            if progress is not None:
-                progress(done, len(logs) * len(made), name)
+            progress(done, len(logs) * len(made), name)
             for which, offset in ((RAW, np.zeros(3)), (KNOWN, bias)):
                 if not np.isfinite(offset).all():
                     scores.rows.append(LogRow(title, name, which, float("nan"), float("nan"), 0.0, 0.0))
@@ -153,11 +151,11 @@ def score_logs(
 
 
 def default_names(vehicle_known: bool = False) -> list[str]:
-    """Estimators scored unless others are asked for; ekf-drag only where the vehicle is known."""
+    """Estimators scored unless others are asked for: not filterpy's, ekf-drag only with a known vehicle."""
     return [
         name
         for name in names()
-        if name != "truth" and name not in SLOW and (vehicle_known or not needs_vehicle(name))
+        if name != "truth" and name not in FILTERPY and (vehicle_known or not needs_vehicle(name))
     ]
 
 
