@@ -13,6 +13,8 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
+os.environ.setdefault("SCIPY_ARRAY_API", "1")  # crazyflow refuses to be imported without it
+
 import subprocess
 import sys
 import tempfile
@@ -102,7 +104,7 @@ def crazyflow_batch(n: int, integrator: str, steps: int) -> Callable[[], object]
         body_rate_freq=int(RATE),
         force_torque_freq=int(RATE),
     )
-    command = np.zeros((n, 1, 13), np.float32)
+    command = np.zeros((n, 1, 16), np.float32)
     command[..., 2] = 1.0
 
     def work() -> None:
