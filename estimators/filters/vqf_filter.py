@@ -152,9 +152,9 @@ def usable(states, so_far, dt, gyro, accel):
         Rate and specific force (n, T, 3), as of `sanitise`, and the ends of gaps (n, T).
     """
     rate, force, unseen = sanitise(states, dt, gyro, accel, False)
-    lost = np.zeros(unseen.shape, np.bool_)
-    for i in range(unseen.shape[0]):
-        for t in range(unseen.shape[1]):
+    lost = np.zeros(gyro.shape[:2], np.bool_)
+    for i in range(gyro.shape[0]):
+        for t in range(gyro.shape[1]):
             if unseen[i, t] > 0.0:
                 so_far[i] += unseen[i, t]
             else:
