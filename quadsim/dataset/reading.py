@@ -53,11 +53,12 @@ def verify(path: str | Path, progress: Progress | None = None) -> int:
     path = Path(path).expanduser()
     total = read_attributes(path).flights
     damage = {}
-    for flight in range(total):
-        if fault := dataset_store.fault(path, flight):
-            damage[flight] = fault
-        if progress:
-            progress(flight + 1, total)
+    with dataset_store.damage_in_words(path):
+        for flight, fault in dataset_store.faults(path):
+            if fault:
+                damage[flight] = fault
+            if progress:
+                progress(flight + 1, total)
     if damage:
         faults = ", ".join(f"flight {flight} ({fault})" for flight, fault in damage.items())
         raise ValueError(f"{path}: {len(damage)} of {total} flights are damaged: {faults}")

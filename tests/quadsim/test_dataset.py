@@ -63,7 +63,7 @@ class Inline(Executor):
 
 
 def interrupted(out: Path) -> Path:
-    with pytest.raises(OSError, match=r"cannot write .*No space left on device.* kept"):
+    with pytest.raises(OSError, match=r"cannot write .*No space left on device.* stay"):
         generate(
             CONFIG,
             FLIGHTS,
@@ -510,7 +510,9 @@ def test_checksums_are_looked_at_once_and_again_when_a_file_changes(own, monkeyp
     looked = []
     fault = dataset_store.fault
     monkeypatch.setattr(
-        dataset_store, "fault", lambda path, flight: looked.append(flight) or fault(path, flight)
+        dataset_store,
+        "fault",
+        lambda path, flight, *rest: looked.append(flight) or fault(path, flight, *rest),
     )
     open_dataset(own)
     open_dataset(own)
