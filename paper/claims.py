@@ -13,6 +13,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from training.cross_domain import TEST, Score, table
+
 from .plan import FLOAT, RNN, SNN, TRAINED_ON
 from .quoted import CONVERGE_S, FLOPS_RATIO, REMOVABLE, TEST_DEG
 from .scores import SHIPPED, SIX
@@ -74,6 +76,13 @@ def scatter(losses: Sequence[float], root_mean_square: bool = False) -> float:
     middle = jumps[quarter : len(jumps) - quarter]
     size = np.sqrt(np.mean(middle**2)) if root_mean_square else 1.4826 * np.median(np.abs(middle))
     return float(size * np.sqrt(2 / 3))
+
+
+def fold_errors(numbers: Numbers) -> list[Any]:
+    """Entries of Table 1: mean and standard deviation over the folds of each network and pair of domains."""
+    rows = [row for name, stage in numbers.items() if name.startswith("fold-") for row in stage["scores"]]
+    scores = sorted((Score(**row) for row in rows), key=lambda s: (s.model, s.trained_on != "sim", s.fold))
+    return table(scores)
 
 
 def by_rate(numbers: Numbers) -> dict[float, dict[str, float]]:
@@ -140,20 +149,10 @@ def table1(numbers: Numbers) -> Judged:
     It holds if on the other domain the error is above 1.25 times that of networks trained there, for both
     networks; partly: for one.
     """
+    errors = {(e.model, e.trained_on, e.tested_on): e.mean_deg for e in fold_errors(numbers)}
     bad, shown = 0, []
     for model in NETWORKS:
-        scores = [
-            score
-            for name, stage in numbers.items()
-            if name.startswith(f"fold-{model}-")
-            for score in stage["scores"]
-        ]
-        if not scores:
-            raise KeyError(model)
-        other, home = (
-            np.mean([s["error_deg"] for s in scores if (s["trained_on"], s["tested_on"]) == pair])
-            for pair in (("sim", "real"), ("real", "(test)"))
-        )
+        other, home = errors[model, "sim", "real"], errors[model, "real", TEST]
         bad += int(other > 1.25 * home)
         shown.append(f"{model} {other:.2f}° against {home:.2f}°")
     learnt = "the second airframe has other inertia, drag and sensors, and a network learns the first one's"

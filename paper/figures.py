@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -51,20 +52,20 @@ def _marked(k: int, size: float = 5) -> dict[str, Any]:
     return _line(k) | {"marker": MARKS[k], "ms": size}
 
 
-def _note(axes: Any, text: str, at: tuple[float, float], shift: tuple[float, float], **options: Any) -> None:
+def _note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **options: Any) -> None:
     """Write small text beside a point, shifted by so many points."""
     axes.annotate(text, at, shift, textcoords="offset points", **{"fontsize": 7} | options)
 
 
-def _name_rows(axes: Any, names: Sequence[str], size: float = 8) -> None:
+def _name_rows(axes: Axes, names: Sequence[str], size: float = 8) -> None:
     """Name horizontal bars, the first on top."""
     axes.set_yticks(range(len(names)), names, fontsize=size)
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
 
 
-def distributions(numbers: Numbers) -> Figure:
-    """Inputs and outputs of both domains (Fig. 3)."""
+def fig3(numbers: Numbers) -> Figure:
+    """Inputs and outputs of both domains."""
     groups = (
         ("Gyroscope", "rad/s", ("gyro x", "gyro y", "gyro z")),
         ("Accelerometer x, y", "m/s²", ("accel x", "accel y")),
@@ -85,8 +86,8 @@ def distributions(numbers: Numbers) -> Figure:
     return figure
 
 
-def losses(numbers: Numbers) -> Figure:
-    """Training and validation loss of four networks, and the scatter of the latter (Fig. 4)."""
+def fig4(numbers: Numbers) -> Figure:
+    """Training and validation loss of four networks, and the scatter of the latter."""
     figure, panels = _panels(9.6, 3.4, 1, 3, width_ratios=(1, 1, 0.6))
     *curves, bars = panels
     for axes, kind, title in zip(
@@ -106,8 +107,8 @@ def losses(numbers: Numbers) -> Figure:
     return figure
 
 
-def violins(numbers: Numbers) -> Figure:
-    """Error of every test flight, with an unknown and, for filters, a known start (Fig. 5)."""
+def fig5(numbers: Numbers) -> Figure:
+    """Error of every test flight, with an unknown and, for filters, a known start."""
     names = [*SIX, *SHIPPED]
     figure, axes = _panels(8.4, 3.6)
     handles: list[Artist] = []
@@ -131,15 +132,12 @@ def violins(numbers: Numbers) -> Figure:
     return figure
 
 
-def recoveries(numbers: Numbers) -> Figure:
-    """Inclination error after a start with an error of 20° (Fig. 6)."""
+def fig6(numbers: Numbers) -> Figure:
+    """Inclination error after a start with an error of 20°."""
     curves = numbers["recover"]["curves"]
     figure, panels = _panels(9.6, 3.6, 1, 2, sharey=True)
-    titles = {
-        "flight": "in flight, tilted by 20°, believed level",
-        "hover": "in hover, filters given a roll of 20°",
-    }
-    for axes, (kind, title) in zip(panels, titles.items(), strict=True):
+    titles = ("in flight, tilted by 20°, believed level", "in hover, filters given a roll of 20°")
+    for axes, kind, title in zip(panels, ("flight", "hover"), titles, strict=True):
         for k, name in enumerate((*FILTERS, *NETWORKS)):
             if kind in curves[name]:
                 error = curves[name][kind]["median"]
@@ -155,8 +153,8 @@ def recoveries(numbers: Numbers) -> Figure:
     return figure
 
 
-def spiking(numbers: Numbers) -> Figure:
-    """How often neurons spike, and the error with some removed (Fig. 7)."""
+def fig7(numbers: Numbers) -> Figure:
+    """How often neurons spike, and the error with some removed."""
     inside = numbers["inside"]
     figure, (left, right) = _panels(9.6, 3.2, 1, 2)
     styles: dict[str, dict[str, Any]] = {
@@ -182,8 +180,8 @@ def spiking(numbers: Numbers) -> Figure:
     return figure
 
 
-def manipulated(numbers: Numbers) -> Figure:
-    """Roll estimated from manipulated inputs (Fig. 8)."""
+def fig8(numbers: Numbers) -> Figure:
+    """Roll estimated from manipulated inputs."""
     inside = numbers["inside"]
     responses = inside["responses"]
     time = np.arange(len(inside["roll_deg"])) * inside["step_s"]
@@ -201,8 +199,8 @@ def manipulated(numbers: Numbers) -> Figure:
     return figure
 
 
-def costs(numbers: Numbers) -> Figure:
-    """Time of an update, and the modelled energy of a step (Fig. 9)."""
+def fig9(numbers: Numbers) -> Figure:
+    """Time of an update, and the modelled energy of a step."""
     taken = sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
     paper = {"the paper: Loihi": CHIP["µs"]} | {f"the paper: {name}": us for name, us in PYTORCH_US.items()}
     figure, (left, right) = _panels(9.6, 4.4, 1, 2, width_ratios=(1.5, 1))
@@ -228,7 +226,7 @@ def costs(numbers: Numbers) -> Figure:
     return figure
 
 
-def loops(numbers: Numbers) -> Figure:
+def loop(numbers: Numbers) -> Figure:
     """Error of the estimate in the loop, in equal parts of the flights."""
     scenarios = numbers["loop"]["scenarios"]
     figure, panels = _panels(9.0, 3.0, 1, len(scenarios))
@@ -242,7 +240,7 @@ def loops(numbers: Numbers) -> Figure:
     return figure
 
 
-def rates(numbers: Numbers) -> Figure:
+def rate(numbers: Numbers) -> Figure:
     """Error against the sample rate."""
     by_hz = by_rate(numbers)
     figure, axes = _panels(6.4, 3.4)
@@ -279,7 +277,7 @@ def _compared(stage: Mapping[str, Any], places: Sequence[float], label: str) -> 
     return figure
 
 
-def sizes(numbers: Numbers) -> Figure:
+def size(numbers: Numbers) -> Figure:
     """Error against the number of neurons."""
     stage = numbers["compare-size"]
     return _compared(stage, [neurons for neurons, _ in stage["sizes"].values()], "neurons of both layers")
@@ -292,16 +290,7 @@ def minutes(numbers: Numbers) -> Figure:
     return _compared(stage, places, "minutes of flight trained on")
 
 
-FIGURES: dict[str, Callable[[Numbers], Figure]] = {
-    "fig3": distributions,
-    "fig4": losses,
-    "fig5": violins,
-    "fig6": recoveries,
-    "fig7": spiking,
-    "fig8": manipulated,
-    "fig9": costs,
-    "loop": loops,
-    "rate": rates,
-    "size": sizes,
-    "minutes": minutes,
+FIGURES = {
+    make.__name__: make for make in (fig3, fig4, fig5, fig6, fig7, fig8, fig9, loop, rate, size, minutes)
 }
+"""Figure of each item that has one."""

@@ -20,6 +20,8 @@ TEST = ("fly-test-sim", "fly-test-real")
 SNN, FLOAT, PAPER, RNN = "net-snn", "net-snn-float", "net-snn-paper", "net-rnn"
 COMPLETE = "net-sim"
 """The network of full size on all of the Hummingbird's flights: last of the curves of size and of minutes."""
+RATE_SETS = ("rate", "rate-val", "rate-test")
+STUDY_FILTERS = ("mahony", "complementary")
 RESCALED, TRAINED_ON = "Att-SNN, rescaled", "Att-SNN, rescaled and trained on"
 
 ITEMS = {
@@ -101,9 +103,6 @@ def _flights(s: PaperSettings) -> list[Stage]:
         ),
         Stage("distributions", work.distributions, inputs=(SIM, REAL)),
     ]
-
-
-RATE_SETS = ("rate", "rate-val", "rate-test")
 
 
 def _filters(s: PaperSettings) -> list[Stage]:
@@ -213,9 +212,6 @@ def _rates(s: PaperSettings) -> list[Stage]:
             _score(f"compare-rate-{rate:g}", [test], STUDY_FILTERS, networks, 5, rate_hz=rate),
         ]
     return stages
-
-
-STUDY_FILTERS = ("mahony", "complementary")
 
 
 def _studies(s: PaperSettings) -> list[Stage]:

@@ -7,8 +7,6 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from quadsim.runs.files import write_whole
-
 from .claims import Judgement
 from .pages import BESIDE, Placement, write_pages
 from .plan import chosen, stages_of
@@ -16,28 +14,20 @@ from .settings import PaperSettings, settings_of
 from .stages import Progress, fingerprints, record_of, run_stages, with_inputs
 from .work import NUMBERS
 
-SETTINGS = "settings.json"
+VERBS = {"holds": "hold", "partly": "hold partly", "does not hold": "do not", "not judged": "not judged"}
 
 
 class Paper(NamedTuple):
-    """The page, the judged claims and the stages that ran."""
+    """The page and the judged claims."""
 
     page: Path
     judged: list[Judgement]
-    made: list[str]
-    """Stages that ran now; the others were finished before."""
 
     @property
     def headline(self) -> str:
         """How many of the claims hold."""
         counts = Counter(each.verdict for each in self.judged)
-        verbs = {
-            "holds": "hold",
-            "partly": "hold partly",
-            "does not hold": "do not",
-            "not judged": "not judged",
-        }
-        shown = [f"{counts[verdict]} {verb}" for verdict, verb in verbs.items() if counts[verdict]]
+        shown = [f"{counts[verdict]} {verb}" for verdict, verb in VERBS.items() if counts[verdict]]
         return f"of the paper's {len(self.judged)} claims {', '.join(shown)}"
 
 
@@ -52,7 +42,7 @@ def paper(
 ) -> Paper:
     """Make the paper's tables and figures, and the pages around them.
 
-    What an earlier run with the same settings left in the folder is taken from there.
+    Stages that an earlier run with the same settings finished in the folder are not run again.
 
     Args:
         out: Folder for everything.
@@ -75,9 +65,8 @@ def paper(
     parts.mkdir(parents=True, exist_ok=True)
     stages, shows = stages_of(settings)
     wanted = with_inputs(stages, [name for item in items for name in shows[item]])
-    write_whole(parts / SETTINGS, settings.model_dump_json(indent=1))
-    made = run_stages(wanted, parts, workers, progress)
-    return Paper(out / "paper.md", write_results(parts, out, settings), made)
+    run_stages(wanted, parts, workers, progress)
+    return Paper(out / "paper.md", write_results(parts, out, settings))
 
 
 def write_results(
@@ -100,15 +89,3 @@ def write_results(
     seconds = sum(records[name]["seconds"] for name in files)
     numbers = {name: numbers[name] for item in shown for name in shows[item]}
     return write_pages(folder, numbers, shown, settings, seconds, placement)
-
-
-def load_settings(parts: Path) -> PaperSettings:
-    """The sizes of a run, from the folder of its stages.
-
-    Raises:
-        ValueError: There is no run in the folder.
-    """
-    try:
-        return PaperSettings.model_validate_json((parts / SETTINGS).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"{parts}: no run of quadsim paper (there is no {SETTINGS})") from None

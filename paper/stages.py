@@ -54,16 +54,12 @@ def with_inputs(stages: Mapping[str, Stage], wanted: Iterable[str]) -> list[Stag
 
 def fingerprints(stages: Sequence[Stage]) -> dict[str, str]:
     """Of every stage; inputs come before what needs them."""
-    found: dict[str, str] = {}
+    prints: dict[str, str] = {}
     for stage in stages:
-        found[stage.name] = fingerprint(
-            stage.name,
-            stage.make.__qualname__,
-            dict(stage.settings),
-            [found[name] for name in stage.inputs],
-            code_digest(stage.make.__module__, "estimators"),
-        )[:16]
-    return found
+        code = stage.make.__qualname__, code_digest(stage.make.__module__, "estimators")
+        inputs = [prints[name] for name in stage.inputs]
+        prints[stage.name] = fingerprint(stage.name, *code, dict(stage.settings), inputs)[:16]
+    return prints
 
 
 def record_of(folder: Path, fingerprint: str) -> dict[str, Any]:
@@ -129,11 +125,12 @@ def make(stage: Stage, folder: Path, inputs: Mapping[str, Path], fingerprint: st
     """Make one stage; its folder is emptied if it holds another one."""
     if not record_of(folder, fingerprint):
         shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    _write(folder, {"fingerprint": fingerprint})
+    record: dict[str, Any] = {"fingerprint": fingerprint}
+    write_whole(folder / RECORD, json.dumps(record))
     began = time.monotonic()
     stage.make(folder, inputs, **stage.settings)
-    _write(folder, {"fingerprint": fingerprint, "seconds": round(time.monotonic() - began, 1)})
+    record["seconds"] = round(time.monotonic() - began, 1)
+    write_whole(folder / RECORD, json.dumps(record))
 
 
 def _share(stage: Stage, folder: Path) -> float:
@@ -142,7 +139,3 @@ def _share(stage: Stage, folder: Path) -> float:
     if "epochs" not in stage.settings or not log.exists():
         return 0.0
     return min(1.0, (len(log.read_text(encoding="utf-8").splitlines()) - 1) / stage.settings["epochs"])
-
-
-def _write(folder: Path, record: Mapping[str, Any]) -> None:
-    write_whole(folder / RECORD, json.dumps(record))

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from training.cross_domain import TEST, TRAIN, Score
-from training.cross_domain import table as cells_of
+from training.cross_domain import TEST, TRAIN
 
-from .claims import NETWORKS, Numbers, by_rate, pooled
+from .claims import NETWORKS, Numbers, by_rate, fold_errors, pooled
 from .figures import CURVES, DOMAIN_TITLES
 from .plan import RNN
 from .quoted import CHIP, GENERAL_DEG, NOT_QUOTED, PYTORCH_US, TEST_DEG
@@ -31,19 +30,14 @@ def _italic(name: str) -> str:
 
 def folds(numbers: Numbers) -> str:
     """Table 1: k-fold and cross-domain errors."""
-    scores = [
-        Score(**row) for name, each in numbers.items() if name.startswith("fold-") for row in each["scores"]
-    ]
-    scores.sort(key=lambda s: (NETWORKS.index(s.model), s.trained_on != "sim", s.fold))
     tested = {TRAIN: "training flights", TEST: "unseen flights of the same domain"}
     rows = []
-    for cell in cells_of(scores):
-        theirs = NOT_QUOTED
-        if (cell.trained_on, cell.tested_on, cell.model) == ("sim", "real", "att-snn"):
-            theirs = GENERAL_DEG
+    for cell in fold_errors(numbers):
+        quoted = (cell.model, cell.trained_on, cell.tested_on) == ("att-snn", "sim", "real")
         on = tested.get(cell.tested_on) or f"all of the {DOMAIN_NAMES[cell.tested_on]}"
         error = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}"
-        rows.append([cell.model, DOMAIN_NAMES[cell.trained_on], on, cell.folds, error, theirs])
+        home, theirs = DOMAIN_NAMES[cell.trained_on], GENERAL_DEG if quoted else NOT_QUOTED
+        rows.append([cell.model, home, on, cell.folds, error, theirs])
     return _table("network | trained on | tested on | folds | mean ± SD [°] | the paper [°]", rows)
 
 

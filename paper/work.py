@@ -60,11 +60,8 @@ def train(
     """Train a network on stages of flights; `init` is a stage whose weights it continues from."""
     if init:
         choices["init"] = str(inputs[init] / WEIGHTS)
-    flights = {
-        kind: [inputs[name] / FLIGHTS for name in names]
-        for kind, names in (("data", data), ("validation", validation))
-    }
-    result = run(make_config(**flights, **choices), folder)
+    train, choose = ([inputs[name] / FLIGHTS for name in names] for names in (data, validation))
+    result = run(make_config(data=train, validation=choose, **choices), folder)
     if result.reason == "interrupted":
         raise KeyboardInterrupt
     log = np.atleast_1d(np.genfromtxt(folder / "log.csv", delimiter=",", names=True))

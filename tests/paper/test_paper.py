@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import asdict
 from string import Formatter
 
 import numpy as np
@@ -17,6 +18,7 @@ from paper.run import paper
 from paper.settings import PRESETS, Budget, PaperSettings, settings_of
 from paper.stages import RECORD, Stage, run_stages, with_inputs
 from paper.work import NUMBERS, fly
+from training.cross_domain import Score
 
 SHORT = Budget(epochs=1, batches=1, batch_size=2, window_s=0.5, windows_per_stream=1)
 LONGER = SHORT.model_copy(update={"epochs": 4})
@@ -164,13 +166,16 @@ def losses(snn, rnn):
     return {"net-snn": curve(snn), "net-snn-float": curve(snn), "net-rnn": curve(rnn)}
 
 
-def domains(away):
-    def fold(model, trained, tested, error):
-        return {"trained_on": trained, "tested_on": tested, "error_deg": error, "model": model}
+def domains(other):
+    def score(model, fold, trained, tested, error):
+        return asdict(Score(model, trained, fold, tested, 1, error, 0.0, 1))
 
     return {
-        f"fold-{model}-x": {"scores": [fold(model, "sim", "real", away), fold(model, "real", "(test)", 2.0)]}
+        f"fold-{model}-{k}": {
+            "scores": [score(model, k, "sim", "real", other), score(model, k, "real", "(test)", 2.0)]
+        }
         for model in ("att-snn", "att-rnn")
+        for k in (0, 1)
     }
 
 
