@@ -6,7 +6,8 @@ from pathlib import Path
 from pages import load_page
 
 from paper.pages import Placement
-from paper.run import load_settings, write_results
+from paper.run import write_results
+from paper.settings import settings_of
 
 
 def main() -> None:
@@ -15,13 +16,13 @@ def main() -> None:
     docs = page.root / "docs"
     parts = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/paper") / "full"
     placement = Placement("paper-", "img", ("png",), "python docs/paper_page.py")
-    path, _ = write_results(parts, docs, load_settings(parts), placement)
+    write_results(parts, docs, settings_of("full"), placement)
     for written in page.made:
         if written.suffix == ".md":
             page.sign(written)
         else:
             page.sign_image(written, 64)
-    print(path)
+    print(docs / "paper.md")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The paper again: every table and figure from nothing, ours beside theirs, and what its claims are worth."""
+"""The paper again: its tables and figures, ours beside theirs, and a verdict on each of its claims."""
 
 from .run import paper
 

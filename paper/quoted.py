@@ -9,10 +9,8 @@ TITLE = (
 )
 TEST_DEG = {"att-snn": 2.79, "att-rnn": 2.45, "complementary": 2.13}
 """Error on its test flights [deg]."""
-GENERAL_DEG = {"trained on simulation, flown": "4.9", "otherwise": "2–3"}
-"""Its Table 1 in two numbers [deg]."""
-SPREAD_RAD = 0.25
-"""Standard deviation of roll and pitch of its simulated flights, about (its Fig. 3)."""
+GENERAL_DEG = "4.9 (others 2–3)"
+"""Its Table 1: trained in simulation and tested on real flights; otherwise [deg]."""
 CONVERGE_S = {"networks": 1.0, "filters": 7.0}
 """From 20° off: networks in less, filters in more [s] (its Fig. 6)."""
 REMOVABLE = 0.25
@@ -23,8 +21,3 @@ CHIP = {"µJ": 13.2, "µs": 10.0}
 """Energy and time of a step on its board of 32 chips."""
 PYTORCH_US = {"SNN, plain PyTorch": 555.0, "GRU, PyTorch": 150.0}
 """Time of a step in PyTorch, on its computer (its Fig. 9)."""
-
-
-def quoted(value: float | None, unit: str = "") -> str:
-    """A number of the paper, or that there is none."""
-    return NOT_QUOTED if value is None else f"{value:g}{unit}"

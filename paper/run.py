@@ -1,44 +1,34 @@
-"""The whole of it: plan, make what is missing, judge, write the pages."""
+"""Plan, make the stages that are missing, judge the claims, write the pages."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from quadsim.runs.files import write_whole
-
-from .claims import Judgement, Numbers, judge
+from .claims import Judgement
 from .pages import BESIDE, Placement, write_pages
 from .plan import chosen, stages_of
 from .settings import PaperSettings, settings_of
-from .stages import Progress, Stage, fingerprints, is_finished, record_of, run_stages, with_inputs
+from .stages import Progress, fingerprints, record_of, run_stages, with_inputs
 from .work import NUMBERS
 
-SETTINGS = "settings.json"
+VERBS = {"holds": "hold", "partly": "hold partly", "does not hold": "do not", "not judged": "not judged"}
 
 
 class Paper(NamedTuple):
-    """The page, the judged claims and the stages that ran."""
+    """The page and the judged claims."""
 
     page: Path
     judged: list[Judgement]
-    made: list[str]
-    """Stages that ran now; the others were finished before."""
 
     @property
     def headline(self) -> str:
         """How many of the claims hold."""
-        words = [each.verdict for each in self.judged]
-        short = {
-            "holds": "hold",
-            "partly": "hold partly",
-            "does not hold": "do not",
-            "not judged": "not judged",
-        }
-        counts = [f"{words.count(word)} {verb}" for word, verb in short.items() if word in words]
-        return f"of the paper's {len(words)} claims {', '.join(counts)}"
+        counts = Counter(each.verdict for each in self.judged)
+        shown = [f"{counts[verdict]} {verb}" for verdict, verb in VERBS.items() if counts[verdict]]
+        return f"of the paper's {len(self.judged)} claims {', '.join(shown)}"
 
 
 def paper(
@@ -52,7 +42,7 @@ def paper(
 ) -> Paper:
     """Make the paper's tables and figures, and the pages around them.
 
-    What an earlier run with the same settings left in the folder is taken from there.
+    Stages that an earlier run with the same settings finished in the folder are not run again.
 
     Args:
         out: Folder for everything.
@@ -75,16 +65,14 @@ def paper(
     parts.mkdir(parents=True, exist_ok=True)
     stages, shows = stages_of(settings)
     wanted = with_inputs(stages, [name for item in items for name in shows[item]])
-    write_whole(parts / SETTINGS, settings.model_dump_json(indent=1))
-    made = run_stages(wanted, parts, workers, progress)
-    page, judged = write_results(parts, out, settings)
-    return Paper(page, judged, made)
+    run_stages(wanted, parts, workers, progress)
+    return Paper(out / "paper.md", write_results(parts, out, settings))
 
 
 def write_results(
     parts: Path, folder: Path, settings: PaperSettings, placement: Placement = BESIDE
-) -> tuple[Path, list[Judgement]]:
-    """Write the pages of everything that is finished.
+) -> list[Judgement]:
+    """Write the pages of everything that is finished, paper.md and three beside it; the judged claims.
 
     Args:
         parts: Folder of the stages' folders.
@@ -93,32 +81,11 @@ def write_results(
         placement: Names of the pages and their figures.
     """
     stages, shows = stages_of(settings)
-    every = with_inputs(stages, stages)
-    prints = fingerprints(every)
-    there = [stage for stage in every if is_finished(parts / stage.name, prints[stage.name])]
-    found = numbers_of(parts, there)
-    shown = [item for item, names in shows.items() if all(name in found for name in names)]
-    seconds = sum(record_of(parts / stage.name)["seconds"] for stage in there)
-    numbers = {name: found[name] for item in shown for name in shows[item]}
-    page = write_pages(folder, numbers, shown, settings, seconds, placement)
-    return page, judge(numbers)
-
-
-def load_settings(parts: Path) -> PaperSettings:
-    """The sizes of a run, from the folder of its stages.
-
-    Raises:
-        ValueError: There is no run in the folder.
-    """
-    try:
-        return PaperSettings.model_validate_json((parts / SETTINGS).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"{parts}: no run of quadsim paper (there is no {SETTINGS})") from None
-
-
-def numbers_of(parts: Path, stages: Sequence[Stage]) -> Numbers:
-    """What finished stages found, where they found numbers."""
-    files = {stage.name: parts / stage.name / NUMBERS for stage in stages}
-    return {
-        name: json.loads(file.read_text(encoding="utf-8")) for name, file in files.items() if file.is_file()
-    }
+    prints = fingerprints(list(stages.values()))
+    records = {name: record_of(parts / name, prints[name]) for name in stages}
+    files = {name: parts / name / NUMBERS for name, record in records.items() if "seconds" in record}
+    numbers = {name: json.loads(file.read_text("utf-8")) for name, file in files.items() if file.exists()}
+    shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
+    seconds = sum(records[name]["seconds"] for name in files)
+    numbers = {name: numbers[name] for item in shown for name in shows[item]}
+    return write_pages(folder, numbers, shown, settings, seconds, placement)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +22,21 @@ from quadsim.flight.scenario import load_scenario
 from scenarios.bench.cell import fly as fly_mission
 from scenarios.bench.flight_metrics import Log, flight_metrics
 
-from .work import FLIGHTS, TUNING, WEIGHTS, Inputs, write_numbers
+from .work import FLIGHTS, TUNING, WEIGHTS, Inputs, Names, write_numbers
 
 Array = NDArray[np.float64]
+Networks = Mapping[str, Sequence[str]]
+"""Label to model, stage whose weights it has ("": those that ship), and for these a digest."""
 
-FILTERS = ("complementary", "complementary-adaptive", "mahony", "madgwick", "ekf")
 SIX = ("complementary", "mahony", "madgwick", "ekf", "att-rnn", "att-snn")
 """The methods of the paper's Table 2."""
+FILTERS = ("complementary", "complementary-adaptive", "mahony", "madgwick", "ekf")
 SHIPPED = {"att-rnn, shipped": "att-rnn", "att-snn, shipped": "att-snn-loihi"}
 TILT_DEG = 20.0
-BELOW_DEG = 2.0
-"""An estimate that is off by less has found its attitude."""
+CONVERGED_DEG = 2.0
+"""Inclination error below which an estimator counts as converged."""
 RESPONSE_S = 15.0
+RATE_HZ = 200.0
 SHOWN_HZ = 20.0
 """Samples a second of the responses that are drawn."""
 CLOSED = ("hover", "figure-8", "wind-gust")
@@ -43,13 +47,14 @@ PARTS = 3
 
 
 def estimators_of(
-    inputs: Inputs, filters: Sequence[str], networks: Mapping[str, Sequence[str]], rate_hz: float = 200.0
+    inputs: Inputs, filters: Names, networks: Networks, rate_hz: float = RATE_HZ
 ) -> dict[str, AttitudeEstimator]:
-    """Filters as tuned by their stages; networks (model, stage) with its weights, "" for those that ship."""
-    made = {name: create(name, rate_hz, tuning=inputs[f"tune-{name}"] / TUNING) for name in filters}
-    for label, (model, stage, *_) in networks.items():
-        made[label] = create(model, rate_hz, weights=inputs[stage] / WEIGHTS if stage else None)
-    return made
+    """Filters as tuned by their stages, and networks."""
+    tuned = {name: create(name, rate_hz, tuning=inputs[f"tune-{name}"] / TUNING) for name in filters}
+    return tuned | {
+        label: create(model, rate_hz, weights=inputs[stage] / WEIGHTS if stage else None)
+        for label, (model, stage, *_) in networks.items()
+    }
 
 
 def flights_of(inputs: Inputs, stage: str) -> Flights:
@@ -57,165 +62,143 @@ def flights_of(inputs: Inputs, stage: str) -> Flights:
     return load_flights([open_dataset(inputs[stage] / FLIGHTS)])
 
 
-def error_of(est: AttitudeEstimator, flights: Flights) -> Array:
-    """Mean absolute error of each flight from an unknown start, (n,) [deg]."""
-    estimate = run(est, flights.gyro, flights.accel, roll_pitch=flights.start, quat=flights.quat)
-    return attitude_error(estimate, flights.truth).sequences
-
-
-def score(
-    folder: Path, inputs: Inputs, *, flights: str, networks: Mapping[str, Sequence[str]], settle_s: float,
-    seed: int,
-) -> None:  # fmt: skip
+def score(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contenders: Any) -> None:
     """Every method on the flights of one stage, filters also with a known start (Table 2, Fig. 5)."""
-    made = estimators_of(inputs, FILTERS, networks)
-    done = evaluate(open_dataset(inputs[flights] / FLIGHTS), made, settle_s=settle_s, seed=seed)
+    made = estimators_of(inputs, **contenders)
+    (stage,) = flights
+    done = evaluate(open_dataset(inputs[stage] / FLIGHTS), made, settle_s=10.0, seed=seed)
     done.write_csv(folder / "evaluation.csv")
-    found: dict[str, dict[str, list[float]]] = {}
+    sequences: dict[str, dict[str, list[float]]] = {name: {} for name in made}
     for (name, start), errors in done.sequences.items():
-        if start == "unknown" or name not in networks:
-            found.setdefault(name, {})[start] = errors.tolist()
-    write_numbers(folder, {"sequences": found})
+        if start == "unknown" or name in FILTERS:
+            sequences[name][start] = errors.tolist()
+    write_numbers(folder, {"sequences": sequences})
 
 
-def recover(
-    folder: Path, inputs: Inputs, *, flights: Sequence[str], hover: str,
-    networks: Mapping[str, Sequence[str]], seed: int,
-) -> None:  # fmt: skip
-    """How estimators find an attitude that they are 20° off (Fig. 6), in two ways.
+def recover(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contenders: Any) -> None:
+    """How estimators converge from an error of 20° (Fig. 6), in two ways.
 
-    In flight: started level where the vehicle is tilted by 20°. In hover: given an initial roll of 20°, which
-    filters alone take.
+    In flight: started level where the vehicle is tilted by 20°. In hover, the last of the flights: given an
+    initial roll of 20°, which filters alone take.
     """
-    made = estimators_of(inputs, FILTERS, networks)
-    every = round(200.0 / SHOWN_HZ)
-    flown = [flights_of(inputs, name) for name in flights]
-    steps = min(round(RESPONSE_S * 200), flown[0].gyro.shape[1] // 2)
-    parts = [tilted_starts(each, TILT_DEG, steps, seed) for each in flown]
-    pieces = [part for part in parts if part is not None]
-    still = flights_of(inputs, hover)
-    wrong = np.zeros((len(still.gyro), 2))
+    *flying, hover = (flights_of(inputs, name) for name in flights)
+    steps = min(round(RESPONSE_S * RATE_HZ), flying[0].gyro.shape[1] // 2)
+    starts = [tilted_starts(each, TILT_DEG, steps, seed) for each in flying]
+    pieces = [piece for piece in starts if piece is not None]
+    wrong = np.zeros((len(hover.gyro), 2))
     wrong[:, 0] = np.radians(TILT_DEG)
-    found = {}
-    for name, est in made.items():
-        errors = np.concatenate(
-            [inclination_error(run(est, p.gyro, p.accel, quat=p.quat), p.truth) for p in pieces]
-        )
-        found[name] = {"flight": response_of(errors, every)}
-        if name not in networks:
-            estimate = run(est, still.gyro, still.accel, roll_pitch=wrong, quat=still.quat)
-            errors = inclination_error(estimate, still.truth)[:, :steps]
-            found[name]["hover"] = response_of(errors, every)
-    write_numbers(folder, {"starts": sum(len(p.gyro) for p in pieces), "hovers": len(wrong), "found": found})
+    curves = {}
+    for name, est in estimators_of(inputs, **contenders).items():
+        errors = [inclination_error(run(est, p.gyro, p.accel, quat=p.quat), p.truth) for p in pieces]
+        curves[name] = {"flight": response_of(np.concatenate(errors))}
+        if name in FILTERS:
+            estimate = run(est, hover.gyro, hover.accel, roll_pitch=wrong, quat=hover.quat)
+            curves[name]["hover"] = response_of(inclination_error(estimate, hover.truth)[:, :steps])
+    starts = sum(len(piece.gyro) for piece in pieces)
+    write_numbers(folder, {"starts": starts, "hovers": len(wrong), "curves": curves})
 
 
-def response_of(error: Array, every: int) -> dict[str, object]:
-    """Inclination errors (n, T) [deg] as they are drawn, and when they are first below `BELOW_DEG` [s]."""
-    low, middle, high = np.quantile(error[:, ::every], [0.25, 0.5, 0.75], axis=0)
-    below = error < BELOW_DEG
-    first = np.where(below.any(axis=1), below.argmax(axis=1) / 200.0, np.inf)
+def response_of(error: Array) -> dict[str, object]:
+    """The median of inclination errors (n, T) [deg] as it is drawn, and the median time to converge [s]."""
+    below = error < CONVERGED_DEG
+    first = np.where(below.any(axis=1), below.argmax(axis=1) / RATE_HZ, np.inf)
     median = float(np.median(first))
     return {
-        "low": low.round(3).tolist(), "median": middle.round(3).tolist(), "high": high.round(3).tolist(),
-        "first_s": None if np.isinf(median) else median, "within": float(np.isfinite(first).mean()),
-    }  # fmt: skip
+        "median": np.median(error[:, :: round(RATE_HZ / SHOWN_HZ)], axis=0).round(3).tolist(),
+        "first_s": None if np.isinf(median) else median,
+        "within": float(np.isfinite(first).mean()),
+    }
 
 
 def compare(
-    folder: Path, inputs: Inputs, *, flights: Sequence[str], filters: Sequence[str],
-    networks: Mapping[str, Sequence[str]], rate_hz: float = 200.0,
-) -> None:  # fmt: skip
-    """Errors of estimators on the flights of some stages: for the pages on rate, size and minutes."""
-    made = estimators_of(inputs, filters, networks, rate_hz)
+    folder: Path, inputs: Inputs, *, flights: Names, rate_hz: float = RATE_HZ, **contenders: Any
+) -> None:
+    """Mean absolute error of each flight from an unknown start: for the pages on rate, size and minutes."""
+    recorded = {stage: flights_of(inputs, stage) for stage in flights}
     errors = {
-        name: {stage: error_of(est, flights_of(inputs, stage)).tolist() for stage in flights}
-        for name, est in made.items()
+        name: {
+            stage: attitude_error(
+                run(est, each.gyro, each.accel, roll_pitch=each.start, quat=each.quat), each.truth
+            ).sequences.tolist()
+            for stage, each in recorded.items()
+        }
+        for name, est in estimators_of(inputs, rate_hz=rate_hz, **contenders).items()
     }
     sizes = {}
-    for label, (_, stage, *_) in networks.items():
-        if stage:
-            config, tensors = load_network(inputs[stage] / WEIGHTS)
-            sizes[label] = [
-                config.encoding + config.hidden,
-                int(sum(each.size for each in tensors.values())),
-            ]
-    write_numbers(folder, {"errors": errors, "sizes": sizes})
+    for label, (_, stage) in contenders["networks"].items():
+        config, tensors = load_network(inputs[stage] / WEIGHTS)
+        sizes[label] = [config.encoding + config.hidden, sum(each.size for each in tensors.values())]
+    duration_s = next(iter(recorded.values())).gyro.shape[1] / rate_hz
+    write_numbers(folder, {"errors": errors, "sizes": sizes, "duration_s": duration_s})
 
 
 def close_loop(
-    folder: Path, inputs: Inputs, *, networks: Mapping[str, Sequence[str]], seeds: int, duration_s: float,
-    seed: int,
-) -> None:  # fmt: skip
-    """Fly scenarios on this run's network and filters, and see whether the error grows."""
-    made = {"truth": create("truth"), **estimators_of(inputs, ("complementary", "mahony", "ekf"), networks)}
-    found: dict[str, dict[str, object]] = {}
-    for scenario in CLOSED:
+    folder: Path, inputs: Inputs, *, seeds: int, duration_s: float, seed: int, **contenders: Any
+) -> None:
+    """Simulate scenarios with attitude from networks and filters, and see whether the error grows."""
+    made = {"truth": create("truth"), **estimators_of(inputs, **contenders)}
+    scenarios: dict[str, dict[str, object]] = {name: {} for name in CLOSED}
+    for scenario, scores in scenarios.items():
         for name, est in made.items():
             mission = Mission(load_scenario(scenario), est, seeds, duration_s=duration_s)
             log, end = fly_mission(mission, seed)
-            metrics = flight_metrics(log, end, 200.0, mission.vehicle)
-            found.setdefault(scenario, {})[name] = {
+            metrics = flight_metrics(log, end, RATE_HZ, mission.vehicle)
+            scores[name] = {
                 "flights": seeds,
                 "crashes": int((mission.cause > 0).sum()),
-                "parts_deg": error_in_parts(log, end, 200.0),
-                **{
-                    key: float(np.nanmean(getattr(metrics, key)))
-                    for key in ("error_deg", "attitude_deg", "position_m")
-                },
+                "parts_deg": error_in_parts(log, end),
             }
-    write_numbers(folder, {"found": found, "duration_s": duration_s})
+            for key in ("error_deg", "attitude_deg", "position_m"):
+                scores[name][key] = float(np.nanmean(getattr(metrics, key)))
+    write_numbers(folder, {"scenarios": scenarios, "duration_s": duration_s})
 
 
-def error_in_parts(log: Log, end: NDArray[np.int64], rate_hz: float) -> list[float]:
-    """Mean absolute error in equal parts of the flights that lasted, after they have settled [deg]."""
-    first = min(round(SETTLED_S * rate_hz), log.shape[1] // 2)
-    late = log[end == log.shape[1], first:]
-    error = absolute_error(late["estimate"], late["euler"][..., :2])
+def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
+    """Mean absolute error in equal parts of the flights without a crash, once they have settled [deg]."""
+    first = min(round(SETTLED_S * RATE_HZ), log.shape[1] // 2)
+    settled = log[end == log.shape[1], first:]
+    error = absolute_error(settled["estimate"], settled["euler"][..., :2])
     return [float(part.mean()) if part.size else np.nan for part in np.array_split(error, PARTS, axis=1)]
 
 
 def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> None:
-    """Time of one update of every estimator (Fig. 9), in turns."""
+    """Time of one update of every estimator (Fig. 9), in turns: 1 %, 50 % and 99 % [µs]."""
     from estimators.analysis.latency import contenders, measure
 
     taken = measure(contenders(), rounds)
-    found = {name: [float(x) for x in np.percentile(each, [1, 50, 99])] for name, each in taken.items()}
-    write_numbers(folder, {"µs": found, "calls": min(each.size for each in taken.values())})
+    write_numbers(folder, {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()})
 
 
-def look_inside(folder: Path, inputs: Inputs, *, flights: str, network: str, rnn: str) -> None:
-    """Spikes, ablation, manipulated inputs and operations of a network (Figs. 7, 8, 9, FLOPs)."""
+def look_inside(folder: Path, inputs: Inputs) -> None:
+    """Spikes, ablation, manipulated inputs and operations of a network (Figs. 7, 8, 9, FLOPs).
+
+    Inputs: flights, the spiking network, and its twin of GRUs.
+    """
     from estimators.analysis.energy import gru_flops, snn_flops
     from estimators.analysis.inspection import FRACTIONS, inspect
 
+    stage, network, rnn = inputs
     config, tensors = load_network(inputs[network] / WEIGHTS)
-    flown = flights_of(inputs, flights)
-    found = inspect(network, config, tensors, flown)
-    spikes = (float(found.layer_rates(0).sum()), float(found.layer_rates(1).sum()))
+    flights = flights_of(inputs, stage)
+    inside = inspect(network, config, tensors, flights)
+    rates = [inside.layer_rates(layer) for layer in (0, 1)]
     twin, _ = load_network(inputs[rnn] / WEIGHTS)
-    shown = round(25.0 * flown.rate_hz)
-    write_numbers(
-        folder,
-        {
-            "rates": [found.layer_rates(k).round(5).tolist() for k in (0, 1)],
-            "silent": list(found.silent),
-            "fractions": list(FRACTIONS),
-            "ablation": {by: errors.tolist() for by, errors in found.ablation.items()},
-            "responses": {
-                name: {
-                    "error_deg": each.error_deg,
-                    "gain": each.gain,
-                    "slow_gain": each.slow_gain,
-                    "fast_gain": each.fast_gain,
-                    "roll_deg": np.degrees(each.estimate[:shown:4, 0]).round(2).tolist(),
-                }
-                for name, each in found.responses.items()
-            },
-            "roll_deg": np.degrees(found.truth[:shown:4, 0]).round(2).tolist(),
-            "step_s": 4 / flown.rate_hz,
-            "costs": [asdict(each) for each in found.costs],
-            "flops": snn_flops(config.encoding, config.hidden, spikes)
-            | {"gru": gru_flops(twin.encoding, twin.hidden)},
-            "spikes": spikes,
-        },
-    )
+    flops = snn_flops(config.encoding, config.hidden, (float(rates[0].sum()), float(rates[1].sum())))
+    drawn = slice(0, round(25.0 * flights.rate_hz), 4)
+    responses = {
+        name: {key: getattr(each, key) for key in ("error_deg", "gain", "slow_gain", "fast_gain")}
+        | {"roll_deg": np.degrees(each.estimate[drawn, 0]).round(2).tolist()}
+        for name, each in inside.responses.items()
+    }
+    numbers = {
+        "rates": [each.round(5).tolist() for each in rates],
+        "silent": inside.silent,
+        "fractions": FRACTIONS,
+        "ablation": {by: errors.tolist() for by, errors in inside.ablation.items()},
+        "responses": responses,
+        "roll_deg": np.degrees(inside.truth[drawn, 0]).round(2).tolist(),
+        "step_s": drawn.step / flights.rate_hz,
+        "costs": [asdict(each) for each in inside.costs],
+        "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden)},
+    }
+    write_numbers(folder, numbers)

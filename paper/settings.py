@@ -1,8 +1,8 @@
-"""How large everything is: flights, updates, swarms. The two presets, in one typed place."""
+"""Sizes of the run: flights, updates, swarms; and the two presets."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from quadsim.config.ranges import Between, SampleRate
 from quadsim.config.toml import Strict
@@ -29,13 +29,13 @@ class Budget(Strict):
         """In all."""
         return self.epochs * self.batches
 
-    def choices(self) -> dict[str, float | int]:
-        """Fields of the training configuration."""
-        return self.model_dump()
+    def __str__(self) -> str:
+        """As pages say it."""
+        return f"{self.updates} updates of {self.batch_size} windows of {self.window_s:g} s"
 
 
 class PaperSettings(Strict):
-    """Sizes of everything that `quadsim paper` does."""
+    """Sizes of all that `quadsim paper` does; the defaults are the paper's sizes, preset "full"."""
 
     preset: str
     seed: Annotated[int, Between(0, 2**63 - 1)] = 0
@@ -53,20 +53,20 @@ class PaperSettings(Strict):
     """Parameter sets that a filter's tuning tries at once."""
     iterations: Number = 20
     """How often."""
-    main: Budget
+    main: Budget = Budget(epochs=150, batches=30)
     """Att-SNN of Table 2 and of everything after it, and its twin in floats."""
-    paper: Budget
+    paper: Budget = Budget(epochs=60, batches=15, window_s=10.0, windows_per_stream=1)
     """Att-SNN by the paper's recipe."""
-    rnn: Budget
+    rnn: Budget = Budget(epochs=36, batches=24, window_s=2.5, windows_per_stream=6)
     """Att-RNN."""
-    fold_snn: Budget
-    fold_rnn: Budget
-    study: Budget
+    fold_snn: Budget = Budget(epochs=16, batches=45)
+    fold_rnn: Budget = Budget(epochs=5, batches=24, window_s=2.5, windows_per_stream=6)
+    study: Budget = Budget(epochs=16, batches=45)
     """Each network of the pages on size and on minutes of flight."""
     rates_hz: tuple[SampleRate, ...] = (100.0, 200.0, 500.0, 1000.0)
     rate_flights: tuple[Number, Number, Number] = (16, 3, 8)
     """Flights at each rate: training, validation, test."""
-    rate: Budget
+    rate: Budget = Budget(epochs=10, batches=24)
     """Training on, at each rate."""
     sizes: tuple[Number, ...] = (20, 40, 80, 120, 160, 200)
     """Neurons of both layers together; the last is the whole network."""
@@ -79,60 +79,42 @@ class PaperSettings(Strict):
     """Length of the closed-loop flights [s]."""
 
 
-def full(seed: int = 0) -> PaperSettings:
-    """The paper's sizes."""
-    return PaperSettings(
-        preset="full",
-        seed=seed,
-        main=Budget(epochs=150, batches=30),
-        paper=Budget(epochs=60, batches=15, window_s=10.0, windows_per_stream=1),
-        rnn=Budget(epochs=36, batches=24, window_s=2.5, windows_per_stream=6),
-        fold_snn=Budget(epochs=16, batches=45),
-        fold_rnn=Budget(epochs=5, batches=24, window_s=2.5, windows_per_stream=6),
-        study=Budget(epochs=16, batches=45),
-        rate=Budget(epochs=10, batches=24),
-    )
-
-
-def quick(seed: int = 0) -> PaperSettings:
-    """All of it in minutes: short flights and trainings, to see that it works and roughly what comes out."""
-    return PaperSettings(
-        preset="quick",
-        seed=seed,
-        sim_flights=12,
-        real_flights=6,
-        validation_flights=(2, 1),
-        test_flights=(4, 4),
-        flight_s=50.0,
-        folds=3,
-        particles=16,
-        iterations=12,
-        main=Budget(epochs=24, batches=24, window_s=2.5, windows_per_stream=6),
-        paper=Budget(epochs=16, batches=15, window_s=2.5, windows_per_stream=1),
-        rnn=Budget(epochs=12, batches=12, window_s=1.25, windows_per_stream=12),
-        fold_snn=Budget(epochs=5, batches=36, window_s=2.5, windows_per_stream=6),
-        fold_rnn=Budget(epochs=4, batches=12, window_s=1.25, windows_per_stream=12),
-        study=Budget(epochs=5, batches=36, window_s=2.5, windows_per_stream=6),
-        rates_hz=(100.0, 200.0, 500.0),
-        rate_flights=(6, 2, 4),
-        rate=Budget(epochs=3, batches=18, window_s=2.5, windows_per_stream=6),
-        sizes=(20, 80, 200),
-        minutes_flights=(1, 4, 12),
-        latency_rounds=5,
-        loop_seeds=3,
-        loop_s=30.0,
-    )
-
-
-PRESETS = {"quick": quick, "full": full}
+PRESETS: dict[str, dict[str, Any]] = {
+    "quick": {
+        "sim_flights": 12,
+        "real_flights": 6,
+        "validation_flights": (2, 1),
+        "test_flights": (4, 4),
+        "flight_s": 50.0,
+        "folds": 3,
+        "particles": 16,
+        "iterations": 12,
+        "main": Budget(epochs=24, batches=24, window_s=2.5, windows_per_stream=6),
+        "paper": Budget(epochs=16, batches=15, window_s=2.5, windows_per_stream=1),
+        "rnn": Budget(epochs=12, batches=12, window_s=1.25, windows_per_stream=12),
+        "fold_snn": Budget(epochs=5, batches=36, window_s=2.5, windows_per_stream=6),
+        "fold_rnn": Budget(epochs=4, batches=12, window_s=1.25, windows_per_stream=12),
+        "study": Budget(epochs=5, batches=36, window_s=2.5, windows_per_stream=6),
+        "rates_hz": (100.0, 200.0, 500.0),
+        "rate_flights": (6, 2, 4),
+        "rate": Budget(epochs=3, batches=18, window_s=2.5, windows_per_stream=6),
+        "sizes": (20, 80, 200),
+        "minutes_flights": (1, 4, 12),
+        "latency_rounds": 5,
+        "loop_seeds": 3,
+        "loop_s": 30.0,
+    },
+    "full": {},
+}
+"""What differs from the defaults. "quick" takes minutes: short flights and trainings, to try everything."""
 
 
 def settings_of(preset: str, seed: int = 0) -> PaperSettings:
-    """The sizes of a preset.
+    """Sizes of a preset.
 
     Raises:
         ValueError: There is no such preset.
     """
     if preset not in PRESETS:
         raise ValueError(f"no preset {preset!r}, there are {' and '.join(PRESETS)}")
-    return PRESETS[preset](seed)
+    return PaperSettings(preset=preset, seed=seed, **PRESETS[preset])

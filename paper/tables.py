@@ -1,123 +1,113 @@
-"""Tables in Markdown, from the stages' numbers, the paper's figures beside ours."""
+"""Tables in Markdown for the gaps of `sections.md`, from the stages' numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from training.cross_domain import TEST, TRAIN, Score
-from training.cross_domain import table as cells_of
+from training.cross_domain import TEST, TRAIN
 
-from .claims import NETWORKS, Numbers, by_rate, pooled
+from .claims import NETWORKS, Numbers, by_rate, fold_errors, pooled
 from .figures import CURVES, DOMAIN_TITLES
-from .quoted import CHIP, GENERAL_DEG, NOT_QUOTED, TEST_DEG, quoted
+from .plan import RNN
+from .quoted import CHIP, GENERAL_DEG, NOT_QUOTED, PYTORCH_US, TEST_DEG
 from .scores import FILTERS, SHIPPED, SIX
 
 DOMAIN_NAMES = {"sim": "Hummingbird", "real": "second domain"}
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table; the first column to the left, numbers to the right."""
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+def _table(header: str, rows: Iterable[Sequence[object]]) -> str:
+    """A table under a header "a | b | c"; the first column to the left, numbers to the right."""
+    lines = [header.split(" | "), ["---", *["---:"] * header.count(" | ")], *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+def _italic(name: str) -> str:
+    return f"*{name}*" if name in SHIPPED else name
 
 
 def folds(numbers: Numbers) -> str:
     """Table 1: k-fold and cross-domain errors."""
-    scores = [
-        Score(**row) for name, each in numbers.items() if name.startswith("fold-") for row in each["scores"]
-    ]
-    scores.sort(key=lambda s: (NETWORKS.index(s.model), s.trained_on != "sim", s.fold))
     tested = {TRAIN: "training flights", TEST: "unseen flights of the same domain"}
     rows = []
-    for cell in cells_of(scores):
-        theirs = NOT_QUOTED
-        if (cell.trained_on, cell.tested_on) == ("sim", "real") and cell.model == "att-snn":
-            theirs = f"{GENERAL_DEG['trained on simulation, flown']} (others {GENERAL_DEG['otherwise']})"
+    for cell in fold_errors(numbers):
+        quoted = (cell.model, cell.trained_on, cell.tested_on) == ("att-snn", "sim", "real")
         on = tested.get(cell.tested_on) or f"all of the {DOMAIN_NAMES[cell.tested_on]}"
         error = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}"
-        rows.append([cell.model, DOMAIN_NAMES[cell.trained_on], on, cell.folds, error, theirs])
-    return table(["network", "trained on", "tested on", "folds", "mean ± SD [°]", "the paper [°]"], rows)
+        home, theirs = DOMAIN_NAMES[cell.trained_on], GENERAL_DEG if quoted else NOT_QUOTED
+        rows.append([cell.model, home, on, cell.folds, error, theirs])
+    return _table("network | trained on | tested on | folds | mean ± SD [°] | the paper [°]", rows)
 
 
 def methods(numbers: Numbers) -> str:
     """Table 2: median, mean and SD of every method, pooled over both domains (networks: unknown start)."""
     rows = []
-    for start in ("unknown", "known"):
-        for name in [*SIX, "complementary-adaptive", *SHIPPED]:
-            if start == "known" and name.startswith("att"):
-                continue
-            cells = []
-            for kind in ("", "test-"):
-                errors = pooled(numbers, kind, name, start)
-                cells += [f"{np.median(errors):.2f}", f"{errors.mean():.2f}", f"{errors.std(ddof=1):.2f}"]
-            by_domain = [
-                np.mean(numbers[f"score-test-{each}"]["sequences"][name][start]) for each in DOMAIN_NAMES
-            ]
-            theirs = quoted(TEST_DEG.get(name)) if start == "unknown" else NOT_QUOTED
-            shown = f"*{name}*" if name in SHIPPED else name
-            rows.append([shown, start, *cells, *(f"{error:.2f}" for error in by_domain), theirs])
-    header = [
-        "method", "start", "training: median", "mean", "SD", "test: median", "mean", "SD",
-        "test, Hummingbird", "test, second domain", "the paper, test",
-    ]  # fmt: skip
-    return table(header, rows)
+    every = [*SIX, "complementary-adaptive", *SHIPPED]
+    known = [name for name in every if not name.startswith("att")]
+    for name, start in [*((name, "unknown") for name in every), *((name, "known") for name in known)]:
+        errors = [pooled(numbers, kind, name, start) for kind in ("", "test-")]
+        cells = [value for each in errors for value in (np.median(each), each.mean(), each.std(ddof=1))]
+        cells += [np.mean(numbers[f"score-test-{each}"]["sequences"][name][start]) for each in DOMAIN_NAMES]
+        theirs = TEST_DEG.get(name, NOT_QUOTED) if start == "unknown" else NOT_QUOTED
+        rows.append([_italic(name), start, *(f"{error:.2f}" for error in cells), theirs])
+    header = (
+        "method | start | training: median | mean | SD | test: median | mean | SD | test, Hummingbird | "
+        "test, second domain | the paper, test"
+    )
+    return _table(header, rows)
 
 
 def tuned(numbers: Numbers) -> str:
-    """What the swarm found."""
+    """Parameters from the swarm."""
     rows = []
     for name in FILTERS:
         each = numbers[f"tune-{name}"]
         values = ", ".join(f"`{key}` {value:.4g}" for key, value in each["values"].items())
         rows.append([name, values, f"{each['rmse_deg']:.2f}"])
-    return table(["filter", "tuned values", "RMSE on the training flights [°]"], rows)
+    return _table("filter | tuned values | RMSE on the training flights [°]", rows)
 
 
-def spreads(numbers: Numbers) -> str:
+def distributions(numbers: Numbers) -> str:
     """Standard deviations of inputs and outputs in both domains."""
-    found = numbers["distributions"]
-    names = list(found["sim"])
-    rows = [[DOMAIN_TITLES[d], *(f"{found[d][name]['sd']:.2f}" for name in names)] for d in DOMAIN_NAMES]
-    return table(["SD of", *names], rows)
+    domains = numbers["distributions"]
+    rows = [
+        [DOMAIN_TITLES[domain], *(f"{each['sd']:.2f}" for each in columns.values())]
+        for domain, columns in domains.items()
+    ]
+    return _table(" | ".join(["SD of", *domains["sim"]]), rows)
 
 
-def curves(numbers: Numbers) -> str:
-    """How the four trainings ended."""
+def losses(numbers: Numbers) -> str:
+    """Last and best epochs of the four trainings, the best network first."""
     rows = []
-    for stage, label in CURVES.items():
+    for stage in sorted(CURVES, key=lambda name: numbers[name]["best"]["val_error_deg"]):
         best = numbers[stage]["best"]
-        spikes = "–" if "rnn" in stage else f"{best['rate_encoding']:.2f}, {best['rate_hidden']:.2f}"
+        spikes = "–" if stage == RNN else f"{best['rate_encoding']:.2f}, {best['rate_hidden']:.2f}"
         updates, minutes = numbers[stage]["updates"][-1], numbers[stage]["seconds"] / 60
         error = f"{best['val_error_deg']:.2f}"
-        rows.append([label, f"{updates:.0f}", best["updates"], error, spikes, f"{minutes:.1f}"])
-    header = [
-        "network",
-        "updates",
-        "of them to the best",
-        "validation error [°]",
-        "spikes a step, both layers",
-        "min",
-    ]
-    return table(header, rows)
+        rows.append([CURVES[stage], f"{updates:.0f}", best["updates"], error, spikes, f"{minutes:.1f}"])
+    header = (
+        "network | updates | of them to the best | validation error [°] | spikes a step, both layers | min"
+    )
+    return _table(header, rows)
 
 
 def recoveries(numbers: Numbers) -> str:
     """When the error is first below 2°."""
     rows = []
-    for name, each in numbers["recover"]["found"].items():
+    for name, each in numbers["recover"]["curves"].items():
         cells = []
         for kind in ("flight", "hover"):
-            if kind not in each:
+            if kind in each:
+                time = each[kind]["first_s"]
+                cells += ["never" if time is None else f"{time:.2f}", f"{100 * each[kind]['within']:.0f} %"]
+            else:
                 cells += ["–", "–"]
-                continue
-            time = each[kind]["first_s"]
-            cells += ["never" if time is None else f"{time:.2f}", f"{100 * each[kind]['within']:.0f} %"]
-        cells.append("< 1 s" if name in NETWORKS else "> 7 s (its filters)" if name in SIX else NOT_QUOTED)
-        rows.append([f"*{name}*" if name in SHIPPED else name, *cells])
-    header = ["method", "in flight [s]", "got there", "in hover [s]", "got there", "the paper"]
-    return table(header, rows)
+        theirs = "< 1 s" if name in NETWORKS else "> 7 s (its filters)" if name in SIX else NOT_QUOTED
+        rows.append([_italic(name), *cells, theirs])
+    return _table("method | in flight [s] | converged | in hover [s] | converged | the paper", rows)
 
 
 def manipulations(numbers: Numbers) -> str:
@@ -126,93 +116,99 @@ def manipulations(numbers: Numbers) -> str:
         [name, *(f"{each[key]:.2f}" for key in ("error_deg", "gain", "slow_gain", "fast_gain"))]
         for name, each in numbers["inside"]["responses"].items()
     ]
-    return table(["inputs", "error [°]", "gain", "gain below 0.2 Hz", "gain above 1 Hz"], rows)
+    return _table("inputs | error [°] | gain | gain below 0.2 Hz | gain above 1 Hz", rows)
 
 
 def latencies(numbers: Numbers) -> str:
     """Time of one update."""
-    found = numbers["latencies"]["µs"]
-    chip = found["att-snn-loihi"][1]
-    theirs = {
-        "att-snn-loihi": f"{CHIP['µs']:g} (the chip itself)",
-        "SNN, plain PyTorch": "555",
-        "GRU, PyTorch": "150",
-    }
+    chip = numbers["latencies"]["att-snn-loihi"][1]
+    theirs = {name: f"{value:g}" for name, value in PYTORCH_US.items()}
+    theirs["att-snn-loihi"] = f"{CHIP['µs']:g} (the chip itself)"
     rows = [
         [name, f"{middle:.2f}", f"{high:.2f}", f"{middle / chip:.2f}", theirs.get(name, NOT_QUOTED)]
-        for name, (_, middle, high) in sorted(found.items(), key=lambda item: item[1][1])
+        for name, (_, middle, high) in sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
     ]
-    return table(["estimator", "median [µs]", "99 % [µs]", "over att-snn-loihi", "the paper [µs]"], rows)
+    return _table("estimator | median [µs] | 99 % [µs] | over att-snn-loihi | the paper [µs]", rows)
 
 
 def energy(numbers: Numbers) -> str:
     """Operations and modelled energy of a step."""
-    lines = numbers["inside"]["costs"]
-    rows = [
-        [each["operation"], f"{each['count']:.1f}", f"{each['picojoules']:g}",
-         f"{each['count'] * each['picojoules'] / 1e3:.2f}", f"{100 * each['share']:.0f} %"]
-        for each in lines
-    ]  # fmt: skip
-    total = sum(each["count"] * each["picojoules"] for each in lines) / 1e3
-    rows.append(["sum, modelled", "", "", f"{total:.1f}", ""])
-    return table(["operation", "a step", "pJ each", "nJ a step", "share"], rows)
+    rows, total = [], 0.0
+    for each in numbers["inside"]["costs"]:
+        count, picojoules = each["count"], each["picojoules"]
+        total += count * picojoules
+        nanojoules, share = f"{count * picojoules / 1e3:.2f}", f"{100 * each['share']:.0f} %"
+        rows.append([each["operation"], f"{count:.1f}", f"{picojoules:g}", nanojoules, share])
+    rows.append(["sum, modelled", "", "", f"{total / 1e3:.1f}", ""])
+    return _table("operation | a step | pJ each | nJ a step | share", rows)
 
 
 def operations(numbers: Numbers) -> str:
     """Floating-point operations of one update."""
     flops = numbers["inside"]["flops"]
-    names = {
-        "dense": "Att-SNN, zeros multiplied too",
-        "sparse": "Att-SNN, synapses of spikes alone",
-        "gru": "Att-RNN",
-    }
     rows = [
-        [
-            label,
-            f"{flops[key]:.0f}",
-            f"{flops[key] / flops['dense']:.2f}",
-            "about 3" if key == "gru" else NOT_QUOTED,
-        ]
-        for key, label in names.items()
+        [label, f"{flops[key]:.0f}", f"{flops[key] / flops['dense']:.2f}", theirs]
+        for key, label, theirs in (
+            ("dense", "Att-SNN, zeros multiplied too", NOT_QUOTED),
+            ("sparse", "Att-SNN, synapses of spikes alone", NOT_QUOTED),
+            ("gru", "Att-RNN", "about 3"),
+        )
     ]
-    return table(["network", "operations an update", "over the first", "the paper"], rows)
+    return _table("network | operations an update | over the first | the paper", rows)
 
 
 def loops(numbers: Numbers) -> str:
     """The closed loop: crashes, errors and whether they grow."""
     rows = []
-    for scenario, found in numbers["loop"]["found"].items():
-        for name, each in found.items():
+    for scenario, scores in numbers["loop"]["scenarios"].items():
+        for name, each in scores.items():
             parts = " → ".join(f"{part:.2f}" for part in each["parts_deg"])
-            shown = f"*{name}*" if name in SHIPPED else name
-            crashed = f"{each['crashes']} of {each['flights']}"
             error, *tracking = (f"{each[key]:.2f}" for key in ("error_deg", "attitude_deg", "position_m"))
-            rows.append([scenario, shown, crashed, error, parts, *tracking])
-    header = [
-        "scenario", "flown on", "crashed", "estimation error [°]", "in thirds of the flight [°]",
-        "attitude tracking [°]", "position tracking [m]",
-    ]  # fmt: skip
-    return table(header, rows)
+            crashed = f"{each['crashes']} of {each['flights']}"
+            rows.append([scenario, _italic(name), crashed, error, parts, *tracking])
+    header = (
+        "scenario | attitude from | crashed | estimation error [°] | in thirds of the flight [°] | "
+        "attitude tracking [°] | position tracking [m]"
+    )
+    return _table(header, rows)
 
 
 def rates(numbers: Numbers) -> str:
     """Errors at each sample rate."""
-    found = by_rate(numbers)
-    names = list(next(iter(found.values())))
-    titles = {"rescaled": "Att-SNN, rescaled", "trained on": "Att-SNN, rescaled and trained on"}
-    rows = [[f"{rate:g}", *(f"{each[name]:.2f}" for name in names)] for rate, each in found.items()]
-    return table(["samples a second", *(f"{titles.get(name, name)} [°]" for name in names)], rows)
+    by_hz = by_rate(numbers)
+    rows = [[f"{rate:g}", *(f"{error:.2f}" for error in each.values())] for rate, each in by_hz.items()]
+    names = next(iter(by_hz.values()))
+    return _table(" | ".join(["samples a second", *(f"{name} [°]" for name in names)]), rows)
 
 
-def compared(numbers: Numbers, stage: str, first: str, flight_s: float | None = None) -> str:
-    """Errors of networks of several sizes, or of several amounts of flight."""
-    found = numbers[stage]
-    rows = []
-    for name, errors in found["errors"].items():
-        head = name
-        if flight_s is not None:
-            head = f"{name} ({int(name) * flight_s / 60:.1f} min)"
-        size = found["sizes"].get(name)
-        cells = [f"{np.mean(errors[key]):.2f} ± {np.std(errors[key], ddof=1):.2f}" for key in errors]
-        rows.append([head, f"{size[1]}" if size else "–", *cells])
-    return table([first, "parameters", "unseen Hummingbird flights [°]", "second domain [°]"], rows)
+def sizes(numbers: Numbers) -> str:
+    """Errors of networks of several sizes, and which are enough."""
+    stage = numbers["compare-size"]
+    names = {
+        name: f"{name} neurons ({parameters} parameters)" for name, (_, parameters) in stage["sizes"].items()
+    }
+    return _compared(stage, names, "network")
+
+
+def minutes(numbers: Numbers) -> str:
+    """Errors of networks trained on several minutes of flight, and which are enough."""
+    stage = numbers["compare-minutes"]
+    names = {name: f"{int(name) * stage['duration_s'] / 60:.1f} minutes of flight" for name in stage["sizes"]}
+    return _compared(stage, names, "trained on")
+
+
+def _compared(stage: Mapping[str, Any], names: Mapping[str, str], first: str) -> str:
+    """Errors on both test sets, and the least network within a tenth of the error of the last."""
+    errors = stage["errors"]
+    rows = [
+        [
+            names.get(name, name),
+            *(f"{np.mean(each):.2f} ± {np.std(each, ddof=1):.2f}" for each in sets.values()),
+        ]
+        for name, sets in errors.items()
+    ]
+    *_, last = names
+    means = {name: np.mean(errors[name]["fly-test-sim"]) for name in names}
+    least = next(name for name in names if means[name] <= 1.1 * means[last])
+    table = _table(f"{first} | unseen Hummingbird flights [°] | second domain [°]", rows)
+    return f"{table}\n\n{names[least]} come within a tenth of the error of {names[last]}."

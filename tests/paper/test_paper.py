@@ -1,19 +1,24 @@
-"""`quadsim paper` at a tiny size: its stages are stored, its claims judged from numbers, its pages whole."""
+"""`quadsim paper` at a tiny size: stored stages, claims judged from numbers, complete pages."""
 
 import json
 import re
+from dataclasses import asdict
+from string import Formatter
 
 import numpy as np
 import pytest
 
+from paper import tables
 from paper.claims import CLAIMS, judge, scatter
-from paper.pages import VALUES, sections
-from paper.plan import ITEMS, chosen, stages_of
-from paper.quoted import quoted
+from paper.figures import FIGURES
+from paper.pages import sections
+from paper.plan import ITEMS, TRAINED_ON, chosen, stages_of
+from paper.quoted import NOT_QUOTED
 from paper.run import paper
-from paper.settings import PRESETS, Budget, PaperSettings
+from paper.settings import PRESETS, Budget, PaperSettings, settings_of
 from paper.stages import RECORD, Stage, run_stages, with_inputs
 from paper.work import NUMBERS, fly
+from training.cross_domain import Score
 
 SHORT = Budget(epochs=1, batches=1, batch_size=2, window_s=0.5, windows_per_stream=1)
 LONGER = SHORT.model_copy(update={"epochs": 4})
@@ -48,7 +53,7 @@ TINY = PaperSettings(
 
 
 def note(folder, inputs, **settings):
-    """A stage that writes what it was given, after what an earlier attempt left."""
+    """A stage that writes its arguments, after what an earlier attempt wrote."""
     file = folder / "text"
     before = file.read_text() if file.exists() else ""
     file.write_text(before + str(settings) + "".join((inputs[name] / "text").read_text() for name in inputs))
@@ -75,7 +80,7 @@ def test_a_changed_setting_redoes_only_what_depends_on_it(tmp_path):
     assert run_stages(chain(first=5, second=3), tmp_path, workers=1) == ["a", "b", "c", "d"]
 
 
-def test_a_killed_stage_goes_on_in_its_folder(tmp_path):
+def test_a_killed_stage_continues_in_its_folder(tmp_path):
     run_stages(chain(), tmp_path, workers=1)
     record = tmp_path / "d" / RECORD
     record.write_text(re.sub(r', "seconds": [\d.]+', "", record.read_text()))  # as if killed before its end
@@ -83,41 +88,43 @@ def test_a_killed_stage_goes_on_in_its_folder(tmp_path):
     assert (tmp_path / "d" / "text").read_text() == "{}{'x': 1}{}{'x': 1}"
 
 
-def test_inputs_come_first():
-    stages = {stage.name: stage for stage in reversed(chain())}
+def test_inputs_are_found_at_any_depth_and_come_first():
+    stages = {stage.name: stage for stage in chain()}
     assert [stage.name for stage in with_inputs(stages, ["c"])] == ["a", "b", "c"]
 
 
 def test_the_number_of_workers_changes_nothing(tmp_path):
     settings = {"domain": "sim", "flights": 1, "duration_s": 1.0, "seed": 1}
     stages = [Stage("one", fly, settings), Stage("two", fly, settings | {"seed": 2}, alone=True)]
-    said = []
+    reported = []
     for workers in (1, 2):
-        run_stages(stages, tmp_path / str(workers), workers, lambda *now: said.append(now))
+        run_stages(stages, tmp_path / str(workers), workers, lambda *now: reported.append(now))
     for name in ("one", "two"):
         first, second = (
             {path.relative_to(root): path.read_bytes() for path in root.rglob("c/*") if path.is_file()}
             for root in (tmp_path / "1" / name, tmp_path / "2" / name)
         )
         assert first == second
-    assert said[0][:2] == (0, 10)
-    assert said[-1][:2] == (10, 10)
+    assert reported[0][:2] == (0, 10)
+    assert reported[-1][:2] == (10, 10)
 
 
 # --- what there is to make ---
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_stage_finds_its_inputs(preset):
-    stages, shows = stages_of(PRESETS[preset]())
+def test_every_stage_is_required_and_comes_after_its_inputs(preset):
+    stages, shows = stages_of(settings_of(preset))
     assert list(shows) == list(ITEMS)
-    assert {stage.name for stage in with_inputs(stages, stages)} == set(stages)
+    names = list(stages)
+    for place, stage in enumerate(stages.values()):
+        assert set(stage.inputs) <= set(names[:place])
     needed = with_inputs(stages, [name for names in shows.values() for name in names])
     assert {stage.name for stage in needed} == set(stages)
 
 
 def test_full_has_the_papers_sizes():
-    full = PRESETS["full"]()
+    full = settings_of("full")
     assert (full.sim_flights, full.real_flights, full.flight_s, full.folds) == (35, 11, 100.0, 5)
 
 
@@ -128,15 +135,17 @@ def test_items_are_chosen_by_name():
         chosen("fig5,tabel1")
 
 
-def test_every_item_has_its_text():
-    assert set(VALUES) == set(ITEMS)
-    assert set(ITEMS) <= set(sections())
-    assert {claim.item for claim in CLAIMS} <= set(ITEMS)
+@pytest.mark.parametrize("item", ITEMS)
+def test_every_item_has_its_text_and_every_gap_is_filled(item):
+    _, text = sections()[item]
+    gaps = {re.split(r"[.\[]", name)[0] for _, name, _, _ in Formatter().parse(text) if name}
+    assert all(gap in ("s", "n") or callable(getattr(tables, gap)) for gap in gaps)
 
 
-def test_what_the_paper_does_not_say_is_not_invented():
-    assert quoted(None) == "not quoted"
-    assert quoted(2.79, "°") == "2.79°"
+def test_claims_and_figures_are_of_items():
+    assert {claim.item for claim in judge({})} == {function.__name__ for function in CLAIMS} <= set(ITEMS)
+    assert set(FIGURES) <= set(ITEMS)
+    assert all(claim.claim and claim.rule for claim in judge({}))
 
 
 # --- claims, judged from made-up numbers ---
@@ -157,20 +166,23 @@ def losses(snn, rnn):
     return {"net-snn": curve(snn), "net-snn-float": curve(snn), "net-rnn": curve(rnn)}
 
 
-def domains(away):
-    def fold(model, trained, tested, error):
-        return {"trained_on": trained, "tested_on": tested, "error_deg": error, "model": model}
+def domains(other):
+    def score(model, fold, trained, tested, error):
+        return asdict(Score(model, trained, fold, tested, 1, error, 0.0, 1))
 
     return {
-        f"fold-{model}-x": {"scores": [fold(model, "sim", "real", away), fold(model, "real", "(test)", 2.0)]}
+        f"fold-{model}-{k}": {
+            "scores": [score(model, k, "sim", "real", other), score(model, k, "real", "(test)", 2.0)]
+        }
         for model in ("att-snn", "att-rnn")
+        for k in (0, 1)
     }
 
 
 def recovery(network, slowest):
     times = dict.fromkeys([*FOUR, "complementary-adaptive"], 3.0) | {"mahony": slowest}
     times |= {"att-snn": network, "att-rnn": network}
-    return {"recover": {"found": {name: {"flight": {"first_s": time}} for name, time in times.items()}}}
+    return {"recover": {"curves": {name: {"flight": {"first_s": time}} for name, time in times.items()}}}
 
 
 def inside(quarter=2.0, slow=(0.9, 0.2), fast=(0.2, 0.9), gru=120000.0):
@@ -191,7 +203,7 @@ def inside(quarter=2.0, slow=(0.9, 0.2), fast=(0.2, 0.9), gru=120000.0):
 
 def rates(*of_each):
     return {
-        f"compare-rate-{100 * 2**k}": {"errors": {"trained on": {"x": [error]}}}
+        f"compare-rate-{100 * 2**k}": {"errors": {TRAINED_ON: {"x": [error]}}}
         for k, error in enumerate(of_each)
     }
 
@@ -199,7 +211,9 @@ def rates(*of_each):
 def loop(crashes, last):
     return {
         "loop": {
-            "found": {"hover": {"att-snn": {"crashes": crashes, "flights": 4, "parts_deg": [1.0, 1.0, last]}}}
+            "scenarios": {
+                "hover": {"att-snn": {"crashes": crashes, "flights": 4, "parts_deg": [1.0, 1.0, last]}}
+            }
         }
     }
 
@@ -233,14 +247,14 @@ def loop(crashes, last):
     ],
 )
 def test_a_claim_is_judged_from_the_numbers(item, numbers, verdict):
-    found = {each.item: each for each in judge(numbers)}
-    assert found[item].verdict == verdict
-    assert found[item].measured
+    judged = {each.item: each for each in judge(numbers)}
+    assert judged[item].verdict == verdict
+    assert judged[item].measured
     others = {each.verdict for each in judge({}) if each.item != item}
     assert others == {"not judged"}
 
 
-def test_scatter_is_that_of_white_noise_beside_any_trend():
+def test_scatter_is_that_of_white_noise_with_any_trend():
     noise = np.random.default_rng(0).normal(0.0, 0.05, 4000)
     assert scatter(np.exp(noise - 0.001 * np.arange(4000)).tolist()) == pytest.approx(0.05, rel=0.05)
 
@@ -262,6 +276,7 @@ def test_the_whole_paper_in_small(tmp_path):
         for figure in re.findall(r"\]\((\w+)\.png\)", text):
             assert (tmp_path / f"{figure}.svg").is_file()
     assert "Not made in this run" not in pages["paper"]
+    assert NOT_QUOTED in pages["paper"]
     scored = json.loads((tmp_path / "quick" / "score-test-sim" / NUMBERS).read_text())["sequences"]
     for name, starts in scored.items():
         assert set(starts) == ({"unknown"} if name.startswith("att") else {"unknown", "known"})
