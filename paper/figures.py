@@ -54,7 +54,8 @@ def _marked(k: int, size: float = 5) -> dict[str, Any]:
 
 def _note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **options: Any) -> None:
     """Write small text beside a point, shifted by so many points."""
-    axes.annotate(text, at, shift, textcoords="offset points", **{"fontsize": 7} | options)
+    style: dict[str, Any] = {"fontsize": 7} | options
+    axes.annotate(text, at, shift, textcoords="offset points", **style)
 
 
 def _name_rows(axes: Axes, names: Sequence[str], size: float = 8) -> None:

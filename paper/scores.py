@@ -137,7 +137,7 @@ def close_loop(
 ) -> None:
     """Simulate scenarios with attitude from networks and filters, and see whether the error grows."""
     made = {"truth": create("truth"), **estimators_of(inputs, **contenders)}
-    scenarios: dict[str, dict[str, object]] = {name: {} for name in CLOSED}
+    scenarios: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in CLOSED}
     for scenario, scores in scenarios.items():
         for name, est in made.items():
             mission = Mission(load_scenario(scenario), est, seeds, duration_s=duration_s)

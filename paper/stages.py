@@ -43,7 +43,7 @@ class Stage:
     """Whether nothing else may run beside it (what it measures is time)."""
 
 
-def with_inputs(stages: Mapping[str, Stage], wanted: Iterable[str]) -> list[Stage]:
+def with_inputs(stages: dict[str, Stage], wanted: Iterable[str]) -> list[Stage]:
     """Stages and all that they need, in the order of `stages`, where inputs come first."""
     needed = set(wanted)
     for name in reversed(stages):

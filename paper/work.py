@@ -46,7 +46,7 @@ def fly(folder: Path, inputs: Inputs, *, domain: str, hover: bool = False, **set
     generate(config, out=folder / FLIGHTS, workers=1, **settings)
 
 
-def tune_filter(folder: Path, inputs: Inputs, *, name: str, **search: int) -> None:
+def tune_filter(folder: Path, inputs: Inputs, *, name: str, **search: Any) -> None:
     """Tune a filter on the training flights of both domains with the paper's swarm."""
     data = [open_dataset(path / FLIGHTS) for path in inputs.values()]
     tuned = tune(name, data, SearchSettings(**search), command="quadsim paper")
