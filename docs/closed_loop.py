@@ -1,4 +1,4 @@
-"""Fly the whole suite and write the page: `python docs/closed_loop.py` makes closed-loop.md and its figures.
+"""Simulate the whole suite, and write closed-loop.md and its figures: `python docs/closed_loop.py`.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
-from pages import Page, load_page
+from pages import Page, load_page, row
 
 import estimators
 from estimators.networks.network import silenced
@@ -81,7 +81,7 @@ def fly(
 
 
 def suite_text(results: Results, minutes: float) -> str:
-    """What was flown, and what it cost."""
+    """Size of the benchmark, and its cost."""
     s = results
     flights = len(results.cells) * SEEDS
     hours = SEEDS * len(s.estimators) * sum(each.duration_s for each in s.scenarios.values()) / 3600
@@ -95,7 +95,7 @@ def heat_map(results: Results) -> Figure:
     """Mean error of every estimator in every scenario, best estimators first; crashes in bold."""
     names = [s.estimator for s in verdict(results.rows).standings if s.estimator != TRUTH]
     scenarios = list(results.scenarios)
-    rows = {(row.estimator, row.scenario): row for row in results.rows}
+    rows = {(cell.estimator, cell.scenario): cell for cell in results.rows}
     error = np.array([[rows[e, s].error_deg or np.nan for e in names] for s in scenarios], dtype=float)
     figure = Figure(figsize=(9.6, 0.27 * len(scenarios) + 1.6), layout="constrained")
     axes = figure.subplots()
@@ -105,9 +105,9 @@ def heat_map(results: Results) -> Figure:
     picture = axes.imshow(error, norm=LogNorm(0.3, 30.0), cmap=colours, aspect="auto", alpha=0.8)
     for i, scenario in enumerate(scenarios):
         for j, name in enumerate(names):
-            row = rows[name, scenario]
+            cell = rows[name, scenario]
             text = "–" if not np.isfinite(error[i, j]) else f"{error[i, j]:.1f}"
-            crashes = f" ✕{row.crashes}" if row.crashes else ""
+            crashes = f" ✕{cell.crashes}" if cell.crashes else ""
             weight = "bold" if crashes else "normal"
             axes.text(j, i, text + crashes, ha="center", va="center", fontsize=7, fontweight=weight)
     axes.set_xticks(range(len(names)), names, rotation=35, ha="left", fontsize=8)
@@ -131,13 +131,13 @@ def standing_rows(results: Results, without: Results, files: Mapping[str, str]) 
     standings = [s.estimator for s in verdict(results.rows).standings]
     best = standings[0]
     pairs = {
-        (row.estimator, row.versus): row
-        for row in paired_differences(results.flights)
-        if (row.scenario, row.metric) == (ALL, "error_deg")
+        (cell.estimator, cell.versus): cell
+        for cell in paired_differences(results.flights)
+        if (cell.scenario, cell.metric) == (ALL, "error_deg")
     }
     rows = []
     for name in standings:
-        sums = total([row for row in results.rows if row.estimator == name])
+        sums = total([cell for cell in results.rows if cell.estimator == name])
         pair, sign = (pairs[name, best], 1) if (name, best) in pairs else (pairs.get((best, name)), -1)
         difference = "–"
         if pair and pair.difference is not None:
@@ -145,8 +145,7 @@ def standing_rows(results: Results, without: Results, files: Mapping[str, str]) 
             difference = f"{middle:+.2f} ± {half:.2f}"
         crashed = f"{sums.crashes} of {sums.flights}"
         silent = silenced_text(without, files.get(name))
-        cells = (name, crashed, f"{sums.error:.2f}", silent, difference, f"{sums.attitude:.2f}")
-        rows.append("| " + " | ".join(cells) + " |")
+        rows.append(row(name, crashed, f"{sums.error:.2f}", silent, difference, f"{sums.attitude:.2f}"))
     return rows
 
 
@@ -158,7 +157,7 @@ def breaking_rows(points: list[BreakingPoint]) -> list[str]:
     """The least level of each disturbance at which an estimator crashed."""
     names = list(dict.fromkeys(point.estimator for point in points))
     text = {(p.estimator, p.disturbance): p.text + (f", {p.cause}" if p.cause else "") for p in points}
-    return [f"| {name} | " + " | ".join(text[name, kind] for kind in DISTURBANCES) + " |" for name in names]
+    return [row(name, *(text[name, kind] for kind in DISTURBANCES)) for name in names]
 
 
 class BiasedTruth:
@@ -182,7 +181,7 @@ class BiasedTruth:
 
 def bias_rows(results: Results) -> list[str]:
     """The row of `BiasedTruth`, in the form of `long_rows`."""
-    truth = {row.scenario: row for row in results.rows if row.estimator == TRUTH}
+    truth = {cell.scenario: cell for cell in results.rows if cell.estimator == TRUTH}
     entries = []
     for name, scenario in results.scenarios.items():
         mission = Mission(scenario, BiasedTruth(), SEEDS)
@@ -191,13 +190,13 @@ def bias_rows(results: Results) -> list[str]:
         ratio = ours.attitude_deg.mean() / _float(truth[name].attitude_deg)
         place = ours.position_m.mean() / _float(truth[name].position_m)
         entries.append(f"{ratio:.2f} ({ours.error_deg.mean():.2f}°, {place:.2f})")
-    return ["| *truth with the error of the accelerometer's bias* | " + " | ".join(entries) + " |"]
+    return [row("*truth with the error of the accelerometer's bias*", *entries)]
 
 
 def bound_rows(results: Results) -> list[str]:
     """The rows of the best linear estimator, with its speed unknown and known to a standard deviation."""
     imu, vehicle = load_imu("adis16448"), load_vehicle("hummingbird")
-    truth = {row.scenario: _float(row.attitude_deg) for row in results.rows if row.estimator == TRUTH}
+    truth = {cell.scenario: _float(cell.attitude_deg) for cell in results.rows if cell.estimator == TRUTH}
     rows = []
     for speed_sd in SPEEDS_KNOWN:
         entries = []
@@ -205,28 +204,25 @@ def bound_rows(results: Results) -> list[str]:
             error = np.degrees(least_error(imu, vehicle, scenario, LONG_S, speed_sd))
             entries.append(f"{np.hypot(1.0, error / truth[name]):.2f} ({error:.2f}° RMS)")
         known = "speed unknown" if np.isinf(speed_sd) else f"speed known to {speed_sd:g} m/s"
-        rows.append(f"| *best possible, {known}* | " + " | ".join(entries) + " |")
+        rows.append(row(f"*best possible, {known}*", *entries))
     return rows
 
 
 def long_rows(results: Results, files: Mapping[str, str]) -> list[str]:
     """Crashes and attitude tracking over that of the truth, in the long flights; silenced networks last."""
     shown = {path: f"*{name}, silenced*" for name, path in files.items()}
-    rows = {(row.estimator, row.scenario): row for row in results.rows}
+    rows = {(cell.estimator, cell.scenario): cell for cell in results.rows}
 
     def entry(name: str, scenario: str) -> str:
-        row, truth = rows[name, scenario], rows[TRUTH, scenario]
-        crashes = f", ✕ {row.crashes}" if row.crashes else ""
+        cell, truth = rows[name, scenario], rows[TRUTH, scenario]
+        crashes = f", ✕ {cell.crashes}" if cell.crashes else ""
         if name == TRUTH:
             return f"{_float(truth.attitude_deg):.2f}°{crashes}"
-        ratio = _float(row.attitude_deg) / _float(truth.attitude_deg)
-        place = _float(row.position_m) / _float(truth.position_m)
-        return f"{ratio:.2f} ({_float(row.error_deg):.2f}°, {place:.2f}){crashes}"
+        ratio = _float(cell.attitude_deg) / _float(truth.attitude_deg)
+        place = _float(cell.position_m) / _float(truth.position_m)
+        return f"{ratio:.2f} ({_float(cell.error_deg):.2f}°, {place:.2f}){crashes}"
 
-    return [
-        f"| {shown.get(name, name)} | " + " | ".join(entry(name, each) for each in LONG) + " |"
-        for name in results.estimators
-    ]
+    return [row(shown.get(name, name), *(entry(name, each) for each in LONG)) for name in results.estimators]
 
 
 @cache
@@ -255,7 +251,7 @@ def loop_rows(page: Page) -> list[str]:
     found = attitude_loop()
     figure = loops.draw(found, title="hummingbird, gains designed for 15 ms")
     page.save(figure, "attitude-loop.png", colours=128)
-    return ["| " + " | ".join(row.values()) + " |" for row in loops.table(found)]
+    return [row(*each.values()) for each in loops.table(found)]
 
 
 def silenced_files() -> dict[str, str]:
@@ -275,12 +271,12 @@ def silenced_text(results: Results, path: str | None) -> str:
     """Error and crashes of a silenced network; a dash for other estimators."""
     if path is None:
         return "–"
-    sums = total([row for row in results.rows if row.estimator == path])
+    sums = total([cell for cell in results.rows if cell.estimator == path])
     return f"{sums.error:.2f}, ✕ {sums.crashes}"
 
 
 def main() -> None:
-    """Fly everything and write the page."""
+    """Simulate everything and write the page."""
     page = load_page("closed-loop")
     names = [name for name in estimators.names() if name not in SLOW]
     files = silenced_files()

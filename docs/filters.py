@@ -1,10 +1,9 @@
-"""Compare the estimators on flights held out from tuning and training.
+"""Compare the estimators on flights that were not used for tuning or training.
 
 `python docs/filters.py [--data FOLDER]` writes filters.md and its figures. The flights are
 those of the commands in filters.md; those that are missing are generated.
 """
 
-import argparse
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -15,14 +14,15 @@ import matplotlib
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pages import ROOT, Page, load_page
-from simulated import DURATION_S, simulated
+from pages import ROOT, Page, load_page, row
+from recordings import VQF_DEFAULTS
+from simulated import DURATION_S, options, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, evaluate
 from estimators.evaluation.figures import settling, violins
 from estimators.evaluation.flights import Flights, load_flights, vehicle_of
-from estimators.metrics import attitude_error, inclination_error
+from estimators.metrics import attitude_error, inclination_error, up_in_body
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
@@ -88,13 +88,12 @@ def compared(page: Page, domain: str, dataset: xr.Dataset) -> Evaluation:
 def result_rows(done: Evaluation) -> list[str]:
     """The table, unknown starts first, best first."""
     rows = []
-    for row in sorted(done.rows, key=lambda row: (row.initial != "unknown", row.mean_deg)):
-        settled = [f"{s:.1f}" if np.isfinite(s) else "never" for s in (row.settle_20_s, row.settle_45_s)]
-        name = row.estimator + ("*" if row.flights < max(each.flights for each in done.rows) else "")
-        mean = f"{row.mean_deg:.2f} ({row.mean_low_deg:.2f}–{row.mean_high_deg:.2f})"
-        numbers = [f"{row.median_deg:.2f}", mean, f"{row.sd_deg:.2f}", row.silenced, row.behind]
-        shown = [name, row.initial, *numbers, f"{row.inclination_rmse_deg:.2f}", *settled]
-        rows.append(f"| {' | '.join(shown)} |")
+    for each in sorted(done.rows, key=lambda each: (each.initial != "unknown", each.mean_deg)):
+        settled = [f"{s:.1f}" if np.isfinite(s) else "never" for s in (each.settle_20_s, each.settle_45_s)]
+        name = each.estimator + ("*" if each.flights < max(other.flights for other in done.rows) else "")
+        mean = f"{each.mean_deg:.2f} ({each.mean_low_deg:.2f}–{each.mean_high_deg:.2f})"
+        numbers = [f"{each.median_deg:.2f}", mean, f"{each.sd_deg:.2f}", each.silenced, each.behind]
+        rows.append(row(name, each.initial, *numbers, f"{each.inclination_rmse_deg:.2f}", *settled))
     return rows
 
 
@@ -105,30 +104,20 @@ def parameter_rows(domain: str) -> list[str]:
         if name.endswith("filterpy"):
             continue
         values = ", ".join(f"`{key}` {value:.4g}" for key, value in table.values.items())
-        options = table.command.split(" --out ")[0].split(" --data ", 1)[-1]
-        rows.append(
-            f"| {name} | {values} | {table.rmse_deg:.2f} | {table.evaluations} | `--data {options}` |"
-        )
+        data = table.command.split(" --out ")[0].split(" --data ", 1)[-1]
+        rows.append(row(name, values, f"{table.rmse_deg:.2f}", table.evaluations, f"`--data {data}`"))
     return rows
 
 
 def without(flights: Flights, gyro_bias: Array, accel_bias: Array) -> dict[str, Flights]:
     """The flights as recorded, and each with one thing put right."""
-    up = np.stack(
-        [
-            -np.sin(flights.truth[..., 1]),
-            np.cos(flights.truth[..., 1]) * np.sin(flights.truth[..., 0]),
-            np.cos(flights.truth[..., 1]) * np.cos(flights.truth[..., 0]),
-        ],
-        axis=-1,
-    )
     gyro, accel = flights.gyro - gyro_bias, flights.accel - accel_bias
     changes = {
         "as recorded": {},
         "gyroscope bias removed": {"gyro": gyro},
         "accelerometer bias removed": {"accel": accel},
         "both removed": {"gyro": gyro, "accel": accel},
-        "accelerometer reads gravity and its bias": {"accel": 9.81 * up + accel_bias},
+        "accelerometer reads gravity and its bias": {"accel": 9.81 * up_in_body(flights.truth) + accel_bias},
     }
     return {
         what: replace(flights, readings=flights.readings._replace(**change))
@@ -147,7 +136,7 @@ def both_starts(
 ) -> str:
     """A row: error from an unknown and from a known start."""
     errors = [mean_error(name, each, domain, vehicle, **params) for each in (flights, flights.known())]
-    return f"| {what} | {errors[0]:.2f} | {errors[1]:.2f} |"
+    return row(what, *(f"{error:.2f}" for error in errors))
 
 
 def cause_rows(domain: str, dataset: xr.Dataset) -> list[str]:
@@ -155,10 +144,10 @@ def cause_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     biases = (dataset[name].to_numpy().astype(np.float64) for name in ("gyro_bias", "accel_bias"))
     kinds = {what: each.known() for what, each in without(load_flights([dataset]), *biases).items()}
     vehicle = vehicle_of(dataset)
-    errors = {
-        name: [mean_error(name, each, domain, vehicle) for each in kinds.values()] for name in EXPLAINED
-    }
-    return [f"| {name} | {' | '.join(f'{each:.2f}' for each in found)} |" for name, found in errors.items()]
+    return [
+        row(name, *(f"{mean_error(name, each, domain, vehicle):.2f}" for each in kinds.values()))
+        for name in EXPLAINED
+    ]
 
 
 def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
@@ -200,7 +189,7 @@ def elsewhere_rows(data: Path) -> list[str]:
             mean_error("ekf-drag", flights, domain, with_drag(vehicle, k)) for k in (1.0, 0.5, 2.0, 0.01)
         ]
         errors += [mean_error(each, flights, domain, None) for each in ("vqf", "eskf")]
-        rows.append(f"| {what} | {' | '.join(f'{error:.2f}' for error in errors)} |")
+        rows.append(row(what, *(f"{error:.2f}" for error in errors)))
     return rows
 
 
@@ -221,20 +210,19 @@ def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
             for kind, values in (("gyro", gyro), ("accel", accel)):
                 if sensor in (kind, "both"):
                     values[:, at : at + samples] = reading
-            away = inclination_error(run_quietly(est, gyro, accel), wanted)[:, -second:].mean(axis=1)
-            cells.append(f"{np.median(away):.2f} / {away.max():.2f}")
-        rows.append(f"| {name} | {' | '.join(cells)} |")
+            error = inclination_error(run_quietly(est, gyro, accel), wanted)[:, -second:].mean(axis=1)
+            cells.append(f"{np.median(error):.2f} / {error.max():.2f}")
+        rows.append(row(name, *cells))
     return rows
 
 
 def vqf_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     """VQF with its package's own parameters and tuned, with and without its bias estimation."""
     flights = load_flights([dataset])
-    own = {"tauAcc": 3.0, "biasForgettingTime": 100.0, "biasSigmaInit": 0.5, "biasSigmaMotion": 0.1}
     tuned = load_tuning(domain)["vqf"].values["tauAcc"]
     changes: Mapping[str, dict[str, float]] = {
         "tuned": {},
-        "the package's defaults": own | {"biasSigmaRest": 0.03},
+        "the package's defaults": VQF_DEFAULTS,
         "tuned, without estimating the bias": {"motionBiasEstEnabled": 0.0, "restBiasEstEnabled": 0.0},
         "tuned, `tauAcc` a third": {"tauAcc": tuned / 3.0},
         "tuned, `tauAcc` three times": {"tauAcc": tuned * 3.0},
@@ -251,9 +239,7 @@ def speeds() -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, arguments)
     matplotlib.rcParams.update(STYLE)
     page = load_page("filters")
     tables: dict[str, list[str]] = {}
@@ -274,7 +260,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "pieces": str(PIECES),
         "piece_s": f"{DURATION_S / PIECES:g}",
         "recovered": f"{RECOVERED_S:g}",
-        "spoilt": f"| estimator | {' | '.join(SPOILT)} |",
+        "spoilt": row("estimator", *SPOILT),
     }
     page.write(
         tables

@@ -1,6 +1,5 @@
 """Measure what the page on real logs says: `python docs/logs.py [--recordings FOLDER]` writes logs.md."""
 
-import argparse
 import os
 import subprocess
 import sys
@@ -12,8 +11,9 @@ import matplotlib
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pages import ROOT, Page, load_page
+from pages import ROOT, Page, load_page, row
 from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
+from simulated import options
 
 from estimators import run
 from estimators.evaluation.comparison import made_of, silenced_twin
@@ -77,7 +77,7 @@ def resampling_rows() -> list[str]:
             expected = np.sin(2 * np.pi * tone * grid) if tone < 0.45 * RATE else 0.0
             error = np.sqrt(np.mean((found - expected)[200:-200] ** 2) * 2)
             cells.append(f"{100 * error:.2f} %")
-        lines.append(f"| {rate:g} Hz | " + " | ".join(cells) + " |")
+        lines.append(row(f"{rate:g} Hz", *cells))
     return lines
 
 
@@ -89,8 +89,10 @@ def made() -> dict[str, AttitudeEstimator]:
 def recorded_rows(scores: LogScores) -> list[str]:
     """Errors on a set of recordings, the smallest first."""
     return [
-        f"| {name} | {scores.mean(name, RAW):.2f} | {number(scores.silenced(name))} "
-        f"| {scores.mean(name, KNOWN):.2f} |"
+        row(
+            name,
+            *(number(e) for e in (scores.mean(name, RAW), scores.silenced(name), scores.mean(name, KNOWN))),
+        )
         for name in scores.estimators
     ]
 
@@ -113,10 +115,8 @@ def calibration_rows(page: Page) -> list[str]:
             page.save(draw(found), "calibration.png", dpi=100, colours=48)
         for name, mine, true in (("gyro", found.gyro, imu.gyro), ("accel", found.accel, imu.accel)):
             tau = mine.time_constant / (true.time_constant or np.nan)
-            lines.append(
-                f"| {preset} | {name} | {mine.noise / true.noise:.3f} "
-                f"| {mine.random_walk / true.random_walk:.2f} | {'' if mine.resolved else '> '}{tau:.2f} |"
-            )
+            ratios = f"{mine.noise / true.noise:.3f}", f"{mine.random_walk / true.random_walk:.2f}"
+            lines.append(row(preset, name, *ratios, f"{'' if mine.resolved else '> '}{tau:.2f}"))
     return lines
 
 
@@ -131,11 +131,11 @@ def simulated_rows(data: Path) -> list[str]:
         for paths, bias in sets:
             errors = [rmse(made_of([name], RATE, vehicle=v)[name], path, bias) for path, v in paths]
             cells.append(f"{np.mean(errors):.2f}")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+        lines.append(row(name, *cells))
     twin = silenced_twin(NETS[0])
     assert twin is not None
     cells = [f"{np.mean([rmse(twin, path, bias) for path, _ in paths]):.2f}" for paths, bias in sets]
-    return [*lines, "| *att-snn, silenced* | " + " | ".join(cells) + " |"]
+    return [*lines, row("*att-snn, silenced*", *cells)]
 
 
 def flights(data: Path, recipe: str, vehicle: str, seed: int) -> tuple[Path, str]:
@@ -160,10 +160,7 @@ def seconds(logs: Sequence[xr.Dataset]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=FOLDER, help="folder of broad/ and phantom4/")
-    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, arguments, recordings=(FOLDER, "folder of broad/ and phantom4/"))
     matplotlib.rcParams.update(STYLE)
     page = load_page("logs")
     sets = recordings(given.recordings)

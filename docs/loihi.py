@@ -1,6 +1,5 @@
 """Everything about the chip: `python docs/loihi.py [--data FOLDER]` writes loihi.md and its figures."""
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -15,8 +14,8 @@ import onnxruntime
 import torch
 from norse.torch.utils import import_nir
 from numpy.typing import NDArray
-from pages import ROOT, Page, load_page
-from simulated import simulated
+from pages import ROOT, Page, load_page, row
+from simulated import options, simulated
 
 from estimators.analysis.ablation import error_deg
 from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, gru_flops, host_costs, snn_flops
@@ -39,11 +38,6 @@ ROUNDING = 1e-12
 PROFILES = (128, 64, 48, 32, 24)
 SHOWN_EVERY = 2
 """Of the shares of neurons in the ablation curve, every second is in the table."""
-
-
-def row(*cells: object) -> str:
-    """A line of a table."""
-    return "| " + " | ".join(map(str, cells)) + " |"
 
 
 def golden_rows() -> list[str]:
@@ -237,10 +231,7 @@ def _onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
-    parser.add_argument("--rounds", type=int, default=60, help="turns of 100 calls for the latency")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, arguments, rounds=(60, "turns of 100 calls for the latency"))
     page = load_page("loihi")
     flights = load_flights([simulated("val", given.data)])
     name, config, tensors = load_spiking()

@@ -98,17 +98,16 @@ class Page:
         """The files that there are of it."""
         return self._found(self.entry.makes)
 
-    def write(self, parts: Mapping[str, str | Sequence[str]], template: str | None = None) -> Path:
+    def write(self, parts: Mapping[str, str | Sequence[str]]) -> Path:
         """Fill the page's template, stamp it, and note its inputs; the page's path.
 
         Args:
             parts: For each {key} of the template a text, or the rows of a table.
-            template: Its path from the root; None: docs/NAME.template.md.
 
         Raises:
             ValueError: Keys and parts do not agree.
         """
-        source = self.root / (template or f"docs/{self.name}.template.md")
+        source = self.root / f"docs/{self.name}.template.md"
         text = source.read_text()
         keys = set(KEY.findall(text))
         if keys != set(parts):
@@ -183,6 +182,11 @@ class Page:
                 raise ValueError(f"pages.toml: {self.name}: {pattern}: no such file")
             found += files
         return found
+
+
+def row(*cells: object) -> str:
+    """A line of a table."""
+    return "| " + " | ".join(map(str, cells)) + " |"
 
 
 def _text(part: str | Sequence[str]) -> str:

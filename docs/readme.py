@@ -1,12 +1,10 @@
 """Measure the README's first table: `python docs/readme.py [--data FOLDER] [--recordings FOLDER]`."""
 
-import argparse
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
-from pages import ROOT, load_page
+from pages import ROOT, load_page, row
 from recordings import BROAD, FOLDER, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
-from simulated import estimate_of, simulated
+from simulated import estimate_of, options, simulated
 
 from estimators.evaluation.comparison import made_of, silenced_twin
 from estimators.evaluation.flights import Flights, load_flights
@@ -47,10 +45,7 @@ def network_cells(name: str, flights: Flights, errors: Sequence[tuple[float, flo
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, and replace the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
-    parser.add_argument("--recordings", type=Path, default=FOLDER, help="folder of broad/ and phantom4/")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, arguments, recordings=(FOLDER, "folder of broad/ and phantom4/"))
     page = load_page("readme")
     flights = load_flights([simulated("test", given.data)])
     filters = made_of(WITHOUT_DRAG, RATE_HZ) | {"vqf, package's parameters": vqf_with_defaults()}
@@ -75,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         BLOCK,
         [
             *HEAD,
-            *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items()),
+            *(row(name, *cells) for name, cells in rows.items()),
             "",
             f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} simulated "
             f"flights of {flights.gyro.shape[1] / flights.rate_hz:g} s, unknown start.",

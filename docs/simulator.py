@@ -1,6 +1,5 @@
 """Validate the simulator against theory: `python docs/simulator.py` writes simulator.md and its figures."""
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,8 +8,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, Page, load_page
+from pages import Page, load_page, row
 from scipy.signal import welch
+from simulated import options
 
 from quadsim.control.gains import loop_margins
 from quadsim.dataset.figures import LINES, STYLE, plot
@@ -62,8 +62,7 @@ def allan_figure(page: Page) -> list[str]:
             axis.loglog(
                 taus, np.sqrt(found), "o", ms=4, mfc="none", color=colour, label=f"{preset}, simulated"
             )
-            ratios = " | ".join(f"{r:.3f}" for r in np.sqrt(found) / theory)
-            rows.append(f"| {preset} {name} | {ratios} |")
+            rows.append(row(f"{preset} {name}", *(f"{r:.3f}" for r in np.sqrt(found) / theory)))
     for axis, title, unit in zip(axes, ("Gyroscope", "Accelerometer"), ("rad/s", "m/s²"), strict=True):
         axis.set(title=title, xlabel="averaging time [s]", ylabel=f"Allan deviation [{unit}]")
         axis.legend(fontsize=7)
@@ -93,8 +92,8 @@ def dryden_figure(page: Page) -> list[str]:
         for low, high in ((0.01, 0.05), (0.05, 0.5), (0.5, 3.0)):
             band = (f >= low) & (f < high)
             errors.append(10 * np.log10(power[band].sum() / theory[band].sum()))
-        shown = " | ".join(f"{error:+.2f}" for error in errors)
-        rows.append(f"| {name} | {shown} | {series[..., k].std():.3f} | {sigma:.3f} |")
+        shown = [f"{error:+.2f}" for error in errors]
+        rows.append(row(name, *shown, f"{series[..., k].std():.3f}", f"{sigma:.3f}"))
         axis.legend(fontsize=7)
         if k == 0:
             axis.set_ylabel("power [m²/s² / Hz]")
@@ -103,7 +102,7 @@ def dryden_figure(page: Page) -> list[str]:
 
 
 def bias_rows() -> list[str]:
-    """Turn-on spread over 500 seeds, and bias spread after 0 and 300 s over its stationary value."""
+    """SD of the turn-on bias over 500 seeds, and of the bias after 0 and 300 s over its stationary value."""
     spec = load_imu("adis16448")
     rows = []
     zero = np.zeros((500, 1, 3))
@@ -112,10 +111,8 @@ def bias_rows() -> list[str]:
     walk = simulate_imu_with_bias(spec.only("random_walk"), still, still, 10.0, seed=4)[2:]
     for name, sensor, start, path in zip(("gyro", "accel"), (spec.gyro, spec.accel), on, walk, strict=True):
         stationary = sensor.random_walk * np.sqrt(sensor.time_constant / 2)
-        spread = path.std(axis=(0, 2)) / stationary
-        rows.append(
-            f"| {name} | {start.std():.5f} | {sensor.turn_on:g} | {spread[0]:.3f} | {spread[-1]:.3f} |"
-        )
+        first, *_, last = (f"{sd:.3f}" for sd in path.std(axis=(0, 2)) / stationary)
+        rows.append(row(name, f"{start.std():.5f}", f"{sensor.turn_on:g}", first, last))
     return rows
 
 
@@ -138,7 +135,7 @@ def engine_rows() -> list[str]:
         turn = np.linalg.norm(quat_multiply(quat_conjugate(exact_quat), quat)[1:])
         angle = 2 * np.degrees(np.arcsin(turn))
         shift = np.linalg.norm(position - exact_position)
-        rows.append(f"| {integrator}, {1e3 / rate_hz:g} ms | {angle:.1e} | {1e3 * shift:.1e} |")
+        rows.append(row(f"{integrator}, {1e3 / rate_hz:g} ms", f"{angle:.1e}", f"{1e3 * shift:.1e}"))
     return rows
 
 
@@ -149,8 +146,8 @@ def margin_rows() -> list[str]:
         vehicle = load_vehicle(name)
         assert vehicle.controller is not None
         for loop, m in loop_margins(vehicle, vehicle.controller).items():
-            values = f"{m.crossover:.2f} | {m.phase_deg:.1f} | {m.gain_db:.1f} | {m.delay_ms:.0f}"
-            rows.append(f"| {name} | {loop} | {values} |")
+            values = f"{m.crossover:.2f}", f"{m.phase_deg:.1f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}"
+            rows.append(row(name, loop, *values))
     return rows
 
 
@@ -165,9 +162,7 @@ def flight_picture(page: Page, data: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, arguments)
     matplotlib.rcParams.update(STYLE)
     page = load_page("simulator")
     flight_picture(page, given.data)

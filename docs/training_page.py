@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import subprocess
 import sys
@@ -16,15 +15,15 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, load_page
+from pages import ROOT, load_page, row
 from scipy.signal import lfilter
-from simulated import estimate_of, simulated
+from simulated import estimate_of, options, simulated
 
 from estimators import create, names
 from estimators.analysis.activity import record
 from estimators.evaluation.comparison import made_of, silenced_twin, tilted_starts
 from estimators.evaluation.flights import Flights, load_flights
-from estimators.metrics import attitude_error, inclination_error
+from estimators.metrics import attitude_error, inclination_error, up_in_body
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking, real_weights
 from estimators.networks.symmetry import OPERATIONS, is_symmetric, weight_sharing
@@ -160,8 +159,7 @@ def symmetry_text(tensors: Tensors, flights: Flights) -> str:
 
 def asymmetry_deg(flights: Flights) -> float:
     """Mean absolute difference of roll and pitch from the nearest outputs that turn with the body [deg]."""
-    roll, pitch = flights.truth[..., 0], flights.truth[..., 1]
-    up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], -1)
+    up = up_in_body(flights.truth)
     to_roll_pitch = np.array([[0, 1], [-1, 0]])
     nearest = np.zeros_like(flights.truth)
     for operation in OPERATIONS:
@@ -264,17 +262,9 @@ def shown(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def row(*cells: object) -> str:
-    """A line of a table."""
-    return "| " + " | ".join(map(str, cells)) + " |"
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the datasets")
-    parser.add_argument("--rounds", type=int, default=5, help="turns of the speed benchmark")
-    given = parser.parse_args(arguments)
+    given = options(__doc__, arguments, rounds=(5, "turns of the speed benchmark"))
     page = load_page("training")
     data = simulated("test", given.data)
     flights = load_flights([data])
