@@ -35,6 +35,18 @@ def dexp_inverse(u, w):
 
 
 @njit(cache=True)
+def unit(q):
+    """Quaternion of length 1, as MuJoCo makes it: no rotation of a zero, and as it is to round-off of 1."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    if norm < 1e-15:
+        return 1.0, 0.0, 0.0, 0.0
+    if abs(norm - 1.0) > 1e-15:
+        return w / norm, x / norm, y / norm, z / norm
+    return w, x, y, z
+
+
+@njit(cache=True)
 def turned(q, u):
     """Multiply q ⊗ exp(u) and normalise: the attitude after a rotation by the vector u, body axes [rad]."""
     x, y, z = u
@@ -47,8 +59,7 @@ def turned(q, u):
     b = q[0] * x + q[1] * c + q[2] * z - q[3] * y
     d = q[0] * y - q[1] * z + q[2] * c + q[3] * x
     e = q[0] * z + q[1] * y - q[2] * x + q[3] * c
-    norm = math.sqrt(a * a + b * b + d * d + e * e)
-    return a / norm, b / norm, d / norm, e / norm
+    return unit((a, b, d, e))
 
 
 @njit(cache=True)
@@ -88,7 +99,7 @@ def advance(p):
     Args:
         p: Record of `quadsim.rotors.vehicle_dtype`: position, quat, velocity and ang_vel move on.
     """
-    h, moment, q = p.dt, (p.moment[0], p.moment[1], p.moment[2]), (p.quat[0], p.quat[1], p.quat[2], p.quat[3])
+    h, moment, q = p.dt, (p.moment[0], p.moment[1], p.moment[2]), unit(p.quat)
     v1 = p.velocity[0], p.velocity[1], p.velocity[2]
     w1 = p.ang_vel[0], p.ang_vel[1], p.ang_vel[2]
     a1, g1, d1 = acceleration(p, q), angular_acceleration(p.inertia, moment, w1), w1

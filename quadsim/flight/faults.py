@@ -189,6 +189,14 @@ class VehicleFaults:
         self._empty = plant.vehicles["mass"].copy()
         self._mass = self._empty
 
+    def restart(self, ids: NDArray[np.int64]) -> None:
+        """Give some vehicles the mass and the rotors that they have before `apply`."""
+        if self._payloads:
+            self._mass = self._mass.copy()
+            self._mass[ids] = self._empty[ids]
+            self._plant.set_mass(self._mass)
+        self._plant.rotor_effect[ids] = 1.0
+
     def apply(self, k: NDArray[np.int64]) -> None:
         """Set masses and rotors to what they are during the step from sample k (n,) on."""
         time = k / self._plant.rate_hz

@@ -110,6 +110,7 @@ class Mission:
         self._plans[ids] = plans = self._plan(seeds)
         self._flights["cause"][ids] = self._flights["crashed"][ids] = FLYING
         start = self._start(seeds, plans["target"][:, 0])
+        self._faults.restart(ids)
         self.loop.restart(ids, *start, known_attitude=self.scenario.start.known_attitude)
 
     def step(self, level: Level = "position", command: Command | None = None) -> None:

@@ -23,40 +23,47 @@ LONGEST_S = 120.0
 """Time after which a process that waits for another's compilation compiles for itself [s]."""
 
 
-class OneCompiler(caching.FunctionCache):
-    """The compiled variants of a function: what is missing is compiled while no other process does."""
+class LockedCache(caching.FunctionCache):
+    """The compiled variants of a function; a process that misses one holds the lock of the function."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._lock = FileLock(f"{self._cache_file._index_path}.lock", timeout=LONGEST_S)
+        self.lock = FileLock(f"{self._cache_file._index_path}.lock", timeout=LONGEST_S)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load a variant; None if it has to be compiled, and `save_overload` follows."""
+        """Load a variant; None if it has to be compiled, with the lock held."""
         found = super().load_overload(sig, target_context)
         if found is None:
             with suppress(Timeout, OSError):
-                self._lock.acquire()
+                self.lock.acquire()
             found = super().load_overload(sig, target_context)
-            if found is not None:
-                self._lock.release(force=True)
         return found
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Write a variant, and let other processes go on."""
-        try:
-            super().save_overload(sig, data)
-        finally:
-            self._lock.release(force=True)
+
+def compile_locked(self: dispatcher.Dispatcher, sig: Any) -> Any:
+    """Numba's `Dispatcher.compile`, which loads or compiles a variant; the lock is free at its end."""
+    try:
+        return COMPILE(self, sig)
+    finally:
+        if isinstance(self._cache, LockedCache):
+            self._cache.lock.release(force=True)
 
 
-dispatcher.FunctionCache = OneCompiler  # pyright: ignore[reportAttributeAccessIssue]
+COMPILE = dispatcher.Dispatcher.compile
+dispatcher.Dispatcher.compile = compile_locked
+dispatcher.FunctionCache = LockedCache  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def guvectorize(signatures: list[Any], layout: str) -> Callable[[Callable[..., None]], Callable[..., Any]]:
     """Decorator: Numba's generalized ufunc, compiled or loaded while no other process does either."""
 
     def decorate(function: Callable[..., None]) -> Callable[..., Any]:
-        with FileLock(os.path.join(os.environ["NUMBA_CACHE_DIR"], "gufuncs.lock")):
+        lock = FileLock(os.path.join(os.environ["NUMBA_CACHE_DIR"], "gufuncs.lock"), timeout=LONGEST_S)
+        with suppress(Timeout, OSError):
+            lock.acquire()
+        try:
             return numba.guvectorize(signatures, layout, cache=True)(function)
+        finally:
+            lock.release(force=True)
 
     return decorate

@@ -1,16 +1,19 @@
 """What of the surroundings would stop an import, or let compiled code be older than its source.
 
 Numba keeps compiled functions in files, and compiles one again when its own source file has changed, but not
-when that of a function that it calls has. So the cache is in a folder whose name is a digest of every file
-with compiled functions: another digest, another folder.
+when that of a function that it calls, or of a constant, has. So the cache is in a folder whose name is a
+digest of every file with compiled functions and of every file that these import constants from: another
+digest, another folder.
 """
 
 import atexit
 import logging
 import os
+import re
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from platformdirs import user_cache_dir
@@ -24,6 +27,8 @@ OPENGL = ("egl", "glfw", "osmesa", "glx", "wgl", "cgl")
 SWITCHES = ("", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0")
 FOLDER = "quadsim-"
 """Beginning of the name of a folder for compiled code."""
+IMPORT = re.compile(rb"^from (\.*)([\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+CONSTANT = re.compile(rb"\b[A-Z][A-Z0-9_]+\b")
 CACHES = 3
 """Folders for compiled code that stay, the newest."""
 
@@ -38,14 +43,25 @@ def settle() -> None:
 
 
 def compiled_digest(root: Path) -> str:
-    """Digest of every file of the product that has compiled functions.
+    """Digest of every file of the product that has compiled functions, or constants that such a file imports.
 
     Args:
         root: The folder that the packages are in.
     """
     files = sorted(path for name in PACKAGES for path in (root / name).rglob("*.py"))
     contents = {path.relative_to(root).as_posix().encode(): path.read_bytes() for path in files}
-    return content_digest(b"".join(name + each for name, each in contents.items() if b"njit" in each))[:16]
+    compiled = {name for name, each in contents.items() if b"njit" in each}
+    compiled |= {source for name in compiled for source in constants_of(name, contents[name])}
+    return content_digest(b"".join(name + contents.get(name, b"") for name in sorted(compiled)))[:16]
+
+
+def constants_of(name: bytes, content: bytes) -> Iterator[bytes]:
+    """The files, by their path from the root, that a file with relative imports takes constants from."""
+    folder = name.split(b"/")[:-1]
+    for dots, module, imported in IMPORT.findall(content):
+        if CONSTANT.search(imported):
+            above = folder[: len(folder) - len(dots) + 1]
+            yield b"/".join([*above, *module.split(b".")]) + b".py"
 
 
 def is_writable(folder: Path) -> bool:

@@ -150,6 +150,17 @@ def test_auto_is_compiled_in_free_flight_and_mujoco_on_the_ground():
     assert Plant(HUMMINGBIRD, integrator="Euler").engine is not None
 
 
+@pytest.mark.parametrize("quat", [(0, 0, 0, 0), (2, 0.4, 0, 0)])
+def test_a_quaternion_of_another_length_is_what_it_is_to_mujoco(quat):
+    plants = [Plant(HUMMINGBIRD, engine=each) for each in ("mujoco", "compiled")]
+    for plant in plants:
+        plant.quat[:] = quat
+        plant.vehicles["force"], plant.vehicles["moment"] = (1.0, 2.0, 3.0), (0.1, 0.0, 0.0)
+    plants[0].engine.step()
+    advance_all(plants[1].vehicles)
+    assert difference(*plants)[0] < 1e-14
+
+
 def test_bad_engines_are_named():
     with pytest.raises(ValueError, match=r"unknown engine 'bullet'; choose one of auto, mujoco, compiled"):
         Plant(HUMMINGBIRD, engine="bullet")

@@ -12,6 +12,7 @@ import pytest
 from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
+from numba.core.errors import TypingError
 
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
@@ -167,13 +168,26 @@ def test_compiled_code_is_kept_for_one_state_of_all_compiled_files(tmp_path):
     assert surroundings.compiled_digest(tmp_path) != before
 
 
+def test_compiled_code_follows_the_constants_that_it_imports(tmp_path):
+    room = tmp_path / "quadsim" / "room"
+    room.mkdir(parents=True)
+    (room / "kernel.py").write_text(
+        "from ..vehicle import (\n    GRAVITY,\n    Vehicle,\n)\n@njit\ndef f(): pass\n"
+    )
+    constants = tmp_path / "quadsim" / "vehicle.py"
+    constants.write_text("GRAVITY = 9.81\n")
+    before = surroundings.compiled_digest(tmp_path)
+    constants.write_text("GRAVITY = 3.71\n")
+    assert surroundings.compiled_digest(tmp_path) != before
+
+
 def test_a_function_is_compiled_by_one_process_at_a_time():
     @njit(cache=True)
     def triple(x):
         return 3 * x
 
     made = []
-    lock = triple._cache._lock.lock_file
+    lock = triple._cache.lock.lock_file
     with FileLock(lock):
         waiting = threading.Thread(target=lambda: made.append(triple(2.0)))
         waiting.start()
@@ -181,8 +195,10 @@ def test_a_function_is_compiled_by_one_process_at_a_time():
         assert not made
     waiting.join()
     assert made == [6.0]
-    assert triple(2) == 6  # another variant, and the lock is free again
-    with FileLock(lock, timeout=0):
+    assert triple(2) == 6  # another variant
+    with pytest.raises(TypingError):
+        triple(None)
+    with FileLock(lock, timeout=0):  # free again, also after a compilation that failed
         pass
 
 

@@ -178,6 +178,20 @@ def test_a_flight_that_was_restarted_is_new():
     assert mission.cause.tolist() == [TILTED, 0]
 
 
+def test_a_restarted_flight_has_its_rotors_and_its_mass_again():
+    faults = [
+        {"kind": "low-battery", "effect": 0.5, "at_s": 0.0, "fade_s": 0.1},
+        {"kind": "payload-drop", "mass": 0.2, "at_s": 9.0},
+    ]
+    mission = flown(Scenario(**HOVER.model_dump() | {"faults": faults}), 2)
+    plant = mission.loop.plant
+    assert np.all(plant.rotor_effect < 1.0)
+    mission.restart(np.array([1]), vehicle_seeds(9, 1))
+    assert np.all(plant.rotor_effect[0] < 1.0)
+    assert np.all(plant.rotor_effect[1] == 1.0)
+    np.testing.assert_allclose(plant.vehicles["mass"] - mission.vehicle.mass, [0.2, 0.0], atol=1e-12)
+
+
 # --- faults ---------------------------------------------------------------------------------------
 
 
