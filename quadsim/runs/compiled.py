@@ -45,12 +45,13 @@ def compile_locked(self: dispatcher.Dispatcher, sig: Any) -> Any:
     try:
         return COMPILE(self, sig)
     finally:
-        if isinstance(self._cache, LockedCache):
-            self._cache.lock.release(force=True)
+        cache = self._cache  # pyright: ignore[reportAttributeAccessIssue]
+        if isinstance(cache, LockedCache):
+            cache.lock.release(force=True)
 
 
 COMPILE = dispatcher.Dispatcher.compile
-dispatcher.Dispatcher.compile = compile_locked
+dispatcher.Dispatcher.compile = compile_locked  # pyright: ignore[reportAttributeAccessIssue]
 dispatcher.FunctionCache = LockedCache  # pyright: ignore[reportAttributeAccessIssue]
 
 
