@@ -104,7 +104,7 @@ def _decay(x, tau, quantised):
 @njit(cache=True, inline="always")
 def _wrap(x, half):
     """Two's complement: into [-half, half)."""
-    return x if -half <= x < half else x - 2.0 * half * np.floor((x + half) / (2.0 * half))
+    return x - 2.0 * half * np.floor((x + half) * (0.5 / half))
 
 
 @njit(cache=True, inline="always")

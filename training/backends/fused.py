@@ -131,7 +131,7 @@ def _layer_gradients(syn, mem, n):
     return LayerGradients(syn, mem, ds, dv, du, np.zeros_like(syn), np.zeros_like(syn))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy", fastmath={"contract"})
 def _step_back(v, before, current, layer, constants):
     """Gradients of a layer's currents and potentials, from those of its spikes and of the next step."""
     threshold, width, one, zero, _, _ = constants
@@ -146,7 +146,7 @@ def _step_back(v, before, current, layer, constants):
         sum_syn[i] += du[i] * current[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def backward_window(x, grad, weights, trace, gradients, constants, delay):
     """Add the gradients of a window.
 
@@ -242,7 +242,7 @@ def _used(b):
     return np.array([np.any(b[k : k + 4] != 0) for k in range(b.shape[0])])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _product(a, b, used, out):
     """Write a b into `out`; four rows of a by four of b at a time, so that the sums stay in registers."""
     out[:] = 0
