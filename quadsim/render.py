@@ -121,8 +121,10 @@ class Scene:
         k = self.oversample
         if k == 1:
             return pixels.copy()
-        blocks = pixels.reshape(self.height, k, self.width, k, 3)
-        return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
+        total = np.zeros((self.height, self.width, 3), dtype=np.uint16)
+        for row, column in itertools.product(range(k), repeat=2):
+            total += pixels[row::k, column::k]
+        return np.round(total / k**2).astype(np.uint8)
 
     def _add_trail(self, points: NDArray[np.float64], radius: float) -> None:
         for start, end in itertools.pairwise(points):

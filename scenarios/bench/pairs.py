@@ -4,6 +4,7 @@ Seed i of a scenario is the same start, wind, sensor noise and faults for every 
 crashed has no difference in error; such pairs are counted separately.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -87,8 +88,10 @@ def _mean_over_scenarios(difference: Array) -> Array:
 def _interval(difference: Array, level: float) -> tuple[int, float | None, float | None, float | None]:
     """Number of pairs, mean, and the ends of its interval."""
     known = difference[np.isfinite(difference)]
-    if known.size < 2:
-        return known.size, float(known[0]) if known.size else None, None, None
-    mean = float(known.mean())
-    half = float(stdtrit(known.size - 1, 0.5 + 0.5 * level) * known.std(ddof=1) / np.sqrt(known.size))
-    return int(known.size), mean, mean - half, mean + half
+    n = known.size
+    if n < 2:
+        return n, float(known[0]) if n else None, None, None
+    mean = float(known.sum()) / n
+    sd = math.sqrt(((known - mean) ** 2).sum() / (n - 1))
+    half = float(stdtrit(n - 1, 0.5 + 0.5 * level)) * sd / math.sqrt(n)
+    return n, mean, mean - half, mean + half

@@ -58,9 +58,10 @@ class Results:
     def warnings(self) -> list[str]:
         """Parameters that were tuned for another vehicle or IMU than those simulated."""
         tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
-        for s, name in product(self.scenarios.values(), self.estimators):
-            if other := tuning_misfit(name, tuning_of(name, tuning), s.vehicle, s.imu):
-                simulated = f"{Path(s.vehicle).stem} with {Path(s.imu).stem}"
+        simulated_with = dict.fromkeys((s.vehicle, s.imu) for s in self.scenarios.values())
+        for (vehicle, imu), name in product(simulated_with, self.estimators):
+            if other := tuning_misfit(name, tuning_of(name, tuning), vehicle, imu):
+                simulated = f"{Path(vehicle).stem} with {Path(imu).stem}"
                 found.setdefault(f"for {other}, not for {simulated}, which was simulated", {})[name] = None
         return [
             f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of that vehicle, then --tuning FILE."

@@ -4,7 +4,7 @@ import base64
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 
@@ -17,9 +17,10 @@ from quadsim.vehicle import load_vehicle
 
 from ..bench.breaking import DISTURBANCES, BreakingPoint
 from ..bench.cell import Cell
-from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS
+from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow
 from ..bench.pairs import ALL, PAIRED, PairRow
 from ..bench.runner import Results
+from ..bench.series import compress_flights
 from ..bench.settings import FlightSettings
 from ..bench.verdict import TRUTH, offline_verdict, verdict
 from .flight_picture import Picture
@@ -103,7 +104,8 @@ def write_report(
         "csv": list(csv),
         "footer": footer or _footer(results),
         "script": script("report.js"),
-        "payload": _payload(closed_loop, offline.rows, focus),
+        "payload": _payload(closed_loop, rows, offline.rows, focus),
+        "flights": compress_flights(cell.series for cell in results.cells if cell.series),
     }
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("scenarios.report", ""),
@@ -164,10 +166,15 @@ def _label(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _payload(closed_loop: ClosedLoopSection, offline: Sequence[Mapping[str, object]], focus: str) -> str:
+def _payload(
+    closed_loop: ClosedLoopSection,
+    rows: Sequence[CellRow],
+    offline: Sequence[Mapping[str, object]],
+    focus: str,
+) -> str:
     results = closed_loop.results
     names = results.estimators or [str(row.get("estimator")) for row in offline]
-    ranked = [s.estimator for s in verdict(results.rows, focus).standings]
+    ranked = [s.estimator for s in verdict(rows, focus).standings]
     shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
     low, high = ERROR_DECADES
     data: dict[str, object] = {
@@ -180,7 +187,10 @@ def _payload(closed_loop: ClosedLoopSection, offline: Sequence[Mapping[str, obje
     if results.cells:
         vehicle = load_vehicle(next(iter(results.scenarios.values())).vehicle)
         data |= {
-            "cells": {f"{cell.scenario}|{cell.estimator}": _cell(cell) for cell in results.cells},
+            "cells": {
+                f"{cell.scenario}|{cell.estimator}": _cell(cell, row)
+                for cell, row in zip(results.cells, rows, strict=True)
+            },
             "pairs": _pairs(closed_loop.pairs),
             "all": ALL,
             "best": next((name for name in ranked if name != TRUTH), None),
@@ -204,9 +214,14 @@ def _pairs(pairs: Sequence[PairRow]) -> dict[str, list]:
     return out
 
 
-def _cell(cell: Cell) -> dict[str, object]:
-    row, series = cell.row, asdict(cell.series) if cell.series else None
+def _cell(cell: Cell, row: CellRow) -> dict[str, object]:
+    """What the charts show of a cell; of its flight in time all but the integers."""
     values = {metric.key: getattr(row, metric.key) for metric in METRICS}
+    series = cell.series and {
+        "dt": cell.series.dt,
+        "samples": cell.series.samples,
+        "scales": {name: channel.scale for name, channel in cell.series.channels.items()},
+    }
     return {"values": values, "histogram": cell.histogram, "series": series}
 
 

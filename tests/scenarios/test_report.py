@@ -16,6 +16,7 @@ from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
 from scenarios.bench.flight_metrics import CellRow, FlightMetrics, FlightRow
 from scenarios.bench.pairs import paired_differences
 from scenarios.bench.runner import Results
+from scenarios.bench.series import unpack_series
 from scenarios.bench.settings import FlightSettings
 from scenarios.bench.verdict import offline_verdict, verdict
 from scenarios.report.flight_picture import Picture
@@ -204,6 +205,7 @@ def page(request, browser, report):
     page.on("pageerror", lambda error: noise.append(str(error)))
     page.on("request", lambda each: requests.append(each.url))
     page.goto(report.as_uri())
+    page.wait_for_function("state.unpacked")
     yield page
     assert noise == []
     assert [url for url in requests if not url.startswith("data:")] == [report.as_uri()]
@@ -237,6 +239,22 @@ def test_everything_is_there(page):
     assert painted(page, "plot") > 1000
     assert painted(page, "stage") > 1000
     assert page.evaluate("document.querySelector('figure img').naturalWidth") == 160
+
+
+def test_flights_in_the_page_are_those_of_the_cells(page, results):
+    for cell in results.cells:
+        found = page.evaluate(
+            """name => data.cells[name].flight && Object.fromEntries(
+                Object.entries(data.cells[name].flight).map(([k, v]) => [k, k == "dt" ? v : [...v]]))""",
+            f"{cell.scenario}|{cell.estimator}",
+        )
+        if cell.series is None:
+            assert found is None
+            continue
+        expected = unpack_series(cell.series)
+        assert found["dt"] == pytest.approx(expected.pop("time")[1])
+        for name, values in expected.items():
+            np.testing.assert_array_equal(found[name], values.astype(np.float32), err_msg=name)
 
 
 def test_page_is_no_wider_than_its_window(page):

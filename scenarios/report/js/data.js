@@ -3,7 +3,7 @@ import { all, node } from "./dom.js";
 
 export const data = JSON.parse(document.getElementById("data").textContent);
 export const cell = (scenario, estimator) => data.cells[scenario + "|" + estimator];
-export const state = { scenario: data.scenarios[0], shown: new Set(), from: 0, to: Infinity, time: 0 };
+export const state = { scenario: data.scenarios[0], shown: new Set(), from: 0, to: Infinity, time: 0, unpacked: false, missing: "Unpacking the flights …" };
 
 /* One colour per estimator, the same in every chart; after Paul Tol's and Okabe & Ito's colour-blind safe sets. */
 const PALETTE = ["#8a8f98", "#0072b2", "#56b4e9", "#e69f00", "#009e73", "#7b5cd6", "#b294e8", "#cc79a7", "#a6761d", "#c9a27a", "#12aebd", "#7f9f2f", "#ff8a75", "#d62728"];
@@ -13,16 +13,19 @@ export const dash = Object.fromEntries(data.estimators.map((name, i) => [name, D
 for (const dot of all(".dot")) dot.style.setProperty("--colour", colour[dot.dataset.estimator] ?? "#888");
 export const dotOf = (name) => { const dot = node("i", { class: "dot" }); dot.style.setProperty("--colour", colour[name]); return dot; };
 
-/* Time series are stored as 16-bit integers in base64, times a scale. */
-function series(scenario, estimator) {
-  const c = cell(scenario, estimator);
-  if (!c?.series) return null;
-  if (c.decoded) return c.decoded;
-  const decoded = { dt: c.series.dt };
-  for (const [name, { scale, data }] of Object.entries(c.series.channels)) {
-    const bytes = Uint8Array.from(atob(data), (character) => character.charCodeAt(0));
-    decoded[name] = Float32Array.from(new Int16Array(bytes.buffer), (q) => q * scale);
+/* Flights in time are 16-bit integers times a scale, one channel of one cell after the other. The page holds their
+   differences, low bytes before high ones, compressed (`compress_flights` in scenarios/bench/series.py). */
+export async function unpack() {
+  const packed = Uint8Array.from(atob(document.getElementById("flights").textContent), (character) => character.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer()), n = bytes.length / 2;
+  let last = 0, at = 0;
+  const integers = Int16Array.from({ length: n }, (_, k) => (last += bytes[k] + 256 * bytes[n + k])); // modulo 2^16
+  for (const c of Object.values(data.cells)) {
+    if (!c.series) continue;
+    c.flight = { dt: c.series.dt };
+    for (const [name, scale] of Object.entries(c.series.scales))
+      c.flight[name] = Float32Array.from(integers.subarray(at, at += c.series.samples), (q) => q * scale);
   }
-  return (c.decoded = decoded);
 }
-export const flights = () => data.estimators.filter((e) => state.shown.has(e)).map((e) => [e, series(state.scenario, e)]).filter(([, s]) => s);
+export const flights = () => data.estimators.filter((e) => state.shown.has(e)).map((e) => [e, cell(state.scenario, e)?.flight]).filter(([, s]) => s);

@@ -1,6 +1,6 @@
 /* The entry: what the controls do. */
 import { CHARTS } from "./charts.js";
-import { colour, data, dotOf, state } from "./data.js";
+import { colour, data, dotOf, state, unpack } from "./data.js";
 import { $, all } from "./dom.js";
 import { QUANTITIES } from "./quantities.js";
 import { drawStage, player, turnable } from "./stage.js";
@@ -48,6 +48,8 @@ function closedLoop() {
   for (const change of ["resize", "beforeprint", "afterprint"]) addEventListener(change, redraw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(state.scenario);
+  unpack().then(() => "No flight is stored for this choice.", () => "This browser cannot unpack the flights; one of 2023 or later can.")
+    .then((text) => { [state.missing, state.unpacked] = [text, true]; redraw(); });
 }
 function choose(scenario) {
   state.scenario = scenario;

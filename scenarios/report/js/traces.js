@@ -39,8 +39,8 @@ export function drawPlot() {
   pen.restore();
   frame = { lines, t0, t1, end, width, X, Y };
   $("plot-note").textContent = lines.length
-    ? `One flight of each estimator, all with the same seed (${data.series_seed}), hence the same wind and the same sensor noise. ✕: crashed.` + (quantity.truth ? " Thin: estimate or position; broad and pale: truth or set point." : "")
-    : "No flight is stored for this choice.";
+    ? `One flight of each estimator, all with the same seed (${data.series_seed}), hence the same wind and the same sensor noise; ${(1 / lines[0].dt).toFixed(0)} samples each second. ✕: crashed.` + (quantity.truth ? " Thin: estimate or position; broad and pale: truth or set point." : "")
+    : state.missing;
 }
 function trace(pen, values, dt, X, Y, t0, t1, stroke, thick, pattern) {
   pen.beginPath(); pen.strokeStyle = stroke; pen.lineWidth = thick; pen.lineJoin = "round"; pen.setLineDash(pattern);
