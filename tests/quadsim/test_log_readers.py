@@ -34,6 +34,7 @@ def test_a_usd_log_is_read_in_si_units(tmp_path, version):
     np.testing.assert_allclose(np.diff(log.time), 0.005, atol=1e-12)
     np.testing.assert_allclose(log.gyro[-1], [np.pi / 2, 0, -np.pi])
     np.testing.assert_allclose(log.accel[-1], [0, 0, 9.80665])
+    assert log.quat is not None
     np.testing.assert_allclose(log.quat[-1], [1, 0, 0, 0])
     np.testing.assert_allclose(log.sensors["rotor_vel"].values[0], np.array([1, 2, 3, 4]) * 100 * np.pi)
     assert "no independent truth" in log.truth
