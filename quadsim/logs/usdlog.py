@@ -119,7 +119,7 @@ def decode(path: Path) -> tuple[dict[str, dict[str, Array]], tuple[str, ...]]:
         for number, event in events.items()
         if event.rows
     }
-    wrong = f"bad checksum, damaged or cut off: read up to byte {at} of {len(data)}"
+    wrong = f"damaged: bad checksum or cut off, read up to byte {at} of {len(data)}"
     if whole and at == end:
         return tracks, ()
     return tracks, (wrong,)
