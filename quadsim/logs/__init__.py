@@ -13,6 +13,7 @@ from .resample import LogReport, resample, split
 from .rosbag import read_rosbag
 from .table import read_table
 from .ulog import read_ulog
+from .usdlog import is_usdlog, read_usdlog
 
 __all__ = [
     "LogReport",
@@ -27,7 +28,7 @@ __all__ = [
 
 FORMATS = (
     ".ulg (PX4), an EuRoC folder, .hdf5, .mat or .npz (BROAD), .bag, .db3, .mcap or a bag's folder (ROS), "
-    "or .toml (the column map of a CSV)"
+    "a file of the Crazyflie's uSD deck, or .toml (the column map of a CSV)"
 )
 
 
@@ -135,6 +136,8 @@ def _read(path: Path, truth: str | None, imu: str | None) -> Recording:
         return read_broad(path)
     if suffix == ".toml":
         return read_table(path)
+    if is_usdlog(path):
+        return read_usdlog(path)
     hint = "; write a column map for it, see docs/logs.md" if suffix == ".csv" else ""
     raise ValueError(f"{path}: not a log that can be read{hint}; known: {FORMATS}")
 

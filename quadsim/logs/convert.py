@@ -45,6 +45,8 @@ def convert(logs: Sequence[xr.Dataset], out: str | Path, piece_s: float = 20.0) 
             f"no piece of {piece_s:g} s without a gap and with a known attitude: choose a shorter --piece"
         )
     held = {*READ, *(["position"] if all("position" in log for log in logs) else [])}
+    if all(_has_rotors(piece) for piece in pieces):
+        held.add("rotor_vel")
     plan = RecordedPlan(
         quadsim_version=version("quadsim"),
         flights=len(pieces),
@@ -76,6 +78,14 @@ def _pieces(log: xr.Dataset, steps: int) -> list[xr.Dataset]:
             starts = range(run[0], run[-1] + 2 - steps, steps)
             pieces += [one.isel(time=slice(start, start + steps)) for start in starts]
     return pieces
+
+
+def _has_rotors(piece: xr.Dataset) -> bool:
+    """Whether the speed of each of the dataset's rotors is known all the time."""
+    wanted = len(LABELS[VARIABLES["rotor_vel"].dim])
+    return "rotor_vel" in piece and (
+        piece["rotor_vel"].shape[-1] == wanted and bool(np.isfinite(piece["rotor_vel"]).all())
+    )
 
 
 def _values(piece: xr.Dataset, steps: int, held: set[str]) -> dict[str, NDArray[np.float32]]:

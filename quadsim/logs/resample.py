@@ -183,7 +183,7 @@ class LogReport:
     @property
     def warnings(self) -> list[str]:
         """What a user ought to look into, in sentences."""
-        found = self.faults
+        found = [*self.faults, *(note for note in self.notes if note.startswith("damaged: "))]
         if self.parts > 1:
             found.append(
                 f"gaps of more than {LONGEST_GAP_S:g} s cut this log into {self.parts} parts: the "

@@ -23,7 +23,7 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
     """Read the IMU topic and a pose topic.
 
     Args:
-        path: A .bag file (ROS 1), or a ROS 2 bag's folder, .db3 or .mcap.
+        path: A .bag file (ROS 1), or a ROS 2 bag's folder, .db3 or .mcap, in its folder or alone.
         imu: Topic of the IMU; None for the one with the most messages.
         truth: Topic of the true attitude; None for the first kind of POSES that is there, and failing that
             the orientation in the IMU's own messages.
@@ -31,7 +31,8 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
     highlevel = needed("rosbags.highlevel", "logs")
     stores = needed("rosbags.typesys", "logs")
     default = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
-    bag = path.parent if path.suffix in (".db3", ".mcap") else path
+    in_folder = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
+    bag = path.parent if in_folder else path
     try:
         with highlevel.AnyReader([bag], default_typestore=default) as reader:
             imu_topic = _topic(reader, path, imu, [IMU])

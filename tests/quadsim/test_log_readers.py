@@ -1,0 +1,102 @@
+"""Logs of the Crazyflie's uSD deck: what was written is read, and damage is named."""
+
+import struct
+from zlib import crc32
+
+import numpy as np
+import pytest
+
+from quadsim.dataset.reading import open_dataset
+from quadsim.logs import read_log, read_log_and_report, read_recording
+from quadsim.logs.convert import convert
+
+IMU = ("acc.x", "acc.y", "acc.z", "gyro.x", "gyro.y", "gyro.z")
+QUAT = tuple(f"stateEstimate.{name}" for name in ("qw", "qx", "qy", "qz"))
+RPM = tuple(f"rpm.m{k}" for k in (1, 2, 3, 4))
+ROW = (0.0, 0.0, 1.0, 90.0, 0.0, -180.0, 1.0, 0.0, 0.0, 0.0, 3000.0, 6000.0, 9000.0, 12000.0)
+
+
+def write_usd(path, version=2, names=IMU + QUAT + RPM, rows=400):
+    """A log of one event type at 200 Hz, as the deck writes it."""
+    data = struct.pack("<BHHH", 0xBC, version, 1, 7) + b"fixedFrequency\0" + struct.pack("<H", len(names))
+    data += b"".join(f"{name}(f)".encode() + b"\0" for name in names)
+    for k in range(rows):
+        data += struct.pack("<HI", 7, 5 * k) if version == 1 else struct.pack("<HQ", 7, 5000 * k)
+        data += struct.pack(f"<{len(names)}f", *ROW[: len(names)])
+    path.write_bytes(data + struct.pack("<I", crc32(data)))
+    return path
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_usd_log_is_read_in_si_units(tmp_path, version):
+    log = read_recording(write_usd(tmp_path / "log00", version))
+    assert log.time.size == 400
+    np.testing.assert_allclose(np.diff(log.time), 0.005, atol=1e-12)
+    np.testing.assert_allclose(log.gyro[-1], [np.pi / 2, 0, -np.pi])
+    np.testing.assert_allclose(log.accel[-1], [0, 0, 9.80665])
+    assert log.quat is not None
+    np.testing.assert_allclose(log.quat[-1], [1, 0, 0, 0])
+    np.testing.assert_allclose(log.sensors["rotor_vel"].values[0], np.array([1, 2, 3, 4]) * 100 * np.pi)
+    assert "no independent truth" in log.truth
+    assert not any("checksum" in note for note in log.notes)
+
+
+def test_a_usd_log_that_is_cut_off_is_read_up_to_there(tmp_path):
+    path = write_usd(tmp_path / "log00")
+    path.write_bytes(path.read_bytes()[:-100])
+    assert read_recording(path).time.size == 398
+    report = read_log_and_report(path)[1]
+    assert sum("bad checksum" in warning for warning in report.warnings) == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"\xbc\x03\x00\x01\x00", "version 3"),
+        (b"\xbc\x02\x00\x01\x00\x07\x00fixed", "cut off"),
+        (b"", "not a log"),
+        (b"\x00\x01\x02\x03", "not a log"),
+    ],
+)
+def test_a_damaged_usd_log_is_refused_in_one_line(tmp_path, data, message):
+    path = tmp_path / "log00"
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=message) as error:
+        read_recording(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_usd_log_without_an_imu_names_what_it_has(tmp_path):
+    with pytest.raises(ValueError, match=r"no event has all of gyro\.x.*logged: acc\.x"):
+        read_recording(write_usd(tmp_path / "log00", names=IMU[:3]))
+
+
+def test_converted_logs_have_the_rotor_speeds_of_the_log(tmp_path):
+    log = read_log(write_usd(tmp_path / "log00"))
+    flights = open_dataset(convert([log], tmp_path / "out.zarr", piece_s=1.0))
+    np.testing.assert_allclose(flights["rotor_vel"][0, 50], np.array([1, 2, 3, 4]) * 100 * np.pi, rtol=1e-6)
+
+
+def test_an_mcap_file_is_read_without_its_folder(tmp_path):
+    rosbag2, typesys = pytest.importorskip("rosbags.rosbag2"), pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    kind = store.types
+    vector, none = kind["geometry_msgs/msg/Vector3"], np.zeros(9)
+    attitude = kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    with rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        pose = writer.add_connection("/mocap", "geometry_msgs/msg/PoseStamped", typestore=store)
+        for k in range(10):
+            stamp = 10**9 + 5_000_000 * k
+            header = kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](1, 5_000_000 * k), "")
+            read = kind["sensor_msgs/msg/Imu"](
+                header, attitude, none, vector(0.1, 0.0, 0.0), none, vector(0.0, 0.0, 9.81), none
+            )
+            writer.write(imu, stamp, store.serialize_cdr(read, "sensor_msgs/msg/Imu"))
+            where = kind["geometry_msgs/msg/Pose"](kind["geometry_msgs/msg/Point"](0.0, 0.0, 1.0), attitude)
+            posed = kind["geometry_msgs/msg/PoseStamped"](header, where)
+            writer.write(pose, stamp, store.serialize_cdr(posed, "geometry_msgs/msg/PoseStamped"))
+    alone = next((tmp_path / "bag").glob("*.mcap")).rename(tmp_path / "alone.mcap")
+    log = read_recording(alone)
+    assert log.gyro.shape == (10, 3)
+    assert log.truth == "/mocap: poses"
