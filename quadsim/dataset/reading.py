@@ -1,16 +1,21 @@
 """Open, check, summarise and split a dataset."""
 
+from __future__ import annotations
+
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from ..rotation import quat_rotate, roll_pitch_from_quat
 from . import store as dataset_store
 from .generation import Progress, _at_least
-from .store import read_attributes
+from .store import Attributes, read_attributes
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
@@ -29,16 +34,24 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         FileNotFoundError: There is nothing at the path.
         ValueError: Not a dataset, unfinished, damaged or from a newer version.
     """
+    import xarray as xr  # takes half a second
+
     path = Path(path).expanduser()
-    attributes = read_attributes(path)
+    _checked_attributes(path)
     with dataset_store.damage_in_words(path):
-        dataset_store.refuse_truncated(path, attributes)
         dataset = xr.open_dataset(path, engine="zarr", chunks=None, consolidated=True)
         dataset = dataset.set_coords(dataset_store.PER_FLIGHT)
         strings = [name for name, values in dataset.coords.items() if values.dtype.kind not in "if"]
-        dataset = dataset.assign_coords({name: dataset[name].astype(object) for name in strings})
-        dataset_store.refuse_damaged(path, attributes, dataset)
-    return dataset
+        return dataset.assign_coords({name: dataset[name].astype(object) for name in strings})
+
+
+def _checked_attributes(path: Path) -> Attributes:
+    """Attributes of a dataset whose files are complete and as they were written."""
+    attributes = read_attributes(path)
+    with dataset_store.damage_in_words(path):
+        dataset_store.refuse_truncated(path, attributes)
+        dataset_store.refuse_damaged(path, attributes)
+    return attributes
 
 
 def verify(path: str | Path, progress: Progress | None = None) -> int:
@@ -76,38 +89,42 @@ def dataset_info(path: str | Path) -> dict[str, object]:
         ValueError: Not a dataset, or one without a single valid sample.
     """
     path = Path(path).expanduser()
-    dataset = open_dataset(path)
-    samples = int(dataset["valid_steps"].sum())
-    if not samples:
+    attributes = _checked_attributes(path)
+    valid, end_reason, size = (
+        dataset_store.per_flight(path, name) for name in ("valid_steps", "end_reason", "stored_bytes")
+    )
+    if not valid.any():
         raise ValueError(
-            f"{path}: none of {dataset.sizes['flight']} flights has a valid sample; the first: "
-            f"{dataset['end_reason'].to_numpy()[0]}. Is a number of the configuration too large?"
+            f"{path}: none of {attributes.flights} flights has a valid sample; the first: "
+            f"{end_reason[0]}. Is a number of the configuration too large?"
         )
     tilt, rate, speed, angles = [], [], [], []
-    for flight in range(dataset.sizes["flight"]):
-        one = dataset.isel(flight=flight, time=slice(int(dataset["valid_steps"][flight])))
-        quat = one["quat"].to_numpy().astype(float)
+    for flight, steps in enumerate(valid.tolist()):
+        quat, ang_vel, velocity = (
+            dataset_store.read_chunk(path, name, flight, (attributes.steps, width))[:steps].astype(float)
+            for name, width in (("quat", 4), ("ang_vel", 3), ("velocity", 3))
+        )
         angles.append(roll_pitch_from_quat(quat))
         tilt.append(np.arccos(quat_rotate(quat, (0.0, 0.0, 1.0))[:, 2].clip(-1, 1)).max(initial=0))
-        rate.append(np.linalg.norm(one["ang_vel"], axis=-1).max(initial=0))
-        speed.append(np.linalg.norm(one["velocity"], axis=-1).max(initial=0))
+        rate.append(np.linalg.norm(ang_vel, axis=-1).max(initial=0))
+        speed.append(np.linalg.norm(velocity, axis=-1).max(initial=0))
     roll_sd, pitch_sd = np.std(np.concatenate(angles), axis=0)
     return {
         "path": str(path),
-        "flights": dataset.sizes["flight"],
-        "flights_ended_early": int((dataset["end_reason"] != "").sum()),
-        "duration_s": dataset.attrs["duration_s"],
-        "rate_hz": dataset.attrs["rate_hz"],
-        "samples": samples,
+        "flights": attributes.flights,
+        "flights_ended_early": int((end_reason != "").sum()),
+        "duration_s": attributes.duration_s,
+        "rate_hz": attributes.rate_hz,
+        "samples": int(valid.sum()),
         "roll_sd_deg": float(np.degrees(roll_sd)),
         "pitch_sd_deg": float(np.degrees(pitch_sd)),
         "max_tilt_deg": float(np.degrees(max(tilt))),
         "max_rate_deg_s": float(np.degrees(max(rate))),
         "max_speed_m_s": float(max(speed)),
-        "size_MB": float(dataset["stored_bytes"].sum()) / 1e6,
-        "seed": dataset.attrs["seed"],
-        "quadsim_version": dataset.attrs["quadsim_version"],
-        "config": json.loads(dataset.attrs["config"]),
+        "size_MB": float(size.sum()) / 1e6,
+        "seed": attributes.seed,
+        "quadsim_version": attributes.quadsim_version,
+        "config": json.loads(attributes.config),
     }
 
 

@@ -21,7 +21,6 @@ from typing import Annotated, Literal, NamedTuple
 
 import numcodecs.blosc
 import numpy as np
-import xarray as xr
 import zarr
 from numcodecs import Blosc
 from numpy.typing import NDArray
@@ -307,29 +306,27 @@ def damage_in_words(path: Path) -> Iterator[None]:
         ) from error
 
 
-def refuse_damaged(path: Path, attributes: Attributes, dataset: xr.Dataset) -> None:
+def refuse_damaged(path: Path, attributes: Attributes) -> None:
     """Compare shapes with the attributes, and every number with its checksum if a file has changed.
-
-    Args:
-        path: The dataset.
-        attributes: Its attributes.
-        dataset: The dataset as xarray opened it.
 
     Raises:
         ValueError: Something differs, or cannot be read.
     """
+    group = zarr.open_group(path, mode="r", zarr_format=3)
+    rotors = _array(group, "rotor").shape[0]
     for name, variable in VARIABLES.items():
-        width = dataset.sizes["rotor"] if variable.dim == "rotor" else len(LABELS[variable.dim])
+        width = rotors if variable.dim == "rotor" else len(LABELS[variable.dim])
         shape = (attributes.flights, attributes.steps, width)
-        if name not in dataset or dataset[name].shape != shape or dataset[name].dtype != np.float32:
+        array = _array(group, name)
+        if array.shape != shape or array.dtype != np.float32:
             raise ValueError(f"{path} is damaged: {name} is not {shape} numbers of 32 bits")
-    valid = dataset["valid_steps"].to_numpy()
+    valid, time = (np.asarray(_array(group, name)[:]) for name in ("valid_steps", "time"))
     if valid.dtype.kind not in "iu" or not ((valid >= 0) & (valid <= attributes.steps)).all():
         raise ValueError(f"{path} is damaged: valid_steps is not from 0 to {attributes.steps}")
     times = np.arange(attributes.steps) / attributes.rate_hz
     if not (
-        "time" in dataset
-        and np.allclose(dataset["time"], times, rtol=1e-6, atol=1e-9)
+        time.shape == times.shape
+        and np.allclose(time, times, rtol=1e-6, atol=1e-9)
         and np.isclose(attributes.duration_s, attributes.steps / attributes.rate_hz)
     ):
         raise ValueError(f"{path} is damaged: rate_hz, duration_s and time do not belong together")
@@ -350,6 +347,16 @@ def refuse_damaged(path: Path, attributes: Attributes, dataset: xr.Dataset) -> N
         write_whole(known, "")
 
 
+def per_flight(path: Path, name: str) -> NDArray[np.generic]:
+    """A coordinate of `PER_FLIGHT`, (flights,)."""
+    return np.asarray(_array(zarr.open_group(path, mode="r", zarr_format=3), name)[:])
+
+
+def read_chunk(path: Path, variable: str, flight: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """One variable of one flight, without Zarr's event loop, as in `write_flight`."""
+    return np.frombuffer(CODEC.decode(chunk_file(path, variable, flight).read_bytes()), "<f4").reshape(shape)
+
+
 def faults(path: Path) -> Iterator[tuple[int, str]]:
     """Read every flight of a dataset; its number, and the first thing wrong with it, empty if all is well."""
     group = zarr.open_group(path, mode="r", zarr_format=3)
@@ -366,9 +373,8 @@ def fault(path: Path, flight: int, shapes: Mapping[str, tuple[int, ...]], size: 
             return f"{name} is missing"
     if stored_bytes(path, flight) != size:
         return "a file is cut short"
-    try:  # without Zarr's event loop, as in `write_flight`
-        chunks = {name: CODEC.decode(chunk_file(path, name, flight).read_bytes()) for name in VARIABLES}
-        values = {name: np.frombuffer(chunks[name], "<f4").reshape(shapes[name]) for name in VARIABLES}
+    try:
+        values = {name: read_chunk(path, name, flight, shapes[name]) for name in VARIABLES}
     except Exception as error:  # whatever a codec says of what it cannot decode
         return f"it cannot be read: {error}"
     for name, array in values.items():

@@ -46,7 +46,12 @@ def file_digest(path: Path) -> str:
 
 def source_digest(source: str) -> str:
     """Digest of Python source that comments, docstrings and formatting do not change."""
-    return content_digest(_shape(ast.parse(source)))
+    return content_digest(_shape(_tree(source)))
+
+
+@cache
+def _tree(source: str) -> ast.Module:
+    return ast.parse(source)
 
 
 def closure(scripts: Iterable[Path], root: Path, packages: Collection[str] | None = None) -> set[Path]:
@@ -75,7 +80,7 @@ def _sources(name: str) -> list[Path]:
 def _imported(path: Path, root: Path, packages: Collection[str] | None) -> set[Path]:
     """Files of the product that a file's import statements load."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(_tree(path.read_text("utf-8"))):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from ..config.ranges import COORDINATE, Position
 from ..config.toml import read_text
@@ -113,6 +112,8 @@ def _lissajous(spec: Lissajous, time: Array) -> SetPoints:
 
 def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
     """Degree-7 spline through the points, derivatives 1 to 3 zero at both ends, run back, and repeated."""
+    from scipy.interpolate import make_interp_spline  # scipy.interpolate takes a tenth of a second
+
     loop = points if np.allclose(points[0], points[-1]) else np.vstack([points, points[-2::-1]])
     legs = np.linalg.norm(np.diff(loop, axis=0), axis=1)
     if np.any(legs < 1e-6):
@@ -122,7 +123,7 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
     slow[0] = slow[-1] = 2.0
     knots = np.concatenate([[0.0], np.cumsum(slow * legs / speed)])
     rest: list[tuple[int, Array]] = [(order, np.zeros(3)) for order in (1, 2, 3)]
-    curve: BSpline = make_interp_spline(knots, loop, k=7, bc_type=(rest, rest))
+    curve = make_interp_spline(knots, loop, k=7, bc_type=(rest, rest))
     at = np.mod(time, knots[-1])
     out = np.zeros(time.size, SET_POINT)
     for order, name in enumerate(DERIVATIVES):
@@ -131,6 +132,8 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
 
 
 def _from_file(path: Path, time: Array) -> SetPoints:
+    from scipy.interpolate import CubicSpline
+
     try:
         rows = list(csv.DictReader(read_text(path, most_mb=100.0).splitlines()))
     except csv.Error as error:
