@@ -53,6 +53,9 @@ from .samples import parameter_record, sanitise_midpoint, square_of_error
 ERRORS = 13
 TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS = 0, 2, 5, 7, 10
 """Where the parts of the error state begin."""
+WIDTH, TURNED = 16, 8
+"""Columns of arrays over the error state, and over its part that moves with attitude, padded with zeros to
+whole vector registers: the compiler then makes vector instructions of the loops over them."""
 
 STATE = np.dtype(
     [
@@ -61,7 +64,7 @@ STATE = np.dtype(
         ("wind", "f8", 2),
         ("gyro_bias", "f8", 3),
         ("accel_bias", "f8", 3),
-        ("covariance", "f8", (ERRORS, ERRORS)),
+        ("covariance", "f8", (ERRORS, WIDTH)),
         ("time", "f8"),  # since the start [s]
         ("accel_W", "f8", 3),  # of the last sample, world axes [m/s²]
         ("innovation", "f8", 2),  # of the drag measurement at the last sample, world axes [m/s²]
@@ -77,6 +80,11 @@ STATE = np.dtype(
         ("rest_time", "f8"),  # for which the readings have not changed [s]
         ("fast", "f8", 6),  # low-passed readings
         ("slow", "f8", 6),
+        # Scratch of a sample, here because the compiler knows that fields of one record do not overlap.
+        ("moved", "f8", (ERRORS, TURNED)),  # columns of F P Fᵀ that F changes
+        ("error", "f8", WIDTH),  # estimated so far
+        ("columns", "f8", (5, WIDTH)),  # P hᵀ of each measurement, P being reduced by those before it
+        ("gains", "f8", (5, WIDTH)),
     ]
 )
 """The filter's state."""
@@ -153,11 +161,11 @@ FIRST_S = 0.1
 
 
 @njit
-def transition(P, matrix, v, w, dt):
-    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
+def transition(P, width, matrix, v, w, dt):
+    """P ← F P of (13, width), with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
     vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
-    for j in range(ERRORS):
+    for j in range(width):
         x, y = P[TILT, j], P[TILT + 1, j]
         b0, b1, b2 = P[GYRO_BIAS, j], P[GYRO_BIAS + 1, j], P[GYRO_BIAS + 2, j]
         c0, c1, c2 = P[ACCEL_BIAS, j], P[ACCEL_BIAS + 1, j], P[ACCEL_BIAS + 2, j]
@@ -175,40 +183,70 @@ def transition(P, matrix, v, w, dt):
 
 
 @njit
-def propagate(P, T, matrix, v, w, dt, walks):
-    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; T is scratch."""
-    transition(P, matrix, v, w, dt)
-    for i in range(ERRORS):
-        for j in range(ERRORS):
-            T[i, j] = P[j, i]
-    transition(T, matrix, v, w, dt)
-    for i in range(ERRORS):
-        for j in range(ERRORS):
-            P[i, j] = T[i, j]
-        P[i, i] += walks[i]
-
-
-@njit
-def correct(P, dx, column, total, residual):
-    """One scalar measurement with row h: adds to the error dx, reduces P.
+def propagate(s, matrix, dt, walks):
+    """P ← F P Fᵀ + Q for a symmetric P, of which F leaves the biases' block as it is.
 
     Args:
-        P: Covariance.
-        dx: Error estimated so far.
-        column: P hᵀ.
-        total: h P hᵀ and the measurement's variance.
-        residual: Measured less expected, less h dx.
+        s: The vehicle's record.
+        matrix: R̂ by rows.
+        dt: Sample period [s].
+        walks: Variances that a sample adds to θ, v, w, b and c.
     """
-    for a in range(ERRORS):
-        gain = column[a] / total
-        dx[a] += gain * residual
-        for b in range(ERRORS):
-            P[a, b] -= gain * column[b]
+    P, T, v, w = s.covariance, s.moved, s.velocity, s.wind
+    transition(P, WIDTH, matrix, v, w, dt)
+    for i in range(GYRO_BIAS):
+        for j in range(ERRORS):
+            T[j, i] = P[i, j]
+    transition(T, TURNED, matrix, v, w, dt)
+    for i in range(ERRORS):
+        for j in range(GYRO_BIAS):
+            P[i, j] = T[i, j]
+    for i in range(ERRORS):
+        P[i, i] += walks[(i >= VELOCITY) + (i >= WIND) + (i >= GYRO_BIAS) + (i >= ACCEL_BIAS)]
 
 
 @njit
-def correct_by_drag(s, accel, drag, variance, matrix, work):
-    """Correct by the specific force across thrust, one axis after the other.
+def along_drag(x, y, z, k, error):
+    """What the drag measurement of axis k changes by with an error (13,), given row k of −D R̂ᵀ."""
+    across = x * (error[VELOCITY] - error[WIND]) + y * (error[VELOCITY + 1] - error[WIND + 1])
+    return across + z * error[VELOCITY + 2] + error[ACCEL_BIAS + k]
+
+
+@njit
+def along_velocity(x, y, k, error):
+    """What the velocity along axis k changes by with an error (13,), given the row of θ × v̂ on θ."""
+    return x * error[TILT] + y * error[TILT + 1] + error[VELOCITY + k]
+
+
+@njit(error_model="numpy")
+def correct(s, k, total, residual):
+    """Add scalar measurement k with row h to the error; P is reduced by all of them in `reduce_covariance`.
+
+    Args:
+        s: The vehicle's record; row k of `columns` holds P hᵀ. Writes row k of `gains`.
+        k: Which measurement.
+        total: h P hᵀ and the measurement's variance.
+        residual: Measured less expected, less h on the error so far.
+    """
+    share = 1.0 / total
+    for a in range(WIDTH):
+        s.gains[k, a] = share * s.columns[k, a]
+        s.error[a] += s.gains[k, a] * residual
+
+
+@njit
+def reduce_covariance(s):
+    """P less what its five measurements removed."""
+    P, c = s.covariance, s.columns
+    for a in range(ERRORS):
+        g0, g1, g2, g3, g4 = s.gains[0, a], s.gains[1, a], s.gains[2, a], s.gains[3, a], s.gains[4, a]
+        for b in range(WIDTH):
+            P[a, b] -= g0 * c[0, b] + g1 * c[1, b] + g2 * c[2, b] + g3 * c[3, b] + g4 * c[4, b]
+
+
+@njit
+def correct_by_drag(s, accel, drag, variance, matrix):
+    """Correct by the specific force across thrust, axis after axis: measurements 0 and 1.
 
     Args:
         s: The vehicle's record.
@@ -216,29 +254,34 @@ def correct_by_drag(s, accel, drag, variance, matrix, work):
         drag: D [1/s].
         variance: Of the measurement, each axis [m²/s⁴].
         matrix: R̂ by rows.
-        work: From `scratch`; adds to the error dx, writes the innovation in body axes before the correction
-            (2,) [m/s²].
+
+    Returns:
+        The innovation in body axes before the correction, two numbers [m/s²].
     """
-    _, dx, column, _, innovation = work
-    P = s.covariance
-    v, w, c = s.velocity, s.wind, s.accel_bias
+    P, c, dx = s.covariance, s.columns, s.error
+    v, w = s.velocity, s.wind
+    first = innovation = 0.0
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
-        expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + c[k]
-        innovation[k] = min(max(accel[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
-        known = x * (dx[VELOCITY] - dx[WIND]) + y * (dx[VELOCITY + 1] - dx[WIND + 1])
-        known += z * dx[VELOCITY + 2] + dx[ACCEL_BIAS + k]
-        for a in range(ERRORS):
-            column[a] = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
-            column[a] += z * P[VELOCITY + 2, a] + P[ACCEL_BIAS + k, a]
-        total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
-        total += z * column[VELOCITY + 2] + column[ACCEL_BIAS + k]
-        correct(P, dx, column, total + variance, innovation[k] - known)
+        expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + s.accel_bias[k]
+        innovation = min(max(accel[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
+        for a in range(WIDTH):
+            across = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
+            c[k, a] = across + z * P[VELOCITY + 2, a] + P[ACCEL_BIAS + k, a]
+        if k == 0:
+            first = innovation
+        else:
+            shared = along_drag(x, y, z, k, c[0])
+            for a in range(WIDTH):
+                c[1, a] -= shared * s.gains[0, a]
+        correct(s, k, along_drag(x, y, z, k, c[k]) + variance, innovation - along_drag(x, y, z, k, dx))
+    return first, innovation
 
 
 @njit
-def correct_by_zero_velocity(P, dx, column, v, speed_variance, climb_variance):
-    """Correct by the measurement v = 0, one axis after the other; column is scratch."""
+def correct_by_zero_velocity(s, speed_variance, climb_variance):
+    """Correct by the measurement v = 0, axis after axis: measurements 2, 3 and 4."""
+    P, c, v = s.covariance, s.columns, s.velocity
     for k in range(3):
         x, y = 0.0, 0.0  # of θ × v̂
         if k == 0:
@@ -247,36 +290,40 @@ def correct_by_zero_velocity(P, dx, column, v, speed_variance, climb_variance):
             x = -v[2]
         else:
             x, y = v[1], -v[0]
+        for a in range(WIDTH):
+            c[2 + k, a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
+        for j in range(2 + k):
+            shared = along_velocity(x, y, k, c[j])
+            for a in range(WIDTH):
+                c[2 + k, a] -= shared * s.gains[j, a]
+        total = along_velocity(x, y, k, c[2 + k]) + (climb_variance if k == 2 else speed_variance)
+        correct(s, 2 + k, total, -v[k] - along_velocity(x, y, k, s.error))
+
+
+@njit
+def correct_by_zero_rate(s, gyro, variance):
+    """Correct by the gyroscope of a vehicle at rest, which reads its bias, and reduce P at once."""
+    P, c = s.covariance, s.columns
+    for k in range(GYRO_BIAS, ACCEL_BIAS):
+        for a in range(WIDTH):
+            c[0, a] = P[k, a]
+        correct(s, 0, c[0, k] + variance, gyro[k - GYRO_BIAS] - s.gyro_bias[k - GYRO_BIAS] - s.error[k])
         for a in range(ERRORS):
-            column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
-        total = x * column[TILT] + y * column[TILT + 1] + column[VELOCITY + k]
-        known = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
-        correct(P, dx, column, total + (climb_variance if k == 2 else speed_variance), -v[k] - known)
+            for b in range(WIDTH):
+                P[a, b] -= s.gains[0, a] * c[0, b]
 
 
 @njit
-def correct_by_zero_rate(P, dx, column, gyro, bias, variance):
-    """Correct by the gyroscope of a vehicle at rest, which reads its bias; column is scratch."""
-    for k in range(3):
-        for a in range(ERRORS):
-            column[a] = P[GYRO_BIAS + k, a]
-        residual = gyro[k] - bias[k] - dx[GYRO_BIAS + k]
-        correct(P, dx, column, column[GYRO_BIAS + k] + variance, residual)
-
-
-@njit
-def airspeed_variance(P):
-    """Variance of the horizontal airspeed v − w, both axes summed [m²/s²]."""
-    x = P[VELOCITY, VELOCITY] + P[WIND, WIND] - 2.0 * P[VELOCITY, WIND]
-    y = P[VELOCITY + 1, VELOCITY + 1] + P[WIND + 1, WIND + 1] - 2.0 * P[VELOCITY + 1, WIND + 1]
-    return x + y
-
-
-@njit
-def bias_variance(P):
-    """Variance of the gyroscope's bias, all axes summed [rad²/s²]."""
-    x, y, z = GYRO_BIAS, GYRO_BIAS + 1, GYRO_BIAS + 2
-    return P[x, x] + P[y, y] + P[z, z]
+def removed_by_drag(s):
+    """Variance that the drag measurements removed, axes summed: of v − w [m²/s²], and of b [rad²/s²]."""
+    airspeed, bias, columns, gains = 0.0, 0.0, s.columns, s.gains
+    for k in range(2):
+        for a in range(2):
+            gain = gains[k, VELOCITY + a] - gains[k, WIND + a]
+            airspeed += gain * (columns[k, VELOCITY + a] - columns[k, WIND + a])
+        for a in range(GYRO_BIAS, ACCEL_BIAS):
+            bias += gains[k, a] * columns[k, a]
+    return airspeed, bias
 
 
 @njit
@@ -291,11 +338,11 @@ def adapt_vibration(s, p, dt, x, y):
 
 
 @njit
-def adapt_wind(s, p, dt, dx, removed):
+def adapt_wind(s, p, dt, removed):
     """Take a correction of the airspeed, and the variance that it removed, into the wind's process noise."""
     scatter = 0.0
     for k in range(2):
-        moved = dx[VELOCITY + k] - dx[WIND + k]
+        moved = s.error[VELOCITY + k] - s.error[WIND + k]
         s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / p.wind_window
         scatter += 0.5 * s.airspeed_sum[k] ** 2
     s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / p.wind_window
@@ -305,16 +352,16 @@ def adapt_wind(s, p, dt, dx, removed):
 
 
 @njit
-def adapt_bias(s, p, dt, dx, P, removed):
+def adapt_bias(s, p, dt, removed):
     """Inflate the variance of the gyroscope's bias where its corrections show that it has stepped."""
     scatter = 0.0
     for k in range(3):
-        s.bias_sum[k] += dx[GYRO_BIAS + k] - s.bias_sum[k] * dt / p.step_window
+        s.bias_sum[k] += s.error[GYRO_BIAS + k] - s.bias_sum[k] * dt / p.step_window
         scatter += s.bias_sum[k] ** 2 / 3.0
     s.bias_due += max(removed, 0.0) / 3.0 - 2.0 * s.bias_due * dt / p.step_window
     inflation = max(scatter - p.step_ratio * s.bias_due, 0.0) * p.step_gain * dt / p.step_window
     for k in range(GYRO_BIAS, ACCEL_BIAS):
-        P[k, k] += inflation
+        s.covariance[k, k] += inflation
 
 
 @njit
@@ -345,46 +392,48 @@ def mean_square(value, square, dt, time, memory):
 
 
 @njit
-def measure(s, p, sample, quat, matrix, work):
-    """All corrections by one sample: adds to the error dx, reduces the covariance, adapts the noise."""
-    _, dx, column, _, innovation = work
-    P, v, w, dt, gyro, accel = s.covariance, s.velocity, s.wind, sample.dt, sample.gyro, sample.accel
+def measure(s, p, sample, quat, matrix):
+    """All corrections by one sample: adds to the error, reduces the covariance, adapts the noise."""
+    v, w, dt, gyro, accel = s.velocity, s.wind, sample.dt, sample.gyro, sample.accel
     speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
     drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time + p.frame_drag * speed
     noise = max(s.vibration, p.drag_noise**2 / dt)
-    airspeed, bias = airspeed_variance(P), bias_variance(P)
     variance = noise + p.model_noise**2 * s.accel_square / dt
-    correct_by_drag(s, accel, drag, variance, matrix, work)
-    x, y, _ = rotate_core(quat[0], quat[1], quat[2], quat[3], innovation[0], innovation[1], 0.0)
+    along, across = correct_by_drag(s, accel, drag, variance, matrix)
+    x, y, _ = rotate_core(quat[0], quat[1], quat[2], quat[3], along, across, 0.0)
     adapt_vibration(s, p, dt, x, y)
     if s.time > p.wind_window:  # the first corrections are those of the initial state
-        adapt_wind(s, p, dt, dx, airspeed - airspeed_variance(P))
-        adapt_bias(s, p, dt, dx, P, bias - bias_variance(P))
+        airspeed, bias = removed_by_drag(s)
+        adapt_wind(s, p, dt, airspeed)
+        adapt_bias(s, p, dt, bias)
     density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
-    correct_by_zero_velocity(P, dx, column, v, density / dt, p.climb_noise**2 / dt)
+    correct_by_zero_velocity(s, density / dt, p.climb_noise**2 / dt)
+    reduce_covariance(s)
     s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, p.speed_memory)
     if at_rest(s, p, dt, gyro, accel):
-        correct_by_zero_rate(P, dx, column, gyro, s.gyro_bias, p.rest_noise**2 / dt)
+        correct_by_zero_rate(s, gyro, p.rest_noise**2 / dt)
 
 
 @njit
-def advance(s, p, sample, work):
-    """Take one `Sample`; s is a vehicle's record, p its parameters, work from `scratch`."""
-    T, dx, _, walks, _ = work
-    v, w, b, c = s.velocity, s.wind, s.gyro_bias, s.accel_bias
+def advance(s, p, sample):
+    """Take one `Sample`; s is a vehicle's record, p its parameters."""
+    dx, v, w, b, c = s.error, s.velocity, s.wind, s.gyro_bias, s.accel_bias
     dt, gyro, accel, unseen = sample.dt, sample.gyro, sample.accel, sample.unseen
     s.time += dt
     noise = max(s.vibration, p.drag_noise**2 / dt)
-    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + unseen
-    walks[VELOCITY:WIND] = p.accel_noise**2 * dt + GAP_SPEED**2 * unseen
-    walks[WIND:GYRO_BIAS] = max(s.wind_noise, gust_noise(s, p, noise, dt, 1.0 / p.drag_time)) * dt
-    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
-    walks[ACCEL_BIAS:] = p.accel_bias_noise**2 * dt
+    wind_noise = max(s.wind_noise, gust_noise(s, p, noise, dt, 1.0 / p.drag_time))
+    walks = (
+        p.gyro_noise**2 * dt + unseen,
+        p.accel_noise**2 * dt + GAP_SPEED**2 * unseen,
+        wind_noise * dt,
+        p.bias_noise**2 * dt,
+        p.accel_bias_noise**2 * dt,
+    )
     turn = from_rotvec_core((gyro[0] - b[0]) * dt, (gyro[1] - b[1]) * dt, (gyro[2] - b[2]) * dt)
     qw, qx, qy, qz = s.quat
     qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, turn[0], turn[1], turn[2], turn[3])
     matrix = matrix_core(qw, qx, qy, qz)
-    propagate(s.covariance, T, matrix, v, w, dt, walks)
+    propagate(s, matrix, dt, walks)
     dx[:] = 0.0
     if accel[0] != 0.0 or accel[1] != 0.0 or accel[2] != 0.0:
         fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2] - c[2])
@@ -393,7 +442,7 @@ def advance(s, p, sample, work):
             v[k] += 0.5 * (now[k] + (s.accel_W[k] if s.time > dt else now[k])) * dt
             s.accel_W[k] = now[k]
         s.accel_square = mean_square(s.accel_square, fx * fx + fy * fy, dt, s.time, p.accel_memory)
-        measure(s, p, sample, (qw, qx, qy, qz), matrix, work)
+        measure(s, p, sample, (qw, qx, qy, qz), matrix)
     qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
     s.quat[0], s.quat[1], s.quat[2], s.quat[3] = qw, qx, qy, qz
     rw, rx, ry, rz = from_rotvec_core(dx[TILT], dx[TILT + 1], 0.0)
@@ -439,15 +488,9 @@ def begin(s, p, known):
 
 
 @njit
-def scratch():
-    """Arrays for `advance`: (13, 13); the error dx, a column of P, process noise (13,); innovation (2,)."""
-    return np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(2)
-
-
-@njit
-def step(s, own, p, sample, work):
+def step(s, own, p, sample):
     """Take a sample; a filter that has diverged starts again, level. own: the record's own numbers."""
-    roll_pitch = advance(s, p, sample, work)
+    roll_pitch = advance(s, p, sample)
     if diverged(s):
         own[:] = 0.0
         s.quat[0] = 1.0
@@ -460,12 +503,12 @@ def step(s, own, p, sample, work):
 def sequence(states, params, dt, gyro, accel, out):
     """See `algorithm`."""
     n, steps = gyro.shape[:2]
-    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
+    own = states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
             sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
-            out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample, work)
+            out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample)
 
 
 @njit(cache=True, nogil=True)
@@ -473,13 +516,13 @@ def score(states, params, dt, flights):
     """See `algorithm`; one set after the other: its covariance is too large to lie side by side."""
     gyro, accel, target = flights
     n, steps = gyro.shape[:2]
-    work, own = scratch(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
+    own = states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
     squared_error = np.zeros((params.shape[0], n))
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
             sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
-            roll, pitch = step(s, own[row], p, sample, work)
+            roll, pitch = step(s, own[row], p, sample)
             squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
     return squared_error
 
