@@ -1,0 +1,104 @@
+"""Size of the report of a complete suite, and the time that it takes to make.
+
+    python benchmarks/bench_report.py [--seeds 20] [--out FOLDER]
+
+Every shipped scenario with every estimator. The results are made up, so that nothing is simulated: smooth
+motion, estimates with drifting and white errors, crashes in one flight of 25. The goals for 26 scenarios × 14
+estimators × 20 seeds are at most 5 MB, and 1 s of CPU time for pairs and page together.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+import estimators
+from quadsim.flight.mission import CAUSES
+from quadsim.flight.scenario import load_scenario, scenario_names
+from scenarios.bench.cell import Cell
+from scenarios.bench.flight_metrics import FlightMetrics, FlightRow, Log, error_histogram, log_dtype
+from scenarios.bench.pairs import paired_differences
+from scenarios.bench.runner import Results
+from scenarios.bench.series import pack_series
+from scenarios.bench.settings import FlightSettings
+from scenarios.report.flight_picture import cover
+from scenarios.report.page import ClosedLoopSection, write_report
+
+Made = TypeVar("Made")
+
+
+def smooth(rng: np.random.Generator, t: np.ndarray, columns: int, size: float) -> np.ndarray:
+    """Sums of three sines of 0.05 to 1 Hz, (T, columns)."""
+    rate, phase = (
+        2.0 * np.pi * rng.uniform(0.05, 1.0, (3, columns)),
+        rng.uniform(0.0, 2.0 * np.pi, (3, columns)),
+    )
+    return size * np.sin(rate * t[:, None, None] + phase).sum(axis=1)
+
+
+def made_up_log(rng: np.random.Generator, duration_s: float, rate_hz: float) -> Log:
+    """One flight (T,); what the report does not show of it stays zero."""
+    t = np.arange(round(duration_s * rate_hz)) / rate_hz
+    log = np.zeros(t.size, log_dtype(4))
+    log["target"] = smooth(rng, t, 3, 1.0)
+    log["position"] = log["target"] + smooth(rng, t, 3, 0.05)
+    log["euler"] = smooth(rng, t, 3, 0.1)
+    log["estimate"] = log["euler"][:, :2] + smooth(rng, t, 2, 0.01) + rng.normal(0.0, 0.002, (t.size, 2))
+    return log
+
+
+def made_up_flight(rng: np.random.Generator, scenario: str, estimator: str, seed: int) -> FlightRow:
+    cause = str(rng.choice(CAUSES[1:])) if rng.random() < 0.04 else ""
+    values = {each.name: float(rng.lognormal()) for each in fields(FlightMetrics)}
+    return FlightRow(scenario, estimator, seed, cause, 20.0, **values)
+
+
+def made_up_results(seeds: int) -> Results:
+    rng, settings = np.random.default_rng(0), FlightSettings(seeds)
+    scenarios = {name: load_scenario(name) for name in scenario_names()}
+    cells = []
+    for name, scenario in scenarios.items():
+        for estimator in estimators.names():
+            log = made_up_log(rng, scenario.duration_s, settings.rate_hz)
+            flights = [made_up_flight(rng, name, estimator, seed) for seed in range(seeds)]
+            histogram = error_histogram(log[None], np.array([log.size])).tolist()
+            series = pack_series(log, settings.rate_hz)
+            cells.append(Cell(name, estimator, "", "", flights, histogram, series))
+    return Results(scenarios, estimators.names(), settings, cells)
+
+
+def timed(name: str, make: Callable[[], Made]) -> Made:
+    wall, cpu = time.perf_counter(), time.process_time()
+    made = make()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    print(f"{name:20}{wall:>8.2f} s, of CPU time {cpu:.2f} s")
+    return made
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20, help="flights in each cell")
+    parser.add_argument("--out", type=Path, default=Path("reports/bench"), help="folder for the report")
+    arguments = parser.parse_args()
+    results = made_up_results(arguments.seeds)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    path = arguments.out / "report.html"
+
+    print(
+        f"{len(results.scenarios)} scenarios × {len(results.estimators)} estimators × {arguments.seeds} seeds"
+    )
+    pairs = timed("pairs", lambda: paired_differences(results.flights))
+    timed("page", lambda: write_report(path, ClosedLoopSection(results, pairs)))
+    print(f"{'size':20}{path.stat().st_size / 1e6:>8.2f} MB without a picture")
+    picture, note = timed("picture", lambda: cover(results.cells))
+    write_report(path, ClosedLoopSection(results, pairs, still=picture))
+    print(f"{'size':20}{path.stat().st_size / 1e6:>8.2f} MB {note or 'with it'}")
+    print(path)
+
+
+if __name__ == "__main__":
+    main()
