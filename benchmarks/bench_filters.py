@@ -1,24 +1,28 @@
-"""Speed of the filters: per streamed sample, per sample of a sequence, and against ahrs and VQF's C++.
+"""Speed of the filters and networks: per streamed sample, per sample of a sequence, and against peers.
 
-    python benchmarks/bench_filters.py [--tuning mahony ...]
+    python -m benchmarks.bench_filters [--out speed.csv] [--tuning mahony ...]
 
-All numbers come from one run on one thread; each is the best of several repetitions. With --tuning also the
-time of one swarm of 100 particles × 50 iterations on 35 flights of 100 s, the paper's, on two threads: wall
-and CPU time, whose half is what two idle cores would take.
+All numbers come from one run on one thread; each is the best of several repetitions. Peers are VQF's C++ in
+one call, the package ahrs, and PyTorch's GRU. With --tuning also the time of one swarm of 100 particles × 50
+iterations on 35 flights of 100 s, the paper's, on two threads: wall and CPU time.
 """
 
 import argparse
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import ahrs
 import numpy as np
+import torch
 import xarray as xr
 from vqf import VQF
 
 from estimators import create, names, run
-from estimators.registry import COMPILED, NETWORKS
+from estimators.networks.weights_file import load_network
 from estimators.tuning.search import FlightSelection, SearchSettings, tune
+
+from .table import show
 
 RATE_HZ = 200.0
 
@@ -61,33 +65,55 @@ def us_per_update(name: str, gyro: np.ndarray, accel: np.ndarray, count: int) ->
     return best_of(stream, 3) / count * 1e6
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tuning", nargs="*", metavar="FILTER", help="time a swarm on 3500 s of flight")
-    arguments = parser.parse_args()
-    gyro, accel = motion(4, 100.0)
+def measure() -> list[dict[str, str]]:
+    """A row for each estimator and its peers: an update from Python, a sample of a batch, that over VQF's C++."""
+    gyro, accel = motion(16, 100.0)
+    few = slice(0, 2000)
+    cpp = best_of(lambda: VQF(1.0 / RATE_HZ).updateBatch(gyro[0], accel[0]), 5) / gyro.shape[1] * 1e9
+    rows = []
 
-    print(f"{'filter':24}{'update, n = 1':>16}{'run':>16}")
-    sequence = {}
+    def add(name: str, streamed: float | None, batch: float) -> None:
+        update = "" if streamed is None else f"{streamed:.2f}"
+        rows.append(
+            {
+                "estimator": name,
+                "update_us": update,
+                "run_ns": f"{batch:.0f}",
+                "run_over_vqf": f"{batch / cpp:.2f}",
+            }
+        )
+
     for name in names():
-        if name in (*NETWORKS, "truth"):
+        if name == "truth":
             continue
         slow = name.endswith("filterpy")
-        part = slice(0, 400 if slow else None)
-        sequence[name] = ns_per_sample(name, gyro[:, part], accel[:, part], 2 if slow else 5)
-        streamed = us_per_update(name, gyro, accel, 400 if slow else 10_000)
-        print(f"{name:24}{streamed:>13.2f} µs{sequence[name]:>13.0f} ns")
-
-    print()
-    few = slice(0, 2000)
-    for name, make in (("mahony", ahrs.filters.Mahony), ("madgwick", ahrs.filters.Madgwick)):
+        part = slice(0, 400 if slow else 4000)
+        batch = ns_per_sample(name, gyro[:, part], accel[:, part], 2 if slow else 5)
+        add(name, us_per_update(name, gyro, accel, 400 if slow else 10_000), batch)
+    add("*VQF, C++, one call*", None, cpp)
+    for name, make in (("Mahony", ahrs.filters.Mahony), ("Madgwick", ahrs.filters.Madgwick)):
         theirs = best_of(lambda make=make: make(gyr=gyro[0, few], acc=accel[0, few], frequency=RATE_HZ), 2)
-        theirs *= 1e9 / 2000
-        print(f"{name}: ahrs {theirs:.0f} ns a sample, ours {theirs / sequence[name]:.0f} times as fast")
-    cpp = best_of(lambda: VQF(1.0 / RATE_HZ).updateBatch(gyro[0], accel[0]), 5) / gyro.shape[1] * 1e9
-    for name in COMPILED:
-        print(f"{name}: {cpp / sequence[name]:.2f} times as fast as VQF's C++ ({cpp:.0f} ns a sample)")
+        add(f"*ahrs, {name}*", None, theirs / 2000 * 1e9)
+    add("*PyTorch, the GRU of att-rnn, 16 sequences*", None, torch_gru(gyro[:, few], accel[:, few]))
+    return rows
 
+
+def torch_gru(gyro: np.ndarray, accel: np.ndarray) -> float:
+    """Nanoseconds a sample of PyTorch's GRU with the sizes of att-rnn, its inputs scaled already."""
+    torch.set_num_threads(1)
+    network = torch.nn.GRU(6, load_network("att-rnn")[0].hidden, num_layers=2, batch_first=True)
+    x = torch.tensor(np.concatenate([gyro, accel], axis=-1), dtype=torch.float32)
+    with torch.no_grad():
+        network(x[:, :10])
+        return best_of(lambda: network(x), 5) / gyro[..., 0].size * 1e9
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--out", type=Path, help="also write the table as CSV")
+    parser.add_argument("--tuning", nargs="*", metavar="FILTER", help="time a swarm on 3500 s of flight")
+    arguments = parser.parse_args()
+    show("estimators", measure(), arguments.out)
     if arguments.tuning is not None:
         time_tuning(arguments.tuning or ["mahony", "ekf", "eskf"])
 

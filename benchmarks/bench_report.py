@@ -1,6 +1,6 @@
 """Size of the report of a complete suite, and the time that it takes to make.
 
-    python benchmarks/bench_report.py [--seeds 20] [--out FOLDER]
+    python -m benchmarks.bench_report [--seeds 20] [--report FOLDER] [--out speed.csv]
 
 Every shipped scenario with every estimator. The results are made up, so that nothing is simulated: smooth
 motion, estimates with drifting and white errors, crashes in one flight of 25. The goals for 26 scenarios × 14
@@ -27,6 +27,8 @@ from scenarios.bench.series import pack_series
 from scenarios.bench.settings import FlightSettings
 from scenarios.report.flight_picture import cover
 from scenarios.report.page import ClosedLoopSection, write_report
+
+from .table import show
 
 Made = TypeVar("Made")
 
@@ -71,32 +73,35 @@ def made_up_results(seeds: int) -> Results:
     return Results(scenarios, estimators.names(), settings, cells)
 
 
-def timed(name: str, make: Callable[[], Made]) -> Made:
-    wall, cpu = time.perf_counter(), time.process_time()
-    made = make()
-    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    print(f"{name:20}{wall:>8.2f} s, of CPU time {cpu:.2f} s")
-    return made
+def measure(seeds: int, path: Path) -> list[dict[str, str]]:
+    """Write a report; wall and CPU time of its parts, and its size after each."""
+    results, rows = made_up_results(seeds), []
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+    def timed(name: str, make: Callable[[], Made]) -> Made:
+        wall, cpu = time.perf_counter(), time.process_time()
+        made = make()
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        size = f"{path.stat().st_size / 1e6:.2f}" if path.exists() else ""
+        rows.append({"part": name, "wall_s": f"{wall:.2f}", "cpu_s": f"{cpu:.2f}", "size_MB": size})
+        return made
+
+    path.unlink(missing_ok=True)
+    pairs = timed("paired differences", lambda: paired_differences(results.flights))
+    timed("page", lambda: write_report(path, ClosedLoopSection(results, pairs)))
+    picture, _ = timed("picture of a flight", lambda: cover(results.cells))
+    timed("page with it", lambda: write_report(path, ClosedLoopSection(results, pairs, still=picture)))
+    return rows
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20, help="flights in each cell")
-    parser.add_argument("--out", type=Path, default=Path("reports/bench"), help="folder for the report")
+    parser.add_argument("--report", type=Path, default=Path("reports/bench"), help="folder for the report")
+    parser.add_argument("--out", type=Path, help="also write the table as CSV")
     arguments = parser.parse_args()
-    results = made_up_results(arguments.seeds)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path = arguments.out / "report.html"
-
-    print(
-        f"{len(results.scenarios)} scenarios × {len(results.estimators)} estimators × {arguments.seeds} seeds"
-    )
-    pairs = timed("pairs", lambda: paired_differences(results.flights))
-    timed("page", lambda: write_report(path, ClosedLoopSection(results, pairs)))
-    print(f"{'size':20}{path.stat().st_size / 1e6:>8.2f} MB without a picture")
-    picture, note = timed("picture", lambda: cover(results.cells))
-    write_report(path, ClosedLoopSection(results, pairs, still=picture))
-    print(f"{'size':20}{path.stat().st_size / 1e6:>8.2f} MB {note or 'with it'}")
+    path = arguments.report / "report.html"
+    show(f"report of {len(scenario_names())} scenarios", measure(arguments.seeds, path), arguments.out)
     print(path)
 
 

@@ -1,7 +1,7 @@
 """What a simulated step costs, beside the engine it replaces and beside other simulators.
 
-    python benchmarks/bench_simulation.py       # one thread, rounds interleaved, medians and ratios
-    pip install crazyflow rotorpy               # for their rows
+    python -m benchmarks.bench_simulation [--out speed.csv]   # one thread, rounds interleaved
+    pip install crazyflow rotorpy                             # for their rows
 
 Everything is measured in one run, a fraction of a second of each job in turn. A ratio is the median of the
 ratios within the rounds, so that a machine that slows down for a while slows both sides of it. Wall and CPU
@@ -15,17 +15,17 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_
 
 os.environ.setdefault("SCIPY_ARRAY_API", "1")  # crazyflow refuses to be imported without it
 
+import argparse
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import gymnasium
 import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import estimators
 import quadsim  # noqa: F401  registers the environment
@@ -37,9 +37,9 @@ from quadsim.imu.spec import load_imu
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import fly
 
-RATE = 200.0
-ROUNDS = 9
+from .table import show
 
+RATE = 200.0
 
 Job = tuple[Callable[[], object], float]
 """What is timed, and how many steps of a vehicle it makes."""
@@ -142,31 +142,35 @@ def cell(estimator: str, n: int = 20) -> Job:
     return lambda: fly(mission, seed=0), n * mission.steps
 
 
-def cold_start() -> dict[str, list[float]]:
+def cold_start() -> list[dict[str, str]]:
     """Wall and CPU time of a first and a second `quadsim generate` with an empty cache of compiled code."""
-    spent: dict[str, list[float]] = {}
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/cache"}
-        for which in ("first", "second"):
+
+        def run(name: str, *arguments: str) -> None:
             before, wall = os.times(), time.perf_counter()
-            arguments = [
-                "generate",
-                "--flights",
-                "35",
-                "--duration",
-                "100",
-                "--out",
-                f"{folder}/{which}.zarr",
-            ]
             command = [sys.executable, "-m", "quadsim.cli", *arguments]
             subprocess.run(command, env=environment, check=True, capture_output=True)
             after = os.times()
             cpu = after.children_user + after.children_system - before.children_user - before.children_system
-            spent[which] = [time.perf_counter() - wall, cpu]
-    return spent
+            rows.append(
+                {"command": name, "wall_s": f"{time.perf_counter() - wall:.1f}", "cpu_s": f"{cpu:.1f}"}
+            )
+
+        for which in ("first", "second"):
+            run(f"`generate --flights 35`, {which}", *GENERATE, "--out", f"{folder}/{which}.zarr")
+        environment["NUMBA_CACHE_DIR"] = f"{folder}/installed"
+        run("`compile`, the last step of `make install`", "compile")
+        run("`generate --flights 35`, first after it", *GENERATE, "--out", f"{folder}/third.zarr")
+    return rows
 
 
-def main() -> None:
+GENERATE = ("generate", "--flights", "35", "--duration", "100")
+
+
+def all_jobs() -> dict[str, Job]:
+    """What is timed, by name; the first two are those that ratios are to."""
     config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.0)
     seeds = np.random.SeedSequence(0).spawn(64)
     model = vehicle_model(config.vehicle, 1 / RATE, "RK4", contact=False)
@@ -188,24 +192,42 @@ def main() -> None:
         "crazyflow, Euler, n = 1024": (crazyflow_batch(1024, "euler", 100), 102_400),
         "rotorpy: controller, IMU, recording": (rotorpy_flight(0.5), 0.5 * RATE),
     }
-    jobs |= {name: (work, steps) for name, (work, steps) in peers.items() if work is not None}
+    return jobs | {name: (work, steps) for name, (work, steps) in peers.items() if work is not None}
+
+
+def measure(jobs: dict[str, Job], rounds: int) -> list[dict[str, str]]:
+    """Let all jobs take turns; medians of wall and CPU time of a step, and ratios of CPU time."""
     for work, _ in jobs.values():
         work()  # compile and warm up
-    times = {name: np.empty((ROUNDS, 2)) for name in jobs}
-    for i in range(ROUNDS):
+    times = {name: np.empty((rounds, 2)) for name in jobs}
+    for i in range(rounds):
         for name, (work, steps) in jobs.items():
             times[name][i] = np.array(seconds(work)) / steps * 1e6
-    raw, bulk = (times[name] for name in list(jobs)[:2])
-    table = Table("job", "wall [µs]", "CPU [µs]", "÷ raw", "÷ bulk", title="One step of one vehicle")
+    raw, bulk = (times[name][:, 1] for name in list(jobs)[:2])
+    rows = []
     for name, spent in times.items():
         wall, cpu = np.median(spent, axis=0)
-        ratios = (np.median(spent[:, 1] / other[:, 1]) for other in (raw, bulk))
-        table.add_row(name, f"{wall:.2f}", f"{cpu:.2f}", *(f"{ratio:.2f}" for ratio in ratios))
-    table.caption = f"medians of {ROUNDS} rounds; ratios of CPU time"
-    console = Console()
-    console.print(table)
-    for which, (wall, cpu) in cold_start().items():
-        console.print(f"{which} generate --flights 35 in a fresh environment: {wall:.1f} s, CPU {cpu:.1f} s")
+        rows.append(
+            {
+                "job": name,
+                "wall_us": f"{wall:.2f}",
+                "cpu_us": f"{cpu:.2f}",
+                "over_raw": f"{np.median(spent[:, 1] / raw):.2f}",
+                "over_bulk": f"{np.median(spent[:, 1] / bulk):.2f}",
+            }
+        )
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--out", type=Path, help="also write the table of the steps as CSV")
+    parser.add_argument("--cold-start", type=Path, help="time the first start too, and write it as CSV")
+    arguments = parser.parse_args()
+    show("one step of one vehicle", measure(all_jobs(), arguments.rounds), arguments.out)
+    if arguments.cold_start:
+        show("an empty cache of compiled code", cold_start(), arguments.cold_start)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,6 @@
 those of the commands in filters.md; those that are missing are generated.
 """
 
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +12,7 @@ import matplotlib
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pages import ROOT, Page, load_page, row
+from pages import Page, load_page, row
 from recordings import VQF_DEFAULTS
 from simulated import DURATION_S, options, simulated
 
@@ -230,13 +228,6 @@ def vqf_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     return [both_starts(what, "vqf", flights, domain, None, **params) for what, params in changes.items()]
 
 
-def speeds() -> list[str]:
-    """What the benchmark prints."""
-    bench = ROOT / "benchmarks" / "bench_filters.py"
-    command = [sys.executable, str(bench), "--tuning", "mahony"]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything and write the page."""
     given = options(__doc__, arguments)
@@ -262,11 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "recovered": f"{RECOVERED_S:g}",
         "spoilt": row("estimator", *SPOILT),
     }
-    page.write(
-        tables
-        | counts
-        | {"elsewhere": elsewhere_rows(given.data), "vqf": vqf_rows(first, dataset), "speed": speeds()}
-    )
+    page.write(tables | counts | {"elsewhere": elsewhere_rows(given.data), "vqf": vqf_rows(first, dataset)})
 
 
 if __name__ == "__main__":

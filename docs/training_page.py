@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import subprocess
-import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, load_page, row
+from pages import load_page, row
 from scipy.signal import lfilter
 from simulated import estimate_of, options, simulated
 
@@ -230,16 +225,6 @@ def band_rows(
     return rows, fill(text, 125)
 
 
-def speed_rows(rounds: int) -> list[str]:
-    """The benchmark of one training step."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "speed.csv"
-        command = [sys.executable, "-m", "benchmarks.bench_training", "--rounds", str(rounds), "--out", out]
-        subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
-        with out.open() as file:
-            return [row(*each.values()) for each in csv.DictReader(file)]
-
-
 def field_rows() -> list[str]:
     """Every field of a training run, with both presets' values."""
     paper, best = (make_config(preset, data="x") for preset in ("paper", "best"))
@@ -264,7 +249,7 @@ def shown(value: object) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and write the page."""
-    given = options(__doc__, arguments, rounds=(5, "turns of the speed benchmark"))
+    given = options(__doc__, arguments)
     page = load_page("training")
     data = simulated("test", given.data)
     flights = load_flights([data])
@@ -292,7 +277,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "settled": f"{SETTLED_S:g}",
             "bands": bands,
             "finding": finding,
-            "speed": speed_rows(given.rounds),
             "encoding": str(config.encoding),
             "hidden": str(config.hidden),
             "scale": f"{config.output_scale:g}",
