@@ -27,10 +27,10 @@ HOST = "att-snn-loihi, host alone"
 
 
 @njit(cache=True)
-def _on_host(gyro, accel, host, encoder, current, bias):
+def _on_host(gyro, accel, host, encoder, current, bias, sums):
     host = Host(*host)
     encode_sample(gyro[0], accel[0], host, encoder[0])
-    drive(encoder[0].inputs, host, current, bias)
+    drive(encoder[0].inputs, host, current, bias, sums)
 
 
 def host_part() -> Update:
@@ -39,8 +39,8 @@ def host_part() -> Update:
     assert isinstance(core, OnLoihi)
     neurons = core.chip.sizes[0]
     host, encoder = tuple(core.host), np.zeros(1, ENCODER)
-    current, bias = np.zeros((2, neurons), np.int64)
-    return lambda gyro, accel: _on_host(gyro, accel, host, encoder, current, bias)
+    current, bias, sums = np.zeros((3, neurons), np.int32)
+    return lambda gyro, accel: _on_host(gyro, accel, host, encoder, current, bias, sums)
 
 
 def every_contender() -> dict[str, Update]:

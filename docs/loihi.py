@@ -174,10 +174,7 @@ def _c_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) 
     samples = np.concatenate([gyro[0], accel[0]], 1)
     done = subprocess.run([program], input=samples.tobytes(), capture_output=True, check=True)
     states = np.frombuffer(done.stdout, np.uint8).reshape(len(samples), -1)
-    core = create_network("att-snn-loihi").core
-    assert isinstance(core, OnLoihi)
-    ours = np.empty((*gyro.shape[:2], 2))
-    core.run(core.zero(1), gyro, accel, ours)
+    ours = create_network("att-snn-loihi").sequence(gyro, accel)
     theirs = states[:, -16:].copy().view(np.float64)
     wrong = int(np.sum(np.abs(theirs - ours[0]) > ROUNDING))
     size = (source / "att_snn.c").stat().st_size // 1024

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.runs.block import fields, zero_blocks
+
 from ..networks.encoder import encode
 from ..networks.network import OnLoihi, step_on_loihi
 
@@ -62,14 +64,16 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     active = np.zeros((n, neurons), np.int64)
     potentials = np.zeros((steps, neurons), np.int32)
     estimate = np.empty((n, samples, 2))
-    encoder, state = core.zero(n)
+    states = zero_blocks(n, core.state)
+    state = fields(states, core.state)
+    s, u, v, bias = (state[name] for name in ("spikes", "u", "v", "bias"))
     for t in range(samples):
-        encode(gyro[:, t], accel[:, t], core.host, encoder)
+        encode(gyro[:, t], accel[:, t], core.host, state["encoder"])
         for k in range(t * core.steps, (t + 1) * core.steps):
-            step_on_loihi(core.host, core.chip.parameters, encoder, state)
-            spikes[:, k], potentials[k] = state.spikes, state.v[0]
-            active += (state.u != 0) | (state.v != 0) | (state.bias != 0) | (state.spikes != 0)
-        estimate[:, t] = state.v[:, -2:] * core.scale
+            step_on_loihi(core.network, states)
+            spikes[:, k], potentials[k] = s, v[0]
+            active += (u != 0) | (v != 0) | (bias != 0) | (s != 0)
+        estimate[:, t] = v[:, -2:] * core.scale
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
     return Activity((first, second, third), spikes, active, potentials / threshold, estimate)

@@ -33,6 +33,8 @@ BIAS_MANT_MIN, BIAS_MANT_MAX = -4096, 4095
 BIAS_EXP_MAX = 7
 
 Ints = NDArray[np.int64]
+Int32s = NDArray[np.int32]
+Whole = int | np.int32
 
 
 @dataclass
@@ -76,30 +78,32 @@ class LoihiLayer:
 class Chip(NamedTuple):
     """A network as the chip holds it. Spikes have sources: its inputs, then its neurons, layer by layer."""
 
-    weights: NDArray[np.int32]
+    weights: NDArray[np.int16]
     """Mantissas of the weights by source, shape (sources, neurons)."""
-    targets: Ints
-    """First neuron that a source has synapses on, and the one after the last, shape (sources, 2)."""
-    bias_exp: Ints
+    first: Int32s
+    """First neuron that a source has synapses on, shape (sources,)."""
+    end: Int32s
+    """The neuron after the last of these, shape (sources,)."""
+    bias_exp: Int32s
     """Exponents of the biases, as the next three of shape (neurons,)."""
-    du: Ints
+    du: Int32s
     """Decays of the currents."""
-    dv: Ints
+    dv: Int32s
     """Decays of the membrane potentials."""
-    vth: Ints
+    vth: Int32s
     """Mantissas of the thresholds."""
 
 
 class ChipState(NamedTuple):
-    """What the chip's neurons hold, one row for each copy of the network."""
+    """What the chip's neurons hold: of one copy of the network, or one row for each copy."""
 
     spikes: NDArray[np.int8]
     """Spikes of the last step, 0 or 1, shape (n, sources)."""
-    u: Ints
+    u: Int32s
     """Currents, shape (n, neurons)."""
-    v: Ints
+    v: Int32s
     """Membrane potentials after the reset, shape (n, neurons)."""
-    bias: Ints
+    bias: Int32s
     """Bias mantissas, shape (n, neurons)."""
 
 
@@ -131,21 +135,21 @@ class LoihiNetwork:
         self.n_in = w_in[0].shape[1]
         self.sizes = [w.shape[0] for w in w_in]
         self.parameters = _chip(self.layers)
-        self.bias_mant = np.concatenate([np.asarray(layer.bias_mant) for layer in layers])
+        self.bias_mant = np.concatenate([np.asarray(layer.bias_mant) for layer in layers]).astype(np.int32)
         self.reset()
 
     def rest(self, n: int) -> ChipState:
         """States of `n` copies at rest."""
         sources, neurons = self.parameters.weights.shape
-        u, v = np.zeros((2, n, neurons), np.int64)
+        u, v = np.zeros((2, n, neurons), np.int32)
         return ChipState(np.zeros((n, sources), np.int8), u, v, np.tile(self.bias_mant, (n, 1)))
 
     def reset(self, n: int = 1) -> None:
         """Set the currents, potentials and spikes of `n` independent copies to zero."""
         self._state = self.rest(n)
         edges = np.cumsum(self.sizes)[:-1]
-        self.u: list[Ints] = np.split(self._state.u, edges, axis=1)
-        self.v: list[Ints] = np.split(self._state.v, edges, axis=1)
+        self.u: list[Int32s] = np.split(self._state.u, edges, axis=1)
+        self.v: list[Int32s] = np.split(self._state.v, edges, axis=1)
         self.s: list[NDArray[np.int8]] = np.split(self._state.spikes[:, self.n_in :], edges, axis=1)
 
     def step(
@@ -170,42 +174,59 @@ class LoihiNetwork:
         arriving = 0 if spikes_in is None else _fit("spikes_in", spikes_in, n, self.n_in)
         own = self.bias_mant[:first]
         state.bias[:, :first] = own if bias_mant is None else _fit("bias_mant", bias_mant, n, first)
-        step(self.parameters, state)
+        _step_all(self.parameters, state)
         state.spikes[:, : self.n_in] = arriving
         return self.s[-1]
 
 
 @njit(cache=True, inline="always")
-def decay(x: int, d: int) -> int:
-    """D(x, d): the part of x that a decay d leaves, rounded toward zero."""
-    return shift(x * (DECAY_ONE - d), 12)
+def decay(x: Whole, d: Whole) -> np.int32:
+    """D(x, d): the part of x that a decay d leaves, rounded toward zero.
+
+    As |x| = 4096 a + b, it is a (4096 - d) + (b (4096 - d) >> 12), and no product needs more than 32 bits.
+    """
+    keep, size = np.int32(DECAY_ONE - d), np.int32(abs(x))
+    high, low = np.int32(size >> 12), np.int32(size & (DECAY_ONE - 1))
+    left = np.int32(np.int32(high * keep) + np.int32(np.int32(low * keep) >> 12))
+    return np.int32(-left) if x < 0 else left
 
 
 @njit(cache=True, inline="always")
-def shift(x: int, bits: int) -> int:
+def shift(x: Whole, bits: int) -> np.int32:
     """Divide by 2^bits, rounding toward zero, without a branch: signs of currents are hard to predict."""
-    return (x + ((x >> 63) & ((1 << bits) - 1))) >> bits
+    return np.int32(np.int32(x + np.int32(np.int32(x >> 31) & ((1 << bits) - 1))) >> bits)
 
 
 @njit(cache=True, inline="always")
-def wrap(x: int, bits: int) -> int:
+def wrap(x: Whole, bits: int) -> np.int32:
     """Two's complement with `bits` bits and sign."""
-    return ((x + (1 << bits)) & ((1 << (bits + 1)) - 1)) - (1 << bits)
+    return np.int32(np.int32(x << (31 - bits)) >> (31 - bits))
 
 
-@njit(cache=True)
-def deliver(weights, targets, spikes, sources, sums):
-    """Sum the weights from the sources that spiked, four rows at a time: each sum is loaded and stored less.
+@njit(cache=True, inline="always")
+def _add_rows(weights, sources, first, end, sums):
+    """Add the rows of four sources between two neurons: each sum is loaded and stored once."""
+    w, x, y, z = (
+        weights[sources[0], first:end],
+        weights[sources[1], first:end],
+        weights[sources[2], first:end],
+        weights[sources[3], first:end],
+    )
+    into = sums[first:end]
+    for i in range(into.size):
+        into[i] += np.int32(np.int32(w[i] + x[i]) + np.int32(y[i] + z[i]))
+
+
+@njit(cache=True, inline="always")
+def deliver(chip, spikes, sources, sums):
+    """Add the weights from the sources that spiked, four rows at a time.
 
     Args:
-        weights: As in `Chip`.
-        targets: As in `Chip`.
+        chip: The network.
         spikes: Shape (sources,).
         sources: Memory for the numbers of those that spiked, shape (sources,).
-        sums: Shape (neurons,), written.
+        sums: Sums of mantissas, shape (neurons,); changed.
     """
-    for i in range(sums.size):
-        sums[i] = 0
     count = 0
     for source in range(spikes.size):  # without a branch: spikes are hard to predict
         sources[count] = source
@@ -213,41 +234,46 @@ def deliver(weights, targets, spikes, sources, sums):
     fours = count - count % 4
     for k in range(0, fours, 4):
         a, b, c, d = sources[k], sources[k + 1], sources[k + 2], sources[k + 3]
-        first = min(min(targets[a, 0], targets[b, 0]), min(targets[c, 0], targets[d, 0]))
-        end = max(max(targets[a, 1], targets[b, 1]), max(targets[c, 1], targets[d, 1]))
-        w, x, y, z = (
-            weights[a, first:end],
-            weights[b, first:end],
-            weights[c, first:end],
-            weights[d, first:end],
-        )
-        into = sums[first:end]
-        for i in range(into.size):
-            into[i] += w[i] + x[i] + y[i] + z[i]
+        first = min(min(chip.first[a], chip.first[b]), min(chip.first[c], chip.first[d]))
+        end = max(max(chip.end[a], chip.end[b]), max(chip.end[c], chip.end[d]))
+        _add_rows(chip.weights, (a, b, c, d), first, end, sums)
     for k in range(fours, count):
-        first, end = targets[sources[k]]
-        w, into = weights[sources[k], first:end], sums[first:end]
+        first, end = chip.first[sources[k]], chip.end[sources[k]]
+        w, into = chip.weights[sources[k], first:end], sums[first:end]
         for i in range(into.size):
             into[i] += w[i]
 
 
+@njit(cache=True, inline="always")
+def step(chip, state, sources, sums):
+    """One step of one copy: every layer reads the spikes of the step before; the state changes in place.
+
+    Args:
+        chip: The network.
+        state: State of the copy.
+        sources: Memory, int32, shape (sources,).
+        sums: Zeros, int32, shape (neurons,), to add in; zeros again afterwards.
+    """
+    spikes, u, v, bias = state.spikes, state.u, state.v, state.bias
+    deliver(chip, spikes, sources, sums)
+    fired = spikes[spikes.size - u.size :]
+    for j in range(u.size):  # without branches, for the vector unit
+        arriving = wrap(np.int32(sums[j] << 6), 21)
+        current = wrap(np.int32(decay(u[j], chip.du[j]) + arriving), 23)
+        driven = np.int32(decay(v[j], chip.dv[j]) + current + (bias[j] << chip.bias_exp[j]))
+        potential = min(max(driven, np.int32(-STATE_MAX)), np.int32(STATE_MAX))
+        fires = potential > chip.vth[j] << 6
+        u[j], sums[j] = current, 0
+        fired[j], v[j] = fires, np.int32(0) if fires else potential
+
+
 @njit(cache=True)
-def step(chip, state):
-    """One step of all copies: every layer reads the spikes of the step before; the state changes in place."""
-    n_in = chip.weights.shape[0] - chip.weights.shape[1]
-    sums, sources = np.empty(chip.weights.shape[1], np.int32), np.empty(chip.weights.shape[0], np.int64)
+def _step_all(chip, state):
+    """One step of all copies, whose states are rows."""
+    sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(state.u.shape[0]):
-        spikes, u, v, bias = state.spikes[n], state.u[n], state.v[n], state.bias[n]
-        deliver(chip.weights, chip.targets, spikes, sources, sums)
-        for j in range(u.size):  # short loops without branches, for the vector unit
-            u[j] = wrap(decay(u[j], chip.du[j]) + wrap(int(sums[j]) << 6, 21), 23)
-        for j in range(u.size):
-            driven = decay(v[j], chip.dv[j]) + u[j] + (bias[j] << chip.bias_exp[j])
-            v[j] = min(max(driven, -STATE_MAX), STATE_MAX)
-        for j in range(u.size):
-            fires = v[j] > chip.vth[j] << 6
-            spikes[n_in + j] = fires
-            v[j] = 0 if fires else v[j]
+        copy = ChipState(state.spikes[n], state.u[n], state.v[n], state.bias[n])
+        step(chip, copy, sources, sums)
 
 
 def _chip(layers: Sequence[LoihiLayer]) -> Chip:
@@ -255,24 +281,24 @@ def _chip(layers: Sequence[LoihiLayer]) -> Chip:
     n_in = np.asarray(layers[0].w_in).shape[1]
     sizes = [np.asarray(layer.w_in).shape[0] for layer in layers]
     edges = np.cumsum([0, *sizes])
-    weights = np.zeros((n_in + edges[-1], edges[-1]), np.int32)
-    targets = np.zeros((n_in + edges[-1], 2), np.int64)
+    weights = np.zeros((n_in + edges[-1], edges[-1]), np.int16)
+    first, end = np.zeros((2, len(weights)), np.int32)
     below = slice(0, n_in)
     for k, layer in enumerate(layers):
         own = slice(edges[k], edges[k + 1])
         sources = slice(n_in + own.start, n_in + own.stop)
         w_in, w_rec = np.asarray(layer.w_in), layer.w_rec
         if w_in.shape[1]:
-            weights[below, own], targets[below, 1] = w_in.T, own.stop
+            weights[below, own], end[below] = w_in.T, own.stop
         if w_rec is not None:
             weights[sources, own] = np.asarray(w_rec).T
-        targets[sources] = own.stop if w_rec is None else own.start, own.stop
+        first[sources], end[sources] = own.stop if w_rec is None else own.start, own.stop
         below = sources
     vectors = (
-        np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int64)
+        np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int32)
         for name in ("bias_exp", "du", "dv", "vth")
     )
-    return Chip(weights, targets, *vectors)
+    return Chip(weights, first, end, *vectors)
 
 
 def _layer_size(layer: LoihiLayer) -> int:

@@ -17,9 +17,10 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from quadsim.runs.block import Words, block_type, matrix, packed, vector
 from quadsim.runs.compiled import njit
 
-from .encoder import INPUT_ONE, Scaling, encode_sample
+from .encoder import ENCODER, INPUT_ONE, Scaling, encode_sample
 
 Values = TypeVar("Values")
 THRESHOLD = 0.5
@@ -82,18 +83,11 @@ class NetworkState(NamedTuple, Generic[Values]):
     s1: Values
     """Shape (n, h1 + 1)."""
     s1_delayed: Values
-    """Spikes that the recurrent connection delivers next: `s1` itself for a delay of 1, shape (n, h1 + 1)."""
+    """Spikes that the recurrent connection delivers next: `s1` where the delay is 1, shape (n, h1 + 1)."""
     u2: Values
     """Outputs, shape (n, outputs)."""
     v2: Values
     """Shape (n, outputs)."""
-
-
-def rest(n: int, h0: int, h1: int, outputs: int = 2, recurrent_delay: int = 1) -> NetworkState[NDArray]:
-    """States of `n` copies at rest."""
-    u0, v0, u1, v1, u2, v2 = (np.zeros((n, size)) for size in (h0, h0, h1, h1, outputs, outputs))
-    s0, s1, delayed = (np.zeros((n, size + 1), np.int32) for size in (h0, h1, h1))
-    return NetworkState(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else delayed, u2, v2)
 
 
 @njit(cache=True, inline="always")
@@ -218,63 +212,96 @@ def step(x, w, state, total, drive, quantised):
         v0[i] = _membrane(v0[i], u, w.mem0[i], threshold, quantised)
 
 
+class Settings(NamedTuple):
+    """How a network is run."""
+
+    steps: float
+    """Network steps for each sample."""
+    recurrent_delay: float
+    """Steps from a hidden spike to the hidden layer, 1 or 2."""
+    scale: float
+    """Radians for an output of 1 state unit."""
+    quantised: bool
+    """Integer arithmetic or floats."""
+
+
+def network_block(scaling: Scaling, weights: Weights[NDArray], settings: Settings) -> Words:
+    """A network as `run` takes it.
+
+    Args:
+        scaling: Scaling of the readings.
+        weights: Weights by source, in state units.
+        settings: How it is run.
+    """
+    return packed(scaling._asdict() | weights._asdict() | {"settings": np.array(settings, np.float64)})
+
+
+def state_type(h0: int, h1: int, outputs: int) -> np.dtype:
+    """Record type of a copy's state: that of its encoder, and the fields of `NetworkState`."""
+    potentials = {name: (np.float64, (h0,)) for name in ("u0", "v0")}
+    potentials |= {name: (np.float64, (h1,)) for name in ("u1", "v1")}
+    potentials |= {name: (np.float64, (outputs,)) for name in ("u2", "v2")}
+    spikes = {"s0": (np.int32, (h0 + 1,))} | {name: (np.int32, (h1 + 1,)) for name in ("s1", "s1_delayed")}
+    ordered = {name: (potentials | spikes)[name] for name in NetworkState._fields}
+    return block_type({"encoder": (ENCODER, ())} | ordered)
+
+
 @njit(cache=True, inline="always")
-def _row(state, n):
-    """The state of one copy."""
+def _weights(network):
+    w_in, w_ff = matrix(network, 2, np.float64), matrix(network, 3, np.float64)
+    w_rec, w_out = matrix(network, 4, np.float64), matrix(network, 5, np.float64)
+    syn0, mem0 = vector(network, 6, np.float64), vector(network, 7, np.float64)
+    syn1, mem1 = vector(network, 8, np.float64), vector(network, 9, np.float64)
+    syn2, mem2 = vector(network, 10, np.float64), vector(network, 11, np.float64)
+    return Weights(w_in, w_ff, w_rec, w_out, syn0, mem0, syn1, mem1, syn2, mem2)
+
+
+@njit(cache=True, inline="always")
+def _state(block, recurrent_delay):
+    u0, v0, s0 = vector(block, 1, np.float64), vector(block, 2, np.float64), vector(block, 3, np.int32)
+    u1, v1, s1 = vector(block, 4, np.float64), vector(block, 5, np.float64), vector(block, 6, np.int32)
+    delayed = s1 if recurrent_delay == 1 else vector(block, 7, np.int32)
     return NetworkState(
-        state.u0[n],
-        state.v0[n],
-        state.s0[n],
-        state.u1[n],
-        state.v1[n],
-        state.s1[n],
-        state.s1_delayed[n],
-        state.u2[n],
-        state.v2[n],
+        u0, v0, s0, u1, v1, s1, delayed, vector(block, 8, np.float64), vector(block, 9, np.float64)
     )
 
 
 @njit(cache=True, inline="always")
-def _run(readings, scaling, weights, encoder, state, settings, quantised, out):
-    gyro, accel = readings
-    steps, scale = settings
+def _run(gyro, accel, network, states, quantised, out):
+    scaling = Scaling(vector(network, 0, np.float64), vector(network, 1, np.float64))
+    weights, settings = _weights(network), vector(network, 12, np.float64)
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
+    outputs = weights.w_out.shape[1]
     x = np.empty(6)
-    total, drive = np.zeros(weights.w_ff.shape[1], weights.w_ff.dtype), np.zeros(weights.w_ff.shape[0])
-    for n in range(gyro.shape[0]):
-        copy = _row(state, n)
-        for t in range(gyro.shape[1]):
-            encode_sample(gyro[n, t], accel[n, t], scaling, encoder[n])
+    total, drive = np.zeros(weights.w_ff.shape[1]), np.zeros(weights.w_ff.shape[0])
+    for n in range(states.shape[0]):
+        encoder, copy = vector(states[n], 0, ENCODER)[0], _state(states[n], settings[1])
+        for t in range(gyro.shape[1] // 3):
+            encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], scaling, encoder)
             for k in range(6):
-                x[k] = encoder[n].inputs[k] / INPUT_ONE
-            for _ in range(steps):
+                x[k] = encoder.inputs[k] / INPUT_ONE
+            for _ in range(int(settings[0])):
                 step(x, weights, copy, total, drive, quantised)
                 for k in range(1 + copy.s1[0]):
                     copy.s1_delayed[k] = copy.s1[k]
                 list_spikes(copy.v0, threshold, copy.s0)
                 list_spikes(copy.v1, threshold, copy.s1)
-            for o in range(out.shape[2]):
-                out[n, t, o] = copy.v2[o] * scale
+            for o in range(outputs):
+                out[n, outputs * t + o] = copy.v2[o] * settings[2]
 
 
 @njit(cache=True, nogil=True)
-def run(readings, scaling, weights, encoder, state, settings, quantised, out):
+def run(gyro, accel, network, states, out):
     """Run n copies over whole sequences, or one sample, from and to their states.
 
-    Records come as plain tuples: a call with a NamedTuple takes Numba a microsecond more.
-
     Args:
-        readings: Body rate [rad/s] and specific force [m/s²], shape (n, T, 3) each.
-        scaling: `Scaling` of the readings.
-        weights: `Weights` by source, in state units.
-        encoder: States of the encoder, shape (n,); changed.
-        state: `NetworkState` of the network; changed.
-        settings: Network steps for each sample, and radians for a state unit.
-        quantised: Integer arithmetic (True) or floats.
-        out: Roll and pitch after each sample [rad], shape (n, T, outputs); written.
+        gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
+        accel: Specific force, the same shape [m/s²].
+        network: What `network_block` made.
+        states: Blocks of `state_type`, shape (n, words); changed.
+        out: Roll and pitch after each sample, shape (n, outputs T) [rad]; written.
     """
-    scaling, weights, state = Scaling(*scaling), Weights(*weights), NetworkState(*state)
-    if quantised:
-        _run(readings, scaling, weights, encoder, state, settings, True, out)
+    if vector(network, 12, np.float64)[3] != 0.0:
+        _run(gyro, accel, network, states, True, out)
     else:
-        _run(readings, scaling, weights, encoder, state, settings, False, out)
+        _run(gyro, accel, network, states, False, out)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadsim.estimator import OtherSensors
+from quadsim.runs.block import Words, block_type, fields, matrix, packed, vector, zero_blocks
 from quadsim.runs.compiled import njit
 
 from ..loihi.chip import partition
@@ -29,16 +30,13 @@ from ..loihi.neurons import (
     wrap,
 )
 from ..loihi.neurons import step as step_chip
-from .encoder import ENCODER, encode, encoded, input_scaling
-from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Weights, rest
+from .encoder import ENCODER, encode_sample, encoded, input_scaling
+from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Settings, Weights, network_block, state_type
 from .forward import run as run_floats
 from .gru import run_gru
 from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
-Encoder = NDArray[np.void]
-States = tuple[Encoder, tuple[NDArray, ...]]
-"""State of the encoder (n,), and arrays of the network's state, each with one row per vehicle."""
 
 
 def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
@@ -71,12 +69,18 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
 class NetworkCore(Protocol):
     """A network without memory of its own: states go in, are changed, and outputs come back."""
 
-    def zero(self, n: int) -> States:
-        """States of `n` vehicles at the start."""
-        ...
+    state: np.dtype
+    """Record type of a vehicle's state, a block; its field `encoder` is the encoder's."""
 
-    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
+    def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
+        """Take T samples of n vehicles.
+
+        Args:
+            states: One block for each vehicle, (n, words); changed.
+            gyro: Body rate, sample after sample, (n, 3 T) [rad/s].
+            accel: Specific force, (n, 3 T) [m/s²].
+            out: Roll and pitch, sample after sample, (n, 2 T) [rad]; written.
+        """
         ...
 
 
@@ -107,41 +111,43 @@ class NetworkEstimator:
             ValueError: An initial attitude of another shape, or not finite.
         """
         _check_attitude(roll_pitch, n)
-        self._states = self.core.zero(n)
+        self._states, self._sample = zero_blocks(n, self.core.state), (n, 3)
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
         """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
-        rows = np.arange(len(self._states[0]))[np.asarray(ids)]
+        rows = np.arange(len(self._states))[np.asarray(ids)]
         _check_attitude(roll_pitch, rows.size)
-        (encoder, state), (encoder_0, state_0) = self._states, self.core.zero(rows.size)
-        encoder[rows] = encoder_0
-        for mine, initial in zip(state, state_0, strict=True):
-            mine[rows] = initial
+        self._states[rows] = zero_blocks(rows.size, self.core.state)
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
-        n = len(self._states[0])
         gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-        if gyro.shape != (n, 3) or accel.shape != (n, 3):
-            raise ValueError(f"sample: gyro {gyro.shape} and accel {accel.shape}, should be ({n}, 3)")
-        out = np.empty((n, 1, 2))
-        self.core.run(self._states, gyro.reshape(n, 1, 3), accel.reshape(n, 1, 3), out)
-        return out[:, 0]
+        if gyro.shape != self._sample or accel.shape != self._sample:
+            raise ValueError(f"sample: gyro {gyro.shape} and accel {accel.shape}, should be {self._sample}")
+        out = np.empty((self._sample[0], 2))
+        self.core.run(self._states, gyro, accel, out)
+        return out
 
     def sequence(self, gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Array:
         """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""
         gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
-        n = len(self._states[0])
+        n = len(self._states)
         if gyro.ndim != 3 or gyro.shape != accel.shape or gyro.shape[0] != n or gyro.shape[2] != 3:
             raise ValueError(f"sequence: gyro {gyro.shape} and accel {accel.shape}, should be ({n}, T, 3)")
-        out = np.empty((*gyro.shape[:2], 2))
-        self.core.run(self._states, gyro, accel, out)
-        return out
+        steps = gyro.shape[1]
+        out = np.empty((n, 2 * steps))
+        self.core.run(self._states, gyro.reshape(n, 3 * steps), accel.reshape(n, 3 * steps), out)
+        return out.reshape(n, steps, 2)
+
+    @property
+    def states(self) -> NDArray[np.void]:
+        """What the network keeps from sample to sample: records (n,), of the core's `state`."""
+        return fields(self._states, self.core.state)
 
     @property
     def skipped(self) -> NDArray[np.int64]:
         """Samples since the start that were missing in part or whole, shape (n,)."""
-        return self._states[0]["missing"].copy()
+        return self.states["encoder"]["missing"].copy()
 
 
 class Spiking:
@@ -152,21 +158,16 @@ class Spiking:
         one = float(STATE_ONE) if config.quantised else 1.0
         weights = real_weights(config, tensors)
         by_source = (np.ascontiguousarray(w.T) * one for w in weights[: len(MATRICES)])
-        self._network = tuple(input_scaling(config.inputs)), (*by_source, *weights[len(MATRICES) :])
-        self._sizes = config.encoding, config.hidden, len(weights.w_out), config.recurrent_delay
-        self._quantised, self._settings = (
-            config.quantised,
-            (config.steps_per_sample, config.output_scale / one),
+        settings = Settings(
+            config.steps_per_sample, config.recurrent_delay, config.output_scale / one, config.quantised
         )
+        in_states = Weights(*by_source, *weights[len(MATRICES) :])
+        self._network = network_block(input_scaling(config.inputs), in_states, settings)
+        self.state = state_type(config.encoding, config.hidden, len(weights.w_out))
 
-    def zero(self, n: int) -> States:
-        """Everything at rest."""
-        return np.zeros(n, ENCODER), rest(n, *self._sizes)
-
-    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        encoder, state = states
-        run_floats((gyro, accel), *self._network, encoder, tuple(state), self._settings, self._quantised, out)
+    def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
+        run_floats(gyro, accel, self._network, states, out)
 
 
 class Host(NamedTuple):
@@ -178,19 +179,19 @@ class Host(NamedTuple):
     """Of the readings, shape (6,)."""
     w_in: NDArray[np.int32]
     """Mantissas of the encoding weights by source, shape (6, h0)."""
-    du: NDArray[np.int64]
+    decay: NDArray[np.int32]
     """Decays of the encoding layer's currents, shape (h0,)."""
 
 
 class LoihiState(NamedTuple):
-    """The host's currents and, as in `ChipState`, what the chip's neurons hold."""
+    """The host's currents and, as in `ChipState`, what the chip's neurons hold, of one copy."""
 
-    current: NDArray[np.int64]
-    """Currents of the encoding layer [state units], shape (n, h0)."""
+    current: NDArray[np.int32]
+    """Currents of the encoding layer [state units], shape (h0,)."""
     spikes: NDArray[np.int8]
-    u: NDArray[np.int64]
-    v: NDArray[np.int64]
-    bias: NDArray[np.int64]
+    u: NDArray[np.int32]
+    v: NDArray[np.int32]
+    bias: NDArray[np.int32]
 
 
 class OnLoihi:
@@ -214,22 +215,17 @@ class OnLoihi:
         )
         self.cores = partition(self.chip.layers)
         w_in = np.ascontiguousarray(w["w_in"].T, np.int32)
-        self.host = Host(*input_scaling(config.inputs), w_in, w["syn0"])
+        self.host = Host(*input_scaling(config.inputs), w_in, w["syn0"].astype(np.int32))
         self.steps, self.scale = config.steps_per_sample, config.output_scale / STATE_ONE
-        self._network, self._settings = (
-            (tuple(self.host), tuple(self.chip.parameters)),
-            (self.steps, self.scale),
-        )
+        settings = {"settings": np.array([self.steps, self.scale])}
+        self.network = packed(self.host._asdict() | self.chip.parameters._asdict() | settings)
+        first, neurons = self.chip.sizes[0], sum(self.chip.sizes)
+        layout = {"encoder": (ENCODER, ()), "current": (np.int32, (first,)), "spikes": (np.int8, (neurons,))}
+        self.state = block_type(layout | {name: (np.int32, (neurons,)) for name in ("u", "v", "bias")})
 
-    def zero(self, n: int) -> tuple[Encoder, LoihiState]:
-        """Everything at rest."""
-        current = np.zeros((n, self.chip.sizes[0]), np.int64)
-        return np.zeros(n, ENCODER), LoihiState(current, *self.chip.rest(n))
-
-    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        encoder, state = states
-        _run_on_loihi((gyro, accel), *self._network, encoder, tuple(state), self._settings, out)
+    def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
+        _run_on_loihi(gyro, accel, self.network, states, out)
 
 
 class Recurrent:
@@ -246,18 +242,18 @@ class Recurrent:
             np.ascontiguousarray(tensors["out.weight"], np.float32),
             tensors["out.bias"].astype(np.float32),
         )
-        self._sizes, self._scale = (config.encoding, config.hidden), config.output_scale
-        self._scaling = input_scaling(config.inputs)
+        self._scale, self._scaling = config.output_scale, input_scaling(config.inputs)
+        units = {"h0": (np.float32, (config.encoding,)), "h1": (np.float32, (config.hidden,))}
+        self.state = block_type({"encoder": (ENCODER, ())} | units)
 
-    def zero(self, n: int) -> States:
-        """Everything at rest."""
-        return np.zeros(n, ENCODER), tuple(np.zeros((n, units), np.float32) for units in self._sizes)
-
-    def run(self, states: States, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, T, 3) twice, write roll and pitch (n, T, 2) [rad]."""
-        encoder, (h0, h1) = states
-        x = encoded(self._scaling, gyro, accel, encoder)
-        run_gru(x.astype(np.float32), self._weights, self._out, h0, h1, out)
+    def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
+        """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
+        n = len(states)
+        record = fields(states, self.state)
+        x = encoded(self._scaling, gyro.reshape(n, -1, 3), accel.reshape(n, -1, 3), record["encoder"])
+        run_gru(
+            x.astype(np.float32), self._weights, self._out, record["h0"], record["h1"], out.reshape(n, -1, 2)
+        )
         out *= self._scale
 
 
@@ -290,31 +286,57 @@ def _check_attitude(roll_pitch: ArrayLike | None, n: int) -> None:
         raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
 
 
-@njit(cache=True)
-def _run_on_loihi(readings, host, chip, encoder, state, settings, out):
-    host, chip, state = Host(*host), Chip(*chip), LoihiState(*state)
-    gyro, accel = readings
-    steps, scale = settings
-    outputs = state.v[:, state.v.shape[1] - out.shape[2] :]
-    for t in range(gyro.shape[1]):
-        encode(gyro[:, t], accel[:, t], host, encoder)
-        for _ in range(steps):
-            step_on_loihi(host, chip, encoder, state)
-        for n in range(gyro.shape[0]):
-            for k in range(out.shape[2]):
-                out[n, t, k] = outputs[n, k] * scale
+@njit(cache=True, inline="always")
+def _network(block):
+    w_in, du = matrix(block, 2, np.int32), vector(block, 3, np.int32)
+    host = Host(vector(block, 0, np.float64), vector(block, 1, np.float64), w_in, du)
+    weights, first, end = matrix(block, 4, np.int16), vector(block, 5, np.int32), vector(block, 6, np.int32)
+    bias_exp, du = vector(block, 7, np.int32), vector(block, 8, np.int32)
+    dv, vth = vector(block, 9, np.int32), vector(block, 10, np.int32)
+    return host, Chip(weights, first, end, bias_exp, du, dv, vth)
+
+
+@njit(cache=True, inline="always")
+def _state(block):
+    current, spikes = vector(block, 1, np.int32), vector(block, 2, np.int8)
+    u, v, bias = vector(block, 3, np.int32), vector(block, 4, np.int32), vector(block, 5, np.int32)
+    return LoihiState(current, spikes, u, v, bias)
+
+
+@njit(cache=True, nogil=True)
+def _run_on_loihi(gyro, accel, network, states, out):
+    host, chip = _network(network)
+    settings = vector(network, 11, np.float64)
+    sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
+    for n in range(states.shape[0]):
+        encoder, state = vector(states[n], 0, ENCODER)[0], _state(states[n])
+        outputs = state.v[state.v.size - 2 :]
+        for t in range(gyro.shape[1] // 3):
+            encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], host, encoder)
+            for _ in range(int(settings[0])):
+                drive(encoder.inputs, host, state.current, state.bias, sums)
+                step_chip(chip, state, sources, sums)
+            out[n, 2 * t], out[n, 2 * t + 1] = outputs[0] * settings[1], outputs[1] * settings[1]
 
 
 @njit(cache=True)
-def step_on_loihi(host, chip, encoder, state):
-    """One step of all copies on the host and on the chip, whose state changes in place."""
-    for n in range(encoder.shape[0]):
-        drive(encoder[n].inputs, host, state.current[n], state.bias[n])
-    step_chip(chip, state)
+def step_on_loihi(network, states):
+    """One step of all copies on the host and on the chip.
+
+    Args:
+        network: `OnLoihi.network`.
+        states: Blocks of `OnLoihi.state`, shape (n, words); changed.
+    """
+    host, chip = _network(network)
+    sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
+    for n in range(states.shape[0]):
+        state = _state(states[n])
+        drive(vector(states[n], 0, ENCODER)[0].inputs, host, state.current, state.bias, sums)
+        step_chip(chip, state, sources, sums)
 
 
-@njit(cache=True)
-def drive(x, host, current, bias):
+@njit(cache=True, inline="always")
+def drive(x, host, current, bias, sums):
     """Advance the host's currents of the encoding layer by one step; write them as bias mantissas.
 
     Args:
@@ -322,13 +344,16 @@ def drive(x, host, current, bias):
         host: What the host encodes with.
         current: Currents [state units], shape (h0,); changed.
         bias: Bias mantissas of the chip's neurons, whose first h0 are the encoding layer; changed.
+        sums: Zeros, int32, at least (h0,), to add in; zeros again afterwards.
     """
-    total = np.zeros(current.size, np.int32)
-    for k in range(host.w_in.shape[0]):
-        value, weights = np.int32(x[k]), host.w_in[k]
+    total = sums[: current.size]
+    for k in range(0, 6, 3):
+        a, b, c = np.int32(x[k]), np.int32(x[k + 1]), np.int32(x[k + 2])
+        w_a, w_b, w_c = host.w_in[k], host.w_in[k + 1], host.w_in[k + 2]
         for i in range(total.size):
-            total[i] += value * weights[i]
+            total[i] += np.int32(np.int32(a * w_a[i]) + np.int32(b * w_b[i])) + np.int32(c * w_c[i])
     for i in range(current.size):
         # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
-        current[i] = wrap(decay(current[i], host.du[i]) + shift(int(total[i]), 4), 23)
-        bias[i] = min(max(shift(current[i], BIAS_EXP), -BIAS_MANT_MAX), BIAS_MANT_MAX)
+        u = wrap(np.int32(decay(current[i], host.decay[i]) + shift(total[i], 4)), 23)
+        current[i], total[i] = u, 0
+        bias[i] = min(max(shift(u, BIAS_EXP), np.int32(-BIAS_MANT_MAX)), np.int32(BIAS_MANT_MAX))

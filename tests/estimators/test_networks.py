@@ -77,13 +77,13 @@ def same_spikes_for(weights, steps, seed, steps_per_sample=1):
         a = floats.update(gyro[:, t], accel[:, t])
         b = chip.update(gyro[:, t], accel[:, t])
         np.testing.assert_array_equal(a, b)
-        (_, state), (_, on_chip) = floats._states, chip._states
-        encoding, hidden = (spikes[0, 1 : 1 + spikes[0, 0]] for spikes in (state.s0, state.s1))
-        np.testing.assert_array_equal(encoding, np.flatnonzero(on_chip.spikes[0, :h0]))
-        np.testing.assert_array_equal(hidden, np.flatnonzero(on_chip.spikes[0, h0:both]))
-        np.testing.assert_array_equal(state.u0[0], on_chip.current[0])
-        np.testing.assert_array_equal(state.u1[0], on_chip.u[0, h0:both])
-        np.testing.assert_array_equal(state.v2[0], on_chip.v[0, both:])
+        state, on_chip = floats.states[0], chip.states[0]
+        encoding, hidden = (state[name][1 : 1 + state[name][0]] for name in ("s0", "s1"))
+        np.testing.assert_array_equal(encoding, np.flatnonzero(on_chip["spikes"][:h0]))
+        np.testing.assert_array_equal(hidden, np.flatnonzero(on_chip["spikes"][h0:both]))
+        np.testing.assert_array_equal(state["u0"], on_chip["current"])
+        np.testing.assert_array_equal(state["u1"], on_chip["u"][h0:both])
+        np.testing.assert_array_equal(state["v2"], on_chip["v"][both:])
         counts += len(encoding), len(hidden)
     assert np.all(counts > steps // 10)
 

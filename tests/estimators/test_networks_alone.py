@@ -66,16 +66,17 @@ def test_the_card_of_the_papers_spiking_network_says_that_it_fails_this(validati
 @pytest.mark.parametrize("name", CORES)
 def test_the_input_part_of_the_state_is_the_last_inputs_and_a_count(name):
     config, tensors = load_network("att-rnn" if name == "att-rnn" else "att-snn")
-    core = CORES[name](config, tensors)
+    est = NetworkEstimator(CORES[name](config, tensors), config.rate_hz)
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0, 1, (5, 40, 3)), rng.normal([0, 0, 9.8], 0.5, (5, 40, 3))
-    states = core.zero(5)
-    assert states[0].shape == (5,)
-    assert states[0].dtype == ENCODER == [("inputs", float, 6), ("missing", np.int64)]
-    core.run(states, gyro, accel, np.empty((5, 40, 2)))
+    est.reset(5)
+    encoder = est.states["encoder"]
+    assert encoder.shape == (5,)
+    assert encoder.dtype == ENCODER == [("inputs", float, 6), ("missing", np.int64)]
+    est.sequence(gyro, accel)
     x = scaled_inputs(config.inputs, gyro[:, -1:], accel[:, -1:])[:, 0]
-    np.testing.assert_array_equal(states[0]["inputs"], 1024 * x)
-    np.testing.assert_array_equal(states[0]["missing"], 0)
+    np.testing.assert_array_equal(encoder["inputs"], 1024 * x)
+    np.testing.assert_array_equal(encoder["missing"], 0)
 
 
 def test_the_inputs_have_offsets_and_ranges_and_no_other_setting():

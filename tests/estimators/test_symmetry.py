@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from estimators.analysis.ablation import connected, pruned
 from estimators.analysis.activity import record
-from estimators.networks.network import OnLoihi
+from estimators.networks.network import NetworkEstimator, OnLoihi
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
 from estimators.spiking import MATRICES
@@ -52,10 +52,7 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
     assert is_symmetric(fewer[1])
     gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
     accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
-    estimates = np.empty((2, 1, 200, 2))
-    for out, (config, tensors) in zip(estimates, (whole, fewer), strict=True):
-        core = OnLoihi(config, tensors)
-        core.run(core.zero(1), gyro, accel, out)
+    estimates = [NetworkEstimator(OnLoihi(*each), 200.0).sequence(gyro, accel) for each in (whole, fewer)]
     np.testing.assert_array_equal(*estimates)
 
 

@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 
 from estimators.export.formats import export_weights
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.network import OnLoihi, Recurrent, real_weights
+from estimators.networks.network import NetworkEstimator, OnLoihi, Recurrent, real_weights
 from estimators.networks.weights_file import (
     NetworkConfig,
     expected_shapes,
@@ -86,19 +86,17 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
     h0, h1 = config.encoding, config.hidden
     gyro, accel = readings(4000)
     states = compiled(weights, h0, h1)(np.concatenate([gyro, accel], 1))
-    core = OnLoihi(config, tensors)
-    mine = core.zero(1)
-    out = np.empty((1, 1, 2))
+    est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
+    state = est.states[0]
+    encoder, u, v, spikes = (state[name] for name in ("encoder", "u", "v", "spikes"))
     for t, (theirs, roll_pitch) in enumerate(states):
-        core.run(mine, gyro[None, t : t + 1], accel[None, t : t + 1], out)
-        (encoder,), state = mine
-        u, v, spikes = state.u[0], state.v[0], state.spikes[0]
+        out = est.update(gyro[t : t + 1], accel[t : t + 1])
         expected = {"input": encoder["inputs"], "skipped": encoder["missing"]}
-        expected |= {"u0": state.current[0], "u1": u[h0:-2], "u2": u[-2:]}
+        expected |= {"u0": state["current"], "u1": u[h0:-2], "u2": u[-2:]}
         expected |= {"v0": v[:h0], "v1": v[h0:-2], "v2": v[-2:], "s0": spikes[:h0], "s1": spikes[h0:-2]}
         for name, value in expected.items():
             np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
-        np.testing.assert_array_equal(roll_pitch, out[0, 0], err_msg=f"roll and pitch at {t}")
+        np.testing.assert_array_equal(roll_pitch, out[0], err_msg=f"roll and pitch at {t}")
     assert states["state"]["s0"].mean() > 0.01
     assert states["state"]["s1"].mean() > 0.01
 
@@ -161,9 +159,9 @@ def test_onnx_runtime_estimates_as_the_network_here(tmp_path):
     config, tensors = shipped_network("att-rnn")
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0, 1, (2, 300, 3)), rng.normal([0, 0, 9.8], 1.0, (2, 300, 3))
-    core = Recurrent(config, tensors)
-    expected = np.empty((2, 300, 2))
-    core.run(core.zero(2), gyro, accel, expected)
+    est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
+    est.reset(2)
+    expected = est.sequence(gyro, accel)
     states = {f"h{k}": np.zeros((1, 2, 100), np.float32) for k in (0, 1)}
     parts = []
     for part in np.split(np.arange(300), [100, 101]):  # whole windows and a single sample alike
