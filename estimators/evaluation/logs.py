@@ -7,6 +7,7 @@ sample (`scored`), the first seconds are over, and the vehicle is tilted less th
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import xarray as xr
@@ -34,8 +35,30 @@ SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
 RATE_MAX = 2.0
 """Samples at which the bias is read turn more slowly than this [rad/s]: fast ones hold the truth's delay."""
+BLOCK_S = 0.1
+"""Time between two looks at what a filter believes [s]."""
 LISTED = 6
 """Estimators drawn in a picture, the best first."""
+
+
+@runtime_checkable
+class HasModels(Protocol):
+    """A filter that weighs several models."""
+
+    model_names: tuple[str, ...]
+
+    @property
+    def model_probability(self) -> Array:
+        """(n, models)."""
+        ...
+
+    def reset(self, n: int = 1) -> None:
+        """Start n vehicles."""
+        ...
+
+    def sequence(self, gyro: Array, accel: Array) -> Array:
+        """Take (n, T, 3) samples, carrying on from the last."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -58,6 +81,15 @@ class LogRow:
     """Of a network: inclination RMSE with its output weights at zero; NaN for other estimators."""
 
 
+class Believed(NamedTuple):
+    """What a filter of several models believed."""
+
+    names: tuple[str, ...]
+    """Of the models."""
+    probability: Array
+    """(T, models), constant over blocks of `BLOCK_S`."""
+
+
 @dataclass
 class LogScores:
     """All rows, and what the pictures are drawn from."""
@@ -72,6 +104,8 @@ class LogScores:
     """Log to the samples that count (T,)."""
     estimates: dict[tuple[str, str], Array] = field(default_factory=dict)
     """(log, estimator) to raw roll and pitch (T, 2) [rad]."""
+    models: dict[str, Believed] = field(default_factory=dict)
+    """Log to what `imm` believed of the raw readings, if it was scored."""
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
@@ -146,6 +180,8 @@ def score_logs(
                 scores.rows.append(row)
                 if which == RAW:
                     scores.estimates[title, name] = estimate[0]
+                    if isinstance(est, HasModels):
+                        scores.models[title] = believed(est, gyro, accel, rate)
             done += 1
     return scores
 
@@ -175,6 +211,17 @@ def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
     above = 0.5 * (gyro[:-1] + gyro[1:]) - true
     slow = np.isfinite(above).all(axis=1) & (np.linalg.norm(true, axis=1) < RATE_MAX)
     return above[slow].mean(axis=0) if slow.sum() >= rate_hz else np.full(3, np.nan)
+
+
+def believed(est: HasModels, gyro: Array, accel: Array, rate_hz: float) -> Believed:
+    """Probabilities of a filter's models over a sequence (1, T, 3) of readings [rad/s], [m/s²]."""
+    est.reset(1)
+    block, parts = max(round(BLOCK_S * rate_hz), 1), []
+    for first in range(0, gyro.shape[1], block):
+        part = slice(first, first + block)
+        est.sequence(gyro[:, part], accel[:, part])
+        parts.append(np.repeat(est.model_probability, gyro[:, part].shape[1], axis=0))
+    return Believed(tuple(est.model_names), np.concatenate(parts))
 
 
 def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:

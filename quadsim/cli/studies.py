@@ -61,7 +61,8 @@ def evaluate(
     Each is also compared with the best one flight by flight; those that are not significantly different from
     it are tied. Beside a network's error stands that of the same network silenced: with output weights of
     zero. Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html;
-    of real logs logs.csv and a picture each, with a row "level" that shows how hard the log is.
+    of real logs logs.csv with a row "level" that shows how hard the log is, a picture each, and report.html:
+    traces of readings, attitudes and errors on one time axis.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
     """

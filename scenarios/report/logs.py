@@ -18,6 +18,9 @@ from quadsim.runs.console import output, progress_bar
 from quadsim.runs.files import save_figure
 from quadsim.vehicle import Vehicle
 
+from ..log_report.page import write_log_report
+from ..log_report.verdict import log_verdict
+
 
 @dataclass(frozen=True)
 class Contenders:
@@ -74,7 +77,8 @@ def evaluate_logs(
         ValueError: A unit or frame of a log cannot be right, and `force` is not given.
     """
     read = {path: read_log_and_report(path, axes=axes) for path in paths}
-    for fault in refused([(path, report) for path, (_, report) in read.items()], force):
+    warnings = refused([(path, report) for path, (_, report) in read.items()], force)
+    for fault in warnings:
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for log, _ in read.values()]
     rate = float(logs[0].attrs["rate_hz"])
@@ -84,6 +88,7 @@ def evaluate_logs(
     scores.write_csv(out / "logs.csv")
     for log in scores.truth:
         save_figure(out / f"{log}.png", draw_log(scores, log), dpi=110)
+    page = write_log_report(out / "report.html", logs, scores, warnings)
     headings = ("estimator", "raw, °", "silenced, °", "bias removed, °")
     table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°")
     for name in scores.estimators:
@@ -98,6 +103,4 @@ def evaluate_logs(
         shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
         text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, gyro bias ({shown}) °/s"
         output.print(text, soft_wrap=True, highlight=False)
-    best = scores.estimators[0]
-    last = f"the smallest raw error is {best}'s, {scores.mean(best, RAW):.2f}°"
-    output.print(f"{out / 'logs.csv'}: {last}", soft_wrap=True)
+    output.print(f"{page}: {log_verdict(scores).headline}", soft_wrap=True)

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import posixpath
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -103,7 +104,7 @@ def write_report(
         "still_caption": still.caption if still else "",
         "csv": list(csv),
         "footer": footer or _footer(results),
-        "script": script("report.js"),
+        "script": script("report/js/report.js"),
         "payload": _payload(closed_loop, rows, offline.rows, focus),
         "flights": compress_flights(cell.series for cell in results.cells if cell.series),
     }
@@ -226,14 +227,15 @@ def _cell(cell: Cell, row: CellRow) -> dict[str, object]:
 
 
 def script(entry: str) -> str:
-    """The module of a name in `js/` and all that it imports as one script, imported ones first."""
+    """A module below `scenarios/` and all that it imports as one script, imported ones first."""
     found: dict[str, str] = {}
 
     def visit(name: str) -> None:
-        source = (files("scenarios.report") / "js" / name).read_text(encoding="utf-8")
-        for other in re.findall(r'^import .* from "\./(.*)";$', source, re.MULTILINE):
-            if other not in found:
-                visit(other)
+        source = files("scenarios").joinpath(name).read_text(encoding="utf-8")
+        for other in re.findall(r'^import .* from "(.*)";$', source, re.MULTILINE):
+            path = posixpath.normpath(posixpath.join(posixpath.dirname(name), other))
+            if path not in found:
+                visit(path)
         found[name] = re.sub(r"^(import .*\n|export )", "", source, flags=re.MULTILINE)
 
     visit(entry)

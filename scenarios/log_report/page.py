@@ -1,0 +1,145 @@
+"""One HTML file on recorded logs that needs nothing else: what the estimators did, and when.
+
+Traces are drawn by uPlot (github.com/leeoniya/uPlot, MIT), which is in the page with its licence.
+"""
+
+import base64
+import json
+import math
+import zlib
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import jinja2
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
+from estimators.metrics import inclination_error
+from quadsim.runs.files import write_whole
+
+from ..report.page import script
+from .verdict import log_verdict
+
+Array = NDArray[np.float64]
+
+MOST_SAMPLES = 12_000
+"""Samples of a trace in the page; longer logs are decimated."""
+SHOWN = 3
+"""Estimators drawn at first."""
+MISSING = -32768
+"""The integer of a number that is missing."""
+
+
+def write_log_report(
+    path: Path, logs: Sequence[xr.Dataset], scores: LogScores, warnings: Sequence[str] = ()
+) -> Path:
+    """Write the report of `quadsim evaluate --logs`.
+
+    Args:
+        path: HTML file to write.
+        logs: The logs that were scored.
+        scores: From `score_logs`.
+        warnings: Lines about the logs, shown below the verdict.
+    """
+    channels: list[NDArray[np.int16]] = []
+    described = {str(log.attrs["source"]): _log(log, scores, channels) for log in logs}
+    names = [name for name in scores.estimators if name != LEVEL]
+    data = {"estimators": sorted(names), "shown": names[:SHOWN], "logs": described}
+    package = files("scenarios")
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("scenarios", ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    uplot = package / "log_report" / "uplot"
+    page = environment.get_template("log_report/log.html").render(
+        verdict=log_verdict(scores),
+        warnings=warnings,
+        logs=list(described),
+        rows=_table(scores),
+        uplot=(uplot / "uPlot.iife.min.js").read_text("utf-8"),
+        uplot_css=(uplot / "uPlot.min.css").read_text("utf-8"),
+        licence=(uplot / "LICENSE").read_text("utf-8"),
+        script=script("log_report/js/log.js"),
+        payload=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+        traces=_compress(channels),
+    )
+    return write_whole(path.expanduser(), page)
+
+
+def _table(scores: LogScores) -> list[dict[str, object]]:
+    """A row for each estimator: means over the logs, and the raw error on each log [deg]."""
+    on_log = {(row.estimator, row.log): row.inclination_rmse_deg for row in scores.rows if row.bias == RAW}
+    return [
+        {
+            "estimator": name,
+            "means": [scores.mean(name, RAW), scores.mean(name, KNOWN), scores.silenced(name)],
+            "logs": [on_log[name, log] for log in scores.truth],
+        }
+        for name in scores.estimators
+    ]
+
+
+def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) -> dict[str, object]:
+    """What the page says of a log; its traces are appended to the channels, in the order of their scales."""
+    title, rate = str(log.attrs["source"]), float(log.attrs["rate_hz"])
+    every = max(1, math.ceil(log.sizes["time"] / MOST_SAMPLES))
+    scales: dict[str, float] = {}
+
+    def add(name: str, values: Array) -> None:
+        integers, scales[name] = _integers(values[::every])
+        channels.append(integers)
+
+    for sensor, factor in (("gyro", 180.0 / math.pi), ("accel", 1.0)):
+        for k, axis in enumerate("xyz"):
+            add(f"{sensor} {axis}", factor * log[sensor].to_numpy()[0, :, k].astype(float))
+    truth = scores.truth[title]
+    for k, angle in enumerate(("roll", "pitch")):
+        add(f"{angle}|truth", np.degrees(truth[:, k]))
+    estimated = [name for name in sorted(scores.estimators) if (title, name) in scores.estimates]
+    for name in estimated:
+        estimate = scores.estimates[title, name]
+        for k, angle in enumerate(("roll", "pitch")):
+            add(f"{angle}|{name}", np.degrees(estimate[:, k]))
+        add(f"error|{name}", inclination_error(estimate, truth))
+    believed = scores.models.get(title)
+    if believed is not None:
+        for k, name in enumerate(believed.names):
+            add(f"model|{name}", believed.probability[:, k])
+    counted = scores.counted[title][::every]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~counted, [False]]).astype(int))).reshape(-1, 2)
+    return {
+        "dt": every / rate,
+        "samples": len(counted),
+        "scales": scales,
+        "uncounted": (edges * every / rate).round(3).tolist(),
+        "note": _note(log, scores, title, every),
+    }
+
+
+def _note(log: xr.Dataset, scores: LogScores, title: str, every: int) -> str:
+    rate, bias = float(log.attrs["rate_hz"]), np.degrees(scores.gyro_bias[title])
+    text = (
+        f"{log.sizes['time'] / rate:.0f} s at {rate:g} Hz, {scores.counted[title].sum() / rate:.0f} s scored"
+    )
+    if np.isfinite(bias).all():
+        text += f"; mean gyroscope bias ({', '.join(f'{value:+.2f}' for value in bias)}) °/s"
+    return text + (f"; one sample of {every} is drawn" if every > 1 else "") + "."
+
+
+def _integers(values: Array) -> tuple[NDArray[np.int16], float]:
+    """16-bit integers of a trace (T,), and their scale; what is not finite is `MISSING`."""
+    finite = np.isfinite(values)
+    scale = max(float(np.abs(values[finite]).max(initial=0.0)), 1e-6) / 32767
+    return np.where(finite, np.round(np.where(finite, values, 0.0) / scale), MISSING).astype("<i2"), scale
+
+
+def _compress(channels: Sequence[NDArray[np.int16]]) -> str:
+    """Differences of all channels, low bytes before high ones, as `compress_flights` has them, in base64."""
+    steps = np.diff(np.concatenate([np.zeros(1, "<i2"), *channels]))
+    return base64.b64encode(zlib.compress(steps.view(np.uint8).reshape(-1, 2).T.tobytes())).decode()

@@ -1,0 +1,98 @@
+"""What scores on recorded logs do and do not show, in words."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
+
+CLEAR = 0.8
+"""An estimator whose error is above this share of a level guess's has shown little."""
+LARGE_BIAS = math.radians(1.0)
+"""Gyroscope bias that estimators have to find [rad/s]."""
+GAINED = 0.5
+"""Share of the error, after the bias is removed, below which the bias is named as its cause."""
+
+
+class LogVerdict(NamedTuple):
+    """The answer, and its conditions."""
+
+    headline: str
+    lines: list[str]
+
+
+def log_verdict(scores: LogScores) -> LogVerdict:
+    """Which estimator had the smallest error, how a level guess compares, and what limits the finding."""
+    logs, names = list(scores.truth), [name for name in scores.estimators if name != LEVEL]
+    error = {name: scores.mean(name, RAW) for name in scores.estimators}
+    rated = [name for name in names if math.isfinite(error[name])]
+    seconds = sum(int(scores.counted[log].sum()) / _rate(scores, log) for log in logs)
+    data = f"{len(logs)} log{'s' if len(logs) > 1 else ''}, {seconds:.0f} s scored"
+    if not rated:
+        return LogVerdict("Nothing could be scored.", [f"{data}: no sample with a known attitude counts."])
+    best, level = rated[0], error[LEVEL]
+    headline = f"Smallest error: {best}, {error[best]:.2f}° inclination RMSE."
+    if error[best] > CLEAR * level:
+        headline = f"No estimator is much better than a level guess ({level:.2f}°)"
+        headline += f"; the best is {best}, {error[best]:.2f}°."
+    conditions = "from an unknown attitude, with the gyroscope as it reads"
+    lines = [f"{data}, {conditions}. A level guess makes {level:.2f}°."]
+    lines += [*_by_log(scores, logs, rated, best), *_bias(scores, rated, error), *_believed(scores)]
+    if len(logs) == 1:
+        lines.append("One log shows what happened on it, not which estimator is best on the next.")
+    return LogVerdict(headline, lines)
+
+
+def _rate(scores: LogScores, log: str) -> float:
+    return 1.0 / float(np.median(np.diff(scores.time_s[log])))
+
+
+def _by_log(scores: LogScores, logs: list[str], rated: list[str], best: str) -> list[str]:
+    """On how many logs the best is the best, and where it is furthest behind."""
+    on = {(row.estimator, row.log): row.inclination_rmse_deg for row in scores.rows if row.bias == RAW}
+    known = [log for log in logs if math.isfinite(on[best, log])]
+    if len(known) < 2:
+        return []
+    least = {
+        log: min((on[name, log], name) for name in rated if math.isfinite(on[name, log])) for log in known
+    }
+    first = sum(least[log][1] == best for log in known)
+    worst = max(known, key=lambda log: on[best, log] / least[log][0])
+    text = f"{best} has the smallest error on {first} of {len(known)} logs"
+    if first < len(known):
+        value, name = least[worst]
+        text += f"; it is furthest behind on {worst}: {on[best, worst]:.2f}° where {name} makes {value:.2f}°"
+    return [text + "."]
+
+
+def _bias(scores: LogScores, rated: list[str], error: dict[str, float]) -> list[str]:
+    """Estimators that lose by a gyroscope bias that they do not find."""
+    largest = max(
+        (np.abs(bias).max() for bias in scores.gyro_bias.values() if np.isfinite(bias).all()), default=0.0
+    )
+    if largest < LARGE_BIAS:
+        return []
+    without = {name: scores.mean(name, KNOWN) for name in rated}
+    losing = [name for name in rated if without[name] < GAINED * error[name]]
+    text = f"The gyroscope reads up to {math.degrees(largest):.1f} °/s at rest"
+    if losing:
+        shown = ", ".join(f"{name} ({error[name]:.1f}°, without it {without[name]:.1f}°)" for name in losing)
+        text += (
+            f", which these estimators do not find in time: {shown}. Calibrate it: `quadsim logs calibrate`"
+        )
+    return [text + "."]
+
+
+def _believed(scores: LogScores) -> list[str]:
+    """Which of imm's models were believed, over all logs."""
+    if not scores.models:
+        return []
+    total: dict[str, float] = {}
+    for found in scores.models.values():
+        for name, share in zip(found.names, found.probability.mean(axis=0), strict=True):
+            total[name] = total.get(name, 0.0) + float(share) / len(scores.models)
+    shown = ", ".join(
+        f"{name} {share:.0%}" for name, share in sorted(total.items(), key=lambda each: -each[1])
+    )
+    return [f"imm believed, in share of the time: {shown}."]

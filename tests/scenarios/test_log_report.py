@@ -1,0 +1,128 @@
+"""The report of estimators on recorded logs, as text and in a browser."""
+
+import math
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.evaluation.logs import Believed, score_logs
+from quadsim.logs.recording import Recording
+from quadsim.logs.resample import resample
+from quadsim.rotation import quat_from_roll_pitch
+from quadsim.vehicle import GRAVITY
+from scenarios.log_report.page import MOST_SAMPLES, write_log_report
+from scenarios.log_report.verdict import log_verdict
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+def log(name, bias=0.0, seconds=40.0):
+    """A slow roll of 20° in still air, with a gyroscope bias about x [rad/s]."""
+    time = np.arange(0.0, seconds, 0.005)
+    roll = np.radians(20.0) * np.sin(0.8 * time)
+    gyro = np.zeros((time.size, 3))
+    gyro[:, 0] = np.radians(20.0) * 0.8 * np.cos(0.8 * time) + bias
+    accel = GRAVITY * np.stack([0.0 * roll, np.sin(roll), np.cos(roll)], axis=1)
+    quat = quat_from_roll_pitch(np.stack([roll, 0.0 * roll], axis=1))
+    return resample(Recording(name, "x", time, gyro, accel, "x", time, quat), 200.0)[0]
+
+
+@pytest.fixture(scope="module")
+def scored():
+    logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
+    scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
+    share = np.tile([0.25, 0.75], (logs[0].sizes["time"], 1))
+    scores.models["calm & <quiet>"] = Believed(("drag", "hand"), share)
+    return logs, scores
+
+
+@pytest.fixture(scope="module")
+def report(scored, tmp_path_factory):
+    return write_log_report(tmp_path_factory.mktemp("report") / "report.html", *scored, ["mount it <so>"])
+
+
+def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
+    found = log_verdict(scored[1])
+    text = " ".join(found.lines)
+    assert found.headline.startswith("Smallest error: ")
+    assert re.search(r"2 logs, \d+ s scored", text)
+    assert "reads up to 3.0 °/s at rest" in text
+    assert "quadsim logs calibrate" in text
+    assert "hand 75%, drag 25%" in text
+
+
+def test_verdict_says_when_nothing_beats_a_level_guess(scored):
+    scores = replace(scored[1], rows=[replace(row, inclination_rmse_deg=10.0) for row in scored[1].rows])
+    assert log_verdict(scores).headline.startswith("No estimator is much better than a level guess (10.00°)")
+
+
+def test_verdict_of_one_log_warns_of_the_next():
+    scores = score_logs([log("alone", seconds=10.0)], ["mahony"], within_deg=90.0)
+    assert any(line.startswith("One log shows") for line in log_verdict(scores).lines)
+
+
+def test_verdict_without_a_scored_sample_says_so():
+    scores = score_logs([log("tilted", seconds=10.0)], ["mahony"], within_deg=1e-9)
+    assert log_verdict(scores).headline == "Nothing could be scored."
+
+
+def test_page_needs_nothing_else_and_escapes_what_is_the_user_s(report):
+    text = report.read_text()
+    assert "calm &amp; &lt;quiet&gt;" in text
+    assert "mount it &lt;so&gt;" in text
+    assert not re.search(r'(src|href)="(?!data:|#)', text)
+    assert "Permission is hereby granted" in text  # uPlot's licence goes with it
+
+
+def test_long_logs_are_decimated(tmp_path):
+    logs = [log("long", seconds=(MOST_SAMPLES + 100) / 200.0)]
+    page = write_log_report(tmp_path / "r.html", logs, score_logs(logs, ["complementary"]))
+    assert "every 2th sample is drawn" not in page.read_text()
+    assert "one sample of 2 is drawn" in page.read_text()
+
+
+# --- in a browser ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])
+def page(request, report):
+    """The report, open; errors are looked at afterwards."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no chromium: install Debian's package of that name")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport=dict(zip(("width", "height"), request.param, strict=True)))
+        noise = []
+        page.on("console", lambda message: noise.append(message.text))
+        page.on("pageerror", lambda error: noise.append(str(error)))
+        page.goto(report.as_uri())
+        page.wait_for_selector(".uplot")
+        yield page
+        assert noise == []
+        browser.close()
+
+
+def test_traces_are_those_of_the_log(page, scored):
+    logs, scores = scored
+    found = np.array(page.evaluate("data.logs['biased'].trace['roll|truth']"), float)
+    np.testing.assert_allclose(found, np.degrees(scores.truth["biased"][:, 0]), atol=1e-3)
+    found = np.array(page.evaluate("data.logs['biased'].trace['gyro x']"), float)
+    np.testing.assert_allclose(found, np.degrees(logs[1]["gyro"].to_numpy()[0, :, 0]), atol=2e-3)
+
+
+def test_panels_have_one_time_axis(page):
+    page.evaluate("PLOTS[0].setScale('x', {min: 5, max: 6})")
+    assert page.evaluate("PLOTS.map((plot) => [plot.scales.x.min, plot.scales.x.max])") == [[5, 6]] * 6
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_another_log_and_another_estimator_are_drawn(page):
+    page.select_option("#log", "biased")
+    assert page.evaluate("PLOTS.length") == 5  # imm was not scored on it
+    before = page.evaluate("PLOTS.at(-1).series.length")
+    page.click("#chips button >> nth=0")
+    assert abs(page.evaluate("PLOTS.at(-1).series.length") - before) == 1
