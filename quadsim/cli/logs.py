@@ -8,12 +8,10 @@ from rich.table import Table
 
 from ..runs.console import output
 from ..runs.files import save_figure
+from .options import MountOption
 
 app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
 
-Axes = Annotated[
-    str | None, typer.Option(help='Body x, y, z as the axes of the log, such as "z,-y,x"; else as they are.')
-]
 Truth = Annotated[
     str | None, typer.Option(help="Topic or folder to take for the true attitude; else the best there is.")
 ]
@@ -23,7 +21,7 @@ Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
 @app.command()
 def info(
     file: Annotated[Path, typer.Argument(help="A log: see docs/logs.md for the formats.")],
-    axes: Axes = None,
+    mount: MountOption = None,
     truth: Truth = None,
     imu: Imu = None,
 ) -> None:
@@ -33,7 +31,7 @@ def info(
     """
     from ..logs import read_log_and_report
 
-    _, report = read_log_and_report(file, axes=axes, truth=truth, imu=imu)
+    _, report = read_log_and_report(file, mount=mount, truth=truth, imu=imu)
     table = Table(show_header=False)
     rows = {
         "format": report.format,
@@ -76,7 +74,7 @@ def convert(
     out: Annotated[Path, typer.Option(help="Where the dataset goes, for example data/mine.zarr.")],
     piece: Annotated[float, typer.Option(min=1, help="Length of the pieces in seconds.")] = 20.0,
     rate: Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")] = 200.0,
-    axes: Axes = None,
+    mount: MountOption = None,
     truth: Truth = None,
     imu: Imu = None,
     force: Annotated[
@@ -90,7 +88,7 @@ def convert(
     from ..logs import read_parts, refused
     from ..logs.convert import convert as convert_logs
 
-    read = [(file, read_parts(file, rate, axes=axes, truth=truth, imu=imu)) for file in files]
+    read = [(file, read_parts(file, rate, mount=mount, truth=truth, imu=imu)) for file in files]
     for fault in refused([(file, report) for file, parts in read for _, report in parts], force):
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for _, parts in read for log, _ in parts]
@@ -111,7 +109,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="IMU file to write, for example my-imu.toml.")],
     plot: Annotated[Path | None, typer.Option(help="Picture of the Allan deviation and its fit.")] = None,
     gravity: Annotated[float, typer.Option(help="Gravity where it was recorded, in m/s².")] = 9.81,
-    axes: Axes = None,
+    mount: MountOption = None,
     imu: Imu = None,
 ) -> None:
     """Measure an IMU's noise from still logs (Allan variance), as a file that `generate --imu` reads.
@@ -122,7 +120,7 @@ def calibrate(
     from ..logs.allan import calibrate as calibrate_imu
     from ..logs.allan import draw, write_imu
 
-    found = calibrate_imu([read_recording(file, axes=axes, imu=imu) for file in files], gravity)
+    found = calibrate_imu([read_recording(file, mount=mount, imu=imu) for file in files], gravity)
     write_imu(found, out)
     if plot is not None:
         save_figure(plot, draw(found), dpi=130)

@@ -135,7 +135,7 @@ class LogReport:
         elif self.truth == "none" and self.upright < UPRIGHT:
             found.append(
                 f"body z carries {self.upright:.2f} of the specific force, and in a flight it carries nearly "
-                "all: is the frame FLU, and is gravity's sign right? (frame, axes, negate)"
+                "all: is the frame FLU, and is gravity's sign right? (frame, mount, negate)"
             )
         if self.slope is not None and "gyroscope" not in self.still:
             low, high = SLOPES
@@ -156,13 +156,13 @@ class LogReport:
         if self.agreement is not None and self.agreement < AGREEMENT:
             found.append(
                 f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
-                "look at frame and axes"
+                "look at frame and mount"
             )
         elif self.axes is not None and min(self.axes) < AGREEMENT:
             worst = int(np.argmin(self.axes))
             found.append(
                 f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
-                f"(correlation {self.axes[worst]:.2f}): look at frame and axes"
+                f"(correlation {self.axes[worst]:.2f}): look at frame and mount"
             )
         if self.gravity is not None and self._off_gravity > GRAVITY_WRONG:
             found.append(self._where_gravity)
@@ -177,7 +177,7 @@ class LogReport:
         x, y, z = self.gravity or (0.0, 0.0, 9.81)
         return (
             f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, {z:.1f}) "
-            "m/s², not (0, 0, 9.8): look at frame and axes"
+            "m/s², not (0, 0, 9.8): look at frame and mount"
         )
 
     @property

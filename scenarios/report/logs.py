@@ -57,7 +57,7 @@ def evaluate_logs(
     out: Path,
     *,
     within_deg: float = 45.0,
-    axes: str | None = None,
+    mount: str | None = None,
     force: bool = False,
 ) -> None:
     """Score estimators on logs: `quadsim evaluate --logs`.
@@ -67,13 +67,13 @@ def evaluate_logs(
         contenders: The estimators.
         out: Folder for the table and the pictures.
         within_deg: Largest true inclination that is scored [deg].
-        axes: Body axes in the sensors', as "z,-y,x".
+        mount: Rotation from IMU to body axes, as `quadsim.logs.mounting.mount_matrix` takes it.
         force: Score a log although a unit or frame cannot be right.
 
     Raises:
         ValueError: A unit or frame of a log cannot be right, and `force` is not given.
     """
-    read = {path: read_log_and_report(path, axes=axes) for path in paths}
+    read = {path: read_log_and_report(path, mount=mount) for path in paths}
     for fault in refused([(path, report) for path, (_, report) in read.items()], force):
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for log, _ in read.values()]

@@ -17,7 +17,8 @@ from quadsim.imu.stream import simulate_imu
 from quadsim.logs import read_log, read_log_and_report, read_recording
 from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
 from quadsim.logs.convert import convert
-from quadsim.logs.recording import Recording, Track, axes_matrix, turned
+from quadsim.logs.mounting import mount_matrix
+from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample, split
 from quadsim.rotation import (
     canonical,
@@ -216,7 +217,7 @@ def test_broad_trials_in_hdf5_and_mat_are_one_and_the_same(tmp_path):
 COLUMNS = """
 file = "x.csv"
 frame = "frd"
-axes = "z,y,-x"
+mount = "z,y,-x"
 [time]
 column = "t"
 unit = "us"
@@ -242,7 +243,7 @@ unit = "rpm"
 
 def test_a_csv_is_read_by_its_column_map(tmp_path):
     time, gyro, accel, quat = turning()
-    frame_to_imu = axes_matrix("z,y,-x").T
+    frame_to_imu = mount_matrix("z,y,-x").T
     gyro, accel = (swap_flu_frd(each) @ frame_to_imu.T for each in (gyro, accel))
     q = swap_enu_flu_ned_frd(quat) * (1, -1, -1, -1)
     rows = np.column_stack(
@@ -261,22 +262,6 @@ def test_a_csv_is_read_by_its_column_map(tmp_path):
     (tmp_path / "bad.toml").write_text(COLUMNS.replace("unit =", "units ="))
     with pytest.raises(ValueError, match=r'unknown key "time\.units"'):
         read_log(tmp_path / "bad.toml")
-
-
-def test_a_sensor_mounted_upright_is_turned_level():
-    time, gyro, accel, quat = turning()
-    sensor = axes_matrix("z,-y,x")  # sensor z is forward, x is up
-    log = Recording("x", "x", time, gyro @ sensor, accel @ sensor, "x", time, quat_of(quat, sensor))
-    consistent(resample(turned(log, "z,-y,x"))[0])
-    with pytest.raises(ValueError, match="mirror image"):
-        axes_matrix("z,y,x")
-
-
-def quat_of(quat: np.ndarray, body_from_sensor: np.ndarray) -> np.ndarray:
-    """Attitude of the sensor, of the body's."""
-    from quadsim.rotation import matrix_from_quat, quat_from_matrix
-
-    return quat_from_matrix(matrix_from_quat(quat) @ body_from_sensor)
 
 
 def tones(rate_hz: float, *hz: float) -> Recording:
@@ -483,8 +468,8 @@ def wrong(name: str) -> Recording:
         ("norm", "quaternions have a length of 0.7, not 1"),
         ("g", "is it in g?"),
         ("mg", "is it in mg?"),
-        ("frame", "look at frame and axes"),
-        ("axes", "look at frame and axes"),
+        ("frame", "look at frame and mount"),
+        ("axes", "look at frame and mount"),
         ("sign of z", "the gyroscope's z does not read how the truth turns about that axis (correlation -"),
     ],
 )
