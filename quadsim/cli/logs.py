@@ -1,5 +1,6 @@
 """`quadsim logs`: look at real logs, make datasets of them, calibrate an IMU from them."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -66,6 +67,39 @@ def info(
     count = len(report.warnings)
     verdict = "nothing odd" if not count else f"{count} {'thing' if count == 1 else 'things'} to know"
     output.print(f"{file}: {report.duration_s:.1f} s, {verdict}", soft_wrap=True)
+
+
+@app.command()
+def mount(
+    file: Annotated[Path, typer.Argument(help="A log in which the vehicle hovers, or with a true attitude.")],
+    mount: MountOption = None,
+    truth: Truth = None,
+    imu: Imu = None,
+    level: Annotated[
+        bool, typer.Option("--level", help="From the mean force, although there is a true attitude.")
+    ] = False,
+) -> None:
+    """Estimate how the IMU is mounted: the --mount that makes IMU axes the body's.
+
+    From the true attitude, where the log has one of the body: the rotation that brings the gyroscope's rates
+    nearest to the truth's. Else from hover, in which the mean force is along body z: roll and pitch; the
+    heading is that of the --mount given, or zero.
+
+    Example: quadsim logs mount flight.toml
+    """
+    from ..logs import read_recording
+    from ..logs.mount_estimate import estimate_mount
+    from ..logs.mounting import mount_text
+
+    found = estimate_mount(read_recording(file, mount=mount, truth=truth, imu=imu), mount, level)
+    table = Table(show_header=False)
+    x, y, z = found.sd_deg
+    table.add_row("from", found.by)
+    table.add_row("rotation", f"{found.angle_deg:.2f}°")
+    table.add_row("1 SD about body x, y", f"{x:.2f}°, {y:.2f}°")
+    table.add_row("1 SD about body z", f"{z:.2f}°" if z < math.inf else "the heading does not show")
+    output.print(table)
+    output.print(f'{file}: --mount "{mount_text(found.body_from_imu)}"', soft_wrap=True, highlight=False)
 
 
 @app.command()

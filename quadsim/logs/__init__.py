@@ -118,6 +118,7 @@ def read_recording(
         if isinstance(error, ValueError | OSError) and str(path) in str(error):
             raise
         raise ValueError(f"{path}: cannot be read: {error}") from error
+    log = replace(log, path=str(path))
     return log if mount is None else mounted(log, mount)
 
 

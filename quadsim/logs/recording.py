@@ -53,6 +53,8 @@ class Recording:
     """In the world, on the stamps of the attitude (M, 3) [m]."""
     marked: NDArray[np.bool_] | None = None
     """Samples of the attitude (M,) that the recording marks for scoring; None: all."""
+    path: str = ""
+    """The file, for what a command is to be given."""
     notes: tuple[str, ...] = ()
     """What the reader decided, in sentences for people."""
     sensors: Mapping[str, Track] = field(default_factory=dict)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..config.ranges import FORCE_MAX, RATE_MAX
 from ..dataset.store import LABELS, VARIABLES, Variable
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
+from .mean_force import level
 from .recording import Array, Recording, Track
 from .truth_delay import align
 
@@ -50,6 +51,13 @@ NO_TURN = 200.0
 """and above which the truth is no attitude of this sensor: more than any mistake of units."""
 WEIGHTS = (7.0, 13.0)
 """Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
+MOUNTED_AGREEMENT = 0.9
+"""That correlation under the best rotation of the gyroscope's axes above which a mounting explains them."""
+MOUNTED_GAIN = 0.01
+"""What that rotation adds to the correlation before it is reported: 1 − cos 8°."""
+TILT_DEG = 5.0
+"""The mean force may be this far from body z before it is reported [deg]: an accelerometer's bias and a
+breeze on a hovering vehicle amount to two or three."""
 UPRIGHT = 0.2
 """Share of the specific force along body z below which a log without truth is taken for no flight."""
 UNIT_NORM = 0.02
@@ -106,6 +114,17 @@ class LogReport:
     """The gyroscope's rates over the truth's: 1 where units agree."""
     axes: tuple[float, float, float] | None
     """Correlation of each axis; 1 where it hardly turns."""
+    rotated_agreement: float | None
+    """Correlation under the rotation of the gyroscope's axes that fits the truth best,"""
+    rotation_deg: float | None
+    """and the angle of that rotation [deg]."""
+    tilt_deg: float | None
+    """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
+    second is complete, or a truth of the body says better."""
+    tilt_sd_deg: float
+    """Standard deviation of that mean's direction [deg]."""
+    path: str
+    """The file, as it was given."""
     truth_norm: float | None
     """Median length of the truth's quaternions as recorded."""
     weight: float
@@ -154,9 +173,15 @@ class LogReport:
         if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
             found.append(f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1")
         if self.agreement is not None and self.agreement < AGREEMENT:
+            rotated = self.rotated_agreement or 0.0
+            mounting = (
+                f"; with the IMU rotated by {self.rotation_deg:.0f}° it does ({rotated:.2f}): {self._mend}"
+                if rotated > MOUNTED_AGREEMENT
+                else ""
+            )
             found.append(
                 f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
-                "look at frame and mount"
+                f"look at frame and mount{mounting}"
             )
         elif self.axes is not None and min(self.axes) < AGREEMENT:
             worst = int(np.argmin(self.axes))
@@ -177,8 +202,12 @@ class LogReport:
         x, y, z = self.gravity or (0.0, 0.0, 9.81)
         return (
             f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, {z:.1f}) "
-            "m/s², not (0, 0, 9.8): look at frame and mount"
+            f"m/s², not (0, 0, 9.8): look at frame and mount; {self._mend}"
         )
+
+    @property
+    def _mend(self) -> str:
+        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it"
 
     @property
     def warnings(self) -> list[str]:
@@ -206,6 +235,16 @@ class LogReport:
             found.append("no attitude in this log: it can be run, not scored")
         if self.gravity is not None and GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
             found.append(self._where_gravity)
+        if (
+            self.agreement is not None
+            and (self.rotated_agreement or 0.0) > max(MOUNTED_AGREEMENT, self.agreement + MOUNTED_GAIN)
+            and not self.faults
+        ):
+            found.append(
+                f"the truth turns as the gyroscope rotated by {self.rotation_deg:.0f}° does: {self._mend}"
+            )
+        if self.tilt_deg is not None and self.tilt_deg > TILT_DEG + 2 * self.tilt_sd_deg and not self.faults:
+            found.append(f"the mean specific force is {self.tilt_deg:.1f}° from body z: {self._mend}")
         if self.truth_delay_s is not None and abs(self.truth_delay_s) > DELAY_TOLERANCE_S:
             ms, which = abs(self.truth_delay_s) * 1e3, "late" if self.truth_delay_s > 0 else "early"
             found.append(f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators")
@@ -269,6 +308,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
     found = align(even[:, :3], quat, rate_hz)
     force = np.linalg.norm(accel, axis=1)
+    mean = level(even[:, :3], even[:, 3:], rate_hz) if gravity is None or log.truth_axes == "imu" else None
     report = LogReport(
         format=log.format,
         truth=log.truth,
@@ -287,6 +327,11 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         agreement=None if found is None else found.agreement,
         slope=None if found is None else found.slope,
         axes=None if found is None else found.axes,
+        rotated_agreement=None if found is None else found.rotated_agreement,
+        rotation_deg=None if found is None else found.rotation_deg,
+        tilt_deg=None if mean is None else mean.tilt_deg,
+        tilt_sd_deg=0.0 if mean is None else mean.sd_deg,
+        path=log.path,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
         upright=float(accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),

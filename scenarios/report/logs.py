@@ -74,8 +74,10 @@ def evaluate_logs(
         ValueError: A unit or frame of a log cannot be right, and `force` is not given.
     """
     read = {path: read_log_and_report(path, mount=mount) for path in paths}
-    for fault in refused([(path, report) for path, (_, report) in read.items()], force):
-        output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
+    refused([(path, report) for path, (_, report) in read.items()], force)
+    for path, (_, report) in read.items():
+        for warning in report.warnings:
+            output.print(f"warning: {path}: {warning}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for log, _ in read.values()]
     rate = float(logs[0].attrs["rate_hz"])
     made = contenders.create(default_names(contenders.vehicle is not None), rate)

@@ -377,7 +377,7 @@ def test_commands_say_what_they_found(tmp_path):
     time, gyro, accel, quat = turning(seconds=5.0)
     np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel, quat=quat)
     run = CliRunner().invoke
-    shown = run(app, ["logs", "info", str(tmp_path / "x.npz")])
+    shown = run(app, ["logs", "info", str(tmp_path / "x.npz"), "--mount", "rpy 20 -5 0"])
     assert "OptiTrack" in shown.output
     assert "nothing odd" in shown.output
     made = run(
