@@ -17,7 +17,7 @@ from .truth_delay import turns, turns_at_delay
 BIAS = 0.196
 """Standard deviation of an accelerometer's turn-on bias [m/s²]: the ADIS16448's in RotorS."""
 LARGEST_SD_DEG = 5.0
-"""An estimate that is less certain about an axis is refused [deg]: the body hardly turns about the others."""
+"""An estimate that is less certain about an axis is refused [deg]."""
 
 
 class MountEstimate(NamedTuple):
@@ -105,6 +105,8 @@ def estimate_mount(log: Recording, given: Mount | None = None, from_level: bool 
             mean = level(gyro, accel, rate_hz)
             if mean is None:
                 raise ValueError("no second without missing samples")
+            if mean.sd_deg > LARGEST_SD_DEG:
+                raise ValueError(f"the mean force has no steady direction: {mean.sd_deg:.0f}° (1 SD)")
             found = mount_from_level(mean)
     except ValueError as error:
         raise ValueError(f"{log.path or log.name}: {error}") from None

@@ -61,7 +61,7 @@ def mount_text(body_from_imu: Array) -> str:
             ("-" if nearest[row, k] < 0 else "") + "xyz"[k] for row, k in enumerate(columns.tolist())
         )
     yaw, pitch, roll = Rotation.from_matrix(body_from_imu).as_euler("ZYX", degrees=True)
-    return f"rpy {roll + 0.0:.2f} {pitch + 0.0:.2f} {yaw + 0.0:.2f}"
+    return "rpy " + " ".join(f"{round(float(angle), 2) + 0.0:.2f}" for angle in (roll, pitch, yaw))
 
 
 def mounted(log: Recording, mount: Mount) -> Recording:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..config.ranges import FORCE_MAX, RATE_MAX
 from ..dataset.store import LABELS, VARIABLES, Variable
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
-from .mean_force import level
+from .mean_force import level, turn_at_rest
 from .recording import Array, Recording, Track
 from .truth_delay import align
 
@@ -46,7 +46,10 @@ DELAY_TOLERANCE_S = 0.01
 AGREEMENT = 0.7
 """Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
 SLOPES = (0.8, 1.25)
-"""Gyroscope's rates over the truth's between which units agree."""
+"""Gyroscope's rates over the truth's between which units agree; refused is what noise does not explain."""
+REST_RATE, REST_TURN = 0.2, np.pi / 2
+"""Mean rate [rad/s] and turn [rad] of the vertical by the gyroscope, at rest, that no bias explains: an
+uncalibrated gyroscope's reaches 0.1 rad/s."""
 NO_TURN = 200.0
 """and above which the truth is no attitude of this sensor: more than any mistake of units."""
 WEIGHTS = (7.0, 13.0)
@@ -72,6 +75,11 @@ SPARSE = 20.0
 """A part may last this many times as long as its samples fill at their rate."""
 CLOSEST = 0.05
 """Samples closer than this share of the sample period are one."""
+DOWNWARD = (
+    'it points down: frame = "frd" for forward-right-down axes in north-east-down, or accel.negate = true '
+    "for a log of gravity in place of specific force"
+)
+"""What is amiss where the mean force is upside down."""
 MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
 """Variables of a log's dataset."""
 
@@ -123,6 +131,10 @@ class LogReport:
     second is complete, or a truth of the body says better."""
     tilt_sd_deg: float
     """Standard deviation of that mean's direction [deg]."""
+    rest_s: float
+    """Longest stretch at rest, by the turn of the vertical that the gyroscope reads in it [s],"""
+    rest_rate: float
+    """and its mean rate across the vertical there, the bias [rad/s]."""
     path: str
     """The file, as it was given."""
     truth_norm: float | None
@@ -145,30 +157,41 @@ class LogReport:
         found = [f"the {sensor} reads the same number all the time" for sensor in self.still]
         low, high = WEIGHTS
         if "accelerometer" not in self.still and not low <= self.weight <= high:
-            unit = _unit_of(
-                self.weight / 9.81, {1 / 9.81: "in g", 1e3 / 9.81: "in mg", 10.0: "ten times too large"}
-            )
+            known = {
+                1 / 9.81: 'in g (accel.unit = "g")',
+                1e3 / 9.81: 'in mg (accel.unit = "mg")',
+                10.0: "ten times too large",
+            }
+            unit = _unit_of(self.weight / 9.81, known)
             found.append(
                 f"the specific force has a median of {self.weight:.4g} m/s², and gravity alone is 9.8: {unit}"
             )
         elif self.truth == "none" and self.upright < UPRIGHT:
             found.append(
                 f"body z carries {self.upright:.2f} of the specific force, and in a flight it carries nearly "
-                "all: is the frame FLU, and is gravity's sign right? (frame, mount, negate)"
+                f"all: {DOWNWARD if self.upright < -UPRIGHT else f'is the frame FLU? {self._mend}'}"
+            )
+        turned = self.rest_s * self.rest_rate
+        if self.slope is None and self.rest_rate > REST_RATE and turned > REST_TURN:
+            found.append(
+                f"at rest for {self.rest_s:.0f} s, the gyroscope reads {self.rest_rate:.3g} rad/s across the "
+                f"vertical, which would turn it by {np.degrees(turned):.0f}°: is it in deg/s "
+                '(gyro.unit = "deg/s")?'
             )
         if self.slope is not None and "gyroscope" not in self.still:
             low, high = SLOPES
+            r = max(self.rotated_agreement or 1.0, 1e-3)
             if self.slope > NO_TURN:
                 found.append("the truth hardly turns where the gyroscope does")
-            elif not low <= self.slope <= high:
+            elif r * self.slope > high or self.slope / r < low:  # whatever the noise of both
                 known = {
-                    180 / np.pi: "in deg/s, or the truth in rad",
-                    np.pi / 180: "in rad/s, or the truth in deg",
+                    180 / np.pi: 'in deg/s (gyro.unit = "deg/s"), or the truth in rad',
+                    np.pi / 180: 'in rad/s (gyro.unit = "rad/s"), or the truth in deg',
                     10.0: "ten times too large",
                 }
                 found.append(
-                    f"the gyroscope reads {self.slope:.3g} times the rate at which the truth turns: "
-                    f"{_unit_of(self.slope, known)}"
+                    f"the gyroscope reads {self.slope:.3g} times the rate at which the truth turns (slope): "
+                    f"{_unit_of(self.slope, known, r)}"
                 )
         if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
             found.append(f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1")
@@ -200,9 +223,10 @@ class LogReport:
     @property
     def _where_gravity(self) -> str:
         x, y, z = self.gravity or (0.0, 0.0, 9.81)
+        mend = DOWNWARD if z < -2 * abs(x) - 2 * abs(y) else f"look at frame and mount; {self._mend}"
         return (
             f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, {z:.1f}) "
-            f"m/s², not (0, 0, 9.8): look at frame and mount; {self._mend}"
+            f"m/s², not (0, 0, 9.8): {mend}"
         )
 
     @property
@@ -251,10 +275,22 @@ class LogReport:
         return found
 
 
-def _unit_of(ratio: float, known: Mapping[float, str]) -> str:
-    """What a factor looks like."""
-    found = next((name for factor, name in known.items() if abs(np.log(ratio / factor)) < 0.25), None)
+def _unit_of(ratio: float, known: Mapping[float, str], r: float = 1.0) -> str:
+    """What a factor looks like that is uncertain between r and 1/r times itself."""
+    near = 0.25 - np.log(r)
+    found = next((name for factor, name in known.items() if abs(np.log(ratio / factor)) < near), None)
     return f"is it {found}?" if found else "look at its unit, and at that of the stamps"
+
+
+def _unit_of_stamps(rate_hz: float) -> str:
+    """What stamps at a rate that cannot be are likely in."""
+    units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+    likely = [
+        f'in {unit} (time.unit = "{unit}")'
+        for unit, per_s in units.items()
+        if 50.0 <= rate_hz * per_s <= 4000.0
+    ]
+    return f"are the stamps {likely[0]}?" if likely else "look at the unit of the stamps"
 
 
 def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogReport]:
@@ -283,7 +319,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     if not RATES_HZ[0] <= source_rate <= RATES_HZ[1]:
         raise ValueError(
             f"{log.name}: {source_rate:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
-            "allowed: look at the unit of the stamps"
+            f"allowed: {_unit_of_stamps(source_rate)}"
         )
     if time[-1] - time[0] > SPARSE * period * time.size:
         raise ValueError(
@@ -308,6 +344,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
     found = align(even[:, :3], quat, rate_hz)
     force = np.linalg.norm(accel, axis=1)
+    rest = turn_at_rest(even[:, :3], even[:, 3:], rate_hz)
     mean = level(even[:, :3], even[:, 3:], rate_hz) if gravity is None or log.truth_axes == "imu" else None
     report = LogReport(
         format=log.format,
@@ -331,6 +368,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         rotation_deg=None if found is None else found.rotation_deg,
         tilt_deg=None if mean is None else mean.tilt_deg,
         tilt_sd_deg=0.0 if mean is None else mean.sd_deg,
+        rest_s=0.0 if rest is None else float(rest.seconds),
+        rest_rate=0.0 if rest is None else rest.rate,
         path=log.path,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
@@ -360,12 +399,15 @@ def split(log: Recording) -> list[Recording]:
     Raises:
         ValueError: No part has enough samples.
     """
+    stamps = log.time[np.isfinite(log.time)]
     good = np.flatnonzero(np.isfinite(log.time))
-    good = good[_together(log.time[good])]
+    good = good[_together(stamps)]
     cuts = np.flatnonzero(np.abs(np.diff(log.time[good])) > LONGEST_GAP_S) + 1
     parts = [part for part in np.split(good, cuts) if part.size >= FEWEST]
     if not parts:
-        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are required")
+        step = float(np.median(np.abs(np.diff(stamps)))) if stamps.size > 1 else 0.0
+        hint = f": {step:.3g} s apart, {_unit_of_stamps(1 / step)}" if step > LONGEST_GAP_S else ""
+        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are required{hint}")
     if len(parts) == 1 and parts[0].size == log.time.size:
         return [log]
     return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]

@@ -32,7 +32,8 @@ class Alignment(NamedTuple):
     rotation_deg: float
     """and the angle of that rotation [deg]."""
     slope: float
-    """Readings over the truth's rates by total least squares, under that rotation: 1 where units agree."""
+    """Readings over the truth's rates, 1 where units agree: the true slope is between r and 1/r times this,
+    with r the correlation under that rotation."""
 
 
 class Turns(NamedTuple):
@@ -138,9 +139,10 @@ def _shifted(a: Array, b: Array, lag: int) -> tuple[Array, Array]:
 def _cross(a: Array, b: Array, lag: int) -> _Cross:
     """How a[k] and b[k + lag] belong together, all axes together.
 
-    Under the rotation R that maximises Σ b·R a = tr(R Σ a bᵀ) = s₁ + s₂ ± s₃, the singular values (Kabsch
-    1976), the slope of a over b is that of total least squares: with p = Σ|a|², q = Σ|b|² and c that maximum,
-    (p − q + √((p − q)² + 4 c²)) / 2c. Ordinary least squares is biased low by the truth's noise.
+    The rotation R is that which maximises c = Σ b·R a = tr(R Σ a bᵀ) = s₁ + s₂ ± s₃, the singular values
+    (Kabsch 1976). With p = Σ|a|² and q = Σ|b|² the correlation is r = c/√(pq) and the slope of a over b
+    √(p/q), midway between the two regressions c/q, which noise of b biases low, and p/c, which noise of a
+    biases high. They are r and 1/r times it, and the true slope is between them (Frisch 1934).
     """
     a, b = _shifted(a, b, lag)
     p, q = max(float((a**2).sum()), 1e-30), max(float((b**2).sum()), 1e-30)
@@ -150,11 +152,10 @@ def _cross(a: Array, b: Array, lag: int) -> _Cross:
     proper[-1] = np.linalg.det(u @ vt)
     c = float((s * proper).sum())
     cosine = (float(np.trace((vt.T * proper) @ u.T)) - 1.0) / 2.0
-    slope = (p - q + np.hypot(p - q, 2 * c)) / max(2 * c, 1e-30)
     scale = np.sqrt(p * q)
     return _Cross(
         float(np.trace(moments)) / scale,
         c / scale,
         float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
-        float(slope),
+        float(np.sqrt(p / q)),
     )

@@ -449,7 +449,10 @@ def wrong(name: str) -> Recording:
         "g": {"accel": accel / 9.81},
         "mg": {"accel": accel / 9.81e-3},
         "frame": {"gyro": upside * gyro, "accel": upside * accel},
+        "frd in ned": {"gyro": upside * gyro, "accel": upside * accel, "quat": swap_enu_flu_ned_frd(quat)},
+        "gravity": {"accel": -accel},
         "sign of z": {"gyro": gyro * [1.0, 1.0, -1.0]},
+        "upright": {"gyro": gyro[:, [2, 1, 0]] * [1, -1, 1], "accel": accel[:, [2, 1, 0]] * [1, -1, 1]},
         "axes": {"gyro": gyro[:, [1, 2, 0]], "accel": accel[:, [1, 2, 0]]},
     }[name]
     fields = {"time": time, "gyro": gyro, "accel": accel, "truth_time": time, "quat": quat}
@@ -459,16 +462,21 @@ def wrong(name: str) -> Recording:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("deg/s", "is it in deg/s, or the truth in rad?"),
-        ("rad/s as deg/s", "is it in rad/s, or the truth in deg?"),
+        (
+            "deg/s",
+            '57.3 times the rate at which the truth turns (slope): is it in deg/s (gyro.unit = "deg/s")',
+        ),
+        ("rad/s as deg/s", 'is it in rad/s (gyro.unit = "rad/s")'),
         ("ten times the rate", "is it ten times too large?"),
         ("no rate", "the gyroscope reads the same number all the time"),
         ("constant force", "the accelerometer reads the same number all the time"),
         ("twice the time", "look at its unit, and at that of the stamps"),
         ("norm", "quaternions have a length of 0.7, not 1"),
-        ("g", "is it in g?"),
-        ("mg", "is it in mg?"),
-        ("frame", "look at frame and mount"),
+        ("g", 'is it in g (accel.unit = "g")?'),
+        ("mg", 'is it in mg (accel.unit = "mg")?'),
+        ("frame", "with the IMU rotated by 180° it does"),
+        ("frd in ned", 'it points down: frame = "frd"'),
+        ("gravity", "accel.negate = true"),
         ("axes", "look at frame and mount"),
         ("sign of z", "the gyroscope's z does not read how the truth turns about that axis (correlation -"),
     ],
@@ -481,12 +489,57 @@ def test_units_norms_and_frames_that_cannot_be_right_are_said(name, said):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("g", "is it in g?"), ("mg", "is it in mg?"), ("frame", "is the frame FLU")]
+    ("name", "said"),
+    [
+        ("g", 'accel.unit = "g"'),
+        ("mg", 'accel.unit = "mg"'),
+        ("frame", 'frame = "frd"'),
+        ("upright", "is the frame FLU"),
+    ],
 )
 def test_without_truth_the_length_and_direction_of_the_force_are_looked_at(name, said):
     log = replace(wrong(name), truth="none", truth_time=None, quat=None)
     assert said in resample(log)[1].faults[0]
     assert resample(replace(wrong("nothing"), truth="none", truth_time=None, quat=None))[1].faults == []
+
+
+def test_noise_of_the_truth_hides_no_wrong_unit_and_makes_none():
+    log = wrong("nothing")
+    shake = quat_from_rotvec(np.random.default_rng(0).normal(0.0, 0.024, log.gyro.shape))
+    noisy = replace(log, quat=quat_multiply(log.quat, shake))
+    report = resample(noisy)[1]
+    assert report.agreement is not None
+    assert report.slope is not None
+    assert report.slope < 0.78  # by the truth's noise alone
+    assert report.slope / report.agreement == pytest.approx(1.0, rel=0.02)
+    assert not any("times the rate" in fault for fault in report.faults)
+    in_degrees = resample(replace(noisy, gyro=np.degrees(log.gyro)))[1]
+    assert any('gyro.unit = "deg/s"' in fault for fault in in_degrees.faults)
+
+
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_a_gyroscope_in_degrees_shows_at_rest_too(with_truth):
+    rng, still = np.random.default_rng(0), np.tile([0.0, 1.0, 9.75], (4000, 1))
+    gyro = np.radians([0.6, -0.4, 0.3]) + rng.normal(0.0, 2e-3, still.shape)
+    time = np.arange(4000) / 200
+    log = Recording("x", "test", time, gyro, still + rng.normal(0.0, 0.03, still.shape))
+    if with_truth:
+        log = replace(
+            log, truth="truth", truth_time=time, quat=np.tile(quat_from_euler(0.1, 0, 0), (4000, 1))
+        )
+    assert resample(log)[1].faults == []
+    said = resample(replace(log, gyro=np.degrees(gyro)))[1].faults
+    assert any("at rest for 20 s" in fault and 'gyro.unit = "deg/s"' in fault for fault in said)
+    biased = resample(replace(log, gyro=gyro + np.radians([4.6, 0.0, 0.0])))[1]
+    assert not any("at rest" in fault for fault in biased.faults)  # a raw bias, and the right unit
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_stamps_in_another_unit_are_named(unit):
+    log = wrong("nothing")
+    scale = {"ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+    with pytest.raises(ValueError, match=f'are the stamps in {unit} \\(time.unit = "{unit}"\\)'):
+        resample(replace(log, time=scale * log.time, truth_time=scale * log.time))
 
 
 def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path, monkeypatch):
