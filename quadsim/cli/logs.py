@@ -41,6 +41,7 @@ def info(
         "brought to": "200 Hz"
         + (f", low-pass at {report.filter_hz:g} Hz" if report.filter_hz else ", nothing to filter"),
         "gaps": f"{report.gaps}, {report.gap_s:.3f} s in all, longest {report.longest_gap_s:.3f} s",
+        "single samples lost": str(report.lost),
         "stamps not after the last": str(report.stamps_back),
         "repeated samples": str(report.repeated),
         "saturated samples": str(report.saturated),

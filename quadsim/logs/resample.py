@@ -23,18 +23,28 @@ from .truth_delay import align
 
 PASS = 0.8
 """Share of the new Nyquist frequency that the anti-alias filter lets through; −6 dB is midway to it."""
-GAP = 1.5
-"""A step of more than this many sample periods is a gap,"""
-BRIDGED = 2.5
-"""and up to this many (one lost sample) it is interpolated, and counted; longer ones become NaN."""
+GAP, JITTER_S = 2.5, 4e-3
+"""A step of more than this many sample periods, and of more than a period and this time [s], is a gap, in
+which samples are NaN. Shorter ones are interpolated: one lost sample, or stamps that a computer took, each up
+to 2 ms late or early."""
+LOST = 1.5
+"""A step of this many periods that no short one beside it makes up for is a lost sample."""
 SENSOR_GAP_S = 0.25
 """Readings of other sensors further apart than this are not interpolated: ESCs may report at 10 Hz."""
 TRUTH_GAP_S = 0.1
 """Attitudes further apart than this are not interpolated."""
 STUCK = 3
 """So many equal readings in a row at the end of an axis' range are a saturation."""
-RATES_HZ = (90.0, 2100.0)
+RATES_HZ = (40.0, 10_000.0)
 """Sample rates that make sense to bring to the network's."""
+SLOW_HZ = 90.0
+"""Below this rate the samples lack motion of a vehicle, which is said."""
+UNSORTED, BACK_S = 0.05, 0.01
+"""Share of the stamps that go back by more than this time [s] above which rows are out of order."""
+STUCK_S = 0.5
+"""Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
+MOVES = 10.0
+"""by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
 EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
 GRAVITY_TOLERANCE = 1.0
@@ -80,6 +90,7 @@ DOWNWARD = (
     "for a log of gravity in place of specific force"
 )
 """What is amiss where the mean force is upside down."""
+AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
 MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
 """Variables of a log's dataset."""
 
@@ -101,14 +112,16 @@ class LogReport:
     gap_s: float
     """Total length of what is missing in them [s]."""
     longest_gap_s: float
-    bridged: int
-    """Gaps of one lost sample, which were interpolated."""
+    lost: int
+    """Single samples lost, which were interpolated."""
     repeated: int
     """Samples equal to the one before on all six axes."""
     saturated: int
     """Samples with an axis stuck at the end of its range."""
     missing: int
     """Samples that are not finite numbers."""
+    stuck: tuple[int, ...]
+    """Samples left out of each axis of gyroscope and accelerometer, at which it repeats one number."""
     truth_rate_hz: float
     truth_share: float
     """Share of the even samples at which the attitude is known."""
@@ -144,7 +157,7 @@ class LogReport:
     upright: float
     """Its mean along body z, over that length: near 1 in a flight."""
     still: tuple[str, ...]
-    """Sensors that read the same number on all axes all the time."""
+    """Sensors, or axes of one, that read the same number all the time."""
     parts: int
     """Parts into which gaps of more than half a minute cut the log; the longest is the one that was read."""
     filter_hz: float | None
@@ -154,9 +167,9 @@ class LogReport:
     @property
     def faults(self) -> list[str]:
         """Why scores on this log would mean nothing, in sentences; none where all is well."""
-        found = [f"the {sensor} reads the same number all the time" for sensor in self.still]
+        found = [f"{sensor} reads the same number all the time" for sensor in self.still]
         low, high = WEIGHTS
-        if "accelerometer" not in self.still and not low <= self.weight <= high:
+        if "the accelerometer" not in self.still and not low <= self.weight <= high:
             known = {
                 1 / 9.81: 'in g (accel.unit = "g")',
                 1e3 / 9.81: 'in mg (accel.unit = "mg")',
@@ -178,7 +191,7 @@ class LogReport:
                 f"vertical, which would turn it by {np.degrees(turned):.0f}°: is it in deg/s "
                 '(gyro.unit = "deg/s")?'
             )
-        if self.slope is not None and "gyroscope" not in self.still:
+        if self.slope is not None and "the gyroscope" not in self.still:
             low, high = SLOPES
             r = max(self.rotated_agreement or 1.0, 1e-3)
             if self.slope > NO_TURN:
@@ -246,15 +259,28 @@ class LogReport:
             found.append(f"{self.stamps_back} samples do not follow the one before in time: left out")
         if self.gaps:
             found.append(
-                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: "
-                f"{self.bridged} of one sample were interpolated, the others are missing samples"
+                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: left "
+                "out of scores"
+            )
+        if self.lost:
+            found.append(f"{self.lost} single samples are lost: interpolated")
+        for axis, count in zip(AXES, self.stuck, strict=True):
+            if count:
+                seconds = count / self.source_rate_hz
+                found.append(f"{axis} repeats one number for {seconds:.1f} s in all: left out of scores")
+        if self.source_rate_hz < SLOW_HZ:
+            fastest = 0.4 * self.source_rate_hz
+            found.append(
+                f"sampled at {self.source_rate_hz:.0f} Hz: motion above {fastest:.0f} Hz is not in this log"
             )
         if self.repeated:
             found.append(f"{self.repeated} samples repeat the one before")
         if self.saturated:
             found.append(f"{self.saturated} samples are stuck at the end of the sensor's range")
         if self.missing:
-            found.append(f"{self.missing} samples are not numbers, or beyond any sensor's range: left out")
+            found.append(
+                f"{self.missing} samples or stamps are not numbers, or beyond any sensor's range: left out"
+            )
         if self.truth == "none":
             found.append("no attitude in this log: it can be run, not scored")
         if self.gravity is not None and GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
@@ -310,9 +336,16 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
     """
+    stamped = np.isfinite(log.time)
+    back = np.diff(log.time[stamped]) < -BACK_S
+    if back.sum() > UNSORTED * back.size:
+        raise ValueError(
+            f"{log.name}: {100 * back.mean():.0f} % of the stamps go back: sort the rows by time"
+        )
     parts = split(log)
     log = max(parts, key=lambda part: part.time.size)
     gyro, accel, time, counted = _cleaned(log)
+    counted["missing"] += int((~stamped).sum()) - int((~np.isfinite(log.time)).sum())
     steps = np.diff(time)
     period = float(np.median(steps))
     source_rate = 1.0 / period
@@ -326,16 +359,18 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
             f"{log.name}: {time.size} samples at {source_rate:.0f} Hz are spread over "
             f"{time[-1] - time[0]:.0f} s: most of the log is missing"
         )
-    gap = steps > GAP * period
+    gap = steps > max(GAP * period, period + JITTER_S)
+    stuck = _stuck(np.concatenate([gyro, accel], axis=1), max(round(STUCK_S / period), STUCK))
     grid = time[0] + np.arange(int((time[-1] - time[0]) * rate_hz * (1 + 1e-12) + 1e-6) + 1) / rate_hz
     readings = np.concatenate([gyro, accel], axis=1)
     even = np.full((grid.size, 6), np.nan)
     corner = 0.5 * (1 + PASS) * rate_hz / 2 if source_rate > 1.01 * rate_hz else None
-    cuts = np.flatnonzero(steps > BRIDGED * period) + 1
+    cuts = np.flatnonzero(gap) + 1
     for part in np.split(np.arange(time.size), cuts):
         inside = (grid >= time[part[0]] - EXACT_S) & (grid <= time[part[-1]] + EXACT_S)
         if part.size >= 4 and inside.any():
             even[inside] = _even(time[part], readings[part], grid[inside], rate_hz, period, corner)
+    even[_near(time[stuck.any(axis=1)], grid, period)] = np.nan
     variables, truth_rate = _truth(log, grid)
     sensors = {name: _interpolated(track, grid) for name, track in log.sensors.items()}
     dataset = _dataset(log, even, variables | sensors, rate_hz)
@@ -356,7 +391,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         gaps=int(gap.sum()),
         gap_s=float((steps[gap] - period).sum()),
         longest_gap_s=float(steps[gap].max(initial=0.0)),
-        bridged=int((gap & (steps <= BRIDGED * period)).sum()),
+        lost=_lost(steps / period, gap),
         truth_rate_hz=truth_rate,
         truth_share=float(np.isfinite(quat).all(axis=1).mean()),
         gravity=None if gravity is None else (float(gravity[0]), float(gravity[1]), float(gravity[2])),
@@ -374,11 +409,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
         upright=float(accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
-        still=tuple(
-            name
-            for name, readings in (("gyroscope", gyro), ("accelerometer", accel))
-            if (readings == readings[0]).all()
-        ),
+        still=_still(readings),
+        stuck=tuple(stuck.sum(axis=0).tolist()),
         parts=len(parts),
         filter_hz=corner,
         notes=log.notes,
@@ -411,6 +443,26 @@ def split(log: Recording) -> list[Recording]:
     if len(parts) == 1 and parts[0].size == log.time.size:
         return [log]
     return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]
+
+
+def _lost(steps: Array, gap: NDArray[np.bool_]) -> int:
+    """Single samples that are lost between others, by the steps of the stamps in periods.
+
+    A late stamp is followed by a short step and an early one comes after one; a lost sample has neither.
+    """
+    beside = np.convolve(steps, [1.0, 1.0], "valid")
+    alone = np.minimum(np.append(beside, np.inf), np.insert(beside, 0, np.inf)) > LOST + 1.0
+    return int(((steps > LOST) & alone & ~gap).sum())
+
+
+def _still(readings: Array) -> tuple[str, ...]:
+    """Sensors, or axes of one, that read the same number all the time."""
+    constant = (readings == readings[0]).all(axis=0)
+    found: list[str] = []
+    for name, part in (("the gyroscope", slice(0, 3)), ("the accelerometer", slice(3, 6))):
+        axes = np.array(AXES[part])[constant[part]].tolist()
+        found += [name] if len(axes) == 3 else axes
+    return tuple(found)
 
 
 def _together(time: Array) -> NDArray[np.bool_]:
@@ -457,6 +509,24 @@ def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
     return readings[:, :3], readings[:, 3:], time, counted
 
 
+def _stuck(readings: Array, least: int) -> NDArray[np.bool_]:
+    """Samples (T, 6) of an axis within a run of at least `least` equal readings while another of it moves."""
+    stuck = np.zeros(readings.shape, bool)
+    for first in (0, 3):
+        sensor = readings[:, first : first + 3]
+        steps = np.abs(np.diff(sensor, axis=0))
+        resolution = [min(axis[axis > 0].tolist(), default=np.inf) for axis in steps.T]
+        for k in range(3):
+            if resolution[k] == np.inf:
+                continue  # never another number: see `_still`
+            edges = np.concatenate([[0], np.flatnonzero(steps[:, k] > 0) + 1, [len(sensor)]])
+            long = np.flatnonzero(np.diff(edges) >= least)
+            for start, end in zip(edges[long], edges[long + 1], strict=True):
+                others = sensor[start:end].std(axis=0) > MOVES * np.array(resolution)
+                stuck[start:end, first + k] = others.any()
+    return stuck
+
+
 def _saturated(readings: Array) -> NDArray[np.bool_]:
     """Samples within a run of equal readings at the least or largest value of an axis."""
     stuck = np.zeros(len(readings), bool)
@@ -491,6 +561,13 @@ def _even(
     padded = np.concatenate([head, values, tail])
     smooth = oaconvolve(padded, kernel[:, None], mode="same", axes=0)[len(head) : len(head) + count]
     return CubicSpline(fine, smooth)(grid)
+
+
+def _near(times: Array, grid: Array, period: float) -> NDArray[np.bool_]:
+    """Which times of a grid (m,) are within a sample period of some of the times, in order."""
+    ends = np.concatenate([[-np.inf], times, [np.inf]])
+    after = np.searchsorted(ends, grid).clip(1)
+    return np.minimum(ends[after] - grid, grid - ends[after - 1]) <= period
 
 
 def _interpolated(track: Track, grid: Array) -> Array:

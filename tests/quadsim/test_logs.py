@@ -300,12 +300,12 @@ def test_everything_odd_is_counted_and_no_gap_is_bridged():
     odd = Recording("x", "x", time[kept], gyro[kept], accel[kept])
     even, report = resample(odd)
     assert (report.repeated, report.stamps_back, report.missing) == (1, 1, 1)
-    assert (report.gaps, report.bridged) == (4, 3)
+    assert (report.gaps, report.lost) == (1, 3)
     assert report.longest_gap_s == pytest.approx(0.105)
     assert report.saturated > 100
     missing = np.flatnonzero(np.isnan(even["gyro"].to_numpy()[0]).any(axis=1))
     assert missing.tolist() == list(range(400, 420))
-    assert len(report.warnings) == 6
+    assert len(report.warnings) == 7
 
 
 def test_irregular_stamps_are_evened_by_when_they_were_taken():
@@ -627,7 +627,7 @@ def test_one_wrong_stamp_costs_one_sample():
         log = Recording("x", "test", stamps, gyro, accel, "truth", time, quat)
         dataset, report = resample(log)
         assert dataset.sizes["time"] == time.size
-        assert report.gaps == 1
+        assert (report.gaps, report.lost) == (0, 1)
         consistent(dataset.isel(time=slice(100, 600)))
 
 
@@ -665,3 +665,118 @@ def test_doublets_of_stamps_are_one_sample_each():
     dataset, report = resample(log)
     assert report.stamps_back == time.size
     consistent(dataset)
+
+
+# --- what a recorder does to its samples -------------------------------------------------------------
+
+
+def with_stamps(time: np.ndarray, kept: np.ndarray | slice = slice(None)) -> Recording:
+    """The turning sensor with other stamps, or only some of its samples."""
+    log = wrong("nothing")
+    return replace(log, time=time[kept], gyro=log.gyro[kept], accel=log.accel[kept])
+
+
+@pytest.mark.parametrize("jitter_ms", [1.0, 2.0])
+def test_jittering_stamps_are_no_gaps(jitter_ms):
+    time = wrong("nothing").time
+    stamps = time + np.random.default_rng(0).uniform(-1e-3, 1e-3, time.size) * jitter_ms
+    log, report = resample(with_stamps(stamps))
+    assert (report.gaps, report.stamps_back) == (0, 0)
+    assert np.isfinite(log["gyro"]).all()
+    assert report.lost <= 0.01 * time.size * (jitter_ms > 1.0)
+
+
+def test_jitter_at_a_kilohertz_is_no_gap_either():
+    time = np.arange(20_000) / 1000
+    stamps = time + np.random.default_rng(0).uniform(-2e-3, 2e-3, time.size)
+    log, report = resample(Recording("x", "x", stamps, *turning(1000.0, 20.0)[1:3]))
+    assert report.gaps == 0
+    assert np.isfinite(log["gyro"]).all()
+
+
+def test_a_gap_of_ten_seconds_is_left_out_and_said():
+    time = wrong("nothing").time
+    log, report = resample(with_stamps(time, (time < 5.0) | (time >= 15.0)))
+    assert (report.gaps, report.longest_gap_s) == (1, pytest.approx(10.005))
+    missing = np.isnan(log["gyro"][0]).any(axis=1).to_numpy()
+    assert missing.sum() == pytest.approx(2000, abs=2)
+    assert any("the longest 10.005 s: left out of scores" in line for line in report.warnings)
+
+
+def test_repeated_and_backward_stamps_are_left_out_and_rows_out_of_order_are_refused():
+    time = wrong("nothing").time
+    repeated = time.copy()
+    repeated[1000:1010] = time[999]
+    assert resample(with_stamps(repeated))[1].stamps_back == 10
+    back = time.copy()
+    back[2000:] -= 5.0  # the clock was set back
+    _, report = resample(with_stamps(back))
+    assert report.stamps_back == pytest.approx(1000, abs=1)
+    assert any("do not follow the one before in time: left out" in line for line in report.warnings)
+    shuffled = np.random.default_rng(0).permutation(time.size)
+    with pytest.raises(ValueError, match=r"^x: 51 % of the stamps go back: sort the rows by time$"):
+        resample(with_stamps(time, shuffled))
+    absent = np.where(np.arange(time.size) % 100 == 0, np.nan, time)
+    assert resample(with_stamps(absent))[1].missing == 40
+    with pytest.raises(ValueError, match=r"^x: 0 usable samples; at least 8 are required$"):
+        resample(with_stamps(np.full(time.size, np.nan)))
+    with pytest.raises(ValueError, match=r"^x: only 1 of its stamps go forward$"):
+        resample(with_stamps(np.zeros(time.size)))
+
+
+def noisy() -> Recording:
+    """The turning sensor with the noise of a real one."""
+    log, rng = wrong("nothing"), np.random.default_rng(0)
+    gyro = log.gyro + rng.normal(0.0, 2e-3, log.gyro.shape)
+    return replace(log, gyro=gyro, accel=log.accel + rng.normal(0.0, 0.02, log.accel.shape))
+
+
+@pytest.mark.parametrize(("sensor", "axis"), [("gyro", 1), ("accel", 0)])
+def test_an_axis_that_is_stuck_is_left_out_there_and_refused_if_always(sensor, axis):
+    log = noisy()
+    readings = getattr(log, sensor).copy()
+    readings[1000:1800, axis] = readings[1000, axis]
+    dataset, report = resample(replace(log, **{sensor: readings}))
+    name = f"the {'gyroscope' if sensor == 'gyro' else 'accelerometer'}'s {'xyz'[axis]}"
+    assert f"{name} repeats one number for 4.0 s in all: left out of scores" in report.warnings
+    missing = np.isnan(dataset["gyro"][0]).any(axis=1).to_numpy()
+    assert missing[1000:1800].all()
+    assert missing.sum() < 810
+    readings[:, axis] = 0.5
+    always = resample(replace(log, **{sensor: readings}))[1]
+    assert f"{name} reads the same number all the time" in always.faults
+
+
+def test_a_coarse_sensor_at_rest_is_not_stuck():
+    rng = np.random.default_rng(0)
+    accel = np.round(rng.normal([0.02, 0.04, 9.81], 0.01, (4000, 3)) / 0.08) * 0.08
+    gyro = np.round(rng.normal(0.0, 1e-3, (4000, 3)) / 1e-3) * 1e-3
+    log, report = resample(Recording("x", "x", np.arange(4000) / 200, gyro, accel))
+    assert sum(report.stuck) == 0
+    assert np.isfinite(log["accel"]).all()
+
+
+def test_a_saturated_axis_is_said():
+    log = noisy()
+    report = resample(replace(log, gyro=log.gyro.clip(-0.6, 0.6)))[1]
+    assert report.saturated > 200
+    assert any("stuck at the end of the sensor's range" in line for line in report.warnings)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 8000.0])
+def test_slow_and_fast_logs_are_read(rate_hz):
+    time, gyro, accel, _ = turning(rate_hz, 10.0)
+    truth_time, *_, quat = turning(1000.0, 10.0)
+    log, report = resample(Recording("x", "x", time, gyro, accel, "x", truth_time, quat))
+    consistent(log.isel(time=slice(20, -20)))
+    assert any("motion above 20 Hz is not in this log" in line for line in report.warnings) == (
+        rate_hz == 50.0
+    )
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 32_000.0])
+def test_rates_of_no_imu_are_one_line(rate_hz):
+    time = np.arange(4000) / rate_hz
+    with pytest.raises(ValueError, match=r"samples a second; 40 to 10000 are allowed") as refused:
+        resample(with_stamps(time))
+    assert "\n" not in str(refused.value)
