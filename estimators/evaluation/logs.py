@@ -1,7 +1,7 @@
 """Estimators on recorded logs: errors as benchmarks of inertial sensors count them, beside a level guess.
 
-Inclination error, as a root mean square over the samples that count: the attitude is known, the log marks the
-sample (`scored`), the first seconds are over, and the vehicle is tilted less than a limit.
+Inclination error, as a root mean square over the samples that count: the attitude and the readings are known,
+the log marks the sample (`scored`), the first seconds are over, and the vehicle is tilted less than a limit.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -146,7 +146,8 @@ def score_logs(
         progress: Called before every run.
 
     Raises:
-        ValueError: Unknown estimators, or two logs of one name.
+        ValueError: Unknown estimators, two logs of one name, or a log of which nothing can be scored; before
+            anything is run.
     """
     progress = progress or (lambda *_: None)
     titles = [str(log.attrs["source"]) for log in logs]
@@ -154,15 +155,18 @@ def score_logs(
         raise ValueError(f"logs must differ in name: {', '.join(titles)}")
     chosen = estimators or default_names()
     scores, done = LogScores(), 0
-    if not any(np.isfinite(log["quat"]).any() for log in logs):
-        raise ValueError(f"no attitude in {', '.join(titles)}: nothing to score against")
+    for title, log in zip(titles, logs, strict=True):
+        if reason := unscorable(log, within_deg=within_deg, skip_s=skip_s):
+            raise ValueError(f"{title}: nothing to score: {reason}")
     for title, log in zip(titles, logs, strict=True):
         rate = float(log.attrs["rate_hz"])
         made = chosen if isinstance(chosen, Mapping) else made_of(chosen, rate)
         gyro, accel, quat = (log[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
         truth, others = roll_pitch_from_quat(quat), other_sensors(log)
         scores.time_s[title], scores.truth[title] = log["time"].to_numpy(), truth[0]
-        scores.counted[title] = counted = _counted(log, truth, within_deg, skip_s)
+        scores.counted[title] = counted = np.logical_and.reduce(
+            list(_conditions(log, within_deg, skip_s).values())
+        )
         scores.gyro_bias[title] = bias = gyro_bias(gyro[0], quat[0], rate)
         for which in (RAW, KNOWN):
             scores.rows.append(_row(title, LEVEL, which, np.zeros_like(truth[0]), truth[0], counted, rate))
@@ -184,6 +188,22 @@ def score_logs(
                         scores.models[title] = believed(est, gyro, accel, rate)
             done += 1
     return scores
+
+
+def unscorable(log: xr.Dataset, *, within_deg: float = 45.0, skip_s: float = SKIP_S) -> str | None:
+    """Why no sample of a log can be scored; None where some can.
+
+    Args:
+        log: From `quadsim.logs.read_log`.
+        within_deg: Largest true inclination that is scored [deg].
+        skip_s: Time at the start that is not scored [s].
+    """
+    counted = np.ones(log.sizes["time"], bool)
+    for reason, holds in _conditions(log, within_deg, skip_s).items():
+        counted &= holds
+        if not counted.any():
+            return reason
+    return None
 
 
 def default_names(vehicle_known: bool = False) -> list[str]:
@@ -263,12 +283,23 @@ def _mean(values: Sequence[float]) -> float:
     return float(known.mean()) if known.size else float("nan")
 
 
-def _counted(log: xr.Dataset, truth: Array, within_deg: float, skip_s: float) -> NDArray[np.bool_]:
-    known = np.isfinite(truth[0]).all(axis=1) & (log["time"].to_numpy() >= skip_s)
-    if "scored" in log:
-        known &= log["scored"].to_numpy()[0]
-    tilt = inclination_error(truth[0], np.zeros_like(truth[0]))
-    return known & (np.nan_to_num(tilt, nan=np.inf) <= within_deg)
+def _conditions(log: xr.Dataset, within_deg: float, skip_s: float) -> dict[str, NDArray[np.bool_]]:
+    """What a log lacks where a condition never holds, and the samples (T,) at which it holds."""
+    one = log.isel(flight=0)
+    truth = roll_pitch_from_quat(one["quat"].to_numpy().astype(float))
+    tilt = inclination_error(truth, np.zeros_like(truth))
+    scored = one["scored"].to_numpy() if "scored" in one else np.ones(len(truth), bool)
+    readings = np.isfinite(np.hstack([one["gyro"].to_numpy(), one["accel"].to_numpy()])).all(axis=1)
+    conditions = {
+        "it has no attitude": np.isfinite(truth).all(axis=1),
+        "gyroscope and accelerometer are missing where the attitude is known": readings,
+        f"nothing is known after the first {skip_s:g} s, which are not scored": one["time"].to_numpy()
+        >= skip_s,
+        "it marks no such sample for scoring": scored,
+        f"it is tilted by more than {within_deg:g}° all the time (--within)": np.nan_to_num(tilt, nan=np.inf)
+        <= within_deg,
+    }
+    return {reason: np.asarray(holds, bool) for reason, holds in conditions.items()}
 
 
 def _row(

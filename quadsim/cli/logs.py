@@ -1,5 +1,6 @@
 """`quadsim logs`: look at real logs, make datasets of them, calibrate an IMU from them."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -8,12 +9,10 @@ from rich.table import Table
 
 from ..runs.console import output
 from ..runs.files import save_figure
+from .options import MountOption
 
 app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
 
-Axes = Annotated[
-    str | None, typer.Option(help='Body x, y, z as the axes of the log, such as "z,-y,x"; else as they are.')
-]
 Truth = Annotated[
     str | None, typer.Option(help="Topic or folder to take for the true attitude; else the best there is.")
 ]
@@ -23,7 +22,7 @@ Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
 @app.command()
 def info(
     file: Annotated[Path, typer.Argument(help="A log: see docs/logs.md for the formats.")],
-    axes: Axes = None,
+    mount: MountOption = None,
     truth: Truth = None,
     imu: Imu = None,
 ) -> None:
@@ -33,7 +32,7 @@ def info(
     """
     from ..logs import read_log_and_report
 
-    _, report = read_log_and_report(file, axes=axes, truth=truth, imu=imu)
+    _, report = read_log_and_report(file, mount=mount, truth=truth, imu=imu)
     table = Table(show_header=False)
     rows = {
         "format": report.format,
@@ -42,6 +41,7 @@ def info(
         "brought to": "200 Hz"
         + (f", low-pass at {report.filter_hz:g} Hz" if report.filter_hz else ", nothing to filter"),
         "gaps": f"{report.gaps}, {report.gap_s:.3f} s in all, longest {report.longest_gap_s:.3f} s",
+        "single samples lost": str(report.lost),
         "stamps not after the last": str(report.stamps_back),
         "repeated samples": str(report.repeated),
         "saturated samples": str(report.saturated),
@@ -71,12 +71,45 @@ def info(
 
 
 @app.command()
+def mount(
+    file: Annotated[Path, typer.Argument(help="A log in which the vehicle hovers, or with a true attitude.")],
+    mount: MountOption = None,
+    truth: Truth = None,
+    imu: Imu = None,
+    level: Annotated[
+        bool, typer.Option("--level", help="From the mean force, although there is a true attitude.")
+    ] = False,
+) -> None:
+    """Estimate how the IMU is mounted: the --mount that makes IMU axes the body's.
+
+    From the true attitude, where the log has one of the body: the rotation that brings the gyroscope's rates
+    nearest to the truth's. Else from hover, in which the mean force is along body z: roll and pitch; the
+    heading is that of the --mount given, or zero.
+
+    Example: quadsim logs mount flight.toml
+    """
+    from ..logs import read_recording
+    from ..logs.mount_estimate import estimate_mount
+    from ..logs.mounting import mount_text
+
+    found = estimate_mount(read_recording(file, mount=mount, truth=truth, imu=imu), mount, level)
+    table = Table(show_header=False)
+    x, y, z = found.sd_deg
+    table.add_row("from", found.by)
+    table.add_row("rotation", f"{found.angle_deg:.2f}°")
+    table.add_row("1 SD about body x, y", f"{x:.2f}°, {y:.2f}°")
+    table.add_row("1 SD about body z", f"{z:.2f}°" if z < math.inf else "the heading does not show")
+    output.print(table)
+    output.print(f'{file}: --mount "{mount_text(found.body_from_imu)}"', soft_wrap=True, highlight=False)
+
+
+@app.command()
 def convert(
     files: Annotated[list[Path], typer.Argument(help="Logs, one or several.")],
     out: Annotated[Path, typer.Option(help="Where the dataset goes, for example data/mine.zarr.")],
     piece: Annotated[float, typer.Option(min=1, help="Length of the pieces in seconds.")] = 20.0,
     rate: Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")] = 200.0,
-    axes: Axes = None,
+    mount: MountOption = None,
     truth: Truth = None,
     imu: Imu = None,
     force: Annotated[
@@ -90,7 +123,7 @@ def convert(
     from ..logs import read_parts, refused
     from ..logs.convert import convert as convert_logs
 
-    read = [(file, read_parts(file, rate, axes=axes, truth=truth, imu=imu)) for file in files]
+    read = [(file, read_parts(file, rate, mount=mount, truth=truth, imu=imu)) for file in files]
     for fault in refused([(file, report) for file, parts in read for _, report in parts], force):
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for _, parts in read for log, _ in parts]
@@ -111,7 +144,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="IMU file to write, for example my-imu.toml.")],
     plot: Annotated[Path | None, typer.Option(help="Picture of the Allan deviation and its fit.")] = None,
     gravity: Annotated[float, typer.Option(help="Gravity where it was recorded, in m/s².")] = 9.81,
-    axes: Axes = None,
+    mount: MountOption = None,
     imu: Imu = None,
 ) -> None:
     """Measure an IMU's noise from still logs (Allan variance), as a file that `generate --imu` reads.
@@ -122,7 +155,7 @@ def calibrate(
     from ..logs.allan import calibrate as calibrate_imu
     from ..logs.allan import draw, write_imu
 
-    found = calibrate_imu([read_recording(file, axes=axes, imu=imu) for file in files], gravity)
+    found = calibrate_imu([read_recording(file, mount=mount, imu=imu) for file in files], gravity)
     write_imu(found, out)
     if plot is not None:
         save_figure(plot, draw(found), dpi=130)

@@ -7,7 +7,7 @@ import typer
 
 from ..runs.console import output as console
 from ..runs.console import progress_bar
-from .options import Seed, Workers
+from .options import MountOption, Seed, Workers
 
 
 def evaluate(
@@ -27,9 +27,7 @@ def evaluate(
     within: Annotated[
         float, typer.Option(min=1, max=180, help="With --logs: largest true inclination scored, in °.")
     ] = 45.0,
-    axes: Annotated[
-        str | None, typer.Option(help='With --logs: body x, y, z as its axes ("z,-y,x").')
-    ] = None,
+    mount: MountOption = None,
     tuning: Annotated[
         str | None,
         typer.Option(
@@ -72,10 +70,10 @@ def evaluate(
 
     contenders = Contenders(estimator, weights or [], tuning, vehicle)
     if logs:
-        evaluate_logs(logs, contenders, out, within_deg=within, axes=axes, force=force)
+        evaluate_logs(logs, contenders, out, within_deg=within, mount=mount, force=force)
         return
-    if axes is not None:
-        raise ValueError("--axes turns the sensors of --logs; a dataset has body axes")
+    if mount is not None:
+        raise ValueError("--mount is of the IMU of --logs; a dataset is in body axes")
     assert data is not None
     from scenarios.report.evaluation import evaluate_dataset
 

@@ -8,7 +8,8 @@ import xarray as xr
 
 from .broad import read_broad
 from .euroc import euroc_folder, euroc_sequences, read_euroc
-from .recording import Recording, turned
+from .mounting import Mount, mounted
+from .recording import Recording
 from .resample import LogReport, resample, split
 from .rosbag import read_rosbag
 from .table import read_table
@@ -36,7 +37,7 @@ def read_log(
     path: str | Path,
     rate_hz: float = 200.0,
     *,
-    axes: str | None = None,
+    mount: Mount | None = None,
     truth: str | None = None,
     imu: str | None = None,
 ) -> xr.Dataset:
@@ -45,7 +46,7 @@ def read_log(
     Args:
         path: The log.
         rate_hz: Samples per second of the result.
-        axes: Body x, y, z as the log's axes, such as "z,-y,x", for a sensor that is mounted otherwise.
+        mount: Rotation from IMU to body axes, for an IMU that is mounted in another way: see `mount_matrix`.
         truth: Topic or folder to take for the true attitude; None for the best that is there.
         imu: Topic of the IMU in a ROS bag; None for the one with the most messages.
 
@@ -58,31 +59,31 @@ def read_log(
         FileNotFoundError: There is nothing at the path.
         ValueError: One line: an unknown format, a damaged log, or a choice that the log does not offer.
     """
-    return read_log_and_report(path, rate_hz, axes=axes, truth=truth, imu=imu)[0]
+    return read_log_and_report(path, rate_hz, mount=mount, truth=truth, imu=imu)[0]
 
 
 def read_log_and_report(
     path: str | Path,
     rate_hz: float = 200.0,
     *,
-    axes: str | None = None,
+    mount: Mount | None = None,
     truth: str | None = None,
     imu: str | None = None,
 ) -> tuple[xr.Dataset, LogReport]:
     """As `read_log`, and what was found."""
-    return resample(read_recording(path, axes=axes, truth=truth, imu=imu), rate_hz)
+    return resample(read_recording(path, mount=mount, truth=truth, imu=imu), rate_hz)
 
 
 def read_parts(
     path: str | Path,
     rate_hz: float = 200.0,
     *,
-    axes: str | None = None,
+    mount: Mount | None = None,
     truth: str | None = None,
     imu: str | None = None,
 ) -> list[tuple[xr.Dataset, LogReport]]:
     """As `read_log_and_report`, every part of a log that long gaps cut; parts too short are left out."""
-    parts = split(read_recording(path, axes=axes, truth=truth, imu=imu))
+    parts = split(read_recording(path, mount=mount, truth=truth, imu=imu))
     names = [part.name if len(parts) == 1 else f"{part.name}, part {k + 1}" for k, part in enumerate(parts)]
     return [resample(replace(part, name=name), rate_hz) for part, name in zip(parts, names, strict=True)]
 
@@ -105,7 +106,7 @@ def refused(reports: Iterable[tuple[str | Path, LogReport]], force: bool = False
 
 
 def read_recording(
-    path: str | Path, *, axes: str | None = None, truth: str | None = None, imu: str | None = None
+    path: str | Path, *, mount: Mount | None = None, truth: str | None = None, imu: str | None = None
 ) -> Recording:
     """As `read_log`, on the log's own stamps."""
     path = Path(path).expanduser()
@@ -117,7 +118,8 @@ def read_recording(
         if isinstance(error, ValueError | OSError) and str(path) in str(error):
             raise
         raise ValueError(f"{path}: cannot be read: {error}") from error
-    return log if axes is None else turned(log, axes)
+    log = replace(log, path=str(path))
+    return log if mount is None else mounted(log, mount)
 
 
 def _read(path: Path, truth: str | None, imu: str | None) -> Recording:

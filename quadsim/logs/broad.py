@@ -29,6 +29,7 @@ def read_broad(path: Path) -> Recording:
     return Recording(
         path.stem, "BROAD trial", time, gyro, acc,
         truth="opt_quat: OptiTrack", truth_time=time, quat=np.where(valid[:, None], quat, np.nan),
+        truth_axes="imu",
         marked=np.asarray(content.get("movement", np.ones(steps)), bool).ravel(),
         notes=("hand-moved, not flown",),
     )  # fmt: skip

@@ -30,7 +30,9 @@ def euroc_sequences(path: Path) -> list[Path]:
 
 
 def read_euroc(path: Path, truth: str | None = None) -> Recording:
-    """Read imu0, turned into body axes by its T_BS, and the ground truth.
+    """Read imu0, rotated by its T_BS into the dataset's body axes, which its ground truth is of.
+
+    These are the axes of its IMU, in EuRoC with x up: a mount rotates readings and truth.
 
     Args:
         path: A sequence, or its mav0.
@@ -57,7 +59,8 @@ def read_euroc(path: Path, truth: str | None = None) -> Recording:
     return Recording(
         name, "EuRoC (ASL) CSV", time, gyro, accel,
         truth=f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}",
-        truth_time=poses[:, 0] * 1e-9, quat=quat, position=poses[:, 1:4], notes=tuple(notes),
+        truth_time=poses[:, 0] * 1e-9, quat=quat, truth_axes="imu",
+        position=poses[:, 1:4], notes=tuple(notes),
     )  # fmt: skip
 
 

@@ -7,19 +7,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..rotation import (
-    quat_conjugate,
-    quat_from_matrix,
-    quat_multiply,
-    swap_enu_flu_ned_frd,
-    swap_enu_ned,
-    swap_flu_frd,
-)
+from ..rotation import swap_enu_flu_ned_frd, swap_enu_ned, swap_flu_frd
 
 Array = NDArray[np.float64]
 AxesConvention = Literal["flu", "frd"]
 """Body forward-left-up in a world with z up (ROS), or forward-right-down in north-east-down (PX4)."""
-
+TruthAxes = Literal["body", "imu"]
+"""A true attitude is of the body, whatever the IMU's mounting, or of the IMU's own axes (an estimate by the
+sensor or the autopilot, a dataset whose body frame is the IMU's)."""
 
 IN_BODY_AXES = ("mag",)
 """Sensors beside the IMU that measure a vector in its axes."""
@@ -52,10 +47,14 @@ class Recording:
     """Stamps of the attitude (M,) [s]."""
     quat: Array | None = None
     """quat_WB (M, 4); NaN where the recording says that it does not hold."""
+    truth_axes: TruthAxes = "body"
+    """Axes whose attitude the truth is."""
     position: Array | None = None
     """In the world, on the stamps of the attitude (M, 3) [m]."""
     marked: NDArray[np.bool_] | None = None
     """Samples of the attitude (M,) that the recording marks for scoring; None: all."""
+    path: str = ""
+    """The file, for what a command is to be given."""
     notes: tuple[str, ...] = ()
     """What the reader decided, in sentences for people."""
     sensors: Mapping[str, Track] = field(default_factory=dict)
@@ -80,43 +79,6 @@ def from_frd(log: Recording) -> Recording:
         sensors=log.with_vectors(swap_flu_frd(np.eye(3))),
         notes=(*log.notes, "FRD body axes in an NED world turned into FLU axes in a world with z up"),
     )
-
-
-def turned(log: Recording, axes: str) -> Recording:
-    """A log whose IMU and attitude share sensor axes, in body axes that are given in terms of them.
-
-    Args:
-        log: In sensor axes.
-        axes: Body x, y, z as sensor axes, for example "z,-y,x" for a sensor with x up and z forward.
-
-    Raises:
-        ValueError: Not three different axes, or a mirror image.
-    """
-    body_from_sensor = axes_matrix(axes)
-    quat_BS = quat_from_matrix(body_from_sensor)
-    return replace(
-        log,
-        gyro=log.gyro @ body_from_sensor.T,
-        accel=log.accel @ body_from_sensor.T,
-        quat=None if log.quat is None else quat_multiply(log.quat, quat_conjugate(quat_BS)),
-        notes=(*log.notes, f"body x, y, z are the recorded {axes}"),
-        sensors=log.with_vectors(body_from_sensor),
-    )
-
-
-def axes_matrix(axes: str) -> Array:
-    """Rotation from sensor to body axes, (3, 3), of a text such as "z,-y,x"."""
-    matrix = np.zeros((3, 3))
-    parts = [part.strip() for part in axes.split(",")]
-    for row, part in enumerate(parts[:3]):
-        letter = part.removeprefix("-").removeprefix("+")
-        if letter in ("x", "y", "z"):
-            matrix[row, "xyz".index(letter)] = -1.0 if part.startswith("-") else 1.0
-    if len(parts) != 3 or abs(np.linalg.det(matrix)) < 0.5:
-        raise ValueError(f'axes "{axes}": three different axes are required, for example "z,-y,x"')
-    if np.linalg.det(matrix) < 0:
-        raise ValueError(f'axes "{axes}" is a mirror image, not a rotation: turn one sign')
-    return matrix
 
 
 def table(name: str, columns: Sequence[ArrayLike]) -> Array:

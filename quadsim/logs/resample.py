@@ -17,23 +17,34 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..config.ranges import FORCE_MAX, RATE_MAX
 from ..dataset.store import LABELS, VARIABLES, Variable
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
+from .mean_force import level, turn_at_rest
 from .recording import Array, Recording, Track
 from .truth_delay import align
 
 PASS = 0.8
 """Share of the new Nyquist frequency that the anti-alias filter lets through; −6 dB is midway to it."""
-GAP = 1.5
-"""A step of more than this many sample periods is a gap,"""
-BRIDGED = 2.5
-"""and up to this many (one lost sample) it is interpolated, and counted; longer ones become NaN."""
+GAP, JITTER_S = 2.5, 4e-3
+"""A step of more than this many sample periods, and of more than a period and this time [s], is a gap, in
+which samples are NaN. Shorter ones are interpolated: one lost sample, or stamps that a computer took, each up
+to 2 ms late or early."""
+LOST = 1.5
+"""A step of this many periods that no short one beside it makes up for is a lost sample."""
 SENSOR_GAP_S = 0.25
 """Readings of other sensors further apart than this are not interpolated: ESCs may report at 10 Hz."""
 TRUTH_GAP_S = 0.1
 """Attitudes further apart than this are not interpolated."""
 STUCK = 3
 """So many equal readings in a row at the end of an axis' range are a saturation."""
-RATES_HZ = (90.0, 2100.0)
+RATES_HZ = (40.0, 10_000.0)
 """Sample rates that make sense to bring to the network's."""
+SLOW_HZ = 90.0
+"""Below this rate the samples lack motion of a vehicle, which is said."""
+UNSORTED, BACK_S = 0.05, 0.01
+"""Share of the stamps that go back by more than this time [s] above which rows are out of order."""
+STUCK_S = 0.5
+"""Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
+MOVES = 10.0
+"""by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
 EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
 GRAVITY_TOLERANCE = 1.0
@@ -45,11 +56,21 @@ DELAY_TOLERANCE_S = 0.01
 AGREEMENT = 0.7
 """Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
 SLOPES = (0.8, 1.25)
-"""Gyroscope's rates over the truth's between which units agree."""
+"""Gyroscope's rates over the truth's between which units agree; refused is what noise does not explain."""
+REST_RATE, REST_TURN = 0.2, np.pi / 2
+"""Mean rate [rad/s] and turn [rad] of the vertical by the gyroscope, at rest, that no bias explains: an
+uncalibrated gyroscope's reaches 0.1 rad/s."""
 NO_TURN = 200.0
 """and above which the truth is no attitude of this sensor: more than any mistake of units."""
 WEIGHTS = (7.0, 13.0)
 """Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
+MOUNTED_AGREEMENT = 0.9
+"""That correlation under the best rotation of the gyroscope's axes above which a mounting explains them."""
+MOUNTED_GAIN = 0.01
+"""What that rotation adds to the correlation before it is reported: 1 − cos 8°."""
+TILT_DEG = 5.0
+"""The mean force may be this far from body z before it is reported [deg]: an accelerometer's bias and a
+breeze on a hovering vehicle amount to two or three."""
 UPRIGHT = 0.2
 """Share of the specific force along body z below which a log without truth is taken for no flight."""
 UNIT_NORM = 0.02
@@ -64,6 +85,12 @@ SPARSE = 20.0
 """A part may last this many times as long as its samples fill at their rate."""
 CLOSEST = 0.05
 """Samples closer than this share of the sample period are one."""
+DOWNWARD = (
+    'it points down: frame = "frd" for forward-right-down axes in north-east-down, or accel.negate = true '
+    "for a log of gravity in place of specific force"
+)
+"""What is amiss where the mean force is upside down."""
+AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
 MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
 """Variables of a log's dataset."""
 
@@ -85,14 +112,16 @@ class LogReport:
     gap_s: float
     """Total length of what is missing in them [s]."""
     longest_gap_s: float
-    bridged: int
-    """Gaps of one lost sample, which were interpolated."""
+    lost: int
+    """Single samples lost, which were interpolated."""
     repeated: int
     """Samples equal to the one before on all six axes."""
     saturated: int
     """Samples with an axis stuck at the end of its range."""
     missing: int
     """Samples that are not finite numbers."""
+    stuck: tuple[int, ...]
+    """Samples left out of each axis of gyroscope and accelerometer, at which it repeats one number."""
     truth_rate_hz: float
     truth_share: float
     """Share of the even samples at which the attitude is known."""
@@ -106,6 +135,21 @@ class LogReport:
     """The gyroscope's rates over the truth's: 1 where units agree."""
     axes: tuple[float, float, float] | None
     """Correlation of each axis; 1 where it hardly turns."""
+    rotated_agreement: float | None
+    """Correlation under the rotation of the gyroscope's axes that fits the truth best,"""
+    rotation_deg: float | None
+    """and the angle of that rotation [deg]."""
+    tilt_deg: float | None
+    """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
+    second is complete, or a truth of the body says better."""
+    tilt_sd_deg: float
+    """Standard deviation of that mean's direction [deg]."""
+    rest_s: float
+    """Longest stretch at rest, by the turn of the vertical that the gyroscope reads in it [s],"""
+    rest_rate: float
+    """and its mean rate across the vertical there, the bias [rad/s]."""
+    path: str
+    """The file, as it was given."""
     truth_norm: float | None
     """Median length of the truth's quaternions as recorded."""
     weight: float
@@ -113,7 +157,7 @@ class LogReport:
     upright: float
     """Its mean along body z, over that length: near 1 in a flight."""
     still: tuple[str, ...]
-    """Sensors that read the same number on all axes all the time."""
+    """Sensors, or axes of one, that read the same number all the time."""
     parts: int
     """Parts into which gaps of more than half a minute cut the log; the longest is the one that was read."""
     filter_hz: float | None
@@ -123,46 +167,63 @@ class LogReport:
     @property
     def faults(self) -> list[str]:
         """Why scores on this log would mean nothing, in sentences; none where all is well."""
-        found = [f"the {sensor} reads the same number all the time" for sensor in self.still]
+        found = [f"{sensor} reads the same number all the time" for sensor in self.still]
         low, high = WEIGHTS
-        if "accelerometer" not in self.still and not low <= self.weight <= high:
-            unit = _unit_of(
-                self.weight / 9.81, {1 / 9.81: "in g", 1e3 / 9.81: "in mg", 10.0: "ten times too large"}
-            )
+        if "the accelerometer" not in self.still and not low <= self.weight <= high:
+            known = {
+                1 / 9.81: 'in g (accel.unit = "g")',
+                1e3 / 9.81: 'in mg (accel.unit = "mg")',
+                10.0: "ten times too large",
+            }
+            unit = _unit_of(self.weight / 9.81, known)
             found.append(
                 f"the specific force has a median of {self.weight:.4g} m/s², and gravity alone is 9.8: {unit}"
             )
         elif self.truth == "none" and self.upright < UPRIGHT:
             found.append(
                 f"body z carries {self.upright:.2f} of the specific force, and in a flight it carries nearly "
-                "all: is the frame FLU, and is gravity's sign right? (frame, axes, negate)"
+                f"all: {DOWNWARD if self.upright < -UPRIGHT else f'is the frame FLU? {self._mend}'}"
             )
-        if self.slope is not None and "gyroscope" not in self.still:
+        turned = self.rest_s * self.rest_rate
+        if self.slope is None and self.rest_rate > REST_RATE and turned > REST_TURN:
+            found.append(
+                f"at rest for {self.rest_s:.0f} s, the gyroscope reads {self.rest_rate:.3g} rad/s across the "
+                f"vertical, which would turn it by {np.degrees(turned):.0f}°: is it in deg/s "
+                '(gyro.unit = "deg/s")?'
+            )
+        if self.slope is not None and "the gyroscope" not in self.still:
             low, high = SLOPES
+            r = max(self.rotated_agreement or 1.0, 1e-3)
             if self.slope > NO_TURN:
                 found.append("the truth hardly turns where the gyroscope does")
-            elif not low <= self.slope <= high:
+            elif r * self.slope > high or self.slope / r < low:  # whatever the noise of both
                 known = {
-                    180 / np.pi: "in deg/s, or the truth in rad",
-                    np.pi / 180: "in rad/s, or the truth in deg",
+                    180 / np.pi: 'in deg/s (gyro.unit = "deg/s"), or the truth in rad',
+                    np.pi / 180: 'in rad/s (gyro.unit = "rad/s"), or the truth in deg',
                     10.0: "ten times too large",
                 }
                 found.append(
-                    f"the gyroscope reads {self.slope:.3g} times the rate at which the truth turns: "
-                    f"{_unit_of(self.slope, known)}"
+                    f"the gyroscope reads {self.slope:.3g} times the rate at which the truth turns (slope): "
+                    f"{_unit_of(self.slope, known, r)}"
                 )
         if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
             found.append(f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1")
         if self.agreement is not None and self.agreement < AGREEMENT:
+            rotated = self.rotated_agreement or 0.0
+            mounting = (
+                f"; with the IMU rotated by {self.rotation_deg:.0f}° it does ({rotated:.2f}): {self._mend}"
+                if rotated > MOUNTED_AGREEMENT
+                else ""
+            )
             found.append(
                 f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
-                "look at frame and axes"
+                f"look at frame and mount{mounting}"
             )
         elif self.axes is not None and min(self.axes) < AGREEMENT:
             worst = int(np.argmin(self.axes))
             found.append(
                 f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
-                f"(correlation {self.axes[worst]:.2f}): look at frame and axes"
+                f"(correlation {self.axes[worst]:.2f}): look at frame and mount"
             )
         if self.gravity is not None and self._off_gravity > GRAVITY_WRONG:
             found.append(self._where_gravity)
@@ -175,10 +236,15 @@ class LogReport:
     @property
     def _where_gravity(self) -> str:
         x, y, z = self.gravity or (0.0, 0.0, 9.81)
+        mend = DOWNWARD if z < -2 * abs(x) - 2 * abs(y) else f"look at frame and mount; {self._mend}"
         return (
             f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, {z:.1f}) "
-            "m/s², not (0, 0, 9.8): look at frame and axes"
+            f"m/s², not (0, 0, 9.8): {mend}"
         )
+
+    @property
+    def _mend(self) -> str:
+        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it"
 
     @property
     def warnings(self) -> list[str]:
@@ -193,29 +259,64 @@ class LogReport:
             found.append(f"{self.stamps_back} samples do not follow the one before in time: left out")
         if self.gaps:
             found.append(
-                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: "
-                f"{self.bridged} of one sample were interpolated, the others are missing samples"
+                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: left "
+                "out of scores"
+            )
+        if self.lost:
+            found.append(f"{self.lost} single samples are lost: interpolated")
+        for axis, count in zip(AXES, self.stuck, strict=True):
+            if count:
+                seconds = count / self.source_rate_hz
+                found.append(f"{axis} repeats one number for {seconds:.1f} s in all: left out of scores")
+        if self.source_rate_hz < SLOW_HZ:
+            fastest = 0.4 * self.source_rate_hz
+            found.append(
+                f"sampled at {self.source_rate_hz:.0f} Hz: motion above {fastest:.0f} Hz is not in this log"
             )
         if self.repeated:
             found.append(f"{self.repeated} samples repeat the one before")
         if self.saturated:
             found.append(f"{self.saturated} samples are stuck at the end of the sensor's range")
         if self.missing:
-            found.append(f"{self.missing} samples are not numbers, or beyond any sensor's range: left out")
+            found.append(
+                f"{self.missing} samples or stamps are not numbers, or beyond any sensor's range: left out"
+            )
         if self.truth == "none":
             found.append("no attitude in this log: it can be run, not scored")
         if self.gravity is not None and GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
             found.append(self._where_gravity)
+        if (
+            self.agreement is not None
+            and (self.rotated_agreement or 0.0) > max(MOUNTED_AGREEMENT, self.agreement + MOUNTED_GAIN)
+            and not self.faults
+        ):
+            found.append(
+                f"the truth turns as the gyroscope rotated by {self.rotation_deg:.0f}° does: {self._mend}"
+            )
+        if self.tilt_deg is not None and self.tilt_deg > TILT_DEG + 2 * self.tilt_sd_deg and not self.faults:
+            found.append(f"the mean specific force is {self.tilt_deg:.1f}° from body z: {self._mend}")
         if self.truth_delay_s is not None and abs(self.truth_delay_s) > DELAY_TOLERANCE_S:
             ms, which = abs(self.truth_delay_s) * 1e3, "late" if self.truth_delay_s > 0 else "early"
             found.append(f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators")
         return found
 
 
-def _unit_of(ratio: float, known: Mapping[float, str]) -> str:
-    """What a factor looks like."""
-    found = next((name for factor, name in known.items() if abs(np.log(ratio / factor)) < 0.25), None)
+def _unit_of(ratio: float, known: Mapping[float, str], r: float = 1.0) -> str:
+    """What a factor looks like that is uncertain between r and 1/r times itself."""
+    near = 0.25 - np.log(r)
+    found = next((name for factor, name in known.items() if abs(np.log(ratio / factor)) < near), None)
     return f"is it {found}?" if found else "look at its unit, and at that of the stamps"
+
+
+def _unit_of_stamps(rate_hz: float) -> str:
+    """What stamps at a rate that cannot be are likely in."""
+    units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+    likely = [
+        f'in {unit} (time.unit = "{unit}")'
+        for unit, per_s in units.items()
+        if 50.0 <= rate_hz * per_s <= 4000.0
+    ]
+    return f"are the stamps {likely[0]}?" if likely else "look at the unit of the stamps"
 
 
 def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogReport]:
@@ -235,32 +336,41 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
     """
+    stamped = np.isfinite(log.time)
+    back = np.diff(log.time[stamped]) < -BACK_S
+    if back.sum() > UNSORTED * back.size:
+        raise ValueError(
+            f"{log.name}: {100 * back.mean():.0f} % of the stamps go back: sort the rows by time"
+        )
     parts = split(log)
     log = max(parts, key=lambda part: part.time.size)
     gyro, accel, time, counted = _cleaned(log)
+    counted["missing"] += int((~stamped).sum()) - int((~np.isfinite(log.time)).sum())
     steps = np.diff(time)
     period = float(np.median(steps))
     source_rate = 1.0 / period
     if not RATES_HZ[0] <= source_rate <= RATES_HZ[1]:
         raise ValueError(
             f"{log.name}: {source_rate:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
-            "allowed: look at the unit of the stamps"
+            f"allowed: {_unit_of_stamps(source_rate)}"
         )
     if time[-1] - time[0] > SPARSE * period * time.size:
         raise ValueError(
             f"{log.name}: {time.size} samples at {source_rate:.0f} Hz are spread over "
             f"{time[-1] - time[0]:.0f} s: most of the log is missing"
         )
-    gap = steps > GAP * period
+    gap = steps > max(GAP * period, period + JITTER_S)
+    stuck = _stuck(np.concatenate([gyro, accel], axis=1), max(round(STUCK_S / period), STUCK))
     grid = time[0] + np.arange(int((time[-1] - time[0]) * rate_hz * (1 + 1e-12) + 1e-6) + 1) / rate_hz
     readings = np.concatenate([gyro, accel], axis=1)
     even = np.full((grid.size, 6), np.nan)
     corner = 0.5 * (1 + PASS) * rate_hz / 2 if source_rate > 1.01 * rate_hz else None
-    cuts = np.flatnonzero(steps > BRIDGED * period) + 1
+    cuts = np.flatnonzero(gap) + 1
     for part in np.split(np.arange(time.size), cuts):
         inside = (grid >= time[part[0]] - EXACT_S) & (grid <= time[part[-1]] + EXACT_S)
         if part.size >= 4 and inside.any():
             even[inside] = _even(time[part], readings[part], grid[inside], rate_hz, period, corner)
+    even[_near(time[stuck.any(axis=1)], grid, period)] = np.nan
     variables, truth_rate = _truth(log, grid)
     sensors = {name: _interpolated(track, grid) for name, track in log.sensors.items()}
     dataset = _dataset(log, even, variables | sensors, rate_hz)
@@ -269,6 +379,8 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
     found = align(even[:, :3], quat, rate_hz)
     force = np.linalg.norm(accel, axis=1)
+    rest = turn_at_rest(even[:, :3], even[:, 3:], rate_hz)
+    mean = level(even[:, :3], even[:, 3:], rate_hz) if gravity is None or log.truth_axes == "imu" else None
     report = LogReport(
         format=log.format,
         truth=log.truth,
@@ -279,7 +391,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         gaps=int(gap.sum()),
         gap_s=float((steps[gap] - period).sum()),
         longest_gap_s=float(steps[gap].max(initial=0.0)),
-        bridged=int((gap & (steps <= BRIDGED * period)).sum()),
+        lost=_lost(steps / period, gap),
         truth_rate_hz=truth_rate,
         truth_share=float(np.isfinite(quat).all(axis=1).mean()),
         gravity=None if gravity is None else (float(gravity[0]), float(gravity[1]), float(gravity[2])),
@@ -287,14 +399,18 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         agreement=None if found is None else found.agreement,
         slope=None if found is None else found.slope,
         axes=None if found is None else found.axes,
+        rotated_agreement=None if found is None else found.rotated_agreement,
+        rotation_deg=None if found is None else found.rotation_deg,
+        tilt_deg=None if mean is None else mean.tilt_deg,
+        tilt_sd_deg=0.0 if mean is None else mean.sd_deg,
+        rest_s=0.0 if rest is None else float(rest.seconds),
+        rest_rate=0.0 if rest is None else rest.rate,
+        path=log.path,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
         upright=float(accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
-        still=tuple(
-            name
-            for name, readings in (("gyroscope", gyro), ("accelerometer", accel))
-            if (readings == readings[0]).all()
-        ),
+        still=_still(readings),
+        stuck=tuple(stuck.sum(axis=0).tolist()),
         parts=len(parts),
         filter_hz=corner,
         notes=log.notes,
@@ -315,15 +431,38 @@ def split(log: Recording) -> list[Recording]:
     Raises:
         ValueError: No part has enough samples.
     """
+    stamps = log.time[np.isfinite(log.time)]
     good = np.flatnonzero(np.isfinite(log.time))
-    good = good[_together(log.time[good])]
+    good = good[_together(stamps)]
     cuts = np.flatnonzero(np.abs(np.diff(log.time[good])) > LONGEST_GAP_S) + 1
     parts = [part for part in np.split(good, cuts) if part.size >= FEWEST]
     if not parts:
-        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are required")
+        step = float(np.median(np.abs(np.diff(stamps)))) if stamps.size > 1 else 0.0
+        hint = f": {step:.3g} s apart, {_unit_of_stamps(1 / step)}" if step > LONGEST_GAP_S else ""
+        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are required{hint}")
     if len(parts) == 1 and parts[0].size == log.time.size:
         return [log]
     return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]
+
+
+def _lost(steps: Array, gap: NDArray[np.bool_]) -> int:
+    """Single samples that are lost between others, by the steps of the stamps in periods.
+
+    A late stamp is followed by a short step and an early one comes after one; a lost sample has neither.
+    """
+    beside = np.convolve(steps, [1.0, 1.0], "valid")
+    alone = np.minimum(np.append(beside, np.inf), np.insert(beside, 0, np.inf)) > LOST + 1.0
+    return int(((steps > LOST) & alone & ~gap).sum())
+
+
+def _still(readings: Array) -> tuple[str, ...]:
+    """Sensors, or axes of one, that read the same number all the time."""
+    constant = (readings == readings[0]).all(axis=0)
+    found: list[str] = []
+    for name, part in (("the gyroscope", slice(0, 3)), ("the accelerometer", slice(3, 6))):
+        axes = np.array(AXES[part])[constant[part]].tolist()
+        found += [name] if len(axes) == 3 else axes
+    return tuple(found)
 
 
 def _together(time: Array) -> NDArray[np.bool_]:
@@ -370,6 +509,24 @@ def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
     return readings[:, :3], readings[:, 3:], time, counted
 
 
+def _stuck(readings: Array, least: int) -> NDArray[np.bool_]:
+    """Samples (T, 6) of an axis within a run of at least `least` equal readings while another of it moves."""
+    stuck = np.zeros(readings.shape, bool)
+    for first in (0, 3):
+        sensor = readings[:, first : first + 3]
+        steps = np.abs(np.diff(sensor, axis=0))
+        resolution = [min(axis[axis > 0].tolist(), default=np.inf) for axis in steps.T]
+        for k in range(3):
+            if resolution[k] == np.inf:
+                continue  # never another number: see `_still`
+            edges = np.concatenate([[0], np.flatnonzero(steps[:, k] > 0) + 1, [len(sensor)]])
+            long = np.flatnonzero(np.diff(edges) >= least)
+            for start, end in zip(edges[long], edges[long + 1], strict=True):
+                others = sensor[start:end].std(axis=0) > MOVES * np.array(resolution)
+                stuck[start:end, first + k] = others.any()
+    return stuck
+
+
 def _saturated(readings: Array) -> NDArray[np.bool_]:
     """Samples within a run of equal readings at the least or largest value of an axis."""
     stuck = np.zeros(len(readings), bool)
@@ -404,6 +561,13 @@ def _even(
     padded = np.concatenate([head, values, tail])
     smooth = oaconvolve(padded, kernel[:, None], mode="same", axes=0)[len(head) : len(head) + count]
     return CubicSpline(fine, smooth)(grid)
+
+
+def _near(times: Array, grid: Array, period: float) -> NDArray[np.bool_]:
+    """Which times of a grid (m,) are within a sample period of some of the times, in order."""
+    ends = np.concatenate([[-np.inf], times, [np.inf]])
+    after = np.searchsorted(ends, grid).clip(1)
+    return np.minimum(ends[after] - grid, grid - ends[after - 1]) <= period
 
 
 def _interpolated(track: Track, grid: Array) -> Array:

@@ -81,7 +81,8 @@ class _Read:
             truth = f"{imu_topic}: the sensor's own estimate, which is no independent truth"
         return Recording(
             path.name, "ROS bag", imu[:, 0], imu[:, 1:4], imu[:, 4:7], truth=truth, truth_time=truth_time,
-            quat=quat, position=position, notes=(f"IMU from {imu_topic}",),
+            quat=quat, truth_axes="imu" if position is None else "body", position=position,
+            notes=(f"IMU from {imu_topic}",),
         )  # fmt: skip
 
 

@@ -11,7 +11,8 @@ from pydantic import model_validator
 from ..config.ranges import Between, SampleRate
 from ..config.toml import Strict, load_toml, nearest
 from ..rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
-from .recording import Array, AxesConvention, Recording, Track, axes_matrix, from_frd
+from .mounting import mount_matrix, mounted
+from .recording import Array, AxesConvention, Recording, Track, TruthAxes, from_frd
 
 Column = str | Annotated[int, Between(0, 9999)]
 """A name in the header, or a number counted from 0."""
@@ -98,8 +99,11 @@ class Table(Strict):
     """Rows before that."""
     frame: AxesConvention = "flu"
     """flu: body forward-left-up, world z up; frd: forward-right-down in north-east-down."""
-    axes: str = "x,y,z"
-    """Axes of the frame as axes of the IMU, such as "z,-y,x"; the attitude is of the frame already."""
+    mount: str | tuple[float, ...] | tuple[tuple[float, ...], ...] = "x,y,z"
+    """Rotation from IMU axes to those of the frame: axes "z,-y,x", angles "rpy 0 20 90" [deg], a quaternion
+    [w, x, y, z] or a matrix of three rows."""
+    truth_axes: TruthAxes = "body"
+    """Whose attitude the file holds: of the frame already, or of the IMU, which the mount rotates too."""
     time: Time
     gyro: Gyro
     accel: Accel
@@ -112,7 +116,7 @@ class Table(Strict):
 
     @model_validator(mode="after")
     def _check(self) -> "Table":
-        axes_matrix(self.axes)
+        mount_matrix(self.mount)
         if self.quat is not None and self.euler is not None:
             raise ValueError("one of quat and euler is required, not both")
         return self
@@ -140,9 +144,8 @@ def read_table(path: Path) -> Recording:
         time = columns((spec.time.column,))[:, 0] * TIMES[spec.time.unit]
     else:
         time = np.arange(len(values)) / (spec.time.rate_hz or 1.0)
-    turn = axes_matrix(spec.axes)
-    gyro = columns(spec.gyro.columns) * RATES[spec.gyro.unit] @ turn.T
-    accel = columns(spec.accel.columns) * FORCES[spec.accel.unit] * (-1 if spec.accel.negate else 1) @ turn.T
+    gyro = columns(spec.gyro.columns) * RATES[spec.gyro.unit]
+    accel = columns(spec.accel.columns) * FORCES[spec.accel.unit] * (-1 if spec.accel.negate else 1)
     quat, truth = None, "none"
     if spec.quat is not None:
         quat, truth = columns(spec.quat.columns), "the quaternion of the file"
@@ -155,14 +158,16 @@ def read_table(path: Path) -> Recording:
     if spec.rotor_vel is not None:
         sensors["rotor_vel"] = Track(time, columns(spec.rotor_vel.columns) * SPEEDS[spec.rotor_vel.unit])
     if spec.mag is not None:
-        sensors["mag"] = Track(time, columns(spec.mag.columns) * FIELDS[spec.mag.unit] @ turn.T)
+        sensors["mag"] = Track(time, columns(spec.mag.columns) * FIELDS[spec.mag.unit])
     known = np.full(len(values), False) if quat is None else np.isfinite(quat).all(axis=1)
     log = Recording(
         path.stem, "CSV", time, gyro, accel, truth=truth,
         truth_time=None if quat is None else time[known], quat=None if quat is None else quat[known],
+        truth_axes=spec.truth_axes,
         position=None if quat is None or spec.position is None else columns(spec.position)[known],
         notes=(f"columns by {path.name}",), sensors=sensors,
     )  # fmt: skip
+    log = log if spec.mount == "x,y,z" else mounted(log, spec.mount)
     return from_frd(log) if spec.frame == "frd" else log
 
 

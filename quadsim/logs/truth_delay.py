@@ -1,4 +1,4 @@
-"""How late the truth of a log is: its body rates beside those of the gyroscope."""
+"""How late the truth of a log is, and whether it turns as the gyroscope does: their body rates compared."""
 
 from typing import NamedTuple
 
@@ -27,8 +27,24 @@ class Alignment(NamedTuple):
     """Correlation over all three axes at that delay: 1 where both turn alike."""
     axes: tuple[float, float, float]
     """The same of each axis; 1 where the truth hardly turns about it."""
+    rotated_agreement: float
+    """The correlation under the rotation of the gyroscope's axes at which it is largest,"""
+    rotation_deg: float
+    """and the angle of that rotation [deg]."""
     slope: float
-    """Readings over the truth's rates, the line of best fit at that delay: 1 where units agree."""
+    """Readings over the truth's rates, 1 where units agree: the true slope is between r and 1/r times this,
+    with r the correlation under that rotation."""
+
+
+class Turns(NamedTuple):
+    """Mean body rates over `SPAN_S`, NaN where one of them is not known."""
+
+    measured: Array
+    """By the gyroscope (m, 3) [rad/s]."""
+    true: Array
+    """By the attitude (m, 3) [rad/s]."""
+    span: int
+    """Samples of a mean."""
 
 
 def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
@@ -42,6 +58,31 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
     Returns:
         The result; None where there is too little motion.
     """
+    rates = turns(gyro, quat, rate_hz)
+    if rates is None:
+        return None
+    a, b = rates.measured, rates.true
+    most, crosses = _at_all_delays(rates, rate_hz)
+    fit = np.array([each.agreement for each in crosses])
+    peak = int(np.clip(np.argmax(fit), 1, fit.size - 2))
+    left, top, right = fit[peak - 1 : peak + 2]
+    bend = left - 2 * top + right
+    beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    x, y, z = (
+        _cross(a[:, k : k + 1], b[:, k : k + 1], peak - most).agreement
+        if np.nanstd(b[:, k]) > TURNING
+        else 1.0
+        for k in range(3)
+    )
+    best = max(crosses, key=lambda each: each.rotated_agreement)
+    return Alignment(
+        float((peak - most + beside) / rate_hz), float(top), (x, y, z),
+        best.rotated_agreement, best.rotation_deg, best.slope,
+    )  # fmt: skip
+
+
+def turns(gyro: Array, quat: Array, rate_hz: float) -> Turns | None:
+    """Mean body rates of the gyroscope and of the truth, or None where there is too little motion."""
     known = np.asarray(np.isfinite(quat).all(axis=1))
     span = max(round(SPAN_S * rate_hz), 1)
     if known.size < 4 * span + 2 * SEARCH_S * rate_hz:
@@ -58,27 +99,63 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
     spreads = [np.nanstd(x, axis=0).max() for x in (a, b)]
     if min(spreads) < MOVING and max(spreads) < SURELY_MOVING:
         return None
-    most = round(SEARCH_S * rate_hz)
-    fit = np.array([_fit(a, b, lag)[0] for lag in range(-most, most + 1)])
-    peak = int(np.clip(np.argmax(fit), 1, fit.size - 2))
-    left, top, right = fit[peak - 1 : peak + 2]
-    bend = left - 2 * top + right
-    beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    lag = peak - most
-    x, y, z = (
-        _fit(a[:, k : k + 1], b[:, k : k + 1], lag)[0] if np.nanstd(b[:, k]) > TURNING else 1.0
-        for k in range(3)
-    )
-    return Alignment(float((lag + beside) / rate_hz), float(top), (x, y, z), _fit(a, b, lag)[1])
+    return Turns(a, b, span)
 
 
-def _fit(a: Array, b: Array, lag: int) -> tuple[float, float]:
-    """Correlation of a[k] with b[k + lag], all axes together, where both are known, and the slope a over b.
+def turns_at_delay(rates: Turns, rate_hz: float) -> tuple[Array, Array, float]:
+    """Rates over spans that do not overlap, (m, 3) of each, less their means, and the slope of the first.
 
-    The slope is the ratio of the standard deviations, which noise in either one alone hardly biases.
+    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out.
     """
+    most, crosses = _at_all_delays(rates, rate_hz)
+    best = max(range(len(crosses)), key=lambda k: crosses[k].rotated_agreement)
+    a, b = _shifted(rates.measured, rates.true, best - most)
+    return a[:: rates.span], b[:: rates.span], crosses[best].slope
+
+
+class _Cross(NamedTuple):
+    """Second moments of two series of vectors, Σ a bᵀ, Σ |a|² and Σ |b|², as what is read from them."""
+
+    agreement: float
+    rotated_agreement: float
+    rotation_deg: float
+    slope: float
+
+
+def _at_all_delays(rates: Turns, rate_hz: float) -> tuple[int, list[_Cross]]:
+    """The largest delay in samples, and how the rates belong together at every one from its negative on."""
+    most = round(SEARCH_S * rate_hz)
+    return most, [_cross(rates.measured, rates.true, lag) for lag in range(-most, most + 1)]
+
+
+def _shifted(a: Array, b: Array, lag: int) -> tuple[Array, Array]:
+    """a[k] and b[k + lag] where both are known, less their means."""
     a, b = (a[: a.shape[0] - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
     both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     a, b = (x[both] - x[both].mean(axis=0) for x in (a, b))
-    power_a, power_b = max(float((a**2).sum()), 1e-30), max(float((b**2).sum()), 1e-30)
-    return float((a * b).sum()) / np.sqrt(power_a * power_b), float(np.sqrt(power_a / power_b))
+    return a, b
+
+
+def _cross(a: Array, b: Array, lag: int) -> _Cross:
+    """How a[k] and b[k + lag] belong together, all axes together.
+
+    The rotation R is that which maximises c = Σ b·R a = tr(R Σ a bᵀ) = s₁ + s₂ ± s₃, the singular values
+    (Kabsch 1976). With p = Σ|a|² and q = Σ|b|² the correlation is r = c/√(pq) and the slope of a over b
+    √(p/q), midway between the two regressions c/q, which noise of b biases low, and p/c, which noise of a
+    biases high. They are r and 1/r times it, and the true slope is between them (Frisch 1934).
+    """
+    a, b = _shifted(a, b, lag)
+    p, q = max(float((a**2).sum()), 1e-30), max(float((b**2).sum()), 1e-30)
+    moments = a.T @ b
+    u, s, vt = np.linalg.svd(moments)
+    proper = np.ones(s.size)
+    proper[-1] = np.linalg.det(u @ vt)
+    c = float((s * proper).sum())
+    cosine = (float(np.trace((vt.T * proper) @ u.T)) - 1.0) / 2.0
+    scale = np.sqrt(p * q)
+    return _Cross(
+        float(np.trace(moments)) / scale,
+        c / scale,
+        float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
+        float(np.sqrt(p / q)),
+    )

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike
 from .needs import needed
 from .recording import Array, Recording, Track, from_frd, table
 
+OWN = "vehicle_attitude"
+"""The autopilot's estimate: it is of the axes in which the IMU is logged."""
 TRUTHS = {
     "vehicle_attitude_groundtruth": "the simulator's truth",
     "vehicle_mocap_odometry": "motion capture",
     "vehicle_visual_odometry": "visual odometry or motion capture",
-    "vehicle_attitude": "the autopilot's own estimate, which is no independent truth",
+    OWN: "the autopilot's own estimate, which is no independent truth",
 }
 """Topics that hold an attitude `q` (FRD body in NED world), the best first."""
 
@@ -89,8 +91,15 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
     found = topics[chosen]
     stamps = found.get("timestamp_sample", found["timestamp"])
     quat = table(chosen, [found[f"q[{k}]"] for k in range(4)])
-    truth = f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}"
-    return from_frd(replace(recorded, truth=truth, truth_time=_seconds(stamps), quat=quat))
+    return from_frd(
+        replace(
+            recorded,
+            truth=f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}",
+            truth_time=_seconds(stamps),
+            quat=quat,
+            truth_axes="imu" if chosen == OWN else "body",
+        )
+    )
 
 
 def _seconds(stamps: ArrayLike) -> Array:

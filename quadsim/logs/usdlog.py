@@ -13,7 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
-from .recording import Array, Recording, Track
+from .recording import Array, Recording, Track, TruthAxes
 
 MAGIC = 0xBC
 STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}
@@ -64,6 +64,7 @@ def read_usdlog(path: Path) -> Recording:
             f"{path}: no event has all of {', '.join(GYRO + ACCEL)}; logged: {', '.join(names) or 'nothing'}"
         )
     truth, attitude, position = "none", None, None
+    truth_axes: TruthAxes = "body"
     for group, kind in TRUTHS.items():
         orientation = tuple(f"{group}.{name}" for name in ("qw", "qx", "qy", "qz"))
         place = tuple(f"{group}.{name}" for name in "xyz")
@@ -72,7 +73,7 @@ def read_usdlog(path: Path) -> Recording:
             both = _track(tracks, orientation + place)
             position = None if both is None else both.values[:, 4:]
             attitude = Track(both.time, both.values[:, :4]) if both is not None else attitude
-            truth = f"{group}: {kind}"
+            truth, truth_axes = f"{group}: {kind}", "imu" if group == "stateEstimate" else "body"
             break
     rotors = _track(tracks, ROTORS)
     sensors = (
@@ -81,7 +82,7 @@ def read_usdlog(path: Path) -> Recording:
     return Recording(
         path.name, "Crazyflie uSD log", imu.time, np.deg2rad(imu.values[:, :3]), imu.values[:, 3:] * 9.80665,
         truth=truth, truth_time=None if attitude is None else attitude.time,
-        quat=None if attitude is None else attitude.values, position=position,
+        quat=None if attitude is None else attitude.values, truth_axes=truth_axes, position=position,
         notes=(*notes, *(f"{name} from the log" for name in sensors)), sensors=sensors,
     )  # fmt: skip
 

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.table import Table
 
 from estimators import create
 from estimators.evaluation.comparison import made_of
-from estimators.evaluation.logs import KNOWN, RAW, default_names, draw_log, score_logs
+from estimators.evaluation.logs import KNOWN, RAW, default_names, draw_log, score_logs, unscorable
 from estimators.networks.weights_file import load_network
 from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import ImuSpec
@@ -60,7 +61,7 @@ def evaluate_logs(
     out: Path,
     *,
     within_deg: float = 45.0,
-    axes: str | None = None,
+    mount: str | None = None,
     force: bool = False,
 ) -> None:
     """Score estimators on logs: `quadsim evaluate --logs`.
@@ -70,17 +71,25 @@ def evaluate_logs(
         contenders: The estimators.
         out: Folder for the table and the pictures.
         within_deg: Largest true inclination that is scored [deg].
-        axes: Body axes in the sensors', as "z,-y,x".
+        mount: Rotation from IMU to body axes, as `quadsim.logs.mounting.mount_matrix` takes it.
         force: Score a log although a unit or frame cannot be right.
 
     Raises:
-        ValueError: A unit or frame of a log cannot be right, and `force` is not given.
+        ValueError: A unit or frame of a log cannot be right, and `force` is not given; or no log has a sample
+            that can be scored.
     """
-    read = {path: read_log_and_report(path, axes=axes) for path in paths}
-    warnings = refused([(path, report) for path, (_, report) in read.items()], force)
-    for fault in warnings:
-        output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
-    logs = [log for log, _ in read.values()]
+    read = {path: read_log_and_report(path, mount=mount) for path in paths}
+    refused([(path, report) for path, (_, report) in read.items()], force)
+    warnings = [f"{path}: {warning}" for path, (_, report) in read.items() for warning in report.warnings]
+    for warning in warnings:
+        output.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+    reasons = {path: unscorable(log, within_deg=within_deg) for path, (log, _) in read.items()}
+    left_out = [f"{path}: nothing to score: {reason}" for path, reason in reasons.items() if reason]
+    if len(left_out) == len(read):
+        raise ValueError(left_out[0])
+    for line in left_out:
+        output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
+    logs = [log for path, (log, _) in read.items() if not reasons[path]]
     rate = float(logs[0].attrs["rate_hz"])
     made = contenders.create(default_names(contenders.vehicle is not None), rate)
     with progress_bar("evaluate", "runs") as bar:
@@ -101,6 +110,7 @@ def evaluate_logs(
             output.print(f"{row.log}: {share} are no number; each counts as 180°", soft_wrap=True)
     for log, bias in scores.gyro_bias.items():
         shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
-        text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, gyro bias ({shown}) °/s"
+        known = f"gyro bias ({shown}) °/s" if np.isfinite(bias).all() else "gyro bias unknown"
+        text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, {known}"
         output.print(text, soft_wrap=True, highlight=False)
     output.print(f"{page}: {log_verdict(scores).headline}", soft_wrap=True)

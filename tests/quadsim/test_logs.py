@@ -17,7 +17,8 @@ from quadsim.imu.stream import simulate_imu
 from quadsim.logs import read_log, read_log_and_report, read_recording
 from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
 from quadsim.logs.convert import convert
-from quadsim.logs.recording import Recording, Track, axes_matrix, turned
+from quadsim.logs.mounting import mount_matrix
+from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample, split
 from quadsim.rotation import (
     canonical,
@@ -216,7 +217,7 @@ def test_broad_trials_in_hdf5_and_mat_are_one_and_the_same(tmp_path):
 COLUMNS = """
 file = "x.csv"
 frame = "frd"
-axes = "z,y,-x"
+mount = "z,y,-x"
 [time]
 column = "t"
 unit = "us"
@@ -242,7 +243,7 @@ unit = "rpm"
 
 def test_a_csv_is_read_by_its_column_map(tmp_path):
     time, gyro, accel, quat = turning()
-    frame_to_imu = axes_matrix("z,y,-x").T
+    frame_to_imu = mount_matrix("z,y,-x").T
     gyro, accel = (swap_flu_frd(each) @ frame_to_imu.T for each in (gyro, accel))
     q = swap_enu_flu_ned_frd(quat) * (1, -1, -1, -1)
     rows = np.column_stack(
@@ -261,22 +262,6 @@ def test_a_csv_is_read_by_its_column_map(tmp_path):
     (tmp_path / "bad.toml").write_text(COLUMNS.replace("unit =", "units ="))
     with pytest.raises(ValueError, match=r'unknown key "time\.units"'):
         read_log(tmp_path / "bad.toml")
-
-
-def test_a_sensor_mounted_upright_is_turned_level():
-    time, gyro, accel, quat = turning()
-    sensor = axes_matrix("z,-y,x")  # sensor z is forward, x is up
-    log = Recording("x", "x", time, gyro @ sensor, accel @ sensor, "x", time, quat_of(quat, sensor))
-    consistent(resample(turned(log, "z,-y,x"))[0])
-    with pytest.raises(ValueError, match="mirror image"):
-        axes_matrix("z,y,x")
-
-
-def quat_of(quat: np.ndarray, body_from_sensor: np.ndarray) -> np.ndarray:
-    """Attitude of the sensor, of the body's."""
-    from quadsim.rotation import matrix_from_quat, quat_from_matrix
-
-    return quat_from_matrix(matrix_from_quat(quat) @ body_from_sensor)
 
 
 def tones(rate_hz: float, *hz: float) -> Recording:
@@ -315,12 +300,12 @@ def test_everything_odd_is_counted_and_no_gap_is_bridged():
     odd = Recording("x", "x", time[kept], gyro[kept], accel[kept])
     even, report = resample(odd)
     assert (report.repeated, report.stamps_back, report.missing) == (1, 1, 1)
-    assert (report.gaps, report.bridged) == (4, 3)
+    assert (report.gaps, report.lost) == (1, 3)
     assert report.longest_gap_s == pytest.approx(0.105)
     assert report.saturated > 100
     missing = np.flatnonzero(np.isnan(even["gyro"].to_numpy()[0]).any(axis=1))
     assert missing.tolist() == list(range(400, 420))
-    assert len(report.warnings) == 6
+    assert len(report.warnings) == 7
 
 
 def test_irregular_stamps_are_evened_by_when_they_were_taken():
@@ -392,7 +377,7 @@ def test_commands_say_what_they_found(tmp_path):
     time, gyro, accel, quat = turning(seconds=5.0)
     np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel, quat=quat)
     run = CliRunner().invoke
-    shown = run(app, ["logs", "info", str(tmp_path / "x.npz")])
+    shown = run(app, ["logs", "info", str(tmp_path / "x.npz"), "--mount", "rpy 20 -5 0"])
     assert "OptiTrack" in shown.output
     assert "nothing odd" in shown.output
     made = run(
@@ -464,7 +449,10 @@ def wrong(name: str) -> Recording:
         "g": {"accel": accel / 9.81},
         "mg": {"accel": accel / 9.81e-3},
         "frame": {"gyro": upside * gyro, "accel": upside * accel},
+        "frd in ned": {"gyro": upside * gyro, "accel": upside * accel, "quat": swap_enu_flu_ned_frd(quat)},
+        "gravity": {"accel": -accel},
         "sign of z": {"gyro": gyro * [1.0, 1.0, -1.0]},
+        "upright": {"gyro": gyro[:, [2, 1, 0]] * [1, -1, 1], "accel": accel[:, [2, 1, 0]] * [1, -1, 1]},
         "axes": {"gyro": gyro[:, [1, 2, 0]], "accel": accel[:, [1, 2, 0]]},
     }[name]
     fields = {"time": time, "gyro": gyro, "accel": accel, "truth_time": time, "quat": quat}
@@ -474,17 +462,22 @@ def wrong(name: str) -> Recording:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("deg/s", "is it in deg/s, or the truth in rad?"),
-        ("rad/s as deg/s", "is it in rad/s, or the truth in deg?"),
+        (
+            "deg/s",
+            '57.3 times the rate at which the truth turns (slope): is it in deg/s (gyro.unit = "deg/s")',
+        ),
+        ("rad/s as deg/s", 'is it in rad/s (gyro.unit = "rad/s")'),
         ("ten times the rate", "is it ten times too large?"),
         ("no rate", "the gyroscope reads the same number all the time"),
         ("constant force", "the accelerometer reads the same number all the time"),
         ("twice the time", "look at its unit, and at that of the stamps"),
         ("norm", "quaternions have a length of 0.7, not 1"),
-        ("g", "is it in g?"),
-        ("mg", "is it in mg?"),
-        ("frame", "look at frame and axes"),
-        ("axes", "look at frame and axes"),
+        ("g", 'is it in g (accel.unit = "g")?'),
+        ("mg", 'is it in mg (accel.unit = "mg")?'),
+        ("frame", "with the IMU rotated by 180° it does"),
+        ("frd in ned", 'it points down: frame = "frd"'),
+        ("gravity", "accel.negate = true"),
+        ("axes", "look at frame and mount"),
         ("sign of z", "the gyroscope's z does not read how the truth turns about that axis (correlation -"),
     ],
 )
@@ -496,12 +489,57 @@ def test_units_norms_and_frames_that_cannot_be_right_are_said(name, said):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("g", "is it in g?"), ("mg", "is it in mg?"), ("frame", "is the frame FLU")]
+    ("name", "said"),
+    [
+        ("g", 'accel.unit = "g"'),
+        ("mg", 'accel.unit = "mg"'),
+        ("frame", 'frame = "frd"'),
+        ("upright", "is the frame FLU"),
+    ],
 )
 def test_without_truth_the_length_and_direction_of_the_force_are_looked_at(name, said):
     log = replace(wrong(name), truth="none", truth_time=None, quat=None)
     assert said in resample(log)[1].faults[0]
     assert resample(replace(wrong("nothing"), truth="none", truth_time=None, quat=None))[1].faults == []
+
+
+def test_noise_of_the_truth_hides_no_wrong_unit_and_makes_none():
+    log = wrong("nothing")
+    shake = quat_from_rotvec(np.random.default_rng(0).normal(0.0, 0.024, log.gyro.shape))
+    noisy = replace(log, quat=quat_multiply(log.quat, shake))
+    report = resample(noisy)[1]
+    assert report.agreement is not None
+    assert report.slope is not None
+    assert report.slope < 0.78  # by the truth's noise alone
+    assert report.slope / report.agreement == pytest.approx(1.0, rel=0.02)
+    assert not any("times the rate" in fault for fault in report.faults)
+    in_degrees = resample(replace(noisy, gyro=np.degrees(log.gyro)))[1]
+    assert any('gyro.unit = "deg/s"' in fault for fault in in_degrees.faults)
+
+
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_a_gyroscope_in_degrees_shows_at_rest_too(with_truth):
+    rng, still = np.random.default_rng(0), np.tile([0.0, 1.0, 9.75], (4000, 1))
+    gyro = np.radians([0.6, -0.4, 0.3]) + rng.normal(0.0, 2e-3, still.shape)
+    time = np.arange(4000) / 200
+    log = Recording("x", "test", time, gyro, still + rng.normal(0.0, 0.03, still.shape))
+    if with_truth:
+        log = replace(
+            log, truth="truth", truth_time=time, quat=np.tile(quat_from_euler(0.1, 0, 0), (4000, 1))
+        )
+    assert resample(log)[1].faults == []
+    said = resample(replace(log, gyro=np.degrees(gyro)))[1].faults
+    assert any("at rest for 20 s" in fault and 'gyro.unit = "deg/s"' in fault for fault in said)
+    biased = resample(replace(log, gyro=gyro + np.radians([4.6, 0.0, 0.0])))[1]
+    assert not any("at rest" in fault for fault in biased.faults)  # a raw bias, and the right unit
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_stamps_in_another_unit_are_named(unit):
+    log = wrong("nothing")
+    scale = {"ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+    with pytest.raises(ValueError, match=f'are the stamps in {unit} \\(time.unit = "{unit}"\\)'):
+        resample(replace(log, time=scale * log.time, truth_time=scale * log.time))
 
 
 def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path, monkeypatch):
@@ -589,7 +627,7 @@ def test_one_wrong_stamp_costs_one_sample():
         log = Recording("x", "test", stamps, gyro, accel, "truth", time, quat)
         dataset, report = resample(log)
         assert dataset.sizes["time"] == time.size
-        assert report.gaps == 1
+        assert (report.gaps, report.lost) == (0, 1)
         consistent(dataset.isel(time=slice(100, 600)))
 
 
@@ -627,3 +665,118 @@ def test_doublets_of_stamps_are_one_sample_each():
     dataset, report = resample(log)
     assert report.stamps_back == time.size
     consistent(dataset)
+
+
+# --- what a recorder does to its samples -------------------------------------------------------------
+
+
+def with_stamps(time: np.ndarray, kept: np.ndarray | slice = slice(None)) -> Recording:
+    """The turning sensor with other stamps, or only some of its samples."""
+    log = wrong("nothing")
+    return replace(log, time=time[kept], gyro=log.gyro[kept], accel=log.accel[kept])
+
+
+@pytest.mark.parametrize("jitter_ms", [1.0, 2.0])
+def test_jittering_stamps_are_no_gaps(jitter_ms):
+    time = wrong("nothing").time
+    stamps = time + np.random.default_rng(0).uniform(-1e-3, 1e-3, time.size) * jitter_ms
+    log, report = resample(with_stamps(stamps))
+    assert (report.gaps, report.stamps_back) == (0, 0)
+    assert np.isfinite(log["gyro"]).all()
+    assert report.lost <= 0.01 * time.size * (jitter_ms > 1.0)
+
+
+def test_jitter_at_a_kilohertz_is_no_gap_either():
+    time = np.arange(20_000) / 1000
+    stamps = time + np.random.default_rng(0).uniform(-2e-3, 2e-3, time.size)
+    log, report = resample(Recording("x", "x", stamps, *turning(1000.0, 20.0)[1:3]))
+    assert report.gaps == 0
+    assert np.isfinite(log["gyro"]).all()
+
+
+def test_a_gap_of_ten_seconds_is_left_out_and_said():
+    time = wrong("nothing").time
+    log, report = resample(with_stamps(time, (time < 5.0) | (time >= 15.0)))
+    assert (report.gaps, report.longest_gap_s) == (1, pytest.approx(10.005))
+    missing = np.isnan(log["gyro"][0]).any(axis=1).to_numpy()
+    assert missing.sum() == pytest.approx(2000, abs=2)
+    assert any("the longest 10.005 s: left out of scores" in line for line in report.warnings)
+
+
+def test_repeated_and_backward_stamps_are_left_out_and_rows_out_of_order_are_refused():
+    time = wrong("nothing").time
+    repeated = time.copy()
+    repeated[1000:1010] = time[999]
+    assert resample(with_stamps(repeated))[1].stamps_back == 10
+    back = time.copy()
+    back[2000:] -= 5.0  # the clock was set back
+    _, report = resample(with_stamps(back))
+    assert report.stamps_back == pytest.approx(1000, abs=1)
+    assert any("do not follow the one before in time: left out" in line for line in report.warnings)
+    shuffled = np.random.default_rng(0).permutation(time.size)
+    with pytest.raises(ValueError, match=r"^x: 51 % of the stamps go back: sort the rows by time$"):
+        resample(with_stamps(time, shuffled))
+    absent = np.where(np.arange(time.size) % 100 == 0, np.nan, time)
+    assert resample(with_stamps(absent))[1].missing == 40
+    with pytest.raises(ValueError, match=r"^x: 0 usable samples; at least 8 are required$"):
+        resample(with_stamps(np.full(time.size, np.nan)))
+    with pytest.raises(ValueError, match=r"^x: only 1 of its stamps go forward$"):
+        resample(with_stamps(np.zeros(time.size)))
+
+
+def noisy() -> Recording:
+    """The turning sensor with the noise of a real one."""
+    log, rng = wrong("nothing"), np.random.default_rng(0)
+    gyro = log.gyro + rng.normal(0.0, 2e-3, log.gyro.shape)
+    return replace(log, gyro=gyro, accel=log.accel + rng.normal(0.0, 0.02, log.accel.shape))
+
+
+@pytest.mark.parametrize(("sensor", "axis"), [("gyro", 1), ("accel", 0)])
+def test_an_axis_that_is_stuck_is_left_out_there_and_refused_if_always(sensor, axis):
+    log = noisy()
+    readings = getattr(log, sensor).copy()
+    readings[1000:1800, axis] = readings[1000, axis]
+    dataset, report = resample(replace(log, **{sensor: readings}))
+    name = f"the {'gyroscope' if sensor == 'gyro' else 'accelerometer'}'s {'xyz'[axis]}"
+    assert f"{name} repeats one number for 4.0 s in all: left out of scores" in report.warnings
+    missing = np.isnan(dataset["gyro"][0]).any(axis=1).to_numpy()
+    assert missing[1000:1800].all()
+    assert missing.sum() < 810
+    readings[:, axis] = 0.5
+    always = resample(replace(log, **{sensor: readings}))[1]
+    assert f"{name} reads the same number all the time" in always.faults
+
+
+def test_a_coarse_sensor_at_rest_is_not_stuck():
+    rng = np.random.default_rng(0)
+    accel = np.round(rng.normal([0.02, 0.04, 9.81], 0.01, (4000, 3)) / 0.08) * 0.08
+    gyro = np.round(rng.normal(0.0, 1e-3, (4000, 3)) / 1e-3) * 1e-3
+    log, report = resample(Recording("x", "x", np.arange(4000) / 200, gyro, accel))
+    assert sum(report.stuck) == 0
+    assert np.isfinite(log["accel"]).all()
+
+
+def test_a_saturated_axis_is_said():
+    log = noisy()
+    report = resample(replace(log, gyro=log.gyro.clip(-0.6, 0.6)))[1]
+    assert report.saturated > 200
+    assert any("stuck at the end of the sensor's range" in line for line in report.warnings)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 8000.0])
+def test_slow_and_fast_logs_are_read(rate_hz):
+    time, gyro, accel, _ = turning(rate_hz, 10.0)
+    truth_time, *_, quat = turning(1000.0, 10.0)
+    log, report = resample(Recording("x", "x", time, gyro, accel, "x", truth_time, quat))
+    consistent(log.isel(time=slice(20, -20)))
+    assert any("motion above 20 Hz is not in this log" in line for line in report.warnings) == (
+        rate_hz == 50.0
+    )
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 32_000.0])
+def test_rates_of_no_imu_are_one_line(rate_hz):
+    time = np.arange(4000) / rate_hz
+    with pytest.raises(ValueError, match=r"samples a second; 40 to 10000 are allowed") as refused:
+        resample(with_stamps(time))
+    assert "\n" not in str(refused.value)

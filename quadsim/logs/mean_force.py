@@ -1,0 +1,102 @@
+"""The mean specific force: along body z in hover, and without a turn at rest."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..vehicle import GRAVITY
+from .recording import Array
+
+HOVER_RATE, HOVER_RMS = 0.15, 0.3
+"""Mean and root mean square of the body rate over a second of hover, at most [rad/s],"""
+HOVER_FORCE = 0.1
+"""and share by which the mean specific force of that second may differ from gravity."""
+LEAST_HOVER_S = 3
+"""Seconds of hover that are used alone; with fewer the whole log is."""
+REST_SHARE = 0.03
+"""Share of the specific force within which it stays at rest."""
+
+
+class Level(NamedTuple):
+    """Where the specific force points on average."""
+
+    force: Array
+    """Mean specific force, in IMU axes (3,) [m/s²]."""
+    sd_deg: float
+    """Standard deviation of the direction of that mean, by the scatter of its seconds [deg]."""
+    seconds: int
+    hover: bool
+    """Whether these are seconds of hover (or at rest); else they are all of the log's."""
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between the mean force and z [deg]."""
+        return float(np.degrees(np.arctan2(np.hypot(*self.force[:2]), self.force[2])))
+
+
+class Rest(NamedTuple):
+    """A stretch at rest."""
+
+    seconds: int
+    rate: float
+    """The gyroscope's mean rate across the force [rad/s]: its bias."""
+
+
+def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
+    """Mean specific force of the seconds of hover, or of all where there are too few.
+
+    Args:
+        gyro: (T, 3) [rad/s], NaN where missing.
+        accel: Specific force (T, 3) [m/s²], NaN where missing.
+        rate_hz: Samples per second.
+
+    Returns:
+        The mean; None where no second is without missing samples.
+    """
+    second = round(rate_hz)
+    rates, forces = (x[: len(x) // second * second].reshape(-1, second, 3) for x in (gyro, accel))
+    complete = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(forces).all(axis=(1, 2))
+    rates, forces = rates[complete], forces[complete].mean(axis=1)
+    if not len(forces):
+        return None
+    hover = np.linalg.norm(rates.mean(axis=1), axis=1) < HOVER_RATE
+    hover &= np.sqrt((rates**2).sum(axis=2).mean(axis=1)) < HOVER_RMS
+    hover &= np.abs(np.linalg.norm(forces, axis=1) / GRAVITY - 1.0) < HOVER_FORCE
+    alone = int(hover.sum()) >= LEAST_HOVER_S
+    forces = forces[hover] if alone else forces
+    mean = forces.mean(axis=0)
+    scatter = forces.std(axis=0) / np.sqrt(len(forces)) / max(float(np.linalg.norm(mean)), 1e-9)
+    return Level(mean, float(np.degrees(np.linalg.norm(scatter))), len(forces), alone)
+
+
+def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
+    """The stretch at rest over which the gyroscope says that the vertical turned most.
+
+    At rest are seconds in which the specific force stays within a share of itself, from the first of the
+    stretch on. The turn is that of the mean rate across the force: a vehicle that turns so is not at rest.
+
+    Args:
+        gyro: (T, 3) [rad/s], NaN where missing.
+        accel: Specific force (T, 3), in any unit, NaN where missing.
+        rate_hz: Samples per second.
+
+    Returns:
+        The stretch; None where there is none.
+    """
+    second = round(rate_hz)
+    rates, forces = (x[: len(x) // second * second].reshape(-1, second, 3) for x in (gyro, accel))
+    means, rates = forces.mean(axis=1), rates.mean(axis=1)
+    size = np.linalg.norm(means, axis=1)
+    steady = np.isfinite(rates).all(axis=1) & (np.linalg.norm(forces.std(axis=1), axis=1) < REST_SHARE * size)
+    most: Rest | None = None
+    start = 0
+    for k in range(len(means) + 1):
+        ends = k == len(means) or not steady[k]
+        if ends or np.linalg.norm(means[k] - means[start]) > REST_SHARE * size[start]:
+            if k > start and steady[start]:
+                up = means[start] / size[start]
+                rate = float(np.linalg.norm(np.cross(up, rates[start:k].mean(axis=0))))
+                if most is None or rate * (k - start) > most.rate * most.seconds:
+                    most = Rest(k - start, rate)
+            start = k + ends
+    return most

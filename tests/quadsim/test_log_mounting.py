@@ -1,0 +1,263 @@
+"""How an IMU sits in the body: every way of writing it is the same rotation, and logs become the body's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from quadsim.cli import app
+from quadsim.logs import read_log_and_report, read_recording
+from quadsim.logs.mount_estimate import estimate_mount
+from quadsim.logs.mounting import mount_matrix, mount_text, mounted
+from quadsim.logs.recording import Recording
+from quadsim.logs.resample import resample
+from quadsim.rotation import (
+    matrix_from_quat,
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+)
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+EULER_DEG = (10.0, -20.0, 130.0)
+BODY_FROM_IMU = Rotation.from_euler("ZYX", EULER_DEG[::-1], degrees=True).as_matrix()
+
+
+def test_angles_a_quaternion_a_matrix_and_numbers_are_the_same_rotation():
+    x, y, z, w = Rotation.from_matrix(BODY_FROM_IMU).as_quat()
+    for written in (
+        "rpy 10 -20 130",
+        "rpy 10, -20, 130",
+        f"{w} {x} {y} {z}",
+        (w, x, y, z),
+        BODY_FROM_IMU.tolist(),
+        " ".join(str(each) for each in BODY_FROM_IMU.ravel()),
+    ):
+        np.testing.assert_allclose(mount_matrix(written), BODY_FROM_IMU, atol=1e-12)
+
+
+def test_axes_are_rows_and_a_pitch_of_90_degrees_has_its_x_axis_down():
+    np.testing.assert_array_equal(mount_matrix("z,-y,x") @ [1.0, 2.0, 3.0], [3.0, -2.0, 1.0])
+    np.testing.assert_allclose(mount_matrix("rpy 0 90 0") @ [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], atol=1e-12)
+
+
+def test_a_matrix_of_rounded_numbers_is_made_a_rotation():
+    matrix = mount_matrix(np.round(BODY_FROM_IMU, 3).tolist())
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(matrix, BODY_FROM_IMU, atol=1e-3)
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1))
+@settings(max_examples=50, deadline=None)
+def test_what_is_printed_is_read_back_to_a_hundredth_of_a_degree(q):
+    matrix = mount_matrix(tuple(np.array(q) / np.linalg.norm(q)))
+    again = mount_matrix(mount_text(matrix))
+    assert np.degrees(Rotation.from_matrix(again @ matrix.T).magnitude()) < 0.02
+
+
+def test_permutations_of_axes_are_printed_as_axes():
+    for written in ("z,-y,x", "x,y,z", "-x,-y,z"):
+        assert mount_text(mount_matrix(written)) == written
+
+
+@pytest.mark.parametrize(
+    ("mount", "message"),
+    [
+        ("z,y,x", "mirror image"),
+        ("x,x,z", "three different axes"),
+        ("x,y", "three different axes"),
+        ("roll 20", "should be body axes as IMU axes"),
+        ("", "should be body axes as IMU axes"),
+        ("rpy 0 20", "roll, pitch and yaw"),
+        ("rpy 0 nan 0", "roll, pitch and yaw"),
+        ("0 20 90", "3 numbers"),
+        ("1 1 0 0", "a quaternion of length 1.41"),
+        ("nan 0 0 0", "a quaternion of length nan"),
+        ("1 0 0 0 1 0 0 0 -1", "mirror image"),
+        ("1 0 0 0 1 0 0 0.5 1", "no rotation"),
+        ("1 0 0 0 1 0 0 0 inf", "no rotation"),
+    ],
+)
+def test_what_is_no_rotation_is_one_line(mount, message):
+    with pytest.raises(ValueError, match=message) as error:
+        mount_matrix(mount)
+    assert "\n" not in str(error.value)
+
+
+COLUMNS = 'file = "x.csv"\n'
+TABLES = """
+time = {column = "t"}
+gyro = {columns = ["p", "q", "r"]}
+accel = {columns = ["x", "y", "z"]}
+quat = {columns = ["a", "b", "c", "d"]}
+"""
+
+
+def tilting(seconds: float = 10.0) -> tuple[np.ndarray, ...]:
+    """Time, body rates, specific force and attitude of a body that rolls, pitches and yaws about hover."""
+    time = np.arange(round(seconds * 200)) / 200
+    quat = quat_from_euler(0.3 * np.sin(2 * time), 0.2 * np.sin(3 * time), 0.4 * time)
+    turn = quat_multiply(quat_conjugate(quat[:-1]), quat[1:])
+    rate = np.concatenate([2 * turn[:, 1:] * 200, [[0.0, 0.0, 0.4]]])
+    return time, rate, quat_rotate_inverse(quat, GRAVITY), quat
+
+
+@pytest.mark.parametrize("truth_axes", ["body", "imu"])
+def test_a_mount_rotates_the_attitude_only_where_it_is_the_imus(truth_axes):
+    time, gyro, accel, quat = tilting()
+    recorded = quat
+    if truth_axes == "imu":
+        recorded = quat_multiply(quat, quat_from_matrix(BODY_FROM_IMU))
+    log = mounted(
+        Recording(
+            "x", "x", time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, "x", time, recorded, truth_axes
+        ),
+        "rpy 10 -20 130",
+    )
+    np.testing.assert_allclose(log.gyro, gyro, atol=1e-12)
+    np.testing.assert_allclose(matrix_from_quat(log.quat), matrix_from_quat(quat), atol=1e-12)
+    np.testing.assert_allclose(quat_rotate(log.quat, log.accel), np.tile(GRAVITY, (len(time), 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "written", ['"rpy 10 -20 130"', str(np.round(BODY_FROM_IMU, 9).tolist()), None], ids=str
+)
+def test_a_column_map_takes_any_mount(tmp_path, written):
+    time, gyro, accel, quat = tilting(2.0)
+    rows = np.column_stack([time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, quat])
+    np.savetxt(tmp_path / "x.csv", rows, "%.12g", delimiter=",", header="t,p,q,r,x,y,z,a,b,c,d", comments="")
+    (tmp_path / "x.toml").write_text(COLUMNS + ("" if written is None else f"mount = {written}\n") + TABLES)
+    log = read_recording(tmp_path / "x.toml", mount="rpy 10 -20 130" if written is None else None)
+    np.testing.assert_allclose(log.gyro, gyro, atol=1e-7)
+    np.testing.assert_allclose(log.accel, accel, atol=1e-7)
+    np.testing.assert_allclose(log.quat, quat, atol=1e-9)
+
+
+def test_a_column_map_whose_mount_is_no_rotation_is_one_line(tmp_path):
+    (tmp_path / "x.toml").write_text(f'{COLUMNS}mount = "z,y,x"\n{TABLES}')
+    with pytest.raises(ValueError, match="mirror image") as error:
+        read_recording(tmp_path / "x.toml")
+    assert "\n" not in str(error.value)
+
+
+# --- estimates of a mounting ------------------------------------------------------------------------
+
+
+def recorded(make_flights, truth_axes="body", seed=0, noise=0.003, late_s=0.02):
+    """A flight whose IMU is mounted at `EULER_DEG`, with a noisy, delayed truth of the body or of the IMU."""
+    flight = make_flights(1, 20.0, seed=seed)
+    gyro, accel, quat = (flight[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
+    time = np.arange(len(gyro)) / 200
+    shake = quat_from_rotvec(np.random.default_rng(seed).normal(0.0, noise, gyro.shape))
+    truth = quat_multiply(quat, shake)
+    truth = quat_multiply(truth, quat_from_matrix(BODY_FROM_IMU)) if truth_axes == "imu" else truth
+    return Recording(
+        "x",
+        "test",
+        time,
+        gyro @ BODY_FROM_IMU,
+        accel @ BODY_FROM_IMU,
+        "mocap",
+        time + late_s,
+        truth,
+        truth_axes,
+    )
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.degrees(Rotation.from_matrix(first @ second.T).magnitude()))
+
+
+def test_the_mounting_is_estimated_from_a_late_truth_within_its_uncertainty(make_flights):
+    errors = []
+    for seed in range(3):
+        found = estimate_mount(recorded(make_flights, seed=seed))
+        off = Rotation.from_matrix(found.body_from_imu @ BODY_FROM_IMU.T).as_rotvec(degrees=True)
+        errors.append(off / found.sd_deg)
+        assert max(found.sd_deg) < 0.5
+    assert np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_a_truth_of_the_imus_own_axes_says_nothing_of_the_mounting(make_flights):
+    found = estimate_mount(recorded(make_flights, "imu"))
+    assert found.by == "the mean force of 20 s in motion"
+    up = found.body_from_imu @ BODY_FROM_IMU.T @ [0.0, 0.0, 1.0]
+    assert np.degrees(np.arccos(up[2])) < 3 * found.sd_deg[0]
+    assert found.sd_deg[2] == np.inf
+
+
+def test_a_hover_gives_roll_and_pitch_and_a_given_mount_the_heading():
+    still = np.tile(GRAVITY @ BODY_FROM_IMU, (2000, 1))
+    log = Recording("x", "test", np.arange(2000) / 200, 0 * still, still)
+    found = estimate_mount(log)
+    np.testing.assert_allclose(found.body_from_imu, mount_matrix("rpy 10 -20 0"), atol=1e-9)
+    assert found.by == "the mean force of 10 s of hover"
+    given = "rpy 0 0 130"
+    refined = estimate_mount(mounted(log, given), given)
+    np.testing.assert_allclose(refined.body_from_imu @ still[0], GRAVITY, atol=1e-9)
+    assert angle_between(refined.body_from_imu, BODY_FROM_IMU) < 15.0
+
+
+def test_a_log_that_turns_about_one_axis_alone_gives_no_mounting():
+    time = np.arange(4000) / 200
+    rate = np.stack([np.zeros(4000), np.zeros(4000), np.cos(time)], axis=1)
+    quat = quat_from_euler(0.0, 0.0, np.sin(time))
+    noise = np.random.default_rng(0).normal(0.0, 0.005, rate.shape)
+    log = Recording("x", "test", time, rate + noise, np.tile(GRAVITY, (4000, 1)), "mocap", time, quat)
+    with pytest.raises(ValueError, match="the truth has to turn about two axes"):
+        estimate_mount(log)
+    still = Recording(
+        "x", "test", time, noise, np.tile(GRAVITY, (4000, 1)), "mocap", time, quat[:1] + 0 * quat
+    )
+    with pytest.raises(ValueError, match="turn too little together"):
+        estimate_mount(still)
+
+
+def write_csv(folder, log: Recording) -> str:
+    """A CSV of a recording with its column map, and the path of that."""
+    rows = np.column_stack([log.time, log.gyro, log.accel, log.quat])
+    np.savetxt(folder / "x.csv", rows, "%.9g", delimiter=",", header="t,p,q,r,x,y,z,a,b,c,d", comments="")
+    (folder / "x.toml").write_text(f'{COLUMNS}truth_axes = "{log.truth_axes}"\n{TABLES}')
+    return str(folder / "x.toml")
+
+
+@pytest.mark.parametrize("truth_axes", ["body", "imu"])
+def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
+    tmp_path, make_flights, truth_axes
+):
+    path = write_csv(tmp_path, recorded(make_flights, truth_axes, late_s=0.0))
+    odd = read_log_and_report(path)[1].warnings
+    assert any(f"quadsim logs mount {path}" in line for line in odd)
+    printed = CliRunner().invoke(app, ["logs", "mount", path], catch_exceptions=False).output
+    mount = printed.split('--mount "')[1].split('"')[0]
+    log, report = read_log_and_report(path, mount=mount)
+    assert report.warnings == []
+    tilt = np.abs(log["accel"].to_numpy()[0].mean(axis=0)[:2])
+    assert tilt.max() < 1.0
+
+
+def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flights):
+    path = write_csv(tmp_path, recorded(make_flights, "imu"))
+    command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]
+    printed = CliRunner().invoke(app, command, catch_exceptions=False).output
+    assert f"`quadsim logs mount {path}` estimates" in printed
+    assert printed.index("logs mount") < printed.index("Inclination RMSE")
+
+
+def test_a_heading_of_the_mounting_that_gravity_does_not_show_is_said(make_flights):
+    flight = recorded(make_flights)
+    upright = mounted(flight, BODY_FROM_IMU.tolist())
+    assert read_warnings(upright) == []
+    assert any("rotated by 20° does" in line for line in read_warnings(mounted(upright, "rpy 0 0 20")))
+
+
+def read_warnings(log: Recording) -> list[str]:
+    return resample(replace(log, truth_time=log.time))[1].warnings
