@@ -74,6 +74,12 @@ PLANS = {
     for airframe, seed in (("hummingbird", 101), ("crazyflie", 201))
 }
 """The flights of each airframe."""
+DESCRIPTION = (
+    f"{sum(map(len, PLANS.values()))} flights of {DURATION_S:g} s of "
+    "[RotorPy](https://github.com/spencerfolk/rotorpy), a simulator by other authors: its Hummingbird and "
+    "Crazyflie, its aerodynamics, wind, trajectories and controller, with our model of the IMU"
+)
+"""Of the flights, for the pages."""
 
 
 class Trajectory(Protocol):
