@@ -33,6 +33,7 @@ from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import load_imu
 from quadsim.imu.stream import simulate_imu_with_bias
 from quadsim.rotation import quat_rotate_inverse, wxyz_from_xyzw
+from quadsim.runs.console import progress_bar
 from quadsim.runs.files import replace
 from quadsim.runs.fingerprint import file_digest, fingerprint
 from quadsim.runs.pool import run_jobs
@@ -225,6 +226,12 @@ def is_current(plan: Plan, file: Path) -> bool:
         return str(found["digest"]) == digest_of(plan)
 
 
+def read_flight(file: Path) -> dict[str, Array]:
+    """The arrays of `fly` from a file."""
+    with np.load(file) as found:
+        return {name: found[name] for name in found.files if name != "digest"}
+
+
 @cache
 def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
     """RotorPy's flights of an airframe as one of our datasets.
@@ -235,11 +242,13 @@ def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
         imu: A shipped IMU, which is switched on when recording begins.
     """
     files = {plan: data / "rotorpy" / f"{airframe}-{plan.seed}.npz" for plan in PLANS[airframe]}
-    missing = {plan: (plan, file) for plan, file in files.items() if not is_current(plan, file)}
-    for _ in run_jobs(write_flight, missing) if missing else ():
-        pass
-    flown = [np.load(file) for file in files.values()]
-    truth = {name: np.stack([each[name] for each in flown]) for name in flown[0].files if name != "digest"}
+    if missing := {plan: (plan, file) for plan, file in files.items() if not is_current(plan, file)}:
+        with progress_bar(f"RotorPy, {airframe}", "flights") as bar:
+            bar(0, len(missing))
+            for done, _ in enumerate(run_jobs(write_flight, missing), start=1):
+                bar(done, len(missing))
+    flown = [read_flight(file) for file in files.values()]
+    truth = {name: np.stack([each[name] for each in flown]) for name in flown[0]}
     spec, seeds = load_imu(imu), [np.random.SeedSequence(plan.seed) for plan in files]
     motion = truth["ang_vel"], truth["specific_force"]
     readings = simulate_imu_with_bias(spec, *motion, RATE_HZ, seeds, rotor_vel=truth["rotor_vel"])
