@@ -4,17 +4,19 @@
 those of the commands in filters.md; those that are missing are generated.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import xarray as xr
+from foreign import AIRFRAMES, DESCRIPTION, foreign, foreign_cell
+from foreign import DURATION_S as FOREIGN_S
 from numpy.typing import NDArray
 from pages import Page, load_page, row
 from recordings import VQF_DEFAULTS
-from simulated import DURATION_S, options, simulated
+from simulated import DURATION_S, SETS, options, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, evaluate
@@ -25,6 +27,7 @@ from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
 from quadsim.dataset.figures import STYLE
+from quadsim.flight.recipe import load_recipe
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle, load_vehicle
 
@@ -48,6 +51,8 @@ ELSEWHERE = {
     "val-px4": ("px4-quad, still air, aggressive", "px4-quad-px4-mini"),
 }
 """Dataset to what its flights are, and the domain of the tuned parameters."""
+ROTORPY_WINDS = {"sinusoid": "sinusoidal wind of 3 m/s, up to 0.3 Hz", "dryden": "its Dryden turbulence"}
+"""RotorPy's winds, in words."""
 OTHERS = ("hummingbird", "px4-quad", "crazyflie")
 """Vehicles whose constants are given to ekf-drag in place of the right ones."""
 SPOILT = {
@@ -83,7 +88,19 @@ def compared(page: Page, domain: str, dataset: xr.Dataset) -> Evaluation:
     return done
 
 
-def result_rows(done: Evaluation) -> list[str]:
+def rotorpy_cell(name: str, start: str, domain: str, data: Path) -> str:
+    """The error on RotorPy's flights with the domain's IMU; slow filters run on a few of them."""
+    return foreign_cell(
+        name,
+        lambda vehicle: create(name, tuning=tuning_of(name, domain), vehicle=vehicle),
+        data,
+        load_recipe(SETS[DOMAINS[domain]].recipe).imu,
+        known=start == "known",
+        count=SLOW_FLIGHTS // len(AIRFRAMES) if name in FILTERPY else None,
+    )
+
+
+def result_rows(done: Evaluation, domain: str, data: Path) -> list[str]:
     """The table, unknown starts first, best first."""
     rows = []
     for each in sorted(done.rows, key=lambda each: (each.initial != "unknown", each.mean_deg)):
@@ -91,7 +108,8 @@ def result_rows(done: Evaluation) -> list[str]:
         name = each.estimator + ("*" if each.flights < max(other.flights for other in done.rows) else "")
         mean = f"{each.mean_deg:.2f} ({each.mean_low_deg:.2f}–{each.mean_high_deg:.2f})"
         numbers = [f"{each.median_deg:.2f}", mean, f"{each.sd_deg:.2f}", each.silenced, each.behind]
-        rows.append(row(name, each.initial, *numbers, f"{each.inclination_rmse_deg:.2f}", *settled))
+        rotorpy = rotorpy_cell(each.estimator, each.initial, domain, data)
+        rows.append(row(name, each.initial, *numbers, f"{each.inclination_rmse_deg:.2f}", rotorpy, *settled))
     return rows
 
 
@@ -176,11 +194,21 @@ def drag_rows(domain: str, dataset: xr.Dataset) -> list[str]:
     ]
 
 
+def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:
+    """Other kinds of flight: what they are, the domain of the tuned parameters, and the dataset."""
+    for name, (what, domain) in ELSEWHERE.items():
+        yield what, domain, simulated(name, data)
+    for airframe in AIRFRAMES:
+        dataset = foreign(airframe, data)
+        for wind, what in ROTORPY_WINDS.items():
+            chosen = np.flatnonzero(dataset["wind_model"] == wind)
+            yield f"RotorPy's {airframe}, {what}", next(iter(DOMAINS)), dataset.isel(flight=chosen)
+
+
 def elsewhere_rows(data: Path) -> list[str]:
     """Errors on other kinds of flight, started in motion, with the drag right, wrong and absent."""
     rows = []
-    for name, (what, domain) in ELSEWHERE.items():
-        dataset = simulated(name, data)
+    for what, domain, dataset in elsewhere(data):
         flights, vehicle = load_flights([dataset]).pieces(PIECES), vehicle_of(dataset)
         assert vehicle is not None
         errors = [
@@ -238,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for domain, dataset in sets.items():
         done = compared(page, domain, dataset)
         tables |= {
-            f"results:{domain}": result_rows(done),
+            f"results:{domain}": result_rows(done, domain, given.data),
             f"parameters:{domain}": parameter_rows(domain),
             f"causes:{domain}": cause_rows(domain, dataset),
             f"drag:{domain}": drag_rows(domain, dataset),
@@ -250,6 +278,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "slow": str(SLOW_FLIGHTS),
         "pieces": str(PIECES),
         "piece_s": f"{DURATION_S / PIECES:g}",
+        "foreign_piece_s": f"{FOREIGN_S / PIECES:g}",
+        "rotorpy": DESCRIPTION,
         "recovered": f"{RECOVERED_S:g}",
         "spoilt": row("estimator", *SPOILT),
     }

@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import xarray as xr
+from foreign import DESCRIPTION, foreign_error
 from numpy.typing import NDArray
 from pages import ROOT, Page, load_page, row
 from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
@@ -18,7 +19,7 @@ from simulated import options
 from estimators import run
 from estimators.evaluation.comparison import made_of, silenced_twin
 from estimators.evaluation.logs import KNOWN, RAW, LogScores, draw_log
-from estimators.metrics import inclination_error
+from estimators.metrics import Summary, inclination_rmse
 from quadsim.dataset.export import export
 from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
@@ -121,7 +122,7 @@ def calibration_rows(page: Page) -> list[str]:
 
 
 def simulated_rows(data: Path) -> list[str]:
-    """Estimators on simulated flights of other sensors and airframes; `ekf-drag` knows each vehicle."""
+    """Estimators on other sensors and airframes, and on RotorPy's; `ekf-drag` knows each vehicle."""
     clean, windy = ([flights(data, *each)] for each in SIMULATED)
     rough = [flights(data, *each) for each in ROUGH]
     sets = [(clean, np.zeros(3)), (windy, np.zeros(3)), (windy, np.radians(BIAS_DEG)), (rough, np.zeros(3))]
@@ -131,11 +132,13 @@ def simulated_rows(data: Path) -> list[str]:
         for paths, bias in sets:
             errors = [rmse(made_of([name], RATE, vehicle=v)[name], path, bias) for path, v in paths]
             cells.append(f"{np.mean(errors):.2f}")
-        lines.append(row(name, *cells))
+        rotorpy = foreign_error(lambda v, n=name: made_of([n], RATE, vehicle=v)[n], data, measure=settled)
+        lines.append(row(name, *cells, f"{rotorpy:.2f}"))
     twin = silenced_twin(NETS[0])
     assert twin is not None
     cells = [f"{np.mean([rmse(twin, path, bias) for path, _ in paths]):.2f}" for paths, bias in sets]
-    return [*lines, row("*att-snn, silenced*", *cells)]
+    rotorpy = foreign_error(lambda _: twin, data, measure=settled)
+    return [*lines, row("*networks, silenced*", *cells, f"{rotorpy:.2f}")]
 
 
 def flights(data: Path, recipe: str, vehicle: str, seed: int) -> tuple[Path, str]:
@@ -149,8 +152,13 @@ def rmse(est: AttitudeEstimator, path: Path, bias: Array) -> float:
     """Inclination RMSE over the flights of a dataset, after 3 s [deg]."""
     data = open_dataset(path)
     gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    error = inclination_error(run(est, gyro + bias, accel), roll_pitch_from_quat(quat))[:, round(3 * RATE) :]
-    return float(np.sqrt(np.mean(error**2, axis=1)).mean())
+    return settled(run(est, gyro + bias, accel), roll_pitch_from_quat(quat)).mean
+
+
+def settled(estimate: Array, truth: Array) -> Summary:
+    """Inclination RMSE after 3 s of each flight [deg], from roll and pitch (n, T, 2) [rad]."""
+    skip = round(3 * RATE)
+    return inclination_rmse(estimate[:, skip:], truth[:, skip:])
 
 
 def seconds(logs: Sequence[xr.Dataset]) -> str:
@@ -185,6 +193,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "calibration": calibration_rows(page),
             "simulated": simulated_rows(given.data),
             "simulated_count": str(FLIGHTS),
+            "rotorpy": DESCRIPTION,
             "agreement": f"{AGREEMENT:g}",
             "upright": f"{UPRIGHT:g}",
             "bias": ", ".join(f"{each:g}" for each in BIAS_DEG),

@@ -1,11 +1,15 @@
 """Measure the README's first table: `python docs/readme.py [--data FOLDER] [--recordings FOLDER]`."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from textwrap import fill
 
+from foreign import DESCRIPTION, foreign_cell, foreign_error
 from pages import ROOT, load_page, row
 from recordings import BROAD, FOLDER, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
 from simulated import estimate_of, options, simulated
 
+from estimators import create
 from estimators.evaluation.comparison import made_of, silenced_twin
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.evaluation.logs import RAW
@@ -17,9 +21,9 @@ WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 DRAG, CHIP, GRU = "ekf-drag", "att-snn-loihi", "att-rnn"
 VEHICLE = "hummingbird"
 HEAD = (
-    "| roll and pitch from | Hummingbird, simulated [°] | the same, silenced [°] | BROAD, real [°] "
-    "| Phantom 4, real [°] |",
-    "|---|---|---|---|---|",
+    "| roll and pitch from | Hummingbird, simulated [°] | the same, silenced [°] | RotorPy [°] "
+    "| BROAD, real [°] | Phantom 4, real [°] |",
+    "|---|---|---|---|---|---|",
 )
 
 
@@ -34,13 +38,16 @@ def best(errors: Mapping[str, float]) -> str:
     return f"{errors[name]:.2f} ({name})"
 
 
-def network_cells(name: str, flights: Flights, errors: Sequence[tuple[float, float]]) -> list[str]:
+def network_cells(
+    name: str, flights: Flights, data: Path, errors: Sequence[tuple[float, float]]
+) -> list[str]:
     """Errors of a network, silenced beside it; `errors` on the recordings and silenced there."""
     twin = silenced_twin(name)
     assert twin is not None
     own = made_of([name], RATE_HZ)[name]
     real = [f"{error:.2f} (silenced {silent:.2f})" for error, silent in errors]
-    return [f"{error_deg(own, flights):.2f}", f"{error_deg(twin, flights):.2f}", *real]
+    rotorpy = foreign_cell(name, lambda _: own, data)
+    return [f"{error_deg(own, flights):.2f}", f"{error_deg(twin, flights):.2f}", rotorpy, *real]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -54,14 +61,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
     in_simulation = best({name: error_deg(est, flights) for name, est in filters.items()})
     real = [best({name: each.mean(name, RAW) for name in filters}) for each in scores]
+    in_rotorpy = best({name: foreign_error(lambda _, e=est: e, given.data) for name, est in filters.items()})
     drag = error_deg(made_of([DRAG], RATE_HZ, vehicle=VEHICLE)[DRAG], flights)
+    drag_in_rotorpy = foreign_cell(DRAG, lambda each: create(DRAG, RATE_HZ, vehicle=each), given.data)
     networks = {
-        name: network_cells(name, flights, [(s.mean(name, RAW), s.silenced(name)) for s in scores])
+        name: network_cells(
+            name, flights, given.data, [(s.mean(name, RAW), s.silenced(name)) for s in scores]
+        )
         for name in (CHIP, GRU)
     }
     rows = {
-        "the best filter that does not know the drag": [in_simulation, "–", *real],
-        "`ekf-drag`, given the vehicle": [f"{drag:.2f}", "–", "–", "–"],
+        "the best filter that does not know the drag": [in_simulation, "–", in_rotorpy, *real],
+        "`ekf-drag`, given the vehicle": [f"{drag:.2f}", "–", drag_in_rotorpy, "–", "–"],
         "**Att-SNN on the emulated chip**": networks[CHIP],
         "Att-RNN, its twin of GRUs": networks[GRU],
     }
@@ -75,6 +86,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} simulated "
             f"flights of {flights.gyro.shape[1] / flights.rate_hz:g} s, unknown start.",
             "  Networks were trained and filters tuned in the same simulator, on other flights.",
+            *fill(
+                f"- *RotorPy*: the same error over {DESCRIPTION}. Nothing was trained or tuned on them.",
+                125,
+                subsequent_indent="  ",
+                break_long_words=False,
+                break_on_hyphens=False,
+            ).splitlines(),
             f"- *BROAD* ({len(sets[BROAD])} trials of a sensor moved by hand) and *Phantom 4* "
             f"({len(sets[PHANTOM4])} flights): inclination RMSE on real recordings, unknown start",
             "  ([docs/logs.md](docs/logs.md)). Nothing was trained or tuned on them.",

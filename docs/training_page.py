@@ -8,6 +8,7 @@ from itertools import pairwise
 from textwrap import fill
 
 import numpy as np
+from foreign import DESCRIPTION, foreign_cell
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import load_page, row
@@ -91,8 +92,17 @@ def start_figure(estimators: dict[str, AttitudeEstimator], pieces: Flights) -> F
     return figure
 
 
-def result_rows(estimators: dict[str, AttitudeEstimator], flights: Flights, pieces: Flights) -> list[str]:
-    """Errors from unknown and known starts, silenced errors, and the time from 20° to 2°; best first."""
+def rotorpy_cell(name: str, est: AttitudeEstimator, data: Path) -> str:
+    """The error on RotorPy's flights from an unknown start; ekf-drag has the constants of each airframe."""
+    if name == "ekf-drag":
+        return foreign_cell(name, lambda vehicle: create(name, RATE_HZ, vehicle=vehicle), data)
+    return foreign_cell(name, lambda _: est, data)
+
+
+def result_rows(
+    estimators: dict[str, AttitudeEstimator], flights: Flights, pieces: Flights, data: Path
+) -> list[str]:
+    """Errors from unknown and known starts and in RotorPy, and the time from 20° to 2°; best first."""
     rows = []
     for name, est in estimators.items():
         error = attitude_error(estimate_of(est, flights), flights.truth)
@@ -105,7 +115,8 @@ def result_rows(estimators: dict[str, AttitudeEstimator], flights: Flights, piec
             silenced, known = f"{attitude_error(estimate_of(twin, flights), flights.truth).mean:.2f}", "–"
         time = float(np.median(within(est, pieces)))
         shown = "never" if np.isinf(time) else f"{time:.2f}"
-        cells = (name, f"{error.mean:.2f}", f"{low:.2f}–{high:.2f}", silenced, known, shown)
+        rotorpy = rotorpy_cell(name, est, data)
+        cells = (name, f"{error.mean:.2f}", f"{low:.2f}–{high:.2f}", silenced, known, rotorpy, shown)
         rows.append((error.mean, row(*cells)))
     return [text for _, text in sorted(rows)]
 
@@ -271,7 +282,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "flights": str(len(flights.gyro)),
             "duration": f"{flights.gyro.shape[1] / flights.rate_hz:g}",
             "starts": str(len(pieces.gyro)),
-            "results": result_rows(estimators, flights, pieces),
+            "rotorpy": DESCRIPTION,
+            "results": result_rows(estimators, flights, pieces, given.data),
             "rounding": f"{abs(rounded - real):.3f}",
             "weights": weight_rows(flights),
             "settled": f"{SETTLED_S:g}",

@@ -81,14 +81,13 @@ def evaluate_logs(
     read = {path: read_log_and_report(path, mount=mount) for path in paths}
     refused([(path, report) for path, (_, report) in read.items()], force)
     warnings = [f"{path}: {warning}" for path, (_, report) in read.items() for warning in report.warnings]
-    for warning in warnings:
-        output.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
     reasons = {path: unscorable(log, within_deg=within_deg) for path, (log, _) in read.items()}
     left_out = [f"{path}: nothing to score: {reason}" for path, reason in reasons.items() if reason]
     if len(left_out) == len(read):
         raise ValueError(left_out[0])
-    for line in left_out:
-        output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
+    warnings += left_out
+    for warning in warnings:
+        output.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for path, (log, _) in read.items() if not reasons[path]]
     rate = float(logs[0].attrs["rate_hz"])
     made = contenders.create(default_names(contenders.vehicle is not None), rate)

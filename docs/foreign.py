@@ -1,0 +1,311 @@
+"""Flights of RotorPy, a simulator by other authors, on which pages score estimators.
+
+`python docs/foreign.py [--data FOLDER]` simulates those that are missing, about three minutes of CPU time;
+every page that needs them does the same. Dynamics, aerodynamics, wind, trajectories and controller are those
+of RotorPy (Folk, Paulos & Kumar, "RotorPy: A Python-based multirotor simulator with aerodynamics for
+education and research", 2023, arXiv:2306.04485). The IMU alone is ours: `quadsim.imu` on the body rate and on
+the specific force of RotorPy's state derivative. Nothing was trained or tuned on these flights.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rotorpy.controllers.quadrotor_control import SE3Control
+from rotorpy.trajectories.lissajous_traj import TwoDLissajous
+from rotorpy.trajectories.minsnap import MinSnap
+from rotorpy.vehicles import crazyflie_params, hummingbird_params
+from rotorpy.vehicles.multirotor import Multirotor
+from rotorpy.wind.default_winds import SinusoidWind
+from rotorpy.wind.dryden_winds import DrydenGust
+from simulated import estimate_of, options
+
+from estimators.evaluation.comparison import silenced_twin
+from estimators.evaluation.flights import load_flights
+from estimators.metrics import Summary, attitude_error
+from quadsim.estimator import AttitudeEstimator
+from quadsim.imu.spec import load_imu
+from quadsim.imu.stream import simulate_imu_with_bias
+from quadsim.rotation import quat_rotate_inverse, wxyz_from_xyzw
+from quadsim.runs.console import progress_bar
+from quadsim.runs.files import replace
+from quadsim.runs.fingerprint import file_digest, fingerprint
+from quadsim.runs.pool import run_jobs
+from quadsim.vehicle import AIR_DENSITY, GRAVITY, Motor, Rotor, Vehicle, load_vehicle
+
+Array = NDArray[np.float64]
+Make = Callable[[Vehicle], AttitudeEstimator]
+"""Makes an estimator for an airframe."""
+
+RATE_HZ = 200.0
+WARMUP_S, DURATION_S = 4.0, 60.0
+"""Simulated before recording, and recorded [s]."""
+AIRFRAMES: dict[str, dict[str, Any]] = {
+    "hummingbird": hummingbird_params.quad_params,
+    "crazyflie": crazyflie_params.quad_params,
+}
+"""RotorPy's constants of each airframe."""
+
+
+class Plan(NamedTuple):
+    """A flight."""
+
+    airframe: str
+    path: Literal["lissajous", "waypoints"]
+    wind: Literal["sinusoid", "dryden"]
+    yaw_rate: float
+    """Commanded, constant [rad/s]. RotorPy's controller diverges where the yaw turns fast."""
+    seed: int
+    """Of path, wind and IMU."""
+
+
+PLANS = {
+    airframe: (
+        Plan(airframe, "lissajous", "sinusoid", 0.0, seed),
+        Plan(airframe, "lissajous", "dryden", 0.3, seed + 1),
+        Plan(airframe, "waypoints", "sinusoid", -0.2, seed + 2),
+        Plan(airframe, "waypoints", "dryden", 0.0, seed + 3),
+    )
+    for airframe, seed in (("hummingbird", 101), ("crazyflie", 201))
+}
+"""The flights of each airframe."""
+DESCRIPTION = (
+    f"{sum(map(len, PLANS.values()))} flights of {DURATION_S:g} s of "
+    "[RotorPy](https://github.com/spencerfolk/rotorpy), a simulator by other authors: its Hummingbird and "
+    "Crazyflie, its aerodynamics, wind, trajectories and controller, with our model of the IMU"
+)
+"""Of the flights, for the pages."""
+
+
+class Trajectory(Protocol):
+    """RotorPy's interface of a trajectory."""
+
+    def update(self, t: float) -> dict[str, Any]:
+        """Position, its derivatives and yaw at a time [s]."""
+        ...
+
+
+class Wind(Protocol):
+    """RotorPy's interface of a wind."""
+
+    def update(self, t: float, position: Array) -> Array:
+        """Velocity of the air at a time [s] and a position [m], world axes [m/s]."""
+        ...
+
+
+def lissajous(rng: np.random.Generator) -> Trajectory:
+    """A Lissajous curve with peak accelerations of 2 to 4.5 m/s² on each axis."""
+    amplitude, accel = rng.uniform(2.0, 4.0, 2), rng.uniform(2.0, 4.5, 2)
+    (a, b), phase = np.sqrt(accel / amplitude), rng.uniform(0.0, 2.0 * np.pi)
+    return TwoDLissajous(A=amplitude[0], B=amplitude[1], a=a, b=b, delta=phase, height=2.0)
+
+
+def waypoints(rng: np.random.Generator, duration_s: float) -> Trajectory:
+    """Minimum snap at 2 m/s in the mean, for a time or longer, through random points at least 2.5 m apart."""
+    speed, points = 2.0, [np.zeros(3)]
+    while np.linalg.norm(np.diff(points, axis=0), axis=1).sum() < speed * duration_s:
+        point = rng.uniform((-3.0, -3.0, -1.0), (3.0, 3.0, 1.0))
+        if np.linalg.norm(point - points[-1]) > 2.5:
+            points.append(point)
+    return MinSnap(np.array(points), v_avg=speed, v_max=3.0 * speed, verbose=False)
+
+
+def wind_of(plan: Plan, rng: np.random.Generator) -> Wind:
+    """RotorPy's sinusoids of up to 3 m/s and 0.3 Hz, or its Dryden turbulence around a mean wind.
+
+    Its turbulence is driven by noise that does not depend on the step: at 200 Hz the standard deviation is
+    about a hundredth of `sig_wind`.
+    """
+    if plan.wind == "sinusoid":
+        frequency = rng.uniform(0.02, 0.3, 3)
+        return SinusoidWind(np.array([3.0, 3.0, 1.0]), frequency, rng.uniform(0.0, 1.0, 3) / frequency)
+    mean = np.append(rng.uniform(-2.0, 2.0, 2), 0.0)
+    return DrydenGust(dt=1.0 / RATE_HZ, avg_wind=mean, sig_wind=np.array([100.0, 100.0, 50.0]), altitude=5.0)
+
+
+def fly(plan: Plan, duration_s: float = DURATION_S, warmup_s: float = WARMUP_S) -> dict[str, Array]:
+    """Simulate a flight with RotorPy at 200 Hz, from hover at the start of its path.
+
+    Args:
+        plan: The flight.
+        duration_s: Recorded [s].
+        warmup_s: Simulated before that [s].
+
+    Returns:
+        Arrays (T, ·), each row of one instant: position [m], velocity and wind [m/s] in the world, z up;
+        quat_WB, scalar first; ang_vel [rad/s] and specific_force [m/s²], R_BW (dv/dt + g e_z), in body axes;
+        rotor_vel [rad/s].
+    """
+    constants, dt = AIRFRAMES[plan.airframe], 1.0 / RATE_HZ
+    warmup, steps = (round(each * RATE_HZ) for each in (warmup_s, duration_s))
+    rng = np.random.default_rng(plan.seed)
+    np.random.seed(plan.seed)  # noqa: NPY002  # RotorPy's turbulence draws from NumPy's global generator
+    path = lissajous(rng) if plan.path == "lissajous" else waypoints(rng, warmup_s + duration_s)
+    wind, controller = wind_of(plan, rng), SE3Control(constants)
+    state = hover(constants, path.update(0.0)["x"])
+    multirotor = Multirotor(constants, state)
+    rows = []
+    for k in range(warmup + steps):
+        t = k * dt
+        state["wind"] = wind.update(t, state["x"])
+        reference = path.update(t) | {"yaw": plan.yaw_rate * t, "yaw_dot": plan.yaw_rate}
+        command = controller.update(t, state, reference)
+        rows.append(state | {"accel": multirotor.statedot(state, command, dt)["vdot"]})
+        state = multirotor.step(state, command, dt)
+    x, v, q, w, wind_W, rotor_vel, accel_W = (
+        np.array([row[key] for row in rows[warmup:]])
+        for key in ("x", "v", "q", "w", "wind", "rotor_speeds", "accel")
+    )
+    quat = wxyz_from_xyzw(q)
+    force = quat_rotate_inverse(quat, accel_W + np.array([0.0, 0.0, GRAVITY]))
+    return {
+        "position": x,
+        "velocity": v,
+        "quat": quat,
+        "ang_vel": w,
+        "specific_force": force,
+        "wind": wind_W,
+        "rotor_vel": rotor_vel,
+    }
+
+
+def hover(constants: Mapping[str, Any], position: Array) -> dict[str, Array]:
+    """RotorPy's state of an airframe that hovers at a position [m]; its quaternion is scalar last."""
+    rotors = constants["num_rotors"]
+    speed = np.sqrt(constants["mass"] * GRAVITY / (rotors * constants["k_eta"]))
+    still = {"v": np.zeros(3), "q": np.array([0.0, 0.0, 0.0, 1.0]), "w": np.zeros(3), "wind": np.zeros(3)}
+    return {"x": position, **still, "rotor_speeds": np.full(rotors, speed)}
+
+
+def vehicle(airframe: str) -> Vehicle:
+    """An airframe with RotorPy's constants; its outline is that of our file of the same name."""
+    constants = AIRFRAMES[airframe]
+    area = (2.0 * constants[key] / AIR_DENSITY for key in ("c_Dx", "c_Dy", "c_Dz"))  # c |v| v = ½ ρ A |v| v
+    turns = zip(constants["rotor_pos"].values(), constants["rotor_directions"], strict=True)
+    ixx, iyy, izz = (constants[key] for key in ("Ixx", "Iyy", "Izz"))
+    return Vehicle(
+        name=f"rotorpy-{airframe}",
+        source=f"RotorPy {version('rotorpy')}, vehicles/{airframe}_params.py",
+        mass=constants["mass"],
+        inertia=(ixx, iyy, min(izz, ixx + iyy)),  # that of its Crazyflie is above, which no rigid body has
+        rotors=tuple(Rotor(position=tuple(hub), spin="cw" if sense > 0 else "ccw") for hub, sense in turns),
+        motor=Motor(
+            k_f=constants["k_eta"],
+            k_m=constants["k_m"] / constants["k_eta"],
+            omega_max=constants["rotor_speed_max"],
+            tau_up=constants["tau_m"],
+            tau_down=constants["tau_m"],
+            rotor_drag=constants["k_d"],
+            rolling_moment=0.0,
+        ),
+        frame=load_vehicle(airframe).frame.model_copy(update={"drag_area": tuple(area)}),
+    )
+
+
+def write_flight(plan: Plan, file: Path) -> None:
+    """Simulate a flight into a file, beside the digest of what it was made by."""
+    replace(file, lambda part: np.savez_compressed(part, digest=digest_of(plan), **fly(plan)))
+
+
+def digest_of(plan: Plan) -> str:
+    """Of a flight, RotorPy's version and this script."""
+    return fingerprint(plan, version("rotorpy"), file_digest(Path(__file__)))
+
+
+def is_current(plan: Plan, file: Path) -> bool:
+    """Whether a file holds the flight."""
+    if not file.is_file():
+        return False
+    with np.load(file) as found:
+        return str(found["digest"]) == digest_of(plan)
+
+
+def read_flight(file: Path) -> dict[str, Array]:
+    """The arrays of `fly` from a file."""
+    with np.load(file) as found:
+        return {name: found[name] for name in found.files if name != "digest"}
+
+
+@cache
+def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
+    """RotorPy's flights of an airframe as one of our datasets.
+
+    Args:
+        airframe: One of `AIRFRAMES`.
+        data: Folder of the datasets; flights are kept in `rotorpy/` in it.
+        imu: A shipped IMU, which is switched on when recording begins.
+    """
+    files = {plan: data / "rotorpy" / f"{airframe}-{plan.seed}.npz" for plan in PLANS[airframe]}
+    if missing := {plan: (plan, file) for plan, file in files.items() if not is_current(plan, file)}:
+        with progress_bar(f"RotorPy, {airframe}", "flights") as bar:
+            bar(0, len(missing))
+            for done, _ in enumerate(run_jobs(write_flight, missing), start=1):
+                bar(done, len(missing))
+    flown = [read_flight(file) for file in files.values()]
+    truth = {name: np.stack([each[name] for each in flown]) for name in flown[0]}
+    spec, seeds = load_imu(imu), [np.random.SeedSequence(plan.seed) for plan in files]
+    motion = truth["ang_vel"], truth["specific_force"]
+    readings = simulate_imu_with_bias(spec, *motion, RATE_HZ, seeds, rotor_vel=truth["rotor_vel"])
+    last = {"quat": "quat_axis", "rotor_vel": "rotor"}
+    everything = truth | dict(zip(("gyro", "accel", "gyro_bias", "accel_bias"), readings, strict=True))
+    config = {"vehicle": vehicle(airframe).model_dump(mode="json"), "imu": spec.model_dump(mode="json")}
+    return xr.Dataset(
+        {name: (("flight", "time", last.get(name, "axis")), values) for name, values in everything.items()},
+        {"wind_model": ("flight", [plan.wind for plan in files])},
+        {"rate_hz": RATE_HZ, "config": json.dumps(config)},
+    )
+
+
+def foreign_error(
+    make: Make,
+    data: Path,
+    imu: str = "adis16448",
+    *,
+    measure: Callable[[Array, Array], Summary] = attitude_error,
+    known: bool = False,
+    count: int | None = None,
+) -> float:
+    """Mean error of an estimator over RotorPy's flights of all airframes [deg].
+
+    Args:
+        make: Makes the estimator, given RotorPy's constants of the airframe.
+        data: Folder of the datasets.
+        imu: A shipped IMU.
+        measure: From estimate and truth (n, T, 2) [rad] to the error of each flight.
+        known: Whether the initial attitude is given.
+        count: Flights of each airframe, or all.
+    """
+    errors = []
+    for airframe in AIRFRAMES:
+        flights = load_flights([foreign(airframe, data, imu)], count)
+        chosen = flights.known() if known else flights
+        errors.append(measure(estimate_of(make(vehicle(airframe)), chosen), chosen.truth).sequences)
+    return float(np.mean(np.concatenate(errors)))
+
+
+def foreign_cell(name: str, make: Make, data: Path, imu: str = "adis16448", **how: Any) -> str:
+    """`foreign_error` as tables show it, of a network with that of the silenced network beside it."""
+    text = f"{foreign_error(make, data, imu, **how):.2f}"
+    twin = silenced_twin(name)
+    if twin is None:
+        return text
+    return f"{text} (silenced {foreign_error(lambda _: twin, data, imu, **how):.2f})"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Simulate the flights that are missing, and say how the vehicles moved."""
+    given = options(__doc__, arguments)
+    for airframe in AIRFRAMES:
+        flights = load_flights([foreign(airframe, given.data)])
+        sd = np.degrees(flights.truth.std(axis=(0, 1)))
+        print(f"{airframe}: {len(flights.gyro)} flights, roll SD {sd[0]:.1f}°, pitch SD {sd[1]:.1f}°")
+
+
+if __name__ == "__main__":
+    main()

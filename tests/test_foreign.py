@@ -1,0 +1,145 @@
+"""Flights of RotorPy: its conventions turned into ours, and our IMU on them."""
+
+import sys
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimators import create
+from estimators.evaluation.flights import vehicle_of
+from quadsim.rotation import (
+    euler_from_quat,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+)
+
+pytest.importorskip("rotorpy")
+DOCS = Path(__file__).parents[1] / "docs"
+DT = 1 / 200.0
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+@pytest.fixture(scope="module")
+def foreign():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(DOCS)
+        yield import_module("foreign")
+    for name in ("foreign", "simulated", "pages"):
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture(scope="module", params=["hummingbird", "crazyflie"])
+def flight(request, foreign):
+    """Two seconds in turbulence with a turn, after one second: name of the airframe, arrays."""
+    plan = foreign.Plan(request.param, "lissajous", "dryden", 0.3, 5)
+    return request.param, foreign.fly(plan, duration_s=2.0, warmup_s=1.0)
+
+
+@pytest.fixture
+def hovering(foreign, monkeypatch):
+    """Paths and winds replaced by hover in still air."""
+    from rotorpy.trajectories.hover_traj import HoverTraj
+    from rotorpy.wind.default_winds import NoWind
+
+    monkeypatch.setattr(foreign, "lissajous", lambda rng: HoverTraj(np.array([0.0, 0.0, 2.0])))
+    monkeypatch.setattr(foreign, "wind_of", lambda plan, rng: NoWind())
+    monkeypatch.setattr(
+        foreign, "PLANS", {"hummingbird": (foreign.Plan("hummingbird", "lissajous", "dryden", 0.0, 1),)}
+    )
+    monkeypatch.setattr(foreign, "fly", partial(foreign.fly, duration_s=0.5, warmup_s=0.0))
+
+
+def test_specific_force_and_gravity_integrate_to_velocity(flight):
+    _, motion = flight
+    accel = quat_rotate(motion["quat"], motion["specific_force"]) + GRAVITY
+    change = np.cumsum(0.5 * DT * (accel[1:] + accel[:-1]), axis=0)
+    assert np.ptp(motion["velocity"], axis=0).max() > 1.0
+    np.testing.assert_allclose(change, motion["velocity"][1:] - motion["velocity"][0], atol=0.02)
+
+
+def test_velocity_integrates_to_position(flight):
+    _, motion = flight
+    change = np.cumsum(0.5 * DT * (motion["velocity"][1:] + motion["velocity"][:-1]), axis=0)
+    np.testing.assert_allclose(change, motion["position"][1:] - motion["position"][0], atol=1e-3)
+
+
+def test_body_rate_integrates_to_a_scalar_first_attitude(flight):
+    _, motion = flight
+    midpoint = 0.5 * (motion["ang_vel"][1:] + motion["ang_vel"][:-1])
+    quat = motion["quat"][0]
+    for turn in quat_from_rotvec(midpoint * DT):
+        quat = quat_multiply(quat, turn)
+    assert abs(quat @ motion["quat"][0]) < 0.99  # it turned
+    assert abs(quat @ motion["quat"][-1]) > 1.0 - 1e-6
+
+
+def test_a_positive_yaw_rate_turns_to_the_left(flight):
+    _, motion = flight
+    yaw = np.unwrap(euler_from_quat(motion["quat"])[:, 2])
+    assert (yaw[-1] - yaw[0]) / 2.0 == pytest.approx(0.3, abs=0.1)
+
+
+def test_horizontal_force_is_the_drag_of_the_vehicle_in_the_air(foreign, flight):
+    airframe, motion = flight
+    vehicle = foreign.vehicle(airframe)
+    air = quat_rotate_inverse(motion["quat"], motion["velocity"] - motion["wind"])
+    rotors = vehicle.motor.rotor_drag * motion["rotor_vel"].sum(axis=1, keepdims=True)
+    frame = 0.5 * 1.225 * np.array(vehicle.frame.drag_area) * np.linalg.norm(air, axis=1, keepdims=True)
+    drag = -(rotors + frame) * air / vehicle.mass
+    assert np.abs(drag[:, :2]).max() > 0.2
+    np.testing.assert_allclose(motion["specific_force"][:, :2], drag[:, :2], atol=5e-3)
+
+
+def test_a_flight_follows_from_its_seed_alone(foreign, flight):
+    airframe, motion = flight
+    np.random.rand(3)  # noqa: NPY002  # the global generator, which RotorPy draws from
+    plan = foreign.Plan(airframe, "lissajous", "dryden", 0.3, 5)
+    again = foreign.fly(plan, duration_s=0.1, warmup_s=1.0)
+    np.testing.assert_array_equal(again["position"], motion["position"][:20])
+    other = foreign.fly(plan._replace(seed=6), duration_s=0.1, warmup_s=1.0)
+    assert not np.allclose(other["wind"], again["wind"])
+
+
+@pytest.mark.parametrize("airframe", ["hummingbird", "crazyflie"])
+def test_thrust_and_torques_are_those_of_rotorpy(foreign, airframe):
+    from rotorpy.vehicles.multirotor import Multirotor
+
+    vehicle = foreign.vehicle(airframe)
+    rotorpy = Multirotor(foreign.AIRFRAMES[airframe])
+    np.testing.assert_allclose(vehicle.allocation / vehicle.motor.k_f, rotorpy.f_to_TM, atol=1e-12)
+
+
+def test_waypoints_begin_at_rest_and_last_long_enough(foreign):
+    path = foreign.waypoints(np.random.default_rng(0), 20.0)
+    begin, late = path.update(0.0), path.update(19.9)
+    np.testing.assert_allclose([begin["x"], begin["x_dot"]], 0.0, atol=1e-6)
+    assert np.linalg.norm(late["x_dot"]) > 0.0
+
+
+def test_in_hover_the_accelerometer_reads_gravity_upwards(foreign, hovering, tmp_path):
+    dataset = foreign.foreign("hummingbird", tmp_path, "perfect")
+    np.testing.assert_allclose(dataset["accel"], np.broadcast_to(-GRAVITY, (1, 100, 3)), atol=1e-6)
+    np.testing.assert_array_equal(dataset["gyro"], dataset["ang_vel"])
+    assert vehicle_of(dataset) == foreign.vehicle("hummingbird")
+
+
+def test_a_finished_flight_is_not_simulated_again(foreign, hovering, tmp_path, monkeypatch):
+    plan = foreign.PLANS["hummingbird"][0]
+    foreign.foreign("hummingbird", tmp_path)
+    assert foreign.is_current(plan, tmp_path / "rotorpy" / "hummingbird-1.npz")
+    assert not foreign.is_current(plan._replace(yaw_rate=0.1), tmp_path / "rotorpy" / "hummingbird-1.npz")
+    monkeypatch.setattr(foreign, "fly", None)
+    assert foreign.foreign("hummingbird", tmp_path, "px4-mini").sizes["time"] == 100
+
+
+def test_the_truth_has_no_error_and_a_level_guess_none_in_hover(foreign, hovering, tmp_path, monkeypatch):
+    monkeypatch.setattr(foreign, "AIRFRAMES", {"hummingbird": foreign.AIRFRAMES["hummingbird"]})
+    assert foreign.foreign_error(lambda _: create("truth", 200.0), tmp_path) == 0.0
+    cell = foreign.foreign_cell("att-snn", lambda _: create("att-snn", 200.0), tmp_path)
+    assert cell.endswith("(silenced 0.00)")
+    assert float(cell.split()[0]) > 0.0
