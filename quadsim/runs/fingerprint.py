@@ -44,6 +44,7 @@ def file_digest(path: Path) -> str:
     return content_digest(path.read_bytes())
 
 
+@cache
 def source_digest(source: str) -> str:
     """Digest of Python source that comments, docstrings and formatting do not change."""
     return content_digest(_shape(ast.parse(source)))
@@ -72,16 +73,25 @@ def _sources(name: str) -> list[Path]:
     return sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
 
 
+@cache
+def _imports(source: str) -> frozenset[tuple[int, tuple[str, ...]]]:
+    """What source imports: for each name how many packages up it starts, and its parts from there."""
+    found: set[tuple[int, tuple[str, ...]]] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {(0, (alias.name,)) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            module = (node.module,) if node.module else ()
+            found |= {(node.level, module), *((node.level, (*module, alias.name)) for alias in node.names)}
+    return frozenset(found)
+
+
 def _imported(path: Path, root: Path, packages: Collection[str] | None) -> set[Path]:
     """Files of the product that a file's import statements load."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            package = path.relative_to(root).with_suffix("").parts[: -node.level] if node.level else ()
-            base = ".".join([*package, *([node.module] if node.module else [])])
-            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
+    for level, parts in _imports(path.read_text("utf-8")):
+        package = path.relative_to(root).with_suffix("").parts[:-level] if level else ()
+        names.add(".".join([*package, *parts]))
     ours = {name for name in names if packages is None or name.split(".")[0] in packages}
     return {file for name in ours for file in _files_of(name, root)} | {
         file for name in names for file in _files_of(name, path.parent)
