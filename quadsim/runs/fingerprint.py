@@ -3,11 +3,11 @@
 import ast
 import hashlib
 import json
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
 ROOT = Path(__file__).parents[2]
@@ -44,10 +44,24 @@ def file_digest(path: Path) -> str:
     return content_digest(path.read_bytes())
 
 
-@cache
 def source_digest(source: str) -> str:
     """Digest of Python source that comments, docstrings and formatting do not change."""
-    return content_digest(_shape(ast.parse(source)))
+    return read_source(source).digest
+
+
+class Source(NamedTuple):
+    """What fingerprints need of Python source."""
+
+    digest: str
+    imports: frozenset[tuple[int, tuple[str, ...]]]
+    """For each name in an import statement how many packages up it starts, and its parts from there."""
+
+
+@cache
+def read_source(source: str) -> Source:
+    """Parse source, once for all fingerprints that it counts in."""
+    tree = ast.parse(source)
+    return Source(content_digest(_shape(tree)), frozenset(_imports(tree)))
 
 
 def closure(scripts: Iterable[Path], root: Path, packages: Collection[str] | None = None) -> set[Path]:
@@ -73,23 +87,20 @@ def _sources(name: str) -> list[Path]:
     return sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
 
 
-@cache
-def _imports(source: str) -> frozenset[tuple[int, tuple[str, ...]]]:
-    """What source imports: for each name how many packages up it starts, and its parts from there."""
-    found: set[tuple[int, tuple[str, ...]]] = set()
-    for node in ast.walk(ast.parse(source)):
+def _imports(tree: ast.Module) -> Iterator[tuple[int, tuple[str, ...]]]:
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {(0, (alias.name,)) for alias in node.names}
+            yield from ((0, (alias.name,)) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             module = (node.module,) if node.module else ()
-            found |= {(node.level, module), *((node.level, (*module, alias.name)) for alias in node.names)}
-    return frozenset(found)
+            yield node.level, module
+            yield from ((node.level, (*module, alias.name)) for alias in node.names)
 
 
 def _imported(path: Path, root: Path, packages: Collection[str] | None) -> set[Path]:
     """Files of the product that a file's import statements load."""
     names: set[str] = set()
-    for level, parts in _imports(path.read_text("utf-8")):
+    for level, parts in read_source(path.read_text("utf-8")).imports:
         package = path.relative_to(root).with_suffix("").parts[:-level] if level else ()
         names.add(".".join([*package, *parts]))
     ours = {name for name in names if packages is None or name.split(".")[0] in packages}
