@@ -7,7 +7,7 @@ run: install  ## Generate flights, score the estimators, fly them through four s
 	$(BIN)/quadsim demo --out reports/demo
 
 test: install  ## The whole suite
-	$(BIN)/pytest -n auto
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
 
 check: install  ## Linter, formatter, type checker, import contract, and pages that are out of date
 	$(BIN)/ruff check .

@@ -3,11 +3,11 @@
 import ast
 import hashlib
 import json
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
 ROOT = Path(__file__).parents[2]
@@ -46,12 +46,22 @@ def file_digest(path: Path) -> str:
 
 def source_digest(source: str) -> str:
     """Digest of Python source that comments, docstrings and formatting do not change."""
-    return content_digest(_shape(_tree(source)))
+    return read_source(source).digest
+
+
+class Source(NamedTuple):
+    """What fingerprints need of Python source."""
+
+    digest: str
+    imports: frozenset[tuple[int, tuple[str, ...]]]
+    """For each name in an import statement how many packages up it starts, and its parts from there."""
 
 
 @cache
-def _tree(source: str) -> ast.Module:
-    return ast.parse(source)
+def read_source(source: str) -> Source:
+    """Parse source, once for all fingerprints that it counts in."""
+    tree = ast.parse(source)
+    return Source(content_digest(_shape(tree)), frozenset(_imports(tree)))
 
 
 def closure(scripts: Iterable[Path], root: Path, packages: Collection[str] | None = None) -> set[Path]:
@@ -77,16 +87,22 @@ def _sources(name: str) -> list[Path]:
     return sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
 
 
+def _imports(tree: ast.Module) -> Iterator[tuple[int, tuple[str, ...]]]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((0, (alias.name,)) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            module = (node.module,) if node.module else ()
+            yield node.level, module
+            yield from ((node.level, (*module, alias.name)) for alias in node.names)
+
+
 def _imported(path: Path, root: Path, packages: Collection[str] | None) -> set[Path]:
     """Files of the product that a file's import statements load."""
     names: set[str] = set()
-    for node in ast.walk(_tree(path.read_text("utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            package = path.relative_to(root).with_suffix("").parts[: -node.level] if node.level else ()
-            base = ".".join([*package, *([node.module] if node.module else [])])
-            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
+    for level, parts in read_source(path.read_text("utf-8")).imports:
+        package = path.relative_to(root).with_suffix("").parts[:-level] if level else ()
+        names.add(".".join([*package, *parts]))
     ours = {name for name in names if packages is None or name.split(".")[0] in packages}
     return {file for name in ours for file in _files_of(name, root)} | {
         file for name in names for file in _files_of(name, path.parent)

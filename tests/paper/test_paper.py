@@ -24,12 +24,12 @@ SHORT = Budget(epochs=1, batches=1, batch_size=2, window_s=0.5, windows_per_stre
 LONGER = SHORT.model_copy(update={"epochs": 4})
 TINY = PaperSettings(
     preset="quick",
-    sim_flights=3,
-    real_flights=3,
+    sim_flights=4,
+    real_flights=4,
     validation_flights=(1, 1),
     test_flights=(2, 2),
     flight_s=6.0,
-    folds=3,
+    folds=2,
     particles=2,
     iterations=1,
     main=LONGER,
@@ -42,10 +42,10 @@ TINY = PaperSettings(
     rate_flights=(1, 1, 1),
     rate=SHORT,
     sizes=(20, 200),
-    minutes_flights=(1, 3),
+    minutes_flights=(1, 4),
     latency_rounds=1,
     loop_seeds=1,
-    loop_s=3.0,
+    loop_s=2.0,
 )
 
 
@@ -280,6 +280,6 @@ def test_the_whole_paper_in_small(tmp_path):
     scored = json.loads((tmp_path / "quick" / "score-test-sim" / NUMBERS).read_text())["sequences"]
     for name, starts in scored.items():
         assert set(starts) == ({"unknown"} if name.startswith("att") else {"unknown", "known"})
-    for settings, again in ((TINY, []), (TINY.model_copy(update={"loop_s": 2.0}), ["loop"])):
+    for settings, again in ((TINY, []), (TINY.model_copy(update={"loop_s": 1.5}), ["loop"])):
         stages, _ = stages_of(settings)
         assert run_stages(with_inputs(stages, stages), tmp_path / "quick", workers=1) == again

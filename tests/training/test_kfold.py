@@ -77,7 +77,7 @@ def test_every_fold_of_every_domain_is_trained_scored_and_kept(domains, tmp_path
 
 
 def test_processes_give_the_same_scores(domains, tmp_path):
-    choices = TINY | {"epochs": 1}
+    choices = TINY | {"epochs": 1, "folds": 2}
     alone = kfold(domains[:1], tmp_path / "one", workers=1, **choices)
     assert kfold(domains[:1], tmp_path / "two", workers=2, **choices) == alone
 

@@ -31,12 +31,16 @@ def gradients(output, rates, weights, seed=2):
     return torch.autograd.grad(loss, tuple(weights))
 
 
-@pytest.mark.parametrize("quantised", [False, True])
-@pytest.mark.parametrize("delay", [1, 2])
+SMALL = [(5, 60, 13, 9, 1), (1, 4, 3, 4, 1)]
+EVERY_WAY = [(quantised, delay, size) for quantised in (False, True) for delay in (1, 2) for size in SMALL]
+FULL_SIZE = (8, 90, 100, 100, 2)
+
+
 @pytest.mark.parametrize(
-    ("n", "steps", "h0", "h1", "threads"), [(5, 60, 13, 9, 1), (1, 4, 3, 4, 1), (8, 90, 100, 100, 2)]
+    ("quantised", "delay", "size"), [*EVERY_WAY, (False, 2, FULL_SIZE), (True, 1, FULL_SIZE)]
 )
-def test_fused_backend_equals_plain_pytorch(quantised, delay, n, steps, h0, h1, threads):
+def test_fused_backend_equals_plain_pytorch(quantised, delay, size):
+    n, steps, h0, h1, threads = size
     weights, x = random_weights(h0, h1, quantised=quantised), random_input(n, steps)
     reference, fused = Plain(quantised, delay), Fused(quantised, delay, threads)
     expected, expected_rates = reference.forward(x, weights)
