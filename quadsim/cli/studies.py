@@ -66,10 +66,12 @@ def evaluate(
     """
     if (data is None) == (not logs):
         raise ValueError("one of --data and --logs is required")
-    from scenarios.report.logs import Contenders, evaluate_logs
+    from scenarios.report.contenders import Contenders
 
     contenders = Contenders(estimator, weights or [], tuning, vehicle)
     if logs:
+        from scenarios.log_report.evaluate import evaluate_logs
+
         evaluate_logs(logs, contenders, out, within_deg=within, mount=mount, force=force)
         return
     if mount is not None:

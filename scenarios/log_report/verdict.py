@@ -26,19 +26,16 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     """Which estimator had the smallest error, how a level guess compares, and what limits the finding."""
     logs, names = list(scores.truth), [name for name in scores.estimators if name != LEVEL]
     error = {name: scores.mean(name, RAW) for name in scores.estimators}
-    rated = [name for name in names if math.isfinite(error[name])]
     seconds = sum(int(scores.counted[log].sum()) / _rate(scores, log) for log in logs)
     data = f"{len(logs)} log{'s' if len(logs) > 1 else ''}, {seconds:.0f} s scored"
-    if not rated:
-        return LogVerdict("Nothing could be scored.", [f"{data}: no sample with a known attitude counts."])
-    best, level = rated[0], error[LEVEL]
+    best, level = names[0], error[LEVEL]
     headline = f"Smallest error: {best}, {error[best]:.2f}° inclination RMSE."
     if error[best] > CLEAR * level:
         headline = f"No estimator is much better than a level guess ({level:.2f}°)"
         headline += f"; the best is {best}, {error[best]:.2f}°."
     conditions = "from an unknown attitude, with the gyroscope as it reads"
     lines = [f"{data}, {conditions}. A level guess makes {level:.2f}°."]
-    lines += [*_by_log(scores, logs, rated, best), *_bias(scores, rated, error), *_believed(scores)]
+    lines += [*_by_log(scores, logs, names, best), *_bias(scores, names, error), *_believed(scores)]
     if len(logs) == 1:
         lines.append("One log shows what happened on it, not which estimator is best on the next.")
     return LogVerdict(headline, lines)
@@ -48,33 +45,30 @@ def _rate(scores: LogScores, log: str) -> float:
     return 1.0 / float(np.median(np.diff(scores.time_s[log])))
 
 
-def _by_log(scores: LogScores, logs: list[str], rated: list[str], best: str) -> list[str]:
+def _by_log(scores: LogScores, logs: list[str], names: list[str], best: str) -> list[str]:
     """On how many logs the best is the best, and where it is furthest behind."""
     on = {(row.estimator, row.log): row.inclination_rmse_deg for row in scores.rows if row.bias == RAW}
-    known = [log for log in logs if math.isfinite(on[best, log])]
-    if len(known) < 2:
+    if len(logs) < 2:
         return []
-    least = {
-        log: min((on[name, log], name) for name in rated if math.isfinite(on[name, log])) for log in known
-    }
-    first = sum(least[log][1] == best for log in known)
-    worst = max(known, key=lambda log: on[best, log] / least[log][0])
-    text = f"{best} has the smallest error on {first} of {len(known)} logs"
-    if first < len(known):
+    least = {log: min((on[name, log], name) for name in names) for log in logs}
+    first = sum(least[log][1] == best for log in logs)
+    worst = max(logs, key=lambda log: on[best, log] / least[log][0])
+    text = f"{best} has the smallest error on {first} of {len(logs)} logs"
+    if first < len(logs):
         value, name = least[worst]
         text += f"; it is furthest behind on {worst}: {on[best, worst]:.2f}° where {name} makes {value:.2f}°"
     return [text + "."]
 
 
-def _bias(scores: LogScores, rated: list[str], error: dict[str, float]) -> list[str]:
+def _bias(scores: LogScores, names: list[str], error: dict[str, float]) -> list[str]:
     """Estimators that lose by a gyroscope bias that they do not find."""
     largest = max(
         (np.abs(bias).max() for bias in scores.gyro_bias.values() if np.isfinite(bias).all()), default=0.0
     )
     if largest < LARGE_BIAS:
         return []
-    without = {name: scores.mean(name, KNOWN) for name in rated}
-    losing = [name for name in rated if without[name] < GAINED * error[name]]
+    without = {name: scores.mean(name, KNOWN) for name in names}
+    losing = [name for name in names if without[name] < GAINED * error[name]]
     text = f"The gyroscope reads up to {math.degrees(largest):.1f} °/s at rest"
     if losing:
         shown = ", ".join(f"{name} ({error[name]:.1f}°, without it {without[name]:.1f}°)" for name in losing)

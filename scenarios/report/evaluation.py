@@ -11,7 +11,7 @@ from quadsim.dataset.reading import open_dataset
 from quadsim.runs.console import output, progress_bar
 from quadsim.runs.files import save_figure
 
-from .logs import Contenders
+from .contenders import Contenders
 from .page import OfflineSection, write_report
 from .terminal import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
 

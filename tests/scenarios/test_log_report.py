@@ -64,11 +64,6 @@ def test_verdict_of_one_log_warns_of_the_next():
     assert any(line.startswith("One log shows") for line in log_verdict(scores).lines)
 
 
-def test_verdict_without_a_scored_sample_says_so():
-    scores = score_logs([log("tilted", seconds=10.0)], ["mahony"], within_deg=1e-9)
-    assert log_verdict(scores).headline == "Nothing could be scored."
-
-
 def test_page_needs_nothing_else_and_escapes_what_is_the_user_s(report):
     text = report.read_text()
     assert "calm &amp; &lt;quiet&gt;" in text
