@@ -26,7 +26,6 @@ from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking, real
 from estimators.networks.symmetry import OPERATIONS, is_symmetric, weight_sharing
 from estimators.networks.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
 from estimators.registry import FILTERPY, NETWORKS
-from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator, Readings
 from training.augment import roll_pitch_of_up
 from training.config import TrainConfig, make_config
@@ -270,7 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     pieces = many_starts(flights)
     estimators = made()
     page.save(start_figure(estimators, pieces), "start.png", dpi=110, colours=64)
-    train = load_flights([open_dataset(given.data / "train.zarr")], 24)
+    train = load_flights([simulated("train", given.data)], 24)
     bands, finding = band_rows(estimators, flights, perfect, linear_weights(train))
     config, tensors = load_network("att-snn")
     best = make_config("best", data="x")
