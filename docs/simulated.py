@@ -40,8 +40,8 @@ SETS = {
     "val-rough": Made("hummingbird", 8, 7, imu="rough"),
     "val-px4": Made("px4", 8, 26),
 }
-"""Nothing was trained or tuned on these, but on `train`. The networks' epochs were chosen on the Hummingbird's of
-`val`."""
+"""Nothing was trained or tuned on these, but on `train`. The networks' epochs were chosen on the
+Hummingbird's of `val`."""
 
 
 def simulated(name: str, data: Path) -> xr.Dataset:
