@@ -58,13 +58,8 @@ def scaled_inputs(
     """
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
     state = np.zeros(len(gyro), ENCODER) if state is None else state
-    return encoded(input_scaling(inputs), gyro, accel, state)
-
-
-def encoded(scaling: Scaling, gyro: Array, accel: Array, state: NDArray[np.void]) -> Array:
-    """What `scaled_inputs` returns, of contiguous arrays and the offset and gain of `input_scaling`."""
     x = np.empty((*gyro.shape[:2], 6))
-    _encode(gyro, accel, scaling, state, x)
+    _encode(gyro, accel, input_scaling(inputs), state, x)
     return x
 
 

@@ -30,10 +30,10 @@ from ..loihi.neurons import (
     wrap,
 )
 from ..loihi.neurons import step as step_chip
-from .encoder import ENCODER, encode_sample, encoded, input_scaling
+from . import gru
+from .encoder import ENCODER, encode_sample, input_scaling
 from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Settings, Weights, network_block, state_type
 from .forward import run as run_floats
-from .gru import run_gru
 from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
@@ -233,28 +233,24 @@ class Recurrent:
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
         """Lay the weights out for the kernel."""
-        self._weights = tuple(
-            np.ascontiguousarray(tensors[f"gru.{kind}_l{layer}"].T, np.float32)
+        first, second = (
+            gru.Layer(
+                *(
+                    np.ascontiguousarray(tensors[f"gru.{kind}_l{layer}"].T, np.float32)
+                    for kind in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+                )
+            )
             for layer in (0, 1)
-            for kind in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         )
-        self._out = (
-            np.ascontiguousarray(tensors["out.weight"], np.float32),
-            tensors["out.bias"].astype(np.float32),
-        )
-        self._scale, self._scaling = config.output_scale, input_scaling(config.inputs)
-        units = {"h0": (np.float32, (config.encoding,)), "h1": (np.float32, (config.hidden,))}
-        self.state = block_type({"encoder": (ENCODER, ())} | units)
+        w_out, b_out = tensors["out.weight"].astype(np.float32), tensors["out.bias"].astype(np.float32)
+        readout = gru.Readout(np.ascontiguousarray(w_out.T), b_out)
+        scaling = input_scaling(config.inputs)
+        self._network = gru.network_block(scaling, first, second, readout, config.output_scale)
+        self.state = gru.state_type(config.encoding, config.hidden)
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
-        n = len(states)
-        record = fields(states, self.state)
-        x = encoded(self._scaling, gyro.reshape(n, -1, 3), accel.reshape(n, -1, 3), record["encoder"])
-        run_gru(
-            x.astype(np.float32), self._weights, self._out, record["h0"], record["h1"], out.reshape(n, -1, 2)
-        )
-        out *= self._scale
+        gru.run_gru(gyro, accel, self._network, states, out)
 
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:

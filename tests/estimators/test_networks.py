@@ -10,6 +10,7 @@ from safetensors.numpy import save_file
 
 from estimators.analysis.activity import record
 from estimators.networks.encoder import scaled_inputs
+from estimators.networks.gru import tanh
 from estimators.networks.network import (
     NetworkEstimator,
     OnLoihi,
@@ -122,6 +123,18 @@ def test_streaming_equals_the_whole_sequence(name, snn_file, rnn_file):
 
 
 @pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
+def test_the_numbers_of_a_vehicle_do_not_depend_on_how_many_there_are(name, snn_file, rnn_file):
+    est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
+    gyro, accel = samples(13, 45)
+    est.reset(13)
+    together = est.sequence(gyro, accel)
+    for k in (0, 5, 7, 12):
+        est.reset(1)
+        alone = [est.update(gyro[k : k + 1, t], accel[k : k + 1, t]) for t in range(45)]
+        np.testing.assert_array_equal(np.stack(alone, 1)[0], together[k])
+
+
+@pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
 def test_restart_leaves_the_others_alone(name, snn_file, rnn_file):
     est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
     gyro, accel = samples(3, 60)
@@ -154,15 +167,24 @@ def test_the_initial_attitude_is_checked_and_ignored(name, snn_file, rnn_file):
             est.restart([0, 1], roll_pitch=start)
 
 
-def test_gru_equals_torch(rnn_file):
-    config, tensors = load_network(rnn_file)
-    gru = torch.nn.GRU(6, 100, 2, batch_first=True)
+def test_the_tangent_of_the_gru_is_numpys():
+    x = np.concatenate([np.linspace(-12, 12, 2001), np.geomspace(1e-30, 1, 1000)]).astype(np.float32)
+    np.testing.assert_allclose([tanh(each) for each in x], np.tanh(x.astype(float)), rtol=3e-7)
+
+
+@pytest.mark.parametrize("units", [7, 100])
+def test_gru_equals_torch(tmp_path, units):
+    config = NetworkConfig(model="att-rnn", encoding=units, hidden=units)
+    tensors = random_rnn(config)
+    rnn_file = tmp_path / "rnn.safetensors"
+    save_network(rnn_file, config, tensors)
+    gru = torch.nn.GRU(6, units, 2, batch_first=True)
     gru.load_state_dict({k.removeprefix("gru."): torch.tensor(v) for k, v in tensors.items() if "gru" in k})
-    gyro, accel = samples(2, 50)
+    gyro, accel = samples(9, 50)
     x = torch.tensor(scaled_inputs(config.inputs, gyro, accel), dtype=torch.float32)
     expected = gru(x)[0].detach().numpy() @ tensors["out.weight"].T + tensors["out.bias"]
     est = create_network("att-rnn", weights=rnn_file)
-    est.reset(2)
+    est.reset(9)
     np.testing.assert_allclose(est.sequence(gyro, accel), expected, atol=1e-5)
 
 
