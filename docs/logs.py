@@ -114,6 +114,7 @@ def calibration_rows(page: Page) -> list[str]:
         if preset == "adis16448":
             page.save(draw(found), "calibration.png", dpi=100, colours=48)
         for name, mine, true in (("gyro", found.gyro, imu.gyro), ("accel", found.accel, imu.accel)):
+            assert mine.noise is not None
             tau = mine.time_constant / (true.time_constant or np.nan)
             ratios = f"{mine.noise / true.noise:.3f}", f"{mine.random_walk / true.random_walk:.2f}"
             lines.append(row(preset, name, *ratios, f"{'' if mine.resolved else '> '}{tau:.2f}"))
