@@ -27,8 +27,8 @@ SHAKE_GYRO, SHAKE_ACCEL = 0.1, 0.5
 DRIFT = 5.0
 """and as many times that to the median of the calmest seconds: further is another attitude."""
 CHANCE = 10.0
-"""A walk that lowers the cost of the fit by less is chance: in 5 % of simulated white noise of 70 s, in 3 % of
-300 s, it lowers it by more (the points of the curve share their samples, so that no χ² says it)."""
+"""A walk that lowers the cost of the fit by less is chance: 5 % of simulated logs of white noise of 70 s, and
+3 % of those of 300 s, exceed it. The points of the curve share their samples, so that χ² does not tell."""
 POINTS = 60
 """Averaging times of the curve."""
 LONGEST = 1 / 4
