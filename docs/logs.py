@@ -28,8 +28,9 @@ from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.imu.spec import load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.logs.allan import calibrate, draw
+from quadsim.logs.log_report import AGREEMENT, UPRIGHT
 from quadsim.logs.recording import Recording
-from quadsim.logs.resample import AGREEMENT, UPRIGHT, resample
+from quadsim.logs.resample import resample
 from quadsim.rotation import roll_pitch_from_quat
 
 Array = NDArray[np.float64]
