@@ -29,8 +29,9 @@ from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.imu.spec import load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.logs.allan import calibrate, draw
+from quadsim.logs.log_report import AGREEMENT, UPRIGHT
 from quadsim.logs.recording import Recording
-from quadsim.logs.resample import AGREEMENT, UPRIGHT, resample
+from quadsim.logs.resample import resample
 from quadsim.rotation import roll_pitch_from_quat
 
 Array = NDArray[np.float64]
@@ -115,6 +116,7 @@ def calibration_rows(page: Page) -> list[str]:
         if preset == "adis16448":
             page.save(draw(found), "calibration.png", dpi=100, colours=48)
         for name, mine, true in (("gyro", found.gyro, imu.gyro), ("accel", found.accel, imu.accel)):
+            assert mine.noise is not None
             tau = mine.time_constant / (true.time_constant or np.nan)
             ratios = f"{mine.noise / true.noise:.3f}", f"{mine.random_walk / true.random_walk:.2f}"
             lines.append(row(preset, name, *ratios, f"{'' if mine.resolved else '> '}{tau:.2f}"))

@@ -141,13 +141,21 @@ def convert(
 @app.command()
 def calibrate(
     files: Annotated[list[Path], typer.Argument(help="Logs in which the sensor lies still.")],
-    out: Annotated[Path, typer.Option(help="IMU file to write, for example my-imu.toml.")],
+    out: Annotated[
+        Path | None, typer.Option(help="IMU file to write, for example my-imu.toml; not with --bias-only.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the Allan deviation and its fit.")] = None,
     gravity: Annotated[float, typer.Option(help="Gravity where it was recorded, in m/s².")] = 9.81,
     mount: MountOption = None,
     imu: Imu = None,
+    bias_only: Annotated[
+        bool, typer.Option("--bias-only", help="The biases alone: 3 s at rest are enough.")
+    ] = False,
 ) -> None:
     """Measure an IMU's noise from still logs (Allan variance), as a file that `generate --imu` reads.
+
+    A bias needs 3 s at rest, a noise density 10 s, a bias random walk 60 s and to be sure an hour, its time
+    constant a log several times as long as itself. What the logs are too short for is left out and named.
 
     Example: quadsim logs calibrate still.ulg --out my-imu.toml
     """
@@ -155,17 +163,32 @@ def calibrate(
     from ..logs.allan import calibrate as calibrate_imu
     from ..logs.allan import draw, write_imu
 
-    found = calibrate_imu([read_recording(file, mount=mount, imu=imu) for file in files], gravity)
+    if (out is None) != bias_only:
+        raise ValueError("one of --out and --bias-only is required")
+    logs = [read_recording(file, mount=mount, imu=imu) for file in files]
+    found = calibrate_imu(logs, gravity, bias_only=bias_only)
+    biases = Table("sensor", "bias x", "y", "z", "1 SD by noise")
+    for (name, unit, sensor), seen in zip(found.sensors, ("", ", along gravity"), strict=True):
+        values = (f"{value:+.5f}" for value in sensor.bias)
+        biases.add_row(f"{name}{seen}, {unit}", *values, f"{sensor.bias_sd:.5f}")
+    output.print(biases)
+    if out is None:
+        rates = ", ".join(f"{math.degrees(value):+.3f}" for value in found.gyro.bias)
+        text = f"{', '.join(found.logs)}: gyroscope bias ({rates}) °/s, from {found.still_s:.0f} s at rest"
+        output.print(text, soft_wrap=True, highlight=False)
+        return
     write_imu(found, out)
     if plot is not None:
         save_figure(plot, draw(found), dpi=130)
     table = Table("sensor", "noise density", "bias random walk", "time constant, s", "turn-on bias")
     for name, sensor in (("gyro, rad/s", found.gyro), ("accel, m/s²", found.accel)):
         tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"
-        table.add_row(
-            name, f"{sensor.noise:.4g}", f"{sensor.random_walk:.4g}", tau, f"{sensor.turn_on:.3g}"
-        )  # fmt: skip
+        noise = "-" if sensor.noise is None else f"{sensor.noise:.4g}"
+        walk = f"{sensor.random_walk:.4g}" if sensor.random_walk else "-"
+        table.add_row(name, noise, walk, tau, f"{sensor.turn_on:.3g}")
     output.print(table)
+    for line in found.lacking:
+        output.print(f"! {line}", soft_wrap=True, highlight=False)
     output.print(
         f"{out}: an IMU from {found.still_s:.0f} s at rest; quadsim generate --imu {out}", soft_wrap=True
     )

@@ -8,9 +8,10 @@ import xarray as xr
 
 from .broad import read_broad
 from .euroc import euroc_folder, euroc_sequences, read_euroc
+from .log_report import LogReport
 from .mounting import Mount, mounted
 from .recording import Recording
-from .resample import LogReport, resample, split
+from .resample import resample, split
 from .rosbag import read_rosbag
 from .table import read_table
 from .ulog import read_ulog

@@ -1,5 +1,6 @@
 """An IMU's noise from a log in which it lies still: Allan variance, with the simulator's model fitted."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +15,20 @@ from ..runs.files import write_whole
 from ..vehicle import GRAVITY
 from .recording import Array, Recording
 
-LEAST_S = 60.0
-"""Shortest still stretch that is analysed [s]."""
+BIAS_S, NOISE_S, WALK_S = 3.0, 10.0, 60.0
+"""Shortest stretches at rest that give a bias, a white noise density and a bias random walk [s]."""
+WALK_SHOWS = 4 * math.sqrt(3.0)
+"""A walk exceeds white noise in the Allan variance, σ_b² t/3 > N²/t, at averaging times above √3 N/σ_b, and
+those go to a quarter of the log: one of less than this many N/T does not show in a log of T."""
 STILL_GYRO, STILL_ACCEL = 0.02, 0.15
 """Means over a second at rest stay this close to the median of the minute [rad/s, m/s²],"""
+SHAKE_GYRO, SHAKE_ACCEL = 0.1, 0.5
+"""the standard deviation within it is less than this, as it is not with rotors on,"""
 DRIFT = 5.0
 """and as many times that to the median of the calmest seconds: further is another attitude."""
+CHANCE = 10.0
+"""A walk that lowers the cost of the fit by less is chance: 5 % of simulated logs of white noise of 70 s, and
+3 % of those of 300 s, exceed it. The points of the curve share their samples, so that χ² does not tell."""
 POINTS = 60
 """Averaging times of the curve."""
 LONGEST = 1 / 4
@@ -30,16 +39,18 @@ LONGEST = 1 / 4
 class SensorNoise:
     """One sensor's noise, all three axes pooled; unit: rad/s or m/s²."""
 
-    noise: float
-    """White noise density N [unit/√Hz]."""
+    noise: float | None
+    """White noise density N [unit/√Hz]; None where the logs are too short."""
     random_walk: float
-    """Bias random walk σ_b [unit/√s]; 0 where the log shows none."""
+    """Bias random walk σ_b [unit/√s]; 0 where the logs show none, or are too short."""
     time_constant: float
     """Correlation time τ of that walk [s]."""
     resolved: bool
     """Whether the log is long enough to tell τ; if not, it is a lower bound."""
     bias: tuple[float, float, float]
     """Mean of each axis over the log; the accelerometer's along gravity alone."""
+    bias_sd: float
+    """Standard deviation of an axis of that mean by white noise, 1/√T of the samples' own."""
     turn_on: float
     """Standard deviation of the turn-on bias, from as many logs and axes as there are."""
     times: Array
@@ -49,7 +60,7 @@ class SensorNoise:
 
     def model(self) -> Array:
         """The fitted model's Allan deviation at `times`."""
-        return np.sqrt(model_variance(self.times, self.noise, self.random_walk, self.time_constant))
+        return np.sqrt(model_variance(self.times, self.noise or 0.0, self.random_walk, self.time_constant))
 
 
 @dataclass(frozen=True)
@@ -60,8 +71,43 @@ class Calibration:
     accel: SensorNoise
     still_s: float
     """Length of the stretches analysed, all logs together [s]."""
+    longest_s: float
+    """The longest of them [s]."""
     logs: tuple[str, ...]
     rate_hz: float
+
+    @property
+    def lacking(self) -> list[str]:
+        """What the logs are too short for, and how long they have to be, a sentence each."""
+        if self.longest_s < NOISE_S:
+            return [
+                f"noise density: needs {NOISE_S:g} s at rest at a stretch, here are {self.longest_s:.0f} s",
+                f"bias random walk and its time constant: need {WALK_S:g} s at least, an hour to be sure",
+            ]
+        if self.longest_s < WALK_S:
+            return [
+                f"bias random walk and its time constant: need {WALK_S:g} s at rest at a stretch at least, "
+                f"an hour to be sure; here are {self.longest_s:.0f} s"
+            ]
+        found = []
+        for name, unit, sensor in self.sensors:
+            if sensor.random_walk == 0.0:
+                bound = WALK_SHOWS * (sensor.noise or 0.0) / self.longest_s
+                found.append(
+                    f"{name}, bias random walk: none shows in {self.longest_s:.0f} s, it is below about "
+                    f"{bound:.2g} {unit}/√s; a smaller one needs a longer log"
+                )
+            elif not sensor.resolved:
+                found.append(
+                    f"{name}, time constant: more than {self.longest_s:.0f} s; needs a log several times as "
+                    "long as itself"
+                )
+        return found
+
+    @property
+    def sensors(self) -> tuple[tuple[str, str, SensorNoise], tuple[str, str, SensorNoise]]:
+        """Name, unit and noise of both sensors."""
+        return (("gyroscope", "rad/s", self.gyro), ("accelerometer", "m/s²", self.accel))
 
 
 def model_variance(times: ArrayLike, noise: float, random_walk: float, time_constant: float) -> Array:
@@ -87,13 +133,17 @@ def allan_variance(signal: Array, rate_hz: float, sizes: NDArray[np.int64]) -> A
     return out
 
 
-def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY) -> Calibration:
+def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only: bool = False) -> Calibration:
     """Noise densities, bias random walks and turn-on biases of the IMU that recorded still logs.
+
+    A bias needs `BIAS_S` at rest at a stretch, a noise density `NOISE_S` and a bias random walk `WALK_S`.
+    What the logs are too short for is left out, and named by `Calibration.lacking`.
 
     Args:
         logs: From `read_recording`: the raw samples, which no filter has touched. Of each the longest stretch
             is used in which the sensor lies still.
         gravity: Where it was recorded [m/s²].
+        bias_only: Leave the noise out.
 
     Raises:
         ValueError: A log without a still stretch, logs at different rates, or no gravity of this planet.
@@ -118,10 +168,12 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY) -> Calibratio
                 f"{gravity:g}: look at its unit (g, mg?)"
             )
     along = down / length * (length - gravity)
+    longest = 0.0 if bias_only else max(len(gyro) for gyro in gyros) / rate
     return Calibration(
-        gyro=_fitted(gyros, rate, means, float(np.sqrt(np.mean(means**2)))),
-        accel=_fitted(accels, rate, along, float(np.sqrt(np.mean((length - gravity) ** 2)))),
+        gyro=_fitted(gyros, rate, longest, means, float(np.sqrt(np.mean(means**2)))),
+        accel=_fitted(accels, rate, longest, along, float(np.sqrt(np.mean((length - gravity) ** 2)))),
         still_s=sum(len(gyro) for gyro in gyros) / rate,
+        longest_s=max(len(gyro) for gyro in gyros) / rate,
         logs=tuple(log.name for log in logs),
         rate_hz=rate,
     )
@@ -131,7 +183,7 @@ def still_stretch(log: Recording) -> slice:
     """The longest stretch of a log in which the sensor lies still and no sample is missing.
 
     Raises:
-        ValueError: It is shorter than `LEAST_S`.
+        ValueError: It is shorter than `BIAS_S`.
     """
     period = float(np.median(np.diff(log.time)))
     second = max(1, round(1.0 / period))
@@ -145,16 +197,19 @@ def still_stretch(log: Recording) -> slice:
         ]
         centres = [np.median(each[_calmest(log, second, count)], axis=0) for each in means]
         quiet = np.abs(whole - second * period) < 0.2 * second * period
+        for values, limit in ((log.gyro, SHAKE_GYRO), (log.accel, SHAKE_ACCEL)):
+            shakes = values[: count * second].reshape(count, second, 3).std(axis=1)
+            quiet &= (shakes < limit).all(axis=1)
         for each, centre, limit in zip(means, centres, (STILL_GYRO, STILL_ACCEL), strict=True):
             near = np.abs(each - median_filter(each, (61, 1), mode="nearest")) < limit
             quiet &= (near & (np.abs(each - centre) < DRIFT * limit)).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
     runs = edges.reshape(-1, 2)
     longest = max(runs, key=lambda run: run[1] - run[0], default=np.array([0, 0]))
-    if (longest[1] - longest[0]) * second * period < LEAST_S:
+    if (longest[1] - longest[0]) * second * period < 0.99 * BIAS_S:
         found = (longest[1] - longest[0]) * second * period
         raise ValueError(
-            f"{log.name}: at rest for {found:.0f} s at a stretch; at least {LEAST_S:g} s are required"
+            f"{log.name}: at rest for {found:.0f} s at a stretch; at least {BIAS_S:g} s are required"
         )
     return slice(int(longest[0]) * second, int(longest[1]) * second)
 
@@ -167,9 +222,12 @@ def write_imu(calibration: Calibration, out: Path) -> None:
         "# misalignment, low-pass and range do not show at rest: take them from the data sheet, and add",
         "# scale_factor, misalignment, low_pass_hz and saturation here.",
     ]
+    lines += [f"# {line}" for line in calibration.lacking]
     for name, unit, sensor in (("gyro", "rad/s", calibration.gyro), ("accel", "m/s²", calibration.accel)):
         bias = ", ".join(f"{value:.5g}" for value in sensor.bias)
-        lines += ["", f"[{name}]", f"noise = {sensor.noise:.5g} # {unit}/√Hz"]
+        lines += ["", f"[{name}]"]
+        if sensor.noise is not None:
+            lines.append(f"noise = {sensor.noise:.5g} # {unit}/√Hz")
         if sensor.random_walk > 0:
             sure = "" if sensor.resolved else ": a lower bound, the log is too short to tell"
             lines += [
@@ -186,8 +244,20 @@ def _calmest(log: Recording, second: int, count: int) -> NDArray[np.int64]:
     return np.argsort(spread)[: max(1, count // 4)]
 
 
-def _fitted(signals: Sequence[Array], rate_hz: float, bias: Array, turn_on: float) -> SensorNoise:
-    """The model with the Allan variance nearest to that of several stretches of three axes."""
+def _fitted(
+    signals: Sequence[Array], rate_hz: float, longest_s: float, bias: Array, turn_on: float
+) -> SensorNoise:
+    """The model with the Allan variance nearest to that of several stretches of three axes.
+
+    As much of it as the longest of them allows, `longest_s` [s].
+    """
+    x, y, z = bias.mean(axis=0)
+    mean = (float(x), float(y), float(z))
+    white = np.mean([signal.var(axis=0).mean() / len(signal) for signal in signals])
+    bias_sd = float(np.sqrt(white / len(signals)))
+    if longest_s < NOISE_S:
+        none = np.empty(0)
+        return SensorNoise(None, 0.0, 0.0, False, mean, bias_sd, turn_on, none, none)
     longest = max(len(signal) for signal in signals)
     sizes = np.unique(np.geomspace(1, max(2, int(longest * LONGEST)), POINTS).astype(np.int64))
     times = sizes / rate_hz
@@ -198,16 +268,14 @@ def _fitted(signals: Sequence[Array], rate_hz: float, bias: Array, turn_on: floa
         total[fits] += freedom * allan_variance(signal, rate_hz, sizes[fits]).mean(axis=1)
         weight[fits] += freedom
     variance = total / weight
-    x, y, z = bias.mean(axis=0)
-    noise, walk, tau, resolved = _fit(times, variance, weight)
+    noise, walk, tau, resolved = _fit(times, variance, weight, longest_s >= WALK_S)
     return SensorNoise(
-        noise, walk, tau, resolved, (float(x), float(y), float(z)), turn_on,
-        times, np.sqrt(variance),
+        noise, walk, tau, resolved, mean, bias_sd, turn_on, times, np.sqrt(variance)
     )  # fmt: skip
 
 
-def _fit(times: Array, variance: Array, freedom: Array) -> tuple[float, float, float, bool]:
-    """N, σ_b and τ by least squares on the logarithm, each point weighted by its degrees of freedom."""
+def _fit(times: Array, variance: Array, freedom: Array, with_walk: bool) -> tuple[float, float, float, bool]:
+    """N, σ_b and τ, or N alone, by least squares on the logarithm, weighted by the degrees of freedom."""
     # Neighbouring points are of the same samples, so that many short ones must not outweigh the rest.
     sure = np.sqrt(np.minimum(freedom, 300.0) / 2)
     longest = float(times[-1] / LONGEST)
@@ -215,22 +283,30 @@ def _fit(times: Array, variance: Array, freedom: Array) -> tuple[float, float, f
     def residual(p: Array) -> Array:
         return sure * np.log(model_variance(times, *np.exp(p)) / variance)
 
+    if not with_walk:
+        weights = sure**2
+        return float(np.exp(0.5 * np.average(np.log(variance * times), weights=weights))), 0.0, longest, False
     white, walk = np.sqrt(variance[0] * times[0]), np.sqrt(variance[-1] / times[-1])
     bounds = (np.log([white / 10, walk / 1e3, 10 * times[0]]), np.log([white * 10, walk * 1e3, longest]))
     starts = (np.log([white, walk, tau]) for tau in (longest / 30, longest / 3, longest))
     best = min((least_squares(residual, start, bounds=bounds) for start in starts), key=lambda fit: fit.cost)
     noise, walk, tau = np.exp(best.x)
     flat = np.sum((sure * np.log(model_variance(times, noise, 0.0, 1.0) / variance)) ** 2) / 2
-    if flat < best.cost + 3.0:  # the walk explains no more than chance
+    if flat < best.cost + CHANCE:
         return float(noise), 0.0, float(longest), False
     return float(noise), float(walk), float(tau), bool(tau < 0.9 * longest)
 
 
 def draw(calibration: Calibration) -> Figure:
-    """Measured and fitted Allan deviation of both sensors."""
+    """Measured and fitted Allan deviation of both sensors.
+
+    Raises:
+        ValueError: The logs are too short for one.
+    """
+    if not calibration.gyro.times.size:
+        raise ValueError(f"an Allan deviation needs {NOISE_S:g} s at rest at a stretch")
     figure = Figure(figsize=(9, 3.8), layout="constrained")
-    both = (("gyroscope", "rad/s", calibration.gyro), ("accelerometer", "m/s²", calibration.accel))
-    for axes, (name, unit, sensor) in zip(figure.subplots(1, 2), both, strict=True):
+    for axes, (name, unit, sensor) in zip(figure.subplots(1, 2), calibration.sensors, strict=True):
         axes.loglog(sensor.times, sensor.deviation, "o", ms=3.5, label="log")
         axes.loglog(sensor.times, sensor.model(), lw=1.5, label="fitted model")
         axes.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}", title=name)

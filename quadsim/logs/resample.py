@@ -4,8 +4,7 @@ Nothing is bridged in silence: where the log has a gap the samples are NaN, whic
 missing, and where the truth is not known it is NaN, which no score counts.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import xarray as xr
@@ -17,6 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..config.ranges import FORCE_MAX, RATE_MAX
 from ..dataset.store import LABELS, VARIABLES, Variable
 from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
+from .log_report import AXES, LONGEST_GAP_S, LogReport
 from .mean_force import level, turn_at_rest
 from .recording import Array, Recording, Track
 from .truth_delay import align
@@ -37,8 +37,6 @@ STUCK = 3
 """So many equal readings in a row at the end of an axis' range are a saturation."""
 RATES_HZ = (40.0, 10_000.0)
 """Sample rates that make sense to bring to the network's."""
-SLOW_HZ = 90.0
-"""Below this rate the samples lack motion of a vehicle, which is said."""
 UNSORTED, BACK_S = 0.05, 0.01
 """Share of the stamps that go back by more than this time [s] above which rows are out of order."""
 STUCK_S = 0.5
@@ -47,36 +45,6 @@ MOVES = 10.0
 """by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
 EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
-GRAVITY_TOLERANCE = 1.0
-"""Mean specific force in world axes may differ from gravity by this before it is reported [m/s²]."""
-GRAVITY_WRONG = 3.0
-"""and by this before the log is no longer scored: a frame that is turned by 18°."""
-DELAY_TOLERANCE_S = 0.01
-"""The truth may be this late or early before it is reported: two samples of the network's."""
-AGREEMENT = 0.7
-"""Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
-SLOPES = (0.8, 1.25)
-"""Gyroscope's rates over the truth's between which units agree; refused is what noise does not explain."""
-REST_RATE, REST_TURN = 0.2, np.pi / 2
-"""Mean rate [rad/s] and turn [rad] of the vertical by the gyroscope, at rest, that no bias explains: an
-uncalibrated gyroscope's reaches 0.1 rad/s."""
-NO_TURN = 200.0
-"""and above which the truth is no attitude of this sensor: more than any mistake of units."""
-WEIGHTS = (7.0, 13.0)
-"""Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
-MOUNTED_AGREEMENT = 0.9
-"""That correlation under the best rotation of the gyroscope's axes above which a mounting explains them."""
-MOUNTED_GAIN = 0.01
-"""What that rotation adds to the correlation before it is reported: 1 − cos 8°."""
-TILT_DEG = 5.0
-"""The mean force may be this far from body z before it is reported [deg]: an accelerometer's bias and a
-breeze on a hovering vehicle amount to two or three."""
-UPRIGHT = 0.2
-"""Share of the specific force along body z below which a log without truth is taken for no flight."""
-UNIT_NORM = 0.02
-"""Quaternions of the truth may be longer or shorter than one by this."""
-LONGEST_GAP_S = 30.0
-"""A longer gap ends a recording, and what follows is another part of it."""
 RARE = 0.01
 """Share of readings beyond any sensor's range up to which they are left out as spikes."""
 FEWEST = 8
@@ -85,227 +53,8 @@ SPARSE = 20.0
 """A part may last this many times as long as its samples fill at their rate."""
 CLOSEST = 0.05
 """Samples closer than this share of the sample period are one."""
-DOWNWARD = (
-    'it points down: frame = "frd" for forward-right-down axes in north-east-down, or accel.negate = true '
-    "for a log of gravity in place of specific force"
-)
-"""What is amiss where the mean force is upside down."""
-AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
 MEASURED = VARIABLES | {"mag": Variable("axis", "T", "magnetic field in body axes")}
 """Variables of a log's dataset."""
-
-
-@dataclass(frozen=True)
-class LogReport:
-    """What was found in a log."""
-
-    format: str
-    truth: str
-    samples: int
-    duration_s: float
-    source_rate_hz: float
-    jitter_ms: float
-    """Standard deviation of the time between samples, gaps left out."""
-    stamps_back: int
-    """Samples left out because their stamp is not after the one before."""
-    gaps: int
-    gap_s: float
-    """Total length of what is missing in them [s]."""
-    longest_gap_s: float
-    lost: int
-    """Single samples lost, which were interpolated."""
-    repeated: int
-    """Samples equal to the one before on all six axes."""
-    saturated: int
-    """Samples with an axis stuck at the end of its range."""
-    missing: int
-    """Samples that are not finite numbers."""
-    stuck: tuple[int, ...]
-    """Samples left out of each axis of gyroscope and accelerometer, at which it repeats one number."""
-    truth_rate_hz: float
-    truth_share: float
-    """Share of the even samples at which the attitude is known."""
-    gravity: tuple[float, float, float] | None
-    """Mean specific force, turned to the world by the truth [m/s²]: (0, 0, 9.81) where frames agree."""
-    truth_delay_s: float | None
-    """How late the truth is, by its body rates [s]; None where there is too little motion."""
-    agreement: float | None
-    """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
-    slope: float | None
-    """The gyroscope's rates over the truth's: 1 where units agree."""
-    axes: tuple[float, float, float] | None
-    """Correlation of each axis; 1 where it hardly turns."""
-    rotated_agreement: float | None
-    """Correlation under the rotation of the gyroscope's axes that fits the truth best,"""
-    rotation_deg: float | None
-    """and the angle of that rotation [deg]."""
-    tilt_deg: float | None
-    """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
-    second is complete, or a truth of the body says better."""
-    tilt_sd_deg: float
-    """Standard deviation of that mean's direction [deg]."""
-    rest_s: float
-    """Longest stretch at rest, by the turn of the vertical that the gyroscope reads in it [s],"""
-    rest_rate: float
-    """and its mean rate across the vertical there, the bias [rad/s]."""
-    path: str
-    """The file, as it was given."""
-    truth_norm: float | None
-    """Median length of the truth's quaternions as recorded."""
-    weight: float
-    """Median length of the specific force [m/s²]: near 9.8 in flight and in the hand."""
-    upright: float
-    """Its mean along body z, over that length: near 1 in a flight."""
-    still: tuple[str, ...]
-    """Sensors, or axes of one, that read the same number all the time."""
-    parts: int
-    """Parts into which gaps of more than half a minute cut the log; the longest is the one that was read."""
-    filter_hz: float | None
-    """−6 dB corner of the anti-alias filter; None where there was none to apply."""
-    notes: tuple[str, ...]
-
-    @property
-    def faults(self) -> list[str]:
-        """Why scores on this log would mean nothing, in sentences; none where all is well."""
-        found = [f"{sensor} reads the same number all the time" for sensor in self.still]
-        low, high = WEIGHTS
-        if "the accelerometer" not in self.still and not low <= self.weight <= high:
-            known = {
-                1 / 9.81: 'in g (accel.unit = "g")',
-                1e3 / 9.81: 'in mg (accel.unit = "mg")',
-                10.0: "ten times too large",
-            }
-            unit = _unit_of(self.weight / 9.81, known)
-            found.append(
-                f"the specific force has a median of {self.weight:.4g} m/s², and gravity alone is 9.8: {unit}"
-            )
-        elif self.truth == "none" and self.upright < UPRIGHT:
-            found.append(
-                f"body z carries {self.upright:.2f} of the specific force, and in a flight it carries nearly "
-                f"all: {DOWNWARD if self.upright < -UPRIGHT else f'is the frame FLU? {self._mend}'}"
-            )
-        turned = self.rest_s * self.rest_rate
-        if self.slope is None and self.rest_rate > REST_RATE and turned > REST_TURN:
-            found.append(
-                f"at rest for {self.rest_s:.0f} s, the gyroscope reads {self.rest_rate:.3g} rad/s across the "
-                f"vertical, which would turn it by {np.degrees(turned):.0f}°: is it in deg/s "
-                '(gyro.unit = "deg/s")?'
-            )
-        if self.slope is not None and "the gyroscope" not in self.still:
-            low, high = SLOPES
-            r = max(self.rotated_agreement or 1.0, 1e-3)
-            if self.slope > NO_TURN:
-                found.append("the truth hardly turns where the gyroscope does")
-            elif r * self.slope > high or self.slope / r < low:  # whatever the noise of both
-                known = {
-                    180 / np.pi: 'in deg/s (gyro.unit = "deg/s"), or the truth in rad',
-                    np.pi / 180: 'in rad/s (gyro.unit = "rad/s"), or the truth in deg',
-                    10.0: "ten times too large",
-                }
-                found.append(
-                    f"the gyroscope reads {self.slope:.3g} times the rate at which the truth turns (slope): "
-                    f"{_unit_of(self.slope, known, r)}"
-                )
-        if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
-            found.append(f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1")
-        if self.agreement is not None and self.agreement < AGREEMENT:
-            rotated = self.rotated_agreement or 0.0
-            mounting = (
-                f"; with the IMU rotated by {self.rotation_deg:.0f}° it does ({rotated:.2f}): {self._mend}"
-                if rotated > MOUNTED_AGREEMENT
-                else ""
-            )
-            found.append(
-                f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f}): "
-                f"look at frame and mount{mounting}"
-            )
-        elif self.axes is not None and min(self.axes) < AGREEMENT:
-            worst = int(np.argmin(self.axes))
-            found.append(
-                f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
-                f"(correlation {self.axes[worst]:.2f}): look at frame and mount"
-            )
-        if self.gravity is not None and self._off_gravity > GRAVITY_WRONG:
-            found.append(self._where_gravity)
-        return found
-
-    @property
-    def _off_gravity(self) -> float:
-        return float(np.linalg.norm(np.array(self.gravity or (0.0, 0.0, 9.81)) - (0.0, 0.0, 9.81)))
-
-    @property
-    def _where_gravity(self) -> str:
-        x, y, z = self.gravity or (0.0, 0.0, 9.81)
-        mend = DOWNWARD if z < -2 * abs(x) - 2 * abs(y) else f"look at frame and mount; {self._mend}"
-        return (
-            f"frames disagree: turned to the world, the specific force averages ({x:.1f}, {y:.1f}, {z:.1f}) "
-            f"m/s², not (0, 0, 9.8): {mend}"
-        )
-
-    @property
-    def _mend(self) -> str:
-        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it"
-
-    @property
-    def warnings(self) -> list[str]:
-        """What a user ought to look into, in sentences."""
-        found = [*self.faults, *(note for note in self.notes if note.startswith("damaged: "))]
-        if self.parts > 1:
-            found.append(
-                f"gaps of more than {LONGEST_GAP_S:g} s cut this log into {self.parts} parts: the "
-                "longest was read"
-            )
-        if self.stamps_back:
-            found.append(f"{self.stamps_back} samples do not follow the one before in time: left out")
-        if self.gaps:
-            found.append(
-                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: left "
-                "out of scores"
-            )
-        if self.lost:
-            found.append(f"{self.lost} single samples are lost: interpolated")
-        for axis, count in zip(AXES, self.stuck, strict=True):
-            if count:
-                seconds = count / self.source_rate_hz
-                found.append(f"{axis} repeats one number for {seconds:.1f} s in all: left out of scores")
-        if self.source_rate_hz < SLOW_HZ:
-            fastest = 0.4 * self.source_rate_hz
-            found.append(
-                f"sampled at {self.source_rate_hz:.0f} Hz: motion above {fastest:.0f} Hz is not in this log"
-            )
-        if self.repeated:
-            found.append(f"{self.repeated} samples repeat the one before")
-        if self.saturated:
-            found.append(f"{self.saturated} samples are stuck at the end of the sensor's range")
-        if self.missing:
-            found.append(
-                f"{self.missing} samples or stamps are not numbers, or beyond any sensor's range: left out"
-            )
-        if self.truth == "none":
-            found.append("no attitude in this log: it can be run, not scored")
-        if self.gravity is not None and GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
-            found.append(self._where_gravity)
-        if (
-            self.agreement is not None
-            and (self.rotated_agreement or 0.0) > max(MOUNTED_AGREEMENT, self.agreement + MOUNTED_GAIN)
-            and not self.faults
-        ):
-            found.append(
-                f"the truth turns as the gyroscope rotated by {self.rotation_deg:.0f}° does: {self._mend}"
-            )
-        if self.tilt_deg is not None and self.tilt_deg > TILT_DEG + 2 * self.tilt_sd_deg and not self.faults:
-            found.append(f"the mean specific force is {self.tilt_deg:.1f}° from body z: {self._mend}")
-        if self.truth_delay_s is not None and abs(self.truth_delay_s) > DELAY_TOLERANCE_S:
-            ms, which = abs(self.truth_delay_s) * 1e3, "late" if self.truth_delay_s > 0 else "early"
-            found.append(f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators")
-        return found
-
-
-def _unit_of(ratio: float, known: Mapping[float, str], r: float = 1.0) -> str:
-    """What a factor looks like that is uncertain between r and 1/r times itself."""
-    near = 0.25 - np.log(r)
-    found = next((name for factor, name in known.items() if abs(np.log(ratio / factor)) < near), None)
-    return f"is it {found}?" if found else "look at its unit, and at that of the stamps"
 
 
 def _unit_of_stamps(rate_hz: float) -> str:
@@ -405,6 +154,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         tilt_sd_deg=0.0 if mean is None else mean.sd_deg,
         rest_s=0.0 if rest is None else float(rest.seconds),
         rest_rate=0.0 if rest is None else rest.rate,
+        truth_axes=log.truth_axes,
         path=log.path,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),

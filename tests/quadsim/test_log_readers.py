@@ -5,10 +5,14 @@ from zlib import crc32
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from quadsim.dataset.reading import open_dataset
 from quadsim.logs import read_log, read_log_and_report, read_recording
 from quadsim.logs.convert import convert
+from quadsim.logs.resample import resample
+from quadsim.logs.usdlog import read_usdlog
 
 IMU = ("acc.x", "acc.y", "acc.z", "gyro.x", "gyro.y", "gyro.z")
 QUAT = tuple(f"stateEstimate.{name}" for name in ("qw", "qx", "qy", "qz"))
@@ -43,10 +47,64 @@ def test_a_usd_log_is_read_in_si_units(tmp_path, version):
 
 def test_a_usd_log_that_is_cut_off_is_read_up_to_there(tmp_path):
     path = write_usd(tmp_path / "log00")
-    path.write_bytes(path.read_bytes()[:-100])
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-100])
     assert read_recording(path).time.size == 398
     report = read_log_and_report(path)[1]
-    assert sum("bad checksum" in warning for warning in report.warnings) == 1
+    (line,) = [warning for warning in report.warnings if warning.startswith("damaged")]
+    event = 10 + 4 * len(IMU + QUAT + RPM)
+    assert (
+        line
+        == f"damaged: cut off after byte {len(whole) - 4 - 2 * event} of {len(whole) - 100}, read up to there"
+    )
+
+
+def test_a_usd_log_with_a_bad_checksum_is_read_whole_and_said(tmp_path):
+    path = write_usd(tmp_path / "log00")
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.write_bytes(data)
+    assert read_recording(path).time.size == 400
+    report = read_log_and_report(path)[1]
+    assert (
+        "damaged: bad checksum, all events were read, some of their numbers may be wrong" in report.warnings
+    )
+
+
+def test_a_usd_log_with_an_unknown_event_is_read_up_to_it(tmp_path):
+    path = write_usd(tmp_path / "log00")
+    data = bytearray(path.read_bytes())
+    event = 10 + 4 * len(IMU + QUAT + RPM)
+    at = len(data) - 4 - 100 * event
+    data[at] ^= 0xFF
+    path.write_bytes(data)
+    assert read_recording(path).time.size == 300
+    report = read_log_and_report(path)[1]
+    assert f"damaged: no event at byte {at} of {len(data)}, read up to there" in report.warnings
+
+
+@pytest.fixture(scope="module")
+def usd(tmp_path_factory):
+    """The bytes of a small log, and a path to write damaged ones to."""
+    path = write_usd(tmp_path_factory.mktemp("usd") / "log00", rows=12)
+    return path.read_bytes(), path
+
+
+CHANGES = st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=8)
+
+
+@given(changes=CHANGES, cut=st.integers(0, 10**6), header=st.booleans())
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_damage_to_a_usd_log_is_read_or_one_line(usd, changes, cut, header):
+    whole, path = usd
+    data = bytearray(whole)
+    for at, value in changes:
+        data[at % (200 if header else len(data))] = value
+    path.write_bytes(data[: 1 + cut % (2 * len(data))])
+    try:
+        resample(read_usdlog(path))
+    except ValueError as error:
+        assert "\n" not in str(error)  # noqa: PT017  (most of them are read)
 
 
 @pytest.mark.parametrize(

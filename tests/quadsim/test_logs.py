@@ -12,10 +12,10 @@ from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.simulate import FlightConfig
-from quadsim.imu.spec import load_imu
+from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.logs import read_log, read_log_and_report, read_recording
-from quadsim.logs.allan import allan_variance, calibrate, model_variance, write_imu
+from quadsim.logs.allan import allan_variance, calibrate, draw, model_variance, write_imu
 from quadsim.logs.convert import convert
 from quadsim.logs.mounting import mount_matrix
 from quadsim.logs.recording import Recording, Track
@@ -354,8 +354,75 @@ def test_an_hour_at_rest_calibrates_the_sensor_that_recorded_it(tmp_path):
 
 def test_a_log_that_moves_is_no_calibration():
     time, gyro, accel, _ = turning(seconds=100.0)
-    with pytest.raises(ValueError, match=r"x: at rest for \d+ s at a stretch; at least 60 s"):
+    with pytest.raises(ValueError, match=r"x: at rest for \d+ s at a stretch; at least 3 s"):
         calibrate([Recording("x", "x", time, gyro, accel)])
+
+
+def at_rest(seconds: float, seed: int = 1) -> tuple[Recording, ImuSpec]:
+    """A sensor at rest, tilted, and its model."""
+    imu = load_imu("adis16448")
+    steps = round(seconds * RATE)
+    force = np.tile(quat_rotate_inverse(quat_from_euler(0.1, -0.2, 0.0), GRAVITY), (1, steps, 1))
+    gyro, accel = simulate_imu(imu, np.zeros((1, steps, 3)), force, RATE, seed=seed)
+    return Recording("still", "x", np.arange(steps) / RATE, gyro[0], accel[0]), imu
+
+
+def test_a_few_seconds_at_rest_give_the_bias_and_no_more(tmp_path):
+    log, _ = at_rest(4.0)
+    found = calibrate([log])
+    np.testing.assert_allclose(found.gyro.bias, log.gyro.mean(axis=0), atol=1e-12)
+    assert found.gyro.bias_sd == pytest.approx(3.394e-4 / np.sqrt(4.0), rel=0.1)  # N/√T
+    assert (found.gyro.noise, found.gyro.random_walk) == (None, 0.0)
+    assert found.lacking[0] == "noise density: needs 10 s at rest at a stretch, here are 4 s"
+    write_imu(found, tmp_path / "mine.toml")
+    written = load_imu(tmp_path / "mine.toml")
+    assert written.gyro.noise == 0.0
+    assert written.gyro.turn_on == pytest.approx(found.gyro.turn_on, rel=1e-4)
+    with pytest.raises(ValueError, match="an Allan deviation needs 10 s at rest"):
+        draw(found)
+
+
+def test_half_a_minute_at_rest_gives_the_noise_and_says_what_the_walk_needs():
+    log, imu = at_rest(30.0)
+    found = calibrate([log])
+    for sensor, true in ((found.gyro, imu.gyro), (found.accel, imu.accel)):
+        assert sensor.noise == pytest.approx(true.noise, rel=0.1)
+        assert sensor.random_walk == 0.0
+    (line,) = found.lacking
+    assert line.startswith("bias random walk and its time constant: need 60 s")
+
+
+def test_a_walk_that_does_not_show_is_bounded():
+    log, imu = at_rest(70.0)
+    white = np.random.default_rng(0).normal(0.0, imu.gyro.noise * np.sqrt(RATE), log.gyro.shape)
+    found = calibrate([replace(log, gyro=white)])
+    assert found.gyro.random_walk == 0.0
+    (line,) = [each for each in found.lacking if each.startswith("gyroscope, bias random walk")]
+    bound = float(line.split("below about ")[1].split(" ")[0])
+    assert bound == pytest.approx(4 * np.sqrt(3) * imu.gyro.noise / 70, rel=0.1)
+
+
+def test_the_seconds_before_take_off_are_at_rest_and_a_hover_with_vibration_is_not():
+    log, _ = at_rest(20.0)
+    shake = np.random.default_rng(0).normal(0.0, 1.0, log.accel.shape) * (log.time > 5.0)[:, None]
+    flown = replace(log, accel=log.accel + shake)
+    assert calibrate([flown], bias_only=True).still_s == pytest.approx(5.0, abs=1.0)
+    late = replace(log, accel=log.accel + shake[::-1] + shake)
+    with pytest.raises(ValueError, match=r"still: at rest for \d s at a stretch; at least 3 s are required"):
+        calibrate([late], bias_only=True)
+
+
+def test_the_command_prints_the_bias_and_writes_no_file(tmp_path):
+    log, _ = at_rest(5.0)
+    np.savez(
+        tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel, quat=np.tile([1.0, 0, 0, 0], (1000, 1))
+    )
+    command = ["logs", "calibrate", str(tmp_path / "x.npz")]
+    done = CliRunner().invoke(app, [*command, "--bias-only"], catch_exceptions=False)
+    x, y, z = np.degrees(log.gyro.mean(axis=0))
+    assert f"x: gyroscope bias ({x:+.3f}, {y:+.3f}, {z:+.3f}) °/s, from 5 s at rest" in done.output
+    with pytest.raises(ValueError, match="one of --out and --bias-only"):
+        CliRunner().invoke(app, command, catch_exceptions=False)
 
 
 def test_converted_logs_are_a_dataset_without_their_gaps(tmp_path):
