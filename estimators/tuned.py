@@ -11,8 +11,8 @@ from quadsim.config.toml import Strict, load_toml, preset_names
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.vehicle import Vehicle
 
-DEFAULT_DOMAIN = "hummingbird-adis16448"
-"""Domain whose shipped parameters an estimator has for a vehicle that none is for."""
+DEFAULT_DOMAIN = "general"
+"""Domain whose shipped parameters an estimator has where the vehicle is not known, or none is for it."""
 
 
 class Tuned(Strict):

@@ -10,7 +10,7 @@ import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -40,6 +40,8 @@ PENALTY = 10.0
 """Added to the cost of a position outside the unit cube."""
 CHUNK = 2 * LANES
 """Parameter sets that a thread takes at a time: few, so that all threads end together."""
+PITCH_MOST = np.radians(75.0)
+"""Samples pitched further are not scored: the error of roll grows without bound towards 90° [rad]."""
 FIRST_SPEED = 0.1
 """Initial velocities of the swarm are even in ± this."""
 
@@ -214,7 +216,7 @@ def tune(
     searched = [key for key, each in parameters(name).items() if each.searched]
     if not searched:
         raise ValueError(f"{name} has no parameters to tune")
-    data = load_flights(datasets, selection.count).pieces(selection.pieces)
+    data = upright(load_flights(datasets, selection.count).pieces(selection.pieces))
     airframe = airframe_constants(name, vehicle_of(datasets[0]))
     constants = airframe | imu_constants(name, datasets[0])
     if selection.initial == "known":
@@ -246,6 +248,14 @@ def tune(
             if key not in airframe
         },
     )
+
+
+def upright(flights: Flights) -> Flights:
+    """The flights with the truth unknown where roll is hardly defined, and without those that are so throughout."""
+    steep = np.abs(flights.truth[..., 1:]) > PITCH_MOST
+    truth = np.where(steep, np.nan, flights.truth)
+    kept = np.isfinite(truth).any(axis=(1, 2))
+    return replace(flights, truth=truth).map(lambda each: each[kept])
 
 
 def tunable() -> list[str]:

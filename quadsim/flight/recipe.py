@@ -11,6 +11,7 @@ from ..imu.spec import load_imu
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, load_vehicle
 from ..wind import WindSpec
+from .hand_held import HandHeld
 from .simulate import AttitudeError, FlightConfig
 
 
@@ -27,6 +28,9 @@ class Recipe(Strict):
     )
     attitude_error: AttitudeError = Field(
         default=AttitudeError(), description="Error of the roll and pitch that the controller gets."
+    )
+    hand_held: HandHeld | None = Field(
+        default=None, description="Motion by hand, in place of a flight: the IMU alone, rotors at rest."
     )
     engine: Engine = Field(
         default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
@@ -50,6 +54,7 @@ def flight_config(recipe: Recipe) -> FlightConfig:
         wind=recipe.wind,
         randomisation=recipe.randomisation,
         attitude_error=recipe.attitude_error,
+        hand_held=recipe.hand_held,
         engine=recipe.engine,
         warmup_s=recipe.warmup_s,
     )

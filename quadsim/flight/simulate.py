@@ -21,9 +21,12 @@ from ..trajectory.reference import reference
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, Vehicle, randomise
 from ..wind import WindSpec, wind_series
+from .hand_held import HandHeld, move_by_hand
 from .loop import FlightLoop, sense_truth, start_one
 
 Array = NDArray[np.float64]
+
+Seeds = Sequence[np.random.SeedSequence]
 
 MAX_SPEED = 150.0  # m/s, and
 MAX_BODY_RATE = 150.0  # rad/s: a vehicle beyond either has diverged
@@ -65,6 +68,9 @@ class FlightConfig(Strict):
     attitude_error: AttitudeError = Field(
         default=AttitudeError(),
         description="Error of the roll and pitch that the controller gets.",
+    )
+    hand_held: HandHeld | None = Field(
+        default=None, description="Motion by hand, in place of a flight: the IMU alone, rotors at rest."
     )
     engine: Engine = Field(
         default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
@@ -192,12 +198,36 @@ def simulate_flights(
         wind gyro_bias accel_bias, and `end_step` (n,), the number of valid samples of each flight (a vehicle
         that diverges holds its last valid sample), with `end_reason`, "" for a whole flight.
     """
-    n, warmup = len(seeds), round(config.warmup_s * rate_hz)
+    motion, body, air, imu, angles = ([child(seed, part) for seed in seeds] for part in range(5))
+    if config.hand_held is not None:
+        log, end = _moved_by_hand(config, steps, rate_hz, motion), np.full(len(seeds), steps)
+    else:
+        log, end = _flown(config, steps, rate_hz, motion, body, air, angles)
+    flights = {name: log[name] for name in log.dtype.names or ()}
+    rate, force, rotor_vel = flights["ang_vel"], flights["specific_force"], flights["rotor_vel"]
+    ang_acc = flights.pop("ang_acc")
+    gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
+        config.imu, rate, force, rate_hz, imu, ang_acc, rotor_vel
+    )
+    return flights | {
+        "gyro": gyro,
+        "accel": accel,
+        "gyro_bias": gyro_bias,
+        "accel_bias": accel_bias,
+        "end_step": end,
+        "end_reason": ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end],
+    }
+
+
+def _flown(
+    config: FlightConfig, steps: int, rate_hz: float, motion: Seeds, body: Seeds, air: Seeds, angles: Seeds
+) -> tuple[NDArray[np.void], NDArray[np.int64]]:
+    """Records (n, T) of flights, and the valid samples of each; seeds of trajectory, vehicle, wind, error."""
+    n, warmup = len(motion), round(config.warmup_s * rate_hz)
     samples = warmup + steps
-    trajectory, body, air, imu, angles = ([child(seed, part) for seed in seeds] for part in range(5))
     vehicles = [randomise(config.vehicle, config.randomisation, np.random.default_rng(s)) for s in body]
     paths = np.zeros((n, samples), PATH)
-    paths["target"] = target = reference(config.trajectory, samples, rate_hz, trajectory)
+    paths["target"] = target = reference(config.trajectory, samples, rate_hz, motion)
     if config.wind:
         paths["wind"] = wind_series(config.wind, n, samples, rate_hz, air)
     if config.attitude_error.sd_deg:
@@ -215,17 +245,13 @@ def simulate_flights(
             start_samples(k, loop.records, paths)
             loop.plant.finish_move(loop.controller.rotor_vel_cmd)
             finish_samples(k - warmup, loop.records, log, end)
-    flights = {name: log[name] for name in log.dtype.names or ()}
-    rate, force, rotor_vel = flights["ang_vel"], flights["specific_force"], flights["rotor_vel"]
-    ang_acc = flights.pop("ang_acc")
-    gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
-        config.imu, rate, force, rate_hz, imu, ang_acc, rotor_vel
-    )
-    return flights | {
-        "gyro": gyro,
-        "accel": accel,
-        "gyro_bias": gyro_bias,
-        "accel_bias": accel_bias,
-        "end_step": end,
-        "end_reason": ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end],
-    }
+    return log, end
+
+
+def _moved_by_hand(config: FlightConfig, steps: int, rate_hz: float, motion: Seeds) -> NDArray[np.void]:
+    """Records (n, T) of an IMU in the hand."""
+    assert config.hand_held is not None
+    log = np.zeros((len(motion), steps), sample_dtype(len(config.vehicle.rotors)))
+    for name, values in move_by_hand(config.hand_held, steps, rate_hz, motion).items():
+        log[name] = values
+    return log

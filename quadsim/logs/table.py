@@ -19,6 +19,9 @@ Column = str | Annotated[int, Between(0, 9999)]
 Three = tuple[Column, Column, Column]
 Four = tuple[Column, Column, Column, Column]
 
+Component = Annotated[float, Between(-1.1, 1.1)]
+"""Of a quaternion or a rotation matrix, rounding included."""
+
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 RATES = {"rad/s": 1.0, "deg/s": math.pi / 180}
 FORCES = {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3}
@@ -99,7 +102,7 @@ class Table(Strict):
     """Rows before that."""
     frame: AxesConvention = "flu"
     """flu: body forward-left-up, world z up; frd: forward-right-down in north-east-down."""
-    mount: str | tuple[float, ...] | tuple[tuple[float, ...], ...] = "x,y,z"
+    mount: str | tuple[Component, ...] | tuple[tuple[Component, ...], ...] = "x,y,z"
     """Rotation from IMU axes to those of the frame: axes "z,-y,x", angles "rpy 0 20 90" [deg], a quaternion
     [w, x, y, z] or a matrix of three rows."""
     truth_axes: TruthAxes = "body"

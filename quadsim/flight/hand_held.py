@@ -1,0 +1,130 @@
+"""Motion of an IMU in the hand: turns to any attitude and shifts, with rests between, in closed form.
+
+Roll, pitch, yaw and position are sums of sines of a clock that runs while the hand moves and stops while it
+rests, so that rates and accelerations are exact derivatives and a rest has the attitude that it came to.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ..config.ranges import Between, Rising
+from ..config.toml import Strict
+from ..rotation import quat_from_euler, quat_rotate_inverse
+from ..vehicle import GRAVITY
+
+Array = NDArray[np.float64]
+Seeds = Sequence[np.random.SeedSequence]
+
+Turn = Annotated[float, Between(0.1, 2000.0, "°/s")]
+Push = Annotated[float, Between(1e-3, 100.0, "m/s²")]
+Stretch = Annotated[float, Between(0.1, 1000.0, "s")]
+
+SINES = 12
+"""Sines of each coordinate, of the same rate or acceleration each, frequencies drawn log-uniformly."""
+TURN_HZ, SHIFT_HZ = (0.05, 1.5), (0.3, 2.5)
+"""Bands of the angles and of the position: a hand turns an IMU slowly, but cannot carry it slowly far."""
+RAMP_S = 0.5
+"""Time in which a motion begins and ends [s]."""
+UP = np.array([0.0, 0.0, 1.0])
+"""In the world."""
+
+
+class HandHeld(Strict):
+    """An IMU that is moved by hand; each flight draws its own root mean squares, log-uniformly."""
+
+    rate_deg_s: Annotated[tuple[Turn, Turn], Rising] = Field(
+        default=(20.0, 200.0), description="Range of the root mean square of the body rate, per axis [deg/s]."
+    )
+    acceleration: Annotated[tuple[Push, Push], Rising] = Field(
+        default=(0.2, 3.0), description="Range of that of the acceleration, per axis [m/s²]."
+    )
+    move_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
+        default=(5.0, 30.0), description="Range of the length of a motion [s]."
+    )
+    rest_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
+        default=(1.0, 8.0), description="Range of the length of a rest [s]."
+    )
+
+
+def move_by_hand(spec: HandHeld, steps: int, rate_hz: float, seeds: Seeds) -> dict[str, Array]:
+    """True motion of one IMU per seed.
+
+    Args:
+        spec: How it is moved.
+        steps: Samples.
+        rate_hz: Samples per second.
+        seeds: One per flight.
+
+    Returns:
+        position, velocity (world), quat, ang_vel, specific_force (body) and ang_acc, each (n, T, ·), as
+        `quadsim.plant.State` has them.
+    """
+    flights = [_flight(spec, steps, rate_hz, np.random.default_rng(seed)) for seed in seeds]
+    return {name: np.stack([flight[name] for flight in flights]) for name in flights[0]}
+
+
+def _flight(spec: HandHeld, steps: int, rate_hz: float, rng: np.random.Generator) -> dict[str, Array]:
+    rate = np.radians(np.exp(rng.uniform(*np.log(spec.rate_deg_s))))
+    push = np.exp(rng.uniform(*np.log(spec.acceleration)))
+    clock, speed, change = _clock(spec, np.arange(steps) / rate_hz, rng)
+    angles, turning, _ = _sines(clock, rate, TURN_HZ, 1, rng)
+    position, moving, pushing = _sines(clock, push, SHIFT_HZ, 2, rng)
+    angles[:, 2] += rng.uniform(-np.pi, np.pi)
+    velocity = moving * speed[:, None]
+    acceleration = pushing * speed[:, None] ** 2 + moving * change[:, None]
+    quat = quat_from_euler(*angles.T)
+    ang_vel = body_rate(angles, turning * speed[:, None])
+    return {
+        "position": position,
+        "velocity": velocity,
+        "quat": quat,
+        "ang_vel": ang_vel,
+        "specific_force": quat_rotate_inverse(quat, acceleration + UP * GRAVITY),
+        "ang_acc": np.gradient(ang_vel, 1.0 / rate_hz, axis=0),
+    }
+
+
+def body_rate(angles: Array, derivative: Array) -> Array:
+    """Body rate (T, 3) [rad/s] of roll, pitch, yaw (T, 3) [rad] and their derivatives [rad/s]."""
+    (roll, pitch, _), (d_roll, d_pitch, d_yaw) = angles.T, derivative.T
+    return np.stack(
+        [
+            d_roll - d_yaw * np.sin(pitch),
+            d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
+            d_yaw * np.cos(pitch) * np.cos(roll) - d_pitch * np.sin(roll),
+        ],
+        axis=-1,
+    )
+
+
+def _clock(spec: HandHeld, time: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Time of the motion (T,) [s], and its first and second derivative; it begins at any point of a cycle."""
+    from scipy.interpolate import PchipInterpolator  # scipy.interpolate takes a tenth of a second
+
+    knots, values = [-float(rng.uniform(0.0, spec.move_s[0] + spec.rest_s[0]))], [1.0]
+    while knots[-1] < time[-1] + RAMP_S:
+        for length, value in ((rng.uniform(*spec.move_s), 1.0), (rng.uniform(*spec.rest_s), 0.0)):
+            knots += [knots[-1] + RAMP_S, knots[-1] + RAMP_S + float(length)]
+            values += [value, value]
+    speed = PchipInterpolator(knots, values)
+    return speed.antiderivative()(time), speed(time), speed(time, 1)
+
+
+def _sines(
+    clock: Array, size: float, band: tuple[float, float], order: int, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Three coordinates (T, 3) with their first two derivatives, of which that of the order has the size."""
+    frequency = 2.0 * np.pi * np.exp(rng.uniform(*np.log(band), (3, SINES)))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (3, SINES))
+    amplitude = size * np.sqrt(2.0 / SINES) / frequency**order
+    angle = frequency * clock[:, None, None] + phase
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return (
+        (amplitude * sine).sum(axis=-1),
+        (amplitude * frequency * cosine).sum(axis=-1),
+        (-amplitude * frequency**2 * sine).sum(axis=-1),
+    )

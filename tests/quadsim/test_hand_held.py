@@ -1,0 +1,65 @@
+"""An IMU in the hand: motion in closed form."""
+
+import numpy as np
+import pytest
+
+from quadsim.flight.hand_held import HandHeld, move_by_hand
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.simulate import simulate_flights
+from quadsim.rotation import quat_conjugate, quat_multiply, quat_rotate
+from quadsim.vehicle import GRAVITY
+
+RATE = 2000.0
+
+
+def seeds(n, seed=0):
+    return np.random.SeedSequence(seed).spawn(n)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return move_by_hand(HandHeld(move_s=(2.0, 4.0), rest_s=(1.0, 2.0)), 40_000, RATE, seeds(3))
+
+
+def test_velocity_is_the_derivative_of_position(motion):
+    found = np.gradient(motion["position"], 1 / RATE, axis=1)[:, 1:-1]
+    np.testing.assert_allclose(found, motion["velocity"][:, 1:-1], atol=2e-4)
+
+
+def test_specific_force_is_acceleration_and_gravity_in_body_axes(motion):
+    acceleration = np.gradient(motion["velocity"], 1 / RATE, axis=1)[:, 1:-1]
+    force = quat_rotate(motion["quat"], motion["specific_force"])[:, 1:-1]
+    np.testing.assert_allclose(force - [0.0, 0.0, GRAVITY], acceleration, atol=0.02)
+
+
+def test_body_rate_turns_the_attitude(motion):
+    turn = quat_multiply(quat_conjugate(motion["quat"][:, :-1]), motion["quat"][:, 1:])
+    rate = 2.0 * RATE * turn[..., 1:] * np.sign(turn[..., :1])
+    middle = 0.5 * (motion["ang_vel"][:, :-1] + motion["ang_vel"][:, 1:])
+    np.testing.assert_allclose(rate, middle, atol=5e-3)
+
+
+def test_rests_are_still_at_any_attitude(motion):
+    still = np.linalg.norm(motion["ang_vel"], axis=-1) == 0.0
+    assert 0.1 < still.mean() < 0.6
+    np.testing.assert_allclose(np.linalg.norm(motion["specific_force"][still], axis=-1), GRAVITY, rtol=1e-12)
+    tilt = np.arccos(quat_rotate(motion["quat"][still], [0.0, 0.0, 1.0])[:, 2])
+    assert tilt.max() > 0.5
+
+
+def test_size_of_the_motion_is_the_one_asked_for():
+    spec = HandHeld(rate_deg_s=(50.0, 50.0), acceleration=(1.0, 1.0), move_s=(900.0, 900.0))
+    motion = move_by_hand(spec, 100_000, 200.0, seeds(4))
+    acceleration = quat_rotate(motion["quat"], motion["specific_force"]) - [0.0, 0.0, GRAVITY]
+    assert acceleration.std() == pytest.approx(1.0, rel=0.1)
+    assert np.degrees(motion["ang_vel"].std()) == pytest.approx(
+        50.0, rel=0.2
+    )
+
+
+def test_a_recipe_of_the_hand_has_no_rotors_and_one_seed_a_flight():
+    config = flight_config(load_recipe("hand-held"))
+    both, one = simulate_flights(config, seeds(2), 400), simulate_flights(config, seeds(2)[1:], 400)
+    np.testing.assert_array_equal(both["gyro"][1], one["gyro"][0])
+    assert not np.any(both["rotor_vel"])
+    assert list(both["end_step"]) == [400, 400]
