@@ -18,7 +18,7 @@ from quadsim.estimator import AttitudeEstimator
 
 BLOCK = "errors, by docs/readme.py"
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
-DRAG, CHIP, GRU = "ekf-drag", "att-snn-loihi", "att-rnn"
+DRAG, MODELS, CHIP, GRU = "ekf-drag", "imm", "att-snn-loihi", "att-rnn"
 VEHICLE = "hummingbird"
 HEAD = (
     "| roll and pitch from | Hummingbird, simulated [°] | the same, silenced [°] | RotorPy [°] "
@@ -55,11 +55,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, arguments, recordings=(FOLDER, "folder of broad/ and phantom4/"))
     page = load_page("readme")
     flights = load_flights([simulated("test", given.data)])
-    filters = made_of(WITHOUT_DRAG, RATE_HZ) | {"vqf, package's parameters": vqf_with_defaults()}
-    both = filters | made_of([CHIP, GRU], RATE_HZ)
+    package = {"vqf, package's parameters": vqf_with_defaults()}
+    at_home = made_of(WITHOUT_DRAG, RATE_HZ, vehicle=VEHICLE) | package
+    filters = made_of(WITHOUT_DRAG, RATE_HZ) | package
+    models = made_of([MODELS], RATE_HZ)[MODELS]
+    both = filters | made_of([MODELS, CHIP, GRU], RATE_HZ)
     sets = recordings(given.recordings)
     scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
-    in_simulation = best({name: error_deg(est, flights) for name, est in filters.items()})
+    in_simulation = best({name: error_deg(est, flights) for name, est in at_home.items()})
     real = [best({name: each.mean(name, RAW) for name in filters}) for each in scores]
     in_rotorpy = best({name: foreign_error(lambda _, e=est: e, given.data) for name, est in filters.items()})
     drag = error_deg(made_of([DRAG], RATE_HZ, vehicle=VEHICLE)[DRAG], flights)
@@ -72,6 +75,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     rows = {
         "the best filter that does not know the drag": [in_simulation, "–", in_rotorpy, *real],
+        "`imm`, which knows no vehicle": [
+            f"{error_deg(models, flights):.2f}",
+            "–",
+            foreign_cell(MODELS, lambda _: models, given.data),
+            *(f"{each.mean(MODELS, RAW):.2f}" for each in scores),
+        ],
         "`ekf-drag`, given the vehicle": [f"{drag:.2f}", "–", drag_in_rotorpy, "–", "–"],
         "**Att-SNN on the emulated chip**": networks[CHIP],
         "Att-RNN, its twin of GRUs": networks[GRU],
@@ -85,7 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "",
             f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} simulated "
             f"flights of {flights.gyro.shape[1] / flights.rate_hz:g} s, unknown start.",
-            "  Networks were trained and filters tuned in the same simulator, on other flights.",
+            "  Networks were trained and filters tuned in the same simulator, on other flights. The other columns, and "
+            "`imm` in all,",
+            "  have the parameters `general`, for airframes that nobody has described.",
             *fill(
                 f"- *RotorPy*: the same error over {DESCRIPTION}. Nothing was trained or tuned on them.",
                 125,

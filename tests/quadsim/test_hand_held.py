@@ -52,9 +52,7 @@ def test_size_of_the_motion_is_the_one_asked_for():
     motion = move_by_hand(spec, 100_000, 200.0, seeds(4))
     acceleration = quat_rotate(motion["quat"], motion["specific_force"]) - [0.0, 0.0, GRAVITY]
     assert acceleration.std() == pytest.approx(1.0, rel=0.1)
-    assert np.degrees(motion["ang_vel"].std()) == pytest.approx(
-        50.0, rel=0.2
-    )
+    assert np.degrees(motion["ang_vel"].std()) == pytest.approx(50.0, rel=0.2)
 
 
 def test_a_recipe_of_the_hand_has_no_rotors_and_one_seed_a_flight():
