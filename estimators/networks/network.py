@@ -291,7 +291,8 @@ def _check_attitude(roll_pitch: ArrayLike | None, n: int) -> None:
 
 
 @njit(cache=True)
-def _network(block):
+def host_and_chip(block):
+    """`Host` and `Chip` in the block of `OnLoihi.network`, in compiled code."""
     w_in, du = matrix(block, 2, np.int32), vector(block, 3, np.int32)
     host = Host(vector(block, 0, np.float64), vector(block, 1, np.float64), w_in, du)
     weights, first, end = matrix(block, 4, np.int16), vector(block, 5, np.int32), vector(block, 6, np.int32)
@@ -301,7 +302,8 @@ def _network(block):
 
 
 @njit(cache=True)
-def _state(block):
+def loihi_state(block):
+    """`LoihiState` in the block of a copy's state, in compiled code."""
     current, spikes = vector(block, 1, np.int32), vector(block, 2, np.int8)
     u, v, bias = vector(block, 3, np.int32), vector(block, 4, np.int32), vector(block, 5, np.int32)
     return LoihiState(current, spikes, u, v, bias)
@@ -309,11 +311,11 @@ def _state(block):
 
 @njit(cache=True, nogil=True)
 def _run_on_loihi(gyro, accel, network, states, out):
-    host, chip = _network(network)
+    host, chip = host_and_chip(network)
     steps, scale = vector(network, 11, np.float64)
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
-        encoder, state = vector(states[n], 0, ENCODER)[0], _state(states[n])
+        encoder, state = vector(states[n], 0, ENCODER)[0], loihi_state(states[n])
         outputs = state.v[state.v.size - 2 :]
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], host, encoder)
@@ -331,10 +333,10 @@ def step_on_loihi(network, states):
         network: `OnLoihi.network`.
         states: Blocks of `OnLoihi.state`, shape (n, words); changed.
     """
-    host, chip = _network(network)
+    host, chip = host_and_chip(network)
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
-        state = _state(states[n])
+        state = loihi_state(states[n])
         drive(vector(states[n], 0, ENCODER)[0].inputs, host, state.current, state.bias, sums)
         step_chip(chip, state, sources, sums)
 
