@@ -19,28 +19,28 @@ from numpy.typing import NDArray
 
 from estimators.analysis.latency import CALLS, PAPER_US, RATE_HZ, Update, contenders, measure
 from estimators.networks.encoder import ENCODER, encode_sample
-from estimators.networks.network import Host, OnLoihi, create_network, drive
+from estimators.networks.network import OnLoihi, create_network, drive, host_and_chip, loihi_state
 from estimators.registry import NETWORKS
 from quadsim.dataset.figures import STYLE
+from quadsim.runs.block import vector, zero_blocks
 
 HOST = "att-snn-loihi, host alone"
 
 
 @njit(cache=True)
-def _on_host(gyro, accel, host, encoder, current, bias, sums):
-    host = Host(*host)
-    encode_sample(gyro[0], accel[0], host, encoder[0])
-    drive(encoder[0].inputs, host, current, bias, sums)
+def _on_host(gyro, accel, network, states):
+    host, _ = host_and_chip(network)
+    encoder, state = vector(states[0], 0, ENCODER)[0], loihi_state(states[0])
+    encode_sample(gyro[0], accel[0], host, encoder)
+    drive(encoder.inputs, host, state.current, state.bias, np.zeros(state.current.size, np.int32))
 
 
 def host_part() -> Update:
     """What the host does in one update of att-snn-loihi."""
     core = create_network("att-snn-loihi", RATE_HZ).core
     assert isinstance(core, OnLoihi)
-    neurons = core.chip.sizes[0]
-    host, encoder = tuple(core.host), np.zeros(1, ENCODER)
-    current, bias, sums = np.zeros((3, neurons), np.int32)
-    return lambda gyro, accel: _on_host(gyro, accel, host, encoder, current, bias, sums)
+    network, states = core.network, zero_blocks(1, core.state)
+    return lambda gyro, accel: _on_host(gyro, accel, network, states)
 
 
 def every_contender() -> dict[str, Update]:

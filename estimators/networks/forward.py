@@ -39,7 +39,7 @@ _WRAP_23 = 8388608.0
 class Weights(NamedTuple, Generic[Values]):
     """Parameters of the network, arrays or tensors, in units of 1.0.
 
-    `step` and `run` take the matrices transposed, one row for each source, and in state units.
+    `step` and `run_floats` take the matrices transposed, one row for each source, and in state units.
     """
 
     w_in: Values
@@ -221,12 +221,10 @@ class Settings(NamedTuple):
     """Steps from a hidden spike to the hidden layer, 1 or 2."""
     scale: float
     """Radians for an output of 1 state unit."""
-    quantised: bool
-    """Integer arithmetic or floats."""
 
 
 def network_block(scaling: Scaling, weights: Weights[NDArray], settings: Settings) -> Words:
-    """A network as `run` takes it.
+    """A network as `run_floats` takes it.
 
     Args:
         scaling: Scaling of the readings.
@@ -246,7 +244,7 @@ def state_type(h0: int, h1: int, outputs: int) -> np.dtype:
     return block_type({"encoder": (ENCODER, ())} | ordered)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _weights(network):
     w_in, w_ff = matrix(network, 2, np.float64), matrix(network, 3, np.float64)
     w_rec, w_out = matrix(network, 4, np.float64), matrix(network, 5, np.float64)
@@ -256,7 +254,7 @@ def _weights(network):
     return Weights(w_in, w_ff, w_rec, w_out, syn0, mem0, syn1, mem1, syn2, mem2)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _state(block, recurrent_delay):
     u0, v0, s0 = vector(block, 1, np.float64), vector(block, 2, np.float64), vector(block, 3, np.int32)
     u1, v1, s1 = vector(block, 4, np.float64), vector(block, 5, np.float64), vector(block, 6, np.int32)
@@ -269,29 +267,30 @@ def _state(block, recurrent_delay):
 @njit(cache=True, inline="always")
 def _run(gyro, accel, network, states, quantised, out):
     scaling = Scaling(vector(network, 0, np.float64), vector(network, 1, np.float64))
-    weights, settings = _weights(network), vector(network, 12, np.float64)
+    weights = _weights(network)
+    steps, delay, scale = vector(network, 12, np.float64)
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
     outputs = weights.w_out.shape[1]
     x = np.empty(6)
     total, drive = np.zeros(weights.w_ff.shape[1]), np.zeros(weights.w_ff.shape[0])
     for n in range(states.shape[0]):
-        encoder, copy = vector(states[n], 0, ENCODER)[0], _state(states[n], settings[1])
+        encoder, copy = vector(states[n], 0, ENCODER)[0], _state(states[n], delay)
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], scaling, encoder)
             for k in range(6):
                 x[k] = encoder.inputs[k] / INPUT_ONE
-            for _ in range(int(settings[0])):
+            for _ in range(int(steps)):
                 step(x, weights, copy, total, drive, quantised)
                 for k in range(1 + copy.s1[0]):
                     copy.s1_delayed[k] = copy.s1[k]
                 list_spikes(copy.v0, threshold, copy.s0)
                 list_spikes(copy.v1, threshold, copy.s1)
             for o in range(outputs):
-                out[n, outputs * t + o] = copy.v2[o] * settings[2]
+                out[n, outputs * t + o] = copy.v2[o] * scale
 
 
 @njit(cache=True, nogil=True)
-def run(gyro, accel, network, states, out):
+def run_floats(gyro, accel, network, states, out):
     """Run n copies over whole sequences, or one sample, from and to their states.
 
     Args:
@@ -301,7 +300,10 @@ def run(gyro, accel, network, states, out):
         states: Blocks of `state_type`, shape (n, words); changed.
         out: Roll and pitch after each sample, shape (n, outputs T) [rad]; written.
     """
-    if vector(network, 12, np.float64)[3] != 0.0:
-        _run(gyro, accel, network, states, True, out)
-    else:
-        _run(gyro, accel, network, states, False, out)
+    _run(gyro, accel, network, states, False, out)
+
+
+@njit(cache=True, nogil=True)
+def run_quantised(gyro, accel, network, states, out):
+    """The same in integer arithmetic."""
+    _run(gyro, accel, network, states, True, out)

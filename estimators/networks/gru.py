@@ -120,7 +120,13 @@ def _sigmoid(x):
     return _HALF + _HALF * tanh(_HALF * x)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
+def _copy(source, target):
+    for i in range(target.shape[0]):
+        target[i] = source[i]
+
+
+@njit(cache=True, fastmath={"contract"})
 def _one_row(x, weight, out):
     """Add x weight to `out`, four inputs at a time."""
     fours = x.shape[0] - x.shape[0] % 4
@@ -135,7 +141,7 @@ def _one_row(x, weight, out):
             out[i] += x0 * w0[i]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, fastmath={"contract"})
 def _four_rows(x, weight, out):
     """The same for four rows, which load the weights once."""
     a, b, c, d = out[0], out[1], out[2], out[3]
@@ -164,7 +170,8 @@ def _four_rows(x, weight, out):
 @njit(cache=True, fastmath={"contract"})
 def _affine(x, weight, bias, out):
     """Write bias + x weight, of rows x (rows, in) and a weight (in, columns), into `out` (rows, columns)."""
-    out[:] = bias
+    for row in range(x.shape[0]):
+        _copy(bias, out[row])
     fours = x.shape[0] - x.shape[0] % 4
     for row in range(0, fours, 4):
         _four_rows(x[row : row + 4], weight, out[row : row + 4])
@@ -184,7 +191,7 @@ def _gates(from_x, from_h, h):
         h[i] = n + z * (h[i] - n)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _memory(rows, copies, units):
     """Memory of a layer."""
     y, from_x = np.empty((rows, units), np.float32), np.empty((rows, 3 * units), np.float32)
@@ -213,11 +220,11 @@ def _run_layer(x, copies, layer, memory):
         _affine(h, layer.w_hh, layer.b_hh, from_h)
         for c in range(copies):
             _gates(from_x[row + c], from_h[c], h[c])
-            y[row + c] = h[c]
+            _copy(h[c], y[row + c])
     return y
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _network(block):
     f = np.float32
     w_ih, w_hh = matrix(block, 2, f), matrix(block, 3, f)
@@ -227,7 +234,7 @@ def _network(block):
     return first, second, Readout(matrix(block, 10, f), vector(block, 11, f))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _encode(gyro, accel, scaling, states, x):
     """Scale the samples of some copies, (copies, 3 samples) each, into x, in the order of `_run_layer`."""
     copies = states.shape[0]
@@ -262,7 +269,8 @@ def run_gru(gyro, accel, network, states, out):
         group = states[n : n + together]
         copies = group.shape[0]
         for c in range(copies):
-            below.h[c], above.h[c] = vector(group[c], 1, np.float32), vector(group[c], 2, np.float32)
+            _copy(vector(group[c], 1, np.float32), below.h[c])
+            _copy(vector(group[c], 2, np.float32), above.h[c])
         for begin in range(0, steps, samples):
             end = min(begin + samples, steps)
             x, roll_pitch = inputs[: (end - begin) * copies], outputs[: (end - begin) * copies]
@@ -272,9 +280,8 @@ def run_gru(gyro, accel, network, states, out):
             _affine(y, readout.w_out, readout.b_out, roll_pitch)
             for row in range(x.shape[0]):
                 c, t = row % copies, begin + row // copies
-                out[n + c, 2 * t], out[n + c, 2 * t + 1] = (
-                    roll_pitch[row, 0] * scale,
-                    roll_pitch[row, 1] * scale,
-                )
+                for o in range(2):
+                    out[n + c, 2 * t + o] = roll_pitch[row, o] * scale
         for c in range(copies):
-            vector(group[c], 1, np.float32)[:], vector(group[c], 2, np.float32)[:] = below.h[c], above.h[c]
+            _copy(below.h[c], vector(group[c], 1, np.float32))
+            _copy(above.h[c], vector(group[c], 2, np.float32))

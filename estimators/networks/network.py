@@ -32,8 +32,17 @@ from ..loihi.neurons import (
 from ..loihi.neurons import step as step_chip
 from . import gru
 from .encoder import ENCODER, encode_sample, input_scaling
-from .forward import BIAS_EXP, MATRICES, TIME_CONSTANTS, Settings, Weights, network_block, state_type
-from .forward import run as run_floats
+from .forward import (
+    BIAS_EXP,
+    MATRICES,
+    TIME_CONSTANTS,
+    Settings,
+    Weights,
+    network_block,
+    run_floats,
+    run_quantised,
+    state_type,
+)
 from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
@@ -158,16 +167,15 @@ class Spiking:
         one = float(STATE_ONE) if config.quantised else 1.0
         weights = real_weights(config, tensors)
         by_source = (np.ascontiguousarray(w.T) * one for w in weights[: len(MATRICES)])
-        settings = Settings(
-            config.steps_per_sample, config.recurrent_delay, config.output_scale / one, config.quantised
-        )
+        settings = Settings(config.steps_per_sample, config.recurrent_delay, config.output_scale / one)
         in_states = Weights(*by_source, *weights[len(MATRICES) :])
         self._network = network_block(input_scaling(config.inputs), in_states, settings)
         self.state = state_type(config.encoding, config.hidden, len(weights.w_out))
+        self._run = run_quantised if config.quantised else run_floats
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
-        run_floats(gyro, accel, self._network, states, out)
+        self._run(gyro, accel, self._network, states, out)
 
 
 class Host(NamedTuple):
@@ -282,8 +290,9 @@ def _check_attitude(roll_pitch: ArrayLike | None, n: int) -> None:
         raise ValueError("roll_pitch: not finite; leave it out where the attitude is unknown")
 
 
-@njit(cache=True, inline="always")
-def _network(block):
+@njit(cache=True)
+def host_and_chip(block):
+    """`Host` and `Chip` in the block of `OnLoihi.network`, in compiled code."""
     w_in, du = matrix(block, 2, np.int32), vector(block, 3, np.int32)
     host = Host(vector(block, 0, np.float64), vector(block, 1, np.float64), w_in, du)
     weights, first, end = matrix(block, 4, np.int16), vector(block, 5, np.int32), vector(block, 6, np.int32)
@@ -292,8 +301,9 @@ def _network(block):
     return host, Chip(weights, first, end, bias_exp, du, dv, vth)
 
 
-@njit(cache=True, inline="always")
-def _state(block):
+@njit(cache=True)
+def loihi_state(block):
+    """`LoihiState` in the block of a copy's state, in compiled code."""
     current, spikes = vector(block, 1, np.int32), vector(block, 2, np.int8)
     u, v, bias = vector(block, 3, np.int32), vector(block, 4, np.int32), vector(block, 5, np.int32)
     return LoihiState(current, spikes, u, v, bias)
@@ -301,18 +311,18 @@ def _state(block):
 
 @njit(cache=True, nogil=True)
 def _run_on_loihi(gyro, accel, network, states, out):
-    host, chip = _network(network)
-    settings = vector(network, 11, np.float64)
+    host, chip = host_and_chip(network)
+    steps, scale = vector(network, 11, np.float64)
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
-        encoder, state = vector(states[n], 0, ENCODER)[0], _state(states[n])
+        encoder, state = vector(states[n], 0, ENCODER)[0], loihi_state(states[n])
         outputs = state.v[state.v.size - 2 :]
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], host, encoder)
-            for _ in range(int(settings[0])):
+            for _ in range(int(steps)):
                 drive(encoder.inputs, host, state.current, state.bias, sums)
                 step_chip(chip, state, sources, sums)
-            out[n, 2 * t], out[n, 2 * t + 1] = outputs[0] * settings[1], outputs[1] * settings[1]
+            out[n, 2 * t], out[n, 2 * t + 1] = outputs[0] * scale, outputs[1] * scale
 
 
 @njit(cache=True)
@@ -323,10 +333,10 @@ def step_on_loihi(network, states):
         network: `OnLoihi.network`.
         states: Blocks of `OnLoihi.state`, shape (n, words); changed.
     """
-    host, chip = _network(network)
+    host, chip = host_and_chip(network)
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
-        state = _state(states[n])
+        state = loihi_state(states[n])
         drive(vector(states[n], 0, ENCODER)[0].inputs, host, state.current, state.bias, sums)
         step_chip(chip, state, sources, sums)
 

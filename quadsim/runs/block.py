@@ -75,13 +75,13 @@ def _pointer(typingctx, address):
     return types.voidptr(types.uintp), generate
 
 
-@njit(inline="always")
+@njit
 def _field(block, k):
     """Where field k of a block is."""
     return _pointer(block.ctypes.data + _WORD * block[3 * k])  # pyright: ignore[reportCallIssue]
 
 
-@njit(inline="always")
+@njit
 def vector(block, k, dtype) -> NDArray[Any]:
     """Field k of a block as a vector, in compiled code; a scalar is a vector of one.
 
@@ -93,7 +93,7 @@ def vector(block, k, dtype) -> NDArray[Any]:
     return carray(_field(block, k), block[3 * k + 1] * block[3 * k + 2], dtype)
 
 
-@njit(inline="always")
+@njit
 def matrix(block, k, dtype) -> NDArray[Any]:
     """Field k of a block as a matrix (rows, columns); see `vector`."""
     return carray(_field(block, k), (block[3 * k + 1], block[3 * k + 2]), dtype)
