@@ -9,10 +9,18 @@ from rich.table import Table
 
 from ..runs.console import output
 from ..runs.files import save_figure
-from .options import MountOption
 
 app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
 
+Mount = Annotated[
+    str | None,
+    typer.Option(
+        "--mount",
+        help='Rotation from IMU to body axes: body axes as the IMU\'s ("z,-y,x"), roll, pitch and yaw of the '
+        'IMU in degrees ("rpy 0 20 90"), a quaternion w x y z or a matrix by rows. A true attitude of the '
+        "body is not rotated, one of the IMU itself is.",
+    ),
+]
 Truth = Annotated[
     str | None, typer.Option(help="Topic or folder to take for the true attitude; else the best there is.")
 ]
@@ -22,7 +30,7 @@ Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
 @app.command()
 def info(
     file: Annotated[Path, typer.Argument(help="A log: see docs/logs.md for the formats.")],
-    mount: MountOption = None,
+    mount: Mount = None,
     truth: Truth = None,
     imu: Imu = None,
 ) -> None:
@@ -73,7 +81,7 @@ def info(
 @app.command()
 def mount(
     file: Annotated[Path, typer.Argument(help="A log in which the vehicle hovers, or with a true attitude.")],
-    mount: MountOption = None,
+    mount: Mount = None,
     truth: Truth = None,
     imu: Imu = None,
     level: Annotated[
@@ -109,7 +117,7 @@ def convert(
     out: Annotated[Path, typer.Option(help="Where the dataset goes, for example data/mine.zarr.")],
     piece: Annotated[float, typer.Option(min=1, help="Length of the pieces in seconds.")] = 20.0,
     rate: Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")] = 200.0,
-    mount: MountOption = None,
+    mount: Mount = None,
     truth: Truth = None,
     imu: Imu = None,
     force: Annotated[
@@ -146,7 +154,7 @@ def calibrate(
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the Allan deviation and its fit.")] = None,
     gravity: Annotated[float, typer.Option(help="Gravity where it was recorded, in m/s².")] = 9.81,
-    mount: MountOption = None,
+    mount: Mount = None,
     imu: Imu = None,
     bias_only: Annotated[
         bool, typer.Option("--bias-only", help="The biases alone: 3 s at rest are enough.")

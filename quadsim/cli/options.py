@@ -56,15 +56,6 @@ TuningOption = Annotated[
         "vehicle when left out."
     ),
 ]
-MountOption = Annotated[
-    str | None,
-    typer.Option(
-        "--mount",
-        help='Rotation from IMU to body axes: body axes as the IMU\'s ("z,-y,x"), roll, pitch and yaw of the '
-        'IMU in degrees ("rpy 0 20 90"), a quaternion w x y z or a matrix by rows. A true attitude of the '
-        "body is not rotated, one of the IMU itself is.",
-    ),
-]
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
 
 

@@ -7,7 +7,8 @@ import typer
 
 from ..runs.console import output as console
 from ..runs.console import progress_bar
-from .options import MountOption, Seed, Workers
+from .logs import Mount
+from .options import Seed, Workers
 
 
 def evaluate(
@@ -27,7 +28,7 @@ def evaluate(
     within: Annotated[
         float, typer.Option(min=1, max=180, help="With --logs: largest true inclination scored, in °.")
     ] = 45.0,
-    mount: MountOption = None,
+    mount: Mount = None,
     tuning: Annotated[
         str | None,
         typer.Option(

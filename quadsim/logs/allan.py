@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from ..runs.files import write_whole
 from ..vehicle import GRAVITY
 from .recording import Array, Recording
+from .resample import usable
 
 BIAS_S, NOISE_S, WALK_S = 3.0, 10.0, 60.0
 """Shortest stretches at rest that give a bias, a white noise density and a bias random walk [s]."""
@@ -146,10 +147,12 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only:
         bias_only: Leave the noise out.
 
     Raises:
-        ValueError: A log without a still stretch, logs at different rates, or no gravity of this planet.
+        ValueError: A log without a still stretch or without noise, logs at different rates, or no gravity of
+            this planet.
     """
     if not 9.7 <= gravity <= 9.9:
         raise ValueError(f"gravity: {gravity} m/s², on Earth it is 9.76 to 9.84")
+    logs = [usable(log)[0] for log in logs]
     stretches = [still_stretch(log) for log in logs]
     rates = [1.0 / float(np.median(np.diff(log.time))) for log in logs]
     if max(rates) > 1.02 * min(rates):
@@ -166,6 +169,11 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only:
             raise ValueError(
                 f"{log.name}: at rest it reads a specific force of {found:.4g} m/s², and gravity is "
                 f"{gravity:g}: look at its unit (g, mg?)"
+            )
+    for log, gyro, accel in zip(logs, gyros, accels, strict=True):
+        if not bias_only and not (np.ptp(gyro, axis=0).any() and np.ptp(accel, axis=0).any()):
+            raise ValueError(
+                f"{log.name}: at rest it reads the same numbers all the time: no noise to measure"
             )
     along = down / length * (length - gravity)
     longest = 0.0 if bias_only else max(len(gyro) for gyro in gyros) / rate

@@ -85,33 +85,14 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
     """
-    stamped = np.isfinite(log.time)
-    back = np.diff(log.time[stamped]) < -BACK_S
-    if back.sum() > UNSORTED * back.size:
-        raise ValueError(
-            f"{log.name}: {100 * back.mean():.0f} % of the stamps go back: sort the rows by time"
-        )
-    parts = split(log)
-    log = max(parts, key=lambda part: part.time.size)
-    gyro, accel, time, counted = _cleaned(log)
-    counted["missing"] += int((~stamped).sum()) - int((~np.isfinite(log.time)).sum())
+    log, counted = usable(log)
+    time, readings = log.time, np.concatenate([log.gyro, log.accel], axis=1)
     steps = np.diff(time)
     period = float(np.median(steps))
     source_rate = 1.0 / period
-    if not RATES_HZ[0] <= source_rate <= RATES_HZ[1]:
-        raise ValueError(
-            f"{log.name}: {source_rate:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are "
-            f"allowed: {_unit_of_stamps(source_rate)}"
-        )
-    if time[-1] - time[0] > SPARSE * period * time.size:
-        raise ValueError(
-            f"{log.name}: {time.size} samples at {source_rate:.0f} Hz are spread over "
-            f"{time[-1] - time[0]:.0f} s: most of the log is missing"
-        )
     gap = steps > max(GAP * period, period + JITTER_S)
-    stuck = _stuck(np.concatenate([gyro, accel], axis=1), max(round(STUCK_S / period), STUCK))
+    stuck = _stuck(readings, max(round(STUCK_S / period), STUCK))
     grid = time[0] + np.arange(int((time[-1] - time[0]) * rate_hz * (1 + 1e-12) + 1e-6) + 1) / rate_hz
-    readings = np.concatenate([gyro, accel], axis=1)
     even = np.full((grid.size, 6), np.nan)
     corner = 0.5 * (1 + PASS) * rate_hz / 2 if source_rate > 1.01 * rate_hz else None
     cuts = np.flatnonzero(gap) + 1
@@ -127,7 +108,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     known = np.isfinite(quat).all(axis=1) & np.isfinite(even).all(axis=1)
     gravity = quat_rotate(quat[known], even[known, 3:]).mean(axis=0) if known.any() else None
     found = align(even[:, :3], quat, rate_hz)
-    force = np.linalg.norm(accel, axis=1)
+    force = np.linalg.norm(log.accel, axis=1)
     rest = turn_at_rest(even[:, :3], even[:, 3:], rate_hz)
     mean = level(even[:, :3], even[:, 3:], rate_hz) if gravity is None or log.truth_axes == "imu" else None
     report = LogReport(
@@ -158,16 +139,51 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         path=log.path,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
-        upright=float(accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
+        upright=float(log.accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
         still=_still(readings),
         stuck=tuple(stuck.sum(axis=0).tolist()),
-        parts=len(parts),
         filter_hz=corner,
         notes=log.notes,
         **counted,
     )
     dataset.attrs["log"] = asdict(report)
     return dataset, report
+
+
+def usable(log: Recording) -> tuple[Recording, dict[str, int]]:
+    """The longest part of a recording, with finite readings and stamps that go forward.
+
+    Args:
+        log: A recording on its own stamps.
+
+    Returns:
+        The part, and counts of what was left out or is odd, by the names of `LogReport`.
+
+    Raises:
+        ValueError: Too few samples, rows out of order, or a sample rate that no IMU has.
+    """
+    stamped = np.isfinite(log.time)
+    back = np.diff(log.time[stamped]) < -BACK_S
+    if back.sum() > UNSORTED * back.size:
+        share = f"{100 * back.mean():.0f} %"
+        raise ValueError(f"{log.name}: {share} of the stamps go back: sort the rows by time")
+    parts = split(log)
+    log = max(parts, key=lambda part: part.time.size)
+    unstamped = int((~stamped).sum()) - int((~np.isfinite(log.time)).sum())
+    log, counted = _cleaned(log)
+    time, period = log.time, float(np.median(np.diff(log.time)))
+    rate = 1.0 / period
+    if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        raise ValueError(
+            f"{log.name}: {rate:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are allowed: "
+            f"{_unit_of_stamps(rate)}"
+        )
+    if time[-1] - time[0] > SPARSE * period * time.size:
+        raise ValueError(
+            f"{log.name}: {time.size} samples at {rate:.0f} Hz are spread over {time[-1] - time[0]:.0f} s: "
+            "most of the log is missing"
+        )
+    return log, counted | {"missing": counted["missing"] + unstamped, "parts": len(parts)}
 
 
 def split(log: Recording) -> list[Recording]:
@@ -231,7 +247,7 @@ def _median_norm(quat: Array | None) -> float | None:
     return float(np.median(length[known])) if known.any() else None
 
 
-def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
+def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
     """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
     readings = np.concatenate([log.gyro, log.accel], axis=1)
     finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
@@ -256,7 +272,7 @@ def _cleaned(log: Recording) -> tuple[Array, Array, Array, dict[str, int]]:
         "repeated": int(same.sum()),
         "saturated": int(_saturated(readings).sum()),
     }
-    return readings[:, :3], readings[:, 3:], time, counted
+    return replace(log, time=time, gyro=readings[:, :3], accel=readings[:, 3:]), counted
 
 
 def _stuck(readings: Array, least: int) -> NDArray[np.bool_]:

@@ -412,6 +412,21 @@ def test_the_seconds_before_take_off_are_at_rest_and_a_hover_with_vibration_is_n
         calibrate([late], bias_only=True)
 
 
+def test_odd_stamps_at_rest_are_left_out_and_bad_logs_are_one_line():
+    log, _ = at_rest(20.0)
+    stamps = log.time.copy()
+    stamps[500:503], stamps[2000] = stamps[499], np.nan
+    found = calibrate([replace(log, time=stamps)], bias_only=True)
+    np.testing.assert_allclose(found.gyro.bias, log.gyro.mean(axis=0), atol=3e-4)
+    for bad, said in (
+        (replace(log, time=1e3 * log.time), "are the stamps in ms"),
+        (replace(log, time=np.zeros(log.time.size)), "only 1 of its stamps go forward"),
+        (replace(log, accel=np.tile(GRAVITY, (log.time.size, 1))), "no noise to measure"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            calibrate([bad])
+
+
 def test_the_command_prints_the_bias_and_writes_no_file(tmp_path):
     log, _ = at_rest(5.0)
     np.savez(
