@@ -218,10 +218,14 @@ def correct_by_drag(s, accel, drag, variance, matrix, work):
         matrix: R̂ by rows.
         work: From `scratch`; adds to the error dx, writes the innovation in body axes before the correction
             (2,) [m/s²].
+
+    Returns:
+        Of the innovation of both axes, given its covariance S: νᵀ S⁻¹ ν, and det S [m⁴/s⁸].
     """
     _, dx, column, _, innovation = work
     P = s.covariance
     v, w, c = s.velocity, s.wind, s.accel_bias
+    square, determinant = 0.0, 1.0
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
         expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + c[k]
@@ -233,7 +237,10 @@ def correct_by_drag(s, accel, drag, variance, matrix, work):
             column[a] += z * P[VELOCITY + 2, a] + P[ACCEL_BIAS + k, a]
         total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
         total += z * column[VELOCITY + 2] + column[ACCEL_BIAS + k]
-        correct(P, dx, column, total + variance, innovation[k] - known)
+        residual, total = innovation[k] - known, total + variance
+        correct(P, dx, column, total, residual)
+        square, determinant = square + residual * residual / total, determinant * total
+    return square, determinant
 
 
 @njit

@@ -1,0 +1,582 @@
+"""Interacting multiple models: one filter for an airframe that nobody has described.
+
+Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+coefficients", IEEE Trans. Autom. Control 33(8), 1988. Five hypotheses of what carries the IMU, each an
+error-state filter with the state and the covariance of `ekf_drag`:
+
+    drag-low, drag-high   a multirotor: the force across thrust is drag, a_xy = −D (Rᵀ (v − w))_xy, with two
+                          values of its coefficient k, D = k √(a_z / g) + f |v − w|
+    free                  a vehicle of which only the speed is limited: v = 0, standard deviation of metres a
+                          second; the force across body z tells nothing
+    hand                  the same, slow: v = 0 within decimetres a second
+    rest                  v = 0 and a rate of zero, so that the gyroscope reads its bias
+
+Every model predicts the force across body z. For a multirotor it is drag. For the others it is gravity and
+acceleration: Rᵀ(0, 0, g)_xy, its variance the mean square of the horizontal acceleration. The likelihood of a
+model is the density of that force, times that of its velocity, and of the rate where it predicts one. Errors
+of a wrong model are not white, so the logarithm counts as one measurement per `evidence_time`, and its tails
+are those of Student's t. The model changes at random, on average once per `sojourn_time`:
+
+    c_j = (1 − m ε) μ_j + ε,    μ_j ← c_j Λ_j / Σ c Λ,    ε = dt / (m sojourn_time)
+
+Mixing is then a step of each model towards the combination of all by the share ε / c_j: none for the model
+that is believed, and the whole way for one that is not, which therefore is ready to take over.
+
+Heading cannot be observed: all models are turned about the vertical to the heading of the likeliest. Readings
+are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
+integration algorithm design", J. Guidance 21, 1998), which the models take at `MODEL_HZ`; in between, the
+combined attitude turns with the gyroscope.
+"""
+
+import math
+
+import numpy as np
+
+from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotate_core
+from quadsim.runs.compiled import njit
+from quadsim.vehicle import GRAVITY
+
+from .algorithm import Algorithm, Array, Parameter, Records
+from .ekf import SIGMA_KNOWN
+from .ekf_drag import (
+    ACCEL_BIAS,
+    ERRORS,
+    GAP_SPEED,
+    GYRO_BIAS,
+    TILT,
+    VELOCITY,
+    WIND,
+    at_rest,
+    correct_by_drag,
+    correct_by_zero_rate,
+    correct_by_zero_velocity,
+    diverged,
+    propagate,
+    scratch,
+)
+from .eskf import tilt_core, turned
+from .inline_math import atan2_core, exp_core, roll_pitch_core
+from .samples import parameter_record, sanitise_midpoint, square_of_error
+
+MODELS = ("drag-low", "drag-high", "free", "hand", "rest")
+DRAG_LOW, DRAG_HIGH, FREE, HAND, REST = range(len(MODELS))
+COUNT = len(MODELS)
+
+MODEL = np.dtype(
+    [
+        ("quat", "f8", 4),
+        ("velocity", "f8", 3),
+        ("wind", "f8", 2),
+        ("gyro_bias", "f8", 3),
+        ("accel_bias", "f8", 3),
+        ("covariance", "f8", (ERRORS, ERRORS)),
+        ("tilt", "f8", 2),  # from the combined attitude, world axes [rad]
+        ("accel_square", "f8"),  # mean square of the horizontal acceleration, per axis [m²/s⁴]
+        ("innovation", "f8", 2),  # of the drag measurement at the last update, world axes [m/s²]
+        ("vibration", "f8"),  # variance of the white part of it [m²/s⁴]
+    ]
+)
+"""State of one model."""
+
+STATE = np.dtype(
+    [
+        ("models", MODEL, (COUNT,)),
+        ("probability", "f8", COUNT),
+        ("quat", "f8", 4),  # combined
+        ("velocity", "f8", 3),
+        ("wind", "f8", 2),
+        ("gyro_bias", "f8", 3),
+        ("accel_bias", "f8", 3),
+        ("covariance", "f8", (ERRORS, ERRORS)),
+        ("accel_square", "f8"),  # as of the models
+        ("rest_time", "f8"),  # for which the readings have not changed [s]
+        ("fast", "f8", 6),  # low-passed readings
+        ("slow", "f8", 6),
+        ("begun", "f8"),  # whether the attitude is known or has been taken from the first force
+        ("time", "f8"),  # since the start [s]
+        ("interval", "f8"),  # since the last update of the models [s]
+        ("force_time", "f8"),  # part of it with a specific force [s]
+        ("turn", "f8", 4),  # in that interval, a quaternion
+        ("push", "f8", 3),  # integral of the specific force, axes at the end of the interval [m/s]
+        ("force_sum", "f8", 3),  # integral of the specific force in body axes, which turn [m/s]
+        ("force", "f8", 3),  # the last specific force [m/s²]
+        ("unseen", "f8"),  # variance of the unmeasured turn in the interval [rad²]
+    ]
+)
+"""The filter's state: models, their combination, and readings since their last update."""
+
+PARAMETERS = {
+    # Of the two multirotors: coefficients k of rotor drag [1/s], quadratic drag f of the frame [1/m].
+    "drag_low": Parameter(0.2, 0.1, 0.3, minimum=1e-3),
+    "drag_high": Parameter(0.4, 0.3, 0.8, minimum=1e-3),
+    "frame_drag": Parameter(0.01, 1e-3, 0.1, searched=False),
+    # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
+    "drag_noise": Parameter(0.02, 5e-3, 0.1, minimum=1e-9),
+    "model_noise": Parameter(0.004, 1e-3, 0.05),
+    # Standard deviations of the velocity in flight, in the hand and at rest [m/s], its correlation time [s],
+    # noise density of the climb [m/s·√s].
+    "flight_speed": Parameter(3.0, 1.0, 10.0, minimum=1e-6),
+    "hand_speed": Parameter(0.3, 0.1, 1.0, minimum=1e-6),
+    "rest_speed": Parameter(0.1, 1e-2, 0.3, minimum=1e-6, searched=False),
+    "speed_time": Parameter(1.0, 0.2, 3.0, minimum=1e-6),
+    "climb_noise": Parameter(2.0, 0.5, 5.0, minimum=1e-9, searched=False),
+    # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
+    # of the specific force [m/s/√s], of the walks of wind [m/s/√s] and biases [rad/s/√s], [m/s²/√s].
+    "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
+    "turn_noise": Parameter(0.005, 1e-4, 0.05),
+    "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
+    "wind_noise": Parameter(0.2, 0.05, 1.0),
+    "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
+    "accel_bias_noise": Parameter(0.005, 1e-4, 0.1),
+    # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases [rad/s],
+    # [m/s²].
+    "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
+    "speed_sigma": Parameter(1.0, 0.3, 3.0, searched=False),
+    "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
+    "bias_sigma": Parameter(0.1, 0.01, 0.2, searched=False),
+    "accel_bias_sigma": Parameter(0.2, 0.02, 0.5, searched=False),
+    # At rest, as in `ekf_drag`: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise
+    # density of the zero-rate update [rad/√s], time until it and of the fast low-pass [s].
+    "rest_rate": Parameter(0.005, 1e-3, 0.1, searched=False),
+    "rest_accel": Parameter(0.05, 0.01, 1.0, searched=False),
+    "rest_rate_most": Parameter(0.1, 0.01, 1.0, searched=False),
+    "rest_noise": Parameter(0.002, 1e-4, 0.1, minimum=1e-9, searched=False),
+    "rest_delay": Parameter(1.5, 0.1, 5.0, minimum=1e-3, searched=False),
+    "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
+    # Least standard deviation of the horizontal acceleration in the hand [m/s²].
+    "least_accel": Parameter(0.2, 0.01, 1.0, minimum=1e-6, searched=False),
+    # Memories of mean squares and of vibration [s]; switching of the models [s].
+    "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
+    "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
+    "evidence_time": Parameter(0.5, 0.05, 10.0, minimum=1e-3),
+    "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
+}
+"""What a user or `quadsim tune` may change; units in the comments."""
+
+PARAMS = parameter_record(PARAMETERS)
+MODEL_HZ = 50.0
+"""Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t."""
+REST_EVIDENCE = 5.0
+"""Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
+FIRST_S = 0.1
+"""Time for which the first value of a mean square counts [s]."""
+
+
+@njit
+def accumulate(s, sample):
+    """Take one `Sample` into the turn and the push since the last update of the models."""
+    dt, (gx, gy, gz), (ax, ay, az) = sample.dt, sample.gyro, sample.accel
+    ew, ex, ey, ez = exp_core(gx * dt, gy * dt, gz * dt)
+    tw, tx, ty, tz = s.turn
+    s.turn[0], s.turn[1], s.turn[2], s.turn[3] = multiply_core(tw, tx, ty, tz, ew, ex, ey, ez)
+    px, py, pz = s.push
+    if ax != 0.0 or ay != 0.0 or az != 0.0:
+        if s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0:  # trapezoidal rule
+            px, py, pz = px + 0.5 * dt * s.force[0], py + 0.5 * dt * s.force[1], pz + 0.5 * dt * s.force[2]
+            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+            px, py, pz = px + 0.5 * dt * ax, py + 0.5 * dt * ay, pz + 0.5 * dt * az
+        else:
+            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+            px, py, pz = px + dt * ax, py + dt * ay, pz + dt * az
+        s.force_time += dt
+        s.force_sum[0] += dt * ax
+        s.force_sum[1] += dt * ay
+        s.force_sum[2] += dt * az
+    else:
+        px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+    s.push[0], s.push[1], s.push[2] = px, py, pz
+    s.force[0], s.force[1], s.force[2] = ax, ay, az
+    s.interval += dt
+    s.time += dt
+    s.unseen += sample.unseen
+
+
+@njit
+def rotation_vector(turn):
+    """Rotation vector of a quaternion of a turn of less than π [rad]."""
+    length = math.sqrt(turn[1] ** 2 + turn[2] ** 2 + turn[3] ** 2)
+    scale = 2.0 if length < 1e-9 else 2.0 * atan2_core(length, turn[0]) / length
+    return scale * turn[1], scale * turn[2], scale * turn[3]
+
+
+@njit
+def student(square, determinant):
+    """Logarithm of the density of two variables, Student's t, less a constant; see `correct_by_drag`."""
+    return -0.5 * (FREEDOM + 2.0) * math.log(1.0 + square / FREEDOM) - 0.5 * math.log(determinant)
+
+
+@njit
+def mean_square(value, square, dt, time, memory):
+    """Mean square after a further square value."""
+    return value + (square - value) * min(dt / min(FIRST_S + time, memory), 1.0)
+
+
+@njit
+def velocity_density(m, sigma):
+    """Logarithm of the density of the horizontal velocity, of standard deviation sigma [m/s]."""
+    x = sigma * sigma + m.covariance[VELOCITY, VELOCITY]
+    y = sigma * sigma + m.covariance[VELOCITY + 1, VELOCITY + 1]
+    return student(m.velocity[0] ** 2 / x + m.velocity[1] ** 2 / y, x * y)
+
+
+@njit
+def gravity_density(m, accel, matrix, variance):
+    """Logarithm of the density of the force across body z where it is gravity and acceleration.
+
+    Args:
+        m: The model's record.
+        accel: Specific force (3,) [m/s²].
+        matrix: R̂ by rows.
+        variance: Of the acceleration, each axis [m²/s⁴].
+    """
+    P = m.covariance
+    tilt = 0.5 * GRAVITY * GRAVITY * (P[TILT, TILT] + P[TILT + 1, TILT + 1])
+    square, determinant = 0.0, 1.0
+    for k in range(2):
+        residual = accel[k] - m.accel_bias[k] - GRAVITY * matrix[6 + k]
+        total = variance + tilt + P[ACCEL_BIAS + k, ACCEL_BIAS + k]
+        square, determinant = square + residual * residual / total, determinant * total
+    return student(square, determinant)
+
+
+@njit
+def adapt_vibration(m, p, dt, x, y):
+    """Take an innovation in world axes into the variance of its white part."""
+    change = (x - m.innovation[0]) ** 2 + (y - m.innovation[1]) ** 2
+    m.vibration += (0.25 * change - m.vibration) * min(dt / p.vibration_memory, 1.0)
+    m.innovation[0], m.innovation[1] = x, y
+
+
+@njit
+def predict(m, s, p, vector, accel, known, work):
+    """Propagate one model over the interval; R̂ by rows.
+
+    Args:
+        m: The model's record.
+        s: The filter's record.
+        p: Its parameters.
+        vector: Rotation vector that the gyroscope measured [rad].
+        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
+        known: Whether there is one.
+        work: From `scratch`.
+    """
+    T, _, _, walks, _ = work
+    dt, v, b, c = s.interval, m.velocity, m.gyro_bias, m.accel_bias
+    turn = from_rotvec_core(vector[0] - b[0] * dt, vector[1] - b[1] * dt, vector[2] - b[2] * dt)
+    qw, qx, qy, qz = m.quat
+    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, turn[0], turn[1], turn[2], turn[3])
+    m.quat[0], m.quat[1], m.quat[2], m.quat[3] = qw, qx, qy, qz
+    matrix = matrix_core(qw, qx, qy, qz)
+    rate_square = (vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2) / dt
+    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + p.turn_noise**2 * rate_square + s.unseen
+    walks[VELOCITY:WIND] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
+    walks[WIND:GYRO_BIAS] = p.wind_noise**2 * dt
+    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
+    walks[ACCEL_BIAS:] = p.accel_bias_noise**2 * dt
+    propagate(m.covariance, T, matrix, v, m.wind, dt, walks)
+    if known:
+        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2] - c[2])
+        v[0], v[1], v[2] = v[0] + fx * dt, v[1] + fy * dt, v[2] + (fz - GRAVITY) * dt
+        square = 0.5 * (fx * fx + fy * fy)
+        m.accel_square = mean_square(m.accel_square, square, dt, s.time, p.square_memory)
+    return matrix
+
+
+@njit
+def correct_model(m, k, s, p, rate, accel, body, matrix, work):
+    """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
+
+    Args:
+        m: The model's record.
+        k: Which one it is.
+        s: The filter's record.
+        p: Its parameters.
+        rate: Mean rate (3,) [rad/s].
+        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
+        body: Its mean in body axes, which turn (3,) [m/s²].
+        matrix: R̂ by rows.
+        work: From `scratch`.
+    """
+    _, dx, column, _, innovation = work
+    P, v, w, dt = m.covariance, m.velocity, m.wind, s.interval
+    dx[:] = 0.0
+    speed = p.rest_speed if k == REST else (p.hand_speed if k == HAND else p.flight_speed)
+    density = velocity_density(m, speed) * dt / p.speed_time
+    weight = min(dt / p.evidence_time, 1.0)
+    if k <= DRAG_HIGH:
+        airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
+        coefficient = p.drag_low if k == DRAG_LOW else p.drag_high
+        drag = coefficient * math.sqrt(max(body[2], 0.0) / GRAVITY) + p.frame_drag * airspeed
+        variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
+        square, determinant = correct_by_drag(m, body, drag, variance, matrix, work)
+        qw, qx, qy, qz = m.quat
+        x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
+        adapt_vibration(m, p, dt, x, y)
+        density += weight * student(square, determinant)
+    else:
+        variance = max(m.accel_square, p.least_accel**2)
+        density += weight * gravity_density(m, accel, matrix, variance)
+    climb = p.rest_speed**2 * p.speed_time if k == REST else p.climb_noise**2
+    correct_by_zero_velocity(P, dx, column, v, speed * speed * p.speed_time / dt, climb / dt)
+    if k == REST:
+        correct_by_zero_rate(P, dx, column, rate, m.gyro_bias, p.rest_noise**2 / dt)
+    apply_error(m, dx)
+    return density
+
+
+@njit
+def apply_error(m, dx):
+    """Correct a model's state by the error that was estimated."""
+    qw, qx, qy, qz = m.quat
+    m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
+    rw, rx, ry, rz = exp_core(dx[TILT], dx[TILT + 1], 0.0)
+    v, w, b, c = m.velocity, m.wind, m.gyro_bias, m.accel_bias
+    v[0], v[1], v[2] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
+    w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
+    for k in range(3):
+        v[k] += dx[VELOCITY + k]
+        b[k] += dx[GYRO_BIAS + k]
+        c[k] += dx[ACCEL_BIAS + k]
+    w[0], w[1] = w[0] + dx[WIND], w[1] + dx[WIND + 1]
+
+
+@njit
+def share_heading(s):
+    """Turn all models about the vertical to the likeliest one's heading; their tilts from it."""
+    best = 0
+    for k in range(COUNT):
+        best = k if s.probability[k] > s.probability[best] else best
+    bw, bx, by, bz = s.models[best].quat
+    for k in range(COUNT):
+        m = s.models[k]
+        qw, qx, qy, qz = m.quat
+        w, x, y, z = multiply_core(qw, qx, qy, qz, bw, -bx, -by, -bz)
+        length = math.sqrt(w * w + z * z)
+        cosine, sine = (w / length, z / length) if length > 0.0 else (1.0, 0.0)  # of half the heading
+        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = multiply_core(cosine, 0.0, 0.0, -sine, qw, qx, qy, qz)
+        m.velocity[0], m.velocity[1], _ = rotate_core(
+            cosine, 0.0, 0.0, -sine, m.velocity[0], m.velocity[1], 0.0
+        )
+        m.wind[0], m.wind[1], _ = rotate_core(cosine, 0.0, 0.0, -sine, m.wind[0], m.wind[1], 0.0)
+        x, y = cosine * x + sine * y, cosine * y - sine * x
+        across = math.sqrt(x * x + y * y)
+        scale = 2.0 if across < 1e-9 else 2.0 * atan2_core(across, length) / across
+        m.tilt[0], m.tilt[1] = scale * x, scale * y
+    return best
+
+
+@njit
+def distance(m, s, d):
+    """Error of a combined state against a model's, d (13,); `tilt` is from the combined attitude."""
+    x, y, v = m.tilt[0], m.tilt[1], s.velocity
+    d[TILT], d[TILT + 1] = x, y
+    d[VELOCITY] = m.velocity[0] - v[0] - y * v[2]
+    d[VELOCITY + 1] = m.velocity[1] - v[1] + x * v[2]
+    d[VELOCITY + 2] = m.velocity[2] - v[2] - (x * v[1] - y * v[0])
+    d[WIND], d[WIND + 1] = m.wind[0] - s.wind[0], m.wind[1] - s.wind[1]
+    for k in range(3):
+        d[GYRO_BIAS + k] = m.gyro_bias[k] - s.gyro_bias[k]
+        d[ACCEL_BIAS + k] = m.accel_bias[k] - s.accel_bias[k]
+
+
+@njit
+def combine(s, d):
+    """Mean and covariance over all models; d (13,) is scratch."""
+    best = share_heading(s)
+    x = y = 0.0
+    for field in (s.velocity, s.gyro_bias, s.accel_bias):
+        field[:] = 0.0
+    s.wind[:] = 0.0
+    s.covariance[:] = 0.0
+    s.accel_square = 0.0
+    for k in range(COUNT):
+        m, share = s.models[k], s.probability[k]
+        x, y = x + share * m.tilt[0], y + share * m.tilt[1]
+        s.accel_square += share * m.accel_square
+        for i in range(3):
+            s.velocity[i] += share * m.velocity[i]
+            s.gyro_bias[i] += share * m.gyro_bias[i]
+            s.accel_bias[i] += share * m.accel_bias[i]
+        s.wind[0], s.wind[1] = s.wind[0] + share * m.wind[0], s.wind[1] + share * m.wind[1]
+    bw, bx, by, bz = s.models[best].quat
+    s.quat[0], s.quat[1], s.quat[2], s.quat[3] = turned(bw, bx, by, bz, x, y)
+    for k in range(COUNT):
+        m, share = s.models[k], s.probability[k]
+        m.tilt[0], m.tilt[1] = m.tilt[0] - x, m.tilt[1] - y
+        distance(m, s, d)
+        for i in range(ERRORS):
+            for j in range(ERRORS):
+                s.covariance[i, j] += share * (m.covariance[i, j] + d[i] * d[j])
+
+
+@njit
+def mix(s, share_of_change, d):
+    """Move each model towards the combination by the share of its probability that comes from there."""
+    for k in range(COUNT):
+        m = s.models[k]
+        share = share_of_change / ((1.0 - COUNT * share_of_change) * s.probability[k] + share_of_change)
+        distance(m, s, d)
+        own, both = 1.0 - share, share * (1.0 - share)
+        for i in range(ERRORS):
+            for j in range(ERRORS):
+                m.covariance[i, j] = (
+                    own * m.covariance[i, j] + share * s.covariance[i, j] + both * d[i] * d[j]
+                )
+        qw, qx, qy, qz = m.quat
+        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(
+            qw, qx, qy, qz, -share * m.tilt[0], -share * m.tilt[1]
+        )
+        m.accel_square += share * (s.accel_square - m.accel_square)
+        for i in range(3):
+            m.velocity[i] += share * (s.velocity[i] - m.velocity[i])
+            m.gyro_bias[i] += share * (s.gyro_bias[i] - m.gyro_bias[i])
+            m.accel_bias[i] += share * (s.accel_bias[i] - m.accel_bias[i])
+        for i in range(2):
+            m.wind[i] += share * (s.wind[i] - m.wind[i])
+
+
+@njit
+def weigh(s, evidence, share_of_change):
+    """Probabilities after a measurement; evidence (m,) is the logarithm of its likelihood."""
+    highest = max(evidence)
+    total = 0.0
+    for k in range(COUNT):
+        predicted = (1.0 - COUNT * share_of_change) * s.probability[k] + share_of_change
+        s.probability[k] = predicted * math.exp(max(evidence[k] - highest, -300.0))
+        total += s.probability[k]
+    for k in range(COUNT):
+        s.probability[k] /= total
+
+
+@njit
+def update_models(s, p, work, evidence):
+    """Take the interval that is over into all models, and combine them."""
+    dt, d = s.interval, work[1]
+    vector = rotation_vector(s.turn)
+    known = s.force_time > 0.5 * dt
+    scale = 1.0 / s.force_time if known else 0.0
+    accel = (scale * s.push[0], scale * s.push[1], scale * s.push[2])
+    body = (scale * s.force_sum[0], scale * s.force_sum[1], scale * s.force_sum[2])
+    rate = (vector[0] / dt, vector[1] / dt, vector[2] / dt)
+    if s.begun == 0.0 and known:
+        begin_at(s, accel)
+    for k in range(COUNT):
+        m = s.models[k]
+        matrix = predict(m, s, p, vector, accel, known, work)
+        evidence[k] = correct_model(m, k, s, p, rate, accel, body, matrix, work) if known else 0.0
+    certain = REST_EVIDENCE if known and at_rest(s, p, dt, rate, body) else -REST_EVIDENCE
+    evidence[REST] = max(evidence[:REST]) + certain
+    change = dt / (COUNT * p.sojourn_time)
+    weigh(s, evidence, change)
+    combine(s, d)
+    mix(s, change, d)
+    s.interval = s.force_time = s.unseen = 0.0
+    s.turn[0], s.turn[1:], s.push[:] = 1.0, 0.0, 0.0
+    s.force_sum[:] = 0.0
+
+
+@njit
+def begin_at(s, accel):
+    """Start all models at the tilt at which the first force is vertical."""
+    x, y = tilt_core(accel[0], accel[1], accel[2])
+    for k in range(COUNT):
+        m = s.models[k]
+        qw, qx, qy, qz = m.quat
+        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, x, y)
+    s.begun = 1.0
+
+
+@njit
+def begin(s, p, known):
+    """Put a record, whose attitude is there, at the start: known, or level until the first force."""
+    s.begun = 1.0 if known else 0.0
+    s.turn[0] = 1.0
+    s.probability[:] = 1.0 / COUNT
+    for k in range(COUNT):
+        m = s.models[k]
+        m.quat[:] = s.quat
+        P = m.covariance
+        P[:] = 0.0
+        for i in range(ERRORS):
+            sigma = p.accel_bias_sigma
+            if i < VELOCITY:
+                sigma = SIGMA_KNOWN if known else p.attitude_sigma
+            elif i < WIND:
+                sigma = p.speed_sigma
+            elif i < GYRO_BIAS:
+                sigma = p.wind_sigma
+            elif i < ACCEL_BIAS:
+                sigma = p.bias_sigma
+            P[i, i] = sigma**2
+        s.covariance[:] = P
+
+
+@njit
+def step(s, own, p, sample, work, evidence):
+    """Take a sample; a filter that has diverged starts again. own: the record's own numbers."""
+    accumulate(s, sample)
+    if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
+        update_models(s, p, work, evidence)
+        if diverged(s):
+            own[:] = 0.0
+            s.quat[0] = 1.0
+            begin(s, p, False)
+        return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+    qw, qx, qy, qz = s.quat
+    tw, tx, ty, tz = s.turn
+    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, tw, tx, ty, tz)
+    return roll_pitch_core(qw, qx, qy, qz)
+
+
+@njit
+def room():
+    """Scratch for `step`: that of `ekf_drag`, and the evidence (m,)."""
+    return scratch(), np.empty(COUNT)
+
+
+@njit(cache=True, nogil=True)
+def sequence(states, params, dt, gyro, accel, out):
+    """See `algorithm`."""
+    n, steps = gyro.shape[:2]
+    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
+    for row in range(len(states)):
+        s, p, i = states[row], params[row // n], row % n
+        for t in range(steps):
+            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
+            out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample, work, evidence)
+
+
+@njit(cache=True, nogil=True)
+def score(states, params, dt, flights):
+    """See `algorithm`; one set after the other, as of `ekf_drag`."""
+    gyro, accel, target = flights
+    n, steps = gyro.shape[:2]
+    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
+    squared_error = np.zeros((params.shape[0], n))
+    for row in range(len(states)):
+        s, p, i = states[row], params[row // n], row % n
+        for t in range(steps):
+            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
+            roll, pitch = step(s, own[row], p, sample, work, evidence)
+            squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
+    return squared_error
+
+
+OWN = STATE.itemsize // 8
+"""Numbers in the filter's own fields, the first of a record."""
+
+
+@njit(cache=True)
+def _begin(states, params, known):
+    for i in range(len(states)):
+        begin(states[i], params[i], known)
+
+
+def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    states["quat"] = quat
+    _begin(states, params, known)
+
+
+IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start)
