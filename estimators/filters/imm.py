@@ -82,6 +82,7 @@ STATE = np.dtype(
     [
         ("models", MODEL, (COUNT,)),
         ("probability", "f8", COUNT),
+        ("likelihood", "f8", FREE),  # logarithm, of the last force given its prediction by each drag
         ("quat", "f8", 4),  # combined
         ("velocity", "f8", 3),
         ("wind", "f8", 2),
@@ -89,6 +90,7 @@ STATE = np.dtype(
         ("accel_bias", "f8", 3),
         ("covariance", "f8", (ERRORS, ERRORS)),
         ("accel_square", "f8"),  # as of the models
+        ("body_square", "f8"),  # mean square of the force across body z, per axis [m²/s⁴]
         ("rest_time", "f8"),  # for which the readings have not changed [s]
         ("fast", "f8", 6),  # low-passed readings
         ("slow", "f8", 6),
@@ -149,6 +151,7 @@ PARAMETERS = {
     "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
     "evidence_time": Parameter(0.5, 0.05, 10.0, minimum=1e-3),
+    "drag_evidence_time": Parameter(0.1, 0.02, 10.0, minimum=1e-3),
     "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
 }
 """What a user or `quadsim tune` may change; units in the comments."""
@@ -222,23 +225,10 @@ def velocity_density(m, sigma):
 
 
 @njit
-def gravity_density(m, accel, matrix, variance):
-    """Logarithm of the density of the force across body z where it is gravity and acceleration.
-
-    Args:
-        m: The model's record.
-        accel: Specific force (3,) [m/s²].
-        matrix: R̂ by rows.
-        variance: Of the acceleration, each axis [m²/s⁴].
-    """
-    P = m.covariance
-    tilt = 0.5 * GRAVITY * GRAVITY * (P[TILT, TILT] + P[TILT + 1, TILT + 1])
-    square, determinant = 0.0, 1.0
-    for k in range(2):
-        residual = accel[k] - m.accel_bias[k] - GRAVITY * matrix[6 + k]
-        total = variance + tilt + P[ACCEL_BIAS + k, ACCEL_BIAS + k]
-        square, determinant = square + residual * residual / total, determinant * total
-    return student(square, determinant)
+def force_density(x, y, mean_square, least):
+    """Logarithm of the density of a force across an axis, of that mean square for each of x and y [m/s²]."""
+    variance = mean_square + least * least
+    return student((x * x + y * y) / variance, variance * variance)
 
 
 @njit
@@ -314,10 +304,13 @@ def correct_model(m, k, s, p, rate, accel, body, matrix, work):
         qw, qx, qy, qz = m.quat
         x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
         adapt_vibration(m, p, dt, x, y)
-        density += weight * student(square, determinant)
+        s.likelihood[k] = student(square, determinant) * min(dt / p.drag_evidence_time, 1.0)
+        x, y = body[0] - s.accel_bias[0], body[1] - s.accel_bias[1]
+        density += weight * force_density(x, y, s.body_square, p.least_accel)
     else:
-        variance = max(m.accel_square, p.least_accel**2)
-        density += weight * gravity_density(m, accel, matrix, variance)
+        x = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
+        y = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
+        density += weight * force_density(x, y, m.accel_square, p.least_accel)
     climb = p.rest_speed**2 * p.speed_time if k == REST else p.climb_noise**2
     correct_by_zero_velocity(P, dx, column, v, speed * speed * p.speed_time / dt, climb / dt)
     if k == REST:
@@ -462,10 +455,15 @@ def update_models(s, p, work, evidence):
     rate = (vector[0] / dt, vector[1] / dt, vector[2] / dt)
     if s.begun == 0.0 and known:
         begin_at(s, accel)
+    square = 0.5 * ((body[0] - s.accel_bias[0]) ** 2 + (body[1] - s.accel_bias[1]) ** 2)
+    s.body_square = mean_square(s.body_square, square, dt, s.time, p.square_memory) if known else s.body_square
     for k in range(COUNT):
         m = s.models[k]
         matrix = predict(m, s, p, vector, accel, known, work)
         evidence[k] = correct_model(m, k, s, p, rate, accel, body, matrix, work) if known else 0.0
+    likelier = max(s.likelihood)
+    for k in range(FREE):
+        evidence[k] += s.likelihood[k] - likelier
     certain = REST_EVIDENCE if known and at_rest(s, p, dt, rate, body) else -REST_EVIDENCE
     evidence[REST] = max(evidence[:REST]) + certain
     change = dt / (COUNT * p.sojourn_time)
