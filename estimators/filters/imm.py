@@ -46,11 +46,15 @@ from .ekf_drag import (
     TILT,
     VELOCITY,
     WIND,
+    adapt_vibration,
+    adapt_wind,
+    airspeed_variance,
     at_rest,
     correct_by_drag,
     correct_by_zero_rate,
     correct_by_zero_velocity,
     diverged,
+    gust_noise,
     propagate,
     scratch,
 )
@@ -72,8 +76,13 @@ MODEL = np.dtype(
         ("covariance", "f8", (ERRORS, ERRORS)),
         ("tilt", "f8", 2),  # from the combined attitude, world axes [rad]
         ("accel_square", "f8"),  # mean square of the horizontal acceleration, per axis [m²/s⁴]
+        ("time", "f8"),  # since the start [s]
         ("innovation", "f8", 2),  # of the drag measurement at the last update, world axes [m/s²]
+        ("innovation_mean", "f8", 2),  # low-passed [m/s²]
         ("vibration", "f8"),  # variance of the white part of it [m²/s⁴]
+        ("wind_noise", "f8"),  # process noise of the wind [m²/s³]
+        ("airspeed_sum", "f8", 2),  # recent corrections of v - w [m/s]
+        ("airspeed_due", "f8"),  # variance that they removed [m²/s²]
     ]
 )
 """State of one model."""
@@ -147,6 +156,16 @@ PARAMETERS = {
     "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
     # Least standard deviation of the horizontal acceleration in the hand [m/s²].
     "least_accel": Parameter(0.2, 0.01, 1.0, minimum=1e-6, searched=False),
+    # Wind, as in `ekf_drag`: gain of the adaptation of its noise, share of the removed variance at which it neither
+    # rises nor falls, memories of it, of the corrections and of a gust front [s], variances that a low-passed
+    # innovation has there, and the least noise density [m/s/√s].
+    "wind_gain": Parameter(1.0, 0.2, 3.0, searched=False),
+    "wind_share": Parameter(0.6, 0.3, 0.9, searched=False),
+    "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3, searched=False),
+    "wind_window": Parameter(0.1, 0.02, 1.0, minimum=1e-3, searched=False),
+    "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
+    "gust_ratio": Parameter(2.0, 1.5, 4.0, searched=False),
+    "wind_noise_least": Parameter(0.02, 1e-4, 0.1, searched=False),
     # Memories of mean squares and of vibration [s]; switching of the models [s].
     "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
@@ -232,14 +251,6 @@ def force_density(x, y, mean_square, least):
 
 
 @njit
-def adapt_vibration(m, p, dt, x, y):
-    """Take an innovation in world axes into the variance of its white part."""
-    change = (x - m.innovation[0]) ** 2 + (y - m.innovation[1]) ** 2
-    m.vibration += (0.25 * change - m.vibration) * min(dt / p.vibration_memory, 1.0)
-    m.innovation[0], m.innovation[1] = x, y
-
-
-@njit
 def predict(m, s, p, vector, accel, known, work):
     """Propagate one model over the interval; R̂ by rows.
 
@@ -253,6 +264,7 @@ def predict(m, s, p, vector, accel, known, work):
         work: From `scratch`.
     """
     T, _, _, walks, _ = work
+    m.time = s.time
     dt, v, b, c = s.interval, m.velocity, m.gyro_bias, m.accel_bias
     turn = from_rotvec_core(vector[0] - b[0] * dt, vector[1] - b[1] * dt, vector[2] - b[2] * dt)
     qw, qx, qy, qz = m.quat
@@ -262,7 +274,8 @@ def predict(m, s, p, vector, accel, known, work):
     rate_square = (vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2) / dt
     walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + p.turn_noise**2 * rate_square + s.unseen
     walks[VELOCITY:WIND] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
-    walks[WIND:GYRO_BIAS] = p.wind_noise**2 * dt
+    noise = max(m.vibration, p.drag_noise**2 / dt)
+    walks[WIND:GYRO_BIAS] = max(m.wind_noise, gust_noise(m, p, noise, dt, p.drag_low)) * dt
     walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
     walks[ACCEL_BIAS:] = p.accel_bias_noise**2 * dt
     propagate(m.covariance, T, matrix, v, m.wind, dt, walks)
@@ -300,10 +313,13 @@ def correct_model(m, k, s, p, rate, accel, body, matrix, work):
         coefficient = p.drag_low if k == DRAG_LOW else p.drag_high
         drag = coefficient * math.sqrt(max(body[2], 0.0) / GRAVITY) + p.frame_drag * airspeed
         variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
+        before = airspeed_variance(P)
         square, determinant = correct_by_drag(m, body, drag, variance, matrix, work)
         qw, qx, qy, qz = m.quat
         x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
         adapt_vibration(m, p, dt, x, y)
+        if m.time > p.wind_window:  # the first corrections are those of the initial state
+            adapt_wind(m, p, dt, dx, before - airspeed_variance(P))
         s.likelihood[k] = student(square, determinant) * min(dt / p.drag_evidence_time, 1.0)
         x, y = body[0] - s.accel_bias[0], body[1] - s.accel_bias[1]
         density += weight * force_density(x, y, s.body_square, p.least_accel)
@@ -508,6 +524,7 @@ def begin(s, p, known):
             elif i < ACCEL_BIAS:
                 sigma = p.bias_sigma
             P[i, i] = sigma**2
+        m.wind_noise = p.wind_noise**2
         s.covariance[:] = P
 
 
