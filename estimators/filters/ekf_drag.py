@@ -218,14 +218,10 @@ def correct_by_drag(s, accel, drag, variance, matrix, work):
         matrix: R̂ by rows.
         work: From `scratch`; adds to the error dx, writes the innovation in body axes before the correction
             (2,) [m/s²].
-
-    Returns:
-        Of the innovation of both axes, given its covariance S: νᵀ S⁻¹ ν, and det S [m⁴/s⁸].
     """
     _, dx, column, _, innovation = work
     P = s.covariance
     v, w, c = s.velocity, s.wind, s.accel_bias
-    square, determinant = 0.0, 1.0
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
         expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + c[k]
@@ -237,10 +233,7 @@ def correct_by_drag(s, accel, drag, variance, matrix, work):
             column[a] += z * P[VELOCITY + 2, a] + P[ACCEL_BIAS + k, a]
         total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
         total += z * column[VELOCITY + 2] + column[ACCEL_BIAS + k]
-        residual, total = innovation[k] - known, total + variance
-        correct(P, dx, column, total, residual)
-        square, determinant = square + residual * residual / total, determinant * total
-    return square, determinant
+        correct(P, dx, column, total + variance, innovation[k] - known)
 
 
 @njit
@@ -298,12 +291,11 @@ def adapt_vibration(s, p, dt, x, y):
 
 
 @njit
-def adapt_wind(s, p, dt, dx, removed):
-    """Take a correction of the airspeed, and the variance that it removed, into the wind's process noise."""
+def adapt_wind(s, p, dt, moved, removed):
+    """Take a correction of the airspeed (2,), and the variance that it removed, into the wind's process noise."""
     scatter = 0.0
     for k in range(2):
-        moved = dx[VELOCITY + k] - dx[WIND + k]
-        s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / p.wind_window
+        s.airspeed_sum[k] += moved[k] - s.airspeed_sum[k] * dt / p.wind_window
         scatter += 0.5 * s.airspeed_sum[k] ** 2
     s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / p.wind_window
     excess = p.wind_gain * 2.0 * (scatter - p.wind_share * s.airspeed_due) / p.wind_window
@@ -365,7 +357,8 @@ def measure(s, p, sample, quat, matrix, work):
     x, y, _ = rotate_core(quat[0], quat[1], quat[2], quat[3], innovation[0], innovation[1], 0.0)
     adapt_vibration(s, p, dt, x, y)
     if s.time > p.wind_window:  # the first corrections are those of the initial state
-        adapt_wind(s, p, dt, dx, airspeed - airspeed_variance(P))
+        moved = dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]
+        adapt_wind(s, p, dt, moved, airspeed - airspeed_variance(P))
         adapt_bias(s, p, dt, dx, P, bias - bias_variance(P))
     density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
     correct_by_zero_velocity(P, dx, column, v, density / dt, p.climb_noise**2 / dt)

@@ -38,26 +38,7 @@ from quadsim.vehicle import GRAVITY
 
 from .algorithm import Algorithm, Array, Parameter, Records
 from .ekf import SIGMA_KNOWN
-from .ekf_drag import (
-    ACCEL_BIAS,
-    ERRORS,
-    GAP_SPEED,
-    GYRO_BIAS,
-    TILT,
-    VELOCITY,
-    WIND,
-    adapt_vibration,
-    adapt_wind,
-    airspeed_variance,
-    at_rest,
-    correct_by_drag,
-    correct_by_zero_rate,
-    correct_by_zero_velocity,
-    diverged,
-    gust_noise,
-    propagate,
-    scratch,
-)
+from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, adapt_wind, at_rest, diverged, gust_noise
 from .eskf import tilt_core, turned
 from .inline_math import atan2_core, exp_core, roll_pitch_core
 from .samples import parameter_record, sanitise_midpoint, square_of_error
@@ -66,13 +47,19 @@ MODELS = ("drag-low", "drag-high", "free", "hand", "rest")
 DRAG_LOW, DRAG_HIGH, FREE, HAND, REST = range(len(MODELS))
 COUNT = len(MODELS)
 
+ERRORS = 14
+TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS, OFFSET, LEVER = 0, 2, 4, 6, 9, 11, 13
+"""Where the parts of the error state begin: horizontal axes, three of the gyroscope's bias, one lever arm."""
+
 MODEL = np.dtype(
     [
         ("quat", "f8", 4),
         ("velocity", "f8", 3),
         ("wind", "f8", 2),
         ("gyro_bias", "f8", 3),
-        ("accel_bias", "f8", 3),
+        ("accel_bias", "f8", 2),
+        ("offset", "f8", 2),  # of the direction of thrust from body z [rad]
+        ("lever", "f8"),  # height of the IMU over the centre of mass [m]
         ("covariance", "f8", (ERRORS, ERRORS)),
         ("tilt", "f8", 2),  # from the combined attitude, world axes [rad]
         ("accel_square", "f8"),  # mean square of the horizontal acceleration, per axis [m²/s⁴]
@@ -96,7 +83,9 @@ STATE = np.dtype(
         ("velocity", "f8", 3),
         ("wind", "f8", 2),
         ("gyro_bias", "f8", 3),
-        ("accel_bias", "f8", 3),
+        ("accel_bias", "f8", 2),
+        ("offset", "f8", 2),  # of the direction of thrust from body z [rad]
+        ("lever", "f8"),  # height of the IMU over the centre of mass [m]
         ("covariance", "f8", (ERRORS, ERRORS)),
         ("accel_square", "f8"),  # as of the models
         ("body_square", "f8"),  # mean square of the force across body z, per axis [m²/s⁴]
@@ -111,6 +100,8 @@ STATE = np.dtype(
         ("push", "f8", 3),  # integral of the specific force, axes at the end of the interval [m/s]
         ("force_sum", "f8", 3),  # integral of the specific force in body axes, which turn [m/s]
         ("force", "f8", 3),  # the last specific force [m/s²]
+        ("last_rate", "f8", 3),  # the last rate [rad/s]
+        ("rate_before", "f8", 3),  # the last one before the interval
         ("unseen", "f8"),  # variance of the unmeasured turn in the interval [rad²]
     ]
 )
@@ -125,12 +116,12 @@ PARAMETERS = {
     "drag_noise": Parameter(0.02, 5e-3, 0.1, minimum=1e-9),
     "model_noise": Parameter(0.004, 1e-3, 0.05),
     # Standard deviations of the velocity in flight, in the hand and at rest [m/s], its correlation time [s],
-    # noise density of the climb [m/s·√s].
+    # memory of the climb [s].
     "flight_speed": Parameter(3.0, 1.0, 10.0, minimum=1e-6),
-    "hand_speed": Parameter(0.3, 0.1, 1.0, minimum=1e-6),
+    "hand_speed": Parameter(1.0, 0.1, 1.0, minimum=1e-6),
     "rest_speed": Parameter(0.1, 1e-2, 0.3, minimum=1e-6, searched=False),
     "speed_time": Parameter(1.0, 0.2, 3.0, minimum=1e-6),
-    "climb_noise": Parameter(2.0, 0.5, 5.0, minimum=1e-9, searched=False),
+    "climb_time": Parameter(2.0, 0.5, 5.0, minimum=0.05, searched=False),
     # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
     # of the specific force [m/s/√s], of the walks of wind [m/s/√s] and biases [rad/s/√s], [m/s²/√s].
     "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
@@ -139,6 +130,7 @@ PARAMETERS = {
     "wind_noise": Parameter(0.2, 0.05, 1.0),
     "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
     "accel_bias_noise": Parameter(0.005, 1e-4, 0.1),
+    "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
     # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases [rad/s],
     # [m/s²].
     "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
@@ -146,6 +138,8 @@ PARAMETERS = {
     "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
     "bias_sigma": Parameter(0.1, 0.01, 0.2, searched=False),
     "accel_bias_sigma": Parameter(0.2, 0.02, 0.5, searched=False),
+    "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
+    "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
     # At rest, as in `ekf_drag`: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise
     # density of the zero-rate update [rad/√s], time until it and of the fast low-pass [s].
     "rest_rate": Parameter(0.005, 1e-3, 0.1, searched=False),
@@ -169,7 +163,7 @@ PARAMETERS = {
     # Memories of mean squares and of vibration [s]; switching of the models [s].
     "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
-    "evidence_time": Parameter(0.5, 0.05, 10.0, minimum=1e-3),
+    "evidence_time": Parameter(0.1, 0.05, 10.0, minimum=1e-3),
     "drag_evidence_time": Parameter(0.1, 0.02, 10.0, minimum=1e-3),
     "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
 }
@@ -184,6 +178,127 @@ REST_EVIDENCE = 5.0
 """Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
 FIRST_S = 0.1
 """Time for which the first value of a mean square counts [s]."""
+
+
+@njit
+def transition(P, matrix, v, w, dt):
+    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
+    vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
+    for j in range(ERRORS):
+        x, y = P[TILT, j], P[TILT + 1, j]
+        b0, b1, b2 = P[GYRO_BIAS, j], P[GYRO_BIAS + 1, j], P[GYRO_BIAS + 2, j]
+        c0, c1 = P[ACCEL_BIAS, j], P[ACCEL_BIAS + 1, j]
+        bx = r00 * b0 + r01 * b1 + r02 * b2  # R̂ δb
+        by = r10 * b0 + r11 * b1 + r12 * b2
+        bz = r20 * b0 + r21 * b1 + r22 * b2
+        P[TILT, j] = x - dt * bx
+        P[TILT + 1, j] = y - dt * by
+        P[VELOCITY, j] += dt * (GRAVITY * y - r00 * c0 - r01 * c1 - (vy * bz - vz * by))
+        P[VELOCITY + 1, j] += dt * (-GRAVITY * x - r10 * c0 - r11 * c1 - (vz * bx - vx * bz))
+        P[WIND, j] -= dt * wy * bz
+        P[WIND + 1, j] += dt * wx * bz
+
+
+@njit
+def propagate(P, T, matrix, v, w, dt, walks):
+    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; T is scratch."""
+    transition(P, matrix, v, w, dt)
+    for i in range(ERRORS):
+        for j in range(ERRORS):
+            T[i, j] = P[j, i]
+    transition(T, matrix, v, w, dt)
+    for i in range(ERRORS):
+        for j in range(ERRORS):
+            P[i, j] = T[i, j]
+        P[i, i] += walks[i]
+
+
+@njit
+def correct(P, dx, column, total, residual):
+    """One scalar measurement with row h: adds to the error dx, reduces P.
+
+    Args:
+        P: Covariance.
+        dx: Error estimated so far.
+        column: P hᵀ.
+        total: h P hᵀ and the measurement's variance.
+        residual: Measured less expected, less h dx.
+    """
+    for a in range(ERRORS):
+        gain = column[a] / total
+        dx[a] += gain * residual
+        for b in range(ERRORS):
+            P[a, b] -= gain * column[b]
+
+
+@njit
+def correct_by_drag(m, force, arm, drag, variance, matrix, work):
+    """Correct by the specific force across thrust, one axis after the other.
+
+    Args:
+        m: The model's record.
+        force: Mean specific force in body axes (3,) [m/s²].
+        arm: What one metre of lever arm adds to it (2,) [1/s²].
+        drag: D [1/s].
+        variance: Of the measurement, each axis [m²/s⁴].
+        matrix: R̂ by rows.
+        work: Of `room`; adds to the error dx, writes the innovation in body axes before the correction
+            (2,) [m/s²].
+
+    Returns:
+        Of the innovation of both axes, given its covariance S: νᵀ S⁻¹ ν, and det S [m⁴/s⁸].
+    """
+    _, dx, column, _, innovation = work
+    P, v, w = m.covariance, m.velocity, m.wind
+    square, determinant = 0.0, 1.0
+    for k in range(2):
+        x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
+        bias, offset, thrust = ACCEL_BIAS + k, OFFSET + k, force[2]
+        expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + m.accel_bias[k] + thrust * m.offset[k]
+        expected += arm[k] * m.lever
+        innovation[k] = min(max(force[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
+        known = x * (dx[VELOCITY] - dx[WIND]) + y * (dx[VELOCITY + 1] - dx[WIND + 1])
+        known += dx[bias] + thrust * dx[offset] + arm[k] * dx[LEVER]
+        for a in range(ERRORS):
+            column[a] = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
+            column[a] += P[bias, a] + thrust * P[offset, a] + arm[k] * P[LEVER, a]
+        total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
+        total += column[bias] + thrust * column[offset] + arm[k] * column[LEVER] + variance
+        residual = innovation[k] - known
+        correct(P, dx, column, total, residual)
+        square, determinant = square + residual * residual / total, determinant * total
+    return square, determinant
+
+
+@njit
+def correct_by_zero_velocity(P, dx, column, v, variance):
+    """Correct by the measurement v = 0, one horizontal axis after the other; column is scratch."""
+    for k in range(2):
+        x, y = (0.0, v[2]) if k == 0 else (-v[2], 0.0)  # of θ × v̂
+        for a in range(ERRORS):
+            column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
+        total = x * column[TILT] + y * column[TILT + 1] + column[VELOCITY + k] + variance
+        known = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
+        correct(P, dx, column, total, -v[k] - known)
+
+
+@njit
+def correct_by_zero_rate(P, dx, column, rate, bias, variance):
+    """Correct by the gyroscope of a vehicle at rest, which reads its bias; column is scratch."""
+    for k in range(3):
+        for a in range(ERRORS):
+            column[a] = P[GYRO_BIAS + k, a]
+        residual = rate[k] - bias[k] - dx[GYRO_BIAS + k]
+        correct(P, dx, column, column[GYRO_BIAS + k] + variance, residual)
+
+
+@njit
+def airspeed_variance(P):
+    """Variance of the horizontal airspeed v − w, both axes summed [m²/s²]."""
+    x = P[VELOCITY, VELOCITY] + P[WIND, WIND] - 2.0 * P[VELOCITY, WIND]
+    y = P[VELOCITY + 1, VELOCITY + 1] + P[WIND + 1, WIND + 1] - 2.0 * P[VELOCITY + 1, WIND + 1]
+    return x + y
 
 
 @njit
@@ -213,6 +328,7 @@ def accumulate(s, sample):
     s.interval += dt
     s.time += dt
     s.unseen += sample.unseen
+    s.last_rate[0], s.last_rate[1], s.last_rate[2] = gx, gy, gz
 
 
 @njit
@@ -244,6 +360,13 @@ def velocity_density(m, sigma):
 
 
 @njit
+def across_thrust(s, force, arm):
+    """Force (3,) across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
+    x = force[0] - s.accel_bias[0] - force[2] * s.offset[0] - arm[0] * s.lever
+    return x, force[1] - s.accel_bias[1] - force[2] * s.offset[1] - arm[1] * s.lever
+
+
+@njit
 def force_density(x, y, mean_square, least):
     """Logarithm of the density of a force across an axis, of that mean square for each of x and y [m/s²]."""
     variance = mean_square + least * least
@@ -261,7 +384,7 @@ def predict(m, s, p, vector, accel, known, work):
         vector: Rotation vector that the gyroscope measured [rad].
         accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
         known: Whether there is one.
-        work: From `scratch`.
+        work: Of `room`.
     """
     T, _, _, walks, _ = work
     m.time = s.time
@@ -277,18 +400,21 @@ def predict(m, s, p, vector, accel, known, work):
     noise = max(m.vibration, p.drag_noise**2 / dt)
     walks[WIND:GYRO_BIAS] = max(m.wind_noise, gust_noise(m, p, noise, dt, p.drag_low)) * dt
     walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
-    walks[ACCEL_BIAS:] = p.accel_bias_noise**2 * dt
+    walks[ACCEL_BIAS:OFFSET] = p.accel_bias_noise**2 * dt
+    walks[OFFSET:LEVER] = p.offset_noise**2 * dt
+    walks[LEVER] = 0.0
     propagate(m.covariance, T, matrix, v, m.wind, dt, walks)
     if known:
-        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2] - c[2])
-        v[0], v[1], v[2] = v[0] + fx * dt, v[1] + fy * dt, v[2] + (fz - GRAVITY) * dt
+        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2])
+        v[0], v[1] = v[0] + fx * dt, v[1] + fy * dt
+        v[2] += (fz - GRAVITY - v[2] / p.climb_time) * dt
         square = 0.5 * (fx * fx + fy * fy)
         m.accel_square = mean_square(m.accel_square, square, dt, s.time, p.square_memory)
     return matrix
 
 
 @njit
-def correct_model(m, k, s, p, rate, accel, body, matrix, work):
+def correct_model(m, k, s, p, rate, accel, body, arm, matrix, work):
     """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
 
     Args:
@@ -299,8 +425,9 @@ def correct_model(m, k, s, p, rate, accel, body, matrix, work):
         rate: Mean rate (3,) [rad/s].
         accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
         body: Its mean in body axes, which turn (3,) [m/s²].
+        arm: What one metre of lever arm adds to that (2,) [1/s²].
         matrix: R̂ by rows.
-        work: From `scratch`.
+        work: Of `room`.
     """
     _, dx, column, _, innovation = work
     P, v, w, dt = m.covariance, m.velocity, m.wind, s.interval
@@ -314,21 +441,21 @@ def correct_model(m, k, s, p, rate, accel, body, matrix, work):
         drag = coefficient * math.sqrt(max(body[2], 0.0) / GRAVITY) + p.frame_drag * airspeed
         variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
         before = airspeed_variance(P)
-        square, determinant = correct_by_drag(m, body, drag, variance, matrix, work)
+        square, determinant = correct_by_drag(m, body, arm, drag, variance, matrix, work)
         qw, qx, qy, qz = m.quat
         x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
         adapt_vibration(m, p, dt, x, y)
         if m.time > p.wind_window:  # the first corrections are those of the initial state
-            adapt_wind(m, p, dt, dx, before - airspeed_variance(P))
+            moved = dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]
+            adapt_wind(m, p, dt, moved, before - airspeed_variance(P))
         s.likelihood[k] = student(square, determinant) * min(dt / p.drag_evidence_time, 1.0)
-        x, y = body[0] - s.accel_bias[0], body[1] - s.accel_bias[1]
+        x, y = across_thrust(s, body, arm)
         density += weight * force_density(x, y, s.body_square, p.least_accel)
     else:
         x = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
         y = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
         density += weight * force_density(x, y, m.accel_square, p.least_accel)
-    climb = p.rest_speed**2 * p.speed_time if k == REST else p.climb_noise**2
-    correct_by_zero_velocity(P, dx, column, v, speed * speed * p.speed_time / dt, climb / dt)
+    correct_by_zero_velocity(P, dx, column, v, speed * speed * p.speed_time / dt)
     if k == REST:
         correct_by_zero_rate(P, dx, column, rate, m.gyro_bias, p.rest_noise**2 / dt)
     apply_error(m, dx)
@@ -345,10 +472,13 @@ def apply_error(m, dx):
     v[0], v[1], v[2] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
     w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
     for k in range(3):
-        v[k] += dx[VELOCITY + k]
         b[k] += dx[GYRO_BIAS + k]
+    for k in range(2):
+        v[k] += dx[VELOCITY + k]
+        w[k] += dx[WIND + k]
         c[k] += dx[ACCEL_BIAS + k]
-    w[0], w[1] = w[0] + dx[WIND], w[1] + dx[WIND + 1]
+        m.offset[k] += dx[OFFSET + k]
+    m.lever += dx[LEVER]
 
 
 @njit
@@ -378,37 +508,40 @@ def share_heading(s):
 
 @njit
 def distance(m, s, d):
-    """Error of a combined state against a model's, d (13,); `tilt` is from the combined attitude."""
+    """Error of a combined state against a model's, d (14,); `tilt` is from the combined attitude."""
     x, y, v = m.tilt[0], m.tilt[1], s.velocity
     d[TILT], d[TILT + 1] = x, y
     d[VELOCITY] = m.velocity[0] - v[0] - y * v[2]
     d[VELOCITY + 1] = m.velocity[1] - v[1] + x * v[2]
-    d[VELOCITY + 2] = m.velocity[2] - v[2] - (x * v[1] - y * v[0])
-    d[WIND], d[WIND + 1] = m.wind[0] - s.wind[0], m.wind[1] - s.wind[1]
     for k in range(3):
         d[GYRO_BIAS + k] = m.gyro_bias[k] - s.gyro_bias[k]
+    for k in range(2):
+        d[WIND + k] = m.wind[k] - s.wind[k]
         d[ACCEL_BIAS + k] = m.accel_bias[k] - s.accel_bias[k]
+        d[OFFSET + k] = m.offset[k] - s.offset[k]
+    d[LEVER] = m.lever - s.lever
 
 
 @njit
 def combine(s, d):
-    """Mean and covariance over all models; d (13,) is scratch."""
+    """Mean and covariance over all models; d (14,) is scratch."""
     best = share_heading(s)
     x = y = 0.0
-    for field in (s.velocity, s.gyro_bias, s.accel_bias):
-        field[:] = 0.0
-    s.wind[:] = 0.0
+    s.velocity[:], s.wind[:], s.gyro_bias[:], s.accel_bias[:], s.offset[:] = 0.0, 0.0, 0.0, 0.0, 0.0
     s.covariance[:] = 0.0
-    s.accel_square = 0.0
+    s.accel_square = s.lever = 0.0
     for k in range(COUNT):
         m, share = s.models[k], s.probability[k]
         x, y = x + share * m.tilt[0], y + share * m.tilt[1]
         s.accel_square += share * m.accel_square
+        s.lever += share * m.lever
         for i in range(3):
             s.velocity[i] += share * m.velocity[i]
             s.gyro_bias[i] += share * m.gyro_bias[i]
+        for i in range(2):
+            s.wind[i] += share * m.wind[i]
             s.accel_bias[i] += share * m.accel_bias[i]
-        s.wind[0], s.wind[1] = s.wind[0] + share * m.wind[0], s.wind[1] + share * m.wind[1]
+            s.offset[i] += share * m.offset[i]
     bw, bx, by, bz = s.models[best].quat
     s.quat[0], s.quat[1], s.quat[2], s.quat[3] = turned(bw, bx, by, bz, x, y)
     for k in range(COUNT):
@@ -438,12 +571,14 @@ def mix(s, share_of_change, d):
             qw, qx, qy, qz, -share * m.tilt[0], -share * m.tilt[1]
         )
         m.accel_square += share * (s.accel_square - m.accel_square)
+        m.lever += share * (s.lever - m.lever)
         for i in range(3):
             m.velocity[i] += share * (s.velocity[i] - m.velocity[i])
             m.gyro_bias[i] += share * (s.gyro_bias[i] - m.gyro_bias[i])
-            m.accel_bias[i] += share * (s.accel_bias[i] - m.accel_bias[i])
         for i in range(2):
             m.wind[i] += share * (s.wind[i] - m.wind[i])
+            m.accel_bias[i] += share * (s.accel_bias[i] - m.accel_bias[i])
+            m.offset[i] += share * (s.offset[i] - m.offset[i])
 
 
 @njit
@@ -468,15 +603,20 @@ def update_models(s, p, work, evidence):
     scale = 1.0 / s.force_time if known else 0.0
     accel = (scale * s.push[0], scale * s.push[1], scale * s.push[2])
     body = (scale * s.force_sum[0], scale * s.force_sum[1], scale * s.force_sum[2])
+    arm = ((s.last_rate[1] - s.rate_before[1]) / dt, (s.rate_before[0] - s.last_rate[0]) / dt)
+    if s.time < 1.5 * dt:  # no rate before the first
+        arm = (0.0, 0.0)
+    s.rate_before[:] = s.last_rate
     rate = (vector[0] / dt, vector[1] / dt, vector[2] / dt)
     if s.begun == 0.0 and known:
         begin_at(s, accel)
-    square = 0.5 * ((body[0] - s.accel_bias[0]) ** 2 + (body[1] - s.accel_bias[1]) ** 2)
+    x, y = across_thrust(s, body, arm)
+    square = 0.5 * (x * x + y * y)
     s.body_square = mean_square(s.body_square, square, dt, s.time, p.square_memory) if known else s.body_square
     for k in range(COUNT):
         m = s.models[k]
         matrix = predict(m, s, p, vector, accel, known, work)
-        evidence[k] = correct_model(m, k, s, p, rate, accel, body, matrix, work) if known else 0.0
+        evidence[k] = correct_model(m, k, s, p, rate, accel, body, arm, matrix, work) if known else 0.0
     likelier = max(s.likelihood)
     for k in range(FREE):
         evidence[k] += s.likelihood[k] - likelier
@@ -514,7 +654,7 @@ def begin(s, p, known):
         P = m.covariance
         P[:] = 0.0
         for i in range(ERRORS):
-            sigma = p.accel_bias_sigma
+            sigma = p.lever_sigma if i == LEVER else p.offset_sigma
             if i < VELOCITY:
                 sigma = SIGMA_KNOWN if known else p.attitude_sigma
             elif i < WIND:
@@ -523,6 +663,8 @@ def begin(s, p, known):
                 sigma = p.wind_sigma
             elif i < ACCEL_BIAS:
                 sigma = p.bias_sigma
+            elif i < OFFSET:
+                sigma = p.accel_bias_sigma
             P[i, i] = sigma**2
         m.wind_noise = p.wind_noise**2
         s.covariance[:] = P
@@ -547,8 +689,9 @@ def step(s, own, p, sample, work, evidence):
 
 @njit
 def room():
-    """Scratch for `step`: that of `ekf_drag`, and the evidence (m,)."""
-    return scratch(), np.empty(COUNT)
+    """Scratch: (14, 14); the error dx, a column of P, process noise (14,); innovation (2,); and evidence (m,)."""
+    work = np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(2)
+    return work, np.empty(COUNT)
 
 
 @njit(cache=True, nogil=True)
