@@ -254,7 +254,7 @@ def correct_by_drag(m, force, arm, drag, variance, matrix, work):
     square, determinant = 0.0, 1.0
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
-        bias, offset, thrust = ACCEL_BIAS + k, OFFSET + k, force[2]
+        bias, offset, thrust = ACCEL_BIAS + k, OFFSET + k, GRAVITY
         expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + m.accel_bias[k] + thrust * m.offset[k]
         expected += arm[k] * m.lever
         innovation[k] = min(max(force[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
@@ -362,8 +362,8 @@ def velocity_density(m, sigma):
 @njit
 def across_thrust(s, force, arm):
     """Force (3,) across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
-    x = force[0] - s.accel_bias[0] - force[2] * s.offset[0] - arm[0] * s.lever
-    return x, force[1] - s.accel_bias[1] - force[2] * s.offset[1] - arm[1] * s.lever
+    x = force[0] - s.accel_bias[0] - GRAVITY * s.offset[0] - arm[0] * s.lever
+    return x, force[1] - s.accel_bias[1] - GRAVITY * s.offset[1] - arm[1] * s.lever
 
 
 @njit
