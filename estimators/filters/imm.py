@@ -32,11 +32,11 @@ import math
 
 import numpy as np
 
-from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotate_core
+from quadsim.rotation import euler_from_quat, from_rotvec_core, matrix_core, multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Parameter, Records
+from .algorithm import Algorithm, Array, Filter, Parameter, Records
 from .ekf import SIGMA_KNOWN
 from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, adapt_wind, at_rest, diverged, gust_noise
 from .eskf import tilt_core, turned
@@ -165,6 +165,8 @@ PARAMETERS = {
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
     "evidence_time": Parameter(0.1, 0.05, 10.0, minimum=1e-3),
     "drag_evidence_time": Parameter(0.1, 0.02, 10.0, minimum=1e-3),
+    # Factor of the reported standard deviation, for what the models do not know.
+    "sigma_scale": Parameter(1.0, 1.0, 10.0, searched=False),
     "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
 }
 """What a user or `quadsim tune` may change; units in the comments."""
@@ -176,6 +178,8 @@ FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 REST_EVIDENCE = 5.0
 """Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
+ODDS_LEAST = 1e-3
+"""Least share of each drag model in both."""
 FIRST_S = 0.1
 """Time for which the first value of a mean square counts [s]."""
 
@@ -554,11 +558,19 @@ def combine(s, d):
 
 
 @njit
-def mix(s, share_of_change, d):
-    """Move each model towards the combination by the share of its probability that comes from there."""
+def arriving(s, k, change):
+    """Probability that another model changes to model k in the interval; a vehicle's drag does not change."""
+    others = 1.0 - (s.probability[DRAG_LOW] + s.probability[DRAG_HIGH] if k < FREE else s.probability[k])
+    return change * max(others, 0.0)
+
+
+@njit
+def mix(s, change, d):
+    """Move each model towards the combination by the share of its probability that comes from others."""
     for k in range(COUNT):
         m = s.models[k]
-        share = share_of_change / ((1.0 - COUNT * share_of_change) * s.probability[k] + share_of_change)
+        share = arriving(s, k, change)
+        share /= share + s.probability[k]
         distance(m, s, d)
         own, both = 1.0 - share, share * (1.0 - share)
         for i in range(ERRORS):
@@ -567,9 +579,8 @@ def mix(s, share_of_change, d):
                     own * m.covariance[i, j] + share * s.covariance[i, j] + both * d[i] * d[j]
                 )
         qw, qx, qy, qz = m.quat
-        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(
-            qw, qx, qy, qz, -share * m.tilt[0], -share * m.tilt[1]
-        )
+        x, y = -share * m.tilt[0], -share * m.tilt[1]
+        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, x, y)
         m.accel_square += share * (s.accel_square - m.accel_square)
         m.lever += share * (s.lever - m.lever)
         for i in range(3):
@@ -582,16 +593,17 @@ def mix(s, share_of_change, d):
 
 
 @njit
-def weigh(s, evidence, share_of_change):
+def weigh(s, evidence, change):
     """Probabilities after a measurement; evidence (m,) is the logarithm of its likelihood."""
     highest = max(evidence)
-    total = 0.0
     for k in range(COUNT):
-        predicted = (1.0 - COUNT * share_of_change) * s.probability[k] + share_of_change
-        s.probability[k] = predicted * math.exp(max(evidence[k] - highest, -300.0))
-        total += s.probability[k]
+        evidence[k] = (s.probability[k] + arriving(s, k, change)) * math.exp(max(evidence[k] - highest, -300.0))
+    drag = evidence[DRAG_LOW] + evidence[DRAG_HIGH]
+    for k in range(FREE):
+        evidence[k] = max(evidence[k], ODDS_LEAST * drag)
+    total = evidence.sum()
     for k in range(COUNT):
-        s.probability[k] /= total
+        s.probability[k] = evidence[k] / total
 
 
 @njit
@@ -680,11 +692,18 @@ def step(s, own, p, sample, work, evidence):
             own[:] = 0.0
             s.quat[0] = 1.0
             begin(s, p, False)
-        return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+    else:
+        turn_on(s, sample)
+    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+
+
+@njit
+def turn_on(s, sample):
+    """Turn the combined attitude by a sample, until the models have taken it."""
+    b, dt, (gx, gy, gz) = s.gyro_bias, sample.dt, sample.gyro
+    ew, ex, ey, ez = exp_core((gx - b[0]) * dt, (gy - b[1]) * dt, (gz - b[2]) * dt)
     qw, qx, qy, qz = s.quat
-    tw, tx, ty, tz = s.turn
-    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, tw, tx, ty, tz)
-    return roll_pitch_core(qw, qx, qy, qz)
+    s.quat[0], s.quat[1], s.quat[2], s.quat[3] = multiply_core(qw, qx, qy, qz, ew, ex, ey, ez)
 
 
 @njit
@@ -738,3 +757,25 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
 
 
 IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start)
+
+
+class InteractingModels(Filter):
+    """The filter of n vehicles, with the model that it believes and how sure it is."""
+
+    models = MODELS
+    """Names of the models, in the order of `model_probability`."""
+
+    @property
+    def model_probability(self) -> Array:
+        """Probability of each model, (n, 5); a row sums to 1."""
+        return self._states["probability"].copy()
+
+    @property
+    def roll_pitch_sigma(self) -> Array:
+        """Standard deviation of roll and pitch (n, 2) [rad], at the last update of the models."""
+        _, pitch, yaw = np.moveaxis(euler_from_quat(self._states["quat"]), -1, 0)
+        turn = np.stack([np.cos(yaw), np.sin(yaw), -np.sin(yaw), np.cos(yaw)], axis=-1).reshape(-1, 2, 2)
+        tilt = self._states["covariance"][:, TILT:VELOCITY, TILT:VELOCITY]
+        variance = np.diagonal(turn @ tilt @ np.swapaxes(turn, 1, 2), axis1=1, axis2=2)
+        scale = self.values["sigma_scale"] / np.stack([np.maximum(np.cos(pitch), 1e-3), np.ones_like(pitch)], -1)
+        return np.minimum(np.sqrt(np.maximum(variance, 0.0)) * scale, math.pi)
