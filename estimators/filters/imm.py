@@ -41,7 +41,7 @@ from .ekf import SIGMA_KNOWN
 from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, adapt_wind, at_rest, diverged, gust_noise
 from .eskf import tilt_core, turned
 from .inline_math import atan2_core, exp_core, roll_pitch_core
-from .samples import parameter_record, sanitise_midpoint, square_of_error
+from .samples import parameter_record, sanitise_sample, square_of_error
 
 MODELS = ("drag-low", "drag-high", "free", "hand", "rest")
 DRAG_LOW, DRAG_HIGH, FREE, HAND, REST = range(len(MODELS))
@@ -113,7 +113,7 @@ PARAMETERS = {
     "drag_high": Parameter(0.4, 0.3, 0.8, minimum=1e-3),
     "frame_drag": Parameter(0.01, 1e-3, 0.1, searched=False),
     # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
-    "drag_noise": Parameter(0.02, 5e-3, 0.1, minimum=1e-9),
+    "drag_noise": Parameter(0.05, 5e-3, 0.1, minimum=1e-9),
     "model_noise": Parameter(0.004, 1e-3, 0.05),
     # Standard deviations of the velocity in flight, in the hand and at rest [m/s], its correlation time [s],
     # memory of the climb [s].
@@ -125,19 +125,19 @@ PARAMETERS = {
     # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
     # of the specific force [m/s/√s], of the walks of wind [m/s/√s] and biases [rad/s/√s], [m/s²/√s].
     "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
-    "turn_noise": Parameter(0.005, 1e-4, 0.05),
+    "turn_noise": Parameter(0.01, 1e-4, 0.05),
     "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
     "wind_noise": Parameter(0.2, 0.05, 1.0),
     "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
-    "accel_bias_noise": Parameter(0.005, 1e-4, 0.1),
+    "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
     "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
     # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases [rad/s],
     # [m/s²].
     "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
-    "speed_sigma": Parameter(1.0, 0.3, 3.0, searched=False),
+    "speed_sigma": Parameter(3.0, 0.3, 3.0, searched=False),
     "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
     "bias_sigma": Parameter(0.1, 0.01, 0.2, searched=False),
-    "accel_bias_sigma": Parameter(0.2, 0.02, 0.5, searched=False),
+    "accel_bias_sigma": Parameter(0.15, 0.02, 0.5, searched=False),
     "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
     "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
     # At rest, as in `ekf_drag`: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise
@@ -163,8 +163,8 @@ PARAMETERS = {
     # Memories of mean squares and of vibration [s]; switching of the models [s].
     "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
-    "evidence_time": Parameter(0.1, 0.05, 10.0, minimum=1e-3),
-    "drag_evidence_time": Parameter(0.1, 0.02, 10.0, minimum=1e-3),
+    "evidence_time": Parameter(0.2, 0.05, 10.0, minimum=1e-3),
+    "drag_evidence_time": Parameter(0.05, 0.02, 10.0, minimum=1e-3),
     # Factor of the reported standard deviation, for what the models do not know.
     "sigma_scale": Parameter(1.0, 1.0, 10.0, searched=False),
     "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
@@ -332,7 +332,9 @@ def accumulate(s, sample):
     s.interval += dt
     s.time += dt
     s.unseen += sample.unseen
-    s.last_rate[0], s.last_rate[1], s.last_rate[2] = gx, gy, gz
+    s.last_rate[0] += 0.5 * (gx - s.last_rate[0])
+    s.last_rate[1] += 0.5 * (gy - s.last_rate[1])
+    s.last_rate[2] += 0.5 * (gz - s.last_rate[2])
 
 
 @njit
@@ -721,7 +723,7 @@ def sequence(states, params, dt, gyro, accel, out):
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
-            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
+            sample = sanitise_sample(s, dt, gyro, accel, i, t)
             out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample, work, evidence)
 
 
@@ -735,7 +737,7 @@ def score(states, params, dt, flights):
     for row in range(len(states)):
         s, p, i = states[row], params[row // n], row % n
         for t in range(steps):
-            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
+            sample = sanitise_sample(s, dt, gyro, accel, i, t)
             roll, pitch = step(s, own[row], p, sample, work, evidence)
             squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
     return squared_error
