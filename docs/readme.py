@@ -94,9 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "",
             f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} simulated "
             f"flights of {flights.gyro.shape[1] / flights.rate_hz:g} s, unknown start.",
-            "  Networks were trained and filters tuned in the same simulator, on other flights. The other columns, and "
-            "`imm` in all,",
-            "  have the parameters `general`, for airframes that nobody has described.",
+            "  Networks were trained and filters tuned in the same simulator, on other flights. In the other columns, and",
+            "  `imm` in all, filters have the parameters `general`, for airframes that nobody has described.",
             *fill(
                 f"- *RotorPy*: the same error over {DESCRIPTION}. Nothing was trained or tuned on them.",
                 125,

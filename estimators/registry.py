@@ -20,6 +20,7 @@ from .filters.complementary import ADAPTIVE, COMPLEMENTARY
 from .filters.ekf import EKF
 from .filters.ekf_drag import EKF_DRAG, drag_of
 from .filters.eskf import ESKF
+from .filters.imm import IMM, InteractingModels
 from .filters.madgwick import MADGWICK
 from .filters.mahony import MAHONY
 from .truth import Truth
@@ -28,7 +29,7 @@ from .tuned import tuned_for
 Array = NDArray[np.float64]
 
 COMPILED: dict[str, Algorithm] = {
-    a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK, EKF, ESKF, EKF_DRAG)
+    a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK, EKF, ESKF, EKF_DRAG, IMM)
 }
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
 NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
@@ -113,7 +114,8 @@ def create(
         from .filters.vqf_filter import VqfFilter
 
         return VqfFilter(rate_hz, values)
-    return Filter(COMPILED[name], rate_hz, values)
+    made = InteractingModels if name == IMM.name else Filter
+    return made(COMPILED[name], rate_hz, values)
 
 
 def loaded(

@@ -338,12 +338,11 @@ def adapt_vibration(s, p, dt, x, y):
 
 
 @njit
-def adapt_wind(s, p, dt, removed):
-    """Take a correction of the airspeed, and the variance that it removed, into the wind's process noise."""
+def adapt_wind(s, p, dt, moved, removed):
+    """Take a correction of the airspeed (2,), and the variance that it removed, into the wind's process noise."""
     scatter = 0.0
     for k in range(2):
-        moved = s.error[VELOCITY + k] - s.error[WIND + k]
-        s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / p.wind_window
+        s.airspeed_sum[k] += moved[k] - s.airspeed_sum[k] * dt / p.wind_window
         scatter += 0.5 * s.airspeed_sum[k] ** 2
     s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / p.wind_window
     excess = p.wind_gain * 2.0 * (scatter - p.wind_share * s.airspeed_due) / p.wind_window
@@ -404,7 +403,8 @@ def measure(s, p, sample, quat, matrix):
     adapt_vibration(s, p, dt, x, y)
     if s.time > p.wind_window:  # the first corrections are those of the initial state
         airspeed, bias = removed_by_drag(s)
-        adapt_wind(s, p, dt, airspeed)
+        moved = s.error[VELOCITY] - s.error[WIND], s.error[VELOCITY + 1] - s.error[WIND + 1]
+        adapt_wind(s, p, dt, moved, airspeed)
         adapt_bias(s, p, dt, bias)
     density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + p.speed_growth * s.speed_square)
     correct_by_zero_velocity(s, density / dt, p.climb_noise**2 / dt)

@@ -251,7 +251,7 @@ def tune(
 
 
 def upright(flights: Flights) -> Flights:
-    """The flights with the truth unknown where roll is hardly defined, without those where it is throughout."""
+    """The flights with the truth unknown where roll is hardly defined, without those that it never is."""
     steep = np.abs(flights.truth[..., 1:]) > PITCH_MOST
     truth = np.where(steep, np.nan, flights.truth)
     kept = np.isfinite(truth).any(axis=(1, 2))

@@ -22,8 +22,8 @@ from quadsim.rotation import (
 )
 from quadsim.vehicle import load_vehicle
 
-COMPILED = ["complementary", "complementary-adaptive", "mahony", "madgwick", "ekf", "eskf", "ekf-drag"]
-QUATERNION = ["mahony", "madgwick", "ekf", "eskf", "ekf-drag", "ekf-filterpy", "ukf-filterpy", "vqf"]
+COMPILED = ["complementary", "complementary-adaptive", "mahony", "madgwick", "ekf", "eskf", "ekf-drag", "imm"]
+QUATERNION = ["mahony", "madgwick", "ekf", "eskf", "ekf-drag", "imm", "ekf-filterpy", "ukf-filterpy", "vqf"]
 CLASSICAL = [*COMPILED, "ekf-filterpy", "ukf-filterpy", "vqf"]
 VQF_DEFAULTS = {
     "tauAcc": 3.0,
@@ -54,6 +54,7 @@ def settled(name):
         "madgwick": {"beta": 0.05},
         "ekf": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "eskf": {"gyro_noise": 0.05, "accel_noise": 0.05, "bias_sigma": 0.01},
+        "imm": {"accel_bias_sigma": 0.002, "accel_bias_noise": 0.0},
         "ekf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "ukf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "vqf": VQF_DEFAULTS,
@@ -136,7 +137,7 @@ def test_inline_functions_of_angles_equal_the_library_s():
 
 def test_names_are_the_fixed_ones():
     fixed = "truth complementary complementary-adaptive mahony madgwick ekf ekf-filterpy ukf-filterpy"
-    others = "ekf-drag eskf vqf att-rnn att-snn att-snn-loihi"
+    others = "ekf-drag imm eskf vqf att-rnn att-snn att-snn-loihi"
     assert set(names()) == {*fixed.split(), *others.split()}
 
 

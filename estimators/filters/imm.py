@@ -1,0 +1,789 @@
+"""Interacting multiple models: one filter for an airframe that nobody has described.
+
+Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+coefficients", IEEE Trans. Autom. Control 33(8), 1988. Five hypotheses of what carries the IMU, each an
+error-state filter with the state and the covariance of `ekf_drag`:
+
+    drag-low, drag-high   a multirotor: the force across thrust is drag, a_xy = −D (Rᵀ (v − w))_xy, with two
+                          values of its coefficient k, D = k √(a_z / g) + f |v − w|
+    free                  a vehicle of which only the speed is limited: v = 0, standard deviation of metres a
+                          second; the force across body z tells nothing
+    hand                  the same, slow: v = 0 within decimetres a second
+    rest                  v = 0 and a rate of zero, so that the gyroscope reads its bias
+
+Every model predicts the force across body z. For a multirotor it is drag. For the others it is gravity and
+acceleration: Rᵀ(0, 0, g)_xy, its variance the mean square of the horizontal acceleration. The likelihood of a
+model is the density of that force, times that of its velocity, and of the rate where it predicts one. Errors
+of a wrong model are not white, so the logarithm counts as one measurement per `evidence_time`, and its tails
+are those of Student's t. The model changes at random, on average once per `sojourn_time`:
+
+    c_j = (1 − m ε) μ_j + ε,    μ_j ← c_j Λ_j / Σ c Λ,    ε = dt / (m sojourn_time)
+
+Mixing is then a step of each model towards the combination of all by the share ε / c_j: none for the model
+that is believed, and the whole way for one that is not, which therefore is ready to take over.
+
+Heading cannot be observed: all models are turned about the vertical to the heading of the likeliest. Readings
+are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
+integration algorithm design", J. Guidance 21, 1998), which the models take at `MODEL_HZ`; in between, the
+combined attitude turns with the gyroscope.
+"""
+
+import math
+
+import numpy as np
+
+from quadsim.rotation import euler_from_quat, from_rotvec_core, matrix_core, multiply_core, rotate_core
+from quadsim.runs.compiled import njit
+from quadsim.vehicle import GRAVITY
+
+from .algorithm import Algorithm, Array, Filter, Parameter, Records
+from .ekf import SIGMA_KNOWN
+from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, adapt_wind, at_rest, diverged, gust_noise
+from .eskf import tilt_core, turned
+from .inline_math import atan2_core, exp_core, roll_pitch_core
+from .samples import parameter_record, sanitise_sample, square_of_error
+
+MODELS = ("drag-low", "drag-high", "free", "hand", "rest")
+DRAG_LOW, DRAG_HIGH, FREE, HAND, REST = range(len(MODELS))
+COUNT = len(MODELS)
+
+ERRORS = 14
+TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS, OFFSET, LEVER = 0, 2, 4, 6, 9, 11, 13
+"""Where the parts of the error state begin: horizontal axes, three of the gyroscope's bias, one lever arm."""
+
+MODEL = np.dtype(
+    [
+        ("quat", "f8", 4),
+        ("velocity", "f8", 3),
+        ("wind", "f8", 2),
+        ("gyro_bias", "f8", 3),
+        ("accel_bias", "f8", 2),
+        ("offset", "f8", 2),  # of the direction of thrust from body z [rad]
+        ("lever", "f8"),  # height of the IMU over the centre of mass [m]
+        ("covariance", "f8", (ERRORS, ERRORS)),
+        ("tilt", "f8", 2),  # from the combined attitude, world axes [rad]
+        ("accel_square", "f8"),  # mean square of the horizontal acceleration, per axis [m²/s⁴]
+        ("time", "f8"),  # since the start [s]
+        ("innovation", "f8", 2),  # of the drag measurement at the last update, world axes [m/s²]
+        ("innovation_mean", "f8", 2),  # low-passed [m/s²]
+        ("vibration", "f8"),  # variance of the white part of it [m²/s⁴]
+        ("wind_noise", "f8"),  # process noise of the wind [m²/s³]
+        ("airspeed_sum", "f8", 2),  # recent corrections of v - w [m/s]
+        ("airspeed_due", "f8"),  # variance that they removed [m²/s²]
+    ]
+)
+"""State of one model."""
+
+STATE = np.dtype(
+    [
+        ("models", MODEL, (COUNT,)),
+        ("probability", "f8", COUNT),
+        ("likelihood", "f8", FREE),  # logarithm, of the last force given its prediction by each drag
+        ("quat", "f8", 4),  # combined
+        ("velocity", "f8", 3),
+        ("wind", "f8", 2),
+        ("gyro_bias", "f8", 3),
+        ("accel_bias", "f8", 2),
+        ("offset", "f8", 2),  # of the direction of thrust from body z [rad]
+        ("lever", "f8"),  # height of the IMU over the centre of mass [m]
+        ("covariance", "f8", (ERRORS, ERRORS)),
+        ("accel_square", "f8"),  # as of the models
+        ("body_square", "f8"),  # mean square of the force across body z, per axis [m²/s⁴]
+        ("rest_time", "f8"),  # for which the readings have not changed [s]
+        ("fast", "f8", 6),  # low-passed readings
+        ("slow", "f8", 6),
+        ("begun", "f8"),  # whether the attitude is known or has been taken from the first force
+        ("time", "f8"),  # since the start [s]
+        ("interval", "f8"),  # since the last update of the models [s]
+        ("force_time", "f8"),  # part of it with a specific force [s]
+        ("turn", "f8", 4),  # in that interval, a quaternion
+        ("push", "f8", 3),  # integral of the specific force, axes at the end of the interval [m/s]
+        ("force_sum", "f8", 3),  # integral of the specific force in body axes, which turn [m/s]
+        ("force", "f8", 3),  # the last specific force [m/s²]
+        ("last_rate", "f8", 3),  # the last rate [rad/s]
+        ("rate_before", "f8", 3),  # the last one before the interval
+        ("unseen", "f8"),  # variance of the unmeasured turn in the interval [rad²]
+    ]
+)
+"""The filter's state: models, their combination, and readings since their last update."""
+
+PARAMETERS = {
+    # Of the two multirotors: coefficients k of rotor drag [1/s], quadratic drag f of the frame [1/m].
+    "drag_low": Parameter(0.2, 0.1, 0.3, minimum=1e-3),
+    "drag_high": Parameter(0.4, 0.3, 0.8, minimum=1e-3),
+    "frame_drag": Parameter(0.01, 1e-3, 0.1, searched=False),
+    # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
+    "drag_noise": Parameter(0.05, 5e-3, 0.1, minimum=1e-9),
+    "model_noise": Parameter(0.004, 1e-3, 0.05),
+    # Standard deviations of the velocity in flight, in the hand and at rest [m/s], its correlation time [s],
+    # memory of the climb [s].
+    "flight_speed": Parameter(3.0, 1.0, 10.0, minimum=1e-6),
+    "hand_speed": Parameter(1.0, 0.1, 1.0, minimum=1e-6),
+    "rest_speed": Parameter(0.1, 1e-2, 0.3, minimum=1e-6, searched=False),
+    "speed_time": Parameter(1.0, 0.2, 3.0, minimum=1e-6),
+    "climb_time": Parameter(2.0, 0.5, 5.0, minimum=0.05, searched=False),
+    # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
+    # of the specific force [m/s/√s], of the walks of wind [m/s/√s] and biases [rad/s/√s], [m/s²/√s].
+    "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
+    "turn_noise": Parameter(0.01, 1e-4, 0.05),
+    "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
+    "wind_noise": Parameter(0.2, 0.05, 1.0),
+    "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
+    "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
+    "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
+    # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases [rad/s],
+    # [m/s²].
+    "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
+    "speed_sigma": Parameter(3.0, 0.3, 3.0, searched=False),
+    "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
+    "bias_sigma": Parameter(0.1, 0.01, 0.2, searched=False),
+    "accel_bias_sigma": Parameter(0.15, 0.02, 0.5, searched=False),
+    "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
+    "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
+    # At rest, as in `ekf_drag`: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise
+    # density of the zero-rate update [rad/√s], time until it and of the fast low-pass [s].
+    "rest_rate": Parameter(0.005, 1e-3, 0.1, searched=False),
+    "rest_accel": Parameter(0.05, 0.01, 1.0, searched=False),
+    "rest_rate_most": Parameter(0.1, 0.01, 1.0, searched=False),
+    "rest_noise": Parameter(0.002, 1e-4, 0.1, minimum=1e-9, searched=False),
+    "rest_delay": Parameter(1.5, 0.1, 5.0, minimum=1e-3, searched=False),
+    "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
+    # Least standard deviation of the horizontal acceleration in the hand [m/s²].
+    "least_accel": Parameter(0.2, 0.01, 1.0, minimum=1e-6, searched=False),
+    # Wind, as in `ekf_drag`: gain of the adaptation of its noise, share of the removed variance at which it neither
+    # rises nor falls, memories of it, of the corrections and of a gust front [s], variances that a low-passed
+    # innovation has there, and the least noise density [m/s/√s].
+    "wind_gain": Parameter(1.0, 0.2, 3.0, searched=False),
+    "wind_share": Parameter(0.6, 0.3, 0.9, searched=False),
+    "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3, searched=False),
+    "wind_window": Parameter(0.1, 0.02, 1.0, minimum=1e-3, searched=False),
+    "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
+    "gust_ratio": Parameter(2.0, 1.5, 4.0, searched=False),
+    "wind_noise_least": Parameter(0.02, 1e-4, 0.1, searched=False),
+    # Memories of mean squares and of vibration [s]; switching of the models [s].
+    "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
+    "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
+    "evidence_time": Parameter(0.2, 0.05, 10.0, minimum=1e-3),
+    "drag_evidence_time": Parameter(0.05, 0.02, 10.0, minimum=1e-3),
+    # Factor of the reported standard deviation, for what the models do not know.
+    "sigma_scale": Parameter(1.0, 1.0, 10.0, searched=False),
+    "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
+}
+"""What a user or `quadsim tune` may change; units in the comments."""
+
+PARAMS = parameter_record(PARAMETERS)
+MODEL_HZ = 50.0
+"""Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t."""
+REST_EVIDENCE = 5.0
+"""Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
+ODDS_LEAST = 1e-3
+"""Least share of each drag model in both."""
+FIRST_S = 0.1
+"""Time for which the first value of a mean square counts [s]."""
+
+
+@njit
+def transition(P, matrix, v, w, dt):
+    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
+    vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
+    for j in range(ERRORS):
+        x, y = P[TILT, j], P[TILT + 1, j]
+        b0, b1, b2 = P[GYRO_BIAS, j], P[GYRO_BIAS + 1, j], P[GYRO_BIAS + 2, j]
+        c0, c1 = P[ACCEL_BIAS, j], P[ACCEL_BIAS + 1, j]
+        bx = r00 * b0 + r01 * b1 + r02 * b2  # R̂ δb
+        by = r10 * b0 + r11 * b1 + r12 * b2
+        bz = r20 * b0 + r21 * b1 + r22 * b2
+        P[TILT, j] = x - dt * bx
+        P[TILT + 1, j] = y - dt * by
+        P[VELOCITY, j] += dt * (GRAVITY * y - r00 * c0 - r01 * c1 - (vy * bz - vz * by))
+        P[VELOCITY + 1, j] += dt * (-GRAVITY * x - r10 * c0 - r11 * c1 - (vz * bx - vx * bz))
+        P[WIND, j] -= dt * wy * bz
+        P[WIND + 1, j] += dt * wx * bz
+
+
+@njit
+def propagate(P, T, matrix, v, w, dt, walks):
+    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; T is scratch."""
+    transition(P, matrix, v, w, dt)
+    for i in range(ERRORS):
+        for j in range(ERRORS):
+            T[i, j] = P[j, i]
+    transition(T, matrix, v, w, dt)
+    for i in range(ERRORS):
+        for j in range(ERRORS):
+            P[i, j] = T[i, j]
+        P[i, i] += walks[i]
+
+
+@njit
+def correct(P, dx, column, total, residual):
+    """One scalar measurement with row h: adds to the error dx, reduces P.
+
+    Args:
+        P: Covariance.
+        dx: Error estimated so far.
+        column: P hᵀ.
+        total: h P hᵀ and the measurement's variance.
+        residual: Measured less expected, less h dx.
+    """
+    for a in range(ERRORS):
+        gain = column[a] / total
+        dx[a] += gain * residual
+        for b in range(ERRORS):
+            P[a, b] -= gain * column[b]
+
+
+@njit
+def correct_by_drag(m, force, arm, drag, variance, matrix, work):
+    """Correct by the specific force across thrust, one axis after the other.
+
+    Args:
+        m: The model's record.
+        force: Mean specific force in body axes (3,) [m/s²].
+        arm: What one metre of lever arm adds to it (2,) [1/s²].
+        drag: D [1/s].
+        variance: Of the measurement, each axis [m²/s⁴].
+        matrix: R̂ by rows.
+        work: Of `room`; adds to the error dx, writes the innovation in body axes before the correction
+            (2,) [m/s²].
+
+    Returns:
+        Of the innovation of both axes, given its covariance S: νᵀ S⁻¹ ν, and det S [m⁴/s⁸].
+    """
+    _, dx, column, _, innovation = work
+    P, v, w = m.covariance, m.velocity, m.wind
+    square, determinant = 0.0, 1.0
+    for k in range(2):
+        x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
+        bias, offset, thrust = ACCEL_BIAS + k, OFFSET + k, GRAVITY
+        expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + m.accel_bias[k] + thrust * m.offset[k]
+        expected += arm[k] * m.lever
+        innovation[k] = min(max(force[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
+        known = x * (dx[VELOCITY] - dx[WIND]) + y * (dx[VELOCITY + 1] - dx[WIND + 1])
+        known += dx[bias] + thrust * dx[offset] + arm[k] * dx[LEVER]
+        for a in range(ERRORS):
+            column[a] = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
+            column[a] += P[bias, a] + thrust * P[offset, a] + arm[k] * P[LEVER, a]
+        total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
+        total += column[bias] + thrust * column[offset] + arm[k] * column[LEVER] + variance
+        residual = innovation[k] - known
+        correct(P, dx, column, total, residual)
+        square, determinant = square + residual * residual / total, determinant * total
+    return square, determinant
+
+
+@njit
+def correct_by_zero_velocity(P, dx, column, v, variance):
+    """Correct by the measurement v = 0, one horizontal axis after the other; column is scratch."""
+    for k in range(2):
+        x, y = (0.0, v[2]) if k == 0 else (-v[2], 0.0)  # of θ × v̂
+        for a in range(ERRORS):
+            column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
+        total = x * column[TILT] + y * column[TILT + 1] + column[VELOCITY + k] + variance
+        known = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
+        correct(P, dx, column, total, -v[k] - known)
+
+
+@njit
+def correct_by_zero_rate(P, dx, column, rate, bias, variance):
+    """Correct by the gyroscope of a vehicle at rest, which reads its bias; column is scratch."""
+    for k in range(3):
+        for a in range(ERRORS):
+            column[a] = P[GYRO_BIAS + k, a]
+        residual = rate[k] - bias[k] - dx[GYRO_BIAS + k]
+        correct(P, dx, column, column[GYRO_BIAS + k] + variance, residual)
+
+
+@njit
+def airspeed_variance(P):
+    """Variance of the horizontal airspeed v − w, both axes summed [m²/s²]."""
+    x = P[VELOCITY, VELOCITY] + P[WIND, WIND] - 2.0 * P[VELOCITY, WIND]
+    y = P[VELOCITY + 1, VELOCITY + 1] + P[WIND + 1, WIND + 1] - 2.0 * P[VELOCITY + 1, WIND + 1]
+    return x + y
+
+
+@njit
+def accumulate(s, sample):
+    """Take one `Sample` into the turn and the push since the last update of the models."""
+    dt, (gx, gy, gz), (ax, ay, az) = sample.dt, sample.gyro, sample.accel
+    ew, ex, ey, ez = exp_core(gx * dt, gy * dt, gz * dt)
+    tw, tx, ty, tz = s.turn
+    s.turn[0], s.turn[1], s.turn[2], s.turn[3] = multiply_core(tw, tx, ty, tz, ew, ex, ey, ez)
+    px, py, pz = s.push
+    if ax != 0.0 or ay != 0.0 or az != 0.0:
+        if s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0:  # trapezoidal rule
+            px, py, pz = px + 0.5 * dt * s.force[0], py + 0.5 * dt * s.force[1], pz + 0.5 * dt * s.force[2]
+            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+            px, py, pz = px + 0.5 * dt * ax, py + 0.5 * dt * ay, pz + 0.5 * dt * az
+        else:
+            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+            px, py, pz = px + dt * ax, py + dt * ay, pz + dt * az
+        s.force_time += dt
+        s.force_sum[0] += dt * ax
+        s.force_sum[1] += dt * ay
+        s.force_sum[2] += dt * az
+    else:
+        px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+    s.push[0], s.push[1], s.push[2] = px, py, pz
+    s.force[0], s.force[1], s.force[2] = ax, ay, az
+    s.interval += dt
+    s.time += dt
+    s.unseen += sample.unseen
+    s.last_rate[0] += 0.5 * (gx - s.last_rate[0])
+    s.last_rate[1] += 0.5 * (gy - s.last_rate[1])
+    s.last_rate[2] += 0.5 * (gz - s.last_rate[2])
+
+
+@njit
+def rotation_vector(turn):
+    """Rotation vector of a quaternion of a turn of less than π [rad]."""
+    length = math.sqrt(turn[1] ** 2 + turn[2] ** 2 + turn[3] ** 2)
+    scale = 2.0 if length < 1e-9 else 2.0 * atan2_core(length, turn[0]) / length
+    return scale * turn[1], scale * turn[2], scale * turn[3]
+
+
+@njit
+def student(square, determinant):
+    """Logarithm of the density of two variables, Student's t, less a constant; see `correct_by_drag`."""
+    return -0.5 * (FREEDOM + 2.0) * math.log(1.0 + square / FREEDOM) - 0.5 * math.log(determinant)
+
+
+@njit
+def mean_square(value, square, dt, time, memory):
+    """Mean square after a further square value."""
+    return value + (square - value) * min(dt / min(FIRST_S + time, memory), 1.0)
+
+
+@njit
+def velocity_density(m, sigma):
+    """Logarithm of the density of the horizontal velocity, of standard deviation sigma [m/s]."""
+    x = sigma * sigma + m.covariance[VELOCITY, VELOCITY]
+    y = sigma * sigma + m.covariance[VELOCITY + 1, VELOCITY + 1]
+    return student(m.velocity[0] ** 2 / x + m.velocity[1] ** 2 / y, x * y)
+
+
+@njit
+def across_thrust(s, force, arm):
+    """Force (3,) across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
+    x = force[0] - s.accel_bias[0] - GRAVITY * s.offset[0] - arm[0] * s.lever
+    return x, force[1] - s.accel_bias[1] - GRAVITY * s.offset[1] - arm[1] * s.lever
+
+
+@njit
+def force_density(x, y, mean_square, least):
+    """Logarithm of the density of a force across an axis, of that mean square for each of x and y [m/s²]."""
+    variance = mean_square + least * least
+    return student((x * x + y * y) / variance, variance * variance)
+
+
+@njit
+def predict(m, s, p, vector, accel, known, work):
+    """Propagate one model over the interval; R̂ by rows.
+
+    Args:
+        m: The model's record.
+        s: The filter's record.
+        p: Its parameters.
+        vector: Rotation vector that the gyroscope measured [rad].
+        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
+        known: Whether there is one.
+        work: Of `room`.
+    """
+    T, _, _, walks, _ = work
+    m.time = s.time
+    dt, v, b, c = s.interval, m.velocity, m.gyro_bias, m.accel_bias
+    turn = from_rotvec_core(vector[0] - b[0] * dt, vector[1] - b[1] * dt, vector[2] - b[2] * dt)
+    qw, qx, qy, qz = m.quat
+    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, turn[0], turn[1], turn[2], turn[3])
+    m.quat[0], m.quat[1], m.quat[2], m.quat[3] = qw, qx, qy, qz
+    matrix = matrix_core(qw, qx, qy, qz)
+    rate_square = (vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2) / dt
+    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + p.turn_noise**2 * rate_square + s.unseen
+    walks[VELOCITY:WIND] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
+    noise = max(m.vibration, p.drag_noise**2 / dt)
+    walks[WIND:GYRO_BIAS] = max(m.wind_noise, gust_noise(m, p, noise, dt, p.drag_low)) * dt
+    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
+    walks[ACCEL_BIAS:OFFSET] = p.accel_bias_noise**2 * dt
+    walks[OFFSET:LEVER] = p.offset_noise**2 * dt
+    walks[LEVER] = 0.0
+    propagate(m.covariance, T, matrix, v, m.wind, dt, walks)
+    if known:
+        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2])
+        v[0], v[1] = v[0] + fx * dt, v[1] + fy * dt
+        v[2] += (fz - GRAVITY - v[2] / p.climb_time) * dt
+        square = 0.5 * (fx * fx + fy * fy)
+        m.accel_square = mean_square(m.accel_square, square, dt, s.time, p.square_memory)
+    return matrix
+
+
+@njit
+def correct_model(m, k, s, p, rate, accel, body, arm, matrix, work):
+    """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
+
+    Args:
+        m: The model's record.
+        k: Which one it is.
+        s: The filter's record.
+        p: Its parameters.
+        rate: Mean rate (3,) [rad/s].
+        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
+        body: Its mean in body axes, which turn (3,) [m/s²].
+        arm: What one metre of lever arm adds to that (2,) [1/s²].
+        matrix: R̂ by rows.
+        work: Of `room`.
+    """
+    _, dx, column, _, innovation = work
+    P, v, w, dt = m.covariance, m.velocity, m.wind, s.interval
+    dx[:] = 0.0
+    speed = p.rest_speed if k == REST else (p.hand_speed if k == HAND else p.flight_speed)
+    density = velocity_density(m, speed) * dt / p.speed_time
+    weight = min(dt / p.evidence_time, 1.0)
+    if k <= DRAG_HIGH:
+        airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
+        coefficient = p.drag_low if k == DRAG_LOW else p.drag_high
+        drag = coefficient * math.sqrt(max(body[2], 0.0) / GRAVITY) + p.frame_drag * airspeed
+        variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
+        before = airspeed_variance(P)
+        square, determinant = correct_by_drag(m, body, arm, drag, variance, matrix, work)
+        qw, qx, qy, qz = m.quat
+        x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
+        adapt_vibration(m, p, dt, x, y)
+        if m.time > p.wind_window:  # the first corrections are those of the initial state
+            moved = dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]
+            adapt_wind(m, p, dt, moved, before - airspeed_variance(P))
+        s.likelihood[k] = student(square, determinant) * min(dt / p.drag_evidence_time, 1.0)
+        x, y = across_thrust(s, body, arm)
+        density += weight * force_density(x, y, s.body_square, p.least_accel)
+    else:
+        x = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
+        y = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
+        density += weight * force_density(x, y, m.accel_square, p.least_accel)
+    correct_by_zero_velocity(P, dx, column, v, speed * speed * p.speed_time / dt)
+    if k == REST:
+        correct_by_zero_rate(P, dx, column, rate, m.gyro_bias, p.rest_noise**2 / dt)
+    apply_error(m, dx)
+    return density
+
+
+@njit
+def apply_error(m, dx):
+    """Correct a model's state by the error that was estimated."""
+    qw, qx, qy, qz = m.quat
+    m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
+    rw, rx, ry, rz = exp_core(dx[TILT], dx[TILT + 1], 0.0)
+    v, w, b, c = m.velocity, m.wind, m.gyro_bias, m.accel_bias
+    v[0], v[1], v[2] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
+    w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
+    for k in range(3):
+        b[k] += dx[GYRO_BIAS + k]
+    for k in range(2):
+        v[k] += dx[VELOCITY + k]
+        w[k] += dx[WIND + k]
+        c[k] += dx[ACCEL_BIAS + k]
+        m.offset[k] += dx[OFFSET + k]
+    m.lever += dx[LEVER]
+
+
+@njit
+def share_heading(s):
+    """Turn all models about the vertical to the likeliest one's heading; their tilts from it."""
+    best = 0
+    for k in range(COUNT):
+        best = k if s.probability[k] > s.probability[best] else best
+    bw, bx, by, bz = s.models[best].quat
+    for k in range(COUNT):
+        m = s.models[k]
+        qw, qx, qy, qz = m.quat
+        w, x, y, z = multiply_core(qw, qx, qy, qz, bw, -bx, -by, -bz)
+        length = math.sqrt(w * w + z * z)
+        cosine, sine = (w / length, z / length) if length > 0.0 else (1.0, 0.0)  # of half the heading
+        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = multiply_core(cosine, 0.0, 0.0, -sine, qw, qx, qy, qz)
+        m.velocity[0], m.velocity[1], _ = rotate_core(
+            cosine, 0.0, 0.0, -sine, m.velocity[0], m.velocity[1], 0.0
+        )
+        m.wind[0], m.wind[1], _ = rotate_core(cosine, 0.0, 0.0, -sine, m.wind[0], m.wind[1], 0.0)
+        x, y = cosine * x + sine * y, cosine * y - sine * x
+        across = math.sqrt(x * x + y * y)
+        scale = 2.0 if across < 1e-9 else 2.0 * atan2_core(across, length) / across
+        m.tilt[0], m.tilt[1] = scale * x, scale * y
+    return best
+
+
+@njit
+def distance(m, s, d):
+    """Error of a combined state against a model's, d (14,); `tilt` is from the combined attitude."""
+    x, y, v = m.tilt[0], m.tilt[1], s.velocity
+    d[TILT], d[TILT + 1] = x, y
+    d[VELOCITY] = m.velocity[0] - v[0] - y * v[2]
+    d[VELOCITY + 1] = m.velocity[1] - v[1] + x * v[2]
+    for k in range(3):
+        d[GYRO_BIAS + k] = m.gyro_bias[k] - s.gyro_bias[k]
+    for k in range(2):
+        d[WIND + k] = m.wind[k] - s.wind[k]
+        d[ACCEL_BIAS + k] = m.accel_bias[k] - s.accel_bias[k]
+        d[OFFSET + k] = m.offset[k] - s.offset[k]
+    d[LEVER] = m.lever - s.lever
+
+
+@njit
+def combine(s, d):
+    """Mean and covariance over all models; d (14,) is scratch."""
+    best = share_heading(s)
+    x = y = 0.0
+    s.velocity[:], s.wind[:], s.gyro_bias[:], s.accel_bias[:], s.offset[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    s.covariance[:] = 0.0
+    s.accel_square = s.lever = 0.0
+    for k in range(COUNT):
+        m, share = s.models[k], s.probability[k]
+        x, y = x + share * m.tilt[0], y + share * m.tilt[1]
+        s.accel_square += share * m.accel_square
+        s.lever += share * m.lever
+        for i in range(3):
+            s.velocity[i] += share * m.velocity[i]
+            s.gyro_bias[i] += share * m.gyro_bias[i]
+        for i in range(2):
+            s.wind[i] += share * m.wind[i]
+            s.accel_bias[i] += share * m.accel_bias[i]
+            s.offset[i] += share * m.offset[i]
+    bw, bx, by, bz = s.models[best].quat
+    s.quat[0], s.quat[1], s.quat[2], s.quat[3] = turned(bw, bx, by, bz, x, y)
+    for k in range(COUNT):
+        m, share = s.models[k], s.probability[k]
+        m.tilt[0], m.tilt[1] = m.tilt[0] - x, m.tilt[1] - y
+        distance(m, s, d)
+        for i in range(ERRORS):
+            for j in range(ERRORS):
+                s.covariance[i, j] += share * (m.covariance[i, j] + d[i] * d[j])
+
+
+@njit
+def arriving(s, k, change):
+    """Probability that another model changes to model k in the interval; a vehicle's drag does not change."""
+    others = 1.0 - (s.probability[DRAG_LOW] + s.probability[DRAG_HIGH] if k < FREE else s.probability[k])
+    return change * max(others, 0.0)
+
+
+@njit
+def mix(s, change, d):
+    """Move each model towards the combination by the share of its probability that comes from others."""
+    for k in range(COUNT):
+        m = s.models[k]
+        share = arriving(s, k, change)
+        share /= share + s.probability[k]
+        distance(m, s, d)
+        own, both = 1.0 - share, share * (1.0 - share)
+        for i in range(ERRORS):
+            for j in range(ERRORS):
+                m.covariance[i, j] = (
+                    own * m.covariance[i, j] + share * s.covariance[i, j] + both * d[i] * d[j]
+                )
+        qw, qx, qy, qz = m.quat
+        x, y = -share * m.tilt[0], -share * m.tilt[1]
+        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, x, y)
+        m.accel_square += share * (s.accel_square - m.accel_square)
+        m.lever += share * (s.lever - m.lever)
+        for i in range(3):
+            m.velocity[i] += share * (s.velocity[i] - m.velocity[i])
+            m.gyro_bias[i] += share * (s.gyro_bias[i] - m.gyro_bias[i])
+        for i in range(2):
+            m.wind[i] += share * (s.wind[i] - m.wind[i])
+            m.accel_bias[i] += share * (s.accel_bias[i] - m.accel_bias[i])
+            m.offset[i] += share * (s.offset[i] - m.offset[i])
+
+
+@njit
+def weigh(s, evidence, change):
+    """Probabilities after a measurement; evidence (m,) is the logarithm of its likelihood."""
+    highest = max(evidence)
+    for k in range(COUNT):
+        evidence[k] = (s.probability[k] + arriving(s, k, change)) * math.exp(
+            max(evidence[k] - highest, -300.0)
+        )
+    drag = evidence[DRAG_LOW] + evidence[DRAG_HIGH]
+    for k in range(FREE):
+        evidence[k] = max(evidence[k], ODDS_LEAST * drag)
+    total = evidence.sum()
+    for k in range(COUNT):
+        s.probability[k] = evidence[k] / total
+
+
+@njit
+def update_models(s, p, work, evidence):
+    """Take the interval that is over into all models, and combine them."""
+    dt, d = s.interval, work[1]
+    vector = rotation_vector(s.turn)
+    known = s.force_time > 0.5 * dt
+    scale = 1.0 / s.force_time if known else 0.0
+    accel = (scale * s.push[0], scale * s.push[1], scale * s.push[2])
+    body = (scale * s.force_sum[0], scale * s.force_sum[1], scale * s.force_sum[2])
+    arm = ((s.last_rate[1] - s.rate_before[1]) / dt, (s.rate_before[0] - s.last_rate[0]) / dt)
+    if s.time < 1.5 * dt:  # no rate before the first
+        arm = (0.0, 0.0)
+    s.rate_before[:] = s.last_rate
+    rate = (vector[0] / dt, vector[1] / dt, vector[2] / dt)
+    if s.begun == 0.0 and known:
+        begin_at(s, accel)
+    x, y = across_thrust(s, body, arm)
+    square = 0.5 * (x * x + y * y)
+    s.body_square = (
+        mean_square(s.body_square, square, dt, s.time, p.square_memory) if known else s.body_square
+    )
+    for k in range(COUNT):
+        m = s.models[k]
+        matrix = predict(m, s, p, vector, accel, known, work)
+        evidence[k] = correct_model(m, k, s, p, rate, accel, body, arm, matrix, work) if known else 0.0
+    likelier = max(s.likelihood)
+    for k in range(FREE):
+        evidence[k] += s.likelihood[k] - likelier
+    certain = REST_EVIDENCE if known and at_rest(s, p, dt, rate, body) else -REST_EVIDENCE
+    evidence[REST] = max(evidence[:REST]) + certain
+    change = dt / (COUNT * p.sojourn_time)
+    weigh(s, evidence, change)
+    combine(s, d)
+    mix(s, change, d)
+    s.interval = s.force_time = s.unseen = 0.0
+    s.turn[0], s.turn[1:], s.push[:] = 1.0, 0.0, 0.0
+    s.force_sum[:] = 0.0
+
+
+@njit
+def begin_at(s, accel):
+    """Start all models at the tilt at which the first force is vertical."""
+    x, y = tilt_core(accel[0], accel[1], accel[2])
+    for k in range(COUNT):
+        m = s.models[k]
+        qw, qx, qy, qz = m.quat
+        m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, x, y)
+    s.begun = 1.0
+
+
+@njit
+def begin(s, p, known):
+    """Put a record, whose attitude is there, at the start: known, or level until the first force."""
+    s.begun = 1.0 if known else 0.0
+    s.turn[0] = 1.0
+    s.probability[:] = 1.0 / COUNT
+    for k in range(COUNT):
+        m = s.models[k]
+        m.quat[:] = s.quat
+        P = m.covariance
+        P[:] = 0.0
+        for i in range(ERRORS):
+            sigma = p.lever_sigma if i == LEVER else p.offset_sigma
+            if i < VELOCITY:
+                sigma = SIGMA_KNOWN if known else p.attitude_sigma
+            elif i < WIND:
+                sigma = p.speed_sigma
+            elif i < GYRO_BIAS:
+                sigma = p.wind_sigma
+            elif i < ACCEL_BIAS:
+                sigma = p.bias_sigma
+            elif i < OFFSET:
+                sigma = p.accel_bias_sigma
+            P[i, i] = sigma**2
+        m.wind_noise = p.wind_noise**2
+        s.covariance[:] = P
+
+
+@njit
+def step(s, own, p, sample, work, evidence):
+    """Take a sample; a filter that has diverged starts again. own: the record's own numbers."""
+    accumulate(s, sample)
+    if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
+        update_models(s, p, work, evidence)
+        if diverged(s):
+            own[:] = 0.0
+            s.quat[0] = 1.0
+            begin(s, p, False)
+    else:
+        turn_on(s, sample)
+    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+
+
+@njit
+def turn_on(s, sample):
+    """Turn the combined attitude by a sample, until the models have taken it."""
+    b, dt, (gx, gy, gz) = s.gyro_bias, sample.dt, sample.gyro
+    ew, ex, ey, ez = exp_core((gx - b[0]) * dt, (gy - b[1]) * dt, (gz - b[2]) * dt)
+    qw, qx, qy, qz = s.quat
+    s.quat[0], s.quat[1], s.quat[2], s.quat[3] = multiply_core(qw, qx, qy, qz, ew, ex, ey, ez)
+
+
+@njit
+def room():
+    """Scratch: (14, 14); the error dx, a column of P, process noise (14,); innovation (2,); and evidence (m,)."""
+    work = np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(2)
+    return work, np.empty(COUNT)
+
+
+@njit(cache=True, nogil=True)
+def sequence(states, params, dt, gyro, accel, out):
+    """See `algorithm`."""
+    n, steps = gyro.shape[:2]
+    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
+    for row in range(len(states)):
+        s, p, i = states[row], params[row // n], row % n
+        for t in range(steps):
+            sample = sanitise_sample(s, dt, gyro, accel, i, t)
+            out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample, work, evidence)
+
+
+@njit(cache=True, nogil=True)
+def score(states, params, dt, flights):
+    """See `algorithm`; one set after the other, as of `ekf_drag`."""
+    gyro, accel, target = flights
+    n, steps = gyro.shape[:2]
+    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
+    squared_error = np.zeros((params.shape[0], n))
+    for row in range(len(states)):
+        s, p, i = states[row], params[row // n], row % n
+        for t in range(steps):
+            sample = sanitise_sample(s, dt, gyro, accel, i, t)
+            roll, pitch = step(s, own[row], p, sample, work, evidence)
+            squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
+    return squared_error
+
+
+OWN = STATE.itemsize // 8
+"""Numbers in the filter's own fields, the first of a record."""
+
+
+@njit(cache=True)
+def _begin(states, params, known):
+    for i in range(len(states)):
+        begin(states[i], params[i], known)
+
+
+def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    states["quat"] = quat
+    _begin(states, params, known)
+
+
+IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start)
+
+
+class InteractingModels(Filter):
+    """The filter of n vehicles, with the model that it believes and how sure it is."""
+
+    models = MODELS
+    """Names of the models, in the order of `model_probability`."""
+
+    @property
+    def model_probability(self) -> Array:
+        """Probability of each model, (n, 5); a row sums to 1."""
+        return self._states["probability"].copy()
+
+    @property
+    def roll_pitch_sigma(self) -> Array:
+        """Standard deviation of roll and pitch (n, 2) [rad], at the last update of the models."""
+        _, pitch, yaw = np.moveaxis(euler_from_quat(self._states["quat"]), -1, 0)
+        turn = np.stack([np.cos(yaw), np.sin(yaw), -np.sin(yaw), np.cos(yaw)], axis=-1).reshape(-1, 2, 2)
+        tilt = self._states["covariance"][:, TILT:VELOCITY, TILT:VELOCITY]
+        variance = np.diagonal(turn @ tilt @ np.swapaxes(turn, 1, 2), axis1=1, axis2=2)
+        scale = self.values["sigma_scale"] / np.stack(
+            [np.maximum(np.cos(pitch), 1e-3), np.ones_like(pitch)], -1
+        )
+        return np.minimum(np.sqrt(np.maximum(variance, 0.0)) * scale, math.pi)
