@@ -118,7 +118,8 @@ def _sines(
     clock: Array, size: float, band: tuple[float, float], order: int, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Three coordinates (T, 3) with their first two derivatives, of which that of the order has the size."""
-    frequency = 2.0 * np.pi * np.exp(rng.uniform(*np.log(band), (3, SINES)))
+    low, high = np.log(band)
+    frequency = 2.0 * np.pi * np.exp(rng.uniform(low, high, (3, SINES)))
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, SINES))
     amplitude = size * np.sqrt(2.0 / SINES) / frequency**order
     angle = frequency * clock[:, None, None] + phase
