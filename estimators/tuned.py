@@ -53,7 +53,7 @@ def tuned_for(
     Args:
         name: Estimator.
         source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU, else
-            of the vehicle, else the default one.
+            of the vehicle, else the default one, else one for any vehicle.
         vehicle: The airframe, if it is known.
         imu: Its IMU.
 
@@ -68,7 +68,9 @@ def tuned_for(
     tables = {domain: table for domain in preset_names("tuning") if (table := load_tuning(domain).get(name))}
     ours = [each for each in tables.values() if vehicle is not None and each.vehicle == vehicle.name]
     fitting = [each for each in ours if imu is not None and each.imu and load_imu(each.imu) == imu]
-    return next(iter([*fitting, *ours]), tables.get(DEFAULT_DOMAIN))
+    any_vehicle = [each for each in tables.values() if not each.vehicle]
+    default = [tables[DEFAULT_DOMAIN]] if DEFAULT_DOMAIN in tables else any_vehicle
+    return next(iter([*fitting, *ours, *default]), None)
 
 
 def to_toml(tables: dict[str, Tuned], comment: str) -> str:
