@@ -53,7 +53,7 @@ def tuned_for(
     Args:
         name: Estimator.
         source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU, else
-            of the vehicle, else the default one.
+            of the vehicle, else `general`.
         vehicle: The airframe, if it is known.
         imu: Its IMU.
 

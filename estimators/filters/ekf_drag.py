@@ -339,7 +339,7 @@ def adapt_vibration(s, p, dt, x, y):
 
 @njit
 def adapt_wind(s, p, dt, moved, removed):
-    """Take a correction of the airspeed (2,), and the variance that it removed, into the wind's process noise."""
+    """Take a correction of the airspeed (2,), and the variance that it removed, into the wind's noise."""
     scatter = 0.0
     for k in range(2):
         s.airspeed_sum[k] += moved[k] - s.airspeed_sum[k] * dt / p.wind_window

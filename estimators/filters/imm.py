@@ -38,7 +38,16 @@ from quadsim.vehicle import GRAVITY
 
 from .algorithm import Algorithm, Array, Filter, Parameter, Records
 from .ekf import SIGMA_KNOWN
-from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, adapt_wind, at_rest, diverged, gust_noise
+from .ekf_drag import (
+    GAP_SPEED,
+    INNOVATION_MAX,
+    adapt_vibration,
+    adapt_wind,
+    at_rest,
+    diverged,
+    gust_noise,
+    mean_square,
+)
 from .eskf import tilt_core, turned
 from .inline_math import atan2_core, exp_core, roll_pitch_core
 from .samples import parameter_record, sanitise_sample, square_of_error
@@ -118,30 +127,31 @@ PARAMETERS = {
     # Standard deviations of the velocity in flight, in the hand and at rest [m/s], its correlation time [s],
     # memory of the climb [s].
     "flight_speed": Parameter(3.0, 1.0, 10.0, minimum=1e-6),
-    "hand_speed": Parameter(1.0, 0.1, 1.0, minimum=1e-6),
+    "hand_speed": Parameter(1.0, 0.1, 3.0, minimum=1e-6),
     "rest_speed": Parameter(0.1, 1e-2, 0.3, minimum=1e-6, searched=False),
     "speed_time": Parameter(1.0, 0.2, 3.0, minimum=1e-6),
     "climb_time": Parameter(2.0, 0.5, 5.0, minimum=0.05, searched=False),
     # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
-    # of the specific force [m/s/√s], of the walks of wind [m/s/√s] and biases [rad/s/√s], [m/s²/√s].
+    # of the specific force [m/s/√s], of the walks of wind [m/s/√s], biases [rad/s/√s], [m/s²/√s] and the
+    # direction of thrust [rad/√s].
     "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
-    "turn_noise": Parameter(0.01, 1e-4, 0.05),
+    "turn_noise": Parameter(0.005, 1e-4, 0.05),
     "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
     "wind_noise": Parameter(0.2, 0.05, 1.0),
     "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
     "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
     "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
-    # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases [rad/s],
-    # [m/s²].
+    # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases
+    # [rad/s], [m/s²], of the direction of thrust from body z [rad] and of the lever arm [m].
     "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
-    "speed_sigma": Parameter(3.0, 0.3, 3.0, searched=False),
+    "speed_sigma": Parameter(3.0, 0.3, 10.0, searched=False),
     "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
     "bias_sigma": Parameter(0.1, 0.01, 0.2, searched=False),
     "accel_bias_sigma": Parameter(0.15, 0.02, 0.5, searched=False),
     "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
     "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
-    # At rest, as in `ekf_drag`: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s], noise
-    # density of the zero-rate update [rad/√s], time until it and of the fast low-pass [s].
+    # At rest, as in `ekf_drag`: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s],
+    # noise density of the zero-rate update [rad/√s], time until it and of the fast low-pass [s].
     "rest_rate": Parameter(0.005, 1e-3, 0.1, searched=False),
     "rest_accel": Parameter(0.05, 0.01, 1.0, searched=False),
     "rest_rate_most": Parameter(0.1, 0.01, 1.0, searched=False),
@@ -150,9 +160,9 @@ PARAMETERS = {
     "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
     # Least standard deviation of the horizontal acceleration in the hand [m/s²].
     "least_accel": Parameter(0.2, 0.01, 1.0, minimum=1e-6, searched=False),
-    # Wind, as in `ekf_drag`: gain of the adaptation of its noise, share of the removed variance at which it neither
-    # rises nor falls, memories of it, of the corrections and of a gust front [s], variances that a low-passed
-    # innovation has there, and the least noise density [m/s/√s].
+    # Wind, as in `ekf_drag`: gain of the adaptation of its noise, share of the removed variance at which it
+    # neither rises nor falls, memories of it, of the corrections and of a gust front [s], variances that a
+    # low-passed innovation has there, and the least noise density [m/s/√s].
     "wind_gain": Parameter(1.0, 0.2, 3.0, searched=False),
     "wind_share": Parameter(0.6, 0.3, 0.9, searched=False),
     "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3, searched=False),
@@ -160,13 +170,12 @@ PARAMETERS = {
     "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
     "gust_ratio": Parameter(2.0, 1.5, 4.0, searched=False),
     "wind_noise_least": Parameter(0.02, 1e-4, 0.1, searched=False),
-    # Memories of mean squares and of vibration [s]; switching of the models [s].
+    # Memories of mean squares and of vibration [s]. Time in which a force counts as one measurement of flight
+    # against hand, and of the two drags; mean time until the model changes [s].
     "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
     "evidence_time": Parameter(0.2, 0.05, 10.0, minimum=1e-3),
     "drag_evidence_time": Parameter(0.05, 0.02, 10.0, minimum=1e-3),
-    # Factor of the reported standard deviation, for what the models do not know.
-    "sigma_scale": Parameter(1.0, 1.0, 10.0, searched=False),
     "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
 }
 """What a user or `quadsim tune` may change; units in the comments."""
@@ -180,8 +189,6 @@ REST_EVIDENCE = 5.0
 """Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
 ODDS_LEAST = 1e-3
 """Least share of each drag model in both."""
-FIRST_S = 0.1
-"""Time for which the first value of a mean square counts [s]."""
 
 
 @njit
@@ -349,12 +356,6 @@ def rotation_vector(turn):
 def student(square, determinant):
     """Logarithm of the density of two variables, Student's t, less a constant; see `correct_by_drag`."""
     return -0.5 * (FREEDOM + 2.0) * math.log(1.0 + square / FREEDOM) - 0.5 * math.log(determinant)
-
-
-@njit
-def mean_square(value, square, dt, time, memory):
-    """Mean square after a further square value."""
-    return value + (square - value) * min(dt / min(FIRST_S + time, memory), 1.0)
 
 
 @njit
@@ -637,7 +638,7 @@ def update_models(s, p, work, evidence):
         evidence[k] = correct_model(m, k, s, p, rate, accel, body, arm, matrix, work) if known else 0.0
     likelier = max(s.likelihood)
     for k in range(FREE):
-        evidence[k] += s.likelihood[k] - likelier
+        evidence[k] += s.likelihood[k] - likelier if known else 0.0
     certain = REST_EVIDENCE if known and at_rest(s, p, dt, rate, body) else -REST_EVIDENCE
     evidence[REST] = max(evidence[:REST]) + certain
     change = dt / (COUNT * p.sojourn_time)
@@ -714,7 +715,7 @@ def turn_on(s, sample):
 
 @njit
 def room():
-    """Scratch: (14, 14); the error dx, a column of P, process noise (14,); innovation (2,); and evidence (m,)."""
+    """Scratch: (14, 14); the error dx, a column of P, process noise (14,); innovation (2,); evidence (m,)."""
     work = np.empty((ERRORS, ERRORS)), np.empty(ERRORS), np.empty(ERRORS), np.empty(ERRORS), np.empty(2)
     return work, np.empty(COUNT)
 
@@ -783,7 +784,6 @@ class InteractingModels(Filter):
         turn = np.stack([np.cos(yaw), np.sin(yaw), -np.sin(yaw), np.cos(yaw)], axis=-1).reshape(-1, 2, 2)
         tilt = self._states["covariance"][:, TILT:VELOCITY, TILT:VELOCITY]
         variance = np.diagonal(turn @ tilt @ np.swapaxes(turn, 1, 2), axis1=1, axis2=2)
-        scale = self.values["sigma_scale"] / np.stack(
-            [np.maximum(np.cos(pitch), 1e-3), np.ones_like(pitch)], -1
-        )
-        return np.minimum(np.sqrt(np.maximum(variance, 0.0)) * scale, math.pi)
+        sigma = np.sqrt(np.maximum(variance, 0.0))
+        sigma[:, 0] /= np.maximum(np.cos(pitch), 1e-3)
+        return np.minimum(sigma, math.pi)
