@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -16,9 +16,10 @@ from pages import ROOT, Page, load_page, row
 from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
 from simulated import options
 
-from estimators import run
+from estimators import create, run
 from estimators.evaluation.comparison import made_of, silenced_twin
-from estimators.evaluation.logs import KNOWN, RAW, LogScores, draw_log
+from estimators.evaluation.logs import KNOWN, RAW, Believed, HasModels, LogScores, believed, draw_log
+from estimators.filters.imm import MODELS
 from estimators.metrics import Summary, inclination_rmse
 from quadsim.dataset.export import export
 from quadsim.dataset.figures import STYLE
@@ -43,7 +44,7 @@ SHOWN = {
     PHANTOM4: ("horizontal_02", (5.0, 25.0)),
 }
 """Recording that is drawn, and the part of it [s]."""
-FILTERS = ("vqf", "eskf", "mahony")
+FILTERS = ("imm", "vqf", "eskf", "mahony")
 NETS = ("att-snn", "att-rnn")
 FLIGHTS = 4
 SIMULATED = (("hummingbird", "hummingbird", 3), ("windy", "hummingbird", 43))
@@ -143,6 +144,38 @@ def simulated_rows(data: Path) -> list[str]:
     return [*lines, row("*networks, silenced*", *cells, f"{rotorpy:.2f}")]
 
 
+def model_rows(sets: Mapping[str, LogScores], data: Path) -> list[str]:
+    """What imm believed, in share of the time, and how often the truth was within 1.96 standard deviations."""
+    rows = []
+    for name, scores in sets.items():
+        runs = [
+            (found, scores.estimates[log, "imm"], scores.truth[log], scores.counted[log])
+            for log, found in scores.models.items()
+        ]
+        rows.append(model_row(name, runs))
+    for label, chosen in (("Hummingbird and in wind", SIMULATED), ("rough IMU, three airframes", ROUGH)):
+        rows.append(model_row(label, [run for each in chosen for run in imm_runs(flights(data, *each)[0])]))
+    return rows
+
+
+def imm_runs(path: Path) -> Iterator[tuple[Believed, Array, Array, NDArray[np.bool_]]]:
+    """Of each flight of a dataset what imm believed, estimated, what was true, and the samples that count."""
+    data = open_dataset(path)
+    gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
+    truth, est = roll_pitch_from_quat(quat), create("imm", RATE)
+    assert isinstance(est, HasModels)
+    counted = np.arange(gyro.shape[1]) >= 3 * RATE
+    for one_gyro, one_accel, one_truth in zip(gyro[:, None], accel[:, None], truth, strict=True):
+        yield believed(est, one_gyro, one_accel, RATE), run(est, one_gyro, one_accel)[0], one_truth, counted
+
+
+def model_row(label: str, runs: Sequence[tuple[Believed, Array, Array, NDArray[np.bool_]]]) -> str:
+    """Mean shares of the models and mean coverage over recordings or flights."""
+    shares = np.mean([found.probability.mean(axis=0) for found, *_ in runs], axis=0)
+    covered = np.mean([found.coverage(*rest) for found, *rest in runs])
+    return row(label, *(f"{100 * share:.0f}" for share in shares), f"{100 * covered:.0f}")
+
+
 def flights(data: Path, recipe: str, vehicle: str, seed: int) -> tuple[Path, str]:
     """Flights on which nothing is trained, and their vehicle; those of an earlier run if they are there."""
     chosen = load_recipe(recipe).model_copy(update={"vehicle": vehicle})
@@ -194,6 +227,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
             "calibration": calibration_rows(page),
             "simulated": simulated_rows(given.data),
+            "models": model_rows(scores, given.data),
+            "model_names": row("recordings or flights", *MODELS, "within 1.96 σ [%]"),
             "simulated_count": str(FLIGHTS),
             "rotorpy": DESCRIPTION,
             "agreement": f"{AGREEMENT:g}",

@@ -56,13 +56,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     page = load_page("readme")
     flights = load_flights([simulated("test", given.data)])
     package = {"vqf, package's parameters": vqf_with_defaults()}
-    at_home = made_of(WITHOUT_DRAG, RATE_HZ, vehicle=VEHICLE) | package
     filters = made_of(WITHOUT_DRAG, RATE_HZ) | package
     models = made_of([MODELS], RATE_HZ)[MODELS]
     both = filters | made_of([MODELS, CHIP, GRU], RATE_HZ)
     sets = recordings(given.recordings)
     scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
-    in_simulation = best({name: error_deg(est, flights) for name, est in at_home.items()})
+    in_simulation = best({name: error_deg(est, flights) for name, est in filters.items()})
     real = [best({name: each.mean(name, RAW) for name in filters}) for each in scores]
     in_rotorpy = best({name: foreign_error(lambda _, e=est: e, given.data) for name, est in filters.items()})
     drag = error_deg(made_of([DRAG], RATE_HZ, vehicle=VEHICLE)[DRAG], flights)
@@ -94,8 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "",
             f"- *Hummingbird*: mean absolute error of roll and pitch over {len(flights.gyro)} simulated "
             f"flights of {flights.gyro.shape[1] / flights.rate_hz:g} s, unknown start.",
-            "  Networks were trained and filters tuned in the same simulator, on other flights. In the other columns, and",
-            "  `imm` in all, filters have the parameters `general`, for airframes that nobody has described.",
+            "  Networks were trained and filters tuned in the same simulator, on other flights.",
             *fill(
                 f"- *RotorPy*: the same error over {DESCRIPTION}. Nothing was trained or tuned on them.",
                 125,

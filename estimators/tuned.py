@@ -11,8 +11,8 @@ from quadsim.config.toml import Strict, load_toml, preset_names
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.vehicle import Vehicle
 
-DEFAULT_DOMAIN = "general"
-"""Domain whose shipped parameters an estimator has where the vehicle is not known, or none is for it."""
+DEFAULT_DOMAIN, ANY_VEHICLE = "hummingbird-adis16448", "general"
+"""Domains whose shipped parameters an estimator has for a vehicle that none is for: the first that has it."""
 
 
 class Tuned(Strict):
@@ -53,7 +53,7 @@ def tuned_for(
     Args:
         name: Estimator.
         source: Domain, path of a TOML file, or None for the shipped domain of the vehicle and the IMU, else
-            of the vehicle, else `general`.
+            of the vehicle, else the default ones.
         vehicle: The airframe, if it is known.
         imu: Its IMU.
 
@@ -68,7 +68,7 @@ def tuned_for(
     tables = {domain: table for domain in preset_names("tuning") if (table := load_tuning(domain).get(name))}
     ours = [each for each in tables.values() if vehicle is not None and each.vehicle == vehicle.name]
     fitting = [each for each in ours if imu is not None and each.imu and load_imu(each.imu) == imu]
-    return next(iter([*fitting, *ours]), tables.get(DEFAULT_DOMAIN))
+    return next(iter([*fitting, *ours]), tables.get(DEFAULT_DOMAIN, tables.get(ANY_VEHICLE)))
 
 
 def to_toml(tables: dict[str, Tuned], comment: str) -> str:

@@ -6,6 +6,7 @@ the log marks the sample (`scored`), the first seconds are over, and the vehicle
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -45,11 +46,16 @@ LISTED = 6
 class HasModels(Protocol):
     """A filter that weighs several models."""
 
-    model_names: tuple[str, ...]
+    models: tuple[str, ...]
 
     @property
     def model_probability(self) -> Array:
         """(n, models)."""
+        ...
+
+    @property
+    def roll_pitch_sigma(self) -> Array:
+        """Standard deviation of roll and pitch (n, 2) [rad]."""
         ...
 
     def reset(self, n: int = 1) -> None:
@@ -88,6 +94,16 @@ class Believed(NamedTuple):
     """Of the models."""
     probability: Array
     """(T, models), constant over blocks of `BLOCK_S`."""
+    at: NDArray[np.int64]
+    """Last samples of the blocks (k,)."""
+    sigma: Array
+    """Standard deviation of roll and pitch at these (k, 2) [rad]."""
+
+    def coverage(self, estimate: Array, truth: Array, counted: NDArray[np.bool_]) -> float:
+        """Share of true roll and pitch within 1.96 standard deviations of the estimates (T, 2) [rad]."""
+        at = self.at[counted[self.at]]
+        within = absolute_error(estimate[at], truth[at]) <= np.degrees(1.96 * self.sigma[counted[self.at]])
+        return float(within.mean())
 
 
 @dataclass
@@ -236,12 +252,16 @@ def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
 def believed(est: HasModels, gyro: Array, accel: Array, rate_hz: float) -> Believed:
     """Probabilities of a filter's models over a sequence (1, T, 3) of readings [rad/s], [m/s²]."""
     est.reset(1)
-    block, parts = max(round(BLOCK_S * rate_hz), 1), []
-    for first in range(0, gyro.shape[1], block):
-        part = slice(first, first + block)
-        est.sequence(gyro[:, part], accel[:, part])
-        parts.append(np.repeat(est.model_probability, gyro[:, part].shape[1], axis=0))
-    return Believed(tuple(est.model_names), np.concatenate(parts))
+    steps = gyro.shape[1]
+    ends = np.append(
+        np.arange(max(round(BLOCK_S * rate_hz), 1), steps, max(round(BLOCK_S * rate_hz), 1)), steps
+    )
+    probability, sigma = [], []
+    for first, last in pairwise([0, *ends]):
+        est.sequence(gyro[:, first:last], accel[:, first:last])
+        probability.append(np.repeat(est.model_probability, last - first, axis=0))
+        sigma.append(est.roll_pitch_sigma)
+    return Believed(tuple(est.models), np.concatenate(probability), ends - 1, np.concatenate(sigma))
 
 
 def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:

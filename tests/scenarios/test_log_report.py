@@ -35,7 +35,7 @@ def scored():
     logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
     scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
     share = np.tile([0.25, 0.75], (logs[0].sizes["time"], 1))
-    scores.models["calm & <quiet>"] = Believed(("drag", "hand"), share)
+    scores.models["calm & <quiet>"] = Believed(("drag", "hand"), share, np.array([0]), np.ones((1, 2)))
     return logs, scores
 
 
