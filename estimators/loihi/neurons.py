@@ -111,7 +111,8 @@ class LoihiNetwork:
     """Layers in a chain, stepped together: in one step every layer reads the spikes of the previous step.
 
     After `step`, `u`, `v` and `s` hold the currents, membrane potentials (after reset) and spikes of each
-    layer: a list with one (n, out) array per layer. The arrays are overwritten by the next step.
+    layer: a list with one (n, out) array per layer, of int32 and for spikes of int8. The arrays are
+    overwritten by the next step.
 
     Args:
         layers: From the input to the output.

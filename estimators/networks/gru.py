@@ -280,10 +280,8 @@ def run_gru(gyro, accel, network, states, out):
             _affine(y, readout.w_out, readout.b_out, roll_pitch)
             for row in range(x.shape[0]):
                 c, t = row % copies, begin + row // copies
-                out[n + c, 2 * t], out[n + c, 2 * t + 1] = (
-                    roll_pitch[row, 0] * scale,
-                    roll_pitch[row, 1] * scale,
-                )
+                for o in range(2):
+                    out[n + c, 2 * t + o] = roll_pitch[row, o] * scale
         for c in range(copies):
             _copy(below.h[c], vector(group[c], 1, np.float32))
             _copy(above.h[c], vector(group[c], 2, np.float32))
