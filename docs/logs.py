@@ -145,7 +145,7 @@ def simulated_rows(data: Path) -> list[str]:
 
 
 def model_rows(sets: Mapping[str, LogScores], data: Path) -> list[str]:
-    """What imm believed, in share of the time, and how often the truth was within 1.96 standard deviations."""
+    """What imm believed, in share of the time, and the share of the truth within 1.96 standard deviations."""
     rows = []
     for name, scores in sets.items():
         runs = [
