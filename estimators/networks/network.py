@@ -124,7 +124,7 @@ class NetworkEstimator:
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
         """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
-        rows = np.arange(len(self._states))[np.asarray(ids)]
+        rows = np.arange(len(self._states))[np.asarray(ids, dtype=np.intp)]
         _check_attitude(roll_pitch, rows.size)
         self._states[rows] = zero_blocks(rows.size, self.core.state)
 
