@@ -110,19 +110,15 @@ class ChipState(NamedTuple):
 class LoihiNetwork:
     """Layers in a chain, stepped together: in one step every layer reads the spikes of the previous step.
 
-        After `step`, `u`, `v` and `s` hold the currents, membrane potentials (after reset) and spikes of each
-    <<<<<<< HEAD
-        layer: a list with one (n, out) array per layer, int32, spikes int8. The next step overwrites them.
-    =======
-        layer: a list with one (n, out) array per layer, of int32 and for spikes of int8. The arrays are
-        overwritten by the next step.
-    >>>>>>> d4b2be6478521a8ea7b39c935e1e70491d9cf470
+    After `step`, `u`, `v` and `s` hold the currents, membrane potentials (after reset) and spikes of each
+    layer: a list with one (n, out) array per layer, of int32 and for spikes of int8. The arrays are
+    overwritten by the next step.
 
-        Args:
-            layers: From the input to the output.
+    Args:
+        layers: From the input to the output.
 
-        Raises:
-            ValueError: No layer, or neighbours whose sizes do not fit.
+    Raises:
+        ValueError: No layer, or neighbours whose sizes do not fit.
     """
 
     def __init__(self, layers: Sequence[LoihiLayer]) -> None:
