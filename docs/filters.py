@@ -262,6 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     matplotlib.rcParams.update(STYLE)
     page = load_page("filters")
     tables: dict[str, list[str]] = {}
+    tables["parameters:general"] = parameter_rows("general")
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
         done = compared(page, domain, dataset)
