@@ -18,8 +18,8 @@ from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitc
 from quadsim.runs.files import write_csv
 
 from ..metrics import absolute_error, inclination_error, share_without_number
-from ..registry import FILTERPY, names, needs_vehicle
 from ..running import run
+from .beliefs import Beliefs, beliefs
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
 
@@ -72,6 +72,8 @@ class LogScores:
     """Log to the samples that count (T,)."""
     estimates: dict[tuple[str, str], Array] = field(default_factory=dict)
     """(log, estimator) to raw roll and pitch (T, 2) [rad]."""
+    beliefs: dict[tuple[str, str], Beliefs] = field(default_factory=dict)
+    """(log, estimator) to the models that an estimator believed, raw; only of estimators that have models."""
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
@@ -146,17 +148,15 @@ def score_logs(
                 scores.rows.append(row)
                 if which == RAW:
                     scores.estimates[title, name] = estimate[0]
+                    if (believed := beliefs(est, gyro, accel)) is not None:
+                        scores.beliefs[title, name] = believed
             done += 1
     return scores
 
 
 def default_names(vehicle_known: bool = False) -> list[str]:
-    """Estimators scored unless others are asked for: not filterpy's, ekf-drag only with a known vehicle."""
-    return [
-        name
-        for name in names()
-        if name != "truth" and name not in FILTERPY and (vehicle_known or not needs_vehicle(name))
-    ]
+    """Estimators scored unless others are asked for: imm, and ekf-drag where the vehicle is known."""
+    return ["imm", *(["ekf-drag"] if vehicle_known else [])]
 
 
 def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:

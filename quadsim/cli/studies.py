@@ -19,7 +19,10 @@ def evaluate(
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Estimator: a name or your module:Class; again for more. All if left out."),
+        typer.Option(
+            help="Estimator: a name or your module:Class; again for more. All if left out; with --logs imm, "
+            "which needs to know nothing of the airframe."
+        ),
     ] = None,
     weights: Annotated[
         list[str] | None, typer.Option(help="Weights file to score too, named by its path; again for more.")

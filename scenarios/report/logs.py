@@ -98,6 +98,11 @@ def evaluate_logs(
         shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
         text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, gyro bias ({shown}) °/s"
         output.print(text, soft_wrap=True, highlight=False)
+    for (log, name), believed in scores.beliefs.items():
+        shares = ", ".join(f"{model} {100.0 * share:.0f} %" for model, share in believed.share().items())
+        inside = believed.coverage(scores.truth[log][None], scores.counted[log][None])
+        text = f"{log}: {name} believed {shares}; {100.0 * inside:.0f} % of the truth is in its 95 % interval"
+        output.print(text, soft_wrap=True, highlight=False)
     best = scores.estimators[0]
     last = f"the smallest raw error is {best}'s, {scores.mean(best, RAW):.2f}°"
     output.print(f"{out / 'logs.csv'}: {last}", soft_wrap=True)
