@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -17,8 +17,9 @@ from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score,
 from simulated import options
 
 from estimators import create, run
+from estimators.evaluation.beliefs import Beliefs, beliefs
 from estimators.evaluation.comparison import made_of, silenced_twin
-from estimators.evaluation.logs import KNOWN, RAW, Believed, HasModels, LogScores, believed, draw_log
+from estimators.evaluation.logs import KNOWN, RAW, LogScores, draw_log
 from estimators.filters.imm import MODELS
 from estimators.metrics import Summary, inclination_rmse
 from quadsim.dataset.export import export
@@ -47,6 +48,8 @@ SHOWN = {
 FILTERS = ("imm", "vqf", "eskf", "mahony")
 NETS = ("att-snn", "att-rnn")
 FLIGHTS = 4
+SETTLED_S = 3.0
+"""Time at the start of a simulated flight that is not scored [s]."""
 SIMULATED = (("hummingbird", "hummingbird", 3), ("windy", "hummingbird", 43))
 ROUGH = (("robust", "hummingbird", 40), ("robust", "px4-quad", 41), ("robust", "crazyflie", 42))
 """Recipe, vehicle and seed of the simulated flights."""
@@ -150,29 +153,28 @@ def model_rows(sets: Mapping[str, LogScores], data: Path) -> list[str]:
     rows = []
     for name, scores in sets.items():
         runs = [
-            (found, scores.estimates[log, "imm"], scores.truth[log], scores.counted[log])
-            for log, found in scores.models.items()
+            (found, scores.truth[log][None], scores.counted[log][None])
+            for (log, _), found in scores.beliefs.items()
         ]
         rows.append(model_row(name, runs))
     for label, chosen in (("Hummingbird and in wind", SIMULATED), ("rough IMU, three airframes", ROUGH)):
-        rows.append(model_row(label, [run for each in chosen for run in imm_runs(flights(data, *each)[0])]))
+        rows.append(model_row(label, [simulated_run(flights(data, *each)[0]) for each in chosen]))
     return rows
 
 
-def imm_runs(path: Path) -> Iterator[tuple[Believed, Array, Array, NDArray[np.bool_]]]:
-    """Of each flight of a dataset what imm believed, estimated, what was true, and the samples that count."""
+def simulated_run(path: Path) -> tuple[Beliefs, Array, NDArray[np.bool_]]:
+    """On the flights of a dataset what imm believed, what was true, and the samples that count."""
     data = open_dataset(path)
     gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    truth, est = roll_pitch_from_quat(quat), create("imm", RATE)
-    assert isinstance(est, HasModels)
-    counted = np.arange(gyro.shape[1]) >= 3 * RATE
-    for one_gyro, one_accel, one_truth in zip(gyro[:, None], accel[:, None], truth, strict=True):
-        yield believed(est, one_gyro, one_accel, RATE), run(est, one_gyro, one_accel)[0], one_truth, counted
+    found = beliefs(create("imm", RATE), gyro, accel)
+    assert found is not None
+    counted = np.broadcast_to(np.arange(gyro.shape[1]) >= SETTLED_S * RATE, gyro.shape[:2])
+    return found, roll_pitch_from_quat(quat), counted
 
 
-def model_row(label: str, runs: Sequence[tuple[Believed, Array, Array, NDArray[np.bool_]]]) -> str:
-    """Mean shares of the models and mean coverage over recordings or flights."""
-    shares = np.mean([found.probability.mean(axis=0) for found, *_ in runs], axis=0)
+def model_row(label: str, runs: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]]) -> str:
+    """Mean shares of the models and mean coverage over recordings or sets of flights."""
+    shares = np.mean([list(found.share().values()) for found, *_ in runs], axis=0)
     covered = np.mean([found.coverage(*rest) for found, *rest in runs])
     return row(label, *(f"{100 * share:.0f}" for share in shares), f"{100 * covered:.0f}")
 
@@ -193,7 +195,7 @@ def rmse(est: AttitudeEstimator, path: Path, bias: Array) -> float:
 
 def settled(estimate: Array, truth: Array) -> Summary:
     """Inclination RMSE after 3 s of each flight [deg], from roll and pitch (n, T, 2) [rad]."""
-    skip = round(3 * RATE)
+    skip = round(SETTLED_S * RATE)
     return inclination_rmse(estimate[:, skip:], truth[:, skip:])
 
 

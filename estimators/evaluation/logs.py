@@ -6,9 +6,7 @@ the log marks the sample (`scored`), the first seconds are over, and the vehicle
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import xarray as xr
@@ -22,6 +20,7 @@ from quadsim.runs.files import write_csv
 from ..metrics import absolute_error, inclination_error, share_without_number
 from ..registry import FILTERPY, names, needs_vehicle
 from ..running import run
+from .beliefs import Beliefs, beliefs
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
 
@@ -36,35 +35,8 @@ SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
 RATE_MAX = 2.0
 """Samples at which the bias is read turn more slowly than this [rad/s]: fast ones hold the truth's delay."""
-BLOCK_S = 0.1
-"""Time between two looks at what a filter believes [s]."""
 LISTED = 6
 """Estimators drawn in a picture, the best first."""
-
-
-@runtime_checkable
-class HasModels(Protocol):
-    """A filter that weighs several models."""
-
-    models: tuple[str, ...]
-
-    @property
-    def model_probability(self) -> Array:
-        """(n, models)."""
-        ...
-
-    @property
-    def roll_pitch_sigma(self) -> Array:
-        """Standard deviation of roll and pitch (n, 2) [rad]."""
-        ...
-
-    def reset(self, n: int = 1) -> None:
-        """Start n vehicles."""
-        ...
-
-    def sequence(self, gyro: Array, accel: Array) -> Array:
-        """Take (n, T, 3) samples, carrying on from the last."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -87,25 +59,6 @@ class LogRow:
     """Of a network: inclination RMSE with its output weights at zero; NaN for other estimators."""
 
 
-class Believed(NamedTuple):
-    """What a filter of several models believed."""
-
-    names: tuple[str, ...]
-    """Of the models."""
-    probability: Array
-    """(T, models), constant over blocks of `BLOCK_S`."""
-    at: NDArray[np.int64]
-    """Last samples of the blocks (k,)."""
-    sigma: Array
-    """Standard deviation of roll and pitch at these (k, 2) [rad]."""
-
-    def coverage(self, estimate: Array, truth: Array, counted: NDArray[np.bool_]) -> float:
-        """Share of true roll and pitch within 1.96 standard deviations of the estimates (T, 2) [rad]."""
-        at = self.at[counted[self.at]]
-        within = absolute_error(estimate[at], truth[at]) <= np.degrees(1.96 * self.sigma[counted[self.at]])
-        return float(within.mean())
-
-
 @dataclass
 class LogScores:
     """All rows, and what the pictures are drawn from."""
@@ -120,8 +73,8 @@ class LogScores:
     """Log to the samples that count (T,)."""
     estimates: dict[tuple[str, str], Array] = field(default_factory=dict)
     """(log, estimator) to raw roll and pitch (T, 2) [rad]."""
-    models: dict[str, Believed] = field(default_factory=dict)
-    """Log to what `imm` believed of the raw readings, if it was scored."""
+    beliefs: dict[tuple[str, str], Beliefs] = field(default_factory=dict)
+    """(log, estimator) to the models that an estimator believed, raw; only of estimators that have models."""
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
@@ -200,8 +153,8 @@ def score_logs(
                 scores.rows.append(row)
                 if which == RAW:
                     scores.estimates[title, name] = estimate[0]
-                    if isinstance(est, HasModels):
-                        scores.models[title] = believed(est, gyro, accel, rate)
+                    if (believed := beliefs(est, gyro, accel)) is not None:
+                        scores.beliefs[title, name] = believed
             done += 1
     return scores
 
@@ -247,21 +200,6 @@ def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
     above = 0.5 * (gyro[:-1] + gyro[1:]) - true
     slow = np.isfinite(above).all(axis=1) & (np.linalg.norm(true, axis=1) < RATE_MAX)
     return above[slow].mean(axis=0) if slow.sum() >= rate_hz else np.full(3, np.nan)
-
-
-def believed(est: HasModels, gyro: Array, accel: Array, rate_hz: float) -> Believed:
-    """Probabilities of a filter's models over a sequence (1, T, 3) of readings [rad/s], [m/s²]."""
-    est.reset(1)
-    steps = gyro.shape[1]
-    ends = np.append(
-        np.arange(max(round(BLOCK_S * rate_hz), 1), steps, max(round(BLOCK_S * rate_hz), 1)), steps
-    )
-    probability, sigma = [], []
-    for first, last in pairwise([0, *ends]):
-        est.sequence(gyro[:, first:last], accel[:, first:last])
-        probability.append(np.repeat(est.model_probability, last - first, axis=0))
-        sigma.append(est.roll_pitch_sigma)
-    return Believed(tuple(est.models), np.concatenate(probability), ends - 1, np.concatenate(sigma))
 
 
 def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:

@@ -74,4 +74,9 @@ def evaluate_logs(
         known = f"gyro bias ({shown}) °/s" if np.isfinite(bias).all() else "gyro bias unknown"
         text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, {known}"
         output.print(text, soft_wrap=True, highlight=False)
+    for (log, name), believed in scores.beliefs.items():
+        shares = ", ".join(f"{model} {100.0 * share:.0f} %" for model, share in believed.share().items())
+        inside = believed.coverage(scores.truth[log][None], scores.counted[log][None])
+        text = f"{log}: {name} believed {shares}; {100.0 * inside:.0f} % of the truth is in its 95 % interval"
+        output.print(text, soft_wrap=True, highlight=False)
     output.print(f"{page}: {log_verdict(scores).headline}", soft_wrap=True)

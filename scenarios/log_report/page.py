@@ -107,10 +107,11 @@ def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) 
         for k, angle in enumerate(("roll", "pitch")):
             add(f"{angle}|{name}", np.degrees(estimate[:, k]))
         add(f"error|{name}", inclination_error(estimate, truth))
-    believed = scores.models.get(title)
-    if believed is not None:
-        for k, name in enumerate(believed.names):
-            add(f"model|{name}", believed.probability[:, k])
+    for believed in (found for (log_name, _), found in scores.beliefs.items() if log_name == title):
+        latest = np.searchsorted(believed.samples, np.arange(log.sizes["time"]), side="right") - 1
+        probability = believed.probability[0, np.maximum(latest, 0)]
+        for k, name in enumerate(believed.models):
+            add(f"model|{name}", probability[:, k])
     counted = scores.counted[title][::every]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~counted, [False]]).astype(int))).reshape(-1, 2)
     return {

@@ -79,14 +79,17 @@ def _bias(scores: LogScores, names: list[str], error: dict[str, float]) -> list[
 
 
 def _believed(scores: LogScores) -> list[str]:
-    """Which of imm's models were believed, over all logs."""
-    if not scores.models:
-        return []
-    total: dict[str, float] = {}
-    for found in scores.models.values():
-        for name, share in zip(found.names, found.probability.mean(axis=0), strict=True):
-            total[name] = total.get(name, 0.0) + float(share) / len(scores.models)
-    shown = ", ".join(
-        f"{name} {share:.0%}" for name, share in sorted(total.items(), key=lambda each: -each[1])
-    )
-    return [f"imm believed, in share of the time: {shown}."]
+    """Which models an estimator of several believed, over all logs, and how honest its sigma was."""
+    lines = []
+    for name in dict.fromkeys(name for _, name in scores.beliefs):
+        found = {log: each for (log, whose), each in scores.beliefs.items() if whose == name}
+        shares = [each.share() for each in found.values()]
+        mean = {model: float(np.mean([share[model] for share in shares])) for model in shares[0]}
+        ranked = sorted(mean.items(), key=lambda each: -each[1])
+        covered = np.nanmean(
+            [each.coverage(scores.truth[log][None], scores.counted[log][None]) for log, each in found.items()]
+        )
+        shown = ", ".join(f"{model} {share:.0%}" for model, share in ranked)
+        inside = f"{covered:.0%} of the true angles are in its 95 % interval"
+        lines.append(f"{name} believed, in share of the time: {shown}; {inside}.")
+    return lines

@@ -85,8 +85,20 @@ def test_a_network_has_the_error_of_itself_silenced_beside_its_own(log):
 
 
 def test_estimators_that_need_a_vehicle_are_left_out_without_one():
+    assert "imm" in default_names()
     assert "ekf-drag" not in default_names()
     assert "ekf-drag" in default_names(vehicle_known=True)
+
+
+def test_the_models_that_imm_believes_along_a_log_are_recorded(log):
+    scores = score_logs([log], ["imm", "mahony"])
+    assert list(scores.beliefs) == [("mine", "imm")]
+    believed = scores.beliefs["mine", "imm"]
+    assert sum(believed.share().values()) == pytest.approx(1.0)
+    estimate = scores.estimates["mine", "imm"][believed.samples]
+    np.testing.assert_array_equal(believed.roll_pitch[0], estimate)
+    nowhere = np.full((1, len(log["time"]), 2), np.nan)
+    assert np.isnan(believed.coverage(nowhere))
 
 
 def test_rows_and_pictures_are_written(log, tmp_path):

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.evaluation.logs import Believed, score_logs
+from estimators.evaluation.beliefs import Beliefs
+from estimators.evaluation.logs import score_logs
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 from quadsim.rotation import quat_from_roll_pitch
@@ -34,8 +35,9 @@ def log(name, bias=0.0, seconds=40.0):
 def scored():
     logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
     scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
-    share = np.tile([0.25, 0.75], (logs[0].sizes["time"], 1))
-    scores.models["calm & <quiet>"] = Believed(("drag", "hand"), share, np.array([0]), np.ones((1, 2)))
+    scores.beliefs["calm & <quiet>", "imm"] = Beliefs(
+        ("drag", "hand"), np.array([0]), np.zeros((1, 1, 2)), np.ones((1, 1, 2)), np.array([[[0.25, 0.75]]])
+    )
     return logs, scores
 
 

@@ -1,0 +1,73 @@
+"""What `imm` believes along a recording: probabilities of its models, and how honest its sigma is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.estimator import AttitudeEstimator
+
+from ..filters.imm import InteractingModels
+from ..metrics import absolute_error
+
+Array = NDArray[np.float64]
+
+EVERY_S = 0.1
+"""Time between the samples at which the models are asked [s]."""
+NORMAL_95 = 1.96
+"""Half the width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Estimates of n recordings at k samples of theirs."""
+
+    models: tuple[str, ...]
+    """Names of the m models."""
+    samples: NDArray[np.int64]
+    """Which samples they are, (k,)."""
+    roll_pitch: Array
+    """(n, k, 2) [rad]."""
+    sigma: Array
+    """Standard deviation of roll and pitch (n, k, 2) [rad]."""
+    probability: Array
+    """Of each model, (n, k, m)."""
+
+    def share(self) -> dict[str, float]:
+        """Mean probability of each model over all samples of all recordings."""
+        return dict(zip(self.models, self.probability.mean(axis=(0, 1)).tolist(), strict=True))
+
+    def coverage(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> float:
+        """Share of true rolls and pitches within the 95 % interval; NaN if none is known.
+
+        Args:
+            truth: Roll and pitch of all samples (n, T, 2) [rad]; NaN where they are not known.
+            counted: Samples that count (n, T); None for all.
+        """
+        error = np.radians(absolute_error(self.roll_pitch, truth[:, self.samples]))
+        known = np.isfinite(error)
+        if counted is not None:
+            known &= counted[:, self.samples, None]
+        return float((error <= NORMAL_95 * self.sigma)[known].mean()) if known.any() else float("nan")
+
+
+def beliefs(est: AttitudeEstimator, gyro: Array, accel: Array) -> Beliefs | None:
+    """Run an estimator from an unknown start, and ask it every tenth of a second; None if it has no models.
+
+    Args:
+        est: The estimator.
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force in body axes (n, T, 3) [m/s²].
+    """
+    if not isinstance(est, InteractingModels):
+        return None
+    est.reset(len(gyro))
+    every = max(round(EVERY_S * est.rate_hz), 1)
+    samples = np.arange(every - 1, gyro.shape[1], every)
+    parts = []
+    for last in samples:
+        part = slice(last + 1 - every, last + 1)
+        estimate = est.sequence(gyro[:, part], accel[:, part])[:, -1]
+        parts.append((estimate, est.roll_pitch_sigma, est.model_probability))
+    roll_pitch, sigma, probability = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
+    return Beliefs(est.models, samples, roll_pitch, sigma, probability)

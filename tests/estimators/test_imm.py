@@ -1,0 +1,255 @@
+"""The estimator imm: which model it believes, how sure it is, and what it makes of what it does not know."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_t
+
+from estimators import create, run
+from estimators.evaluation.beliefs import beliefs
+from estimators.filters.imm import (
+    ERRORS,
+    FREEDOM,
+    LEVER,
+    MODELS,
+    OFFSET,
+    VELOCITY,
+    WIND,
+    InteractingModels,
+    student,
+    transition,
+)
+from estimators.metrics import inclination_error
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.rotation import (
+    matrix_from_quat,
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    roll_pitch_from_quat,
+)
+from quadsim.vehicle import GRAVITY
+
+RATE = 200.0
+BIAS = np.radians([4.1, -1.2, -1.6])
+
+
+def in_the_hand(seconds=20.0, speed=0.3):
+    """Gyroscope, accelerometer and quat_WB (1, T, ·) of an IMU that is turned and moved by hand."""
+    t = np.arange(round(seconds * RATE)) / RATE
+    quat = quat_from_euler(0.6 * np.sin(1.1 * t), 0.5 * np.sin(0.7 * t + 1.0), 0.8 * np.sin(0.4 * t))
+    turn = quat_multiply(quat_conjugate(quat[:-1]), quat[1:])
+    rate = np.concatenate([np.zeros((1, 3)), 2.0 * RATE * turn[:, 1:]])
+    wave = np.array([2.0, 2.6, 3.1])
+    acceleration = speed * wave * np.cos(np.outer(t, wave))
+    force = quat_rotate_inverse(quat, acceleration + np.array([0.0, 0.0, GRAVITY]))
+    return rate[None], force[None], quat[None]
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """Two aggressive flights of a Hummingbird, and the attitude that is true."""
+    path = tmp_path_factory.mktemp("imm") / "flights.zarr"
+    data = open_dataset(generate(flight_config(load_recipe("varied")), 2, 30.0, path, seed=71, workers=1))
+    gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
+    return gyro, accel, roll_pitch_from_quat(quat)
+
+
+def rmse(est, gyro, accel, truth, after=10.0):
+    """Inclination RMSE from an unknown start [deg]."""
+    error = inclination_error(run(est, gyro, accel), truth)[:, round(after * RATE) :]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+# --- equations --------------------------------------------------------------------------------------
+
+
+def test_the_transition_is_the_derivative_of_the_motion():
+    """F against a difference quotient of the exact motion, in the errors that the module defines."""
+    dt, step = 1e-4, 1e-5
+    rng = np.random.default_rng(0)
+    quat, gyro, accel = quat_from_rotvec(rng.normal(0, 0.5, 3)), rng.normal(0, 1, 3), rng.normal(0, 5, 3)
+    v, w = rng.normal(0, 3, 3), rng.normal(0, 3, 2)
+
+    def moved(error):
+        tilt = np.append(error[:2], 0.0)
+        turn = quat_from_rotvec(tilt)
+        start = quat_multiply(turn, quat)
+        speed = quat_rotate(turn, v) + np.append(error[VELOCITY:WIND], 0.0)
+        air = quat_rotate(turn, np.append(w, 0.0))[:2] + error[WIND : WIND + 2]
+        end = quat_multiply(start, quat_from_rotvec((gyro - error[6:9]) * dt))
+        force = quat_rotate(start, accel - np.append(error[9:11], 0.0)) - np.array([0.0, 0.0, GRAVITY])
+        return end, speed + force * dt, air
+
+    matrix = tuple(matrix_from_quat(quat).ravel())
+    F = np.eye(ERRORS)
+    # the specific force's share beyond gravity is what a model takes for acceleration; here there is none
+    accel = quat_rotate_inverse(quat, np.array([0.0, 0.0, GRAVITY]))
+    transition(F, matrix, v, w, dt)
+    end, speed, air = moved(np.zeros(ERRORS))
+    for k in range(ERRORS):
+        error = np.zeros(ERRORS)
+        error[k] = step
+        other, its_speed, its_air = moved(error)
+        turn = 2.0 * quat_multiply(other, quat_conjugate(end))[1:]
+        back = quat_from_rotvec(turn)
+        found = np.concatenate(
+            [
+                turn[:2],
+                (its_speed - quat_rotate(back, speed))[:2],
+                (its_air - quat_rotate(back, np.append(air, 0.0))[:2]),
+            ]
+        )
+        np.testing.assert_allclose(F[:6, k], found / step, atol=3e-4)
+
+
+def test_the_density_is_student_s_t_of_scipy():
+    rng = np.random.default_rng(0)
+    root = rng.normal(0, 1, (2, 2))
+    shape = root @ root.T
+    points = rng.normal(0, 3, (5, 2))
+    ours = [student(x @ np.linalg.solve(shape, x), np.linalg.det(shape)) for x in points]
+    theirs = multivariate_t([0.0, 0.0], shape, df=FREEDOM).logpdf(points)
+    np.testing.assert_allclose(np.diff(ours), np.diff(theirs), atol=1e-12)
+
+
+# --- which model ------------------------------------------------------------------------------------
+
+
+def test_probabilities_are_of_five_models_and_sum_to_one(flight):
+    gyro, accel, _ = flight
+    est = create("imm")
+    assert isinstance(est, InteractingModels)
+    assert est.models == MODELS
+    found = beliefs(est, gyro, accel)
+    assert found is not None
+    assert found.probability.shape == (2, 300, 5)
+    np.testing.assert_allclose(found.probability.sum(axis=-1), 1.0, atol=1e-12)
+    assert (found.probability >= 0.0).all()
+
+
+def test_in_flight_it_believes_in_drag_and_beats_estimators_that_do_not(flight):
+    gyro, accel, truth = flight
+    est = create("imm")
+    found = beliefs(est, gyro, accel)
+    assert found is not None
+    late = found.probability[:, 100:]
+    assert late[..., :2].sum(axis=-1).mean() > 0.9
+    assert late[..., 0].mean() > 0.9  # the Hummingbird's 0.2 /s, not 0.4
+    others = [rmse(create(name), gyro, accel, truth) for name in ("vqf", "eskf", "mahony")]
+    assert rmse(est, gyro, accel, truth) < 0.8 * min(others)
+
+
+def test_in_the_hand_it_believes_in_the_hand_and_is_as_good_as_vqf():
+    gyro, accel, quat = in_the_hand()
+    est = create("imm")
+    found = beliefs(est, gyro, accel)
+    assert found is not None
+    assert found.probability[0, 50:, MODELS.index("hand")].mean() > 0.9
+    truth = roll_pitch_from_quat(quat)
+    assert rmse(est, gyro, accel, truth) < rmse(create("vqf"), gyro, accel, truth) + 0.3
+
+
+def test_at_rest_it_believes_in_rest_and_finds_the_gyroscope_s_bias_on_every_axis():
+    accel = np.tile([0.0, 0.0, GRAVITY], (1, 1000, 1))
+    est = create("imm")
+    run(est, np.broadcast_to(BIAS, accel.shape), accel)
+    assert est.model_probability[0, MODELS.index("rest")] > 0.99
+    np.testing.assert_allclose(est.gyro_bias[0], BIAS, atol=1e-3)
+
+
+def test_it_changes_its_model_within_seconds():
+    """From the table into the hand: rest is given up at once."""
+    gyro, accel, quat = in_the_hand(10.0)
+    still = np.zeros((1, 1000, 3))
+    force = np.tile(quat_rotate_inverse(quat[0, 0], np.array([0.0, 0.0, GRAVITY])), (1, 1000, 1))
+    est = create("imm")
+    found = beliefs(est, np.concatenate([still, gyro], axis=1), np.concatenate([force, accel], axis=1))
+    assert found is not None
+    rest = found.probability[0, :, MODELS.index("rest")]
+    assert rest[40:49].min() > 0.9
+    assert rest[55:].max() < 0.1
+
+
+# --- what nobody told it ----------------------------------------------------------------------------
+
+
+def test_a_raw_bias_of_several_degrees_a_second_is_found(flight):
+    gyro, accel, truth = flight
+    assert rmse(create("imm"), gyro + BIAS, accel, truth) < rmse(create("imm"), gyro, accel, truth) + 0.5
+
+
+def test_an_imu_over_the_centre_of_mass_is_found(flight):
+    gyro, accel, truth = flight
+    lever = np.array([0.0, 0.0, 0.1])
+    turning = np.gradient(gyro, 1.0 / RATE, axis=1)
+    moved = accel + np.cross(turning, lever)
+    est = create("imm")
+    error = rmse(est, gyro, moved, truth)
+    np.testing.assert_allclose(est._states["lever"], 0.1, atol=0.04)
+    assert error < rmse(create("imm", lever_sigma=0.0), gyro, moved, truth)
+
+
+def test_a_thrust_that_is_not_along_body_z_is_no_tilt(flight):
+    """An IMU that sits six degrees off: the estimate is of its own axes."""
+    gyro, accel, truth = flight
+    mount = quat_from_euler(0.1, -0.06, 0.0)
+    est = create("imm")
+    out = run(est, quat_rotate(mount, gyro), quat_rotate(mount, accel))
+    true = quat_multiply(quat_from_euler(truth[..., 0], truth[..., 1], 0.0), quat_conjugate(mount))
+    error = inclination_error(out, roll_pitch_from_quat(true))[:, 2000:]
+    assert np.sqrt(np.mean(error**2)) < 2.0
+
+
+# --- how sure ---------------------------------------------------------------------------------------
+
+
+def test_the_truth_is_within_the_95_percent_interval_as_often_as_it_should(flight):
+    gyro, accel, truth = flight
+    found = beliefs(create("imm"), gyro, accel)
+    assert found is not None
+    assert found.coverage(truth) > 0.9
+    late = np.degrees(found.sigma[:, 200:])
+    assert 0.1 < late.mean() < 3.0  # an interval of ±180° would hold it as well
+
+
+def test_sigma_is_small_where_the_start_is_known_and_grows_in_a_gap(flight):
+    gyro, accel, truth = flight
+    est = create("imm")
+    est.reset(2, roll_pitch=truth[:, 0])
+    est.sequence(gyro[:, 1:5], accel[:, 1:5])
+    before = est.roll_pitch_sigma
+    assert np.degrees(before).max() < 1.0
+    nothing = np.full((2, 100, 3), np.nan)
+    est.sequence(nothing, nothing)
+    assert (est.roll_pitch_sigma > 5.0 * before).all()
+    np.testing.assert_allclose(est.model_probability.sum(axis=-1), 1.0)
+
+
+@pytest.mark.parametrize("sensor", [0, 1])
+def test_a_sensor_that_is_missing_for_two_seconds_does_no_lasting_harm(flight, sensor):
+    readings = [flight[0].copy(), flight[1].copy()]
+    readings[sensor][:, 3000:3400] = np.nan
+    assert rmse(create("imm"), *readings, flight[2], after=25.0) < 3.0
+
+
+def test_covariance_stays_symmetric_and_positive_on_noise():
+    rng = np.random.default_rng(0)
+    est = create("imm")
+    for rate, force in ((0.0, 0.0), (3.0, 10.0), (10.0, 30.0)):
+        gyro = rng.normal(0, rate, (1, 3000, 3))
+        assert np.isfinite(run(est, gyro, rng.normal([0.0, 0.0, GRAVITY], force, (1, 3000, 3)))).all()
+        for P in (est._states["covariance"][0], *est._states["models"]["covariance"][0]):
+            np.testing.assert_allclose(P, P.T, atol=1e-9 * np.abs(P).max())
+            assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > -1e-9 * np.abs(P).max()
+        assert est.roll_pitch_sigma.max() < np.pi + 1e-9
+    assert P[OFFSET, OFFSET] > 0
+    assert P[LEVER, LEVER] > 0
+
+
+def test_shipped_parameters_are_for_every_vehicle():
+    assert create("imm").values == create("imm", vehicle="px4-quad", imu="px4-mini").values
