@@ -57,7 +57,7 @@ class LogReport:
     duration_s: float
     source_rate_hz: float
     jitter_ms: float
-    """Standard deviation of the time between samples, gaps left out."""
+    """Standard deviation of the time between samples, gaps and lost samples left out."""
     stamps_back: int
     """Samples left out because their stamp is not after the one before."""
     gaps: int
@@ -204,12 +204,11 @@ class LogReport:
         if self.stamps_back:
             yield f"{self.stamps_back} samples do not follow the one before in time: left out"
         if self.gaps:
-            yield (
-                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: left "
-                "out of scores"
-            )
+            count = "1 gap" if self.gaps == 1 else f"{self.gaps} gaps"
+            longest = f"{self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s"
+            yield f"{count}, {longest}: left out of scores"
         if self.lost:
-            yield f"{self.lost} single samples are lost: interpolated"
+            yield f"{self.lost} single samples lost: interpolated"
         for axis, count in zip(AXES, self.stuck, strict=True):
             if count:
                 seconds = count / self.source_rate_hz
