@@ -10,7 +10,7 @@ from .recording import TruthAxes
 LONGEST_GAP_S = 30.0
 """A longer gap ends a recording, and what follows is another part of it."""
 SLOW_HZ = 90.0
-"""Below this rate the samples lack motion of a vehicle, which is said."""
+"""Below this rate the samples lack motion of a vehicle, and a warning is given."""
 WEIGHTS = (7.0, 13.0)
 """Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
 UPRIGHT = 0.2
@@ -93,7 +93,7 @@ class LogReport:
     """and the angle of that rotation [deg]."""
     tilt_deg: float | None
     """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
-    second is complete, or a truth of the body says better."""
+    second is complete, or a truth of the body shows it better."""
     tilt_sd_deg: float
     """Standard deviation of that mean's direction [deg]."""
     rest_s: float

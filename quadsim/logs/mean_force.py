@@ -12,7 +12,7 @@ HOVER_RATE, HOVER_RMS = 0.15, 0.3
 HOVER_FORCE = 0.1
 """and share by which the mean specific force of that second may differ from gravity."""
 LEAST_HOVER_S = 3
-"""Seconds of hover that are used alone; with fewer the whole log is."""
+"""Fewest seconds of hover that are used alone; with fewer the complete log is used."""
 REST_SHARE = 0.03
 """Share of the specific force within which it stays at rest."""
 
@@ -70,7 +70,7 @@ def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
 
 
 def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
-    """The stretch at rest over which the gyroscope says that the vertical turned most.
+    """The stretch at rest over which the vertical turns most by the gyroscope.
 
     At rest are seconds in which the specific force stays within a share of itself, from the first of the
     stretch on. The turn is that of the mean rate across the force: a vehicle that turns so is not at rest.

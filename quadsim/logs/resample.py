@@ -85,7 +85,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
     """
-    log, counted = usable(log)
+    log, counted = longest_part(log)
     time, readings = log.time, np.concatenate([log.gyro, log.accel], axis=1)
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -151,7 +151,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     return dataset, report
 
 
-def usable(log: Recording) -> tuple[Recording, dict[str, int]]:
+def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
     """The longest part of a recording, with finite readings and stamps that go forward.
 
     Args:
