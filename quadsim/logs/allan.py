@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from ..runs.files import write_whole
 from ..vehicle import GRAVITY
 from .recording import Array, Recording
-from .resample import usable
+from .resample import longest_part
 
 BIAS_S, NOISE_S, WALK_S = 3.0, 10.0, 60.0
 """Shortest stretches at rest that give a bias, a white noise density and a bias random walk [s]."""
@@ -152,7 +152,7 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only:
     """
     if not 9.7 <= gravity <= 9.9:
         raise ValueError(f"gravity: {gravity} m/s², on Earth it is 9.76 to 9.84")
-    logs = [usable(log)[0] for log in logs]
+    logs = [longest_part(log)[0] for log in logs]
     stretches = [still_stretch(log) for log in logs]
     rates = [1.0 / float(np.median(np.diff(log.time))) for log in logs]
     if max(rates) > 1.02 * min(rates):

@@ -10,7 +10,7 @@ from .recording import TruthAxes
 LONGEST_GAP_S = 30.0
 """A longer gap ends a recording, and what follows is another part of it."""
 SLOW_HZ = 90.0
-"""Below this rate the samples lack motion of a vehicle, which is said."""
+"""Below this rate the samples lack motion of a vehicle, and a warning is given."""
 WEIGHTS = (7.0, 13.0)
 """Median length of the specific force in flight and in the hand [m/s²]: near that of gravity."""
 UPRIGHT = 0.2
@@ -57,7 +57,7 @@ class LogReport:
     duration_s: float
     source_rate_hz: float
     jitter_ms: float
-    """Standard deviation of the time between samples, gaps left out."""
+    """Standard deviation of the time between samples, gaps and lost samples left out."""
     stamps_back: int
     """Samples left out because their stamp is not after the one before."""
     gaps: int
@@ -93,7 +93,7 @@ class LogReport:
     """and the angle of that rotation [deg]."""
     tilt_deg: float | None
     """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
-    second is complete, or a truth of the body says better."""
+    second is complete, or a truth of the body shows it better."""
     tilt_sd_deg: float
     """Standard deviation of that mean's direction [deg]."""
     rest_s: float
@@ -204,12 +204,11 @@ class LogReport:
         if self.stamps_back:
             yield f"{self.stamps_back} samples do not follow the one before in time: left out"
         if self.gaps:
-            yield (
-                f"{self.gaps} gaps, {self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s: left "
-                "out of scores"
-            )
+            count = "1 gap" if self.gaps == 1 else f"{self.gaps} gaps"
+            longest = f"{self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s"
+            yield f"{count}, {longest}: left out of scores"
         if self.lost:
-            yield f"{self.lost} single samples are lost: interpolated"
+            yield f"{self.lost} single samples lost: interpolated"
         for axis, count in zip(AXES, self.stuck, strict=True):
             if count:
                 seconds = count / self.source_rate_hz

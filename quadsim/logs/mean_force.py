@@ -12,7 +12,7 @@ HOVER_RATE, HOVER_RMS = 0.15, 0.3
 HOVER_FORCE = 0.1
 """and share by which the mean specific force of that second may differ from gravity."""
 LEAST_HOVER_S = 3
-"""Seconds of hover that are used alone; with fewer the whole log is."""
+"""Fewest seconds of hover that are used alone; with fewer the complete log is used."""
 REST_SHARE = 0.03
 """Share of the specific force within which it stays at rest."""
 
@@ -70,14 +70,16 @@ def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
 
 
 def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
-    """The stretch at rest over which the gyroscope says that the vertical turned most.
+    """The stretch at rest over which the vertical turns most by the gyroscope.
 
-    At rest are seconds in which the specific force stays within a share of itself, from the first of the
-    stretch on. The turn is that of the mean rate across the force: a vehicle that turns so is not at rest.
+    At rest are seconds in which the specific force is gravity's to a tenth and stays within a share of
+    itself, from the first of the stretch on. The turn is that of the mean rate ω across the force: a vehicle
+    that turns so is not at rest. In a steady banked turn ω is at the angle of bank from the force, which is
+    below 25° where the force is below 1.1 g: an ω within 30° of the force counts as 0.
 
     Args:
         gyro: (T, 3) [rad/s], NaN where missing.
-        accel: Specific force (T, 3), in any unit, NaN where missing.
+        accel: Specific force (T, 3), [m/s²], NaN where missing.
         rate_hz: Samples per second.
 
     Returns:
@@ -88,14 +90,16 @@ def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
     means, rates = forces.mean(axis=1), rates.mean(axis=1)
     size = np.linalg.norm(means, axis=1)
     steady = np.isfinite(rates).all(axis=1) & (np.linalg.norm(forces.std(axis=1), axis=1) < REST_SHARE * size)
+    steady &= np.abs(size / GRAVITY - 1.0) < HOVER_FORCE
     most: Rest | None = None
     start = 0
     for k in range(len(means) + 1):
         ends = k == len(means) or not steady[k]
         if ends or np.linalg.norm(means[k] - means[start]) > REST_SHARE * size[start]:
             if k > start and steady[start]:
-                up = means[start] / size[start]
-                rate = float(np.linalg.norm(np.cross(up, rates[start:k].mean(axis=0))))
+                mean = rates[start:k].mean(axis=0)
+                across = float(np.linalg.norm(np.cross(means[start] / size[start], mean)))
+                rate = across if across > 0.5 * float(np.linalg.norm(mean)) else 0.0
                 if most is None or rate * (k - start) > most.rate * most.seconds:
                     most = Rest(k - start, rate)
             start = k + ends

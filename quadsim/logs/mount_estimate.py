@@ -89,7 +89,7 @@ def estimate_mount(log: Recording, given: Mount | None = None, from_level: bool 
 
     Args:
         log: A recording.
-        given: The mount that it was read with; the estimate is of the whole rotation.
+        given: The mount that it was read with; the estimate includes it.
         from_level: From the mean force, although there is a true attitude.
 
     Raises:

@@ -85,12 +85,13 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     Raises:
         ValueError: Too few samples, or a sample rate that cannot be brought to the new one.
     """
-    log, counted = usable(log)
+    log, counted = longest_part(log)
     time, readings = log.time, np.concatenate([log.gyro, log.accel], axis=1)
     steps = np.diff(time)
     period = float(np.median(steps))
     source_rate = 1.0 / period
     gap = steps > max(GAP * period, period + JITTER_S)
+    lost = _lost(steps / period) & ~gap
     stuck = _stuck(readings, max(round(STUCK_S / period), STUCK))
     grid = time[0] + np.arange(int((time[-1] - time[0]) * rate_hz * (1 + 1e-12) + 1e-6) + 1) / rate_hz
     even = np.full((grid.size, 6), np.nan)
@@ -117,11 +118,11 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         samples=time.size,
         duration_s=float(time[-1] - time[0]),
         source_rate_hz=source_rate,
-        jitter_ms=float(np.std(steps[~gap])) * 1e3,
+        jitter_ms=float(np.std(steps[~gap & ~lost])) * 1e3,
         gaps=int(gap.sum()),
         gap_s=float((steps[gap] - period).sum()),
         longest_gap_s=float(steps[gap].max(initial=0.0)),
-        lost=_lost(steps / period, gap),
+        lost=int(lost.sum()),
         truth_rate_hz=truth_rate,
         truth_share=float(np.isfinite(quat).all(axis=1).mean()),
         gravity=None if gravity is None else (float(gravity[0]), float(gravity[1]), float(gravity[2])),
@@ -150,7 +151,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     return dataset, report
 
 
-def usable(log: Recording) -> tuple[Recording, dict[str, int]]:
+def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
     """The longest part of a recording, with finite readings and stamps that go forward.
 
     Args:
@@ -211,14 +212,14 @@ def split(log: Recording) -> list[Recording]:
     return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]
 
 
-def _lost(steps: Array, gap: NDArray[np.bool_]) -> int:
-    """Single samples that are lost between others, by the steps of the stamps in periods.
+def _lost(steps: Array) -> NDArray[np.bool_]:
+    """Steps of the stamps, in periods, in which a sample is lost.
 
     A late stamp is followed by a short step and an early one comes after one; a lost sample has neither.
     """
     beside = np.convolve(steps, [1.0, 1.0], "valid")
     alone = np.minimum(np.append(beside, np.inf), np.insert(beside, 0, np.inf)) > LOST + 1.0
-    return int(((steps > LOST) & alone & ~gap).sum())
+    return (steps > LOST) & alone
 
 
 def _still(readings: Array) -> tuple[str, ...]:

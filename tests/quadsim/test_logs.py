@@ -616,6 +616,15 @@ def test_a_gyroscope_in_degrees_shows_at_rest_too(with_truth):
     assert not any("at rest" in fault for fault in biased.faults)  # a raw bias, and the right unit
 
 
+@pytest.mark.parametrize("bank_deg", [15.0, 24.0, 40.0])
+def test_a_steady_banked_turn_is_not_taken_for_rest(bank_deg):
+    time, bank = np.arange(4000) / 200, np.radians(bank_deg)
+    rate = np.tile([0.0, 2.0 * np.sin(bank), 2.0 * np.cos(bank)], (4000, 1))  # 2 rad/s about the vertical
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, rate.shape)
+    force = np.tile([0.0, 0.0, 9.81 / np.cos(bank)], (4000, 1)) + noise
+    assert resample(Recording("x", "test", time, rate + noise, force))[1].faults == []
+
+
 @pytest.mark.parametrize("unit", ["ms", "us", "ns"])
 def test_stamps_in_another_unit_are_named(unit):
     log = wrong("nothing")
