@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -15,9 +15,11 @@ from pages import ROOT, Page, load_page, row
 from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
 from simulated import options
 
-from estimators import run
+from estimators import create, run
+from estimators.evaluation.beliefs import Beliefs, beliefs
 from estimators.evaluation.comparison import made_of, silenced_twin
 from estimators.evaluation.logs import KNOWN, RAW, LogScores, draw_log
+from estimators.filters.imm import MODELS
 from estimators.metrics import inclination_error
 from quadsim.dataset.export import export
 from quadsim.dataset.figures import STYLE
@@ -41,7 +43,7 @@ SHOWN = {
     PHANTOM4: ("horizontal_02", (5.0, 25.0)),
 }
 """Recording that is drawn, and the part of it [s]."""
-FILTERS = ("vqf", "eskf", "mahony")
+FILTERS = ("imm", "vqf", "eskf", "mahony")
 NETS = ("att-snn", "att-rnn")
 FLIGHTS = 4
 SIMULATED = (("hummingbird", "hummingbird", 3), ("windy", "hummingbird", 43))
@@ -95,6 +97,31 @@ def recorded_rows(scores: LogScores) -> list[str]:
         )
         for name in scores.estimators
     ]
+
+
+def believed_rows(scores: Mapping[str, LogScores], data: Path) -> list[str]:
+    """What imm believes on real recordings and on simulated flights, and how honest its interval is."""
+    lines = []
+    for name, its in scores.items():
+        found = [
+            (each, its.truth[log][None], its.counted[log][None]) for (log, _), each in its.beliefs.items()
+        ]
+        lines.append(believed_row(f"{name}, real", found))
+    for recipe, vehicle, seed in (*SIMULATED, *ROUGH):
+        flown = open_dataset(flights(data, recipe, vehicle, seed)[0])
+        gyro, accel, quat = (flown[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
+        its = beliefs(create("imm", RATE), gyro, accel)
+        assert its is not None
+        counted = np.broadcast_to(np.arange(gyro.shape[1]) >= 3 * RATE, gyro.shape[:2])
+        lines.append(believed_row(f"{recipe}, {vehicle}", [(its, roll_pitch_from_quat(quat), counted)]))
+    return lines
+
+
+def believed_row(name: str, found: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]]) -> str:
+    """Mean shares of the models and mean coverage of recordings: beliefs, truth, what counts."""
+    shares = np.mean([list(each.share().values()) for each, _, _ in found], axis=0)
+    inside = np.mean([each.coverage(truth, counted) for each, truth, counted in found])
+    return row(name, *(f"{100 * share:.0f} %" for share in shares), f"{100 * inside:.0f} %")
 
 
 def number(value: float) -> str:
@@ -181,6 +208,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "phantom4": recorded_rows(scores[PHANTOM4]),
             "phantom4_count": str(len(sets[PHANTOM4])),
             "phantom4_s": seconds(sets[PHANTOM4]),
+            "models": " | ".join(MODELS),
+            "believed": believed_rows(scores, given.data),
             "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
             "calibration": calibration_rows(page),
             "simulated": simulated_rows(given.data),
