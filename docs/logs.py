@@ -104,6 +104,31 @@ def recorded_rows(scores: LogScores) -> list[str]:
     ]
 
 
+def believed_rows(scores: Mapping[str, LogScores], data: Path) -> list[str]:
+    """What imm believes on real recordings and on simulated flights, and how honest its interval is."""
+    lines = []
+    for name, its in scores.items():
+        found = [
+            (each, its.truth[log][None], its.counted[log][None]) for (log, _), each in its.beliefs.items()
+        ]
+        lines.append(believed_row(f"{name}, real", found))
+    for recipe, vehicle, seed in (*SIMULATED, *ROUGH):
+        flown = open_dataset(flights(data, recipe, vehicle, seed)[0])
+        gyro, accel, quat = (flown[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
+        its = beliefs(create("imm", RATE), gyro, accel)
+        assert its is not None
+        counted = np.broadcast_to(np.arange(gyro.shape[1]) >= SETTLED_S * RATE, gyro.shape[:2])
+        lines.append(believed_row(f"{recipe}, {vehicle}", [(its, roll_pitch_from_quat(quat), counted)]))
+    return lines
+
+
+def believed_row(name: str, found: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]]) -> str:
+    """Mean shares of the models and mean coverage of recordings: beliefs, truth, what counts."""
+    shares = np.mean([list(each.share().values()) for each, _, _ in found], axis=0)
+    inside = np.mean([each.coverage(truth, counted) for each, truth, counted in found])
+    return row(name, *(f"{100 * share:.0f} %" for share in shares), f"{100 * inside:.0f} %")
+
+
 def number(value: float) -> str:
     """A number of a table, or a dash where there is none."""
     return "–" if np.isnan(value) else f"{value:.2f}"
@@ -146,37 +171,6 @@ def simulated_rows(data: Path) -> list[str]:
     cells = [f"{np.mean([rmse(twin, path, bias) for path, _ in paths]):.2f}" for paths, bias in sets]
     rotorpy = foreign_error(lambda _: twin, data, measure=settled)
     return [*lines, row("*networks, silenced*", *cells, f"{rotorpy:.2f}")]
-
-
-def model_rows(sets: Mapping[str, LogScores], data: Path) -> list[str]:
-    """What imm believed, in share of the time, and the share of the truth within 1.96 standard deviations."""
-    rows = []
-    for name, scores in sets.items():
-        runs = [
-            (found, scores.truth[log][None], scores.counted[log][None])
-            for (log, _), found in scores.beliefs.items()
-        ]
-        rows.append(model_row(name, runs))
-    for label, chosen in (("Hummingbird and in wind", SIMULATED), ("rough IMU, three airframes", ROUGH)):
-        rows.append(model_row(label, [simulated_run(flights(data, *each)[0]) for each in chosen]))
-    return rows
-
-
-def simulated_run(path: Path) -> tuple[Beliefs, Array, NDArray[np.bool_]]:
-    """On the flights of a dataset what imm believed, what was true, and the samples that count."""
-    data = open_dataset(path)
-    gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    found = beliefs(create("imm", RATE), gyro, accel)
-    assert found is not None
-    counted = np.broadcast_to(np.arange(gyro.shape[1]) >= SETTLED_S * RATE, gyro.shape[:2])
-    return found, roll_pitch_from_quat(quat), counted
-
-
-def model_row(label: str, runs: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]]) -> str:
-    """Mean shares of the models and mean coverage over recordings or sets of flights."""
-    shares = np.mean([list(found.share().values()) for found, *_ in runs], axis=0)
-    covered = np.mean([found.coverage(*rest) for found, *rest in runs])
-    return row(label, *(f"{100 * share:.0f}" for share in shares), f"{100 * covered:.0f}")
 
 
 def flights(data: Path, recipe: str, vehicle: str, seed: int) -> tuple[Path, str]:
@@ -227,11 +221,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "phantom4": recorded_rows(scores[PHANTOM4]),
             "phantom4_count": str(len(sets[PHANTOM4])),
             "phantom4_s": seconds(sets[PHANTOM4]),
+            "models": " | ".join(MODELS),
+            "believed": believed_rows(scores, given.data),
             "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
             "calibration": calibration_rows(page),
             "simulated": simulated_rows(given.data),
-            "models": model_rows(scores, given.data),
-            "model_names": row("recordings or flights", *MODELS, "within 1.96 σ [%]"),
             "simulated_count": str(FLIGHTS),
             "rotorpy": DESCRIPTION,
             "agreement": f"{AGREEMENT:g}",

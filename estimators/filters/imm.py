@@ -361,9 +361,11 @@ def student(square, determinant):
 @njit
 def velocity_density(m, sigma):
     """Logarithm of the density of the horizontal velocity, of standard deviation sigma [m/s]."""
-    x = sigma * sigma + m.covariance[VELOCITY, VELOCITY]
-    y = sigma * sigma + m.covariance[VELOCITY + 1, VELOCITY + 1]
-    return student(m.velocity[0] ** 2 / x + m.velocity[1] ** 2 / y, x * y)
+    P, vx, vy = m.covariance, m.velocity[0], m.velocity[1]
+    xx, yy = sigma * sigma + P[VELOCITY, VELOCITY], sigma * sigma + P[VELOCITY + 1, VELOCITY + 1]
+    xy = P[VELOCITY, VELOCITY + 1]
+    determinant = xx * yy - xy * xy
+    return student((yy * vx * vx - 2.0 * xy * vx * vy + xx * vy * vy) / determinant, determinant)
 
 
 @njit
