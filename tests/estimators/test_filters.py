@@ -54,7 +54,7 @@ def settled(name):
         "madgwick": {"beta": 0.05},
         "ekf": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "eskf": {"gyro_noise": 0.05, "accel_noise": 0.05, "bias_sigma": 0.01},
-        "imm": {"accel_bias_sigma": 0.002, "accel_bias_noise": 0.0},
+        "imm": {"gyro_noise": 1e-3, "accel_bias_sigma": 2e-3, "accel_bias_noise": 0.0, "bias_noise": 3e-4},
         "ekf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "ukf-filterpy": {"gyro_noise": 0.05, "accel_noise": 0.05},
         "vqf": VQF_DEFAULTS,
