@@ -6,16 +6,16 @@ from pathlib import Path
 
 import xarray as xr
 
-from .broad import read_broad
-from .euroc import euroc_folder, euroc_sequences, read_euroc
 from .log_report import LogReport
 from .mounting import Mount, mounted
+from .readers.broad import read_broad
+from .readers.euroc import euroc_folder, euroc_sequences, read_euroc
+from .readers.rosbag import read_rosbag
+from .readers.table import read_table
+from .readers.ulog import read_ulog
+from .readers.usdlog import is_usdlog, read_usdlog
 from .recording import Recording
 from .resample import resample, split
-from .rosbag import read_rosbag
-from .table import read_table
-from .ulog import read_ulog
-from .usdlog import is_usdlog, read_usdlog
 
 __all__ = [
     "LogReport",

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from quadsim.dataset.reading import open_dataset
 from quadsim.logs import read_log, read_log_and_report, read_recording
 from quadsim.logs.convert import convert
+from quadsim.logs.readers.usdlog import read_usdlog
 from quadsim.logs.resample import resample
-from quadsim.logs.usdlog import read_usdlog
 
 IMU = ("acc.x", "acc.y", "acc.z", "gyro.x", "gyro.y", "gyro.z")
 QUAT = tuple(f"stateEstimate.{name}" for name in ("qw", "qx", "qy", "qz"))

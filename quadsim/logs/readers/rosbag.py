@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ..recording import Recording
 from .needs import needed
-from .recording import Recording
 
 IMU = "sensor_msgs/msg/Imu"
 POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {

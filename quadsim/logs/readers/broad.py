@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..recording import Array, Recording
 from .needs import needed
-from .recording import Array, Recording
 
 RATE_HZ = 2000.0 / 7.0
 """Sample rate of the benchmark, where a file does not say."""

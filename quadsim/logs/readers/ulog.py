@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..recording import Array, Recording, Track, from_frd, table
 from .needs import needed
-from .recording import Array, Recording, Track, from_frd, table
 
 OWN = "vehicle_attitude"
 """The autopilot's estimate: it is of the axes in which the IMU is logged."""

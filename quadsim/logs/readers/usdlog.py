@@ -13,7 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
-from .recording import Array, Recording, Track, TruthAxes
+from ..recording import Array, Recording, Track, TruthAxes
 
 MAGIC = 0xBC
 STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}

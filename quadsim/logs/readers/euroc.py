@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..rotation import quat_conjugate, quat_from_matrix, quat_multiply
-from .recording import Array, Recording
+from ...rotation import quat_conjugate, quat_from_matrix, quat_multiply
+from ..recording import Array, Recording
 
 TRUTHS = {
     "state_groundtruth_estimate0": "the dataset's ground truth",

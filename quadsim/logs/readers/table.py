@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import model_validator
 
-from ..config.ranges import Between, SampleRate
-from ..config.toml import Strict, load_toml, nearest
-from ..rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
-from .mounting import mount_matrix, mounted
-from .recording import Array, AxesConvention, Recording, Track, TruthAxes, from_frd
+from ...config.ranges import Between, SampleRate
+from ...config.toml import Strict, load_toml, nearest
+from ...rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
+from ..mounting import mount_matrix, mounted
+from ..recording import Array, AxesConvention, Recording, Track, TruthAxes, from_frd
 
 Column = str | Annotated[int, Between(0, 9999)]
 """A name in the header, or a number counted from 0."""
