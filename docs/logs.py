@@ -20,7 +20,7 @@ from estimators import create, run
 from estimators.evaluation.beliefs import Beliefs, beliefs
 from estimators.evaluation.comparison import made_of, silenced_twin
 from estimators.evaluation.logs import KNOWN, RAW, LogScores, draw_log
-from estimators.filters.imm import MODELS
+from estimators.filters.imm_model import MODELS
 from estimators.metrics import Summary, inclination_rmse
 from quadsim.dataset.export import export
 from quadsim.dataset.figures import STYLE

@@ -1,26 +1,34 @@
 """Interacting multiple models: one filter for an airframe that nobody has described.
 
 Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
-coefficients", IEEE Trans. Autom. Control 33(8), 1988. Five hypotheses of what carries the IMU, each an
-error-state filter with the state and the covariance of `ekf_drag`:
+coefficients", IEEE Trans. Autom. Control 33(8), 1988. Five hypotheses of what carries the IMU, each a Kalman
+filter (`imm_model`) with probability μ:
 
-    drag-low, drag-high   a multirotor: the force across thrust is drag, a_xy = −D (Rᵀ (v − w))_xy, with two
-                          values of its coefficient k, D = k √(a_z / g) + f |v − w|
-    free                  a vehicle of which only the speed is limited: v = 0, standard deviation of metres a
-                          second; the force across body z tells nothing
-    hand                  the same, slow: v = 0 within decimetres a second
+    drag-low, drag-high   a multirotor: the force across thrust is drag, of two coefficients k; v = 0 within
+                          metres a second
+    free                  anything that moves within metres a second
+    hand                  anything slower, within a metre a second
     rest                  v = 0 and a rate of zero, so that the gyroscope reads its bias
 
-Every model predicts the force across body z. For a multirotor it is drag. For the others it is gravity and
-acceleration: Rᵀ(0, 0, g)_xy, its variance the mean square of the horizontal acceleration. The likelihood of a
-model is the density of that force, times that of its velocity, and of the rate where it predicts one. Errors
-of a wrong model are not white, so the logarithm counts as one measurement per `evidence_time`, and its tails
-are those of Student's t. The model changes at random, on average once per `sojourn_time`:
+The likelihood Λ of a model is the product of
 
-    c_j = (1 − m ε) μ_j + ε,    μ_j ← c_j Λ_j / Σ c Λ,    ε = dt / (m sojourn_time)
+- the density of a force that should be small: for a multirotor the force across thrust, for the others the
+  horizontal force in the world, by the model's attitude. Each has its own mean square over some seconds as
+  its variance, so that the smaller of both wins. Such forces are not white: their logarithm counts once per
+  `evidence_time`;
+- the density of the velocity, once per `speed_time`;
+- of the two multirotors against each other, the density of the force given its prediction;
+- of rest, a constant: the detector of `ekf_drag` says whether it is.
 
-Mixing is then a step of each model towards the combination of all by the share ε / c_j: none for the model
-that is believed, and the whole way for one that is not, which therefore is ready to take over.
+All densities are of Student's t. The model changes at random, with the same rate to every other one, on
+average once per `sojourn_time`; but a vehicle's drag does not change, so that neither multirotor becomes the
+other:
+
+    ε_j = dt / (5 sojourn_time) Σ_i μ_i (over the models i that can become j),    μ_j ← (μ_j + ε_j) Λ_j / Σ
+
+Mixing then moves model j towards the combination of all by the share ε_j / (μ_j + ε_j): none for a model that
+is believed, and the whole way for one that is not, which therefore is ready to take over. The two multirotors
+stay apart, so that they can be compared.
 
 Heading cannot be observed: all models are turned about the vertical to the heading of the likeliest. Readings
 are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
@@ -32,56 +40,35 @@ import math
 
 import numpy as np
 
-from quadsim.rotation import euler_from_quat, from_rotvec_core, matrix_core, multiply_core, rotate_core
+from quadsim.rotation import euler_from_quat, multiply_core, rotate_core
 from quadsim.runs.compiled import njit
-from quadsim.vehicle import GRAVITY
 
 from .algorithm import Algorithm, Array, Filter, Parameter, Records
 from .ekf import SIGMA_KNOWN
-from .ekf_drag import (
-    GAP_SPEED,
-    INNOVATION_MAX,
-    adapt_vibration,
-    adapt_wind,
-    at_rest,
-    diverged,
-    gust_noise,
-    mean_square,
-)
+from .ekf_drag import at_rest, diverged, mean_square
 from .eskf import tilt_core, turned
+from .imm_model import (
+    ACCEL_BIAS,
+    COUNT,
+    DRAG_HIGH,
+    DRAG_LOW,
+    ERRORS,
+    FREE,
+    GYRO_BIAS,
+    LEVER,
+    MODEL,
+    MODELS,
+    OFFSET,
+    REST,
+    TILT,
+    VELOCITY,
+    WIND,
+    across_thrust,
+    correct_model,
+    predict,
+)
 from .inline_math import atan2_core, exp_core, roll_pitch_core
 from .samples import parameter_record, sanitise_sample, square_of_error
-
-MODELS = ("drag-low", "drag-high", "free", "hand", "rest")
-DRAG_LOW, DRAG_HIGH, FREE, HAND, REST = range(len(MODELS))
-COUNT = len(MODELS)
-
-ERRORS = 14
-TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS, OFFSET, LEVER = 0, 2, 4, 6, 9, 11, 13
-"""Where the parts of the error state begin: horizontal axes, three of the gyroscope's bias, one lever arm."""
-
-MODEL = np.dtype(
-    [
-        ("quat", "f8", 4),
-        ("velocity", "f8", 3),
-        ("wind", "f8", 2),
-        ("gyro_bias", "f8", 3),
-        ("accel_bias", "f8", 2),
-        ("offset", "f8", 2),  # of the direction of thrust from body z [rad]
-        ("lever", "f8"),  # height of the IMU over the centre of mass [m]
-        ("covariance", "f8", (ERRORS, ERRORS)),
-        ("tilt", "f8", 2),  # from the combined attitude, world axes [rad]
-        ("accel_square", "f8"),  # mean square of the horizontal acceleration, per axis [m²/s⁴]
-        ("time", "f8"),  # since the start [s]
-        ("innovation", "f8", 2),  # of the drag measurement at the last update, world axes [m/s²]
-        ("innovation_mean", "f8", 2),  # low-passed [m/s²]
-        ("vibration", "f8"),  # variance of the white part of it [m²/s⁴]
-        ("wind_noise", "f8"),  # process noise of the wind [m²/s³]
-        ("airspeed_sum", "f8", 2),  # recent corrections of v - w [m/s]
-        ("airspeed_due", "f8"),  # variance that they removed [m²/s²]
-    ]
-)
-"""State of one model."""
 
 STATE = np.dtype(
     [
@@ -174,7 +161,7 @@ PARAMETERS = {
     # against hand, and of the two drags; mean time until the model changes [s].
     "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
-    "evidence_time": Parameter(0.2, 0.05, 10.0, minimum=1e-3),
+    "evidence_time": Parameter(0.5, 0.05, 10.0, minimum=1e-3),
     "drag_evidence_time": Parameter(0.05, 0.02, 10.0, minimum=1e-3),
     "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
 }
@@ -183,133 +170,10 @@ PARAMETERS = {
 PARAMS = parameter_record(PARAMETERS)
 MODEL_HZ = 50.0
 """Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
-FREEDOM = 4.0
-"""Degrees of freedom of Student's t."""
 REST_EVIDENCE = 5.0
 """Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
 ODDS_LEAST = 1e-3
 """Least share of each drag model in both."""
-
-
-@njit
-def transition(P, matrix, v, w, dt):
-    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
-    r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
-    vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
-    for j in range(ERRORS):
-        x, y = P[TILT, j], P[TILT + 1, j]
-        b0, b1, b2 = P[GYRO_BIAS, j], P[GYRO_BIAS + 1, j], P[GYRO_BIAS + 2, j]
-        c0, c1 = P[ACCEL_BIAS, j], P[ACCEL_BIAS + 1, j]
-        bx = r00 * b0 + r01 * b1 + r02 * b2  # R̂ δb
-        by = r10 * b0 + r11 * b1 + r12 * b2
-        bz = r20 * b0 + r21 * b1 + r22 * b2
-        P[TILT, j] = x - dt * bx
-        P[TILT + 1, j] = y - dt * by
-        P[VELOCITY, j] += dt * (GRAVITY * y - r00 * c0 - r01 * c1 - (vy * bz - vz * by))
-        P[VELOCITY + 1, j] += dt * (-GRAVITY * x - r10 * c0 - r11 * c1 - (vz * bx - vx * bz))
-        P[WIND, j] -= dt * wy * bz
-        P[WIND + 1, j] += dt * wx * bz
-
-
-@njit
-def propagate(P, T, matrix, v, w, dt, walks):
-    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; T is scratch."""
-    transition(P, matrix, v, w, dt)
-    for i in range(ERRORS):
-        for j in range(ERRORS):
-            T[i, j] = P[j, i]
-    transition(T, matrix, v, w, dt)
-    for i in range(ERRORS):
-        for j in range(ERRORS):
-            P[i, j] = T[i, j]
-        P[i, i] += walks[i]
-
-
-@njit
-def correct(P, dx, column, total, residual):
-    """One scalar measurement with row h: adds to the error dx, reduces P.
-
-    Args:
-        P: Covariance.
-        dx: Error estimated so far.
-        column: P hᵀ.
-        total: h P hᵀ and the measurement's variance.
-        residual: Measured less expected, less h dx.
-    """
-    for a in range(ERRORS):
-        gain = column[a] / total
-        dx[a] += gain * residual
-        for b in range(ERRORS):
-            P[a, b] -= gain * column[b]
-
-
-@njit
-def correct_by_drag(m, force, arm, drag, variance, matrix, work):
-    """Correct by the specific force across thrust, one axis after the other.
-
-    Args:
-        m: The model's record.
-        force: Mean specific force in body axes (3,) [m/s²].
-        arm: What one metre of lever arm adds to it (2,) [1/s²].
-        drag: D [1/s].
-        variance: Of the measurement, each axis [m²/s⁴].
-        matrix: R̂ by rows.
-        work: Of `room`; adds to the error dx, writes the innovation in body axes before the correction
-            (2,) [m/s²].
-
-    Returns:
-        Of the innovation of both axes, given its covariance S: νᵀ S⁻¹ ν, and det S [m⁴/s⁸].
-    """
-    _, dx, column, _, innovation = work
-    P, v, w = m.covariance, m.velocity, m.wind
-    square, determinant = 0.0, 1.0
-    for k in range(2):
-        x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
-        bias, offset, thrust = ACCEL_BIAS + k, OFFSET + k, GRAVITY
-        expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + m.accel_bias[k] + thrust * m.offset[k]
-        expected += arm[k] * m.lever
-        innovation[k] = min(max(force[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
-        known = x * (dx[VELOCITY] - dx[WIND]) + y * (dx[VELOCITY + 1] - dx[WIND + 1])
-        known += dx[bias] + thrust * dx[offset] + arm[k] * dx[LEVER]
-        for a in range(ERRORS):
-            column[a] = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
-            column[a] += P[bias, a] + thrust * P[offset, a] + arm[k] * P[LEVER, a]
-        total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
-        total += column[bias] + thrust * column[offset] + arm[k] * column[LEVER] + variance
-        residual = innovation[k] - known
-        correct(P, dx, column, total, residual)
-        square, determinant = square + residual * residual / total, determinant * total
-    return square, determinant
-
-
-@njit
-def correct_by_zero_velocity(P, dx, column, v, variance):
-    """Correct by the measurement v = 0, one horizontal axis after the other; column is scratch."""
-    for k in range(2):
-        x, y = (0.0, v[2]) if k == 0 else (-v[2], 0.0)  # of θ × v̂
-        for a in range(ERRORS):
-            column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
-        total = x * column[TILT] + y * column[TILT + 1] + column[VELOCITY + k] + variance
-        known = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
-        correct(P, dx, column, total, -v[k] - known)
-
-
-@njit
-def correct_by_zero_rate(P, dx, column, rate, bias, variance):
-    """Correct by the gyroscope of a vehicle at rest, which reads its bias; column is scratch."""
-    for k in range(3):
-        for a in range(ERRORS):
-            column[a] = P[GYRO_BIAS + k, a]
-        residual = rate[k] - bias[k] - dx[GYRO_BIAS + k]
-        correct(P, dx, column, column[GYRO_BIAS + k] + variance, residual)
-
-
-@njit
-def airspeed_variance(P):
-    """Variance of the horizontal airspeed v − w, both axes summed [m²/s²]."""
-    x = P[VELOCITY, VELOCITY] + P[WIND, WIND] - 2.0 * P[VELOCITY, WIND]
-    y = P[VELOCITY + 1, VELOCITY + 1] + P[WIND + 1, WIND + 1] - 2.0 * P[VELOCITY + 1, WIND + 1]
-    return x + y
 
 
 @njit
@@ -350,144 +214,6 @@ def rotation_vector(turn):
     length = math.sqrt(turn[1] ** 2 + turn[2] ** 2 + turn[3] ** 2)
     scale = 2.0 if length < 1e-9 else 2.0 * atan2_core(length, turn[0]) / length
     return scale * turn[1], scale * turn[2], scale * turn[3]
-
-
-@njit
-def student(square, determinant):
-    """Logarithm of the density of two variables, Student's t, less a constant; see `correct_by_drag`."""
-    return -0.5 * (FREEDOM + 2.0) * math.log(1.0 + square / FREEDOM) - 0.5 * math.log(determinant)
-
-
-@njit
-def velocity_density(m, sigma):
-    """Logarithm of the density of the horizontal velocity, of standard deviation sigma [m/s]."""
-    P, vx, vy = m.covariance, m.velocity[0], m.velocity[1]
-    xx, yy = sigma * sigma + P[VELOCITY, VELOCITY], sigma * sigma + P[VELOCITY + 1, VELOCITY + 1]
-    xy = P[VELOCITY, VELOCITY + 1]
-    determinant = xx * yy - xy * xy
-    return student((yy * vx * vx - 2.0 * xy * vx * vy + xx * vy * vy) / determinant, determinant)
-
-
-@njit
-def across_thrust(s, force, arm):
-    """Force (3,) across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
-    x = force[0] - s.accel_bias[0] - GRAVITY * s.offset[0] - arm[0] * s.lever
-    return x, force[1] - s.accel_bias[1] - GRAVITY * s.offset[1] - arm[1] * s.lever
-
-
-@njit
-def force_density(x, y, mean_square, least):
-    """Logarithm of the density of a force across an axis, of that mean square for each of x and y [m/s²]."""
-    variance = mean_square + least * least
-    return student((x * x + y * y) / variance, variance * variance)
-
-
-@njit
-def predict(m, s, p, vector, accel, known, work):
-    """Propagate one model over the interval; R̂ by rows.
-
-    Args:
-        m: The model's record.
-        s: The filter's record.
-        p: Its parameters.
-        vector: Rotation vector that the gyroscope measured [rad].
-        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
-        known: Whether there is one.
-        work: Of `room`.
-    """
-    T, _, _, walks, _ = work
-    m.time = s.time
-    dt, v, b, c = s.interval, m.velocity, m.gyro_bias, m.accel_bias
-    turn = from_rotvec_core(vector[0] - b[0] * dt, vector[1] - b[1] * dt, vector[2] - b[2] * dt)
-    qw, qx, qy, qz = m.quat
-    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, turn[0], turn[1], turn[2], turn[3])
-    m.quat[0], m.quat[1], m.quat[2], m.quat[3] = qw, qx, qy, qz
-    matrix = matrix_core(qw, qx, qy, qz)
-    rate_square = (vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2) / dt
-    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + p.turn_noise**2 * rate_square + s.unseen
-    walks[VELOCITY:WIND] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
-    noise = max(m.vibration, p.drag_noise**2 / dt)
-    walks[WIND:GYRO_BIAS] = max(m.wind_noise, gust_noise(m, p, noise, dt, p.drag_low)) * dt
-    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
-    walks[ACCEL_BIAS:OFFSET] = p.accel_bias_noise**2 * dt
-    walks[OFFSET:LEVER] = p.offset_noise**2 * dt
-    walks[LEVER] = 0.0
-    propagate(m.covariance, T, matrix, v, m.wind, dt, walks)
-    if known:
-        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2])
-        v[0], v[1] = v[0] + fx * dt, v[1] + fy * dt
-        v[2] += (fz - GRAVITY - v[2] / p.climb_time) * dt
-        square = 0.5 * (fx * fx + fy * fy)
-        m.accel_square = mean_square(m.accel_square, square, dt, s.time, p.square_memory)
-    return matrix
-
-
-@njit
-def correct_model(m, k, s, p, rate, accel, body, arm, matrix, work):
-    """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
-
-    Args:
-        m: The model's record.
-        k: Which one it is.
-        s: The filter's record.
-        p: Its parameters.
-        rate: Mean rate (3,) [rad/s].
-        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
-        body: Its mean in body axes, which turn (3,) [m/s²].
-        arm: What one metre of lever arm adds to that (2,) [1/s²].
-        matrix: R̂ by rows.
-        work: Of `room`.
-    """
-    _, dx, column, _, innovation = work
-    P, v, w, dt = m.covariance, m.velocity, m.wind, s.interval
-    dx[:] = 0.0
-    speed = p.rest_speed if k == REST else (p.hand_speed if k == HAND else p.flight_speed)
-    density = velocity_density(m, speed) * dt / p.speed_time
-    weight = min(dt / p.evidence_time, 1.0)
-    if k <= DRAG_HIGH:
-        airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
-        coefficient = p.drag_low if k == DRAG_LOW else p.drag_high
-        drag = coefficient * math.sqrt(max(body[2], 0.0) / GRAVITY) + p.frame_drag * airspeed
-        variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
-        before = airspeed_variance(P)
-        square, determinant = correct_by_drag(m, body, arm, drag, variance, matrix, work)
-        qw, qx, qy, qz = m.quat
-        x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
-        adapt_vibration(m, p, dt, x, y)
-        if m.time > p.wind_window:  # the first corrections are those of the initial state
-            moved = dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]
-            adapt_wind(m, p, dt, moved, before - airspeed_variance(P))
-        s.likelihood[k] = student(square, determinant) * min(dt / p.drag_evidence_time, 1.0)
-        x, y = across_thrust(s, body, arm)
-        density += weight * force_density(x, y, s.body_square, p.least_accel)
-    else:
-        x = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
-        y = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
-        density += weight * force_density(x, y, m.accel_square, p.least_accel)
-    correct_by_zero_velocity(P, dx, column, v, speed * speed * p.speed_time / dt)
-    if k == REST:
-        correct_by_zero_rate(P, dx, column, rate, m.gyro_bias, p.rest_noise**2 / dt)
-    apply_error(m, dx)
-    return density
-
-
-@njit
-def apply_error(m, dx):
-    """Correct a model's state by the error that was estimated."""
-    qw, qx, qy, qz = m.quat
-    m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
-    rw, rx, ry, rz = exp_core(dx[TILT], dx[TILT + 1], 0.0)
-    v, w, b, c = m.velocity, m.wind, m.gyro_bias, m.accel_bias
-    v[0], v[1], v[2] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
-    w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
-    for k in range(3):
-        b[k] += dx[GYRO_BIAS + k]
-    for k in range(2):
-        v[k] += dx[VELOCITY + k]
-        w[k] += dx[WIND + k]
-        c[k] += dx[ACCEL_BIAS + k]
-        m.offset[k] += dx[OFFSET + k]
-    m.lever += dx[LEVER]
 
 
 @njit

@@ -6,16 +6,8 @@ from scipy.stats import multivariate_t
 
 from estimators import create, run
 from estimators.evaluation.beliefs import beliefs
-from estimators.filters.imm import (
-    ERRORS,
-    FREEDOM,
-    MODELS,
-    VELOCITY,
-    WIND,
-    InteractingModels,
-    student,
-    transition,
-)
+from estimators.filters.imm import InteractingModels
+from estimators.filters.imm_model import ERRORS, FREEDOM, MODELS, VELOCITY, WIND, student, transition
 from estimators.metrics import inclination_error
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
