@@ -96,7 +96,12 @@ class Page:
     @property
     def made(self) -> list[Path]:
         """The files that there are of it."""
-        return self._found(self.entry.makes)
+        return [path for pattern in self.entry.makes for path in sorted(self.root.glob(pattern))]
+
+    @property
+    def missing(self) -> list[str]:
+        """Patterns of which no file has been made yet."""
+        return [pattern for pattern in self.entry.makes if not any(self.root.glob(pattern))]
 
     def write(self, parts: Mapping[str, str | Sequence[str]]) -> Path:
         """Fill the page's template, stamp it, and note its inputs; the page's path.
@@ -228,8 +233,8 @@ def problems(pages: Mapping[str, Page]) -> Iterator[tuple[Page, str]]:
     """Pages that are out of date, each with a line that says what and why."""
     for page in pages.values():
         stale = [path for path in page.stale() if not page.excused(path)]
-        if stale:
-            names = _listed([path.relative_to(page.root).as_posix() for path in stale])
+        if stale or page.missing:
+            names = _listed([*page.missing, *(path.relative_to(page.root).as_posix() for path in stale)])
             never = page.name not in read_lock(page.root)
             why = "never stamped" if never else _listed(page.changed()) or "no stamp of these inputs"
             yield page, f"{names}: out of date ({why}); {page.entry.command}"
