@@ -7,6 +7,7 @@ in that record, and `LANES` where so many parameter sets take a sample together.
 
 import math
 from collections.abc import Iterable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -67,9 +68,15 @@ def parameter_record(names: Iterable[str]) -> np.dtype:
     return np.dtype([(name, "f8") for name in names])
 
 
+@cache
+def record_of(own: np.dtype) -> np.dtype:
+    """The whole record, one object for each filter: Numba compares others field by field in every call."""
+    return np.dtype([*own.descr, *SAMPLES.descr])
+
+
 def initial_states(rows: int, own: np.dtype | None = None) -> NDArray[np.void]:
     """States before the first sample, (rows,), the filter's own fields zero."""
-    states = np.zeros(rows, SAMPLES if own is None else np.dtype([*own.descr, *SAMPLES.descr]))
+    states = np.zeros(rows, SAMPLES if own is None else record_of(own))
     states["age"] = np.inf
     return states
 
