@@ -42,6 +42,7 @@ import numpy as np
 
 from quadsim.rotation import euler_from_quat, multiply_core, rotate_core
 from quadsim.runs.compiled import njit
+from quadsim.vehicle import GRAVITY
 
 from .algorithm import Algorithm, Array, Filter, Parameter, Records
 from .ekf import SIGMA_KNOWN
@@ -418,12 +419,22 @@ def begin(s, p, known):
 
 
 @njit
+def inverted(s, p):
+    """Whether the vertical velocity shows that the estimate is upside down, as it may be after a gap.
+
+    With the memory τ = `climb_time`, that of a vehicle in free fall tends to −g τ, and that of an estimate
+    which takes thrust for a pull towards the ground to −2 g τ.
+    """
+    return s.velocity[2] < -GRAVITY * p.climb_time
+
+
+@njit
 def step(s, own, p, sample, work, evidence):
     """Take a sample; a filter that has diverged starts again. own: the record's own numbers."""
     accumulate(s, sample)
     if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
         update_models(s, p, work, evidence)
-        if diverged(s):
+        if diverged(s) or inverted(s, p):
             own[:] = 0.0
             s.quat[0] = 1.0
             begin(s, p, False)

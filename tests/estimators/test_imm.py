@@ -235,6 +235,24 @@ def test_a_sensor_that_is_missing_for_two_seconds_does_no_lasting_harm(flight, s
     assert rmse(imm(), readings[0], readings[1], flight[2], after=25.0) < 3.0
 
 
+def test_an_estimate_that_is_upside_down_is_given_up_within_seconds(flight):
+    gyro, accel, truth = flight
+    out = run(imm(), gyro, accel, roll_pitch=truth[:, 0] + [np.pi, 0.0])
+    error = inclination_error(out, truth)
+    assert (error[:, round(0.2 * RATE)] > 90.0).all()
+    assert error[:, round(5.0 * RATE) : round(8.0 * RATE)].max() < 20.0
+
+
+def test_free_fall_is_not_taken_for_it():
+    gyro, accel = np.zeros((1, 2000, 3)), np.tile([0.0, 0.0, 0.02], (1, 2000, 1))
+    accel[:, :400, 2] = GRAVITY
+    est = imm()
+    est.reset(1, roll_pitch=[[0.3, 0.0]])
+    out = est.sequence(gyro, accel)
+    assert est._states["time"][0] == pytest.approx(10.0)  # a start anew sets it to zero
+    assert np.isfinite(out).all()
+
+
 def test_covariance_stays_symmetric_and_positive_on_noise():
     rng = np.random.default_rng(0)
     est = imm()
