@@ -36,7 +36,7 @@ def scored():
     logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
     scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
     scores.beliefs["calm & <quiet>", "imm"] = Beliefs(
-        ("drag", "hand"), np.array([0]), np.zeros((1, 1, 2)), np.ones((1, 1, 2)), np.array([[[0.25, 0.75]]])
+        ("drag", "hand"), np.array([1000]), np.zeros((1, 1, 2)), np.ones((1, 1, 2)), np.array([[[0.25, 0.75]]])
     )
     return logs, scores
 
