@@ -35,8 +35,9 @@ def log(name, bias=0.0, seconds=40.0):
 def scored():
     logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
     scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
+    zero, probability = np.zeros((1, 1, 2)), np.array([[[0.25, 0.75]]])
     scores.beliefs["calm & <quiet>", "imm"] = Beliefs(
-        ("drag", "hand"), np.array([1000]), np.zeros((1, 1, 2)), np.ones((1, 1, 2)), np.array([[[0.25, 0.75]]])
+        ("drag", "hand"), np.array([1000]), zero, zero + 1.0, probability
     )
     return logs, scores
 
