@@ -238,7 +238,7 @@ def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
 
     Args:
         airframe: One of `AIRFRAMES`.
-        data: Folder of the datasets; flights are kept in `rotorpy/` in it.
+        data: Folder of the datasets; flights are stored in `rotorpy/` in it.
         imu: A shipped IMU, which is switched on when recording begins.
     """
     files = {plan: data / "rotorpy" / f"{airframe}-{plan.seed}.npz" for plan in PLANS[airframe]}

@@ -171,7 +171,7 @@ def test_it_changes_its_model_within_seconds():
     assert rest[55:].max() < 0.1
 
 
-# --- what nobody told it ----------------------------------------------------------------------------
+# --- unknown bias, lever arm and mounting -----------------------------------------------------------
 
 
 def test_a_raw_bias_of_several_degrees_a_second_is_found(flight):
