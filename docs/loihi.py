@@ -28,7 +28,7 @@ from estimators.loihi.chip import LIMITS
 from estimators.loihi.neurons import LoihiLayer, LoihiNetwork
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.network import OnLoihi, create_network, real_weights, silenced
+from estimators.networks.network import OnLoihi, create_network, real_weights, roll_pitch_of_outputs, silenced
 from estimators.networks.weights_file import Tensors, shipped_network
 from estimators.spiking import Weights, forward
 from quadsim.dataset.figures import STYLE
@@ -125,11 +125,11 @@ def flop_rows(found: Inspection) -> list[str]:
     """Floating-point operations of both networks, of the host and of the layers behind it."""
     config = found.config
     first, second = (float(found.layer_rates(k).sum()) for k in (0, 1))
-    snn = snn_flops(config.encoding, config.hidden, (first, second))
+    snn = snn_flops(config.encoding, config.hidden, (first, second), config.n_outputs)
     host = sum(each.multiplications + each.additions for each in host_costs(config))
     encoder = 2 * 6 * config.encoding
     twin, _ = shipped_network("att-rnn")
-    gru = gru_flops(twin.encoding, twin.hidden)
+    gru = gru_flops(twin.encoding, twin.hidden, twin.n_outputs)
     return [
         row(f"Att-SNN, {first:.1f} + {second:.1f} spikes a step", host, f"{snn['sparse'] - encoder:.0f}"),
         row("Att-SNN, zeros multiplied too", host, f"{snn['dense'] - encoder:.0f}"),
@@ -174,8 +174,9 @@ def _c_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) 
     samples = np.concatenate([gyro[0], accel[0]], 1)
     done = subprocess.run([program], input=samples.tobytes(), capture_output=True, check=True)
     states = np.frombuffer(done.stdout, np.uint8).reshape(len(samples), -1)
-    ours = create_network("att-snn-loihi").sequence(gyro, accel)
-    theirs = states[:, -16:].copy().view(np.float64)
+    est = create_network("att-snn-loihi")
+    ours = est.sequence(gyro, accel)
+    theirs = roll_pitch_of_outputs(states[:, -8 * est.core.outputs :].copy().view(np.float64))
     wrong = int(np.sum(np.abs(theirs - ours[0]) > ROUNDING))
     size = (source / "att_snn.c").stat().st_size // 1024
     return row(
@@ -220,7 +221,7 @@ def _onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64
         "gyro": gyro.transpose(1, 0, 2).astype(np.float32),
         "accel": accel.transpose(1, 0, 2).astype(np.float32),
     }
-    theirs = session.run(["roll_pitch"], feed | zero)[0].transpose(1, 0, 2)
+    theirs = roll_pitch_of_outputs(session.run(None, feed | zero)[0].transpose(1, 0, 2))
     est = create_network("att-rnn")
     worst = np.degrees(np.abs(theirs - est.sequence(gyro, accel)).max())
     return row("ONNX", "ONNX Runtime", f"{theirs.size} outputs", f"largest difference {worst:.1e}°")

@@ -27,7 +27,7 @@ from estimators.networks.symmetry import OPERATIONS, is_symmetric, weight_sharin
 from estimators.networks.weights_file import InputScaling, Tensors, load_network, parameters, shipped_names
 from estimators.registry import FILTERPY, NETWORKS
 from quadsim.estimator import AttitudeEstimator, Readings
-from training.augment import roll_pitch_of_up
+from quadsim.rotation import roll_pitch_of_up
 from training.config import TrainConfig, make_config
 
 VEHICLE, RATE_HZ = "hummingbird", 200.0
@@ -146,7 +146,7 @@ def training_cells(training: dict) -> tuple[str, ...]:
 
 def free_parameters(tensors: Tensors) -> int:
     """Different numbers among a symmetric network's parameters: shared ones count once."""
-    shared = weight_sharing(len(tensors["w_in"]), len(tensors["w_ff"]))
+    shared = weight_sharing(*(len(tensors[name]) for name in ("w_in", "w_ff", "w_out")))
     there = {name: tensors[name].ravel() != 0 for name in shared}
     return 2 + sum(np.unique(sharing.first[there[name]]).size for name, sharing in shared.items())
 
@@ -155,10 +155,12 @@ def symmetry_text(tensors: Tensors, flights: Flights) -> str:
     """What weight sharing leaves free, and what it costs at large tilts."""
     if not is_symmetric(tensors):
         return "The shipped `att-snn` was trained without it."
-    text = (
-        f"Of the {parameters(tensors)} parameters of `att-snn` {free_parameters(tensors)} are free. Roll and "
-        "pitch turn with the body for small tilts only: the nearest outputs that do turn with it are "
-        f"{asymmetry_deg(flights):.2f}° from the truth in the mean over the test flights."
+    text = f"Of the {parameters(tensors)} parameters of `att-snn` {free_parameters(tensors)} are free."
+    if len(tensors["w_out"]) == 3:
+        return text
+    text += (
+        " Roll and pitch turn with the body for small tilts only: the nearest outputs that do turn with it "
+        f"are {asymmetry_deg(flights):.2f}° from the truth in the mean over the test flights."
     )
     return fill(text, 125)
 

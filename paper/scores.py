@@ -183,7 +183,8 @@ def look_inside(folder: Path, inputs: Inputs) -> None:
     inside = inspect(network, config, tensors, flights)
     rates = [inside.layer_rates(layer) for layer in (0, 1)]
     twin, _ = load_network(inputs[rnn] / WEIGHTS)
-    flops = snn_flops(config.encoding, config.hidden, (float(rates[0].sum()), float(rates[1].sum())))
+    spikes = float(rates[0].sum()), float(rates[1].sum())
+    flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs)
     drawn = slice(0, round(25.0 * flights.rate_hz), 4)
     responses = {
         name: {key: getattr(each, key) for key in ("error_deg", "gain", "slow_gain", "fast_gain")}
@@ -199,6 +200,6 @@ def look_inside(folder: Path, inputs: Inputs) -> None:
         "roll_deg": np.degrees(inside.truth[drawn, 0]).round(2).tolist(),
         "step_s": drawn.step / flights.rate_hz,
         "costs": [asdict(each) for each in inside.costs],
-        "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden)},
+        "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden, twin.n_outputs)},
     }
     write_numbers(folder, numbers)

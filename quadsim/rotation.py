@@ -92,6 +92,12 @@ def euler_core(qw, qx, qy, qz):
 
 
 @njit(cache=True)
+def roll_pitch_of_up_core(x, y, z):
+    """Roll and pitch [rad] at which the world's up has these body components; zeros of any sign are level."""
+    return math.atan2(y, z + 0.0), math.atan2(-x, math.hypot(y, z))
+
+
+@njit(cache=True)
 def from_euler_core(roll, pitch, yaw):
     """Quaternion of roll, pitch, yaw [rad], intrinsic z-y'-x''."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
@@ -134,6 +140,7 @@ def from_matrix_core(r00, r01, r02, r10, r11, r12, r20, r21, r22):
 # --- the same equations over arrays ---------------------------------------------------------------
 # A generalized ufunc cannot name an output size that no input has, so some take a spare `like` of that size.
 
+_PAIR = np.zeros(2)
 _VECTOR = np.zeros(3)
 _QUAT = np.zeros(4)
 
@@ -169,6 +176,11 @@ def _normalize(q, out):
 @_over_arrays("(q),(v)->(v)")
 def _euler(q, like, out):
     out[0], out[1], out[2] = euler_core(q[0], q[1], q[2], q[3])
+
+
+@_over_arrays("(v),(p)->(p)")
+def _roll_pitch_of_up(v, like, out):
+    out[0], out[1] = roll_pitch_of_up_core(v[0], v[1], v[2])
 
 
 @_over_arrays("(v),(q)->(q)")
@@ -248,6 +260,14 @@ def euler_from_quat(q: ArrayLike) -> Array:
 def roll_pitch_from_quat(q: ArrayLike) -> Array:
     """Roll and pitch (..., 2) [rad] of quaternions (..., 4)."""
     return euler_from_quat(q)[..., :2]
+
+
+def roll_pitch_of_up(up: ArrayLike) -> Array:
+    """Roll and pitch (..., 2) [rad] of the world's up in body axes (..., 3); its length does not matter.
+
+    roll = atan2(u_y, u_z), pitch = atan2(-u_x, √(u_y² + u_z²)).
+    """
+    return _roll_pitch_of_up(_components("up", up, 3), _PAIR)
 
 
 def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:

@@ -189,12 +189,6 @@ def _low_pass(signal, step):
                 signal[i, t, k] = signal[i, t - 1, k] + step[i] * (signal[i, t, k] - signal[i, t - 1, k])
 
 
-def roll_pitch_of_up(up: Array) -> Array:
-    """Roll and pitch [rad] from the world's up in body axes, (..., 3) -> (..., 2)."""
-    roll = np.arctan2(up[..., 1], up[..., 2])
-    return np.stack([roll, np.arctan2(-up[..., 0], np.hypot(up[..., 1], up[..., 2]))], -1)
-
-
 def _rotate(matrices: Array, vectors: Array) -> Array:
     return vectors @ matrices.transpose(0, 2, 1)
 

@@ -12,9 +12,11 @@ from estimators.networks.weights_file import (
     PAPER_SCALING,
     InputScaling,
     Neurons,
+    Outputs,
     OutputScale,
     StepsPerSample,
     load_network,
+    number_of,
 )
 from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged
@@ -43,8 +45,11 @@ class TrainingRecipe(Strict):
     """Network steps for each IMU sample (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
+    outputs: Outputs = "roll-pitch"
+    """Roll and pitch as in the paper, or the world's up in body axes (3), for attitudes where these are
+    singular."""
     output_scale: OutputScale = 1.0
-    """Radians for an output potential of 1.0 (att-snn)."""
+    """Radians, or parts of a unit vector, for an output potential of 1.0 (att-snn)."""
     initialisation: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
     reinitialise_until: Share = 0.0
@@ -87,7 +92,7 @@ class TrainingRecipe(Strict):
     """Sensor errors and symmetries, drawn for every window or stream."""
     huber_threshold: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
     """Error above which the loss is linear, not quadratic, so that the unavoidable errors after an unknown
-    initial attitude weigh less [rad]; 0: quadratic everywhere."""
+    initial attitude weigh less [rad, of up its norm]; 0: quadratic everywhere."""
     rate_cost: Annotated[float, Between(0.0, 1e6)] = 0.0
     """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
     rate_targets: tuple[Share, Share] = (0.1, 0.1)
@@ -150,11 +155,13 @@ class TrainConfig(TrainingRecipe):
     def prunes(self) -> bool:
         """Whether the network with every connection has more parameters than pruning leaves."""
         h0, h1 = self.encoding, self.hidden
-        unpruned = 6 * h0 + h0 * h1 + h1 * h1 + 2 * h1 + 2 * (h0 + h1) + 2
+        unpruned = 6 * h0 + h0 * h1 + h1 * h1 + number_of(self.outputs) * h1 + 2 * (h0 + h1) + 2
         return self.model == "att-snn" and 0 < self.pruning_target < unpruned
 
 
-FROM_WEIGHTS = ("encoding", "hidden", "quantised", "recurrent_delay", "steps_per_sample", "output_scale")
+FROM_WEIGHTS = (
+    "encoding", "hidden", "quantised", "recurrent_delay", "steps_per_sample", "outputs", "output_scale"
+)  # fmt: skip
 """Fields that the weights of `init` fix."""
 
 

@@ -17,9 +17,9 @@ from torch import Tensor
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
-from quadsim.rotation import quat_rotate_inverse
+from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
 
-from .augment import Augmentation, augment, roll_pitch_of_up
+from .augment import Augmentation, augment
 from .config import TrainConfig
 
 Float32 = NDArray[np.float32]
@@ -48,7 +48,7 @@ class TrainingFlights:
     @property
     def roll_pitch(self) -> NDArray[np.float64]:
         """True roll and pitch, shape (n, T, 2) [rad]."""
-        return roll_pitch_of_up(self.up).astype(np.float64)
+        return roll_pitch_of_up(self.up)
 
     def digest(self) -> str:
         """A fingerprint of all samples."""
@@ -152,11 +152,12 @@ COHORTS = 8
 
 
 class Batch(NamedTuple):
-    """One window of every stream: measurements (n, T, 3) and roll, pitch (n, T, 2), float32."""
+    """One window of every stream, float32: measurements (n, T, 3), roll, pitch (n, T, 2), up (n, T, 3)."""
 
     gyro: Float32
     accel: Float32
     roll_pitch: Float32
+    up: Float32
     reset: NDArray[np.bool_]
     """Streams (n,) that begin here, from a state of zero; the others continue from the last window."""
 
@@ -202,10 +203,11 @@ def _streams(
         index = rows, first[:, None] + np.arange(length)
         signals = flights.ang_vel[index], flights.specific_force[index], flights.up[index]
         gyro, accel, up = augment(*signals, drawn, flights.rate_hz, rng)
-        roll_pitch = roll_pitch_of_up(up)
+        roll_pitch = roll_pitch_of_up(up).astype(np.float32)
         for k in range(0, length, steps):
             part = slice(k, k + steps)
-            yield Batch(gyro[:, part], accel[:, part], roll_pitch[:, part], np.full(n, k == 0))
+            window = (each[:, part] for each in (gyro, accel, roll_pitch, up))
+            yield Batch(*window, reset=np.full(n, k == 0))
 
 
 def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | None = None) -> Tensor:
@@ -216,11 +218,17 @@ def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | 
     return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
 
 
+def target_of(config: TrainConfig, batch: Batch) -> Float32:
+    """What the outputs should be after each sample, (n, T, outputs)."""
+    return batch.up if config.outputs == "up" else batch.roll_pitch
+
+
 def sample_windows(
     config: TrainConfig, flights: TrainingFlights, steps: int, seed: tuple[int, ...]
 ) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
-    """Scaled inputs (n, T, 6) and targets (n, T, 2) [rad] of a few long windows, for each network step."""
+    """Scaled inputs (n, T, 6) and targets (n, T, outputs) of a few long windows, for each network step."""
     length = max(1, min(3, flights.gyro.shape[1] // max(steps, 1))) * steps
     few = config.model_copy(update={"batches": 1, "batch_size": 32, "windows_per_stream": 1})
     batch = next(windows(flights, few, length, seed))
-    return network_inputs(config, batch).numpy(), np.repeat(batch.roll_pitch, config.steps_per_sample, 1)
+    target = np.repeat(target_of(config, batch), config.steps_per_sample, 1)
+    return network_inputs(config, batch).numpy(), target

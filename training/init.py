@@ -48,7 +48,7 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
     if config.model == "att-rnn":
         if encoding != hidden:
             raise ValueError(f"att-rnn: layers of {encoding} and {hidden} units, should be equal")
-        model = AttRNN(hidden)
+        model = AttRNN(hidden, config.outputs)
     else:
         if config.symmetric and not config.init and min(encoding, hidden) < len(OPERATIONS):
             raise ValueError(
@@ -56,7 +56,9 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
                 "share weights; give more, or symmetric=false"
             )
         backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
-        model = AttSNN(encoding, hidden, backend, config.output_scale, config.symmetric)
+        model = AttSNN(
+            encoding, hidden, backend, config.output_scale, config.symmetric, outputs=config.outputs
+        )
     if config.init:
         initialise_from_weights(model, config.init)
         if isinstance(model, AttSNN) and config.prunes:
@@ -83,7 +85,7 @@ def initialise_random(model: AttSNN, seed: int) -> None:
 def initialise_from_data(
     model: AttSNN,
     x: NDArray[np.float64],
-    roll_pitch: NDArray[np.floating],
+    target: NDArray[np.floating],
     seed: int,
     steps_per_sample: int = 1,
     fan_in: int = 25,
@@ -98,7 +100,7 @@ def initialise_from_data(
     Args:
         model: To fill.
         x: Scaled inputs, shape (n, T, 6).
-        roll_pitch: Targets, shape (n, T, 2) [rad].
+        target: Of the outputs, shape (n, T, outputs).
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
         fan_in: Encoders that each hidden neuron reads.
@@ -124,7 +126,7 @@ def initialise_from_data(
     model.set_weights("w_ff", w_ff * model.shared("mem1", _drive_scale(current, (0.2, 1.0), rng)[:, None]))
     model.set_weights("w_rec", w_rec)
     model.constrain()
-    w_out = _solve_outputs(model, x, roll_pitch)
+    w_out = _solve_outputs(model, x, target)
     model.set_weights("w_out", model.sharing["w_out"].mean(w_out) if model.sharing else w_out)
     model.constrain()
 
@@ -137,13 +139,14 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
         ValueError: Not weights of such a network.
     """
     config, tensors = load_network(path)
-    layers = f"{config.model} with {config.encoding} + {config.hidden} neurons"
+    layers = f"{config.model} with {config.encoding} + {config.hidden} neurons for {config.outputs}"
     if isinstance(model, AttRNN):
-        if (config.model, config.hidden) != ("att-rnn", model.out.in_features):
+        if (config.model, config.n_outputs, config.hidden) != ("att-rnn", *model.out.weight.shape):
             raise ValueError(f"init: {path} holds {layers}")
         model.load_state_dict({name: torch.tensor(value) for name, value in tensors.items()})
         return
-    if (config.model, config.encoding, config.hidden) != ("att-snn", *model.w_ff.shape[::-1]):
+    sizes = config.encoding, config.hidden, config.outputs
+    if (config.model, *sizes) != ("att-snn", *model.w_ff.shape[::-1], model.outputs):
         raise ValueError(f"init: {path} holds {layers}")
     values = real_weights(config, tensors)._asdict()
     for name in MATRICES:
@@ -240,15 +243,15 @@ def _drive_scale(current: NDArray, parts: Range, rng: np.random.Generator) -> ND
     return sign * 0.5 * part / np.maximum(current.std((0, 1)), 1e-6)
 
 
-def _solve_outputs(model: AttSNN, x: NDArray[np.float64], roll_pitch: NDArray[np.floating]) -> NDArray:
-    """Ridge regression from the hidden spikes, filtered as the outputs filter them, to roll and pitch."""
+def _solve_outputs(model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating]) -> NDArray:
+    """Ridge regression from the hidden spikes, filtered as the outputs filter them, to the targets."""
     _, spikes = _spikes(model, x)
     features = spikes.astype(np.float32)
     for name in ("syn2", "mem2"):
         features = _filtered(features, torch.sigmoid(getattr(model, name)).detach().numpy())
     settled = x.shape[1] // 4
     a = features[:, settled:].reshape(-1, features.shape[2]).astype(np.float64)
-    b = roll_pitch[:, settled:].reshape(-1, 2) / model.output_scale
+    b = target[:, settled:].reshape(-1, target.shape[-1]) / model.output_scale
     gram = a.T @ a
     ridge = max(1e-3 * np.trace(gram) / len(gram), 1e-9)  # neurons may all be silent
     return np.linalg.solve(gram + ridge * np.eye(len(gram)), a.T @ b).T

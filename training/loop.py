@@ -18,12 +18,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from estimators.metrics import absolute_error, inclination_error
 from estimators.networks.encoder import ENCODER
 from estimators.networks.network import NetworkEstimator, Recurrent, Spiking
 from estimators.spiking import MATRICES
 
 from .config import TrainConfig, make_config
-from .data import Batch, TrainingFlights, flights_of, network_inputs, sample_windows, windows
+from .data import Batch, TrainingFlights, flights_of, network_inputs, sample_windows, target_of, windows
 from .init import initial_model, reinitialise_dead_neurons
 from .loss import attitude_loss, finished, total_cost
 from .models import AttRNN, AttSNN, prune_connections
@@ -162,7 +163,7 @@ class Training:
                 self._prune(first + k + 1)
         if not all(bool(p.isfinite().all()) for p in self.model.parameters()):
             raise FloatingPointError(f"the weights are not finite after epoch {number}")
-        mse, error, settled = self.validate()
+        mse, error, settled, inclination = self.validate()
         return Epoch(
             epoch=number,
             updates=first + config.batches,
@@ -170,6 +171,7 @@ class Training:
             val_mse=mse,
             val_error_deg=error,
             val_settled_deg=settled,
+            val_inclination_deg=inclination,
             rate_encoding=float(np.mean(rates[:, 0])),
             rate_hidden=float(np.mean(rates[:, 1])),
             learning_rate=learning_rate(config, first + config.batches - 1),
@@ -184,7 +186,7 @@ class Training:
         x = network_inputs(config, batch, self._input_state)
         estimate, rates = model(x, batch.reset)
         estimate = estimate[:, config.steps_per_sample - 1 :: config.steps_per_sample]
-        target = torch.from_numpy(batch.roll_pitch)
+        target = torch.from_numpy(target_of(config, batch))
         self.optimiser.zero_grad()
         total_cost(estimate, target, rates, config).backward()
         if config.clip > 0:
@@ -223,17 +225,22 @@ class Training:
         self.optimiser = new_optimiser(self.model, config)
         self.optimiser.load_state_dict(state)
 
-    def validate(self) -> tuple[float, float, float]:
-        """Mean square error [rad²], mean absolute error [deg] and the same once settled [deg]."""
+    def validate(self) -> tuple[float, float, float, float]:
+        """Mean square error [rad²], mean absolute error, the same once settled and inclination RMSE [deg]."""
         with self.optimiser.evaluated():
             config, tensors = exported(self.model, self.config, self.flights.rate_hz, {})
         core = Spiking(config, tensors) if config.model == "att-snn" else Recurrent(config, tensors)
         estimator = NetworkEstimator(core, config.rate_hz)
-        estimator.reset(len(self.validation))
-        error = estimator.sequence(self.validation.gyro, self.validation.accel) - self.validation.roll_pitch
-        settled = error[:, round(SETTLED_S * self.validation.rate_hz) :]
-        degrees = [float(np.degrees(np.abs(e).mean())) for e in (error, settled if settled.size else error)]
-        return float(np.mean(error**2)), degrees[0], degrees[1]
+        flights, truth = self.validation, self.validation.roll_pitch
+        estimator.reset(len(flights))
+        estimate = estimator.sequence(flights.gyro, flights.accel)
+        error = absolute_error(estimate, truth)
+        settled = error[:, round(SETTLED_S * flights.rate_hz) :]
+        degrees = [float(e.mean()) for e in (error, settled if settled.size else error)]
+        inclination = float(np.sqrt(np.mean(inclination_error(estimate, truth) ** 2)))
+        up = config.outputs == "up"
+        mse = math.radians(inclination) ** 2 / 2 if up else float(np.mean((estimate - truth) ** 2))
+        return mse, degrees[0], degrees[1], inclination
 
     def rank(self, epoch: Epoch) -> tuple[int, float]:
         """The best epoch has the least: parameters above the pruning target, then validation loss."""
@@ -245,6 +252,8 @@ class Training:
         flights, error = len(self.validation), round(epoch.val_error_deg, 4)
         note = {"epoch": epoch.epoch + 1, "updates": epoch.updates}
         note |= {"validation_flights": flights, "validation_error_deg": error}
+        if self.config.outputs == "up":
+            note["validation_inclination_deg"] = round(epoch.val_inclination_deg, 4)
         with self.optimiser.evaluated():
             save_best(out, self.model, self.config, self.flights, note)
 

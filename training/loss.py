@@ -18,7 +18,7 @@ def total_cost(estimate: Tensor, target: Tensor, rates: Tensor, config: TrainCon
     """What an update minimises: the sum of all losses, each times its weight in the configuration [rad²].
 
     Args:
-        estimate: Roll and pitch, shape (n, T, 2) [rad].
+        estimate: Outputs, shape (n, T, 2) [rad], or up, shape (n, T, 3).
         target: The true ones.
         rates: Spikes per neuron and step of the encoding and of the hidden layer, shape (2,).
         config: Of the run.
@@ -28,14 +28,15 @@ def total_cost(estimate: Tensor, target: Tensor, rates: Tensor, config: TrainCon
 
 
 def attitude_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -> Tensor:
-    """Mean square error over roll and pitch [rad²]; both (n, T, 2).
+    """Mean square error over roll and pitch [rad²]; both (n, T, 2), or up, (n, T, 3).
 
-    Where the norm of both errors exceeds `huber_threshold` [rad], the loss is linear in it (Huber, "Robust
+    The norm of a small error of up is that of roll and pitch together, and half its square their mean square.
+    Where the norm of the error exceeds `huber_threshold` [rad], the loss is linear in it (Huber, "Robust
     estimation of a location parameter", Annals of Mathematical Statistics 35, 1964); 0: nowhere.
     """
     error = estimate - target
     if huber_threshold == 0.0:
-        return error.square().mean()
+        return error.square().mean() * (error.shape[-1] / 2)
     size = torch.linalg.vector_norm(error, dim=-1)
     return huber_loss(size, torch.zeros_like(size), delta=huber_threshold)
 

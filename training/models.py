@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from estimators.analysis.ablation import connected_neurons
 from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
 from estimators.networks.symmetry import weight_sharing
-from estimators.networks.weights_file import NetworkConfig, expected_shapes
+from estimators.networks.weights_file import NetworkConfig, Outputs, expected_shapes, number_of
 from estimators.spiking import quantise_decay, quantise_weights
 
 from .backends import Backend
@@ -34,8 +34,9 @@ class AttSNN(nn.Module):
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the recurrent layer.
         backend: Computes outputs and gradients; a quantised one takes weights on the chip's grid.
-        output_scale: Radians for an output potential of 1.0.
+        output_scale: Radians, or parts of a unit vector, for an output potential of 1.0.
         symmetric: Whether weights are shared as `estimators.networks.symmetry` says.
+        outputs: Roll and pitch, or up.
     """
 
     w_in: Tensor
@@ -44,17 +45,24 @@ class AttSNN(nn.Module):
     syn1: Tensor
 
     def __init__(
-        self, encoding: int, hidden: int, backend: Backend, output_scale: float = 1.0, symmetric: bool = False
+        self,
+        encoding: int,
+        hidden: int,
+        backend: Backend,
+        output_scale: float = 1.0,
+        symmetric: bool = False,
+        outputs: Outputs = "roll-pitch",
     ) -> None:
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
         self.backend, self.output_scale = backend, output_scale
-        network = NetworkConfig(model="att-snn", encoding=encoding, hidden=hidden)
+        self.outputs: Outputs = outputs
+        network = NetworkConfig(model="att-snn", encoding=encoding, hidden=hidden, outputs=outputs)
         for name, shape in expected_shapes(network).items():
             self.register_parameter(name, nn.Parameter(torch.zeros(shape)))
         for name in MATRICES:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
-        self.sharing = weight_sharing(encoding, hidden) if symmetric else {}
+        self.sharing = weight_sharing(encoding, hidden, network.n_outputs) if symmetric else {}
         for name, sharing in self.sharing.items():
             getattr(self, name).register_hook(lambda g, mean=sharing.mean: torch.from_numpy(mean(g.numpy())))
         for name in MATRICES:
@@ -92,7 +100,7 @@ class AttSNN(nn.Module):
         return Weights(*w, *tau)
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
-        """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
+        """Outputs (n, T, outputs) of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
 
         Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
         window of this shape; None: all are reset.
@@ -147,7 +155,8 @@ class AttSNN(nn.Module):
         """The network of these neurons of both layers alone; its windows continue from the last ones here."""
         encoding, hidden = neurons
         backend = self.backend.connected(encoding, hidden)
-        smaller = AttSNN(encoding.size, hidden.size, backend, self.output_scale, bool(self.sharing))
+        sizes, symmetric = (encoding.size, hidden.size), bool(self.sharing)
+        smaller = AttSNN(*sizes, backend, self.output_scale, symmetric, self.outputs)
         smaller.load_state_dict(
             {
                 name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)
@@ -214,17 +223,17 @@ def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], mo
 
 
 class AttRNN(nn.Module):
-    """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles)."""
+    """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles; or up)."""
 
-    def __init__(self, hidden: int = 100) -> None:
+    def __init__(self, hidden: int = 100, outputs: Outputs = "roll-pitch") -> None:
         """Build with PyTorch's own initial weights."""
         super().__init__()
         self.gru = nn.GRU(6, hidden, num_layers=2, batch_first=True)
-        self.out = nn.Linear(hidden, 2)
+        self.out = nn.Linear(hidden, number_of(outputs))
         self._state: Tensor | None = None
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
-        """Roll and pitch [rad] of a window of scaled inputs (n, T, 6), and no spikes (2,).
+        """Outputs (n, T, outputs) of a window of scaled inputs (n, T, 6), and no spikes (2,).
 
         Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
         window; None: all are reset.

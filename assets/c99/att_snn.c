@@ -19,7 +19,7 @@ static const double GAIN[ATT_SNN_INPUTS] = $gain;
 /* Beyond these a reading is not one of an IMU [rad/s, m/s^2]. */
 static const double RATE_MAX = $rate_max;
 static const double FORCE_MAX = $force_max;
-static const double SCALE = $scale; /* radians for a potential of 1 */
+static const double SCALE = $scale; /* $unit for a potential of 1 */
 
 enum {
     INPUT_MAX = $input_max,
@@ -151,8 +151,8 @@ void att_snn_step(att_snn_state *state)
         step(state);
 }
 
-void att_snn_attitude(const att_snn_state *state, double roll_pitch[2])
+void att_snn_attitude(const att_snn_state *state, double $name[ATT_SNN_OUTPUTS])
 {
     for (int k = 0; k < ATT_SNN_OUTPUTS; ++k)
-        roll_pitch[k] = state->v_output[k] * SCALE;
+        $name[k] = state->v_output[k] * SCALE;
 }

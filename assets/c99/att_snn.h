@@ -1,4 +1,4 @@
-/* Att-SNN, a spiking network that estimates roll and pitch from an IMU, as on Loihi: $encoding + $hidden
+/* Att-SNN, a spiking network that estimates $task from an IMU, as on Loihi: $encoding + $hidden
  * neurons, $parameters parameters. Written by quadsim; integers only between att_snn_encode and att_snn_attitude, no
  * heap, no library. */
 #ifndef ATT_SNN_H
@@ -10,9 +10,9 @@
 #define ATT_SNN_INPUTS 6
 #define ATT_SNN_ENCODING $encoding
 #define ATT_SNN_HIDDEN $hidden
-#define ATT_SNN_OUTPUTS 2
-/* The potential of an output divided by this is roll or pitch in radians. */
-#define ATT_SNN_UNITS_PER_RADIAN $units
+#define ATT_SNN_OUTPUTS $outputs
+/* The potential of an output divided by this is $quantity. */
+#define ATT_SNN_UNITS_PER_$UNIT $units
 
 typedef struct {
     int32_t input[ATT_SNN_INPUTS];      /* last good readings, scaled: 1024 is 1.0 */
@@ -38,7 +38,7 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
 /* Run the network for one sample. */
 void att_snn_step(att_snn_state *state);
 
-/* Roll and pitch [rad] now. */
-void att_snn_attitude(const att_snn_state *state, double roll_pitch[2]);
+/* $what now. */
+void att_snn_attitude(const att_snn_state *state, double $name[ATT_SNN_OUTPUTS]);
 
 #endif

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from quadsim.runs.block import fields, zero_blocks
 
 from ..networks.encoder import encode
-from ..networks.network import OnLoihi, step_on_loihi
+from ..networks.network import OnLoihi, roll_pitch_of_outputs, step_on_loihi
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     spikes = np.zeros((n, steps, neurons), np.int8)
     active = np.zeros((n, neurons), np.int64)
     potentials = np.zeros((steps, neurons), np.int32)
-    estimate = np.empty((n, samples, 2))
+    outputs = np.empty((n, samples, core.outputs))
     states = zero_blocks(n, core.state)
     state = fields(states, core.state)
     s, u, v, bias = (state[name] for name in ("spikes", "u", "v", "bias"))
@@ -73,7 +73,8 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
             step_on_loihi(core.network, states)
             spikes[:, k], potentials[k] = s, v[0]
             active += (u != 0) | (v != 0) | (bias != 0) | (s != 0)
-        estimate[:, t] = v[:, -2:] * core.scale
+        outputs[:, t] = v[:, -core.outputs :] * core.scale
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
+    estimate = roll_pitch_of_outputs(outputs)
     return Activity((first, second, third), spikes, active, potentials / threshold, estimate)

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..networks.encoder import ENCODER, scaled_inputs
-from ..networks.network import real_weights
+from ..networks.network import real_weights, roll_pitch_of_outputs
 from ..networks.weights_file import shipped_network
 from ..registry import create, names
 
@@ -38,7 +38,7 @@ class TorchSNN:
         weights = [torch.tensor(w, dtype=torch.float32) for w in real_weights(self.config, tensors)]
         self.w_in, self.w_ff, self.w_rec, self.w_out = (w.T for w in weights[:4])
         self.taus = weights[4:]
-        sizes = [self.config.encoding, self.config.hidden, 2]
+        sizes = [self.config.encoding, self.config.hidden, self.config.n_outputs]
         self.encoder = np.zeros(1, ENCODER)
         self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
 
@@ -58,7 +58,7 @@ class TorchSNN:
             if k < 2:
                 self.s[k] = (self.v[k] > 0.5).float()
                 self.v[k] = self.v[k] * (1 - self.s[k])
-        return self.v[2].numpy() * self.config.output_scale
+        return roll_pitch_of_outputs(self.v[2].numpy() * self.config.output_scale)
 
 
 class TorchGRU:
@@ -77,7 +77,7 @@ class TorchGRU:
         """Roll and pitch (1, 2) [rad] after one sample."""
         x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None])
         y, self.state = self.gru(torch.from_numpy(x.astype(np.float32)), self.state)
-        return (y[:, 0] @ self.weight.T + self.bias).numpy()
+        return roll_pitch_of_outputs((y[:, 0] @ self.weight.T + self.bias).numpy())
 
 
 def contenders() -> dict[str, Update]:

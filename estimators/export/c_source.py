@@ -16,6 +16,27 @@ from ..loihi.neurons import DECAY_ONE, STATE_ONE
 from ..networks.encoder import INPUT_MAX, input_scaling
 from ..networks.weights_file import NetworkConfig, Tensors, parameters
 
+WORDS = {
+    "roll-pitch": {
+        "name": "roll_pitch",
+        "task": "roll and pitch",
+        "what": "Roll and pitch [rad]",
+        "unit": "radians",
+        "UNIT": "RADIAN",
+        "quantity": "roll or pitch in radians",
+    },
+    "up": {
+        "name": "up",
+        "task": "the world's up",
+        "what": "The world's up in body axes, not of length 1: roll is atan2(up[1], up[2]),\n"
+        " * pitch atan2(-up[0], sqrt(up[1] * up[1] + up[2] * up[2])),",
+        "unit": "parts of a unit vector",
+        "UNIT": "ONE",
+        "quantity": "a component of up",
+    },
+}
+"""What the templates call the outputs."""
+
 
 def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
     """The two files by name: `att_snn.h` and `att_snn.c`.
@@ -41,6 +62,8 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "hidden": config.hidden,
         "parameters": parameters(tensors),
         "rate": f"{config.rate_hz:g}",
+        **WORDS[config.outputs],
+        "outputs": config.n_outputs,
         "units": round(STATE_ONE / config.output_scale),
         "scale": repr(config.output_scale / STATE_ONE),
         "steps": config.steps_per_sample,

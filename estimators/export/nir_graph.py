@@ -34,7 +34,7 @@ CONNECTIONS = {
 
 
 def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) -> nir.NIRGraph:
-    """The network between its scaled inputs (6) and its output potentials (2); scales are in its metadata.
+    """The network between its scaled inputs (6) and its output potentials; scales are in its metadata.
 
     Args:
         config: How the network is run.
@@ -55,12 +55,12 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
             weight=getattr(values, name), metadata=_integers(config, mantissa=tensors[name])
         )
         edges += [(source, name), (name, target)]
-    sizes = (config.encoding, config.hidden, 2)
+    sizes = (config.encoding, config.hidden, config.n_outputs)
     for size, (layer, names) in zip(sizes, LAYERS.items(), strict=True):
         syn, mem = (np.broadcast_to(getattr(values, name), size) for name in names)
         decays = dict(zip(("du", "dv"), (tensors[name] for name in names), strict=True))
         nodes[layer] = _neurons(layer, syn, mem, step, _integers(config, **decays))
-    nodes["finish"] = nir.Output({"output": np.array([2])})
+    nodes["finish"] = nir.Output({"output": np.array([config.n_outputs])})
     edges.append(("output", "finish"))
     return nir.NIRGraph(nodes=nodes, edges=edges, metadata=_about(config, step))
 
@@ -94,6 +94,7 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "steps_per_sample": config.steps_per_sample,
         "input_offset": offset,
         "input_gain_1024": gain,
+        "outputs": config.outputs,
         "output_scale": config.output_scale,
         **integers,
     }

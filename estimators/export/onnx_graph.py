@@ -1,4 +1,4 @@
-"""Att-RNN as an ONNX graph, from raw readings to roll and pitch, with its state in and out."""
+"""Att-RNN as an ONNX graph, from raw readings to roll and pitch or up, with its state in and out."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ OPSET = 17
 def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
     """The network: `gyro` and `accel` (T, n, 3), `h0` and `h1` (1, n, units) in, `roll_pitch` (T, n, 2) out.
 
+    A network that estimates up has `up` (T, n, 3) in place of `roll_pitch`, not scaled to length 1.
     `h0_next`, `h1_next` are the states after the last sample, zero before the first. There is no bridge for
     missing samples: all readings have to be finite.
 
@@ -29,6 +30,7 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
     if config.model != "att-rnn":
         raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
     offset, gain = input_scaling(config.inputs)
+    output = config.outputs.replace("-", "_")
     constants = {
         "offset": offset, "gain": gain, "limit": np.array(INPUT_MAX), "floor": np.array(-INPUT_MAX),
         "one": np.array(INPUT_ONE), "w_out": tensors["out.weight"].T * config.output_scale,
@@ -56,7 +58,7 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
         below = f"y{k}"
     nodes += [
         helper.make_node("MatMul", [below, "w_out"], ["product"]),
-        helper.make_node("Add", ["product", "b_out"], ["roll_pitch"]),
+        helper.make_node("Add", ["product", "b_out"], [output]),
     ]
     states = [(f"h{k}", [1, "n", units]) for k, units in enumerate((config.encoding, config.hidden))]
     graph = helper.make_graph(
@@ -67,7 +69,7 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
             for name, shape in (("gyro", ["T", "n", 3]), ("accel", ["T", "n", 3]), *states)
         ],
         [
-            _floats("roll_pitch", ["T", "n", 2]),
+            _floats(output, ["T", "n", config.n_outputs]),
             *(_floats(f"{name}_next", shape) for name, shape in states),
         ],
         [_constant(name, value) for name, value in constants.items()],

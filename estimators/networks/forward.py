@@ -1,4 +1,4 @@
-"""Compiled forward pass of Att-SNN: 6 inputs -> LIF -> recurrent LIF -> 2 leaky integrators (LI).
+"""Compiled forward pass of Att-SNN: 6 inputs -> LIF -> recurrent LIF -> 2 or 3 leaky integrators (LI).
 
 One function, `step`, is the network for training, streaming and whole sequences alike. Per layer
 
@@ -220,7 +220,7 @@ class Settings(NamedTuple):
     recurrent_delay: float
     """Steps from a hidden spike to the hidden layer, 1 or 2."""
     scale: float
-    """Radians for an output of 1 state unit."""
+    """Radians, or parts of a unit vector, for an output of 1 state unit."""
 
 
 def network_block(scaling: Scaling, weights: Weights[NDArray], settings: Settings) -> Words:
@@ -298,7 +298,7 @@ def run_floats(gyro, accel, network, states, out):
         accel: Specific force, the same shape [m/s²].
         network: What `network_block` made.
         states: Blocks of `state_type`, shape (n, words); changed.
-        out: Roll and pitch after each sample, shape (n, outputs T) [rad]; written.
+        out: Outputs after each sample, shape (n, outputs T); written.
     """
     _run(gyro, accel, network, states, False, out)
 

@@ -88,7 +88,7 @@ class Readout(NamedTuple):
 def network_block(
     scaling: Scaling, first: Layer, second: Layer, readout: Readout, output_scale: float
 ) -> Words:
-    """A network as `run_gru` takes it; the output's scale is in radians."""
+    """A network as `run_gru` takes it; for the output's scale see `NetworkConfig`."""
     layers = {
         f"{name}_{k}": each
         for k, layer in enumerate((first, second))
@@ -255,7 +255,7 @@ def run_gru(gyro, accel, network, states, out):
         accel: Specific force, the same shape [m/s²].
         network: What `network_block` made.
         states: Blocks of `state_type`, shape (n, words); changed.
-        out: Roll and pitch after each sample, shape (n, 2 T) [rad]; written.
+        out: Outputs after each sample, shape (n, outputs T); written.
     """
     scaling = Scaling(vector(network, 0, np.float64), vector(network, 1, np.float64))
     first, second, readout = _network(network)
@@ -264,7 +264,8 @@ def run_gru(gyro, accel, network, states, out):
     samples = max(1, min(ROWS // together, steps))
     rows = samples * together
     below, above = _memory(rows, together, first.w_hh.shape[0]), _memory(rows, together, second.w_hh.shape[0])
-    inputs, outputs = np.empty((rows, 6), np.float32), np.empty((rows, 2), np.float32)
+    size = readout.b_out.shape[0]
+    inputs, outputs = np.empty((rows, 6), np.float32), np.empty((rows, size), np.float32)
     for n in range(0, states.shape[0], together):
         group = states[n : n + together]
         copies = group.shape[0]
@@ -273,15 +274,15 @@ def run_gru(gyro, accel, network, states, out):
             _copy(vector(group[c], 2, np.float32), above.h[c])
         for begin in range(0, steps, samples):
             end = min(begin + samples, steps)
-            x, roll_pitch = inputs[: (end - begin) * copies], outputs[: (end - begin) * copies]
+            x, y_out = inputs[: (end - begin) * copies], outputs[: (end - begin) * copies]
             part = slice(3 * begin, 3 * end)
             _encode(gyro[n : n + copies, part], accel[n : n + copies, part], scaling, group, x)
             y = _run_layer(_run_layer(x, copies, first, below), copies, second, above)
-            _affine(y, readout.w_out, readout.b_out, roll_pitch)
+            _affine(y, readout.w_out, readout.b_out, y_out)
             for row in range(x.shape[0]):
                 c, t = row % copies, begin + row // copies
-                for o in range(2):
-                    out[n + c, 2 * t + o] = roll_pitch[row, o] * scale
+                for o in range(size):
+                    out[n + c, size * t + o] = y_out[row, o] * scale
         for c in range(copies):
             _copy(below.h[c], vector(group[c], 1, np.float32))
             _copy(above.h[c], vector(group[c], 2, np.float32))

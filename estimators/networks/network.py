@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadsim.estimator import OtherSensors
+from quadsim.rotation import roll_pitch_of_up
 from quadsim.runs.block import Words, block_type, fields, matrix, packed, vector, zero_blocks
 from quadsim.runs.compiled import njit
 
@@ -80,6 +81,8 @@ class NetworkCore(Protocol):
 
     state: np.dtype
     """Record type of a vehicle's state, a block; its field `encoder` is the encoder's."""
+    outputs: int
+    """2: roll and pitch [rad]; 3: the world's up in body axes."""
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
         """Take T samples of n vehicles.
@@ -88,7 +91,7 @@ class NetworkCore(Protocol):
             states: One block for each vehicle, (n, words); changed.
             gyro: Body rate, sample after sample, (n, 3 T) [rad/s].
             accel: Specific force, (n, 3 T) [m/s²].
-            out: Roll and pitch, sample after sample, (n, 2 T) [rad]; written.
+            out: Outputs, sample after sample, (n, outputs T); written.
         """
         ...
 
@@ -103,6 +106,10 @@ class NetworkEstimator:
         core: The network.
         rate_hz: Samples per second.
     """
+
+    up: Array | None
+    """The world's up in body axes as estimated last, shape (n, 3), not scaled to length 1; zero before the
+    first sample. None for a network whose outputs are roll and pitch."""
 
     def __init__(self, core: NetworkCore, rate_hz: float) -> None:
         """Start with one vehicle of unknown attitude."""
@@ -121,21 +128,27 @@ class NetworkEstimator:
         """
         _check_attitude(roll_pitch, n)
         self._states, self._sample = zero_blocks(n, self.core.state), (n, 3)
+        self.up = np.zeros((n, 3)) if self.core.outputs == 3 else None
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
         """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
         rows = np.arange(len(self._states))[np.asarray(ids, dtype=np.intp)]
         _check_attitude(roll_pitch, rows.size)
         self._states[rows] = zero_blocks(rows.size, self.core.state)
+        if self.up is not None:
+            self.up[rows] = 0.0
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
         gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
         if gyro.shape != self._sample or accel.shape != self._sample:
             raise ValueError(f"sample: gyro {gyro.shape} and accel {accel.shape}, should be {self._sample}")
-        out = np.empty((self._sample[0], 2))
+        out = np.empty((self._sample[0], self.core.outputs))
         self.core.run(self._states, gyro, accel, out)
-        return out
+        if self.up is None:
+            return out
+        self.up = out
+        return roll_pitch_of_up(out)
 
     def sequence(self, gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Array:
         """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""
@@ -144,9 +157,12 @@ class NetworkEstimator:
         if gyro.ndim != 3 or gyro.shape != accel.shape or gyro.shape[0] != n or gyro.shape[2] != 3:
             raise ValueError(f"sequence: gyro {gyro.shape} and accel {accel.shape}, should be ({n}, T, 3)")
         steps = gyro.shape[1]
-        out = np.empty((n, 2 * steps))
-        self.core.run(self._states, gyro.reshape(n, 3 * steps), accel.reshape(n, 3 * steps), out)
-        return out.reshape(n, steps, 2)
+        flat = np.empty((n, self.core.outputs * steps))
+        self.core.run(self._states, gyro.reshape(n, 3 * steps), accel.reshape(n, 3 * steps), flat)
+        out = flat.reshape(n, steps, self.core.outputs)
+        if self.up is not None and steps:
+            self.up = out[:, -1].copy()
+        return roll_pitch_of_outputs(out)
 
     @property
     def states(self) -> NDArray[np.void]:
@@ -170,11 +186,12 @@ class Spiking:
         settings = Settings(config.steps_per_sample, config.recurrent_delay, config.output_scale / one)
         in_states = Weights(*by_source, *weights[len(MATRICES) :])
         self._network = network_block(input_scaling(config.inputs), in_states, settings)
-        self.state = state_type(config.encoding, config.hidden, len(weights.w_out))
+        self.outputs = config.n_outputs
+        self.state = state_type(config.encoding, config.hidden, self.outputs)
         self._run = run_quantised if config.quantised else run_floats
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
+        """Take samples (n, 3 T) twice, write the outputs (n, outputs T)."""
         self._run(gyro, accel, self._network, states, out)
 
 
@@ -225,14 +242,15 @@ class OnLoihi:
         w_in = np.ascontiguousarray(w["w_in"].T, np.int32)
         self.host = Host(*input_scaling(config.inputs), w_in, w["syn0"].astype(np.int32))
         self.steps, self.scale = config.steps_per_sample, config.output_scale / STATE_ONE
-        settings = {"settings": np.array([self.steps, self.scale])}
+        self.outputs = config.n_outputs
+        settings = {"settings": np.array([self.steps, self.scale, self.outputs])}
         self.network = packed(self.host._asdict() | self.chip.parameters._asdict() | settings)
         first, neurons = self.chip.sizes[0], sum(self.chip.sizes)
         layout = {"encoder": (ENCODER, ()), "current": (np.int32, (first,)), "spikes": (np.int8, (neurons,))}
         self.state = block_type(layout | {name: (np.int32, (neurons,)) for name in ("u", "v", "bias")})
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
+        """Take samples (n, 3 T) twice, write the outputs (n, outputs T)."""
         _run_on_loihi(gyro, accel, self.network, states, out)
 
 
@@ -254,11 +272,16 @@ class Recurrent:
         readout = gru.Readout(np.ascontiguousarray(w_out.T), b_out)
         scaling = input_scaling(config.inputs)
         self._network = gru.network_block(scaling, first, second, readout, config.output_scale)
-        self.state = gru.state_type(config.encoding, config.hidden)
+        self.outputs, self.state = config.n_outputs, gru.state_type(config.encoding, config.hidden)
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, 3 T) twice, write roll and pitch (n, 2 T) [rad]."""
+        """Take samples (n, 3 T) twice, write the outputs (n, outputs T)."""
         gru.run_gru(gyro, accel, self._network, states, out)
+
+
+def roll_pitch_of_outputs(outputs: Array) -> Array:
+    """Roll and pitch (..., 2) [rad] of a network's outputs: these are the two, or up (..., 3)."""
+    return outputs if outputs.shape[-1] == 2 else roll_pitch_of_up(outputs)
 
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
@@ -271,7 +294,7 @@ def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
 
 
 def silenced(config: NetworkConfig, tensors: Tensors) -> Tensors:
-    """The same weights with output weights of zero.
+    """The same weights with output weights of zero: the estimate is always level.
 
     The error of that network, the *silenced error*, stands beside every error of a network: what the two have
     in common is not the work of its neurons.
@@ -312,17 +335,18 @@ def loihi_state(block):
 @njit(cache=True, nogil=True)
 def _run_on_loihi(gyro, accel, network, states, out):
     host, chip = host_and_chip(network)
-    steps, scale = vector(network, 11, np.float64)
+    steps, scale, count = vector(network, 11, np.float64)
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
         encoder, state = vector(states[n], 0, ENCODER)[0], loihi_state(states[n])
-        outputs = state.v[state.v.size - 2 :]
+        outputs = state.v[state.v.size - int(count) :]
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], host, encoder)
             for _ in range(int(steps)):
                 drive(encoder.inputs, host, state.current, state.bias, sums)
                 step_chip(chip, state, sources, sums)
-            out[n, 2 * t], out[n, 2 * t + 1] = outputs[0] * scale, outputs[1] * scale
+            for o in range(outputs.size):
+                out[n, outputs.size * t + o] = outputs[o] * scale
 
 
 @njit(cache=True)

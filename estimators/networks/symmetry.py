@@ -1,13 +1,13 @@
 """The symmetry of a quadrotor, built into the network: weights that turns and mirror images share.
 
 Neither gravity, drag nor thrust changes when the body axes turn by a quarter about z or when y is reflected.
-These eight operations, the dihedral group D4, permute the six inputs and the two outputs up to their signs. A
+These eight operations, the dihedral group D4, permute the six inputs and the outputs up to their signs. A
 network in which they permute the neurons as well, with equal weights wherever they map one connection onto
 another, is equivariant: turned readings give the turned outputs, to the last bit (Cohen & Welling 2016,
 "Group equivariant convolutional networks"). Each of its weights learns from eight times the data.
 
-Roll and pitch turn like that for small tilts only: at (30°, 30°) a quarter turn gives (33.7°, -25.7°), where
-the network answers (30°, -30°).
+Up turns like that at every attitude. Roll and pitch do for small tilts only: at (30°, 30°) a quarter turn
+gives (33.7°, -25.7°), where the network answers (30°, -30°).
 
 Neurons stand in groups of eight, each group permuted by the operations as they permute themselves; four of
 the rest stand for the four axes ±x, ±y; what then remains answers to all operations alike.
@@ -54,22 +54,23 @@ class WeightSharing(NamedTuple):
         return (means[self.first] * self.sign).astype(values.dtype).reshape(values.shape)
 
 
-def weight_sharing(encoding: int, hidden: int) -> dict[str, WeightSharing]:
+def weight_sharing(encoding: int, hidden: int, outputs: int = 2) -> dict[str, WeightSharing]:
     """The sharing of each weight and time constant of Att-SNN that D4 leaves free; the outputs have none.
 
     Args:
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the hidden layer.
+        outputs: 2: roll and pitch; 3: the world's up in body axes.
 
     Returns:
         By the names of the tensors, for arrays of their shapes.
     """
-    rates_forces = [_on_inputs(m) for m in OPERATIONS]
-    angles = [_on_outputs(m) for m in OPERATIONS]
+    rates_forces = [_signed(_on_inputs(m)) for m in OPERATIONS]
+    answers = [_signed(m if outputs == 3 else _on_roll_pitch(m)) for m in OPERATIONS]
     first, second = ([(_on_neurons(n, k), np.ones(n)) for k in range(8)] for n in (encoding, hidden))
     single = [(np.zeros(1, np.int64), np.ones(1))] * 8
     layers = {"w_in": (first, rates_forces), "w_ff": (second, first), "w_rec": (second, second),
-              "w_out": (angles, second), "syn0": (first, single), "mem0": (first, single),
+              "w_out": (answers, second), "syn0": (first, single), "mem0": (first, single),
               "syn1": (second, single), "mem1": (second, single)}  # fmt: skip
     return {name: _sharing(rows, columns) for name, (rows, columns) in layers.items()}
 
@@ -78,7 +79,7 @@ def is_symmetric(tensors: Mapping[str, NDArray]) -> bool:
     """Whether a network's tensors share their weights as D4 asks; those of a GRU do not."""
     if "w_in" not in tensors:
         return False
-    shared = weight_sharing(len(tensors["w_in"]), len(tensors["w_ff"]))
+    shared = weight_sharing(*(len(tensors[name]) for name in ("w_in", "w_ff", "w_out")))
     return all(
         np.array_equal(sharing.apply(tensors[name]), tensors[name]) for name, sharing in shared.items()
     )
@@ -88,18 +89,22 @@ Action = tuple[Ints, NDArray[np.floating]]
 """Where each entry of a vector comes from, and its sign: (g y)[i] = sign[i] y[source[i]]."""
 
 
-def _on_inputs(operation: NDArray[np.integer]) -> Action:
+def _signed(matrix: NDArray) -> Action:
+    """A signed permutation matrix as an action."""
+    return np.abs(matrix).argmax(1), matrix.sum(1).astype(np.float64)
+
+
+def _on_inputs(operation: NDArray[np.integer]) -> NDArray[np.float64]:
     """Body rates, a pseudovector, and specific forces, a vector."""
     whole = np.zeros((6, 6))
     whole[:3, :3], whole[3:, 3:] = round(np.linalg.det(operation)) * operation, operation
-    return np.abs(whole).argmax(1), whole.sum(1)
+    return whole
 
 
-def _on_outputs(operation: NDArray[np.integer]) -> Action:
+def _on_roll_pitch(operation: NDArray[np.integer]) -> NDArray[np.integer]:
     """Roll and pitch, for small angles the components y and -x of the world's up."""
     to_roll_pitch = np.array([[0, 1], [-1, 0]])
-    whole = to_roll_pitch @ operation[:2, :2] @ to_roll_pitch.T
-    return np.abs(whole).argmax(1), whole.sum(1)
+    return to_roll_pitch @ operation[:2, :2] @ to_roll_pitch.T
 
 
 def _on_neurons(n: int, operation: int) -> Ints:

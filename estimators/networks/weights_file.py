@@ -29,6 +29,7 @@ ForceRange = Annotated[float, Between(1e-3, 1e4, "m/s²")]
 Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
 StepsPerSample = Annotated[int, Between(1, 16)]
+Outputs = Literal["roll-pitch", "up"]
 
 
 class InputScaling(Strict):
@@ -62,20 +63,32 @@ class NetworkConfig(Strict):
     """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
     steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample."""
+    outputs: Outputs = "roll-pitch"
+    """Roll and pitch [rad], or the world's up in body axes, a unit vector, which is singular nowhere."""
     output_scale: OutputScale = 1.0
-    """Radians for an output potential of 1.0."""
+    """Radians, or parts of the unit vector, for an output potential of 1.0."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
     """Data, seed, epochs, commit, validation error."""
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs, 2 or 3."""
+        return number_of(self.outputs)
+
+
+def number_of(outputs: Outputs) -> int:
+    """How many outputs a network has: roll and pitch, or the three components of up."""
+    return 3 if outputs == "up" else 2
 
 
 def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the tensors of a network."""
-    h0, h1 = config.encoding, config.hidden
+    h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
-        weights = {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (2, h1)}
+        weights = {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (out, h1)}
         taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
         return {**weights, **taus}
-    shapes: dict[str, tuple[int, ...]] = {"out.weight": (2, h1), "out.bias": (2,)}
+    shapes: dict[str, tuple[int, ...]] = {"out.weight": (out, h1), "out.bias": (out,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
         shapes |= {f"gru.weight_hh_l{layer}": (3 * units, units), f"gru.bias_hh_l{layer}": (3 * units,)}

@@ -59,9 +59,10 @@ def train(
 
         def progress(epoch: Epoch, config: "TrainConfig") -> None:
             bar(epoch.epoch + 1, config.epochs)
+            inclination = f" (inclination {epoch.val_inclination_deg:.2f}°)" * (config.outputs == "up")
             console.print(
                 f"epoch {epoch.epoch + 1}: training RMSE {epoch.train_rmse_deg:.2f}°, "
-                f"validation {epoch.val_error_deg:.2f}°, spike rates {epoch.rate_encoding:.3f} "
+                f"validation {epoch.val_error_deg:.2f}°{inclination}, spike rates {epoch.rate_encoding:.3f} "
                 f"{epoch.rate_hidden:.3f}, {time_left(epoch.seconds, epoch.epoch + 1, config.epochs)} left",
                 highlight=False,
             )

@@ -17,6 +17,7 @@ from estimators.networks.network import (
     Recurrent,
     Spiking,
     create_network,
+    roll_pitch_of_outputs,
     silenced,
 )
 from estimators.networks.weights_file import (
@@ -28,6 +29,7 @@ from estimators.networks.weights_file import (
     shipped_network,
 )
 from estimators.spiking import Weights, forward
+from quadsim.rotation import roll_pitch_of_up
 
 
 def random_snn(config, seed=0):
@@ -47,16 +49,21 @@ def random_rnn(config, seed=0):
     return {k: rng.normal(0, 0.2, s).astype(np.float32) for k, s in expected_shapes(config).items()}
 
 
+@pytest.fixture(params=["roll-pitch", "up"])
+def outputs(request):
+    return request.param
+
+
 @pytest.fixture
-def snn_file(tmp_path):
-    config = NetworkConfig(model="att-snn", output_scale=1 / 256)
+def snn_file(tmp_path, outputs):
+    config = NetworkConfig(model="att-snn", outputs=outputs, output_scale=1 / 256)
     save_network(tmp_path / "snn.safetensors", config, random_snn(config))
     return tmp_path / "snn.safetensors"
 
 
 @pytest.fixture
-def rnn_file(tmp_path):
-    config = NetworkConfig(model="att-rnn")
+def rnn_file(tmp_path, outputs):
+    config = NetworkConfig(model="att-rnn", outputs=outputs)
     save_network(tmp_path / "rnn.safetensors", config, random_rnn(config))
     return tmp_path / "rnn.safetensors"
 
@@ -85,13 +92,17 @@ def same_spikes_for(weights, steps, seed, steps_per_sample=1):
         np.testing.assert_array_equal(state["u0"], on_chip["current"])
         np.testing.assert_array_equal(state["u1"], on_chip["u"][h0:both])
         np.testing.assert_array_equal(state["v2"], on_chip["v"][both:])
+        if config.outputs == "up":
+            np.testing.assert_array_equal(floats.up[0], state["v2"] * config.output_scale / 2**14)
+            np.testing.assert_array_equal(chip.up, floats.up)
+            np.testing.assert_array_equal(a, roll_pitch_of_up(floats.up))
         counts += len(encoding), len(hidden)
     assert np.all(counts > steps // 10)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_quantised_network_and_emulator_spike_alike_over_2000_steps(tmp_path, seed):
-    config = NetworkConfig(model="att-snn", output_scale=1 / 256, steps_per_sample=1 + seed)
+def test_quantised_network_and_emulator_spike_alike_over_2000_steps(tmp_path, seed, outputs):
+    config = NetworkConfig(model="att-snn", outputs=outputs, output_scale=1 / 256, steps_per_sample=1 + seed)
     save_network(tmp_path / "w", config, random_snn(config, seed))
     same_spikes_for(tmp_path / "w", 2000, seed)
 
@@ -118,6 +129,8 @@ def test_streaming_equals_the_whole_sequence(name, snn_file, rnn_file):
     est.reset(3)
     streamed = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(80)], 1)
     np.testing.assert_array_equal(streamed, whole)
+    if est.up is not None:
+        np.testing.assert_array_equal(roll_pitch_of_up(est.up), whole[:, -1])
     est.reset(1)
     np.testing.assert_array_equal(est.sequence(gyro[1:2], accel[1:2])[0], whole[1])
 
@@ -143,6 +156,8 @@ def test_restart_leaves_the_others_alone(name, snn_file, rnn_file):
     est.reset(3)
     est.sequence(gyro[:, :30], accel[:, :30])
     est.restart([1])
+    if est.up is not None:
+        np.testing.assert_array_equal(np.abs(est.up).max(1) > 0, [True, False, True])
     rest = est.sequence(gyro[:, 30:], accel[:, 30:])
     np.testing.assert_array_equal(rest[[0, 2]], whole[[0, 2], 30:])
     est.reset(1)
@@ -173,8 +188,8 @@ def test_the_tangent_of_the_gru_is_numpys():
 
 
 @pytest.mark.parametrize("units", [7, 100])
-def test_gru_equals_torch(tmp_path, units):
-    config = NetworkConfig(model="att-rnn", encoding=units, hidden=units)
+def test_gru_equals_torch(tmp_path, units, outputs):
+    config = NetworkConfig(model="att-rnn", outputs=outputs, encoding=units, hidden=units)
     tensors = random_rnn(config)
     rnn_file = tmp_path / "rnn.safetensors"
     save_network(rnn_file, config, tensors)
@@ -185,7 +200,10 @@ def test_gru_equals_torch(tmp_path, units):
     expected = gru(x)[0].detach().numpy() @ tensors["out.weight"].T + tensors["out.bias"]
     est = create_network("att-rnn", weights=rnn_file)
     est.reset(9)
-    np.testing.assert_allclose(est.sequence(gyro, accel), expected, atol=1e-5)
+    found = est.sequence(gyro, accel)
+    if est.up is not None:
+        np.testing.assert_allclose(est.up, expected[:, -1], atol=1e-5)
+    np.testing.assert_allclose(found, roll_pitch_of_outputs(expected), atol=1e-5 if est.up is None else 1e-3)
 
 
 def test_inference_does_not_import_torch(snn_file):
@@ -243,6 +261,18 @@ def test_silenced_networks_estimate_nothing(core, snn_file, rnn_file):
     np.testing.assert_array_equal(estimates[1], 0.0)
 
 
+def test_weights_of_another_number_of_outputs_are_refused(tmp_path, snn_file):
+    config, tensors = load_network(snn_file)
+    other = config.model_copy(update={"outputs": "up" if config.outputs == "roll-pitch" else "roll-pitch"})
+    with pytest.raises(ValueError, match=r"w_out has shape \([23], 100\), should be \([32], 100\)"):
+        save_network(tmp_path / "x", other, tensors)
+
+
+def test_files_that_name_no_outputs_have_roll_and_pitch():
+    shipped, tensors = shipped_network("att-snn")
+    assert (shipped.outputs, len(tensors["w_out"])) == ("roll-pitch", 2)
+
+
 @pytest.mark.parametrize("steps", [1, 3])
 def test_outputs_integrate_the_spikes_of_the_hidden_layer_alone(snn_file, steps):
     """u[t] = D(u[t-1]) + W s[t-1], v[t] = D(v[t-1]) + u[t]: nothing else reaches an output."""
@@ -253,13 +283,14 @@ def test_outputs_integrate_the_spikes_of_the_hidden_layer_alone(snn_file, steps)
     activity = record(OnLoihi(config, tensors), gyro, accel)
     w_out = 64 * tensors["w_out"].astype(int)
     keep_u, keep_v = 4096 - int(tensors["syn2"][0]), 4096 - int(tensors["mem2"][0])
-    u, v, before = np.zeros(2, int), np.zeros(2, int), np.zeros(config.hidden, int)
+    u, v, before = np.zeros(len(w_out), int), np.zeros(len(w_out), int), np.zeros(config.hidden, int)
     for t, spikes in enumerate(activity.of_layer(activity.spikes, 1)[0].astype(int)):
         u = np.sign(u) * (np.abs(u) * keep_u >> 12) + w_out @ before
         v = np.sign(v) * (np.abs(v) * keep_v >> 12) + u
         before = spikes
         if (t + 1) % steps == 0:
-            np.testing.assert_array_equal(activity.estimate[0, t // steps], v * config.output_scale / 2**14)
+            expected = roll_pitch_of_outputs(v * config.output_scale / 2**14)
+            np.testing.assert_array_equal(activity.estimate[0, t // steps], expected)
     assert 0 < np.abs(v).max() < 2**23 - 1
 
 

@@ -12,7 +12,7 @@ from estimators.networks.network import NetworkEstimator, OnLoihi
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
 from estimators.spiking import MATRICES
-from training.augment import roll_pitch_of_up
+from quadsim.rotation import roll_pitch_of_up
 from training.backends.fused import Fused
 from training.config import make_config
 from training.init import initialise_from_data
@@ -22,13 +22,13 @@ from training.run_folder import exported
 G = 9.81
 
 
-def network(encoding, hidden, seed=0):
+def network(encoding, hidden, seed=0, outputs="roll-pitch"):
     """A symmetric network with a solved start, and its files' contents."""
     rng = np.random.default_rng(seed)
-    model = AttSNN(encoding, hidden, Fused(), symmetric=True, output_scale=1 / 256)
+    model = AttSNN(encoding, hidden, Fused(), symmetric=True, output_scale=1 / 256, outputs=outputs)
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
-    initialise_from_data(model, x, 0.1 * x[:, :, :2], seed=seed, fan_in=8)
-    config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
+    initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed, fan_in=8)
+    config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden, outputs=outputs)
     return model, *exported(model, config, 200.0, {})
 
 
@@ -93,11 +93,34 @@ def test_turned_and_mirrored_readings_give_the_turned_outputs_to_the_last_bit(en
         np.testing.assert_array_equal(turned.estimate, rolled_and_pitched(operation, straight.estimate))
 
 
-@given(st.integers(1, 50), st.integers(1, 50))
+@given(st.integers(8, 40), st.integers(8, 40), st.integers(0, 100))
 @settings(max_examples=25, deadline=None)
-def test_copies_and_means_are_fixed_by_the_symmetry(encoding, hidden):
-    shapes = {"w_in": (encoding, 6), "w_ff": (hidden, encoding), "w_out": (2, hidden), "mem1": (hidden,)}
-    for name, sharing in weight_sharing(encoding, hidden).items():
+def test_turned_and_mirrored_readings_turn_up_as_a_vector_at_any_attitude(encoding, hidden, seed):
+    _, config, tensors = network(encoding, hidden, seed, "up")
+    assert is_symmetric(tensors)
+    core = OnLoihi(config, tensors)
+    rng = np.random.default_rng(seed)
+    gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
+    accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
+    outputs = record(core, gyro, accel).potentials[:, -3:]
+    assume(np.abs(outputs).max(0).all())
+    for operation in OPERATIONS:
+        turned = record(core, np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T)
+        np.testing.assert_array_equal(turned.potentials[:, -3:], outputs @ operation.T)
+        expected = roll_pitch_of_up(outputs @ operation.T)
+        np.testing.assert_allclose(turned.estimate[0], expected, atol=1e-12)
+
+
+@given(st.integers(1, 50), st.integers(1, 50), st.sampled_from([2, 3]))
+@settings(max_examples=25, deadline=None)
+def test_copies_and_means_are_fixed_by_the_symmetry(encoding, hidden, outputs):
+    shapes = {
+        "w_in": (encoding, 6),
+        "w_ff": (hidden, encoding),
+        "w_out": (outputs, hidden),
+        "mem1": (hidden,),
+    }
+    for name, sharing in weight_sharing(encoding, hidden, outputs).items():
         if name in shapes:
             values = np.random.default_rng(0).normal(size=shapes[name])
             copied, mean = sharing.apply(values), sharing.mean(values)

@@ -48,17 +48,18 @@ def compiled(tmp_path, request):
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
 
-    def build(weights, h0, h1):
+    def build(weights, h0, h1, outputs):
         export_weights(weights, tmp_path / "c", "c99")
         driver = request.path.parents[1] / "data" / "loihi" / "driver.c"
         flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
         sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
         subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
-        sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1), ("u2", 2), ("v2", 2)]
+        sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1)]
+        sizes += [("u2", outputs), ("v2", outputs)]
         fields = [(name, np.int32, size) for name, size in sizes]
         spikes = [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
         state = np.dtype([*fields, *spikes, ("skipped", np.uint32)], align=True)
-        layout = np.dtype([("state", state), ("roll_pitch", float, 2)])
+        layout = np.dtype([("state", state), ("attitude", float, outputs)])
 
         def run(samples):
             done = subprocess.run(
@@ -71,32 +72,39 @@ def compiled(tmp_path, request):
     return build
 
 
-@pytest.mark.parametrize("seed", [None, 0, 1])
-def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
+@pytest.mark.parametrize(("seed", "outputs"), [(None, ""), (0, "roll-pitch"), (1, "roll-pitch"), (1, "up")])
+def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed, outputs):
     if seed is None:
         config, tensors = shipped_network("att-snn")
         weights = "att-snn"
     else:
         scale = 1 / 256 if seed else 0.003
         config = NetworkConfig(
-            model="att-snn", encoding=37, hidden=23, steps_per_sample=1 + seed, output_scale=scale
+            model="att-snn",
+            encoding=37,
+            hidden=23,
+            steps_per_sample=1 + seed,
+            outputs=outputs,
+            output_scale=scale,
         )
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
         save_network(weights, config, tensors)
-    h0, h1 = config.encoding, config.hidden
+    h0, h1, last = config.encoding, config.hidden, -config.n_outputs
     gyro, accel = readings(4000)
-    states = compiled(weights, h0, h1)(np.concatenate([gyro, accel], 1))
+    states = compiled(weights, h0, h1, config.n_outputs)(np.concatenate([gyro, accel], 1))
     est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
     state = est.states[0]
     encoder, u, v, spikes = (state[name] for name in ("encoder", "u", "v", "spikes"))
-    for t, (theirs, roll_pitch) in enumerate(states):
+    for t, (theirs, attitude) in enumerate(states):
         out = est.update(gyro[t : t + 1], accel[t : t + 1])
         expected = {"input": encoder["inputs"], "skipped": encoder["missing"]}
-        expected |= {"u0": state["current"], "u1": u[h0:-2], "u2": u[-2:]}
-        expected |= {"v0": v[:h0], "v1": v[h0:-2], "v2": v[-2:], "s0": spikes[:h0], "s1": spikes[h0:-2]}
+        expected |= {"u0": state["current"], "u1": u[h0:last], "u2": u[last:]}
+        expected |= {"v0": v[:h0], "v1": v[h0:last], "v2": v[last:]}
+        expected |= {"s0": spikes[:h0], "s1": spikes[h0:last]}
         for name, value in expected.items():
             np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
-        np.testing.assert_array_equal(roll_pitch, out[0], err_msg=f"roll and pitch at {t}")
+        ours = out[0] if est.up is None else est.up[0]
+        np.testing.assert_array_equal(attitude, ours, err_msg=f"outputs at {t}")
     assert states["state"]["s0"].mean() > 0.01
     assert states["state"]["s1"].mean() > 0.01
 
@@ -153,6 +161,39 @@ def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
     assert type(graph.nodes["output"]).__name__ == "CubaLI"
 
 
+def test_nir_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
+    nir = pytest.importorskip("nir")
+    config = NetworkConfig(model="att-snn", encoding=5, hidden=7, outputs="up", output_scale=1 / 256)
+    tensors = random_snn(config)
+    save_network(tmp_path / "w.safetensors", config, tensors)
+    graph = nir.read(export_weights(tmp_path / "w.safetensors", tmp_path / "snn.nir", "nir"))
+    np.testing.assert_array_equal(graph.nodes["w_out"].weight * 256, tensors["w_out"])
+    assert graph.nodes["output"].tau_mem.shape == (3,)
+    assert graph.nodes["finish"].input_type["input"] == [3]
+    assert graph.metadata["outputs"] == "up"
+
+
+def test_onnx_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
+    runtime = pytest.importorskip("onnxruntime")
+    config = NetworkConfig(model="att-rnn", encoding=7, hidden=7, outputs="up")
+    rng = np.random.default_rng(0)
+    tensors = {
+        k: rng.normal(0, 0.2, shape).astype(np.float32) for k, shape in expected_shapes(config).items()
+    }
+    save_network(tmp_path / "w.safetensors", config, tensors)
+    session = runtime.InferenceSession(
+        export_weights(tmp_path / "w.safetensors", tmp_path / "rnn.onnx", "onnx")
+    )
+    gyro, accel = rng.normal(0, 1, (50, 1, 3)), rng.normal([0, 0, 9.8], 1.0, (50, 1, 3))
+    feed = {"gyro": gyro.astype(np.float32), "accel": accel.astype(np.float32)}
+    feed |= {f"h{k}": np.zeros((1, 1, 7), np.float32) for k in (0, 1)}
+    (up,) = session.run(["up"], feed)
+    est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
+    for t in range(50):
+        est.update(gyro[t], accel[t])
+        np.testing.assert_allclose(up[t], est.up, atol=2e-4)
+
+
 def test_onnx_runtime_estimates_as_the_network_here(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
     session = runtime.InferenceSession(export_weights("att-rnn", tmp_path / "rnn.onnx", "onnx"))
@@ -196,6 +237,7 @@ def test_the_c_header_names_the_scale_of_its_output(tmp_path):
     header = (tmp_path / "c" / "att_snn.h").read_text()
     scale = OnLoihi(*shipped_network("att-snn")).scale
     assert f"#define ATT_SNN_UNITS_PER_RADIAN {round(1 / scale)}\n" in header
+    assert "#define ATT_SNN_OUTPUTS 2\n" in header
 
 
 def test_weights_of_a_type_that_numpy_lacks_are_one_line(tmp_path):

@@ -26,6 +26,7 @@ from quadsim.rotation import (
     quat_rotate,
     quat_rotate_inverse,
     roll_pitch_from_quat,
+    roll_pitch_of_up,
     rotate_core,
     rotate_inverse_core,
     swap_enu_flu_ned_frd,
@@ -164,6 +165,20 @@ def test_roll_and_pitch_survive_any_yaw(shape):
     for yaw in (0.0, 2.5):
         assert roll_pitch_from_quat(quat_from_roll_pitch(angles, yaw)) == pytest.approx(angles, abs=1e-14)
     assert quat_from_roll_pitch(angles).shape == (*shape, 4)
+
+
+@SHAPES
+def test_roll_and_pitch_of_up_are_those_of_the_attitude(shape):
+    q = sample(shape)
+    up = quat_rotate_inverse(q, np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3)))
+    for length in (1e-3, 1.0, 500.0):
+        assert roll_pitch_of_up(length * up) == pytest.approx(roll_pitch_from_quat(q), abs=1e-14)
+
+
+def test_no_up_is_level_and_its_opposite_is_upside_down():
+    for zeros in np.array(np.meshgrid(*[[0.0, -0.0]] * 3)).reshape(3, -1).T:
+        np.testing.assert_array_equal(roll_pitch_of_up(zeros), 0.0)
+    np.testing.assert_array_equal(roll_pitch_of_up([0.0, 0.0, -1.0]), [np.pi, 0.0])
 
 
 @SHAPES

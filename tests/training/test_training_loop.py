@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from estimators.metrics import up_in_body
 from estimators.networks.network import create_network
 from estimators.networks.symmetry import is_symmetric
 from estimators.networks.weights_file import load_network, parameters
@@ -17,7 +18,7 @@ from quadsim.config.toml import load_toml, preset_names
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import flight_config, load_recipe
 from training import loop
-from training.augment import Augmentation, augment, roll_pitch_of_up
+from training.augment import Augmentation, augment
 from training.backends.fused import Fused
 from training.config import Preset, TrainConfig, make_config
 from training.data import load_training_flights, network_inputs, split, windows
@@ -82,9 +83,10 @@ def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
     assert est.update(np.zeros((1, 3)), np.array([[0.0, 0.0, 9.81]])).shape == (1, 2)
 
 
+@pytest.mark.parametrize("outputs", ["roll-pitch", "up"])
 @pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
-def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
-    choices = TINY | {"model": model, "hidden": 20}
+def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model, outputs):
+    choices = TINY | {"model": model, "hidden": 20, "outputs": outputs}
     train(data=dataset, out=tmp_path / "whole", **choices)
 
     killed_and_resumed(dataset, tmp_path / "cut", **choices)
@@ -92,6 +94,46 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model):
     for name in whole["model"]:
         np.testing.assert_array_equal(whole["model"][name], cut["model"][name])
     same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
+
+
+def test_a_run_on_up_is_judged_by_the_inclination_and_goes_on(dataset, tmp_path):
+    rows = []
+    more = {"outputs": "up", "batches": 30, "window_s": 1.0, "pruning_target": 600, "rate_cost": 0.0}
+    result = train(
+        data=dataset, out=tmp_path / "run", progress=lambda row, config: rows.append(row), **TINY | more
+    )
+    for row in rows:
+        assert row.val_mse == pytest.approx(np.radians(row.val_inclination_deg) ** 2 / 2)
+    config, tensors = load_network(result.weights)
+    assert (config.outputs, len(tensors["w_out"])) == ("up", 3)
+    assert parameters(tensors) <= 600
+    assert is_symmetric(tensors)
+    est = create_network("att-snn-loihi", weights=result.weights)
+    flights = load_training_flights([dataset])
+    est.reset(len(flights))
+    est.sequence(flights.gyro, flights.accel)
+    assert est.up[:, 2].mean() > 0.3  # towards the unit vector, of zero at the start
+    with pytest.raises(ValueError, match="outputs: the weights of init have up, it cannot be roll-pitch"):
+        make_config("tune", data=str(dataset), init=str(result.weights), outputs="roll-pitch")
+    on = train(data=dataset, out=tmp_path / "on", preset="tune", init=str(result.weights), epochs=1,
+               batches=2, batch_size=4, window_s=0.5)  # fmt: skip
+    assert load_network(on.weights)[0].outputs == "up"
+
+
+def test_a_sensor_upside_down_is_within_the_range_of_the_outputs():
+    config = make_config("best", data="none.zarr", encoding=24, hidden=24, outputs="up")
+    model = AttSNN(24, 24, Fused(), config.output_scale, outputs="up")
+    x = np.round(np.random.default_rng(0).normal(size=(2, 600, 6)).cumsum(1) * 20) / 1024
+    initialise_from_data(model, x, np.broadcast_to([0.0, 0.0, -1.0], (2, 600, 3)), seed=0)
+    up = model(torch.from_numpy(x))[0].detach().numpy()[:, 300:].mean((0, 1))
+    np.testing.assert_allclose(up, [0.0, 0.0, -1.0], atol=0.2)
+
+
+def test_targets_of_a_batch_are_one_attitude(dataset):
+    config = make_config("best", data=str(dataset), **{k: v for k, v in TINY.items() if k != "preset"})
+    batch = next(windows(load_training_flights([dataset]), config, 100, (0,)))
+    np.testing.assert_allclose(np.linalg.norm(batch.up, axis=-1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(batch.up, up_in_body(batch.roll_pitch), atol=1e-6)
 
 
 PRUNED = TINY | {"pruning_target": 300, "reinitialise_until": 0.25, "epochs": 4}
@@ -409,11 +451,6 @@ def test_noise_has_the_density_that_is_asked_for():
     for signal, density, bias in ((gyro, 0.01, 0.1), (accel, 0.02, 0.3)):
         np.testing.assert_allclose(signal.std(1).mean(), density * np.sqrt(200), rtol=0.02)
         np.testing.assert_allclose(signal.mean(1).std(), bias, rtol=0.3)
-
-
-def test_roll_and_pitch_of_up():
-    up = np.array([-np.sin(0.3), np.sin(0.2) * np.cos(0.3), np.cos(0.2) * np.cos(0.3)])
-    np.testing.assert_allclose(roll_pitch_of_up(up), [0.2, 0.3])
 
 
 def test_stopping_rules_of_the_paper():
