@@ -26,6 +26,7 @@ from .backends import BACKENDS
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Step = Annotated[float, Between(1e-6, 1e6)]
+Window = Annotated[float, Between(0.01, 3600.0, "s")]
 
 
 class TrainingRecipe(Strict):
@@ -82,8 +83,11 @@ class TrainingRecipe(Strict):
     """Updates in an epoch."""
     batch_size: Number = 40
     """Windows in a batch."""
-    window_s: Annotated[float, Between(0.01, 3600.0, "s")] = 10.0
+    window_s: Window = 10.0
     """Length of a window [s]."""
+    later_windows: tuple[tuple[Share, Window], ...] = ()
+    """Other lengths of a window later on: pairs of the share of the epochs after which it is used, rising, and
+    the length [s]."""
     windows_per_stream: Number = 1
     """Most successive windows over which the network's state continues (truncated backpropagation)."""
     stop_early: bool = True
@@ -142,6 +146,9 @@ class TrainConfig(TrainingRecipe):
             raise ValueError(
                 f"pruning_target: {self.pruning_target}, but time constants alone are {constants}"
             )
+        shares = [share for share, _ in self.later_windows]
+        if sorted(set(shares)) != shares:
+            raise ValueError(f"later_windows: shares {shares}, each should be above the one before")
         if not 0 <= self.pruning_span[0] < self.pruning_span[1] <= 1:
             raise ValueError(f"pruning_span: {self.pruning_span}, should be two rising shares in 0...1")
         if self.prunes and self.reinitialise_until > self.pruning_span[0]:
@@ -150,6 +157,11 @@ class TrainConfig(TrainingRecipe):
                 f"{self.pruning_span[0]} on; give a smaller reinitialise_until, or pruning_target=0"
             )
         return self
+
+    def window_s_in(self, epoch: int) -> float:
+        """Length of the windows of an epoch, counted from 0 [s]."""
+        lengths = [length for share, length in self.later_windows if epoch >= share * self.epochs]
+        return lengths[-1] if lengths else self.window_s
 
     @property
     def prunes(self) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.weights_file import load_network
+from estimators.networks.weights_file import LEVEL_UP, load_network
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
 
@@ -220,7 +220,7 @@ def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | 
 
 def target_of(config: TrainConfig, batch: Batch) -> Float32:
     """What the outputs should be after each sample, (n, T, outputs)."""
-    return batch.up if config.outputs == "up" else batch.roll_pitch
+    return batch.up - LEVEL_UP.astype(batch.up.dtype) if config.outputs == "up" else batch.roll_pitch
 
 
 def sample_windows(

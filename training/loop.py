@@ -139,12 +139,15 @@ class Training:
 
     def __init__(self, config: TrainConfig, flights: TrainingFlights, validation: TrainingFlights) -> None:
         self.config, self.flights, self.validation = config, flights, validation
-        self.steps = round(config.window_s * flights.rate_hz)
-        self.model: AttSNN | AttRNN = initial_model(config, flights, self.steps)
+        self.model: AttSNN | AttRNN = initial_model(config, flights, self._steps_in(0))
         self.optimiser = new_optimiser(self.model, config)
         self.history: list[Epoch] = []
         self._input_state = np.zeros(config.batch_size, ENCODER)
         self._unpruned = self.model.parameter_count
+
+    def _steps_in(self, epoch: int) -> int:
+        """Samples of a window of an epoch."""
+        return round(self.config.window_s_in(epoch) * self.flights.rate_hz)
 
     def one_epoch(self) -> Epoch:
         """Train for an epoch and validate the slow weights."""
@@ -153,7 +156,8 @@ class Training:
         if isinstance(self.model, AttSNN) and number < config.reinitialise_until * config.epochs:
             self._reinitialise(self.model, number)
         squares, rates = np.zeros(config.batches), np.zeros((config.batches, 2))
-        for k, batch in enumerate(windows(self.flights, config, self.steps, (config.seed, 1, number))):
+        epoch_windows = windows(self.flights, config, self._steps_in(number), (config.seed, 1, number))
+        for k, batch in enumerate(epoch_windows):
             for group in self.optimiser.param_groups:
                 group["lr"] = learning_rate(config, first + k) * group["step"]
             squares[k], rates[k] = self._update(batch)
@@ -198,7 +202,8 @@ class Training:
         return float(attitude_loss(estimate.detach(), target)), rates.tolist()
 
     def _reinitialise(self, model: AttSNN, number: int) -> None:
-        x, _ = sample_windows(self.config, self.flights, self.steps, (self.config.seed, 2, number))
+        seed = (self.config.seed, 2, number)
+        x, _ = sample_windows(self.config, self.flights, self._steps_in(number), seed)
         if count := reinitialise_dead_neurons(model, x, self.config.seed + number):
             self.optimiser.restart()
             log.info("epoch %d begins with %d hidden neurons re-initialised", number + 1, count)

@@ -154,5 +154,5 @@ void att_snn_step(att_snn_state *state)
 void att_snn_attitude(const att_snn_state *state, double $name[ATT_SNN_OUTPUTS])
 {
     for (int k = 0; k < ATT_SNN_OUTPUTS; ++k)
-        $name[k] = state->v_output[k] * SCALE;
+        $name[k] = state->v_output[k] * SCALE$level;
 }

@@ -24,6 +24,7 @@ WORDS = {
         "unit": "radians",
         "UNIT": "RADIAN",
         "quantity": "roll or pitch in radians",
+        "level": "",
     },
     "up": {
         "name": "up",
@@ -32,7 +33,8 @@ WORDS = {
         " * pitch atan2(-up[0], sqrt(up[1] * up[1] + up[2] * up[2])),",
         "unit": "parts of a unit vector",
         "UNIT": "ONE",
-        "quantity": "a component of up",
+        "quantity": "a component of up less that of a level attitude, (0, 0, 1)",
+        "level": " + (k == 2)",
     },
 }
 """What the templates call the outputs."""

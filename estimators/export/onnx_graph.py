@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 from quadsim.runs.files import write_whole
 
 from ..networks.encoder import INPUT_MAX, INPUT_ONE, input_scaling
-from ..networks.weights_file import NetworkConfig, Tensors
+from ..networks.weights_file import LEVEL_UP, NetworkConfig, Tensors
 
 OPSET = 17
 
@@ -31,10 +31,11 @@ def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
         raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
     offset, gain = input_scaling(config.inputs)
     output = config.outputs.replace("-", "_")
+    level = LEVEL_UP if config.outputs == "up" else 0.0
     constants = {
         "offset": offset, "gain": gain, "limit": np.array(INPUT_MAX), "floor": np.array(-INPUT_MAX),
         "one": np.array(INPUT_ONE), "w_out": tensors["out.weight"].T * config.output_scale,
-        "b_out": tensors["out.bias"] * config.output_scale, "axis": np.array([1]),
+        "b_out": tensors["out.bias"] * config.output_scale + level, "axis": np.array([1]),
     }  # fmt: skip
     nodes = [
         helper.make_node("Concat", ["gyro", "accel"], ["readings"], axis=2),

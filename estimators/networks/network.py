@@ -44,7 +44,7 @@ from .forward import (
     run_quantised,
     state_type,
 )
-from .weights_file import NetworkConfig, Tensors, load_network, shipped_network
+from .weights_file import LEVEL_UP, NetworkConfig, Tensors, load_network, shipped_network
 
 Array = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ class NetworkCore(Protocol):
     state: np.dtype
     """Record type of a vehicle's state, a block; its field `encoder` is the encoder's."""
     outputs: int
-    """2: roll and pitch [rad]; 3: the world's up in body axes."""
+    """2: roll and pitch [rad]; 3: the world's up in body axes, less `LEVEL_UP`."""
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
         """Take T samples of n vehicles.
@@ -108,8 +108,8 @@ class NetworkEstimator:
     """
 
     up: Array | None
-    """The world's up in body axes as estimated last, shape (n, 3), not scaled to length 1; zero before the
-    first sample. None for a network whose outputs are roll and pitch."""
+    """The world's up in body axes as estimated last, shape (n, 3), not scaled to length 1; that of a level
+    attitude before the first sample. None for a network whose outputs are roll and pitch."""
 
     def __init__(self, core: NetworkCore, rate_hz: float) -> None:
         """Start with one vehicle of unknown attitude."""
@@ -128,7 +128,7 @@ class NetworkEstimator:
         """
         _check_attitude(roll_pitch, n)
         self._states, self._sample = zero_blocks(n, self.core.state), (n, 3)
-        self.up = np.zeros((n, 3)) if self.core.outputs == 3 else None
+        self.up = np.tile(LEVEL_UP, (n, 1)) if self.core.outputs == 3 else None
 
     def restart(self, ids: ArrayLike, roll_pitch: ArrayLike | None = None) -> None:
         """Start some of the vehicles again, (k,) of them; an initial attitude (k, 2) is ignored."""
@@ -136,7 +136,7 @@ class NetworkEstimator:
         _check_attitude(roll_pitch, rows.size)
         self._states[rows] = zero_blocks(rows.size, self.core.state)
         if self.up is not None:
-            self.up[rows] = 0.0
+            self.up[rows] = LEVEL_UP
 
     def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take one sample, (n, 3) [rad/s] and (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
@@ -147,8 +147,8 @@ class NetworkEstimator:
         self.core.run(self._states, gyro, accel, out)
         if self.up is None:
             return out
-        self.up = out
-        return roll_pitch_of_up(out)
+        self.up = out + LEVEL_UP
+        return roll_pitch_of_up(self.up)
 
     def sequence(self, gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Array:
         """Take T samples, (n, T, 3) twice; the same numbers as T calls of `update`, (n, T, 2)."""
@@ -161,7 +161,7 @@ class NetworkEstimator:
         self.core.run(self._states, gyro.reshape(n, 3 * steps), accel.reshape(n, 3 * steps), flat)
         out = flat.reshape(n, steps, self.core.outputs)
         if self.up is not None and steps:
-            self.up = out[:, -1].copy()
+            self.up = out[:, -1] + LEVEL_UP
         return roll_pitch_of_outputs(out)
 
     @property
@@ -280,8 +280,8 @@ class Recurrent:
 
 
 def roll_pitch_of_outputs(outputs: Array) -> Array:
-    """Roll and pitch (..., 2) [rad] of a network's outputs: these are the two, or up (..., 3)."""
-    return outputs if outputs.shape[-1] == 2 else roll_pitch_of_up(outputs)
+    """Roll and pitch (..., 2) [rad] of a network's outputs: these are the two, or up less level (..., 3)."""
+    return outputs if outputs.shape[-1] == 2 else roll_pitch_of_up(outputs + LEVEL_UP)
 
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:

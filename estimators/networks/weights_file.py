@@ -30,6 +30,8 @@ Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
 StepsPerSample = Annotated[int, Between(1, 16)]
 Outputs = Literal["roll-pitch", "up"]
+LEVEL_UP = np.array([0.0, 0.0, 1.0])
+"""The world's up in body axes at a level attitude."""
 
 
 class InputScaling(Strict):
@@ -64,7 +66,8 @@ class NetworkConfig(Strict):
     steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample."""
     outputs: Outputs = "roll-pitch"
-    """Roll and pitch [rad], or the world's up in body axes, a unit vector, which is singular nowhere."""
+    """Roll and pitch [rad], or the world's up in body axes less that of a level attitude, which is singular
+    nowhere and 0 of a silent network."""
     output_scale: OutputScale = 1.0
     """Radians, or parts of the unit vector, for an output potential of 1.0."""
     training: dict[str, JsonValue] = Field(default_factory=dict)

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from estimators.analysis.ablation import connected, pruned
 from estimators.analysis.activity import record
-from estimators.networks.network import NetworkEstimator, OnLoihi
+from estimators.loihi.neurons import VTH_MAX
+from estimators.networks.network import NetworkEstimator, OnLoihi, roll_pitch_of_outputs
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
 from estimators.spiking import MATRICES
@@ -107,7 +108,7 @@ def test_turned_and_mirrored_readings_turn_up_as_a_vector_at_any_attitude(encodi
     for operation in OPERATIONS:
         turned = record(core, np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T)
         np.testing.assert_array_equal(turned.potentials[:, -3:], outputs @ operation.T)
-        expected = roll_pitch_of_up(outputs @ operation.T)
+        expected = roll_pitch_of_outputs(outputs @ operation.T * (VTH_MAX * 64 * core.scale))
         np.testing.assert_allclose(turned.estimate[0], expected, atol=1e-12)
 
 
