@@ -8,7 +8,8 @@ An algorithm is one compiled step, `advance`, and two functions that loop over i
     sequence(states, params, dt, gyro, accel, out)
         Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. Records
         states (p·n,) and params (p,): parameter set i estimates flight j in state i·n + j. gyro, accel
-        (n, T, 3); out (p·n, T, 2).
+        (n, T, 3); out (p·n, T, 2). Sensors beside the IMU that the algorithm uses, (n, T, ·), come after
+        accel; one that is not there has no columns.
     score(states, params, dt, flights)
         Only the sums of squared errors (p, n) [rad²] on flights (gyro, accel, target), target (n, T, 2),
         parameter sets side by side.
@@ -104,10 +105,32 @@ class Algorithm:
     score: Callable[..., Array]
     start: Callable[[Records, Array, bool, Records], None]
     """start(states, quat, known, params): initialise records (rows,) from quat (rows, 4), params (rows,)."""
+    sensors: tuple[str, ...] = ()
+    """Sensors beside the IMU, of `quadsim.estimator.Readings`, that `sequence` takes."""
 
     def records(self, matrix: Array) -> Records:
         """Parameter sets (p, k), in the order of `parameters`, as records (p,)."""
         return np.ascontiguousarray(matrix).view(self.params)[:, 0]
+
+    def others(self, shape: tuple[int, ...], given: OtherSensors) -> list[Array]:
+        """What `sequence` takes after accel: readings of its `sensors`, with no columns if not given.
+
+        Args:
+            shape: Of the other readings without their last axis: (n,) or (n, T).
+            given: Readings (*shape, ·).
+
+        Raises:
+            ValueError: For readings of another shape.
+        """
+        found = []
+        for name in self.sensors:
+            values = given.get(name)
+            array = np.empty((*shape, 0)) if values is None else np.ascontiguousarray(values, np.float64)
+            if array.shape[:-1] != shape:
+                expected = ", ".join(map(str, shape))
+                raise ValueError(f"{name} has shape {array.shape}; it must be ({expected}, ·), as gyro")
+            found.append(array)
+        return found
 
 
 class Filter:
@@ -156,10 +179,10 @@ class Filter:
             raise ValueError(
                 f"gyro {gyro.shape} and accel {accel.shape} must both be {self._shape}, as in reset"
             )
+        others = [each[:, None] for each in self.algorithm.others(self._shape[:1], sensors)]
         out = np.empty((self._shape[0], 1, 2))
-        self._sequence(
-            self._states, self._params, self._dt, gyro.reshape(self._sample), accel.reshape(self._sample), out
-        )  # fmt: skip
+        gyro, accel = gyro.reshape(self._sample), accel.reshape(self._sample)
+        self._sequence(self._states, self._params, self._dt, gyro, accel, *others, out)
         return out[:, 0]
 
     def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
@@ -167,8 +190,9 @@ class Filter:
         gyro, accel = paired(gyro, accel)
         if len(gyro) != self._shape[0]:
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {self._shape[0]}")
+        others = self.algorithm.others(gyro.shape[:2], sensors)
         out = np.empty((*gyro.shape[:2], 2))
-        self._sequence(self._states, self._params, self._dt, gyro, accel, out)
+        self._sequence(self._states, self._params, self._dt, gyro, accel, *others, out)
         return out
 
     @property
