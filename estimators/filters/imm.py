@@ -48,7 +48,7 @@ from quadsim.rotation import euler_from_quat, multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Filter, Parameter, Records
+from .algorithm import Algorithm, Array, Filter, Parameter, Records, score_of, sequence_of
 from .ekf import SIGMA_KNOWN
 from .ekf_drag import at_rest, diverged, mean_square
 from .eskf import tilt_core, turned
@@ -73,7 +73,7 @@ from .imm_model import (
     predict,
 )
 from .inline_math import atan2_core, exp_core, roll_pitch_core
-from .samples import parameter_record, sanitise_sample, square_of_error, sum_of_squares
+from .samples import parameter_record
 
 STATE = np.dtype(
     [
@@ -459,11 +459,11 @@ def inverted(s, p):
 
 
 @njit
-def step(s, own, p, sample, rotor_square, work, evidence):
-    """Take a sample; a filter that has diverged starts again. own: the record's own numbers."""
+def step(s, own, p, sample, rotor_square, work):
+    """See `algorithm`; a filter that has diverged starts again."""
     accumulate(s, sample, rotor_square)
     if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
-        update_models(s, p, work, evidence)
+        update_models(s, p, *work)
         if diverged(s) or inverted(s, p):
             own[:] = 0.0
             s.quat[0] = 1.0
@@ -492,35 +492,13 @@ def room():
 @njit(cache=True, nogil=True)
 def sequence(states, params, dt, gyro, accel, rotor_vel, out):
     """See `algorithm`."""
-    n, steps = gyro.shape[:2]
-    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
-    for row in range(len(states)):
-        s, p, i = states[row], params[row // n], row % n
-        for t in range(steps):
-            sample = sanitise_sample(s, dt, gyro, accel, i, t)
-            rotor_square = sum_of_squares(rotor_vel, i, t)
-            roll_pitch = step(s, own[row], p, sample, rotor_square, work, evidence)
-            out[row, t, 0], out[row, t, 1] = roll_pitch
+    sequence_of(step, False, room(), states, params, dt, (gyro, accel, rotor_vel), out)
 
 
 @njit(cache=True, nogil=True)
 def score(states, params, dt, flights):
-    """See `algorithm`; one set after the other, as of `ekf_drag`."""
-    gyro, accel, target = flights
-    n, steps = gyro.shape[:2]
-    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
-    squared_error = np.zeros((params.shape[0], n))
-    for row in range(len(states)):
-        s, p, i = states[row], params[row // n], row % n
-        for t in range(steps):
-            sample = sanitise_sample(s, dt, gyro, accel, i, t)
-            roll, pitch = step(s, own[row], p, sample, 0.0, work, evidence)
-            squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
-    return squared_error
-
-
-OWN = STATE.itemsize // 8
-"""Numbers in the filter's own fields, the first of a record."""
+    """See `algorithm`."""
+    return score_of(step, False, room(), states, params, dt, flights)
 
 
 @njit(cache=True)
