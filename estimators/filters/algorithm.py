@@ -257,7 +257,7 @@ class Filter:
             if sensors:
                 others = [each[:, None] for each in self.algorithm.others(self._shape[:1], sensors)]
             self._sequence(self._states, self._params, self._dt, gyro, accel, *others, out)
-        else:  # a third of this call is Python's: not one step more than it takes
+        else:  # unpacking an empty list would make every update slower
             self._sequence(self._states, self._params, self._dt, gyro, accel, out)
         return out[:, 0]
 
