@@ -92,6 +92,7 @@ def run_batch(
     rate_hz: float = 200.0,
     roll_pitch: ArrayLike | None = None,
     vehicle: str | Path | Vehicle | None = None,
+    **sensors: Unpack[OtherSensors],
 ) -> Array:
     """Run p parameter sets of one estimator over n sequences.
 
@@ -103,6 +104,7 @@ def run_batch(
         rate_hz: Samples per second.
         roll_pitch: Attitude one sample before the first, (n, 2) [rad]; None where it is not known.
         vehicle: As in `create`.
+        sensors: As in `run`.
 
     Returns:
         Roll and pitch (p, n, T, 2) [rad].
@@ -113,12 +115,13 @@ def run_batch(
             create(name, rate_hz, tuning=None, vehicle=None, imu=None, **each)
             for each in parameter_sets(params)
         ]
-        return np.stack([run(est, gyro, accel, roll_pitch) for est in estimators])
+        return np.stack([run(est, gyro, accel, roll_pitch, **sensors) for est in estimators])
     algorithm = COMPILED[name]
     sets = algorithm.records(parameter_matrix(name, params, rate_hz, airframe_constants(name, vehicle)))
     states = start(algorithm, sets, len(gyro), roll_pitch)
     out = np.empty((len(states), gyro.shape[1], 2))
-    algorithm.sequence(states, sets, 1.0 / rate_hz, gyro, accel, out)
+    others = algorithm.others(gyro.shape[:2], sensors)
+    algorithm.sequence(states, sets, 1.0 / rate_hz, gyro, accel, *others, out)
     return out.reshape(len(sets), *gyro.shape[:2], 2)
 
 

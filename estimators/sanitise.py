@@ -6,7 +6,7 @@ thrust gives. A rate of exactly zero is a good measurement. Filters and networks
 streaming and in whole sequences; `assets/c99/att_snn.c` says the same in C.
 """
 
-from quadsim.config.ranges import FORCE_MAX, RATE_MAX
+from quadsim.config.ranges import FORCE_MAX, RATE_MAX, ROTOR_SPEED_MAX
 from quadsim.runs.compiled import njit
 
 
@@ -26,3 +26,9 @@ def rate_usable(x, y, z):
 def force_usable(x, y, z):
     """Whether an accelerometer can have measured this specific force [m/s²]."""
     return within(x, y, z, FORCE_MAX) and (x != 0.0 or y != 0.0 or z != 0.0)
+
+
+@njit(inline="always")
+def speed_usable(omega):
+    """Whether a rotor can have this speed [rad/s]; a NaN it cannot."""
+    return abs(omega) <= ROTOR_SPEED_MAX

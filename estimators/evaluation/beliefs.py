@@ -1,11 +1,12 @@
 """What `imm` believes along a recording: probabilities of its models, and how honest its sigma is."""
 
 from dataclasses import dataclass
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.estimator import AttitudeEstimator
+from quadsim.estimator import AttitudeEstimator, OtherSensors, Readings
 
 from ..filters.imm import InteractingModels
 from ..metrics import absolute_error
@@ -51,14 +52,18 @@ class Beliefs:
         return float((error <= NORMAL_95 * self.sigma)[known].mean()) if known.any() else float("nan")
 
 
-def beliefs(est: AttitudeEstimator, gyro: Array, accel: Array) -> Beliefs | None:
+def beliefs(
+    est: AttitudeEstimator, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]
+) -> Beliefs | None:
     """Run an estimator from an unknown start, and ask it every tenth of a second; None if it has no models.
 
     Args:
         est: The estimator.
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force in body axes (n, T, 3) [m/s²].
+        sensors: Further readings (n, T, ·), as in `estimators.run`.
     """
+    readings = Readings(gyro, accel, **sensors)
     if not isinstance(est, InteractingModels):
         return None
     est.reset(len(gyro))
@@ -66,8 +71,8 @@ def beliefs(est: AttitudeEstimator, gyro: Array, accel: Array) -> Beliefs | None
     samples = np.arange(every - 1, gyro.shape[1], every)
     parts = []
     for last in samples:
-        part = slice(last + 1 - every, last + 1)
-        estimate = est.sequence(gyro[:, part], accel[:, part])[:, -1]
+        part = readings.map(lambda each, last=last: each[:, last + 1 - every : last + 1])
+        estimate = est.sequence(part.gyro, part.accel, **part.others)[:, -1]
         parts.append((estimate, est.roll_pitch_sigma, est.model_probability))
     roll_pitch, sigma, probability = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
     return Beliefs(est.models, samples, roll_pitch, sigma, probability)

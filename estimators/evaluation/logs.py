@@ -153,7 +153,7 @@ def score_logs(
                 scores.rows.append(row)
                 if which == RAW:
                     scores.estimates[title, name] = estimate[0]
-                    if (believed := beliefs(est, gyro, accel)) is not None:
+                    if (believed := beliefs(est, gyro, accel, **others)) is not None:
                         scores.beliefs[title, name] = believed
             done += 1
     return scores

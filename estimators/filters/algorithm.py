@@ -8,10 +8,18 @@ An algorithm is one compiled step, `advance`, and two functions that loop over i
     sequence(states, params, dt, gyro, accel, out)
         Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. Records
         states (p·n,) and params (p,): parameter set i estimates flight j in state i·n + j. gyro, accel
-        (n, T, 3); out (p·n, T, 2).
+        (n, T, 3); out (p·n, T, 2). Sensors beside the IMU that the algorithm uses, (n, T, ·), come after
+        accel; one that is not there has no columns.
     score(states, params, dt, flights)
         Only the sums of squared errors (p, n) [rad²] on flights (gyro, accel, target), target (n, T, 2),
         parameter sets side by side.
+
+A filter whose state is too large to lie side by side, and which starts again once it has diverged, has
+another step, over which `sequence_of` and `score_of` loop:
+
+    step(s, own, p, sample, rotor_square, work) -> roll, pitch
+        `own` are the record's own numbers, rotor_square is Σ ω² [rad²/s²] of the rotors, zero where it is not
+        known or they stand still, and `work` is scratch of the filter.
 """
 
 import math
@@ -25,8 +33,9 @@ from numpy.typing import ArrayLike, NDArray
 from quadsim.config.toml import nearest
 from quadsim.estimator import OtherSensors
 from quadsim.rotation import quat_from_roll_pitch, quat_normalize
+from quadsim.runs.compiled import njit
 
-from .samples import initial_states
+from .samples import SAMPLES, initial_states, sample_of, square_of_error, sum_of_squares
 
 Array = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -104,10 +113,94 @@ class Algorithm:
     score: Callable[..., Array]
     start: Callable[[Records, Array, bool, Records], None]
     """start(states, quat, known, params): initialise records (rows,) from quat (rows, 4), params (rows,)."""
+    sensors: tuple[str, ...] = ()
+    """Sensors beside the IMU, of `quadsim.estimator.Readings`, that `sequence` takes."""
 
     def records(self, matrix: Array) -> Records:
         """Parameter sets (p, k), in the order of `parameters`, as records (p,)."""
         return np.ascontiguousarray(matrix).view(self.params)[:, 0]
+
+    def others(self, shape: tuple[int, ...], given: OtherSensors) -> list[Array]:
+        """What `sequence` takes after accel: readings of its `sensors`, with no columns if not given.
+
+        Args:
+            shape: Of the other readings without their last axis: (n,) or (n, T).
+            given: Readings (*shape, ·).
+
+        Raises:
+            ValueError: For readings of another shape.
+        """
+        found = []
+        for name in self.sensors:
+            values = given.get(name)
+            array = np.empty((*shape, 0)) if values is None else np.ascontiguousarray(values, np.float64)
+            if array.shape[:-1] != shape:
+                expected = ", ".join(map(str, shape))
+                raise ValueError(f"{name} has shape {array.shape}; it must be ({expected}, ·), as gyro")
+            found.append(array)
+        return found
+
+
+COMMON = SAMPLES.itemsize // 8
+"""Numbers in the common fields of a record, its last."""
+
+
+@njit(forceinline=True)
+def _run_row(step, midpoint, work, s, own, p, dt, readings, i, out):
+    """Run one record over all samples of flight i; out (T, 2). The other arguments are of `sequence_of`."""
+    gyro, accel, rotor_vel = readings
+    for t in range(gyro.shape[1]):
+        sample = sample_of(midpoint, s, dt, gyro, accel, i, t)
+        out[t, 0], out[t, 1] = step(s, own, p, sample, sum_of_squares(rotor_vel, i, t), work)
+
+
+@njit(forceinline=True)
+def sequence_of(step, midpoint, work, states, params, dt, readings, out):
+    """Run every record over all its samples: the whole of a filter's `sequence`.
+
+    Args:
+        step: The filter's step.
+        midpoint: Whether rates are to be the mean of this sample and the last.
+        work: Scratch, given to the step.
+        states: Records (p·n,), updated.
+        params: Records (p,).
+        dt: Sample period [s].
+        readings: gyro [rad/s] and accel [m/s²] (n, T, 3), rotor speeds (n, T, rotors) [rad/s].
+        out: Roll and pitch (p·n, T, 2) [rad], written.
+    """
+    n, numbers = readings[0].shape[0], states.view(np.float64).reshape(states.shape[0], -1)
+    for row in range(states.shape[0]):
+        own = numbers[row, : numbers.shape[1] - COMMON]
+        _run_row(step, midpoint, work, states[row], own, params[row // n], dt, readings, row % n, out[row])
+
+
+@njit(forceinline=True)
+def score_of(step, midpoint, work, states, params, dt, flights):
+    """Sum the squared error of every parameter set on every flight, one set after the other.
+
+    Args:
+        step: The filter's step.
+        midpoint: As of `sequence_of`.
+        work: As of `sequence_of`.
+        states: Records (p·n,) to start from.
+        params: Records (p,).
+        dt: Sample period [s].
+        flights: gyro, accel and target, as of `score`; there are no rotor speeds.
+
+    Returns:
+        Sums (p, n) [rad²].
+    """
+    gyro, accel, target = flights
+    n, steps, numbers = gyro.shape[0], gyro.shape[1], states.view(np.float64).reshape(states.shape[0], -1)
+    readings, out = (gyro, accel, np.empty((n, steps, 0))), np.empty((steps, 2))
+    squared_error = np.zeros((params.shape[0], n))
+    for row in range(states.shape[0]):
+        own, i = numbers[row, : numbers.shape[1] - COMMON], row % n
+        _run_row(step, midpoint, work, states[row], own, params[row // n], dt, readings, i, out)
+        for t in range(steps):
+            error = square_of_error(out[t, 0], out[t, 1], target[i, t, 0], target[i, t, 1])
+            squared_error[row // n, i] += error
+    return squared_error
 
 
 class Filter:
@@ -139,6 +232,7 @@ class Filter:
         """
         self._states = start(self.algorithm, self._params, n, roll_pitch, quat)
         self._shape, self._sample = (n, 3), (n, 1, 3)
+        self._absent = self.algorithm.others((n, 1), {})
 
     def restart(
         self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
@@ -157,9 +251,14 @@ class Filter:
                 f"gyro {gyro.shape} and accel {accel.shape} must both be {self._shape}, as in reset"
             )
         out = np.empty((self._shape[0], 1, 2))
-        self._sequence(
-            self._states, self._params, self._dt, gyro.reshape(self._sample), accel.reshape(self._sample), out
-        )  # fmt: skip
+        gyro, accel = gyro.reshape(self._sample), accel.reshape(self._sample)
+        if self._absent:
+            others = self._absent
+            if sensors:
+                others = [each[:, None] for each in self.algorithm.others(self._shape[:1], sensors)]
+            self._sequence(self._states, self._params, self._dt, gyro, accel, *others, out)
+        else:  # unpacking an empty list would make every update slower
+            self._sequence(self._states, self._params, self._dt, gyro, accel, out)
         return out[:, 0]
 
     def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
@@ -167,8 +266,9 @@ class Filter:
         gyro, accel = paired(gyro, accel)
         if len(gyro) != self._shape[0]:
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {self._shape[0]}")
+        others = self.algorithm.others(gyro.shape[:2], sensors)
         out = np.empty((*gyro.shape[:2], 2))
-        self._sequence(self._states, self._params, self._dt, gyro, accel, out)
+        self._sequence(self._states, self._params, self._dt, gyro, accel, *others, out)
         return out
 
     @property

@@ -44,11 +44,11 @@ from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotat
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 
-from .algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, Records
+from .algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, Records, score_of, sequence_of
 from .ekf import SIGMA_KNOWN
 from .eskf import turned
 from .inline_math import roll_pitch_core
-from .samples import parameter_record, sanitise_midpoint, square_of_error
+from .samples import parameter_record
 
 ERRORS = 13
 TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS = 0, 2, 5, 7, 10
@@ -145,8 +145,6 @@ PARAMETERS = {
 """What a user or `quadsim tune` may change; units in the comments."""
 
 PARAMS = parameter_record(PARAMETERS)
-OWN = STATE.itemsize // 8
-"""Numbers in the filter's own fields, the first of a record."""
 
 INNOVATION_MAX = 5.0
 """Innovations count no further: one bad reading does no lasting harm [m/s²]."""
@@ -488,8 +486,8 @@ def begin(s, p, known):
 
 
 @njit
-def step(s, own, p, sample):
-    """Take a sample; a filter that has diverged starts again, level. own: the record's own numbers."""
+def step(s, own, p, sample, _rotor_square, _work):
+    """See `algorithm`; a filter that has diverged starts again, level."""
     roll_pitch = advance(s, p, sample)
     if diverged(s):
         own[:] = 0.0
@@ -502,29 +500,14 @@ def step(s, own, p, sample):
 @njit(cache=True, nogil=True)
 def sequence(states, params, dt, gyro, accel, out):
     """See `algorithm`."""
-    n, steps = gyro.shape[:2]
-    own = states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
-    for row in range(len(states)):
-        s, p, i = states[row], params[row // n], row % n
-        for t in range(steps):
-            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
-            out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample)
+    readings = gyro, accel, np.empty((*gyro.shape[:2], 0))
+    sequence_of(step, True, (), states, params, dt, readings, out)
 
 
 @njit(cache=True, nogil=True)
 def score(states, params, dt, flights):
-    """See `algorithm`; one set after the other: its covariance is too large to lie side by side."""
-    gyro, accel, target = flights
-    n, steps = gyro.shape[:2]
-    own = states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
-    squared_error = np.zeros((params.shape[0], n))
-    for row in range(len(states)):
-        s, p, i = states[row], params[row // n], row % n
-        for t in range(steps):
-            sample = sanitise_midpoint(s, dt, gyro, accel, i, t)
-            roll, pitch = step(s, own[row], p, sample)
-            squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
-    return squared_error
+    """See `algorithm`."""
+    return score_of(step, True, (), states, params, dt, flights)
 
 
 @njit(cache=True)

@@ -34,6 +34,10 @@ Heading cannot be observed: all models are turned about the vertical to the head
 are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
 integration algorithm design", J. Guidance 21, 1998), which the models take at `MODEL_HZ`; in between, the
 combined attitude turns with the gyroscope.
+
+Rotor speeds ω are optional, in every sample. Where they are given, thrust in the drag is κ Σ ω² in place of
+the force along body z, which vibration disturbs; κ, which no one has to know, is the least-squares ratio of
+that force to Σ ω² over `square_memory`. Where one is missing, or the rotors stand still, it is that force.
 """
 
 import math
@@ -44,7 +48,7 @@ from quadsim.rotation import euler_from_quat, multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Filter, Parameter, Records
+from .algorithm import Algorithm, Array, Filter, Parameter, Records, score_of, sequence_of
 from .ekf import SIGMA_KNOWN
 from .ekf_drag import at_rest, diverged, mean_square
 from .eskf import tilt_core, turned
@@ -69,7 +73,7 @@ from .imm_model import (
     predict,
 )
 from .inline_math import atan2_core, exp_core, roll_pitch_core
-from .samples import parameter_record, sanitise_sample, square_of_error
+from .samples import parameter_record
 
 STATE = np.dtype(
     [
@@ -100,6 +104,10 @@ STATE = np.dtype(
         ("last_rate", "f8", 3),  # the last rate [rad/s]
         ("rate_before", "f8", 3),  # the last one before the interval
         ("unseen", "f8"),  # variance of the unmeasured turn in the interval [rad²]
+        ("rotor_time", "f8"),  # part of the interval with speeds of turning rotors [s]
+        ("rotor_sum", "f8"),  # integral of Σ ω² over it [rad²/s]
+        ("rotor_product", "f8"),  # mean of Σ ω² times the force along body z [rad² m/s⁴]
+        ("rotor_square", "f8"),  # mean of (Σ ω²)² [rad⁴/s⁴]
     ]
 )
 """The filter's state: models, their combination, and readings since their last update."""
@@ -178,8 +186,8 @@ ODDS_LEAST = 1e-3
 
 
 @njit
-def accumulate(s, sample):
-    """Take one `Sample` into the turn and the push since the last update of the models."""
+def accumulate(s, sample, rotor_square):
+    """Take a `Sample` and the rotors' Σ ω² [rad²/s²] into the sums since the last update of the models."""
     dt, (gx, gy, gz), (ax, ay, az) = sample.dt, sample.gyro, sample.accel
     ew, ex, ey, ez = exp_core(gx * dt, gy * dt, gz * dt)
     tw, tx, ty, tz = s.turn
@@ -204,6 +212,9 @@ def accumulate(s, sample):
     s.interval += dt
     s.time += dt
     s.unseen += sample.unseen
+    if rotor_square > 0.0:
+        s.rotor_time += dt
+        s.rotor_sum += dt * rotor_square
     s.last_rate[0] += 0.5 * (gx - s.last_rate[0])
     s.last_rate[1] += 0.5 * (gy - s.last_rate[1])
     s.last_rate[2] += 0.5 * (gz - s.last_rate[2])
@@ -356,6 +367,7 @@ def update_models(s, p, work, evidence):
     rate = (vector[0] / dt, vector[1] / dt, vector[2] / dt)
     if s.begun == 0.0 and known:
         begin_at(s, accel)
+    thrust = thrust_of_rotors(s, p, dt, body[2]) if known and s.rotor_time > 0.5 * dt else body[2]
     x, y = across_thrust(s, body, arm)
     square = 0.5 * (x * x + y * y)
     s.body_square = (
@@ -364,7 +376,9 @@ def update_models(s, p, work, evidence):
     for k in range(COUNT):
         m = s.models[k]
         matrix = predict(m, s, p, vector, accel, known, work)
-        evidence[k] = correct_model(m, k, s, p, rate, accel, body, arm, matrix, work) if known else 0.0
+        evidence[k] = (
+            correct_model(m, k, s, p, rate, accel, body, thrust, arm, matrix, work) if known else 0.0
+        )
     likelier = max(s.likelihood)
     for k in range(FREE):
         evidence[k] += s.likelihood[k] - likelier if known else 0.0
@@ -374,9 +388,25 @@ def update_models(s, p, work, evidence):
     weigh(s, evidence, change)
     combine(s, d)
     mix(s, change, d)
-    s.interval = s.force_time = s.unseen = 0.0
+    s.interval = s.force_time = s.unseen = s.rotor_time = s.rotor_sum = 0.0
     s.turn[0], s.turn[1:], s.push[:] = 1.0, 0.0, 0.0
     s.force_sum[:] = 0.0
+
+
+@njit
+def thrust_of_rotors(s, p, dt, along):
+    """Thrust per mass by rotor speeds, κ Σ ω² [m/s²]; κ by least squares from the force along body z.
+
+    Args:
+        s: The filter's record.
+        p: Its parameters.
+        dt: Length of the interval [s].
+        along: Mean force along body z in it [m/s²].
+    """
+    square = s.rotor_sum / s.rotor_time
+    s.rotor_product = mean_square(s.rotor_product, square * along, dt, s.time, p.square_memory)
+    s.rotor_square = mean_square(s.rotor_square, square * square, dt, s.time, p.square_memory)
+    return square * s.rotor_product / s.rotor_square
 
 
 @njit
@@ -429,11 +459,11 @@ def inverted(s, p):
 
 
 @njit
-def step(s, own, p, sample, work, evidence):
-    """Take a sample; a filter that has diverged starts again. own: the record's own numbers."""
-    accumulate(s, sample)
+def step(s, own, p, sample, rotor_square, work):
+    """See `algorithm`; a filter that has diverged starts again."""
+    accumulate(s, sample, rotor_square)
     if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
-        update_models(s, p, work, evidence)
+        update_models(s, p, *work)
         if diverged(s) or inverted(s, p):
             own[:] = 0.0
             s.quat[0] = 1.0
@@ -460,35 +490,15 @@ def room():
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out):
+def sequence(states, params, dt, gyro, accel, rotor_vel, out):
     """See `algorithm`."""
-    n, steps = gyro.shape[:2]
-    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
-    for row in range(len(states)):
-        s, p, i = states[row], params[row // n], row % n
-        for t in range(steps):
-            sample = sanitise_sample(s, dt, gyro, accel, i, t)
-            out[row, t, 0], out[row, t, 1] = step(s, own[row], p, sample, work, evidence)
+    sequence_of(step, False, room(), states, params, dt, (gyro, accel, rotor_vel), out)
 
 
 @njit(cache=True, nogil=True)
 def score(states, params, dt, flights):
-    """See `algorithm`; one set after the other, as of `ekf_drag`."""
-    gyro, accel, target = flights
-    n, steps = gyro.shape[:2]
-    (work, evidence), own = room(), states.view(np.float64).reshape(states.shape[0], -1)[:, :OWN]
-    squared_error = np.zeros((params.shape[0], n))
-    for row in range(len(states)):
-        s, p, i = states[row], params[row // n], row % n
-        for t in range(steps):
-            sample = sanitise_sample(s, dt, gyro, accel, i, t)
-            roll, pitch = step(s, own[row], p, sample, work, evidence)
-            squared_error[row // n, i] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
-    return squared_error
-
-
-OWN = STATE.itemsize // 8
-"""Numbers in the filter's own fields, the first of a record."""
+    """See `algorithm`."""
+    return score_of(step, False, room(), states, params, dt, flights)
 
 
 @njit(cache=True)
@@ -502,7 +512,7 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
     _begin(states, params, known)
 
 
-IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start)
+IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start, ("rotor_vel",))
 
 
 class InteractingModels(Filter):

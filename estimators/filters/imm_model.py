@@ -253,7 +253,7 @@ def predict(m, s, p, vector, accel, known, work):
 
 
 @njit
-def correct_model(m, k, s, p, rate, accel, body, arm, matrix, work):
+def correct_model(m, k, s, p, rate, accel, body, thrust, arm, matrix, work):
     """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
 
     Args:
@@ -264,6 +264,7 @@ def correct_model(m, k, s, p, rate, accel, body, arm, matrix, work):
         rate: Mean rate (3,) [rad/s].
         accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
         body: Its mean in body axes, which turn (3,) [m/s²].
+        thrust: Thrust per mass [m/s²].
         arm: What one metre of lever arm adds to that (2,) [1/s²].
         matrix: R̂ by rows.
         work: Of `room`.
@@ -277,7 +278,7 @@ def correct_model(m, k, s, p, rate, accel, body, arm, matrix, work):
     if k <= DRAG_HIGH:
         airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
         coefficient = p.drag_low if k == DRAG_LOW else p.drag_high
-        drag = coefficient * math.sqrt(max(body[2], 0.0) / GRAVITY) + p.frame_drag * airspeed
+        drag = coefficient * math.sqrt(max(thrust, 0.0) / GRAVITY) + p.frame_drag * airspeed
         variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
         before = airspeed_variance(P)
         square, determinant = correct_by_drag(m, body, arm, drag, variance, matrix, work)

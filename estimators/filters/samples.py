@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from quadsim.runs.compiled import njit
 
-from ..sanitise import force_usable, rate_usable, within
+from ..sanitise import force_usable, rate_usable, speed_usable, within
 from .inline_math import wrap_core
 
 SAMPLES = np.dtype(
@@ -40,6 +40,9 @@ RATE_STEP, ACCELERATION_MAX = 10.0, 2000.0
 make in a sample. What differs by more is missing, for `HOLD_S`, or as long as there had been good ones."""
 GAP_RATE = 2.0
 """Standard deviation of the rate at which a vehicle turns unseen in a gap longer than `HOLD_S` [rad/s]."""
+
+ROTORS_STOPPED = 1.0
+"""Rotor speed below which rotors do not turn: the root of the sum of squares [rad/s]."""
 
 REACQUISITION_NOISE = 0.2
 """Noise density of the tilt that the accelerometer of a flying vehicle shows [rad √s]."""
@@ -150,6 +153,23 @@ def sanitise_sample(state, dt, gyro, accel, i, t):
     if not (rate_found and force_found):
         state.skipped += 1.0
     return Sample((gx, gy, gz), (ax, ay, az), unseen, dt)
+
+
+@njit
+def sum_of_squares(rotor_vel, i, t):
+    """Σ ω² of the rotors of one sample [rad²/s²]; zero where a speed is missing, or the rotors stand still.
+
+    Args:
+        rotor_vel: Rotor speeds (n, T, rotors) [rad/s].
+        i: Flight.
+        t: Sample.
+    """
+    total = 0.0
+    for k in range(rotor_vel.shape[2]):
+        if not speed_usable(rotor_vel[i, t, k]):
+            return 0.0
+        total += rotor_vel[i, t, k] ** 2
+    return total if total >= ROTORS_STOPPED * ROTORS_STOPPED else 0.0
 
 
 @njit

@@ -254,8 +254,8 @@ def upright(flights: Flights) -> Flights:
     """The flights with the truth unknown where roll is hardly defined, without those that it never is."""
     steep = np.abs(flights.truth[..., 1:]) > PITCH_MOST
     truth = np.where(steep, np.nan, flights.truth)
-    kept = np.isfinite(truth).any(axis=(1, 2))
-    return replace(flights, truth=truth).map(lambda each: each[kept])
+    known = np.isfinite(truth).any(axis=(1, 2))
+    return replace(flights, truth=truth).map(lambda each: each[known])
 
 
 def tunable() -> list[str]:

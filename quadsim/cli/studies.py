@@ -63,6 +63,9 @@ def evaluate(
     of real logs logs.csv with a row "level" that shows how hard the log is, a picture each, and report.html:
     traces of readings, attitudes and errors on one time axis.
 
+    Rotor speeds that a dataset or a log holds are given to the estimators that use them: of those that ship,
+    imm.
+
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
     """
     if (data is None) == (not logs):

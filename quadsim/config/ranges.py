@@ -56,6 +56,8 @@ RATE_MAX = math.radians(4000.0)
 """Largest rate of an axis that is taken for a reading [rad/s]: that of the widest IMU, TDK's ICM-20649."""
 FORCE_MAX = 32.0 * 9.80665
 """Largest specific force of an axis that is taken for a reading [m/s²]: that IMU's 30 g, rounded up."""
+ROTOR_SPEED_MAX = 1e4
+"""Largest speed of a rotor that is taken for a reading [rad/s]: 95 000 rpm, beyond any propeller's."""
 
 
 def steps_of(duration_s: float, rate_hz: float) -> int:

@@ -181,7 +181,7 @@ def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
         )
     if time[-1] - time[0] > SPARSE * period * time.size:
         raise ValueError(
-            f"{log.name}: {time.size} samples at {rate:.0f} Hz are spread over {time[-1] - time[0]:.0f} s: "
+            f"{log.name}: {time.size} samples at {rate:.0f} Hz in {time[-1] - time[0]:.0f} s: "
             "most of the log is missing"
         )
     return log, counted | {"missing": counted["missing"] + unstamped, "parts": len(parts)}
