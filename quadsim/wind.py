@@ -1,4 +1,6 @@
-"""Wind: constant, 1−cosine gusts, Dryden turbulence, a recording, and any sum of them, in world axes [m/s].
+"""Wind: constant, 1−cosine gusts, sinusoids, Dryden turbulence, a recording, and any sum of them.
+
+All are velocities of the air in world axes [m/s].
 
 Dryden turbulence is that of MIL-F-8785C at low altitude, driven by white noise and discretised exactly: it
 has the standard deviation and the spectrum of the continuous process at any rate, from the first sample on.
@@ -15,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.special import gammainc
 
-from .config.ranges import SAMPLE_RATE, WIND, Between, Duration, Heading, Instant, Speed, Wind
+from .config.ranges import SAMPLE_RATE, WIND, Between, Duration, Heading, Instant, Rising, Speed, Wind
 from .config.toml import Strict, read_text
 from .runs.compiled import njit
 from .seeding import Seed, child, vehicle_seeds
@@ -65,6 +67,16 @@ class Dryden(Strict):
     """Direction of flight through the air, counter-clockwise from world x [deg]."""
 
 
+class Sinusoid(Strict):
+    """A sinusoid of zero mean on each axis; each flight draws its three periods and phases."""
+
+    kind: Literal["sinusoid"] = "sinusoid"
+    amplitude: Wind
+    """Largest velocity of the air on each axis [m/s]."""
+    period_s: Annotated[tuple[Duration, Duration], Rising]
+    """Range of the periods [s], which are drawn log-uniformly."""
+
+
 class WindRecording(Strict):
     """Wind measured over time: a CSV file with the header `t,x,y,z` [s, m/s], linear between its rows."""
 
@@ -73,8 +85,10 @@ class WindRecording(Strict):
     """The file; before its first row and after its last one these hold."""
 
 
-WindSpec: TypeAlias = Annotated[Constant | Gust | Dryden | WindRecording, Field(discriminator="kind")]
-"""Any wind of a TOML file, distinguished by its `kind`: "constant", "gust", "dryden" or "file"."""
+WindSpec: TypeAlias = Annotated[
+    Constant | Gust | Dryden | Sinusoid | WindRecording, Field(discriminator="kind")
+]
+"""Any wind of a TOML file, distinguished by its `kind`: "constant", "gust", "dryden", "sinusoid" or "file"."""
 
 
 def gust_one_minus_cosine(
@@ -214,6 +228,26 @@ def dryden(
     return wind
 
 
+def sinusoid(time: Array, amplitude: ArrayLike, period_s: tuple[float, float], seed: Seed, n: int) -> Array:
+    """Sinusoids A sin(2π t / T + φ) of n vehicles, T drawn log-uniformly and φ uniformly on each axis.
+
+    Args:
+        time: Shape (T,) [s].
+        amplitude: A on each axis, shape (3,) [m/s].
+        period_s: Range of T [s].
+        seed: Whole number, seed sequence, or one seed sequence per vehicle.
+        n: Number of vehicles.
+
+    Returns:
+        Velocity of the air in world axes, shape (n, T, 3) [m/s].
+    """
+    randoms = [np.random.default_rng(child(each, 0)) for each in vehicle_seeds(seed, n)]
+    period = np.array([np.exp(random.uniform(*np.log(period_s), 3)) for random in randoms])
+    phase = np.array([random.uniform(0.0, 2.0 * np.pi, 3) for random in randoms])
+    angle = 2.0 * np.pi * time[:, None] / period[:, None] + phase[:, None]
+    return np.asarray(amplitude, dtype=np.float64) * np.sin(angle)
+
+
 def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, seed: Seed) -> Array:
     """The sum of several winds from time 0 on, world axes, shape (n, steps, 3) [m/s]; none is still air.
 
@@ -224,21 +258,19 @@ def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, s
         rate_hz: Samples per second.
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
     """
-    wind, time = np.zeros((n, steps, 3)), np.arange(steps)[None] / rate_hz
+    wind, time = np.zeros((n, steps, 3)), np.arange(steps) / rate_hz
+    parents, drawn = vehicle_seeds(seed, n), 0
     for spec in specs:
-        if not isinstance(spec, Dryden):
+        if not isinstance(spec, Dryden | Sinusoid):
             wind += _function_of_time(spec)(time)
-    seeds = vehicle_seeds(seed, n)
-    for index, spec in enumerate(spec for spec in specs if isinstance(spec, Dryden)):
+            continue
+        seeds, drawn = [child(each, drawn) for each in parents], drawn + 1
+        if isinstance(spec, Sinusoid):
+            wind += sinusoid(time, spec.amplitude, spec.period_s, seeds, n)
+            continue
+        heading = np.radians(spec.heading_deg)
         wind += dryden(
-            n,
-            steps,
-            rate_hz,
-            spec.airspeed,
-            spec.altitude,
-            spec.wind_20ft,
-            seed=[child(each, index) for each in seeds],
-            heading=np.radians(spec.heading_deg),
+            n, steps, rate_hz, spec.airspeed, spec.altitude, spec.wind_20ft, seed=seeds, heading=heading
         )
     return wind
 

@@ -133,7 +133,7 @@ PARAMETERS = {
     "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
     "turn_noise": Parameter(0.005, 1e-4, 0.05),
     "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
-    "wind_noise": Parameter(0.2, 0.05, 1.0),
+    "wind_noise": Parameter(1.0, 0.05, 5.0),
     "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
     "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
     "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
@@ -156,12 +156,11 @@ PARAMETERS = {
     "rest_fast": Parameter(0.1, 0.01, 1.0, minimum=1e-3, searched=False),
     # Least standard deviation of the horizontal acceleration in the hand [m/s²].
     "least_accel": Parameter(0.2, 0.01, 1.0, minimum=1e-6, searched=False),
-    # Wind, as in `ekf_drag`: gain of the adaptation of its noise, share of the removed variance at which it
-    # neither rises nor falls, memories of it, of the corrections and of a gust front [s], variances that a
-    # low-passed innovation has there, and the least noise density [m/s/√s].
-    "wind_gain": Parameter(1.0, 0.2, 3.0, searched=False),
-    "wind_share": Parameter(0.6, 0.3, 0.9, searched=False),
-    "wind_memory": Parameter(15.0, 3.0, 40.0, minimum=1e-3, searched=False),
+    # Wind: ratio of the squared sum of its corrections to the sum of their squares at which its noise neither
+    # rises nor falls, time in which it adapts, memories of the corrections and of a gust front [s], variances
+    # that a low-passed innovation has there, and the least noise density [m/s/√s].
+    "wind_share": Parameter(2.0, 1.0, 4.0, minimum=0.1),
+    "wind_memory": Parameter(1.0, 0.3, 10.0, minimum=1e-3),
     "wind_window": Parameter(0.1, 0.02, 1.0, minimum=1e-3, searched=False),
     "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
     "gust_ratio": Parameter(2.0, 1.5, 4.0, searched=False),

@@ -22,7 +22,7 @@ from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotat
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, adapt_wind, gust_noise, mean_square
+from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, gust_noise, mean_square
 from .eskf import turned
 from .inline_math import exp_core
 
@@ -52,11 +52,13 @@ MODEL = np.dtype(
         ("vibration", "f8"),  # variance of the white part of it [m²/s⁴]
         ("wind_noise", "f8"),  # process noise of the wind [m²/s³]
         ("airspeed_sum", "f8", 2),  # recent corrections of v - w [m/s]
-        ("airspeed_due", "f8"),  # variance that they removed [m²/s²]
+        ("airspeed_square", "f8"),  # sum of their squares, both axes [m²/s²]
     ]
 )
 """State of one model."""
 
+WIND_NOISE_MOST = 10.0
+"""Largest noise density of the wind [m/s/√s]: it turns by as much as a hurricane's gusts."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 
@@ -175,11 +177,22 @@ def correct_by_zero_rate(P, dx, column, rate, bias, variance):
 
 
 @njit
-def airspeed_variance(P):
-    """Variance of the horizontal airspeed v − w, both axes summed [m²/s²]."""
-    x = P[VELOCITY, VELOCITY] + P[WIND, WIND] - 2.0 * P[VELOCITY, WIND]
-    y = P[VELOCITY + 1, VELOCITY + 1] + P[WIND + 1, WIND + 1] - 2.0 * P[VELOCITY + 1, WIND + 1]
-    return x + y
+def adapt_wind(m, p, dt, moved):
+    """Raise the wind's noise while corrections of the airspeed (2,) follow each other, lower it while they do not.
+
+    The square of their sum over a short memory is the sum of their squares where they are white, as those of
+    a filter whose noise is right, and more where the wind turns faster than its noise says.
+    """
+    leak = min(dt / p.wind_window, 0.5)
+    square = 0.0
+    for k in range(2):
+        m.airspeed_sum[k] += moved[k] - leak * m.airspeed_sum[k]
+        square += m.airspeed_sum[k] ** 2
+    m.airspeed_square += moved[0] ** 2 + moved[1] ** 2 - leak * (2.0 - leak) * m.airspeed_square
+    if m.airspeed_square > 0.0:
+        growth = (square / m.airspeed_square / p.wind_share - 1.0) * dt / p.wind_memory
+        noise = m.wind_noise * math.exp(min(growth, 1.0))
+        m.wind_noise = min(max(noise, p.wind_noise_least**2), WIND_NOISE_MOST**2)
 
 
 @njit
@@ -280,14 +293,12 @@ def correct_model(m, k, s, p, rate, accel, body, thrust, arm, matrix, work):
         coefficient = p.drag_low if k == DRAG_LOW else p.drag_high
         drag = coefficient * math.sqrt(max(thrust, 0.0) / GRAVITY) + p.frame_drag * airspeed
         variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
-        before = airspeed_variance(P)
         square, determinant = correct_by_drag(m, body, arm, drag, variance, matrix, work)
         qw, qx, qy, qz = m.quat
         x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
         adapt_vibration(m, p, dt, x, y)
         if m.time > p.wind_window:  # the first corrections are those of the initial state
-            moved = dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]
-            adapt_wind(m, p, dt, moved, before - airspeed_variance(P))
+            adapt_wind(m, p, dt, (dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]))
         s.likelihood[k] = student(square, determinant) * min(dt / p.drag_evidence_time, 1.0)
         x, y = across_thrust(s, body, arm)
         density += weight * force_density(x, y, s.body_square, p.least_accel)

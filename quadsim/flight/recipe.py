@@ -11,6 +11,7 @@ from ..imu.spec import load_imu
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, load_vehicle
 from ..wind import WindSpec
+from .ground import GroundStart
 from .hand_held import HandHeld
 from .simulate import AttitudeError, FlightConfig
 
@@ -31,6 +32,9 @@ class Recipe(Strict):
     )
     hand_held: HandHeld | None = Field(
         default=None, description="Motion by hand, in place of a flight: the IMU alone, rotors at rest."
+    )
+    ground: GroundStart | None = Field(
+        default=None, description="A start at rest on the ground, before the flight; its end falls away."
     )
     engine: Engine = Field(
         default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
@@ -55,6 +59,7 @@ def flight_config(recipe: Recipe) -> FlightConfig:
         randomisation=recipe.randomisation,
         attitude_error=recipe.attitude_error,
         hand_held=recipe.hand_held,
+        ground=recipe.ground,
         engine=recipe.engine,
         warmup_s=recipe.warmup_s,
     )

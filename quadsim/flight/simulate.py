@@ -21,6 +21,7 @@ from ..trajectory.reference import reference
 from ..trajectory.specs import Mix, Trajectory
 from ..vehicle import Randomisation, Vehicle, randomise
 from ..wind import WindSpec, wind_series
+from .ground import GroundStart, start_on_ground
 from .hand_held import HandHeld, move_by_hand
 from .loop import FlightLoop, sense_truth, start_one
 
@@ -71,6 +72,9 @@ class FlightConfig(Strict):
     )
     hand_held: HandHeld | None = Field(
         default=None, description="Motion by hand, in place of a flight: the IMU alone, rotors at rest."
+    )
+    ground: GroundStart | None = Field(
+        default=None, description="A start at rest on the ground, before the flight; its end falls away."
     )
     engine: Engine = Field(
         default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
@@ -203,6 +207,9 @@ def simulate_flights(
         log, end = _moved_by_hand(config, steps, rate_hz, motion), np.full(len(seeds), steps)
     else:
         log, end = _flown(config, steps, rate_hz, motion, body, air, angles)
+    if config.ground is not None:
+        before = start_on_ground(config.ground, log, rate_hz, [child(seed, 5) for seed in seeds])
+        end = np.where(end < steps, np.minimum(end + before, steps), steps)
     flights = {name: log[name] for name in log.dtype.names or ()}
     rate, force, rotor_vel = flights["ang_vel"], flights["specific_force"], flights["rotor_vel"]
     ang_acc = flights.pop("ang_acc")

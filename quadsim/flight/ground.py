@@ -1,0 +1,94 @@
+"""The start of a flight on the ground: at rest, rotors that spin up, and the lift-off, as an IMU sees them.
+
+Only the motion is made, without contact forces: the vehicle stands on a slope, and within the lift-off its
+attitude and its velocity go over into those of the flight that follows.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ..config.ranges import Between, Rising
+from ..config.toml import Strict
+from ..rotation import euler_from_quat, quat_from_euler, quat_rotate_inverse
+from ..vehicle import GRAVITY
+from .hand_held import body_rate
+
+Array = NDArray[np.float64]
+Stretch = Annotated[float, Between(0.05, 60.0, "s")]
+Slope = Annotated[float, Between(0.0, 30.0, "°")]
+
+
+class GroundStart(Strict):
+    """A start on the ground; each flight draws its own numbers."""
+
+    stand_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
+        default=(1.0, 5.0), description="Range of the time at rest with rotors that stand [s]."
+    )
+    spin_up_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
+        default=(0.5, 3.0), description="Range of the time in which they reach their speed of flight [s]."
+    )
+    lift_off_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
+        default=(0.5, 1.5), description="Range of the time from rest to the motion of the flight [s]."
+    )
+    slope_deg: Slope = Field(default=4.0, description="Largest slope of the ground [deg].")
+
+
+def start_on_ground(
+    spec: GroundStart, log: NDArray[np.void], rate_hz: float, seeds: Sequence[np.random.SeedSequence]
+) -> NDArray[np.int64]:
+    """Put the start on the ground before each flight, whose end falls away.
+
+    Args:
+        spec: Of the start.
+        log: Flights, (n, T) records of `quadsim.flight.simulate.sample_dtype`; changed.
+        rate_hz: Samples per second.
+        seeds: One per flight.
+
+    Returns:
+        Samples of the start, (n,).
+    """
+    before = np.zeros(len(log), np.int64)
+    for i, (flight, seed) in enumerate(zip(log, seeds, strict=True)):
+        rows = _start(spec, flight[0], rate_hz, np.random.default_rng(seed))[: len(flight)]
+        before[i] = len(rows)
+        flight[len(rows) :] = flight[: len(flight) - len(rows)].copy()
+        flight[: len(rows)] = rows
+    return before
+
+
+def _start(spec: GroundStart, first: np.void, rate_hz: float, rng: np.random.Generator) -> NDArray[np.void]:
+    """Samples before the first of a flight."""
+    stand, spin_up, lift_off = (
+        rng.uniform(*span) for span in (spec.stand_s, spec.spin_up_s, spec.lift_off_s)
+    )
+    slope, towards = np.radians(spec.slope_deg) * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi)
+    t = np.arange(round((stand + spin_up + lift_off) * rate_hz)) / rate_hz
+    share, rise = _smooth((t - stand - spin_up) / lift_off)
+    share, rise = share[:, None], rise[:, None] / lift_off
+    flying = euler_from_quat(first["quat"])
+    turn = flying - np.array([slope * np.cos(towards), slope * np.sin(towards), flying[2]])
+    rows = np.zeros(t.size, first.dtype)
+    angles = flying - (1.0 - share) * turn
+    rows["quat"] = quat_from_euler(*angles.T)
+    rows["ang_vel"] = body_rate(angles, rise * turn)
+    rows["ang_acc"] = np.gradient(rows["ang_vel"], 1.0 / rate_hz, axis=0)
+    rows["velocity"] = share * first["velocity"]
+    later = np.append(rows["velocity"][1:], first["velocity"][None], axis=0)
+    travelled = 0.5 * (rows["velocity"] + later) / rate_hz  # from each sample to the next
+    rows["position"] = first["position"] - travelled[::-1].cumsum(0)[::-1]
+    force = rise * first["velocity"] + np.array([0.0, 0.0, GRAVITY])
+    rows["specific_force"] = quat_rotate_inverse(rows["quat"], force)
+    spinning = np.clip((t - stand) / spin_up, 0.0, 1.0)[:, None]
+    rows["rotor_vel"] = rows["rotor_vel_cmd"] = spinning * first["rotor_vel"]
+    rows["wind"] = first["wind"]
+    return rows
+
+
+def _smooth(x: Array) -> tuple[Array, Array]:
+    """From 0 at x = 0 to 1 at 1, 10 x³ − 15 x⁴ + 6 x⁵, and its derivative."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * x**2 * (1.0 - x) ** 2
