@@ -88,7 +88,7 @@ class WindRecording(Strict):
 WindSpec: TypeAlias = Annotated[
     Constant | Gust | Dryden | Sinusoid | WindRecording, Field(discriminator="kind")
 ]
-"""Any wind of a TOML file, distinguished by its `kind`: "constant", "gust", "dryden", "sinusoid" or "file"."""
+"""Any wind of a TOML file, by its `kind`: "constant", "gust", "dryden", "sinusoid" or "file"."""
 
 
 def gust_one_minus_cosine(

@@ -86,8 +86,8 @@ class TrainingRecipe(Strict):
     window_s: Window = 10.0
     """Length of a window [s]."""
     later_windows: tuple[tuple[Share, Window], ...] = ()
-    """Other lengths of a window later on: pairs of the share of the epochs after which it is used, rising, and
-    the length [s]."""
+    """Other lengths of a window later on: the share of the epochs after which each is used, rising, and the
+    length [s]."""
     windows_per_stream: Number = 1
     """Most successive windows over which the network's state continues (truncated backpropagation)."""
     stop_early: bool = True

@@ -145,7 +145,7 @@ PARAMETERS = {
     "bias_sigma": Parameter(0.1, 0.01, 0.2, searched=False),
     "accel_bias_sigma": Parameter(0.15, 0.02, 0.5, searched=False),
     "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
-    "lever_sigma": Parameter(0.1, 1e-3, 0.3, searched=False),
+    "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
     # At rest, as in `ekf_drag`: largest differences of the low-passes [rad/s], [m/s²], largest rate [rad/s],
     # noise density of the zero-rate update [rad/√s], time until it and of the fast low-pass [s].
     "rest_rate": Parameter(0.005, 1e-3, 0.1, searched=False),

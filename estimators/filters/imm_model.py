@@ -178,7 +178,7 @@ def correct_by_zero_rate(P, dx, column, rate, bias, variance):
 
 @njit
 def adapt_wind(m, p, dt, moved):
-    """Raise the wind's noise while corrections of the airspeed (2,) follow each other, lower it while they do not.
+    """Raise the wind's noise while corrections of the airspeed (2,) follow each other, and else lower it.
 
     The square of their sum over a short memory is the sum of their squares where they are white, as those of
     a filter whose noise is right, and more where the wind turns faster than its noise says.

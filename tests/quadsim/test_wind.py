@@ -9,6 +9,7 @@ from quadsim.wind import (
     Constant,
     Dryden,
     Gust,
+    Sinusoid,
     WindRecording,
     WindSpec,
     _turbulence,
@@ -16,6 +17,7 @@ from quadsim.wind import (
     dryden_scales,
     gust_one_minus_cosine,
     read_recording,
+    sinusoid,
     wind_series,
 )
 
@@ -246,3 +248,23 @@ def test_scenario_holds_a_list_of_winds(tmp_path):
     path.write_text('[[wind]]\nkind = "gust"\nvelocity = [0, 5, 0]\nrise = 0\n')
     with pytest.raises(ValueError, match=r"wind\[0\]\.rise = 0: should be 0.001 to 86400 s"):
         load_toml(path, "scenarios", Weather)
+
+
+def test_sinusoids_have_their_amplitude_and_periods_and_each_flight_its_own():
+    time = np.arange(0, 400, 0.05)
+    wind = sinusoid(time, (3.0, 2.0, 0.0), (2.0, 5.0), 4, 20)
+    np.testing.assert_allclose(np.abs(wind).max(1), [[3.0, 2.0, 0.0]] * 20, atol=0.01)
+    frequency = np.fft.rfftfreq(time.size, 0.05)[np.abs(np.fft.rfft(wind[:, :, :2], axis=1)).argmax(1)]
+    assert ((1 / frequency > 1.95) & (1 / frequency < 5.1)).all()
+    assert np.unique(frequency).size > 20
+    np.testing.assert_array_equal(wind[3], sinusoid(time, (3.0, 2.0, 0.0), (2.0, 5.0), 4, 4)[3])
+
+
+def test_a_sinusoid_beside_turbulence_draws_from_a_stream_of_its_own():
+    rough = Dryden(airspeed=5.0, altitude=10.0, wind_20ft=5.0)
+    swing = Sinusoid(amplitude=(1.0, 1.0, 0.0), period_s=(2.0, 5.0))
+    both = wind_series([rough, swing], 2, 500, 200.0, 3)
+    alone = wind_series([rough], 2, 500, 200.0, 3)
+    rest = both - alone
+    assert np.abs(rest[..., :2]).max() <= 1.0
+    np.testing.assert_allclose(rest[..., 2], 0.0, atol=1e-12)

@@ -645,3 +645,22 @@ def test_a_setting_of_a_table_leaves_its_other_keys():
 def test_dotted_settings_of_the_command_line_add_up():
     found = fields_of(["augmentation.gyro_noise=0.5", "augmentation.accel_noise=0.25", "epochs=3"])
     assert found == {"augmentation": {"gyro_noise": 0.5, "accel_noise": 0.25}, "epochs": 3}
+
+
+def test_windows_grow_over_the_epochs_and_a_run_resumes_across_a_change(dataset, tmp_path):
+    grow = TINY | {"later_windows": ((0.5, 1.0),)}
+    config = make_config(data=str(dataset), **grow)
+    assert [config.window_s_in(epoch) for epoch in range(3)] == [0.5, 0.5, 1.0]
+    whole = train(data=dataset, out=tmp_path / "whole", **grow)
+
+    def stop(epoch, _):
+        if epoch.epoch == 1:
+            raise KeyboardInterrupt
+
+    train(data=dataset, out=tmp_path / "parts", progress=stop, **grow)
+    resumed = train(data=dataset, out=tmp_path / "parts", **grow)
+    assert resumed.weights.read_bytes() == whole.weights.read_bytes()
+    with pytest.raises(
+        ValueError, match=r"later_windows: shares \[0.5, 0.2\], each should be above the one before"
+    ):
+        make_config(data="x.zarr", later_windows=((0.5, 1.0), (0.2, 2.0)))

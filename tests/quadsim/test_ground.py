@@ -1,0 +1,72 @@
+"""Flights that begin on the ground."""
+
+import numpy as np
+import pytest
+
+from quadsim.config.toml import describe
+from quadsim.flight.ground import GroundStart
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.simulate import simulate_flights
+from quadsim.rotation import quat_rotate, roll_pitch_from_quat
+from quadsim.seeding import vehicle_seeds
+from quadsim.vehicle import GRAVITY
+
+RATE_HZ = 200.0
+STAND = {"stand_s": (1.0, 1.5), "spin_up_s": (0.5, 1.0), "lift_off_s": (0.5, 1.0), "slope_deg": 5.0}
+
+
+@pytest.fixture(scope="module")
+def config():
+    config = flight_config(load_recipe("take-off"))
+    return config.model_copy(update={"ground": GroundStart(**STAND), "warmup_s": 2.0})
+
+
+@pytest.fixture(scope="module")
+def flights(config):
+    return simulate_flights(config, vehicle_seeds(5, 3), 2400)
+
+
+def test_a_flight_stands_still_on_a_slope_with_rotors_at_rest(flights):
+    first = slice(0, 200)
+    assert not np.any(flights["velocity"][:, first])
+    assert not np.any(flights["ang_vel"][:, first])
+    assert not np.any(flights["rotor_vel"][:, first])
+    slopes = np.degrees(np.linalg.norm(roll_pitch_from_quat(flights["quat"][:, 0]), axis=-1))
+    assert (slopes <= 5.01).all()
+    assert np.ptp(slopes) > 0.1
+    np.testing.assert_allclose(np.linalg.norm(flights["specific_force"][:, first], axis=-1), GRAVITY)
+
+
+def test_force_rate_and_velocity_are_those_of_one_motion(flights):
+    quat, velocity = flights["quat"], flights["velocity"]
+    accel = quat_rotate(quat, flights["specific_force"]) - np.array([0.0, 0.0, GRAVITY])
+    step = np.diff(velocity, axis=1) * RATE_HZ
+    np.testing.assert_allclose(0.5 * (accel[:, 1:] + accel[:, :-1])[:, :650], step[:, :650], atol=0.6)
+    moved = np.diff(flights["position"], axis=1) * RATE_HZ
+    np.testing.assert_allclose(moved, 0.5 * (velocity[:, 1:] + velocity[:, :-1]), atol=0.02)
+    up = quat_rotate(quat * np.array([1.0, -1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+    turned = np.diff(up, axis=1) * RATE_HZ
+    expected = np.cross(up, flights["ang_vel"])
+    np.testing.assert_allclose(turned, 0.5 * (expected[:, 1:] + expected[:, :-1]), atol=0.05)
+
+
+def test_after_the_start_comes_the_flight_that_the_seed_gives_without_one(config, flights):
+    alone = simulate_flights(config.model_copy(update={"ground": None}), vehicle_seeds(5, 3), 2400)
+    for i in range(3):
+        begin = int(np.flatnonzero((flights["quat"][i] == alone["quat"][i, 0]).all(-1))[0])
+        np.testing.assert_array_equal(flights["quat"][i, begin:], alone["quat"][i, : 2400 - begin])
+        np.testing.assert_array_equal(flights["wind"][i, begin:], alone["wind"][i, : 2400 - begin])
+
+
+def test_rotors_shake_the_imu_before_the_lift_off(flights):
+    rotor = flights["rotor_vel"][0, :, 0]
+    still, spinning = rotor == 0.0, (rotor > 300.0) & (np.abs(flights["velocity"][0]).sum(-1) == 0.0)
+    noise = flights["accel"][0] - flights["specific_force"][0]
+    assert spinning.sum() > 20
+    assert noise[spinning].std(0).max() > 3 * noise[still].std(0).max()
+
+
+def test_times_that_fall_are_one_clear_line():
+    with pytest.raises(ValueError, match="stand_s") as error:
+        GroundStart(stand_s=(3.0, 1.0))
+    assert "\n" not in describe(error.value, GroundStart)
