@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from textwrap import fill
 
 import numpy as np
 from foreign import DESCRIPTION, foreign_cell
+from learnt import learnt, learnt_figure, learnt_parts, manipulated_parts, sensor_parts, with_sensor_errors
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import load_page, row
@@ -266,13 +266,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     page = load_page("training")
     data = simulated("test", given.data)
     flights = load_flights([data])
-    rate, force = (data[name].to_numpy().astype(float) for name in ("ang_vel", "specific_force"))
-    perfect = replace(flights, readings=Readings(rate, force))
+    conditions = with_sensor_errors(flights, data)
     pieces = many_starts(flights)
     estimators = made()
     page.save(start_figure(estimators, pieces), "start.png", dpi=110, colours=64)
     train = load_flights([simulated("train", given.data)], 24)
-    bands, finding = band_rows(estimators, flights, perfect, linear_weights(train))
+    bands, finding = band_rows(estimators, flights, conditions["perfect IMU"], linear_weights(train))
+    found = learnt(data)
+    page.save(learnt_figure(found), "learnt.png", dpi=110, colours=64)
+    network = estimators["att-snn-loihi"]
+    assert isinstance(network, NetworkEstimator)
     config, tensors = load_network("att-snn")
     best = make_config("best", data="x")
     rounded, real = (
@@ -291,6 +294,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "settled": f"{SETTLED_S:g}",
             "bands": bands,
             "finding": finding,
+            **sensor_parts(estimators, conditions, SETTLED_S),
+            **learnt_parts(found),
+            **manipulated_parts(network, flights),
             "encoding": str(config.encoding),
             "hidden": str(config.hidden),
             "scale": f"{config.output_scale:g}",

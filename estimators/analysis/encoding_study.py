@@ -25,14 +25,18 @@ SLOW_HZ, FAST_HZ = 0.2, 1.0
 def manipulations(flights: Flights) -> dict[str, tuple[Array, Array]]:
     """Inputs (gyro, accel), each (n, T, 3), as they are and with one sensor changed.
 
-    A gyroscope that reads zero; an accelerometer that always reads a level hover; and one that reads gravity
-    alone, in body axes, as if the vehicle never accelerated.
+    The paper's three: a gyroscope that reads zero; an accelerometer that reads zero; and one that always
+    reads a level hover, so that the attitude θ_acc that follows from it is zero ("accel removed"). The fourth
+    accelerometer reads gravity alone, in body axes, as if the vehicle never accelerated. A force of exactly
+    zero is a missing sample to the encoder: the input of a network then stays 0 from the start, which is a
+    level hover where the scaling has that offset.
     """
     up = np.broadcast_to([0.0, 0.0, GRAVITY], flights.accel.shape)
     gravity = quat_rotate_inverse(flights.quat, up)
     return {
         "intact": (flights.gyro, flights.accel),
         "gyro removed": (np.zeros_like(flights.gyro), flights.accel),
+        "accel zero": (flights.gyro, np.zeros_like(flights.accel)),
         "accel removed": (flights.gyro, np.ascontiguousarray(up)),
         "accel = gravity": (flights.gyro, gravity),
     }

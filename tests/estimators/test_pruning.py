@@ -65,6 +65,12 @@ def test_without_its_gyroscope_a_network_does_not_follow(network, seen):
     est = NetworkEstimator(Spiking(*network), 200.0)
     found = responses(est, seen)
     assert found["gyro removed"].gain < 0.3 < 0.7 < found["intact"].gain
+    np.testing.assert_array_equal(
+        found["accel zero"].estimate, found["accel removed"].estimate
+    )  # offset 9.81
+    alone, tensors = shipped_network("att-snn-paper")  # offset 0
+    others = responses(NetworkEstimator(Spiking(alone, tensors), 200.0), seen)
+    assert others["accel zero"].error_deg != others["accel removed"].error_deg
     level = manipulations(seen)["accel = gravity"][1]
     np.testing.assert_allclose(np.linalg.norm(level, axis=2), 9.81)
 
