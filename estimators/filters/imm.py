@@ -129,7 +129,7 @@ PARAMETERS = {
     "climb_time": Parameter(2.0, 0.5, 5.0, minimum=0.05, searched=False),
     # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
     # of the specific force [m/s/√s], of the walks of wind [m/s/√s], biases [rad/s/√s], [m/s²/√s] and the
-    # direction of thrust [rad/√s].
+    # direction of thrust [rad/√s], and of the lever arm [m/√s], which takes up what the model lacks.
     "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
     "turn_noise": Parameter(0.005, 1e-4, 0.05),
     "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
@@ -137,6 +137,7 @@ PARAMETERS = {
     "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
     "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
     "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
+    "lever_noise": Parameter(0.01, 1e-4, 0.1, searched=False),
     # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases
     # [rad/s], [m/s²], of the direction of thrust from body z [rad] and of the lever arm [m].
     "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),

@@ -4,7 +4,7 @@ State: attitude R, velocity v and horizontal wind w (world axes), gyroscope bias
 across body z, and of a multirotor the direction of thrust o, as a tilt from body z, and the height l of the
 IMU over the centre of mass:
 
-    Ṙ = R [ω − b]×,    v̇ = R (a − c) + g,    ẇ, ḃ, ċ, ȯ random walks, l constant,
+    Ṙ = R [ω − b]×,    v̇ = R (a − c) + g,    ẇ, ḃ, ċ, ȯ, l̇ random walks,
     a_xy = −D (Rᵀ (v − w))_xy + c + g o + l (α_y, −α_x) + noise,    D = k √(a_z / g) + f |v − w|
 
 The drag measurement and the right-invariant error are those of `ekf_drag`; α is the angular acceleration. The
@@ -254,7 +254,7 @@ def predict(m, s, p, vector, accel, known, work):
     walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
     walks[ACCEL_BIAS:OFFSET] = p.accel_bias_noise**2 * dt
     walks[OFFSET:LEVER] = p.offset_noise**2 * dt
-    walks[LEVER] = 0.0
+    walks[LEVER] = p.lever_noise**2 * dt
     propagate(m.covariance, T, matrix, v, m.wind, dt, walks)
     if known:
         fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2])
