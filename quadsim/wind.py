@@ -242,7 +242,8 @@ def sinusoid(time: Array, amplitude: ArrayLike, period_s: tuple[float, float], s
         Velocity of the air in world axes, shape (n, T, 3) [m/s].
     """
     randoms = [np.random.default_rng(child(each, 0)) for each in vehicle_seeds(seed, n)]
-    period = np.array([np.exp(random.uniform(*np.log(period_s), 3)) for random in randoms])
+    low, high = np.log(period_s)
+    period = np.exp([random.uniform(low, high, 3) for random in randoms])
     phase = np.array([random.uniform(0.0, 2.0 * np.pi, 3) for random in randoms])
     angle = 2.0 * np.pi * time[:, None] / period[:, None] + phase[:, None]
     return np.asarray(amplitude, dtype=np.float64) * np.sin(angle)

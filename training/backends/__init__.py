@@ -13,6 +13,7 @@ from torch import Tensor
 
 from estimators.spiking import Weights
 
+from .cuda import Cuda
 from .fused import Fused
 from .plain import Plain
 
@@ -53,5 +54,5 @@ class Backend(Protocol):
         ...
 
 
-BACKENDS = {"fused": Fused, "plain": Plain}
+BACKENDS = {"fused": Fused, "plain": Plain, "cuda": Cuda}
 """Constructors that take `quantised`, `recurrent_delay` (1 or 2 steps) and `threads`, which share a batch."""
