@@ -101,7 +101,7 @@ STATE = np.dtype(
         ("push", "f8", 3),  # integral of the specific force, axes at the end of the interval [m/s]
         ("force_sum", "f8", 3),  # integral of the specific force in body axes, which turn [m/s]
         ("force", "f8", 3),  # the last specific force [m/s²]
-        ("last_rate", "f8", 3),  # the last rate [rad/s]
+        ("last_rate", "f8", 3),  # the last rate, low-passed [rad/s]
         ("rate_before", "f8", 3),  # the last one before the interval
         ("unseen", "f8"),  # variance of the unmeasured turn in the interval [rad²]
         ("rotor_time", "f8"),  # part of the interval with speeds of turning rotors [s]
@@ -181,6 +181,10 @@ MODEL_HZ = 50.0
 """Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
 REST_EVIDENCE = 5.0
 """Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
+RATE_MEMORY = 0.005
+"""Time constant of the low-pass before the rate's derivative [s]."""
+BLOW = 80.0
+"""Specific force from which on it is a blow or a defect, and is taken as missing [m/s²]."""
 ODDS_LEAST = 1e-3
 """Least share of each drag model in both."""
 
@@ -193,7 +197,8 @@ def accumulate(s, sample, rotor_square):
     tw, tx, ty, tz = s.turn
     s.turn[0], s.turn[1], s.turn[2], s.turn[3] = multiply_core(tw, tx, ty, tz, ew, ex, ey, ez)
     px, py, pz = s.push
-    if ax != 0.0 or ay != 0.0 or az != 0.0:
+    square = ax * ax + ay * ay + az * az
+    if 0.0 < square < BLOW**2:
         if s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0:  # trapezoidal rule
             px, py, pz = px + 0.5 * dt * s.force[0], py + 0.5 * dt * s.force[1], pz + 0.5 * dt * s.force[2]
             px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
@@ -207,6 +212,7 @@ def accumulate(s, sample, rotor_square):
         s.force_sum[2] += dt * az
     else:
         px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+        ax = ay = az = 0.0
     s.push[0], s.push[1], s.push[2] = px, py, pz
     s.force[0], s.force[1], s.force[2] = ax, ay, az
     s.interval += dt
@@ -215,9 +221,10 @@ def accumulate(s, sample, rotor_square):
     if rotor_square > 0.0:
         s.rotor_time += dt
         s.rotor_sum += dt * rotor_square
-    s.last_rate[0] += 0.5 * (gx - s.last_rate[0])
-    s.last_rate[1] += 0.5 * (gy - s.last_rate[1])
-    s.last_rate[2] += 0.5 * (gz - s.last_rate[2])
+    share = dt / (dt + RATE_MEMORY)
+    s.last_rate[0] += share * (gx - s.last_rate[0])
+    s.last_rate[1] += share * (gy - s.last_rate[1])
+    s.last_rate[2] += share * (gz - s.last_rate[2])
 
 
 @njit

@@ -24,7 +24,8 @@ Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one 
 Preset = Annotated[
     str,
     typer.Option(
-        help="paper: its recipe; best: the one to use; robust: rough sensors; tune: logs; or a TOML file."
+        help="paper: its recipe; best: the one to use; hummingbird: one airframe; robust: rough sensors; "
+        "tune: logs; or a TOML file."
     ),
 ]
 Fields = Annotated[

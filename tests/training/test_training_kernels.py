@@ -61,7 +61,7 @@ def test_fused_backend_equals_plain_pytorch(quantised, delay, size):
         np.testing.assert_allclose(mine / scale, theirs / scale, rtol=0, atol=1e-10, err_msg=name)
 
 
-@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("name", ["fused", "plain"])
 @pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("delay", [1, 2])
 def test_windows_that_go_on_are_one_long_window_but_for_sequences_that_are_reset(name, quantised, delay):
@@ -79,7 +79,7 @@ def test_windows_that_go_on_are_one_long_window_but_for_sequences_that_are_reset
     np.testing.assert_allclose(joined[1, 80:], anew[1], rtol=0, atol=atol)
 
 
-@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("name", ["fused", "plain"])
 def test_windows_go_on_without_neurons_that_reach_nothing(name):
     weights, x = random_weights(12, 10), random_input(3, 80)
     encoding, hidden = np.arange(0, 12, 2), np.arange(1, 10)
