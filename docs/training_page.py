@@ -138,7 +138,10 @@ def weight_rows(flights: Flights) -> list[str]:
 def training_cells(training: dict) -> tuple[str, ...]:
     """Flights, updates, hours of flight in all updates, and hours that the last run took."""
     config = training.get("config", {})
-    hours = training["updates"] * config["batch_size"] * config["window_s"] / 3600
+    epochs, batches = -(-training["updates"] // config["batches"]), config["batches"]
+    plan = make_config(config["preset"], data="x") if config.get("later_windows") else None
+    lengths = [plan.window_s_in(k) if plan else config["window_s"] for k in range(epochs)]
+    hours = min(epochs * batches, training["updates"]) / epochs * config["batch_size"] * sum(lengths) / 3600
     seconds = training.get("seconds")
     spent = "–" if seconds is None else f"{seconds / 3600:.1f}"
     return str(training["training_flights"]), str(training["updates"]), f"{hours:.0f}", spent

@@ -48,6 +48,7 @@ def silenced_ratio(name, weights, flights):
     [
         ("att-snn", "att-snn"),
         ("att-snn-loihi", "att-snn"),
+        ("att-snn-loihi", "att-snn-hummingbird"),
         ("att-rnn", "att-rnn"),
         ("att-rnn", "att-rnn-paper"),
     ],
