@@ -28,7 +28,15 @@ class LockedCache(caching.FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self.lock = FileLock(f"{self._cache_file._index_path}.lock", timeout=LONGEST_S)
+        self._lock: tuple[int, FileLock] | None = None
+
+    @property
+    def lock(self) -> FileLock:
+        """The lock of this process: one that was made before a fork is the parent's."""
+        if self._lock is None or self._lock[0] != os.getpid():
+            lock = FileLock(f"{self._cache_file._index_path}.lock", timeout=LONGEST_S)
+            self._lock = os.getpid(), lock
+        return self._lock[1]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load a variant; None if it has to be compiled, with the lock held."""

@@ -288,3 +288,23 @@ def test_blocks_of_zeros_have_a_layout_each_and_may_be_none():
 @njit
 def read_last(block):
     return vector(block, 1, np.int64)
+
+
+def test_a_process_that_was_forked_compiles_with_a_lock_of_its_own(tmp_path):
+    """A child of fork() that misses the cache must not use the parent's lock."""
+    code = (
+        "import os\n"
+        "from quadsim.runs.compiled import njit\n"
+        "@njit(cache=True)\n"
+        "def double(x): return 2 * x\n"
+        "double._cache.lock.acquire(); double._cache.lock.release()\n"
+        "child = os.fork()\n"
+        "if child == 0: os._exit(double(21) != 42)\n"
+        "raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    (tmp_path / "forks.py").write_text(code)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, tmp_path / "forks.py"], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
