@@ -18,7 +18,7 @@ from quadsim.estimator import AttitudeEstimator
 
 BLOCK = "errors, by docs/readme.py"
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
-DRAG, MODELS, CHIP, GRU = "ekf-drag", "imm", "att-snn-loihi", "att-rnn"
+DRAG, MODELS, CHIP, GRU, ALONE = "ekf-drag", "imm", "att-snn-loihi", "att-rnn", "att-snn-hummingbird"
 VEHICLE = "hummingbird"
 HEAD = (
     "| roll and pitch from | Hummingbird, simulated [°] | the same, silenced [°] | RotorPy [°] "
@@ -39,12 +39,15 @@ def best(errors: Mapping[str, float]) -> str:
 
 
 def network_cells(
-    name: str, flights: Flights, data: Path, errors: Sequence[tuple[float, float]]
+    name: str,
+    own: AttitudeEstimator,
+    flights: Flights,
+    data: Path,
+    errors: Sequence[tuple[float, float]],
 ) -> list[str]:
     """Errors of a network, silenced beside it; `errors` on the recordings and silenced there."""
     twin = silenced_twin(name)
     assert twin is not None
-    own = made_of([name], RATE_HZ)[name]
     real = [f"{error:.2f} (silenced {silent:.2f})" for error, silent in errors]
     rotorpy = foreign_cell(name, lambda _: own, data)
     return [f"{error_deg(own, flights):.2f}", f"{error_deg(twin, flights):.2f}", rotorpy, *real]
@@ -58,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     package = {"vqf, package's parameters": vqf_with_defaults()}
     filters = made_of(WITHOUT_DRAG, RATE_HZ) | package
     models = made_of([MODELS], RATE_HZ)[MODELS]
-    both = filters | made_of([MODELS, CHIP, GRU], RATE_HZ)
+    trained = made_of([CHIP, GRU], RATE_HZ) | {ALONE: create(CHIP, RATE_HZ, weights=ALONE)}
+    both = filters | {MODELS: models} | trained
     sets = recordings(given.recordings)
     scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
     in_simulation = best({name: error_deg(est, flights) for name, est in filters.items()})
@@ -68,9 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     drag_in_rotorpy = foreign_cell(DRAG, lambda each: create(DRAG, RATE_HZ, vehicle=each), given.data)
     networks = {
         name: network_cells(
-            name, flights, given.data, [(s.mean(name, RAW), s.silenced(name)) for s in scores]
+            name, est, flights, given.data, [(s.mean(name, RAW), s.silenced(name)) for s in scores]
         )
-        for name in (CHIP, GRU)
+        for name, est in trained.items()
     }
     rows = {
         "the best filter that does not know the drag": [in_simulation, "–", in_rotorpy, *real],
@@ -82,6 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ],
         "`ekf-drag`, given the vehicle": [f"{drag:.2f}", "–", drag_in_rotorpy, "–", "–"],
         "**Att-SNN on the emulated chip**": networks[CHIP],
+        "the same, 96 + 96 neurons for this airframe alone": networks[ALONE],
         "Att-RNN, its twin of GRUs": networks[GRU],
     }
     page.write_block(
