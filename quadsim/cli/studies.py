@@ -74,9 +74,12 @@ def evaluate(
 
     contenders = Contenders(estimator, weights or [], tuning, vehicle)
     if logs:
+        import numpy as np
+
         from scenarios.log_report.evaluate import evaluate_logs
 
-        evaluate_logs(logs, contenders, out, within_deg=within, mount=mount, force=force)
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that no sensor has, which are refused
+            evaluate_logs(logs, contenders, out, within_deg=within, mount=mount, force=force)
         return
     if mount is not None:
         raise ValueError("--mount is of the IMU of --logs; a dataset is in body axes")

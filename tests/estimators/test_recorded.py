@@ -170,6 +170,22 @@ def test_evaluate_leaves_a_log_without_attitude_out_and_says_so(log, tmp_path):
         CliRunner().invoke(app, [*command, "--logs", logs[1]], catch_exceptions=False)
 
 
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_no_sensor_has_are_refused_without_numpy_s_warnings(log, tmp_path):
+    one = log.isel(flight=0)
+    known = np.isfinite(one["gyro"]).all(axis=1).to_numpy()
+    for name, sensor, quat in (("readings", 1e300, 1.0), ("truth", 1.0, 1e200)):
+        path = tmp_path / f"{name}.npz"
+        np.savez(
+            path,
+            t=one["time"].to_numpy()[known], gyro=sensor * one["gyro"].to_numpy()[known],
+            acc=sensor * one["accel"].to_numpy()[known], quat=quat * one["quat"].to_numpy()[known],
+        )  # fmt: skip
+        command = ["evaluate", "--estimator", "mahony", "--out", str(tmp_path / "out"), "--logs", str(path)]
+        with pytest.raises(ValueError, match=name):
+            CliRunner().invoke(app, command, catch_exceptions=False)
+
+
 def test_vqf_has_its_published_error_on_a_real_recording(broad):
     tenth = next(path for path in broad if path.name.startswith("10_"))
     scores = score_logs([read_log(tenth)], ["vqf"])
