@@ -40,9 +40,29 @@ def superspike(x: Tensor) -> Tensor:
     return _SuperSpike.apply(x)  # pyright: ignore[reportReturnType]  (torch types apply as Any | None)
 
 
-def quantise_weights(w: Tensor) -> Tensor:
-    """Nearest weight of the chip: even mantissas -256...254 of 1/256. Gradient straight through."""
-    return _straight(w, torch.clamp(torch.round(w * 128), -128, 127) / 128)
+def weight_exponents(w: Tensor, finest: int) -> Tensor:
+    """Exponent of each row's weights: the finest of `finest`...0 whose mantissas reach the row's largest.
+
+    Args:
+        w: Weights, shape (rows, columns).
+        finest: 0 or less.
+
+    Returns:
+        Whole numbers, shape (rows, 1).
+    """
+    largest = w.detach().abs().amax(1, keepdim=True)
+    return torch.log2(largest / (127 / 128)).ceil().clamp(finest, 0)
+
+
+def quantise_weights(w: Tensor, finest: int = 0) -> Tensor:
+    """Nearest weight of the chip: even mantissas -256...254 of 2^(e - 8). Gradient straight through.
+
+    Args:
+        w: Weights, shape (rows, columns).
+        finest: Least exponent e of a row, see `weight_exponents`.
+    """
+    step = torch.exp2(weight_exponents(w, finest)) / 128
+    return _straight(w, torch.clamp(torch.round(w / step), -128, 127) * step)
 
 
 def quantise_decay(tau: Tensor) -> Tensor:

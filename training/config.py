@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from estimators.networks.symmetry import is_symmetric
 from estimators.networks.weights_file import (
+    EXPONENT_MIN,
     PAPER_SCALING,
     InputScaling,
     Neurons,
@@ -42,6 +43,9 @@ class TrainingRecipe(Strict):
     """Share the weights that quarter turns and mirror images of the body map onto each other (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
+    finest_exponent: Annotated[int, Between(EXPONENT_MIN, 0)] = 0
+    """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
+    the neuron's weights are small enough (att-snn)."""
     steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample (att-snn)."""
     inputs: InputScaling = PAPER_SCALING

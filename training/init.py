@@ -56,9 +56,8 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
                 "share weights; give more, or symmetric=false"
             )
         backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
-        model = AttSNN(
-            encoding, hidden, backend, config.output_scale, config.symmetric, outputs=config.outputs
-        )
+        how = (config.output_scale, config.symmetric, config.outputs, config.finest_exponent)
+        model = AttSNN(encoding, hidden, backend, *how)
     if config.init:
         initialise_from_weights(model, config.init)
         if isinstance(model, AttSNN) and config.prunes:

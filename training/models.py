@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from estimators.analysis.ablation import connected_neurons
 from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
 from estimators.networks.symmetry import weight_sharing
-from estimators.networks.weights_file import NetworkConfig, Outputs, expected_shapes, number_of
+from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Outputs, expected_shapes, number_of
 from estimators.spiking import quantise_decay, quantise_weights
 
 from .backends import Backend
@@ -37,6 +37,7 @@ class AttSNN(nn.Module):
         output_scale: Radians, or parts of a unit vector, for an output potential of 1.0.
         symmetric: Whether weights are shared as `estimators.networks.symmetry` says.
         outputs: Roll and pitch, or up.
+        finest_exponent: Of the weights into a hidden neuron on the chip, 0 or less.
     """
 
     w_in: Tensor
@@ -52,10 +53,11 @@ class AttSNN(nn.Module):
         output_scale: float = 1.0,
         symmetric: bool = False,
         outputs: Outputs = "roll-pitch",
+        finest_exponent: int = 0,
     ) -> None:
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
-        self.backend, self.output_scale = backend, output_scale
+        self.backend, self.output_scale, self.finest_exponent = backend, output_scale, finest_exponent
         self.outputs: Outputs = outputs
         network = NetworkConfig(model="att-snn", encoding=encoding, hidden=hidden, outputs=outputs)
         for name, shape in expected_shapes(network).items():
@@ -93,11 +95,13 @@ class AttSNN(nn.Module):
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
-        w = [getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES]
+        w = {name: getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES}
         tau = [torch.sigmoid(getattr(self, name)) for name in TIME_CONSTANTS]
         if self.backend.quantised:
-            w, tau = map(quantise_weights, w), map(quantise_decay, tau)
-        return Weights(*w, *tau)
+            finest = dict.fromkeys(EXPONENTS, self.finest_exponent)
+            w = {name: quantise_weights(value, finest.get(name, 0)) for name, value in w.items()}
+            tau = map(quantise_decay, tau)
+        return Weights(*w.values(), *tau)
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Outputs (n, T, outputs) of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
@@ -156,7 +160,7 @@ class AttSNN(nn.Module):
         encoding, hidden = neurons
         backend = self.backend.connected(encoding, hidden)
         sizes, symmetric = (encoding.size, hidden.size), bool(self.sharing)
-        smaller = AttSNN(*sizes, backend, self.output_scale, symmetric, self.outputs)
+        smaller = AttSNN(*sizes, backend, self.output_scale, symmetric, self.outputs, self.finest_exponent)
         smaller.load_state_dict(
             {
                 name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)

@@ -16,8 +16,9 @@ import torch
 from pydantic import ValidationError
 
 from estimators.analysis.ablation import connected
-from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, save_network
-from estimators.spiking import MATRICES
+from estimators.networks.forward import MATRICES, TIME_CONSTANTS
+from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Tensors, load_network, save_network
+from estimators.spiking import weight_exponents
 from quadsim.runs.files import drop_parts, save_figure, write_csv, write_whole
 from quadsim.runs.fingerprint import ROOT, code_digest
 
@@ -118,10 +119,14 @@ def exported(
         arrays = {name: w.numpy() for name, w in model.weights()._asdict().items()}
     if not config.quantised:
         return network, {name: w.astype(np.float32) for name, w in arrays.items()}
-    return network, {
-        name: np.rint(w * 256 if name in MATRICES else 4096 * (1 - w.astype(np.float64))).astype(np.int16)
-        for name, w in arrays.items()
-    }
+    taus = {name: 4096 * (1 - arrays[name].astype(np.float64)) for name in TIME_CONSTANTS}
+    mantissas = {name: arrays[name] * 256 for name in MATRICES}
+    exps = {}
+    for name, exp in EXPONENTS.items() if config.finest_exponent else ():
+        exps[exp] = weight_exponents(torch.from_numpy(arrays[name]), config.finest_exponent).numpy()[:, 0]
+        mantissas[name] = mantissas[name] * np.exp2(-exps[exp])[:, None]
+    whole = {name: np.rint(value).astype(np.int16) for name, value in (mantissas | taus | exps).items()}
+    return network, whole
 
 
 def save_best(

@@ -6,6 +6,10 @@ static const int8_t W_FF[ATT_SNN_ENCODING][ATT_SNN_HIDDEN] = $w_ff;
 static const int8_t W_REC[ATT_SNN_HIDDEN][ATT_SNN_HIDDEN] = $w_rec;
 static const int8_t W_OUT[ATT_SNN_HIDDEN][ATT_SNN_OUTPUTS] = $w_out;
 
+/* Of the weights into each hidden neuron: a half of a mantissa is 2^shift units of state. */
+static const uint8_t SHIFT_FF[ATT_SNN_HIDDEN] = $exp_ff;
+static const uint8_t SHIFT_REC[ATT_SNN_HIDDEN] = $exp_rec;
+
 /* What a step leaves of currents (du) and potentials (dv), of 4096. */
 static const uint16_t KEEP_U_ENCODING[ATT_SNN_ENCODING] = $syn0;
 static const uint16_t KEEP_V_ENCODING[ATT_SNN_ENCODING] = $mem0;
@@ -71,9 +75,10 @@ static void gather(int32_t *sum, int n, const int8_t *weights, const uint8_t *sp
                 sum[i] += weights[source * n + i];
 }
 
-static int32_t synapse(int32_t u, uint16_t keep, int32_t half_sum)
+/* Advance a current by what arrives, in units of state. */
+static int32_t synapse(int32_t u, uint16_t keep, int32_t arriving)
 {
-    return wrap(decay(u, keep) + wrap(half_sum * 128, 21), 23);
+    return wrap(decay(u, keep) + wrap(arriving, 21), 23);
 }
 
 /* Nearest integer, ties to even, within the input's range. */
@@ -123,16 +128,18 @@ void att_snn_encode(att_snn_state *state, const double gyro[3], const double acc
 static void step(att_snn_state *state)
 {
     int32_t output[ATT_SNN_OUTPUTS] = {0};
-    int32_t hidden[ATT_SNN_HIDDEN] = {0};
+    int32_t forward[ATT_SNN_HIDDEN] = {0};
+    int32_t recurrent[ATT_SNN_HIDDEN] = {0};
     gather(output, ATT_SNN_OUTPUTS, &W_OUT[0][0], state->s_hidden, ATT_SNN_HIDDEN);
-    gather(hidden, ATT_SNN_HIDDEN, &W_FF[0][0], state->s_encoding, ATT_SNN_ENCODING);
-    gather(hidden, ATT_SNN_HIDDEN, &W_REC[0][0], state->s_hidden, ATT_SNN_HIDDEN);
+    gather(forward, ATT_SNN_HIDDEN, &W_FF[0][0], state->s_encoding, ATT_SNN_ENCODING);
+    gather(recurrent, ATT_SNN_HIDDEN, &W_REC[0][0], state->s_hidden, ATT_SNN_HIDDEN);
     for (int i = 0; i < ATT_SNN_OUTPUTS; ++i) {
-        state->u_output[i] = synapse(state->u_output[i], KEEP_U_OUTPUT, output[i]);
+        state->u_output[i] = synapse(state->u_output[i], KEEP_U_OUTPUT, output[i] * 128);
         membrane(&state->v_output[i], KEEP_V_OUTPUT, state->u_output[i], OUTPUT_THRESHOLD);
     }
     for (int i = 0; i < ATT_SNN_HIDDEN; ++i) {
-        state->u_hidden[i] = synapse(state->u_hidden[i], KEEP_U_HIDDEN[i], hidden[i]);
+        const int32_t arriving = forward[i] * (1 << SHIFT_FF[i]) + recurrent[i] * (1 << SHIFT_REC[i]);
+        state->u_hidden[i] = synapse(state->u_hidden[i], KEEP_U_HIDDEN[i], arriving);
         state->s_hidden[i] = membrane(&state->v_hidden[i], KEEP_V_HIDDEN[i], state->u_hidden[i], THRESHOLD);
     }
     for (int i = 0; i < ATT_SNN_ENCODING; ++i) {

@@ -13,7 +13,7 @@ from ..evaluation.flights import Flights
 from ..metrics import attitude_error
 from ..networks.network import NetworkEstimator, Spiking
 from ..networks.symmetry import is_symmetric, weight_sharing
-from ..networks.weights_file import NetworkConfig, Tensors
+from ..networks.weights_file import EXPONENTS, NetworkConfig, Tensors, exponents
 from .activity import Activity
 
 Array = NDArray[np.float64]
@@ -49,7 +49,12 @@ def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> 
     """
     rates = activity.of_layer(activity.rates, 0), activity.of_layer(activity.rates, 1)
     sizes = [
-        np.sqrt(sum((tensors[name].astype(np.float64) ** 2).sum(axis=0) for name in names))
+        np.sqrt(
+            sum(
+                ((tensors[name] * np.exp2(exponents(tensors, name))[:, None]) ** 2).sum(axis=0)
+                for name in names
+            )
+        )
         for names in (["w_ff"], ["w_rec", "w_out"])
     ]
     rng = np.random.default_rng(seed)
@@ -76,7 +81,7 @@ def without(
         "w_rec": tensors["w_rec"][np.ix_(hidden, hidden)],
         "w_out": tensors["w_out"][:, hidden],
         **{name: tensors[name][encoding] for name in ("syn0", "mem0")},
-        **{name: tensors[name][hidden] for name in ("syn1", "mem1")},
+        **{name: tensors[name][hidden] for name in ("syn1", "mem1", *EXPONENTS.values()) if name in tensors},
         **{name: tensors[name] for name in ("syn2", "mem2")},
     }
     return config.model_copy(update={"encoding": encoding.size, "hidden": hidden.size}), smaller

@@ -105,7 +105,7 @@ def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
 
 def synapses(cores: Sequence[ChipCore], neurons: int) -> NDArray[np.int64]:
     """Synapses of each neuron on each core, (neurons, cores)."""
-    return np.stack([core.synapses[-neurons:] for core in cores], axis=1)
+    return np.stack([core.synapses.sum(0)[-neurons:] for core in cores], axis=1)
 
 
 def costs(counted: dict[str, float]) -> list[Cost]:

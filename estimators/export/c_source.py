@@ -14,7 +14,8 @@ from quadsim.runs.files import write_whole
 
 from ..loihi.neurons import DECAY_ONE, STATE_ONE
 from ..networks.encoder import INPUT_MAX, input_scaling
-from ..networks.weights_file import NetworkConfig, Tensors, parameters
+from ..networks.forward import TIME_CONSTANTS
+from ..networks.weights_file import EXPONENTS, NetworkConfig, Tensors, exponents, parameters
 
 WORDS = {
     "roll-pitch": {
@@ -56,8 +57,9 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
     integers = {name: value.astype(np.int64) for name, value in tensors.items()}
     halves = {name: integers[name] // 2 for name in ("w_in", "w_ff", "w_rec", "w_out")}
     by_source = {name: value.T for name, value in halves.items()}
-    decays = {name: DECAY_ONE - value for name, value in integers.items() if name not in by_source}
-    arrays = {name: _braces(value) for name, value in (by_source | decays).items()}
+    decays = {name: DECAY_ONE - integers[name] for name in TIME_CONSTANTS}
+    shifts = {exp: 7 + exponents(integers, name) for name, exp in EXPONENTS.items()}
+    arrays = {name: _braces(value) for name, value in (by_source | decays | shifts).items()}
     arrays |= {name: str(decays[name][0]) for name in ("syn2", "mem2")}
     values = {
         "encoding": config.encoding,

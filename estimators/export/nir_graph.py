@@ -22,7 +22,7 @@ from quadsim.runs.files import replace
 from ..networks.encoder import input_scaling
 from ..networks.forward import BIAS_EXP, THRESHOLD
 from ..networks.network import real_weights
-from ..networks.weights_file import NetworkConfig, Tensors
+from ..networks.weights_file import NetworkConfig, Tensors, exponents
 
 LAYERS = {"encoding": ("syn0", "mem0"), "hidden": ("syn1", "mem1"), "output": ("syn2", "mem2")}
 CONNECTIONS = {
@@ -51,9 +51,8 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([6])})}
     edges = []
     for name, (source, target) in CONNECTIONS.items():
-        nodes[name] = nir.Linear(
-            weight=getattr(values, name), metadata=_integers(config, mantissa=tensors[name])
-        )
+        whole = _integers(config, mantissa=tensors[name], exponent=exponents(tensors, name))
+        nodes[name] = nir.Linear(weight=getattr(values, name), metadata=whole)
         edges += [(source, name), (name, target)]
     sizes = (config.encoding, config.hidden, config.n_outputs)
     for size, (layer, names) in zip(sizes, LAYERS.items(), strict=True):

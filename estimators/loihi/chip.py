@@ -1,7 +1,8 @@
 """Where a network's neurons go on a Loihi chip, and whether they fit.
 
 A chip has 128 cores. The limits of one: 1024 compartments, 128 KiB of synaptic memory, 4096 fan-in and 4096
-fan-out axons (Davies et al. 2018); 32 decay profiles and 16 thresholds (registers, as in nengo-loihi).
+fan-out axons (Davies et al. 2018); 32 decay profiles, 16 thresholds and 16 synaptic formats, one for each
+exponent of weights (registers, as in nengo-loihi).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .neurons import DECAY_ONE, LoihiLayer
+from .neurons import DECAY_ONE, WEIGHT_EXP_MIN, LoihiLayer
 
 Ints = NDArray[np.int64]
 
@@ -21,6 +22,7 @@ LIMITS = {
     "compartments": 1024,
     "profiles": 32,
     "thresholds": 16,
+    "synaptic formats": 16,
     "fan-in axons": 4096,
     "fan-out axons": 4096,
     "synaptic bits": 128 * 1024 * 8,
@@ -49,8 +51,8 @@ class ChipCore:
 
     def __post_init__(self) -> None:
         """Start without synapses."""
-        self.synapses = np.zeros(self.sources, np.int64)
-        """Synapses of each source on this core."""
+        self.synapses = np.zeros((1 - WEIGHT_EXP_MIN, self.sources), np.int64)
+        """Synapses of each source on this core, a row for each exponent of weights, from 0 down."""
 
     def used(self) -> dict[str, int]:
         """How much of each limit is used."""
@@ -59,15 +61,16 @@ class ChipCore:
             "compartments": count,
             "profiles": len(self.profiles),
             "thresholds": len(self.thresholds),
-            "fan-in axons": int(np.count_nonzero(self.synapses)),
+            "synaptic formats": int(np.count_nonzero(self.synapses.any(1))),
+            "fan-in axons": int(np.count_nonzero(self.synapses.any(0))),
             "fan-out axons": self.fan_out,
-            "synaptic bits": synaptic_bits(self.synapses, count),
+            "synaptic bits": sum(synaptic_bits(each, count) for each in self.synapses),
         }
 
     def with_neuron(
-        self, layer: int, neuron: int, profile: tuple[int, int], vth: int, inputs: Ints
+        self, layer: int, neuron: int, profile: tuple[int, int], vth: int, inputs: tuple[Ints, Ints]
     ) -> ChipCore:
-        """A core that holds one neuron more, whose synapses come from the sources `inputs`."""
+        """A core that holds one neuron more, whose synapses are at these rows and columns of `synapses`."""
         neurons = {**self.neurons, layer: [*self.neurons.get(layer, ()), neuron]}
         core = ChipCore(self.sources, neurons, self.profiles | {profile}, self.thresholds | {vth})
         core.synapses = self.synapses.copy()
@@ -76,7 +79,7 @@ class ChipCore:
 
 
 def synaptic_bits(synapses: Ints, compartments: int) -> int:
-    """Memory of a core's synapses, stored as lists of weight and target for each fan-in axon.
+    """Memory of a core's synapses of one format, stored as lists of weight and target for each fan-in axon.
 
     A weight takes 8 bits, its target 6 to 10; a list is cut into blocks of 64 with a head of 10 bits, padded
     to words of 64 bits.
@@ -157,15 +160,20 @@ def _starts(layers: Sequence[LoihiLayer]) -> Ints:
     return np.cumsum(widths)
 
 
-def _fan_in(layer: LoihiLayer, start: int) -> list[Ints]:
-    """The sources that each neuron of a layer has synapses from."""
+def _fan_in(layer: LoihiLayer, start: int) -> list[tuple[Ints, Ints]]:
+    """Formats, counted by -exponent, and sources of the synapses of each neuron of a layer."""
     w_in = np.asarray(layer.w_in)
     weights = w_in if layer.w_rec is None else np.concatenate([w_in, np.asarray(layer.w_rec)], axis=1)
-    return [start - w_in.shape[1] + np.flatnonzero(row) for row in weights]
+    formats = -np.stack([np.asarray(layer.exp_in), np.asarray(layer.exp_rec)], 1)
+    sources = [np.flatnonzero(row) for row in weights]
+    return [
+        (of_neuron[(found >= w_in.shape[1]).astype(int)], start - w_in.shape[1] + found)
+        for of_neuron, found in zip(formats, sources, strict=True)
+    ]
 
 
 def _count_fan_out(cores: Sequence[ChipCore], starts: Ints) -> None:
     """Axons of each core: one for every neuron and every core that the neuron has synapses on."""
-    reached = np.sum([core.synapses > 0 for core in cores], axis=0)
+    reached = np.sum([core.synapses.any(0) for core in cores], axis=0)
     for core in cores:
         core.fan_out = sum(int(reached[starts[k] + np.array(each)].sum()) for k, each in core.neurons.items())

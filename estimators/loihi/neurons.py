@@ -3,11 +3,11 @@
 All integer; index t is the value after step t; 1.0 is 2^14 state units.
 
     D(x, d)  = sign(x) ((|x| (4096 - d)) >> 12)
-    u[t] = wrap23( D(u[t-1], du) + wrap21( (W s[t-1]) << 6 ) )
+    u[t] = wrap23( D(u[t-1], du) + wrap21( Σ W s[t-1] 2^(6 + e) ) )
     v[t] = clip( D(v[t-1], dv) + u[t] + (bias_mant << bias_exp), ±(2^23 - 1) )
     s[t] = v[t] > (vth << 6);  v[t] = 0 where s[t]
 
-Every connection, recurrent or not, delivers after exactly one step; a bias acts within its step.
+W are mantissas, e the exponents of their synaptic formats. Every connection, recurrent or not, delivers after exactly one step; a bias acts within its step.
 Davies et al., "Loihi: a neuromorphic manycore processor with on-chip learning", IEEE Micro 38 (2018).
 """
 
@@ -28,6 +28,8 @@ DECAY_ONE = 4096
 """The decay that forgets everything in one step."""
 STATE_MAX = (1 << 23) - 1
 WEIGHT_MIN, WEIGHT_MAX = -256, 254
+WEIGHT_EXP_MIN = -6
+"""The chip has exponents from -8 to 7; these are the ones that need no rounding and no more than 16 bits."""
 VTH_MAX = (1 << 17) - 1
 BIAS_MANT_MIN, BIAS_MANT_MAX = -4096, 4095
 BIAS_EXP_MAX = 7
@@ -50,6 +52,8 @@ class LoihiLayer:
         vth: Mantissa of the threshold (vth * 64 state units), 0...131071, scalar or shape (out,).
         bias_mant: Mantissa of the bias, -4096...4095, scalar or shape (out,).
         bias_exp: Exponent of the bias, 0...7, scalar or shape (out,).
+        exp_in: Exponent of the weights `w_in` into each neuron, -6...0, scalar or shape (out,).
+        exp_rec: The same of `w_rec`.
 
     Raises:
         ValueError: A shape that does not fit, or a value that the chip cannot hold.
@@ -62,6 +66,8 @@ class LoihiLayer:
     vth: ArrayLike = 128
     bias_mant: ArrayLike = 0
     bias_exp: ArrayLike = 0
+    exp_in: ArrayLike = 0
+    exp_rec: ArrayLike = 0
 
     def __post_init__(self) -> None:
         """Turn everything into checked integer arrays of the layer's size."""
@@ -73,13 +79,15 @@ class LoihiLayer:
         self.vth = _vector("vth", self.vth, size, 0, VTH_MAX)
         self.bias_mant = _vector("bias_mant", self.bias_mant, size, BIAS_MANT_MIN, BIAS_MANT_MAX)
         self.bias_exp = _vector("bias_exp", self.bias_exp, size, 0, BIAS_EXP_MAX)
+        self.exp_in = _vector("exp_in", self.exp_in, size, WEIGHT_EXP_MIN, 0)
+        self.exp_rec = _vector("exp_rec", self.exp_rec, size, WEIGHT_EXP_MIN, 0)
 
 
 class Chip(NamedTuple):
     """A network as the chip holds it. Spikes have sources: its inputs, then its neurons, layer by layer."""
 
     weights: NDArray[np.int16]
-    """Mantissas of the weights by source, shape (sources, neurons)."""
+    """Weights by source [state units], shape (sources, neurons)."""
     first: Int32s
     """First neuron that a source has synapses on, shape (sources,)."""
     end: Int32s
@@ -226,7 +234,7 @@ def deliver(chip, spikes, sources, sums):
         chip: The network.
         spikes: Shape (sources,).
         sources: Memory for the numbers of those that spiked, shape (sources,).
-        sums: Sums of mantissas, shape (neurons,); changed.
+        sums: Sums of weights, shape (neurons,); changed.
     """
     count = 0
     for source in range(spikes.size):  # without a branch: spikes are hard to predict
@@ -259,7 +267,7 @@ def step(chip, state, sources, sums):
     deliver(chip, spikes, sources, sums)
     fired = spikes[spikes.size - u.size :]
     for j in range(u.size):  # without branches, for the vector unit
-        arriving = wrap(np.int32(sums[j] << 6), 21)
+        arriving = wrap(sums[j], 21)
         current = wrap(np.int32(decay(u[j], chip.du[j]) + arriving), 23)
         driven = np.int32(decay(v[j], chip.dv[j]) + current + (bias[j] << chip.bias_exp[j]))
         potential = min(max(driven, np.int32(-STATE_MAX)), np.int32(STATE_MAX))
@@ -290,9 +298,9 @@ def _chip(layers: Sequence[LoihiLayer]) -> Chip:
         sources = slice(n_in + own.start, n_in + own.stop)
         w_in, w_rec = np.asarray(layer.w_in), layer.w_rec
         if w_in.shape[1]:
-            weights[below, own], end[below] = w_in.T, own.stop
+            weights[below, own], end[below] = w_in.T << (6 + np.asarray(layer.exp_in)), own.stop
         if w_rec is not None:
-            weights[sources, own] = np.asarray(w_rec).T
+            weights[sources, own] = np.asarray(w_rec).T << (6 + np.asarray(layer.exp_rec))
         first[sources], end[sources] = own.stop if w_rec is None else own.start, own.stop
         below = sources
     vectors = (

@@ -44,7 +44,7 @@ from .forward import (
     run_quantised,
     state_type,
 )
-from .weights_file import LEVEL_UP, NetworkConfig, Tensors, load_network, shipped_network
+from .weights_file import LEVEL_UP, NetworkConfig, Tensors, exponents, load_network, shipped_network
 
 Array = NDArray[np.float64]
 
@@ -234,7 +234,14 @@ class OnLoihi:
         self.chip = LoihiNetwork(
             [
                 LoihiLayer(w_in=None, dv=w["mem0"], bias_exp=BIAS_EXP),
-                LoihiLayer(w_in=w["w_ff"], w_rec=w["w_rec"], du=w["syn1"], dv=w["mem1"]),
+                LoihiLayer(
+                    w_in=w["w_ff"],
+                    w_rec=w["w_rec"],
+                    du=w["syn1"],
+                    dv=w["mem1"],
+                    exp_in=exponents(w, "w_ff"),
+                    exp_rec=exponents(w, "w_rec"),
+                ),
                 LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX),
             ]
         )
@@ -288,7 +295,8 @@ def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
     """Weights and time constants of a spiking network in units of 1.0."""
     values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
     if config.quantised:
-        values |= {name: values[name] / 256 for name in MATRICES}
+        for name in MATRICES:
+            values[name] *= np.exp2(exponents(tensors, name).astype(np.float64) - 8)[:, None]
         values |= {name: 1 - values[name] / 4096 for name in TIME_CONSTANTS}
     return Weights(**values)
 

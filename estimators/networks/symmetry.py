@@ -21,6 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .weights_file import EXPONENTS
+
 Ints = NDArray[np.int64]
 Signs = NDArray[np.float32]
 
@@ -80,6 +82,7 @@ def is_symmetric(tensors: Mapping[str, NDArray]) -> bool:
     if "w_in" not in tensors:
         return False
     shared = weight_sharing(*(len(tensors[name]) for name in ("w_in", "w_ff", "w_out")))
+    shared |= {name: shared["mem1"] for name in EXPONENTS.values() if name in tensors}
     return all(
         np.array_equal(sharing.apply(tensors[name]), tensors[name]) for name, sharing in shared.items()
     )

@@ -30,6 +30,11 @@ Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
 StepsPerSample = Annotated[int, Between(1, 16)]
 Outputs = Literal["roll-pitch", "up"]
+EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}
+"""Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised network
+without them has exponents of 0."""
+EXPONENT_MIN = -6
+"""The finest: below it, mantissas would no longer be whole state units."""
 LEVEL_UP = np.array([0.0, 0.0, 1.0])
 """The world's up in body axes at a level attitude."""
 
@@ -98,11 +103,18 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
+def exponents(tensors: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.int16]:
+    """Exponents of the rows of a quantised network's weights `name`, shape (rows,)."""
+    found = tensors.get(EXPONENTS.get(name, ""))
+    return np.zeros(len(tensors[name]), np.int16) if found is None else found
+
+
 def parameters(tensors: Mapping[str, NDArray[Any]]) -> int:
     """Numbers that a network is made of: connections (weights other than 0), time constants and biases."""
     return sum(
         int(np.count_nonzero(value)) if name.startswith("w_") else value.size
         for name, value in tensors.items()
+        if name not in EXPONENTS.values()
     )
 
 
@@ -113,7 +125,8 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
         path: File to write.
         config: How to run it.
         tensors: Its weights. Spiking: float time constants and weights where `quantised` is false; otherwise
-            int16, weights as mantissas of 1/256 and `syn`, `mem` as the chip's decays, 4096 (1 - τ).
+            int16, weights as mantissas of 2^(exponent - 8), exponents as `EXPONENTS` says, and `syn`, `mem`
+            as the chip's decays, 4096 (1 - τ).
 
     Raises:
         ValueError: Tensors that do not fit the configuration.
@@ -194,11 +207,12 @@ def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
 
 def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
     wanted = expected_shapes(config)
+    whole = config.model == "att-snn" and config.quantised
+    wanted |= {name: (config.hidden,) for name in EXPONENTS.values() if whole and name in tensors}
     if missing := sorted(set(wanted) - set(tensors)):
         raise ValueError(f"{path}: tensor {missing[0]} is missing")
     if extra := sorted(set(tensors) - set(wanted)):
         raise ValueError(f"{path}: unknown tensor {extra[0]}, {config.model} has {', '.join(wanted)}")
-    whole = config.model == "att-snn" and config.quantised
     for name, shape in wanted.items():
         value = tensors[name]
         if value.shape != shape:
@@ -215,6 +229,8 @@ def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
 
 def _check_chip(path: Path, name: str, value: NDArray[np.int16]) -> None:
     low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
+    if name in EXPONENTS.values():
+        low, high = EXPONENT_MIN, 0
     if value.min() < low or value.max() > high:
         raise ValueError(f"{path}: tensor {name} spans {value.min()}...{value.max()}, allowed {low}...{high}")
     if name.startswith("w_") and np.any(value % 2):

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from estimators.networks.forward import Weights
+from estimators.networks.weights_file import EXPONENTS
 from estimators.spiking import quantise_decay, quantise_weights
 from training.backends import BACKENDS
 from training.backends.cuda import MOST_NEURONS, Cuda, source
@@ -70,8 +71,12 @@ def network(encoding, hidden, outputs, dtype=torch.float32, seed=0):
         "w_out": (outputs, hidden),
     }
     scale = {"w_in": 0.25, "w_ff": 0.25, "w_rec": 0.12, "w_out": 0.25}
+    drawn = {k: rng.normal(0, scale[k], shape).clip(-0.9, 0.9) for k, shape in sizes.items()}
+    for k, every in (("w_ff", 3), ("w_rec", 4)):  # some neurons have weights of finer steps
+        drawn[k] *= np.exp2(-2.0 * (np.arange(hidden) % every))[:, None]
     matrices = (
-        tensor(rng.normal(0, scale[k], shape).clip(-0.9, 0.9), quantise_weights) for k, shape in sizes.items()
+        tensor(values, lambda w, finest=-6 if k in EXPONENTS else 0: quantise_weights(w, finest))
+        for k, values in drawn.items()
     )
     taus = (
         tensor(rng.uniform(0.3, 0.97, size), quantise_decay)

@@ -63,12 +63,14 @@ __device__ __forceinline__ void load_int8(uint32* a, const int8* w, int stride, 
     a[part] = r < rows ? *(const uint32*)(w + r * stride + c) : 0u;
   }
 }
-// Operand A of 16 rows by 16 columns of the transpose of a row-major int8 matrix, as bf16.
-__device__ __forceinline__ void load_transposed(uint32* a, const int8* w, int stride, int row, int column) {
+// Operand A of 16 rows by 16 columns of the transpose of a row-major int8 matrix, in state units, as bf16.
+__device__ __forceinline__ void load_transposed(
+    uint32* a, const int8* w, int stride, int row, int column, const int* shifts) {
   int lane = threadIdx.x % 32, g = lane / 4, t = lane % 4;
   for (int part = 0; part < 4; part++) {
     int r = row + g + 8 * (part % 2), c = column + 2 * t + 8 * (part / 2);
-    uint32 low = to_bf16((float)w[c * stride + r]), high = to_bf16((float)w[(c + 1) * stride + r]);
+    uint32 low = to_bf16((float)(w[c * stride + r] * (1 << shifts[c])));
+    uint32 high = to_bf16((float)(w[(c + 1) * stride + r] * (1 << shifts[c + 1])));
     a[part] = low | (high << 16);
   }
 }
@@ -81,10 +83,12 @@ __device__ __forceinline__ void write_sum(float* to, float x) {
 }
 
 // Trace, row 0 before the window: u, v of each layer int32 (T + 1, n, h); spikes (T + 1, n, SOURCES) bf16.
-// w: mantissas / 2, (H1, SOURCES); w_out (OUTPUTS, H1); w_in (H0, INPUTS)
-// mantissas. k*: 4096 τ. x (T, n, 8) in 1/1024. totals: spikes of both layers.
+// w: mantissas / 2, (H1, SOURCES), times 2^shift state units, shifts (2, H1) of the encoding and the hidden
+// layer's spikes; w_out (OUTPUTS, H1); w_in (H0, INPUTS) mantissas. k*: 4096 τ. x (T, n, 8) in 1/1024. totals:
+// spikes of both layers.
 extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
     const int steps, const int n, const int16* __restrict__ x, const int8* __restrict__ w,
+    const int* __restrict__ shifts,
     const int8* __restrict__ w_out, const int* __restrict__ w_in, const int* __restrict__ k_syn0,
     const int* __restrict__ k_mem0, const int* __restrict__ k_syn1, const int* __restrict__ k_mem1,
     const int* __restrict__ k_out, int* __restrict__ u0, int* __restrict__ v0,
@@ -102,6 +106,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
     for (int k = 0; k < H1 / 32; k++) load_int8(a_out[k], w_out, H1, OUTPUTS, 0, 32 * k);
 
   int cu0[4], cv0[4], cu1[4], cv1[4], cu2[4], cv2[4], in[2][INPUTS];
+  int by_first[2], by_second[2];
   uint32 syn0[2], mem0[2], syn1[2], mem1[2];
   const uint32 syn2 = (uint32)k_out[0] << 20, mem2 = (uint32)k_out[1] << 20;
   for (int r = 0; r < 2; r++) {
@@ -110,7 +115,10 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
       syn0[r] = (uint32)k_syn0[i] << 20, mem0[r] = (uint32)k_mem0[i] << 20;
       for (int k = 0; k < INPUTS; k++) in[r][k] = w_in[i * INPUTS + k];
     }
-    if (hides) syn1[r] = (uint32)k_syn1[i] << 20, mem1[r] = (uint32)k_mem1[i] << 20;
+    if (hides) {
+      syn1[r] = (uint32)k_syn1[i] << 20, mem1[r] = (uint32)k_mem1[i] << 20;
+      by_first[r] = 1 << shifts[i], by_second[r] = 1 << shifts[H1 + i];
+    }
   }
   for (int c = 0; c < 4; c++) {
     int i = row + 8 * (c / 2), seq = 2 * t4 + c % 2, b = first + seq;
@@ -135,12 +143,12 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
     int4 sample[2] = {next[0], next[1]};
     if (t + 1 < steps)
       for (int s = 0; s < 2; s++) next[s] = *(const int4*)(x + ((long long)(t + 1) * n + first + 2 * t4 + s) * 8);
-    int sum[4] = {0, 0, 0, 0}, sum_out[4] = {0, 0, 0, 0};
+    int first_sum[4] = {0, 0, 0, 0}, second_sum[4] = {0, 0, 0, 0}, sum_out[4] = {0, 0, 0, 0};
 #pragma unroll
     for (int k = 0; k < SOURCES / 32; k++) {
       const uint8* from = &sent[now][g][32 * k + 4 * t4];
       uint32 b0 = *(const uint32*)from, b1 = *(const uint32*)(from + 16);
-      if (hides) mma_int8(sum, a[k], b0, b1);
+      if (hides) mma_int8(k < H0 / 32 ? first_sum : second_sum, a[k], b0, b1);
       if (k >= H0 / 32) {
         if (reads) mma_int8(sum_out, a_out[k - H0 / 32], b0, b1);
       }
@@ -151,7 +159,8 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
       const int r = c / 2, i = row + 8 * r, seq = 2 * t4 + c % 2;
       const long long b = at + seq;
       if (hides) {
-        int current = wrap23(decay(cu1[c], syn1[r]) + wrap21(sum[c] * 128));
+        int arriving = wrap21(first_sum[c] * by_first[r] + second_sum[c] * by_second[r]);
+        int current = wrap23(decay(cu1[c], syn1[r]) + arriving);
         cu1[c] = current;
         int v = clipped(decay(cv1[c] > THRESHOLD ? 0 : cv1[c], mem1[r]) + current, V_MAX);
         bool spike = v > THRESHOLD;
@@ -194,10 +203,10 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
 // sums (blocks, ...): per block gradients, see the layout at the end.
 extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
     const int steps, const int n, const int16* __restrict__ x, const int8* __restrict__ w,
-    const float* __restrict__ w_out, const float* __restrict__ tau_syn0, const float* __restrict__ tau_mem0,
-    const float* __restrict__ tau_syn1, const float* __restrict__ tau_mem1, 
+    const int* __restrict__ shifts, const float* __restrict__ w_out, const float* __restrict__ tau_syn0,
+    const float* __restrict__ tau_mem0, const float* __restrict__ tau_syn1, const float* __restrict__ tau_mem1,
     const float* __restrict__ costs, const int* __restrict__ u0, const int* __restrict__ v0,
-    const int* __restrict__ u1, const int* __restrict__ v1, 
+    const int* __restrict__ u1, const int* __restrict__ v1,
     const float* __restrict__ grad2, bf16* __restrict__ du, float* __restrict__ sums) {
 #if SHARED_WEIGHTS
 #ifndef EMULATED
@@ -222,13 +231,13 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
   for (int k = 0; k < H1 / 16; k++) {
 #if SHARED_WEIGHTS
     if (encodes) {
-      load_transposed(part, w, SOURCES, 16 * warp, 16 * k);
+      load_transposed(part, w, SOURCES, 16 * warp, 16 * k, shifts);
       a0[next_operand * k] = make_uint4(part[0], part[1], part[2], part[3]);
     }
 #else
-    if (encodes) load_transposed(a0[k], w, SOURCES, 16 * warp, 16 * k);
+    if (encodes) load_transposed(a0[k], w, SOURCES, 16 * warp, 16 * k, shifts);
 #endif
-    if (hides) load_transposed(a1[k], w, SOURCES, H0 + 16 * warp, 16 * k);
+    if (hides) load_transposed(a1[k], w, SOURCES, H0 + 16 * warp, 16 * k, shifts + H1);
   }
   float syn0[2], mem0[2], syn1[2], mem1[2], out[2][OUTPUTS];
   float in[2][INPUTS], sum_syn0[2] = {0, 0}, sum_mem0[2] = {0, 0}, sum_syn1[2] = {0, 0}, sum_mem1[2] = {0, 0};
@@ -297,7 +306,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
       const long long b = (long long)t * n + first + seq;
       if (hides) {
         const float* read = (const float*)of_output[c % 2];
-        float ds = down1[c] * (1.0f / 128.0f) + cost1;
+        float ds = down1[c] * unit + cost1;
         for (int o = 0; o < OUTPUTS; o++) ds += read[o] * out[r][o];
         float v = now1[c] * unit, start = pv1[c] > THRESHOLD ? 0.0f : pv1[c] * unit;
         float slope = 1.0f + width * fabsf(v - 0.5f);
@@ -312,7 +321,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
         now1[c] = pv1[c];
       }
       if (encodes) {
-        float ds = down0[c] * (1.0f / 128.0f) + cost0;
+        float ds = down0[c] * unit + cost0;
         float v = now0[c] * unit, start = pv0[c] > THRESHOLD ? 0.0f : pv0[c] * unit;
         float slope = 1.0f + width * fabsf(v - 0.5f);
         float d = (now0[c] > THRESHOLD ? 0.0f : mem0[r] * dv0[c]) + ds / (slope * slope);

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from estimators.networks.forward import STATE_ONE, Weights
+from estimators.networks.weights_file import EXPONENT_MIN
+from estimators.spiking import weight_exponents
 
 SEQUENCES, TILE, MOST_NEURONS = 8, 32, 192
 """Sequences of a block, neurons that a layer is padded to a multiple of, and the most that a layer has."""
@@ -151,8 +153,12 @@ class _OnDevice(torch.autograd.Function):
             return filled
 
         into = torch.zeros(hidden, encoding + hidden, dtype=torch.int8, device=device)
-        into[:, :encoding] = whole(w.w_ff, 128, hidden, encoding, dtype=torch.int8)
-        into[:, encoding:] = whole(w.w_rec, 128, hidden, hidden, dtype=torch.int8)
+        shifts = torch.zeros(2, hidden, dtype=torch.int32, device=device)
+        for k, (matrix, columns) in enumerate(((w.w_ff, slice(encoding)), (w.w_rec, slice(encoding, None)))):
+            exponents = weight_exponents(matrix, EXPONENT_MIN)
+            mantissas = matrix * torch.exp2(-exponents)
+            into[:, columns] = whole(mantissas, 128, hidden, into[:, columns].shape[1], dtype=torch.int8)
+            shifts[k, : len(matrix)] = (7 + exponents[:, 0]).int()
         out = whole(w.w_out, 128, outputs, hidden, dtype=torch.int8)
         taus = [
             whole(tau, 4096, size) for tau, size in zip(w[4:8], (encoding,) * 2 + (hidden,) * 2, strict=True)
@@ -162,11 +168,11 @@ class _OnDevice(torch.autograd.Function):
         steps, n = x.shape[:2]
         inputs = whole(w.w_in, 256, encoding, 6)
         backend.kernels.forward_window(
-            steps, n, x, into, out, inputs, *taus, last, *trace.states, trace.spikes, trace.totals
+            steps, n, x, into, shifts, out, inputs, *taus, last, *trace.states, trace.spikes, trace.totals
         )
         ctx.backend, ctx.trace, ctx.run, ctx.x = backend, trace, backend.count(), x
         ctx.values, ctx.weights = (
-            (into, out.float() / 128, *(tau.float() / 4096 for tau in taus), last),
+            (into, shifts, out.float() / 128, *(tau.float() / 4096 for tau in taus), last),
             weights,
         )
         rates = trace.totals.float() / torch.tensor(backend.places(steps), device=device)
@@ -178,7 +184,7 @@ class _OnDevice(torch.autograd.Function):
         trace: Trace = ctx.trace
         if backend.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
-        into, w_out, syn0, mem0, syn1, mem1, last = ctx.values
+        into, shifts, w_out, syn0, mem0, syn1, mem1, last = ctx.values
         (steps, n), (encoding, hidden, outputs) = ctx.x.shape[:2], backend.padded
         device = {"device": ctx.x.device}
         of_currents = torch.empty(steps + 1, n, 4 if outputs <= 4 else 8, **device)
@@ -191,7 +197,8 @@ class _OnDevice(torch.autograd.Function):
         sums = torch.empty(n // SEQUENCES, 8 * encoding + 2 * hidden, **device)
         states = trace.states[:4]
         backend.kernels.backward_window(
-            steps, n, ctx.x, into, w_out, syn0, mem0, syn1, mem1, costs, *states, of_currents, down, sums
+            steps, n, ctx.x, into, shifts, w_out, syn0, mem0, syn1, mem1, costs, *states, of_currents, down,
+            sums,
         )
         first, second = sums.sum(0).split([8 * encoding, 2 * hidden])
         first, second = first.view(encoding, 8), second.view(hidden, 2)
