@@ -66,6 +66,12 @@ class Augmentation(Strict):
     """Corner of a first-order low-pass over both sensors, least and largest [Hz]."""
     delay_max_s: Delay = 0.0
     """Largest delay of the readings, in whole samples [s]."""
+    lever_arm_max: Annotated[float, Between(0.0, 1.0, "m")] = 0.0
+    """Largest distance of the IMU from the point of the true force along each axis, in half of the streams [m]."""
+    drop_share: Share = 0.0
+    """Share of the streams that lose samples."""
+    drop_max: Share = 0.0
+    """Largest share of a stream's samples that it loses, each by itself."""
     hand_held: Share = 0.0
     """Share of the streams with a hand-held sensor: the same attitudes, but no thrust in the force."""
 
@@ -89,7 +95,8 @@ def augment(
         rng: Source of all draws.
 
     Returns:
-        Gyroscope and accelerometer readings and `up` in the new body axes, in the type of the input.
+        Gyroscope and accelerometer readings, NaN where a sample was lost, and `up` in the new body axes, in
+        the type of the input.
     """
     n = len(ang_vel)
     dtype = ang_vel.dtype
@@ -103,6 +110,8 @@ def augment(
         up = _rotate(turn, up) * reflect
     if augmentation.hand_held > 0:
         specific_force = _hand_held(specific_force, up, augmentation.hand_held, rate_hz, rng)
+    if augmentation.lever_arm_max > 0:
+        specific_force = specific_force + _lever_arm(ang_vel, augmentation.lever_arm_max, rate_hz, rng)
     both = np.stack([ang_vel, specific_force])  # (2, n, T, 3)
     if augmentation.mounting_max_deg > 0:
         mounting = _small_rotations(_within(np.radians(augmentation.mounting_max_deg), n, rng)).astype(dtype)
@@ -125,12 +134,26 @@ def augment(
         if augmentation.noise_factor_max > 1:
             noise *= np.exp(rng.uniform(0, np.log(augmentation.noise_factor_max), (n, 1, 1))).astype(dtype)
         measured.append(signal + offset + noise * dtype.type(white_noise_sd(density, 1 / rate_hz)))
+    if augmentation.drop_share > 0:
+        share = augmentation.drop_max * rng.random((n, 1)) * (rng.random((n, 1)) < augmentation.drop_share)
+        lost = rng.random(up.shape[:2]) < share
+        for readings in measured:
+            readings[lost] = np.nan
     return measured[0], measured[1], up
 
 
 def _within(largest: float, n: int, rng: np.random.Generator, power: int = 2) -> Array:
     """Errors of three axes, (n, 3), of a size that is drawn for each stream."""
     return largest * rng.uniform(0, 1, (n, 1)) ** power * rng.uniform(-1, 1, (n, 3))
+
+
+def _lever_arm(ang_vel: Array, largest: float, rate_hz: float, rng: np.random.Generator) -> Array:
+    """Accelerations of an IMU off the point of the true force in half of the streams, ω̇ × r + ω × (ω × r)."""
+    n = len(ang_vel)
+    arm = rng.uniform(-largest, largest, (n, 1, 3)) * (rng.random((n, 1, 1)) < 0.5)
+    arm = arm.astype(ang_vel.dtype)
+    change = np.diff(ang_vel, axis=1, prepend=ang_vel[:, :1]) * ang_vel.dtype.type(rate_hz)
+    return np.cross(change, arm) + np.cross(ang_vel, np.cross(ang_vel, arm))
 
 
 def _hand_held(

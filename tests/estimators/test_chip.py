@@ -80,3 +80,15 @@ def test_no_more_profiles_are_left_than_asked_for():
         layers = OnLoihi(config, share_profiles(tensors, profiles)).chip.layers
         together = np.unique(np.concatenate([decay_profiles(layer) for layer in layers]), axis=0)
         assert len(together) <= profiles
+
+
+def test_each_exponent_of_weights_is_a_format_with_lists_of_its_own():
+    plain, mixed = (
+        partition([LoihiLayer(w_in=ones(64, 3), exp_in=exponents)])[0].used()
+        for exponents in (0, -(np.arange(64) % 4))
+    )
+    assert (plain["synaptic formats"], mixed["synaptic formats"]) == (1, 4)
+    assert plain["fan-in axons"] == mixed["fan-in axons"] == 3
+    # 3 axons with one list of 64 or four of 16 synapses of 8 + 6 bits, a head of 10, in words of 64 bits
+    assert plain["synaptic bits"] == 3 * 64 * -(-(64 * 14 + 10) // 64)
+    assert mixed["synaptic bits"] == 3 * 4 * 64 * -(-(16 * 14 + 10) // 64)

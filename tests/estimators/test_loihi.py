@@ -121,3 +121,11 @@ def test_layers_that_do_not_fit_are_refused():
     net = LoihiNetwork([LoihiLayer(w_in=np.zeros((2, 1)))])
     with pytest.raises(ValueError, match=r"spikes_in: shape \(1, 4\), should be \(1, 1\)"):
         net.step(np.zeros((1, 4)))
+
+
+def test_weights_of_an_exponent_are_that_many_bits_smaller():
+    weight = np.array([[100], [100], [-100]])
+    net = LoihiNetwork([LoihiLayer(w_in=weight, exp_in=[0, -6, -3], dv=4096, vth=131071)])
+    net.step([[1]])
+    net.step()
+    np.testing.assert_array_equal(net.u[0], [[100 << 6, 100, -100 << 3]])

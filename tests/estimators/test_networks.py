@@ -17,10 +17,12 @@ from estimators.networks.network import (
     Recurrent,
     Spiking,
     create_network,
+    real_weights,
     roll_pitch_of_outputs,
     silenced,
 )
 from estimators.networks.weights_file import (
+    EXPONENTS,
     NetworkConfig,
     expected_shapes,
     load_network,
@@ -41,7 +43,11 @@ def random_snn(config, seed=0):
             continue
         scale = {"w_in": 40, "w_ff": 50, "w_rec": 30, "w_out": 60}[name]
         tensors[name] = (2 * np.clip(np.rint(rng.normal(0, scale / 2, shape)), -128, 127)).astype(np.int16)
-    return tensors
+    return tensors | random_exponents(config.hidden, rng)
+
+
+def random_exponents(hidden, rng):
+    return {name: rng.integers(-6, 1, hidden).astype(np.int16) for name in EXPONENTS.values()}
 
 
 def random_rnn(config, seed=0):
@@ -240,6 +246,8 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
         ({"w_ff": tensors["w_ff"] + np.int16(1)}, "odd mantissas"),
         ({"mem0": tensors["mem0"] * 0}, r"mem0 spans 0\.\.\.0, allowed 1\.\.\.4096"),
         ({"more": tensors["w_ff"]}, "unknown tensor more"),
+        ({"exp_ff": np.full(100, 1, np.int16)}, r"exp_ff spans 1\.\.\.1, allowed -6\.\.\.0"),
+        ({"exp_rec": np.zeros(99, np.int16)}, r"exp_rec has shape \(99,\), should be \(100,\)"),
     ):
         with pytest.raises(ValueError, match=message):
             save_network(path, config, tensors | change)
@@ -348,3 +356,20 @@ def test_weights_of_another_version_name_the_setting_that_is_not_known(tmp_path)
         ValueError, match=r'another version of quadsim: unknown key "inputs.accel_ofset"; did'
     ):
         load_network(tmp_path / "w.safetensors")
+
+
+def test_an_exponent_is_a_smaller_step_of_the_weights_into_one_neuron():
+    config = NetworkConfig(model="att-snn", encoding=8, hidden=8)
+    tensors = random_snn(config)
+    coarse = tensors | {name: np.zeros(8, np.int16) for name in EXPONENTS.values()}
+    fine, whole = real_weights(config, tensors), real_weights(config, coarse)
+    np.testing.assert_array_equal(fine.w_ff, whole.w_ff * 2.0 ** tensors["exp_ff"][:, None])
+    np.testing.assert_array_equal(fine.w_rec, whole.w_rec * 2.0 ** tensors["exp_rec"][:, None])
+    np.testing.assert_array_equal(fine.w_out, whole.w_out)
+    without = {name: value for name, value in coarse.items() if name not in EXPONENTS.values()}
+    assert parameters(without) == parameters(coarse) == parameters(tensors)
+    gyro, accel = samples(1, 200)
+    outs = [
+        NetworkEstimator(OnLoihi(config, each), 200.0).sequence(gyro, accel) for each in (without, coarse)
+    ]
+    np.testing.assert_array_equal(*outs)

@@ -13,6 +13,7 @@ from estimators.export.formats import export_weights
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.network import NetworkEstimator, OnLoihi, Recurrent, real_weights
 from estimators.networks.weights_file import (
+    EXPONENTS,
     NetworkConfig,
     expected_shapes,
     load_network,
@@ -29,6 +30,8 @@ def random_snn(config, seed=0):
         if name.startswith("w_")
         else rng.integers(1, 2000, shape).astype(np.int16)
         for name, shape in expected_shapes(config).items()
+    } | {
+        name: rng.integers(-6 * (seed % 2), 1, config.hidden).astype(np.int16) for name in EXPONENTS.values()
     }
 
 

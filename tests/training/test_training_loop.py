@@ -12,7 +12,7 @@ import torch
 from estimators.metrics import up_in_body
 from estimators.networks.network import create_network
 from estimators.networks.symmetry import is_symmetric
-from estimators.networks.weights_file import load_network, parameters
+from estimators.networks.weights_file import EXPONENTS, load_network, parameters
 from quadsim.cli.options import fields_of
 from quadsim.config.toml import load_toml, preset_names
 from quadsim.dataset.generation import generate
@@ -99,6 +99,7 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model, outp
 def test_a_run_on_up_is_judged_by_the_inclination_and_goes_on(dataset, tmp_path):
     rows = []
     more = {"outputs": "up", "batches": 30, "window_s": 1.0, "pruning_target": 600, "rate_cost": 0.0}
+    more |= {"finest_exponent": -6}
     result = train(
         data=dataset, out=tmp_path / "run", progress=lambda row, config: rows.append(row), **TINY | more
     )
@@ -107,6 +108,10 @@ def test_a_run_on_up_is_judged_by_the_inclination_and_goes_on(dataset, tmp_path)
     config, tensors = load_network(result.weights)
     assert (config.outputs, len(tensors["w_out"])) == ("up", 3)
     assert parameters(tensors) <= 600
+    for name, exponents in EXPONENTS.items():  # the finest steps that hold the largest weight into a neuron
+        largest = np.abs(tensors[name]).max(1)
+        assert (largest[tensors[exponents] > -6] >= 127).all()
+        assert tensors[exponents].min() < 0
     assert is_symmetric(tensors)
     est = create_network("att-snn-loihi", weights=result.weights)
     flights = load_training_flights([dataset])
@@ -261,7 +266,7 @@ def test_the_folder_of_another_version_is_refused_in_one_line(dataset, tmp_path)
 def test_bad_choices_give_one_clear_line(tmp_path):
     with pytest.raises(
         ValueError,
-        match=r'unknown preset "fast"; did you mean "best"\? valid: best, humm.*, tune, or a path',
+        match=r'unknown preset "fast"; did you mean "best"\? valid: best, general, humm.*, tune, or a path',
     ):
         make_config("fast", data="x.zarr")
     with pytest.raises(ValueError, match='unknown key "epoch"; did you mean "epochs"'):
@@ -452,6 +457,30 @@ def test_noise_has_the_density_that_is_asked_for():
     for signal, density, bias in ((gyro, 0.01, 0.1), (accel, 0.02, 0.3)):
         np.testing.assert_allclose(signal.std(1).mean(), density * np.sqrt(200), rtol=0.02)
         np.testing.assert_allclose(signal.mean(1).std(), bias, rtol=0.3)
+
+
+def test_an_imu_off_the_centre_on_a_turntable_feels_the_centripetal_force():
+    rate, force = np.zeros((200, 50, 3)), np.zeros((200, 50, 3))
+    rate[..., 2] = 4.0
+    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, lever_arm_max=0.1)
+    _, accel, _ = augment(rate, force, force, quiet, 200.0, np.random.default_rng(0))
+    arm = accel[..., :2] / -(4.0**2)
+    assert 0.09 < np.abs(arm).max() < 0.1
+    assert 0.3 < (arm != 0).any((1, 2)).mean() < 0.7
+    np.testing.assert_allclose(accel[..., 2], 0)
+    np.testing.assert_allclose(accel, accel[:, :1] * np.ones((1, 50, 1)))
+
+
+def test_lost_samples_are_missing_in_both_sensors_at_their_share():
+    zero = np.zeros((400, 500, 3), np.float32)
+    lossy = Augmentation(drop_share=0.5, drop_max=0.2)
+    gyro, accel, up = augment(zero, zero, zero, lossy, 200.0, np.random.default_rng(0))
+    np.testing.assert_array_equal(np.isnan(gyro), np.isnan(accel))
+    lost = np.isnan(gyro).all(2).mean(1)
+    assert 0.4 < (lost > 0).mean() < 0.6
+    assert lost.max() < 0.26
+    assert lost[lost > 0].mean() == pytest.approx(0.1, abs=0.02)
+    assert not np.isnan(up).any()
 
 
 def test_stopping_rules_of_the_paper():

@@ -197,7 +197,20 @@ class _OnDevice(torch.autograd.Function):
         sums = torch.empty(n // SEQUENCES, 8 * encoding + 2 * hidden, **device)
         states = trace.states[:4]
         backend.kernels.backward_window(
-            steps, n, ctx.x, into, shifts, w_out, syn0, mem0, syn1, mem1, costs, *states, of_currents, down,
+            steps,
+            n,
+            ctx.x,
+            into,
+            shifts,
+            w_out,
+            syn0,
+            mem0,
+            syn1,
+            mem1,
+            costs,
+            *states,
+            of_currents,
+            down,
             sums,
         )
         first, second = sums.sum(0).split([8 * encoding, 2 * hidden])
