@@ -67,7 +67,8 @@ class Augmentation(Strict):
     delay_max_s: Delay = 0.0
     """Largest delay of the readings, in whole samples [s]."""
     lever_arm_max: Annotated[float, Between(0.0, 1.0, "m")] = 0.0
-    """Largest distance of the IMU from the point of the true force along each axis, in half of the streams [m]."""
+    """Largest distance of the IMU from the point of the true force along each axis, in half of the streams
+    [m]."""
     drop_share: Share = 0.0
     """Share of the streams that lose samples."""
     drop_max: Share = 0.0

@@ -7,7 +7,8 @@ All integer; index t is the value after step t; 1.0 is 2^14 state units.
     v[t] = clip( D(v[t-1], dv) + u[t] + (bias_mant << bias_exp), ±(2^23 - 1) )
     s[t] = v[t] > (vth << 6);  v[t] = 0 where s[t]
 
-W are mantissas, e the exponents of their synaptic formats. Every connection, recurrent or not, delivers after exactly one step; a bias acts within its step.
+W are mantissas, e the exponents of their synaptic formats. Every connection, recurrent or not, delivers after
+exactly one step; a bias acts within its step.
 Davies et al., "Loihi: a neuromorphic manycore processor with on-chip learning", IEEE Micro 38 (2018).
 """
 

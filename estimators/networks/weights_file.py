@@ -31,8 +31,8 @@ OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
 StepsPerSample = Annotated[int, Between(1, 16)]
 Outputs = Literal["roll-pitch", "up"]
 EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}
-"""Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised network
-without them has exponents of 0."""
+"""Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised
+network without them has exponents of 0."""
 EXPONENT_MIN = -6
 """The finest: below it, mantissas would no longer be whole state units."""
 LEVEL_UP = np.array([0.0, 0.0, 1.0])
