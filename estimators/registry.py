@@ -23,6 +23,7 @@ from .filters.eskf import ESKF
 from .filters.imm import IMM, InteractingModels
 from .filters.madgwick import MADGWICK
 from .filters.mahony import MAHONY
+from .networks.weights_file import shipped_names
 from .truth import Truth
 from .tuned import tuned_for
 
@@ -61,8 +62,8 @@ def parameters(name: str) -> Mapping[str, Parameter]:
 
 
 def is_weights(name: str) -> bool:
-    """Whether a name is the path of a network's weights."""
-    return name.endswith(".safetensors")
+    """Whether a name is that of a network's weights: a path, or a name under which some ship."""
+    return name.endswith(".safetensors") or (name in shipped_names() and name not in NETWORKS)
 
 
 def create(
@@ -77,8 +78,9 @@ def create(
     """Make an estimator.
 
     Args:
-        name: One of `names()`, the path of a network's weights, which ends in .safetensors, or
-            "module:Class" of your own estimator, which is made with `rate_hz`.
+        name: One of `names()`, a network's weights, by the path of a .safetensors file or by a name under
+            which some ship, such as "att-snn-general", or "module:Class" of your own estimator, which is made
+            with `rate_hz`.
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
             `quadsim tune`; None for the shipped domain of the vehicle and the IMU.

@@ -8,6 +8,7 @@ import pytest
 import torch
 from safetensors.numpy import save_file
 
+from estimators import create
 from estimators.analysis.activity import record
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.gru import tanh
@@ -373,3 +374,15 @@ def test_an_exponent_is_a_smaller_step_of_the_weights_into_one_neuron():
         NetworkEstimator(OnLoihi(config, each), 200.0).sequence(gyro, accel) for each in (without, coarse)
     ]
     np.testing.assert_array_equal(*outs)
+
+
+@pytest.mark.parametrize(
+    ("name", "same"), [("att-snn-general", "att-snn-loihi"), ("att-rnn-general", "att-rnn")]
+)
+def test_weights_that_ship_are_an_estimator_by_their_name(name, same):
+    gyro, accel = samples(1, 50)
+    estimates = []
+    for est in (create(name), create(same, weights=name)):
+        est.reset(1)
+        estimates.append(est.sequence(gyro, accel))
+    np.testing.assert_array_equal(*estimates)
