@@ -130,7 +130,7 @@ def offline_table(rows: Sequence[OfflineRow]) -> Table:
 
 def cores_table(cores: Sequence[ChipCore]) -> Table:
     """The neurons of each core of a chip, and how much of each limit they take."""
-    headings = [f"{name}\n({limit})" for name, limit in LIMITS.items()]
+    headings = ["\n".join([*name.split(), f"({limit})"]) for name, limit in LIMITS.items()]
     layers = [", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items()) for core in cores]
     rows = ([str(k), layers[k], *map(str, core.used().values())] for k, core in enumerate(cores))
     return _table("On the chip: used of what a core has", ["core", "neurons of layer"], headings, rows)

@@ -1,7 +1,15 @@
 import numpy as np
 import torch
 
-from estimators.spiking import STATE_ONE, Weights, forward, quantise_decay, quantise_weights, superspike
+from estimators.spiking import (
+    STATE_ONE,
+    Weights,
+    forward,
+    quantise_decay,
+    quantise_weights,
+    superspike,
+    weight_exponents,
+)
 
 
 def chain(w_rec=0.0, tau=0.5):
@@ -67,16 +75,30 @@ def test_recurrent_delay_of_two_is_the_papers_convention():
 
 
 def test_grid_of_the_chip():
-    w = quantise_weights(torch.tensor([0.0, 0.1, 1.0, 3.0, -3.0], dtype=torch.float64)) * 256
-    assert w.tolist() == [0, 26, 254, 254, -256]
+    w = quantise_weights(torch.tensor([[0.0, 0.1, 1.0, 3.0, -3.0]], dtype=torch.float64)) * 256
+    assert w.tolist() == [[0, 26, 254, 254, -256]]
     d = (1 - quantise_decay(torch.tensor([0.0, 0.5, 0.99999], dtype=torch.float64))) * 4096
     assert d.tolist() == [4096, 2048, 1]
 
 
 def test_rounding_lets_gradients_through():
-    w = torch.tensor([0.1], requires_grad=True)
-    quantise_weights(w).sum().backward()
-    assert w.grad.tolist() == [1.0]
+    for finest in (0, -6):
+        w = torch.tensor([[0.1, -0.003]], requires_grad=True)
+        quantise_weights(w, finest).sum().backward()
+        assert w.grad.tolist() == [[1.0, 1.0]]
+
+
+def test_a_row_of_small_weights_has_finer_steps_down_to_the_finest():
+    w = torch.tensor(
+        [[0.9, 0.003], [0.1, 0.003], [1e-3, 0.003], [0.0, 0.0], [3.0, -3.0]], dtype=torch.float64
+    )
+    assert weight_exponents(w, -6).tolist() == [[0], [-3], [-6], [-6], [0]]
+    assert weight_exponents(w, 0).tolist() == [[0]] * 5
+    fine = quantise_weights(w, -6)
+    step = torch.exp2(weight_exponents(w, -6)) / 128
+    assert (fine / step == torch.round(fine / step)).all()
+    assert ((fine - w)[:4].abs() <= step[:4] / 2).all()
+    assert torch.equal(quantise_weights(fine, -6), fine)
 
 
 def test_quantised_states_are_whole():

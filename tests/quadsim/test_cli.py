@@ -186,7 +186,8 @@ def test_inspect_shows_where_the_neurons_go(quadsim, tmp_path):
     code, out, _ = quadsim("inspect", "--profiles", 32, "--out", "inside")
     assert code == 0
     assert (tmp_path / "inside" / "profiles-32.safetensors").is_file()
-    assert "fan-in axons" in out
+    for heading in ("compartments", "synaptic", "formats", "fan-in", "(1048576)"):
+        assert heading in out
     config, _ = shipped_network("att-snn")
     assert f"{config.encoding + config.hidden + 2} neurons on 1 of a chip's 128 cores" in out
 

@@ -553,7 +553,7 @@ def test_tuning_goes_on_from_weights_and_says_whether_it_helped(dataset, tmp_pat
     assert tuned.helped == (tuned.best.val_mse < first.best.val_mse)
     with pytest.raises(ValueError, match="preset tune continues from weights"):
         train(data=dataset, out=tmp_path / "none", preset="tune")
-    with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-paper, "):
+    with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-general, "):
         train(data=dataset, out=tmp_path / "none", init="att-ssn")
 
 
