@@ -74,7 +74,7 @@ def rest(n: int, weights: Weights[Tensor]) -> NetworkState[Tensor]:
     """State of `n` copies at rest; here spikes are 0 or 1, of shape (n, neurons)."""
     w = weights.w_ff
     h0, h1, outputs = (w.new_zeros(n, size) for size in (w.shape[1], w.shape[0], len(weights.w_out)))
-    return NetworkState(h0, h0, h0, h1, h1, h1, h1, outputs, outputs)
+    return NetworkState(h0, h0, h0, h1, h1, h1, h1, h1, outputs, outputs)
 
 
 def step(
@@ -113,10 +113,13 @@ def step(
     sums = state.s0 @ w.w_ff.T + state.s1_delayed @ w.w_rec.T
     u1 = wrapped(decay(state.u1, w.syn1) + wrapped(sums, 21), 23)
     u0 = wrapped(decay(state.u0, w.syn0) + drive, 23)
-    v1 = membrane(state.v1, state.s1, u1, w.mem1)
+    a1 = state.a1
+    if w.w_after.shape[1]:
+        a1 = wrapped(decay(a1, w.syn_after) + state.s1 * w.w_after[:, 0], 23)
+    v1 = membrane(state.v1, state.s1, u1 + a1, w.mem1)
     v0 = membrane(state.v0, state.s0, _straight(u0, _bias(u0)) if quantised else u0, w.mem0)
     s0, s1 = (superspike((v / STATE_ONE if quantised else v) - THRESHOLD) for v in (v0, v1))
-    return NetworkState(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else state.s1, u2, v2)
+    return NetworkState(u0, v0, s0, u1, v1, s1, s1 if recurrent_delay == 1 else state.s1, a1, u2, v2)
 
 
 def states(

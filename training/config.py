@@ -46,6 +46,9 @@ class TrainingRecipe(Strict):
     finest_exponent: Annotated[int, Between(EXPONENT_MIN, 0)] = 0
     """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
     the neuron's weights are small enough (att-snn)."""
+    after_spike: bool = False
+    """Give each hidden neuron an after-spike current: a weight and a time constant of its own by which its
+    spikes act on itself (att-snn)."""
     steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
@@ -145,7 +148,7 @@ class TrainConfig(TrainingRecipe):
     def _fits(self) -> TrainConfig:
         if self.backend not in BACKENDS:
             raise ValueError(f"backend: {self.backend}, should be one of {', '.join(BACKENDS)}")
-        constants = 2 * (self.encoding + self.hidden) + 2
+        constants = 2 * (self.encoding + self.hidden) + 2 + self.after_spike * self.hidden
         if self.model == "att-snn" and 0 < self.pruning_target <= constants:
             raise ValueError(
                 f"pruning_target: {self.pruning_target}, but time constants alone are {constants}"
@@ -172,11 +175,13 @@ class TrainConfig(TrainingRecipe):
         """Whether the network with every connection has more parameters than pruning leaves."""
         h0, h1 = self.encoding, self.hidden
         unpruned = 6 * h0 + h0 * h1 + h1 * h1 + number_of(self.outputs) * h1 + 2 * (h0 + h1) + 2
+        unpruned += 2 * h1 * self.after_spike
         return self.model == "att-snn" and 0 < self.pruning_target < unpruned
 
 
 FROM_WEIGHTS = (
-    "encoding", "hidden", "quantised", "recurrent_delay", "steps_per_sample", "outputs", "output_scale"
+    "encoding", "hidden", "quantised", "recurrent_delay", "after_spike", "steps_per_sample", "outputs",
+    "output_scale",
 )  # fmt: skip
 """Fields that the weights of `init` fix."""
 

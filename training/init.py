@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimators.networks.forward import MATRICES, TIME_CONSTANTS
+from estimators.networks.forward import TIME_CONSTANTS
 from estimators.networks.network import real_weights
 from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
@@ -33,8 +33,11 @@ SOLVED_TAUS = {
     "mem1": (20.0, 200.0),
     "syn2": (1.5, 1.5),
     "mem2": (200.0, 200.0),
+    "syn_after": (1.0, 100.0),
 }
 """The same of a solved network."""
+AFTER_SPIKE = -0.02
+"""Its after-spike weights: a little adaptation."""
 
 
 def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> AttSNN | AttRNN:
@@ -56,7 +59,7 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
                 "share weights; give more, or symmetric=false"
             )
         backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
-        how = (config.output_scale, config.symmetric, config.outputs, config.finest_exponent)
+        how = (config.output_scale, config.symmetric, config.outputs, config.finest_exponent, config.after_spike)
         model = AttSNN(encoding, hidden, backend, *how)
     if config.init:
         initialise_from_weights(model, config.init)
@@ -74,7 +77,7 @@ def initialise_random(model: AttSNN, seed: int) -> None:
     """Weights of unit scale over the square root of their number, short time constants."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     _initialise_taus(model, PAPER_TAUS, rng)
-    for name in MATRICES:
+    for name in model.matrices:
         w = getattr(model, name)
         with torch.no_grad():
             w.copy_(torch.tensor(rng.normal(0, 1 / math.sqrt(w.shape[1]), w.shape)))
@@ -124,6 +127,8 @@ def initialise_from_data(
     current = _filtered(_spikes(model, x)[0] @ w_ff.T, torch.sigmoid(model.syn1).detach().numpy())
     model.set_weights("w_ff", w_ff * model.shared("mem1", _drive_scale(current, (0.2, 1.0), rng)[:, None]))
     model.set_weights("w_rec", w_rec)
+    if "w_after" in model.matrices:
+        model.set_weights("w_after", np.full((h1, 1), AFTER_SPIKE))
     model.constrain()
     w_out = _solve_outputs(model, x, target)
     model.set_weights("w_out", model.sharing["w_out"].mean(w_out) if model.sharing else w_out)
@@ -139,18 +144,20 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
     """
     config, tensors = load_network(path)
     layers = f"{config.model} with {config.encoding} + {config.hidden} neurons for {config.outputs}"
+    layers += ", with after-spike currents" if config.after_spike else ""
     if isinstance(model, AttRNN):
         if (config.model, config.n_outputs, config.hidden) != ("att-rnn", *model.out.weight.shape):
             raise ValueError(f"init: {path} holds {layers}")
         model.load_state_dict({name: torch.tensor(value) for name, value in tensors.items()})
         return
-    sizes = config.encoding, config.hidden, config.outputs
-    if (config.model, *sizes) != ("att-snn", *model.w_ff.shape[::-1], model.outputs):
+    sizes = config.encoding, config.hidden, config.outputs, config.after_spike
+    ours = (*model.w_ff.shape[::-1], model.outputs, "w_after" in model.matrices)
+    if (config.model, *sizes) != ("att-snn", *ours):
         raise ValueError(f"init: {path} holds {layers}")
     values = real_weights(config, tensors)._asdict()
-    for name in MATRICES:
+    for name in model.matrices:
         model.set_weights(name, values[name])
-    for name in TIME_CONSTANTS:
+    for name in model.taus:
         inside = np.clip(values[name], 1 / 1024, 4095 / 4096)
         with torch.no_grad():
             getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
@@ -161,7 +168,7 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
 
     The estimate does not change: one of the neurons that always spike, or where weights are shared the first
     group of them, stays and takes over the output weights of the others. A re-initialised neuron reads ten
-    encoders and ten other hidden neurons.
+    encoders and ten other hidden neurons, and its after-spike weight is as at first.
 
     Returns how many neurons were re-initialised; `x` are scaled inputs, shape (n, T, 6).
     """
@@ -198,6 +205,9 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
     for name in ("w_ff", "w_rec"):
         model.set_weights(name, w[name] * model.shared("mem1", scale)[:, None])
     model.set_weights("w_out", w["w_out"])
+    if "w_after" in model.matrices:
+        w["w_after"][dead] = AFTER_SPIKE
+        model.set_weights("w_after", w["w_after"])
     model.constrain()
     return int(dead.size)
 
@@ -206,7 +216,7 @@ def _initialise_taus(
     model: AttSNN, ranges: Mapping[str, Range], rng: np.random.Generator, stretch: int = 1
 ) -> None:
     with torch.no_grad():
-        for name in TIME_CONSTANTS:
+        for name in model.taus:
             parameter = getattr(model, name)
             factor = 1 if name in ("syn0", "syn2") else stretch
             low, high = (math.log(limit * factor) for limit in ranges[name])

@@ -21,7 +21,6 @@ from torch import Tensor
 from estimators.metrics import absolute_error, inclination_error
 from estimators.networks.encoder import ENCODER
 from estimators.networks.network import NetworkEstimator, Recurrent, Spiking
-from estimators.spiking import MATRICES
 
 from .config import TrainConfig, make_config
 from .data import Batch, TrainingFlights, flights_of, network_inputs, sample_windows, target_of, windows
@@ -217,7 +216,7 @@ class Training:
         if model.parameter_count <= most:
             return
         moments = self.optimiser.optimizer.state
-        prune_connections(model, {w: moments[getattr(model, w)]["exp_avg_sq"] for w in MATRICES}, most)
+        prune_connections(model, {w: moments[getattr(model, w)]["exp_avg_sq"] for w in model.matrices}, most)
         neurons = model.connected_neurons
         names = [name for name, _ in model.named_parameters()]
 

@@ -23,6 +23,7 @@ WEIGHT_MAX = 127 / 128
 CURRENT_MAX, CURRENT_EVERY = 384.0, 8
 """Largest current, three quarters of the chip's 24 bits; every eighth step is checked."""
 LAYERS = {"w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1)}
+LAYERS |= {"w_after": (1, None), "syn_after": (1,)}
 LAYERS |= {f"{tau}{layer}": (index,) for tau in ("syn", "mem") for layer, index in enumerate((0, 1, None))}
 """For each axis of a parameter the layer whose neurons it counts: 0 encoding, 1 hidden."""
 
@@ -38,6 +39,7 @@ class AttSNN(nn.Module):
         symmetric: Whether weights are shared as `estimators.networks.symmetry` says.
         outputs: Roll and pitch, or up.
         finest_exponent: Of the weights into a hidden neuron on the chip, 0 or less.
+        after_spike: Whether hidden neurons have after-spike currents.
     """
 
     w_in: Tensor
@@ -54,20 +56,27 @@ class AttSNN(nn.Module):
         symmetric: bool = False,
         outputs: Outputs = "roll-pitch",
         finest_exponent: int = 0,
+        after_spike: bool = False,
     ) -> None:
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
         self.backend, self.output_scale, self.finest_exponent = backend, output_scale, finest_exponent
         self.outputs: Outputs = outputs
-        network = NetworkConfig(model="att-snn", encoding=encoding, hidden=hidden, outputs=outputs)
-        for name, shape in expected_shapes(network).items():
+        network = NetworkConfig(
+            model="att-snn", encoding=encoding, hidden=hidden, outputs=outputs, after_spike=after_spike
+        )
+        shapes = expected_shapes(network)
+        self.matrices = [name for name in MATRICES if name in shapes]
+        self.taus = [name for name in TIME_CONSTANTS if name in shapes]
+        for name, shape in shapes.items():
             self.register_parameter(name, nn.Parameter(torch.zeros(shape)))
-        for name in MATRICES:  # a step of the optimiser is relative to these
+        for name in self.matrices:  # a step of the optimiser is relative to these
             self.register_buffer(f"{name}_scale", torch.ones(getattr(self, name).shape[0], 1))
-        self.sharing = weight_sharing(encoding, hidden, network.n_outputs) if symmetric else {}
+        sharing = weight_sharing(encoding, hidden, network.n_outputs) if symmetric else {}
+        self.sharing = {name: each for name, each in sharing.items() if name in shapes}
         for name, sharing in self.sharing.items():
             getattr(self, name).register_hook(lambda g, mean=sharing.mean: torch.from_numpy(mean(g.numpy())))
-        for name in MATRICES:
+        for name in self.matrices:
             connected = torch.ones(getattr(self, name).shape, dtype=torch.bool)
             if self.sharing:
                 connected &= torch.from_numpy(self.sharing[name].sign != 0).reshape(connected.shape)
@@ -79,7 +88,7 @@ class AttSNN(nn.Module):
         used = (w != 0).sum(1, keepdim=True).clamp(min=1)
         scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
         if self.sharing:  # rows that share their weights share their scale
-            layer = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1"}.get(name)
+            layer = None if name == "w_out" else "mem0" if name == "w_in" else "mem1"
             scale = torch.from_numpy(self.shared(layer, scale.numpy())) if layer else scale.mean()
         with torch.no_grad():
             getattr(self, f"{name}_scale").copy_(scale)
@@ -95,13 +104,14 @@ class AttSNN(nn.Module):
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
-        w = {name: getattr(self, name) * getattr(self, f"{name}_scale") for name in MATRICES}
-        tau = [torch.sigmoid(getattr(self, name)) for name in TIME_CONSTANTS]
+        w = {name: getattr(self, name) * getattr(self, f"{name}_scale") for name in self.matrices}
+        tau = {name: torch.sigmoid(getattr(self, name)) for name in self.taus}
         if self.backend.quantised:
             finest = dict.fromkeys(EXPONENTS, self.finest_exponent)
             w = {name: quantise_weights(value, finest.get(name, 0)) for name, value in w.items()}
-            tau = map(quantise_decay, tau)
-        return Weights(*w.values(), *tau)
+            tau = {name: quantise_decay(value) for name, value in tau.items()}
+        none = {"w_after": self.w_ff.new_zeros(len(self.w_ff), 0), "syn_after": self.w_ff.new_zeros(0)}
+        return Weights(**(none | w | tau))
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
         """Outputs (n, T, outputs) of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
@@ -119,12 +129,12 @@ class AttSNN(nn.Module):
             getattr(self, name).copy_(
                 torch.from_numpy(self.shared(name, getattr(self, name).detach().numpy()))
             )
-        for name in MATRICES:
+        for name in self.matrices:
             w = getattr(self, name).mul_(getattr(self, f"{name}_connected"))
             if self.backend.quantised:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
-        for name in TIME_CONSTANTS:
+        for name in self.taus:
             getattr(self, name).clamp_(-6.0, math.log(4095.0))
 
     @torch.no_grad()
@@ -136,9 +146,9 @@ class AttSNN(nn.Module):
         """
         if not self.backend.quantised:
             return
-        layers = (("mem0", ("w_in",)), ("mem1", ("w_ff", "w_rec")))
+        layers = (("mem0", ("w_in",)), ("mem1", ("w_ff", "w_rec")), ("mem1", ("w_after",)))
         for most, (layer, names) in zip(self.backend.peak_currents(CURRENT_EVERY), layers, strict=True):
-            if most.max() <= CURRENT_MAX:
+            if most.max(initial=0.0) <= CURRENT_MAX:
                 continue
             first = self.first(layer)
             of_group = np.zeros_like(most)
@@ -160,7 +170,8 @@ class AttSNN(nn.Module):
         encoding, hidden = neurons
         backend = self.backend.connected(encoding, hidden)
         sizes, symmetric = (encoding.size, hidden.size), bool(self.sharing)
-        smaller = AttSNN(*sizes, backend, self.output_scale, symmetric, self.outputs, self.finest_exponent)
+        how = (self.output_scale, symmetric, self.outputs, self.finest_exponent, "w_after" in self.matrices)
+        smaller = AttSNN(*sizes, backend, *how)
         smaller.load_state_dict(
             {
                 name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)
@@ -172,24 +183,24 @@ class AttSNN(nn.Module):
     @property
     def connected_neurons(self) -> list[NDArray[np.int64]]:
         """Neurons of both layers that an input reaches and that reach an output."""
-        connected = [getattr(self, f"{name}_connected").numpy() for name in MATRICES]
+        connected = [getattr(self, f"{name}_connected").numpy() for name in MATRICES[:4]]
         return connected_neurons(connected, [self.first("mem0"), self.first("mem1")])
 
     @torch.no_grad()
     def disconnect_zeros(self) -> None:
         """Remove every connection whose weight is 0."""
-        for name in MATRICES:
+        for name in self.matrices:
             getattr(self, f"{name}_connected").copy_(getattr(self.weights(), name) != 0)
 
     @property
     def parameter_count(self) -> int:
         """Connections and time constants."""
-        return sum(int(getattr(self, f"{name}_connected").sum()) for name in MATRICES) + self.time_constants
+        return sum(int(getattr(self, f"{name}_connected").sum()) for name in self.matrices) + self.time_constants
 
     @property
     def time_constants(self) -> int:
         """Number of time constants."""
-        return sum(getattr(self, name).numel() for name in TIME_CONSTANTS)
+        return sum(getattr(self, name).numel() for name in self.taus)
 
 
 def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:
@@ -205,7 +216,7 @@ def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], mo
         most: Connections and time constants.
     """
     effects, sizes, firsts = [], [], []
-    for name in MATRICES:
+    for name in model.matrices:
         connected = getattr(model, f"{name}_connected").numpy().ravel()
         first = model.first(name)
         w, g2 = (
@@ -220,7 +231,7 @@ def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], mo
     stays = np.zeros(effect.size, bool)
     stays[order] = np.cumsum(size[order]) <= most - model.time_constants
     parts = np.split(stays, np.cumsum([first.size for first in firsts])[:-1])
-    for name, first, part in zip(MATRICES, firsts, parts, strict=True):
+    for name, first, part in zip(model.matrices, firsts, parts, strict=True):
         connected = getattr(model, f"{name}_connected")
         connected &= torch.from_numpy(part[first]).reshape(connected.shape)
     model.constrain()

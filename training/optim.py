@@ -114,7 +114,7 @@ def new_optimiser(model: nn.Module, config: TrainConfig) -> Lookahead:
     The factors differ between layers since a common change of many weights adds up over the neurons.
     """
     encoding, hidden, output = config.layer_steps
-    steps = {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_out": output}
+    steps = {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_after": hidden, "w_out": output}
     groups = [{"params": [p], "step": steps.get(name, 1.0)} for name, p in model.named_parameters()]
     adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
     return Lookahead(adam, config.lookahead_k, config.lookahead_alpha)

@@ -39,5 +39,7 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     new["w_ff"] = old["w_ff"] * area("syn1")
     new["w_rec"] = old["w_rec"] * area("syn1")
     new["w_out"] = old["w_out"] * area("syn2")
+    if config.after_spike:
+        new["w_after"] = old["w_after"] * area("syn_after")
     changed = config.model_copy(update={"rate_hz": rate_hz, "quantised": False})
-    return changed, {name: value.astype(np.float32) for name, value in new.items()}
+    return changed, {name: value.astype(np.float32) for name, value in new.items() if name in tensors}

@@ -16,7 +16,6 @@ import torch
 from pydantic import ValidationError
 
 from estimators.analysis.ablation import connected
-from estimators.networks.forward import MATRICES, TIME_CONSTANTS
 from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Tensors, load_network, save_network
 from estimators.spiking import weight_exponents
 from quadsim.runs.files import drop_parts, save_figure, write_csv, write_whole
@@ -108,6 +107,7 @@ def exported(
         inputs=config.inputs,
         quantised=config.quantised and spiking,
         recurrent_delay=config.recurrent_delay,
+        after_spike=config.after_spike and spiking,
         steps_per_sample=config.steps_per_sample if spiking else 1,
         outputs=config.outputs,
         output_scale=config.output_scale if spiking else 1.0,
@@ -116,13 +116,14 @@ def exported(
     if not spiking:
         return network, {name: value.numpy().copy() for name, value in model.state_dict().items()}
     with torch.no_grad():
-        arrays = {name: w.numpy() for name, w in model.weights()._asdict().items()}
+        arrays = {name: w.numpy() for name, w in model.weights()._asdict().items() if w.numel()}
     if not config.quantised:
         return network, {name: w.astype(np.float32) for name, w in arrays.items()}
-    taus = {name: 4096 * (1 - arrays[name].astype(np.float64)) for name in TIME_CONSTANTS}
-    mantissas = {name: arrays[name] * 256 for name in MATRICES}
+    taus = {name: 4096 * (1 - arrays[name].astype(np.float64)) for name in model.taus}
+    mantissas = {name: arrays[name] * 256 for name in model.matrices}
     exps = {}
-    for name, exp in EXPONENTS.items() if config.finest_exponent else ():
+    for name in mantissas.keys() & EXPONENTS.keys() if config.finest_exponent else ():
+        exp = EXPONENTS[name]
         exps[exp] = weight_exponents(torch.from_numpy(arrays[name]), config.finest_exponent).numpy()[:, 0]
         mantissas[name] = mantissas[name] * np.exp2(-exps[exp])[:, None]
     whole = {name: np.rint(value).astype(np.int16) for name, value in (mantissas | taus | exps).items()}

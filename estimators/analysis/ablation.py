@@ -18,6 +18,8 @@ from .activity import Activity
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+OF_HIDDEN = ("syn1", "mem1", "w_after", "syn_after", *EXPONENTS.values())
+"""Tensors with a row for each hidden neuron and no column for any other."""
 CRITERIA = ("activity", "magnitude", "contribution", "random")
 
 
@@ -81,7 +83,7 @@ def without(
         "w_rec": tensors["w_rec"][np.ix_(hidden, hidden)],
         "w_out": tensors["w_out"][:, hidden],
         **{name: tensors[name][encoding] for name in ("syn0", "mem0")},
-        **{name: tensors[name][hidden] for name in ("syn1", "mem1", *EXPONENTS.values()) if name in tensors},
+        **{name: tensors[name][hidden] for name in OF_HIDDEN if name in tensors},
         **{name: tensors[name] for name in ("syn2", "mem2")},
     }
     return config.model_copy(update={"encoding": encoding.size, "hidden": hidden.size}), smaller

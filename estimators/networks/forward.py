@@ -3,9 +3,13 @@
 One function, `step`, is the network for training, streaming and whole sequences alike. Per layer
 
     u[t] = D(u[t-1], τ_syn) + W s[t-1]
-    v[t] = D(v[t-1], τ_mem) + u[t],   s[t] = v[t] > 0.5,   v[t] = 0 where s[t]
+    a[t] = D(a[t-1], τ_after) + w_after s[t-1]
+    v[t] = D(v[t-1], τ_mem) + u[t] + a[t],   s[t] = v[t] > 0.5,   v[t] = 0 where s[t]
 
-The encoding layer's current is driven by the input sample of the same step; the outputs never spike.
+The encoding layer's current is driven by the input sample of the same step; the outputs never spike. Hidden
+neurons may have an after-spike current a, driven by their own spikes alone: with a negative weight it is
+spike-frequency adaptation, with a positive one it holds activity up (Teeter et al. 2018, "Generalized leaky
+integrate-and-fire models classify multiple neuron types").
 In floats D(x, τ) = x τ and 1.0 is 1.0. Quantised, D rounds toward zero and 1.0 is 2^14: then all numbers are
 whole, float64 holds them exactly, and the result is what `estimators.loihi` computes in integers.
 """
@@ -50,6 +54,8 @@ class Weights(NamedTuple, Generic[Values]):
     """Recurrent weights, shape (h1, h1)."""
     w_out: Values
     """Hidden layer to outputs, shape (outputs, h1)."""
+    w_after: Values
+    """Hidden neurons to their own after-spike currents, shape (h1, 1), or (h1, 0) in a network without them."""
     syn0: Values
     """τ_syn of the encoding layer, shape (h0,)."""
     mem0: Values
@@ -62,9 +68,11 @@ class Weights(NamedTuple, Generic[Values]):
     """τ_syn of the outputs, shape (1,)."""
     mem2: Values
     """τ_mem of the outputs, shape (1,)."""
+    syn_after: Values
+    """τ_after of the hidden layer, shape (h1,), or (0,) without after-spike currents."""
 
 
-MATRICES, TIME_CONSTANTS = Weights._fields[:4], Weights._fields[4:]
+MATRICES, TIME_CONSTANTS = Weights._fields[:5], Weights._fields[5:]
 
 
 class NetworkState(NamedTuple, Generic[Values]):
@@ -84,6 +92,8 @@ class NetworkState(NamedTuple, Generic[Values]):
     """Shape (n, h1 + 1)."""
     s1_delayed: Values
     """Spikes that the recurrent connection delivers next: `s1` where the delay is 1, shape (n, h1 + 1)."""
+    a1: Values
+    """After-spike currents of the hidden layer, 0 without them, shape (n, h1)."""
     u2: Values
     """Outputs, shape (n, outputs)."""
     v2: Values
@@ -175,6 +185,7 @@ def step(x, w, state, total, drive, quantised):
     """
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
     u0, v0, u1, v1, u2, v2 = state.u0, state.v0, state.u1, state.v1, state.u2, state.v2
+    a1 = state.a1
     for o in range(u2.shape[0]):
         delivered = 0.0
         for k in range(1, 1 + state.s1[0]):
@@ -188,6 +199,12 @@ def step(x, w, state, total, drive, quantised):
 
     # What has just been stored is slow to load: current and potential share a loop, and sums are set to zero
     # where they have been used, not where they begin.
+    for k in range(w.w_after.shape[0]):
+        for i in range(v1.shape[0]):
+            own = np.float64(w.w_after[k, i]) if v1[i] > threshold else 0.0
+            a1[i] = _decay(a1[i], w.syn_after[i], quantised) + own
+            if quantised:
+                a1[i] = _wrap(a1[i], _WRAP_23)
     _add_rows(total, w.w_ff, state.s0)
     _add_rows(total, w.w_rec, state.s1_delayed)
     for i in range(v1.shape[0]):
@@ -197,7 +214,7 @@ def step(x, w, state, total, drive, quantised):
         else:
             u += np.float64(total[i])
         u1[i], total[i] = u, 0
-        v1[i] = _membrane(v1[i], u, w.mem1[i], threshold, quantised)
+        v1[i] = _membrane(v1[i], u + a1[i], w.mem1[i], threshold, quantised)
 
     _weigh(x, w.w_in, drive)
     for i in range(v0.shape[0]):
@@ -237,7 +254,7 @@ def network_block(scaling: Scaling, weights: Weights[NDArray], settings: Setting
 def state_type(h0: int, h1: int, outputs: int) -> np.dtype:
     """Record type of a copy's state: that of its encoder, and the fields of `NetworkState`."""
     potentials = {name: (np.float64, (h0,)) for name in ("u0", "v0")}
-    potentials |= {name: (np.float64, (h1,)) for name in ("u1", "v1")}
+    potentials |= {name: (np.float64, (h1,)) for name in ("u1", "v1", "a1")}
     potentials |= {name: (np.float64, (outputs,)) for name in ("u2", "v2")}
     spikes = {"s0": (np.int32, (h0 + 1,))} | {name: (np.int32, (h1 + 1,)) for name in ("s1", "s1_delayed")}
     ordered = {name: (potentials | spikes)[name] for name in NetworkState._fields}
@@ -248,10 +265,12 @@ def state_type(h0: int, h1: int, outputs: int) -> np.dtype:
 def _weights(network):
     w_in, w_ff = matrix(network, 2, np.float64), matrix(network, 3, np.float64)
     w_rec, w_out = matrix(network, 4, np.float64), matrix(network, 5, np.float64)
-    syn0, mem0 = vector(network, 6, np.float64), vector(network, 7, np.float64)
-    syn1, mem1 = vector(network, 8, np.float64), vector(network, 9, np.float64)
-    syn2, mem2 = vector(network, 10, np.float64), vector(network, 11, np.float64)
-    return Weights(w_in, w_ff, w_rec, w_out, syn0, mem0, syn1, mem1, syn2, mem2)
+    w_after = matrix(network, 6, np.float64)
+    syn0, mem0 = vector(network, 7, np.float64), vector(network, 8, np.float64)
+    syn1, mem1 = vector(network, 9, np.float64), vector(network, 10, np.float64)
+    syn2, mem2 = vector(network, 11, np.float64), vector(network, 12, np.float64)
+    syn_after = vector(network, 13, np.float64)
+    return Weights(w_in, w_ff, w_rec, w_out, w_after, syn0, mem0, syn1, mem1, syn2, mem2, syn_after)
 
 
 @njit(cache=True)
@@ -259,16 +278,15 @@ def _state(block, recurrent_delay):
     u0, v0, s0 = vector(block, 1, np.float64), vector(block, 2, np.float64), vector(block, 3, np.int32)
     u1, v1, s1 = vector(block, 4, np.float64), vector(block, 5, np.float64), vector(block, 6, np.int32)
     delayed = s1 if recurrent_delay == 1 else vector(block, 7, np.int32)
-    return NetworkState(
-        u0, v0, s0, u1, v1, s1, delayed, vector(block, 8, np.float64), vector(block, 9, np.float64)
-    )
+    a1, u2, v2 = vector(block, 8, np.float64), vector(block, 9, np.float64), vector(block, 10, np.float64)
+    return NetworkState(u0, v0, s0, u1, v1, s1, delayed, a1, u2, v2)
 
 
 @njit(cache=True, inline="always")
 def _run(gyro, accel, network, states, quantised, out):
     scaling = Scaling(vector(network, 0, np.float64), vector(network, 1, np.float64))
     weights = _weights(network)
-    steps, delay, scale = vector(network, 12, np.float64)
+    steps, delay, scale = vector(network, 14, np.float64)
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
     outputs = weights.w_out.shape[1]
     x = np.empty(6)

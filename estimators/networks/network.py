@@ -293,7 +293,8 @@ def roll_pitch_of_outputs(outputs: Array) -> Array:
 
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
     """Weights and time constants of a spiking network in units of 1.0."""
-    values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
+    none = {"w_after": np.zeros((config.hidden, 0)), "syn_after": np.zeros(0)}
+    values = {name: tensors.get(name, none.get(name)).astype(np.float64) for name in Weights._fields}
     if config.quantised:
         for name in MATRICES:
             values[name] *= np.exp2(exponents(tensors, name).astype(np.float64) - 8)[:, None]

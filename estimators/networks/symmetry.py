@@ -73,7 +73,8 @@ def weight_sharing(encoding: int, hidden: int, outputs: int = 2) -> dict[str, We
     single = [(np.zeros(1, np.int64), np.ones(1))] * 8
     layers = {"w_in": (first, rates_forces), "w_ff": (second, first), "w_rec": (second, second),
               "w_out": (answers, second), "syn0": (first, single), "mem0": (first, single),
-              "syn1": (second, single), "mem1": (second, single)}  # fmt: skip
+              "syn1": (second, single), "mem1": (second, single),
+              "w_after": (second, single), "syn_after": (second, single)}  # fmt: skip
     return {name: _sharing(rows, columns) for name, (rows, columns) in layers.items()}
 
 
@@ -84,7 +85,9 @@ def is_symmetric(tensors: Mapping[str, NDArray]) -> bool:
     shared = weight_sharing(*(len(tensors[name]) for name in ("w_in", "w_ff", "w_out")))
     shared |= {name: shared["mem1"] for name in EXPONENTS.values() if name in tensors}
     return all(
-        np.array_equal(sharing.apply(tensors[name]), tensors[name]) for name, sharing in shared.items()
+        np.array_equal(sharing.apply(tensors[name]), tensors[name])
+        for name, sharing in shared.items()
+        if name in tensors
     )
 
 

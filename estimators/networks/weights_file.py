@@ -30,7 +30,7 @@ Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
 StepsPerSample = Annotated[int, Between(1, 16)]
 Outputs = Literal["roll-pitch", "up"]
-EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec"}
+EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec", "w_after": "exp_after"}
 """Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised
 network without them has exponents of 0."""
 EXPONENT_MIN = -6
@@ -68,6 +68,8 @@ class NetworkConfig(Strict):
     """Whole numbers in the chip's ranges (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """Steps from a hidden spike to the hidden layer; 1 is the chip's."""
+    after_spike: bool = False
+    """Whether hidden neurons have after-spike currents, `w_after` and `syn_after` (att-snn)."""
     steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample."""
     outputs: Outputs = "roll-pitch"
@@ -95,7 +97,8 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     if config.model == "att-snn":
         weights = {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (out, h1)}
         taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
-        return {**weights, **taus}
+        own = {"w_after": (h1, 1), "syn_after": (h1,)} if config.after_spike else {}
+        return {**weights, **taus, **own}
     shapes: dict[str, tuple[int, ...]] = {"out.weight": (out, h1), "out.bias": (out,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
@@ -208,7 +211,8 @@ def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
 def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
     wanted = expected_shapes(config)
     whole = config.model == "att-snn" and config.quantised
-    wanted |= {name: (config.hidden,) for name in EXPONENTS.values() if whole and name in tensors}
+    fine = [exponent for name, exponent in EXPONENTS.items() if whole and name in wanted]
+    wanted |= {name: (config.hidden,) for name in fine if name in tensors}
     if missing := sorted(set(wanted) - set(tensors)):
         raise ValueError(f"{path}: tensor {missing[0]} is missing")
     if extra := sorted(set(tensors) - set(wanted)):

@@ -45,8 +45,9 @@ class Backend(Protocol):
         """Spikes of the encoding (n, T, h0) and of the hidden layer (n, T, h1) in the last window."""
         ...
 
-    def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Largest currents of the encoding (h0,) and hidden neurons (h1,) in each `every`th step of it."""
+    def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], ...]:
+        """Largest currents of the encoding (h0,) and hidden neurons (h1,) and after-spike currents (h1,) in
+        each `every`th step of it; the last empty or 0 in a network without them."""
         ...
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Backend:

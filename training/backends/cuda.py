@@ -160,10 +160,8 @@ class _OnDevice(torch.autograd.Function):
             into[:, columns] = whole(mantissas, 128, hidden, into[:, columns].shape[1], dtype=torch.int8)
             shifts[k, : len(matrix)] = (7 + exponents[:, 0]).int()
         out = whole(w.w_out, 128, outputs, hidden, dtype=torch.int8)
-        taus = [
-            whole(tau, 4096, size) for tau, size in zip(w[4:8], (encoding,) * 2 + (hidden,) * 2, strict=True)
-        ]
-        last = torch.cat([whole(tau, 4096, 1) for tau in w[8:]])
+        taus = [whole(tau, 4096, size) for tau, size in zip(w[5:9], (encoding,) * 2 + (hidden,) * 2, strict=True)]
+        last = torch.cat([whole(tau, 4096, 1) for tau in (w.syn2, w.mem2)])
         trace.begin(goes_on)
         steps, n = x.shape[:2]
         inputs = whole(w.w_in, 256, encoding, 6)
@@ -220,8 +218,8 @@ class _OnDevice(torch.autograd.Function):
         read = of_currents[:-1, :, :outputs].reshape(steps * n, outputs)
         of_out = _product(_two_parts(read), spikes)[:, encoding:]
         found = Weights(
-            first[:, :6], of_weights[:, :encoding], of_weights[:, encoding:], of_out,
-            first[:, 6], first[:, 7], second[:, 0], second[:, 1], *of_last.sum(0).split(1),
+            first[:, :6], of_weights[:, :encoding], of_weights[:, encoding:], of_out, ctx.weights[4],
+            first[:, 6], first[:, 7], second[:, 0], second[:, 1], *of_last.sum(0).split(1), ctx.weights[11],
         )  # fmt: skip
         cut = (g[tuple(slice(size) for size in w.shape)] for g, w in zip(found, ctx.weights, strict=True))
         return None, None, None, None, *(g.to(w) for g, w in zip(cut, ctx.weights, strict=True))

@@ -32,12 +32,17 @@ from quadsim.runs.compiled import njit
 Floats = NDArray[np.floating]
 
 
+Sizes = tuple[int, int, int, int]
+"""Neurons of the encoding layer, of the hidden layer and outputs; after-spike currents."""
+
+
 class Trace(NamedTuple):
     """What the forward pass leaves for the backward pass, time first. Rows 0 and 1 come before the window.
 
     Encoding layer (0), hidden layer (1) and outputs (2), of size h each: currents u, row t + 1 is step t,
     shape (T + 1, n, h); potentials v before the reset, row t + 2 is step t, shape (T + 2, n, h); spikes s,
-    their number and then the neurons, shape (T + 2, n, h + 1).
+    their number and then the neurons, shape (T + 2, n, h + 1). After-spike currents a have rows as u, and no
+    columns in a network without them.
     """
 
     u0: Floats
@@ -46,23 +51,24 @@ class Trace(NamedTuple):
     u1: Floats
     v1: Floats
     s1: NDArray[np.uint16]
+    a1: Floats
     u2: Floats
     v2: Floats
 
     @classmethod
-    def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], dtype: np.dtype) -> Trace:
+    def empty(cls, steps: int, n: int, sizes: Sizes, dtype: np.dtype) -> Trace:
         """Buffers for one window."""
-        u0, u1, u2 = (np.zeros((steps + 1, n, size), dtype) for size in sizes)
-        v0, v1, v2 = (np.zeros((steps + 2, n, size), dtype) for size in sizes)
+        u0, u1, u2, a1 = (np.zeros((steps + 1, n, size), dtype) for size in sizes)
+        v0, v1, v2 = (np.zeros((steps + 2, n, size), dtype) for size in sizes[:3])
         s0, s1 = (np.zeros((steps + 2, n, size + 1), np.uint16) for size in sizes[:2])
-        return cls(u0, v0, s0, u1, v1, s1, u2, v2)
+        return cls(u0, v0, s0, u1, v1, s1, a1, u2, v2)
 
     def begin(self, reset: NDArray[np.bool_]) -> None:
         """Start where the last window ended, the sequences in `reset` (n,) from rest."""
         for rows in (self.v0, self.v1, self.v2, self.s0, self.s1):
             rows[:2] = rows[-2:]
             rows[:2, reset] = 0
-        for rows in (self.u0, self.u1, self.u2):
+        for rows in (self.u0, self.u1, self.u2, self.a1):
             rows[0] = rows[-1]
             rows[0, reset] = 0
 
@@ -82,12 +88,14 @@ def _forward(x, weights, trace, delay, quantised):
     u0, v0 = trace.u0[0].astype(np.float64) * one, trace.v0[1].astype(np.float64) * one
     u1, v1 = trace.u1[0].astype(np.float64) * one, trace.v1[1].astype(np.float64) * one
     u2, v2 = trace.u2[0].astype(np.float64) * one, trace.v2[1].astype(np.float64) * one
+    a1 = np.zeros(u1.shape)
+    a1[:, : trace.a1.shape[2]] = trace.a1[0].astype(np.float64) * one
     s0, s1 = trace.s0, trace.s1
     for t in range(x.shape[0]):
         for b in range(x.shape[1]):
             delayed = s1[t + 2 - delay, b]
             state = NetworkState(
-                u0[b], v0[b], s0[t + 1, b], u1[b], v1[b], s1[t + 1, b], delayed, u2[b], v2[b]
+                u0[b], v0[b], s0[t + 1, b], u1[b], v1[b], s1[t + 1, b], delayed, a1[b], u2[b], v2[b]
             )
             step(x[t, b], weights, state, total, drive, quantised)
             list_spikes(state.v0, threshold, s0[t + 2, b])
@@ -96,6 +104,7 @@ def _forward(x, weights, trace, delay, quantised):
             _copy(state.u0, unit, trace.u0[t + 1, b])
             _copy(state.v1, unit, trace.v1[t + 2, b])
             _copy(state.u1, unit, trace.u1[t + 1, b])
+            _copy(state.a1, unit, trace.a1[t + 1, b])
             _copy(state.v2, unit, trace.v2[t + 2, b])
             _copy(state.u2, unit, trace.u2[t + 1, b])
 
@@ -146,6 +155,29 @@ def _step_back(v, before, current, layer, constants):
         sum_syn[i] += du[i] * current[i]
 
 
+@njit(cache=True, inline="always", error_model="numpy", fastmath={"contract"})
+def _after_spikes_back(v, before, weights, taus, layer, da, sums, constants):
+    """Gradients of after-spike currents from those of the potentials; those of the spikes that drove them.
+
+    Args:
+        v: Potentials before the reset of the step before, whose spikes drove the currents, (n h,).
+        before: Currents of the step before, (n h,).
+        weights: Of the currents, for each sequence, (n h,).
+        taus: Their time constants, (n h,).
+        layer: Gradients of the layer; `ds` is set to those of the spikes of the step before.
+        da: Gradients of the currents, (n h,); changed.
+        sums: Gradients of weights and time constants, (2, n h); changed.
+        constants: As `backward_window` has them.
+    """
+    threshold, zero = constants[0], constants[3]
+    for i in range(da.shape[0]):
+        d = layer.dv[i] + taus[i] * da[i]
+        da[i] = d
+        sums[0, i] += d if v[i] > threshold else zero
+        sums[1, i] += d * before[i]
+        layer.ds[i] = weights[i] * d
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def backward_window(x, grad, weights, trace, gradients, constants, delay):
     """Add the gradients of a window.
@@ -173,14 +205,21 @@ def backward_window(x, grad, weights, trace, gradients, constants, delay):
     du2, dv2 = np.zeros((n, outputs), v0.dtype), np.zeros((n, outputs), v0.dtype)
     down, down_before = np.zeros((n, h0 + h1), v0.dtype), np.zeros((n, h0 + h1), v0.dtype)
     used = _used(w_down)
+    each = np.ones((n, 1), v0.dtype)
+    w_after, syn_after = (each * weights.w_after.T).ravel(), (each * weights.syn_after).ravel()
+    da, of_after = np.zeros_like(w_after), np.zeros((2, w_after.size), v0.dtype)
     for t in range(steps - 1, -1, -1):
         delivered = down if delay == 1 else down_before
         for b in range(n):
             first, second, into0, into1 = down[b], delivered[b, h0:], ds0[b * h0 :], ds1[b * h1 :]
             for i in range(h0):
                 into0[i] = first[i] + cost0
-            for i in range(h1):
-                into1[i] = second[i] + cost1
+            if da.size:
+                for i in range(h1):
+                    into1[i] += second[i] + cost1
+            else:
+                for i in range(h1):
+                    into1[i] = second[i] + cost1
             for o in range(outputs):
                 d = du2[b, o]
                 for i in range(h1):
@@ -192,6 +231,11 @@ def backward_window(x, grad, weights, trace, gradients, constants, delay):
                 gradients.mem2[0] += dv2[b, o] * v2[t + 1, b, o]
 
         _step_back(v1[t + 2].reshape(-1), v1[t + 1].reshape(-1), u1[t].reshape(-1), layer1, constants)
+        if da.size:
+            before = v1[t + 1].reshape(-1)
+            _after_spikes_back(
+                before, trace.a1[t].reshape(-1), w_after, syn_after, layer1, da, of_after, constants
+            )
         _step_back(v0[t + 2].reshape(-1), v0[t + 1].reshape(-1), u0[t].reshape(-1), layer0, constants)
         for b in range(n):
             d0, d1 = du0[b * h0 : (b + 1) * h0], du1[b * h1 : (b + 1) * h1]
@@ -215,6 +259,9 @@ def backward_window(x, grad, weights, trace, gradients, constants, delay):
         for i in range(h1):
             gradients.syn1[i] += layer1.sum_syn[b * h1 + i]
             gradients.mem1[i] += layer1.sum_mem[b * h1 + i]
+        for i in range(gradients.syn_after.size):
+            gradients.w_after[0, i] += of_after[0, b * h1 + i]
+            gradients.syn_after[i] += of_after[1, b * h1 + i]
 
 
 @njit(cache=True, inline="always")
@@ -282,10 +329,12 @@ class Workspace:
         self.dtype = weights.w_ff.detach().numpy().dtype
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self.parts = [slice(lo, hi) for lo, hi in pairwise(edges)]
-        self._allocate((weights.w_in.shape[0], weights.w_ff.shape[0], weights.w_out.shape[0]))
+        names = ("w_in", "w_ff", "w_out", "syn_after")
+        h0, h1, outputs, after = (getattr(weights, name).shape[0] for name in names)
+        self._allocate((h0, h1, outputs, after))
         self.runs = 0
 
-    def _allocate(self, sizes: tuple[int, int, int]) -> None:
+    def _allocate(self, sizes: Sizes) -> None:
         self.sizes = sizes
         self.traces = [
             Trace.empty(self.steps, part.stop - part.start, sizes, self.dtype) for part in self.parts
@@ -294,10 +343,11 @@ class Workspace:
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Workspace:
         """A workspace of these neurons alone, where the next window continues from the last one here."""
         smaller = copy(self)
-        smaller._allocate((encoding.size, hidden.size, self.sizes[2]))
+        smaller._allocate((encoding.size, hidden.size, self.sizes[2], hidden.size if self.sizes[3] else 0))
         for old, new in zip(self.traces, smaller.traces, strict=True):
             new.v2[-2:], new.u2[-1] = old.v2[-2:], old.u2[-1]
             new.u0[-1], new.u1[-1] = old.u0[-1][:, encoding], old.u1[-1][:, hidden]
+            new.a1[-1] = old.a1[-1][:, hidden[: new.a1.shape[2]]]
             new.v0[-2:], new.v1[-2:] = old.v0[-2:][..., encoding], old.v1[-2:][..., hidden]
             for v, spikes in ((new.v0[-2:], new.s0[-2:]), (new.v1[-2:], new.s1[-2:])):
                 for index in np.ndindex(v.shape[:2]):
@@ -395,11 +445,14 @@ class Fused:
         v0, v1 = (np.concatenate([getattr(each, v)[2:] for each in traces], 1) for v in ("v0", "v1"))
         return v0.transpose(1, 0, 2) > THRESHOLD, v1.transpose(1, 0, 2) > THRESHOLD
 
-    def peak_currents(self, every: int = 1) -> tuple[Floats, Floats]:
-        """Largest currents of both layers in the last window."""
-        largest = [[np.abs(u[::every]).max((0, 1)) for u in (each.u0, each.u1)] for each in self._last.traces]
-        first, second = (np.max(parts, 0) for parts in zip(*largest, strict=True))
-        return first, second
+    def peak_currents(self, every: int = 1) -> tuple[Floats, Floats, Floats]:
+        """Largest currents of both layers, and after-spike ones, in the last window."""
+        largest = [
+            [np.abs(u[::every]).max((0, 1)) for u in (each.u0, each.u1, each.a1)]
+            for each in self._last.traces
+        ]
+        first, second, after = (np.max(parts, 0) for parts in zip(*largest, strict=True))
+        return first, second, after
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Fused:
         """The backend of these neurons alone."""

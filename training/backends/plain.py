@@ -40,11 +40,11 @@ class Plain:
         first, second = (np.stack(self._values(name), 1) > 0 for name in ("s0", "s1"))
         return first, second
 
-    def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Largest currents of both layers in the last window."""
+    def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], ...]:
+        """Largest currents of both layers, and after-spike ones, in the last window."""
         one = STATE_ONE if self.quantised else 1.0
-        first, second = (np.abs(self._values(name)[every - 1 :: every]).max((0, 1)) for name in ("u0", "u1"))
-        return first / one, second / one
+        names = ("u0", "u1", "a1")
+        return tuple(np.abs(self._values(name)[every - 1 :: every]).max((0, 1)) / one for name in names)
 
     def _values(self, name: str) -> list[NDArray]:
         return [getattr(state, name).numpy(force=True) for state in self._every]
@@ -54,7 +54,7 @@ class Plain:
         smaller = copy(self)
         smaller._ends = {
             shape: NetworkState(
-                *(x[:, encoding] for x in end[:3]), *(x[:, hidden] for x in end[3:7]), u2=end.u2, v2=end.v2
+                *(x[:, encoding] for x in end[:3]), *(x[:, hidden] for x in end[3:8]), u2=end.u2, v2=end.v2
             )
             for shape, end in self._ends.items()
         }
