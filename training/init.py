@@ -59,8 +59,9 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
                 "share weights; give more, or symmetric=false"
             )
         backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
-        how = (config.output_scale, config.symmetric, config.outputs, config.finest_exponent, config.after_spike)
-        model = AttSNN(encoding, hidden, backend, *how)
+        how = (config.output_scale, config.symmetric, config.outputs)
+        chip = (config.finest_exponent, config.after_spike)
+        model = AttSNN(encoding, hidden, backend, *how, *chip)
     if config.init:
         initialise_from_weights(model, config.init)
         if isinstance(model, AttSNN) and config.prunes:

@@ -195,7 +195,8 @@ class AttSNN(nn.Module):
     @property
     def parameter_count(self) -> int:
         """Connections and time constants."""
-        return sum(int(getattr(self, f"{name}_connected").sum()) for name in self.matrices) + self.time_constants
+        connections = (int(getattr(self, f"{name}_connected").sum()) for name in self.matrices)
+        return sum(connections) + self.time_constants
 
     @property
     def time_constants(self) -> int:

@@ -6,6 +6,13 @@ static const int8_t W_FF[ATT_SNN_ENCODING][ATT_SNN_HIDDEN] = $w_ff;
 static const int8_t W_REC[ATT_SNN_HIDDEN][ATT_SNN_HIDDEN] = $w_rec;
 static const int8_t W_OUT[ATT_SNN_HIDDEN][ATT_SNN_OUTPUTS] = $w_out;
 
+#if AFTER_SPIKE
+/* Of each hidden neuron on its own after-spike current. */
+static const int8_t W_AFTER[ATT_SNN_HIDDEN] = $w_after;
+static const uint8_t SHIFT_AFTER[ATT_SNN_HIDDEN] = $exp_after;
+static const uint16_t KEEP_A_HIDDEN[ATT_SNN_HIDDEN] = $syn_after;
+
+#endif
 /* Of the weights into each hidden neuron: a half of a mantissa is 2^shift units of state. */
 static const uint8_t SHIFT_FF[ATT_SNN_HIDDEN] = $exp_ff;
 static const uint8_t SHIFT_REC[ATT_SNN_HIDDEN] = $exp_rec;
@@ -140,7 +147,12 @@ static void step(att_snn_state *state)
     for (int i = 0; i < ATT_SNN_HIDDEN; ++i) {
         const int32_t arriving = forward[i] * (1 << SHIFT_FF[i]) + recurrent[i] * (1 << SHIFT_REC[i]);
         state->u_hidden[i] = synapse(state->u_hidden[i], KEEP_U_HIDDEN[i], arriving);
-        state->s_hidden[i] = membrane(&state->v_hidden[i], KEEP_V_HIDDEN[i], state->u_hidden[i], THRESHOLD);
+        int32_t drive = state->u_hidden[i];
+#if AFTER_SPIKE
+        state->a_hidden[i] = synapse(state->a_hidden[i], KEEP_A_HIDDEN[i], state->s_hidden[i] * W_AFTER[i] * (1 << SHIFT_AFTER[i]));
+        drive += state->a_hidden[i];
+#endif
+        state->s_hidden[i] = membrane(&state->v_hidden[i], KEEP_V_HIDDEN[i], drive, THRESHOLD);
     }
     for (int i = 0; i < ATT_SNN_ENCODING; ++i) {
         int32_t drive = 0;

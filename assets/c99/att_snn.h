@@ -20,6 +20,9 @@ typedef struct {
     int32_t v_encoding[ATT_SNN_ENCODING];
     int32_t u_hidden[ATT_SNN_HIDDEN];
     int32_t v_hidden[ATT_SNN_HIDDEN];
+#if AFTER_SPIKE
+    int32_t a_hidden[ATT_SNN_HIDDEN]; /* after-spike currents */
+#endif
     int32_t u_output[ATT_SNN_OUTPUTS];
     int32_t v_output[ATT_SNN_OUTPUTS];
     uint8_t s_encoding[ATT_SNN_ENCODING]; /* spikes of the last step, 0 or 1 */

@@ -66,13 +66,13 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     outputs = np.empty((n, samples, core.outputs))
     states = zero_blocks(n, core.state)
     state = fields(states, core.state)
-    s, u, v, bias = (state[name] for name in ("spikes", "u", "v", "bias"))
+    s, u, v, a, bias = (state[name] for name in ("spikes", "u", "v", "a", "bias"))
     for t in range(samples):
         encode(gyro[:, t], accel[:, t], core.host, state["encoder"])
         for k in range(t * core.steps, (t + 1) * core.steps):
             step_on_loihi(core.network, states)
             spikes[:, k], potentials[k] = s, v[0]
-            active += (u != 0) | (v != 0) | (bias != 0) | (s != 0)
+            active += (u != 0) | (v != 0) | (a != 0) | (bias != 0) | (s != 0)
         outputs[:, t] = v[:, -core.outputs :] * core.scale
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -14,7 +15,7 @@ from quadsim.runs.files import write_whole
 
 from ..loihi.neurons import DECAY_ONE, STATE_ONE
 from ..networks.encoder import INPUT_MAX, input_scaling
-from ..networks.forward import TIME_CONSTANTS
+from ..networks.forward import MATRICES, TIME_CONSTANTS
 from ..networks.weights_file import EXPONENTS, NetworkConfig, Tensors, exponents, parameters
 
 WORDS = {
@@ -39,6 +40,8 @@ WORDS = {
     },
 }
 """What the templates call the outputs."""
+AFTER_SPIKE_ONLY = re.compile(r"#if AFTER_SPIKE\n(.*?)#endif\n", re.DOTALL)
+"""Parts of the templates for networks with after-spike currents."""
 
 
 def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
@@ -55,10 +58,10 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
     offset, gain = input_scaling(config.inputs)
     integers = {name: value.astype(np.int64) for name, value in tensors.items()}
-    halves = {name: integers[name] // 2 for name in ("w_in", "w_ff", "w_rec", "w_out")}
-    by_source = {name: value.T for name, value in halves.items()}
-    decays = {name: DECAY_ONE - integers[name] for name in TIME_CONSTANTS}
-    shifts = {exp: 7 + exponents(integers, name) for name, exp in EXPONENTS.items()}
+    halves = {name: integers[name] // 2 for name in MATRICES if name in integers}
+    by_source = {name: value.squeeze(1) if name == "w_after" else value.T for name, value in halves.items()}
+    decays = {name: DECAY_ONE - integers[name] for name in TIME_CONSTANTS if name in integers}
+    shifts = {exp: 7 + exponents(integers, name) for name, exp in EXPONENTS.items() if name in integers}
     arrays = {name: _braces(value) for name, value in (by_source | decays | shifts).items()}
     arrays |= {name: str(decays[name][0]) for name in ("syn2", "mem2")}
     values = {
@@ -79,9 +82,10 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         **arrays,
     }
     folder = files("assets") / "c99"
+    texts = {name: (folder / name).read_text(encoding="utf-8") for name in ("att_snn.h", "att_snn.c")}
+    kept = r"\1" if config.after_spike else ""
     return {
-        name: Template((folder / name).read_text(encoding="utf-8")).substitute(values)
-        for name in ("att_snn.h", "att_snn.c")
+        name: Template(AFTER_SPIKE_ONLY.sub(kept, text)).substitute(values) for name, text in texts.items()
     }
 
 

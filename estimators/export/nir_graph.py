@@ -7,10 +7,14 @@ network's own recursion again, with τ = 1 − dt / tau and gains that undo the 
 
 The integers of the chip stand in the metadata of each node. NIR delivers along a chain within a step and
 around a loop after one, so the hidden layer is one step ahead of the chip's, and the outputs two.
+
+A neuron of NIR (CubaLIF) has one current. With after-spike currents a hidden neuron is therefore two leaky
+integrators, `synapse` and `after`, in front of a plain LIF neuron, `hidden`.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import nir
@@ -20,7 +24,7 @@ from numpy.typing import NDArray
 from quadsim.runs.files import replace
 
 from ..networks.encoder import input_scaling
-from ..networks.forward import BIAS_EXP, THRESHOLD
+from ..networks.forward import BIAS_EXP, THRESHOLD, Weights
 from ..networks.network import real_weights
 from ..networks.weights_file import NetworkConfig, Tensors, exponents
 
@@ -51,6 +55,8 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
     nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([6])})}
     edges = []
     for name, (source, target) in CONNECTIONS.items():
+        if config.after_spike and target == "hidden":
+            target = "synapse"
         whole = _integers(config, mantissa=tensors[name], exponent=exponents(tensors, name))
         nodes[name] = nir.Linear(weight=getattr(values, name), metadata=whole)
         edges += [(source, name), (name, target)]
@@ -59,6 +65,10 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
         syn, mem = (np.broadcast_to(getattr(values, name), size) for name in names)
         decays = dict(zip(("du", "dv"), (tensors[name] for name in names), strict=True))
         nodes[layer] = _neurons(layer, syn, mem, step, _integers(config, **decays))
+    if config.after_spike:
+        nodes |= _with_after_spike(config, tensors, values, step)
+        loop = ("hidden", "w_after", "after", "hidden")
+        edges += [("synapse", "hidden"), *pairwise(loop)]
     nodes["finish"] = nir.Output({"output": np.array([config.n_outputs])})
     edges.append(("output", "finish"))
     return nir.NIRGraph(nodes=nodes, edges=edges, metadata=_about(config, step))
@@ -79,6 +89,26 @@ def _neurons(
     if layer == "output":
         return nir.CubaLI(**common)
     return nir.CubaLIF(v_threshold=np.full(len(syn), THRESHOLD), **common)
+
+
+def _with_after_spike(
+    config: NetworkConfig, tensors: Tensors, values: Weights[NDArray], dt: float
+) -> dict[str, nir.NIRNode]:
+    """The hidden layer and the currents in front of it."""
+
+    def leaky(tau: NDArray, decay: str, name: str) -> dict:
+        constant = dt / (1 - tau)
+        whole = _integers(config, **{name: tensors[decay]})
+        return {"tau": constant, "r": constant / dt, "v_leak": np.zeros(len(tau)), "metadata": whole}
+
+    own = _integers(config, mantissa=tensors["w_after"][:, 0], exponent=exponents(tensors, "w_after"))
+    threshold = np.full(config.hidden, THRESHOLD)
+    return {
+        "synapse": nir.LI(**leaky(values.syn1, "syn1", "du")),
+        "w_after": nir.Scale(scale=values.w_after[:, 0], metadata=own),
+        "after": nir.LI(**leaky(values.syn_after, "syn_after", "du")),
+        "hidden": nir.LIF(v_threshold=threshold, **leaky(values.mem1, "mem1", "dv")),
+    }
 
 
 def _integers(config: NetworkConfig, **values: NDArray) -> dict[str, NDArray]:

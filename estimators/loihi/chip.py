@@ -3,17 +3,21 @@
 A chip has 128 cores. The limits of one: 1024 compartments, 128 KiB of synaptic memory, 4096 fan-in and 4096
 fan-out axons (Davies et al. 2018); 32 decay profiles, 16 thresholds and 16 synaptic formats, one for each
 exponent of weights (registers, as in nengo-loihi).
+
+A neuron with an after-spike current takes a second compartment, whose membrane is not used. A decay that a
+compartment does not use, that or the current's of one that no spike enters, may be any: compartments that use
+one decay each share a profile.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .neurons import DECAY_ONE, WEIGHT_EXP_MIN, LoihiLayer
+from .neurons import VTH_MAX, WEIGHT_EXP_MIN, LoihiLayer
 
 Ints = NDArray[np.int64]
 
@@ -30,6 +34,21 @@ LIMITS = {
 """What one core holds."""
 _WEIGHT_BITS, _HEADER_BITS, _BLOCK, _WORD_BITS = 8, 10, 64, 64
 _INDEX_BITS = (6, 7, 8, 9, 10)
+ANY = -1
+"""A decay that a compartment does not use."""
+
+
+@dataclass(frozen=True)
+class Neuron:
+    """What a neuron takes on a core."""
+
+    profiles: frozenset[tuple[int, int]]
+    """(du, dv) of each of its compartments."""
+    thresholds: frozenset[int]
+    """Mantissas of theirs."""
+    compartments: int
+    synapses: tuple[Ints, Ints]
+    """Formats, counted by -exponent, and sources of the spikes that enter it."""
 
 
 @dataclass
@@ -43,9 +62,10 @@ class ChipCore:
     sources: int
     neurons: dict[int, list[int]] = field(default_factory=dict)
     """Layer to the neurons of that layer."""
-    profiles: set[tuple[int, int]] = field(default_factory=set)
+    profiles: frozenset[tuple[int, int]] = frozenset()
     """Distinct (du, dv)."""
-    thresholds: set[int] = field(default_factory=set)
+    thresholds: frozenset[int] = frozenset()
+    compartments: int = 0
     fan_out: int = 0
     """Axons to other cores or to itself."""
 
@@ -56,26 +76,37 @@ class ChipCore:
 
     def used(self) -> dict[str, int]:
         """How much of each limit is used."""
-        count = sum(map(len, self.neurons.values()))
         return {
-            "compartments": count,
-            "profiles": len(self.profiles),
+            "compartments": self.compartments,
+            "profiles": distinct_profiles(self.profiles),
             "thresholds": len(self.thresholds),
             "synaptic formats": int(np.count_nonzero(self.synapses.any(1))),
             "fan-in axons": int(np.count_nonzero(self.synapses.any(0))),
             "fan-out axons": self.fan_out,
-            "synaptic bits": sum(synaptic_bits(each, count) for each in self.synapses),
+            "synaptic bits": sum(synaptic_bits(each, self.compartments) for each in self.synapses),
         }
 
-    def with_neuron(
-        self, layer: int, neuron: int, profile: tuple[int, int], vth: int, inputs: tuple[Ints, Ints]
-    ) -> ChipCore:
-        """A core that holds one neuron more, whose synapses are at these rows and columns of `synapses`."""
-        neurons = {**self.neurons, layer: [*self.neurons.get(layer, ()), neuron]}
-        core = ChipCore(self.sources, neurons, self.profiles | {profile}, self.thresholds | {vth})
+    def with_neuron(self, layer: int, number: int, neuron: Neuron) -> ChipCore:
+        """A core that holds one neuron more."""
+        core = ChipCore(
+            self.sources,
+            {**self.neurons, layer: [*self.neurons.get(layer, ()), number]},
+            self.profiles | neuron.profiles,
+            self.thresholds | neuron.thresholds,
+            self.compartments + neuron.compartments,
+        )
         core.synapses = self.synapses.copy()
-        core.synapses[inputs] += 1
+        np.add.at(core.synapses, neuron.synapses, 1)
         return core
+
+
+def distinct_profiles(profiles: Iterable[tuple[int, int]]) -> int:
+    """Fewest decay profiles that serve these (du, dv), where `ANY` stands for a decay that is not used."""
+    every = set(profiles)
+    whole = {each for each in every if ANY not in each}
+    currents = {du for du, dv in every if dv == ANY} - {du for du, _ in whole}
+    membranes = {dv for du, dv in every if du == ANY} - {dv for _, dv in whole}
+    return len(whole) + max(len(currents), len(membranes))
 
 
 def synaptic_bits(synapses: Ints, compartments: int) -> int:
@@ -123,13 +154,12 @@ def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
     sources = int(starts[-1])
     core, cores = ChipCore(sources), []
     for k, layer in enumerate(layers):
-        fan_in, profiles, vth = _fan_in(layer, int(starts[k])), decay_profiles(layer), np.asarray(layer.vth)
+        neurons, profiles = _neurons(layer, int(starts[k])), decay_profiles(layer)
         for neuron in np.lexsort(profiles.T):
             i = int(neuron)
-            profile = int(profiles[i, 0]), int(profiles[i, 1])
-            grown = core.with_neuron(k, i, profile, int(vth[i]), fan_in[i])
+            grown = core.with_neuron(k, i, neurons[i])
             if excess(grown):
-                alone = ChipCore(sources).with_neuron(k, i, profile, int(vth[i]), fan_in[i])
+                alone = ChipCore(sources).with_neuron(k, i, neurons[i])
                 if wrong := excess(alone):
                     raise ValueError(f"neuron {i} of layer {k}: {wrong[0]}")
                 cores.append(core)
@@ -148,9 +178,9 @@ def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
 
 
 def decay_profiles(layer: LoihiLayer) -> Ints:
-    """(du, dv) of each neuron, (out, 2); du of a layer that no spike enters is free, and stands at 4096."""
+    """(du, dv) of the somas of a layer, (out, 2); du is `ANY` where no spike enters the layer."""
     driven = np.asarray(layer.w_in).shape[1] > 0 or layer.w_rec is not None
-    du = np.asarray(layer.du) if driven else np.full_like(np.asarray(layer.dv), DECAY_ONE)
+    du = np.asarray(layer.du) if driven else np.full_like(np.asarray(layer.dv), ANY)
     return np.stack([du, np.asarray(layer.dv)], axis=1)
 
 
@@ -160,8 +190,26 @@ def _starts(layers: Sequence[LoihiLayer]) -> Ints:
     return np.cumsum(widths)
 
 
+def _neurons(layer: LoihiLayer, start: int) -> list[Neuron]:
+    """What each neuron of a layer takes; `start` is the source that the first of them is."""
+    after, d_after = np.asarray(layer.w_after) != 0, np.asarray(layer.d_after)
+    vth, own_format = np.asarray(layer.vth), -np.asarray(layer.exp_after)
+    neurons = []
+    for i, ((du, dv), (formats, sources)) in enumerate(
+        zip(decay_profiles(layer), _fan_in(layer, start), strict=True)
+    ):
+        profiles, thresholds = {(int(du), int(dv))}, {int(vth[i])}
+        if after[i]:
+            profiles.add((int(d_after[i]), ANY))
+            thresholds.add(VTH_MAX)
+            formats, sources = np.append(formats, own_format[i]), np.append(sources, start + i)
+        compartments = 1 + int(after[i])
+        neurons.append(Neuron(frozenset(profiles), frozenset(thresholds), compartments, (formats, sources)))
+    return neurons
+
+
 def _fan_in(layer: LoihiLayer, start: int) -> list[tuple[Ints, Ints]]:
-    """Formats, counted by -exponent, and sources of the synapses of each neuron of a layer."""
+    """Formats, counted by -exponent, and sources of the synapses of the soma of each neuron of a layer."""
     w_in = np.asarray(layer.w_in)
     weights = w_in if layer.w_rec is None else np.concatenate([w_in, np.asarray(layer.w_rec)], axis=1)
     formats = -np.stack([np.asarray(layer.exp_in), np.asarray(layer.exp_rec)], 1)

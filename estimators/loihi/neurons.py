@@ -4,11 +4,14 @@ All integer; index t is the value after step t; 1.0 is 2^14 state units.
 
     D(x, d)  = sign(x) ((|x| (4096 - d)) >> 12)
     u[t] = wrap23( D(u[t-1], du) + wrap21( Σ W s[t-1] 2^(6 + e) ) )
-    v[t] = clip( D(v[t-1], dv) + u[t] + (bias_mant << bias_exp), ±(2^23 - 1) )
+    a[t] = wrap23( D(a[t-1], d_after) + w_after s[t-1] 2^(6 + e) )
+    v[t] = clip( D(v[t-1], dv) + u[t] + a[t] + (bias_mant << bias_exp), ±(2^23 - 1) )
     s[t] = v[t] > (vth << 6);  v[t] = 0 where s[t]
 
-W are mantissas, e the exponents of their synaptic formats. Every connection, recurrent or not, delivers after
-exactly one step; a bias acts within its step.
+W and w_after are mantissas, e the exponents of their synaptic formats. Every connection, recurrent or not,
+delivers after exactly one step; a bias acts within its step. An after-spike current a is that of a second
+compartment, which the neuron alone has a synapse on and which never spikes; the soma adds its current (an ADD
+join).
 Davies et al., "Loihi: a neuromorphic manycore processor with on-chip learning", IEEE Micro 38 (2018).
 """
 
@@ -55,6 +58,10 @@ class LoihiLayer:
         bias_exp: Exponent of the bias, 0...7, scalar or shape (out,).
         exp_in: Exponent of the weights `w_in` into each neuron, -6...0, scalar or shape (out,).
         exp_rec: The same of `w_rec`.
+        w_after: Mantissas of the weights of the neurons on their own after-spike currents, shape (out,).
+            None: there are no such currents.
+        d_after: Effective decay of these currents, 0...4096, scalar or shape (out,).
+        exp_after: Exponent of `w_after`, -6...0, scalar or shape (out,).
 
     Raises:
         ValueError: A shape that does not fit, or a value that the chip cannot hold.
@@ -69,6 +76,9 @@ class LoihiLayer:
     bias_exp: ArrayLike = 0
     exp_in: ArrayLike = 0
     exp_rec: ArrayLike = 0
+    w_after: ArrayLike | None = None
+    d_after: ArrayLike = DECAY_ONE
+    exp_after: ArrayLike = 0
 
     def __post_init__(self) -> None:
         """Turn everything into checked integer arrays of the layer's size."""
@@ -82,6 +92,10 @@ class LoihiLayer:
         self.bias_exp = _vector("bias_exp", self.bias_exp, size, 0, BIAS_EXP_MAX)
         self.exp_in = _vector("exp_in", self.exp_in, size, WEIGHT_EXP_MIN, 0)
         self.exp_rec = _vector("exp_rec", self.exp_rec, size, WEIGHT_EXP_MIN, 0)
+        own = np.zeros(size) if self.w_after is None else np.asarray(self.w_after)
+        self.w_after = _weights("w_after", own.reshape(-1, 1), size, 1)[:, 0]
+        self.d_after = _vector("d_after", self.d_after, size, 0, DECAY_ONE)
+        self.exp_after = _vector("exp_after", self.exp_after, size, WEIGHT_EXP_MIN, 0)
 
 
 class Chip(NamedTuple):
@@ -101,6 +115,10 @@ class Chip(NamedTuple):
     """Decays of the membrane potentials."""
     vth: Int32s
     """Mantissas of the thresholds."""
+    after: Int32s
+    """Weights of the neurons on their after-spike currents [state units]; (0,) where no neuron has any."""
+    d_after: Int32s
+    """Decays of these currents, of the same shape."""
 
 
 class ChipState(NamedTuple):
@@ -112,6 +130,8 @@ class ChipState(NamedTuple):
     """Currents, shape (n, neurons)."""
     v: Int32s
     """Membrane potentials after the reset, shape (n, neurons)."""
+    a: Int32s
+    """After-spike currents, shape (n, neurons)."""
     bias: Int32s
     """Bias mantissas, shape (n, neurons)."""
 
@@ -151,8 +171,8 @@ class LoihiNetwork:
     def rest(self, n: int) -> ChipState:
         """States of `n` copies at rest."""
         sources, neurons = self.parameters.weights.shape
-        u, v = np.zeros((2, n, neurons), np.int32)
-        return ChipState(np.zeros((n, sources), np.int8), u, v, np.tile(self.bias_mant, (n, 1)))
+        u, v, a = np.zeros((3, n, neurons), np.int32)
+        return ChipState(np.zeros((n, sources), np.int8), u, v, a, np.tile(self.bias_mant, (n, 1)))
 
     def reset(self, n: int = 1) -> None:
         """Set the currents, potentials and spikes of `n` independent copies to zero."""
@@ -264,13 +284,16 @@ def step(chip, state, sources, sums):
         sources: Memory, int32, shape (sources,).
         sums: Zeros, int32, shape (neurons,), to add in; zeros again afterwards.
     """
-    spikes, u, v, bias = state.spikes, state.u, state.v, state.bias
+    spikes, u, v, a, bias = state.spikes, state.u, state.v, state.a, state.bias
     deliver(chip, spikes, sources, sums)
     fired = spikes[spikes.size - u.size :]
+    for j in range(chip.after.size):
+        own = chip.after[j] if fired[j] else np.int32(0)
+        a[j] = wrap(np.int32(decay(a[j], chip.d_after[j]) + own), 23)
     for j in range(u.size):  # without branches, for the vector unit
         arriving = wrap(sums[j], 21)
         current = wrap(np.int32(decay(u[j], chip.du[j]) + arriving), 23)
-        driven = np.int32(decay(v[j], chip.dv[j]) + current + (bias[j] << chip.bias_exp[j]))
+        driven = np.int32(decay(v[j], chip.dv[j]) + current + a[j] + (bias[j] << chip.bias_exp[j]))
         potential = min(max(driven, np.int32(-STATE_MAX)), np.int32(STATE_MAX))
         fires = potential > chip.vth[j] << 6
         u[j], sums[j] = current, 0
@@ -282,7 +305,7 @@ def _step_all(chip, state):
     """One step of all copies, whose states are rows."""
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(state.u.shape[0]):
-        copy = ChipState(state.spikes[n], state.u[n], state.v[n], state.bias[n])
+        copy = ChipState(state.spikes[n], state.u[n], state.v[n], state.a[n], state.bias[n])
         step(chip, copy, sources, sums)
 
 
@@ -304,11 +327,13 @@ def _chip(layers: Sequence[LoihiLayer]) -> Chip:
             weights[sources, own] = np.asarray(w_rec).T << (6 + np.asarray(layer.exp_rec))
         first[sources], end[sources] = own.stop if w_rec is None else own.start, own.stop
         below = sources
-    vectors = (
+    bias_exp, du, dv, vth, w_after, exp_after, d_after = (
         np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int32)
-        for name in ("bias_exp", "du", "dv", "vth")
+        for name in ("bias_exp", "du", "dv", "vth", "w_after", "exp_after", "d_after")
     )
-    return Chip(weights, first, end, *vectors)
+    used = slice(None if w_after.any() else 0)
+    after = w_after[used] << (6 + exp_after[used])
+    return Chip(weights, first, end, bias_exp, du, dv, vth, after, d_after[used])
 
 
 def _layer_size(layer: LoihiLayer) -> int:

@@ -55,7 +55,7 @@ class Weights(NamedTuple, Generic[Values]):
     w_out: Values
     """Hidden layer to outputs, shape (outputs, h1)."""
     w_after: Values
-    """Hidden neurons to their own after-spike currents, shape (h1, 1), or (h1, 0) in a network without them."""
+    """Hidden neurons to their own after-spike currents, shape (h1, 1); (h1, 0) in a network without."""
     syn0: Values
     """τ_syn of the encoding layer, shape (h0,)."""
     mem0: Values

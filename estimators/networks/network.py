@@ -8,7 +8,7 @@ gets the initial attitude. Nothing here imports torch: inference is compiled.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple, Protocol, Unpack
+from typing import Any, NamedTuple, Protocol, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -216,6 +216,7 @@ class LoihiState(NamedTuple):
     spikes: NDArray[np.int8]
     u: NDArray[np.int32]
     v: NDArray[np.int32]
+    a: NDArray[np.int32]
     bias: NDArray[np.int32]
 
 
@@ -231,6 +232,10 @@ class OnLoihi:
         if not config.quantised or config.recurrent_delay != 1:
             raise ValueError("att-snn-loihi needs quantised weights and a recurrent delay of 1")
         w = {name: value.astype(np.int64) for name, value in tensors.items()}
+        after: dict[str, NDArray[Any]] = {}
+        if config.after_spike:
+            after = {"w_after": w["w_after"][:, 0], "d_after": w["syn_after"]}
+            after["exp_after"] = exponents(w, "w_after")
         self.chip = LoihiNetwork(
             [
                 LoihiLayer(w_in=None, dv=w["mem0"], bias_exp=BIAS_EXP),
@@ -241,6 +246,7 @@ class OnLoihi:
                     dv=w["mem1"],
                     exp_in=exponents(w, "w_ff"),
                     exp_rec=exponents(w, "w_rec"),
+                    **after,
                 ),
                 LoihiLayer(w_in=w["w_out"], du=w["syn2"], dv=w["mem2"], vth=VTH_MAX),
             ]
@@ -254,7 +260,7 @@ class OnLoihi:
         self.network = packed(self.host._asdict() | self.chip.parameters._asdict() | settings)
         first, neurons = self.chip.sizes[0], sum(self.chip.sizes)
         layout = {"encoder": (ENCODER, ()), "current": (np.int32, (first,)), "spikes": (np.int8, (neurons,))}
-        self.state = block_type(layout | {name: (np.int32, (neurons,)) for name in ("u", "v", "bias")})
+        self.state = block_type(layout | {name: (np.int32, (neurons,)) for name in ("u", "v", "a", "bias")})
 
     def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
         """Take samples (n, 3 T) twice, write the outputs (n, outputs T)."""
@@ -294,7 +300,8 @@ def roll_pitch_of_outputs(outputs: Array) -> Array:
 def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
     """Weights and time constants of a spiking network in units of 1.0."""
     none = {"w_after": np.zeros((config.hidden, 0)), "syn_after": np.zeros(0)}
-    values = {name: tensors.get(name, none.get(name)).astype(np.float64) for name in Weights._fields}
+    tensors = none | tensors
+    values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
     if config.quantised:
         for name in MATRICES:
             values[name] *= np.exp2(exponents(tensors, name).astype(np.float64) - 8)[:, None]
@@ -330,21 +337,23 @@ def host_and_chip(block):
     weights, first, end = matrix(block, 4, np.int16), vector(block, 5, np.int32), vector(block, 6, np.int32)
     bias_exp, du = vector(block, 7, np.int32), vector(block, 8, np.int32)
     dv, vth = vector(block, 9, np.int32), vector(block, 10, np.int32)
-    return host, Chip(weights, first, end, bias_exp, du, dv, vth)
+    after, d_after = vector(block, 11, np.int32), vector(block, 12, np.int32)
+    return host, Chip(weights, first, end, bias_exp, du, dv, vth, after, d_after)
 
 
 @njit(cache=True)
 def loihi_state(block):
     """`LoihiState` in the block of a copy's state, in compiled code."""
     current, spikes = vector(block, 1, np.int32), vector(block, 2, np.int8)
-    u, v, bias = vector(block, 3, np.int32), vector(block, 4, np.int32), vector(block, 5, np.int32)
-    return LoihiState(current, spikes, u, v, bias)
+    u, v = vector(block, 3, np.int32), vector(block, 4, np.int32)
+    a, bias = vector(block, 5, np.int32), vector(block, 6, np.int32)
+    return LoihiState(current, spikes, u, v, a, bias)
 
 
 @njit(cache=True, nogil=True)
 def _run_on_loihi(gyro, accel, network, states, out):
     host, chip = host_and_chip(network)
-    steps, scale, count = vector(network, 11, np.float64)
+    steps, scale, count = vector(network, 13, np.float64)
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
         encoder, state = vector(states[n], 0, ENCODER)[0], loihi_state(states[n])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from estimators.loihi.chip import LIMITS, decay_profiles, partition, synaptic_bits
+from estimators.loihi.chip import ANY, LIMITS, decay_profiles, distinct_profiles, partition, synaptic_bits
 from estimators.loihi.neurons import LoihiLayer
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import OnLoihi
@@ -80,6 +80,28 @@ def test_no_more_profiles_are_left_than_asked_for():
         layers = OnLoihi(config, share_profiles(tensors, profiles)).chip.layers
         together = np.unique(np.concatenate([decay_profiles(layer) for layer in layers]), axis=0)
         assert len(together) <= profiles
+
+
+def test_an_after_spike_current_takes_a_compartment_a_synapse_and_a_format():
+    hidden = LoihiLayer(
+        w_in=ones(10, 4), du=7, dv=9, w_after=[2] * 6 + [0] * 4, d_after=np.arange(1, 11), exp_after=-3
+    )
+    plain, after = (
+        partition([LoihiLayer(w_in=None, dv=[3, 4, 5, 6]), layer])[0].used()
+        for layer in (LoihiLayer(w_in=ones(10, 4), du=7, dv=9), hidden)
+    )
+    assert (plain["compartments"], after["compartments"]) == (14, 20)
+    assert (plain["synaptic formats"], after["synaptic formats"]) == (1, 2)
+    assert (plain["fan-in axons"], after["fan-in axons"]) == (4, 10)
+    assert after["synaptic bits"] > plain["synaptic bits"]
+    # The second compartments use no membrane, the encoders no current: four of the six share their profiles.
+    assert (plain["profiles"], after["profiles"]) == (5, 7)
+
+
+def test_profiles_with_a_decay_that_is_not_used_are_shared():
+    assert distinct_profiles({(1, 2), (1, ANY), (ANY, 2)}) == 1
+    assert distinct_profiles({(5, ANY), (6, ANY), (ANY, 2)}) == 2
+    assert distinct_profiles({(1, 2), (1, 3), (5, ANY), (ANY, 9)}) == 3
 
 
 def test_each_exponent_of_weights_is_a_format_with_lists_of_its_own():

@@ -20,7 +20,7 @@ def wrapped(x, bits):
 
 def reference(layers, spikes, biases):
     """States of every layer after every step: (u, v, s), each a list of lists."""
-    u, v, s = ([[0] * len(layer["du"]) for layer in layers] for _ in range(3))
+    u, v, s, a = ([[0] * len(layer["du"]) for layer in layers] for _ in range(4))
     history, external = [], [0] * len(spikes[0])
     for t, arriving in enumerate(spikes):
         before = [external, *[list(each) for each in s]]
@@ -31,7 +31,10 @@ def reference(layers, spikes, biases):
                     total += sum(w * x for w, x in zip(layer["w_rec"][i], before[k + 1], strict=True))
                 u[k][i] = wrapped(decayed(u[k][i], layer["du"][i]) + wrapped(total * 64, 21), 23)
                 bias = biases[t][i] if k == 0 else layer["bias_mant"][i]
-                new = decayed(v[k][i], layer["dv"][i]) + u[k][i] + bias * 2 ** layer["bias_exp"][i]
+                own = layer["w_after"][i] * before[k + 1][i] * 2 ** (6 + layer["exp_after"][i])
+                a[k][i] = wrapped(decayed(a[k][i], layer["d_after"][i]) + own, 23)
+                new = decayed(v[k][i], layer["dv"][i]) + u[k][i] + a[k][i]
+                new += bias * 2 ** layer["bias_exp"][i]
                 new = max(-(2**23) + 1, min(2**23 - 1, new))
                 s[k][i] = int(new > layer["vth"][i] * 64)
                 v[k][i] = 0 if s[k][i] else new
@@ -65,6 +68,9 @@ def networks(draw):
                 "vth": pick(0, 3000, 0, 1, 128, 131071),
                 "bias_mant": pick(-4096, 4096, -4096, 0, 4095),
                 "bias_exp": pick(0, 8, 0, 6, 7),
+                "w_after": 2 * rng.integers(-128, 128, width) * draw(st.booleans()),
+                "d_after": pick(0, 4097, 0, 1, 4096),
+                "exp_after": pick(-6, 1, -6, 0),
             }
         )
         below = width

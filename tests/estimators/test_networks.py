@@ -42,13 +42,17 @@ def random_snn(config, seed=0):
         if not name.startswith("w_"):
             tensors[name] = np.clip(np.exp(rng.uniform(0.0, 8.3, shape)), 1, 4096).astype(np.int16)
             continue
-        scale = {"w_in": 40, "w_ff": 50, "w_rec": 30, "w_out": 60}[name]
+        scale = {"w_in": 40, "w_ff": 50, "w_rec": 30, "w_out": 60, "w_after": 60}[name]
         tensors[name] = (2 * np.clip(np.rint(rng.normal(0, scale / 2, shape)), -128, 127)).astype(np.int16)
-    return tensors | random_exponents(config.hidden, rng)
+    return tensors | random_exponents(tensors, rng)
 
 
-def random_exponents(hidden, rng):
-    return {name: rng.integers(-6, 1, hidden).astype(np.int16) for name in EXPONENTS.values()}
+def random_exponents(tensors, rng):
+    return {
+        exponent: rng.integers(-6, 1, len(tensors[name])).astype(np.int16)
+        for name, exponent in EXPONENTS.items()
+        if name in tensors
+    }
 
 
 def random_rnn(config, seed=0):
@@ -63,7 +67,9 @@ def outputs(request):
 
 @pytest.fixture
 def snn_file(tmp_path, outputs):
-    config = NetworkConfig(model="att-snn", outputs=outputs, output_scale=1 / 256)
+    config = NetworkConfig(
+        model="att-snn", outputs=outputs, output_scale=1 / 256, after_spike=outputs == "up"
+    )
     save_network(tmp_path / "snn.safetensors", config, random_snn(config))
     return tmp_path / "snn.safetensors"
 
@@ -98,6 +104,7 @@ def same_spikes_for(weights, steps, seed, steps_per_sample=1):
         np.testing.assert_array_equal(hidden, np.flatnonzero(on_chip["spikes"][h0:both]))
         np.testing.assert_array_equal(state["u0"], on_chip["current"])
         np.testing.assert_array_equal(state["u1"], on_chip["u"][h0:both])
+        np.testing.assert_array_equal(state["a1"], on_chip["a"][h0:both])
         np.testing.assert_array_equal(state["v2"], on_chip["v"][both:])
         if config.outputs == "up":
             np.testing.assert_array_equal(floats.up[0], state["v2"] * config.output_scale / 2**14 + [0, 0, 1])
@@ -305,7 +312,10 @@ def test_outputs_integrate_the_spikes_of_the_hidden_layer_alone(snn_file, steps)
 
 @pytest.mark.parametrize("delay", [1, 2])
 def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
-    config = NetworkConfig(model="att-snn", quantised=False, encoding=12, hidden=9, recurrent_delay=delay)
+    sizes = {"encoding": 12, "hidden": 9}
+    config = NetworkConfig(
+        model="att-snn", quantised=False, **sizes, recurrent_delay=delay, after_spike=delay == 1
+    )
     rng = np.random.default_rng(0)
     tensors = {
         name: rng.normal(0, 0.5, shape) if name.startswith("w_") else rng.uniform(0.3, 0.95, shape)
@@ -313,7 +323,7 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
     }
     save_network(tmp_path / "w", config, tensors)
     gyro, accel = samples(2, 100)
-    weights = Weights(*(torch.tensor(tensors[name]) for name in Weights._fields))
+    weights = Weights(*map(torch.tensor, real_weights(config, tensors)))
     x = torch.tensor(scaled_inputs(config.inputs, gyro, accel))
     expected, _, hidden = forward(x, weights, recurrent_delay=delay)
     assert hidden.mean() > 0.05

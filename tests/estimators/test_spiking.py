@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 import torch
 
 from estimators.spiking import (
@@ -7,16 +8,19 @@ from estimators.spiking import (
     forward,
     quantise_decay,
     quantise_weights,
+    states,
     superspike,
     weight_exponents,
 )
 
 
-def chain(w_rec=0.0, tau=0.5):
+def chain(w_rec=0.0, tau=0.5, w_after=None):
     """One encoder that fires on every large input, one hidden neuron, one output."""
     one = torch.ones(1, 1, dtype=torch.float64)
     taus = [torch.full((1,), tau, dtype=torch.float64)] * 6
-    return Weights(torch.cat([one] + [0 * one] * 5, 1), one * 0.75, one * w_rec, one, *taus)
+    after, tau_after = (one[:, :0], one[0, :0]) if w_after is None else (one * w_after, taus[0])
+    w_in = torch.cat([one] + [0 * one] * 5, 1)
+    return Weights(w_in, one * 0.75, one * w_rec, one, after, *taus, tau_after)
 
 
 def test_superspike_is_a_step_with_the_gradient_of_the_paper():
@@ -48,6 +52,20 @@ def test_neuron_follows_the_written_equations():
         v = 0.0 if v > 0.5 else v
 
 
+@pytest.mark.parametrize("w_after", [-0.4, 0.3])
+def test_a_spike_leaves_a_current_in_its_own_neuron_that_decays(w_after):
+    x = torch.zeros(1, 30, 6, dtype=torch.float64)
+    x[0, 0, 0] = 1.0
+    every = states(x, chain(tau=0.5, w_after=w_after))
+    spikes = np.array([float(each.s1) for each in every])
+    assert spikes.sum() >= 1
+    expected = [w_after * sum(spikes[k] * 0.5 ** (t - 1 - k) for k in range(t)) for t in range(30)]
+    np.testing.assert_allclose([float(each.a1) for each in every], expected, atol=1e-15)
+    without = states(x, chain(tau=0.5))
+    assert torch.equal(every[0].v1, without[0].v1)
+    assert (every[10].v1 - without[10].v1) * w_after > 0
+
+
 def test_recurrent_delay_of_two_is_the_papers_convention():
     """v[t+1] = τ v[t] + i[t], i[t+1] = τ i[t] + W s[t], spikes of v: as printed in the paper."""
     rng = np.random.default_rng(0)
@@ -61,7 +79,9 @@ def test_recurrent_delay_of_two_is_the_papers_convention():
         torch.tensor(w_ff),
         torch.tensor(w_rec),
         torch.ones(2, 7, dtype=torch.float64),
+        torch.zeros(7, 0),
         *taus,
+        torch.zeros(0),
     )
     _, encoding, hidden = forward(x, w, recurrent_delay=2)
     v, i = np.zeros(7), np.zeros(7)
@@ -104,7 +124,8 @@ def test_a_row_of_small_weights_has_finer_steps_down_to_the_finest():
 def test_quantised_states_are_whole():
     x = torch.zeros(1, 30, 6, dtype=torch.float64)
     x[0, :, 0] = 0.25
-    w = Weights(*(quantise_weights(k) if n.startswith("w") else k for n, k in chain()._asdict().items()))
+    exact = chain(w_after=0.3)._asdict()
+    w = Weights(*(quantise_weights(k) if n.startswith("w") else k for n, k in exact.items()))
     out, _, _ = forward(x, w, quantised=True)
     scaled = out * STATE_ONE
     np.testing.assert_array_equal(scaled, torch.round(scaled))

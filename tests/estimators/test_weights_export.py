@@ -25,13 +25,16 @@ from estimators.spiking import Weights, forward
 
 def random_snn(config, seed=0):
     rng = np.random.default_rng(seed)
-    return {
+    tensors = {
         name: (2 * rng.integers(-60, 61, shape)).astype(np.int16)
         if name.startswith("w_")
         else rng.integers(1, 2000, shape).astype(np.int16)
         for name, shape in expected_shapes(config).items()
-    } | {
-        name: rng.integers(-6 * (seed % 2), 1, config.hidden).astype(np.int16) for name in EXPONENTS.values()
+    }
+    return tensors | {
+        exponent: rng.integers(-6 * (seed % 2), 1, config.hidden).astype(np.int16)
+        for name, exponent in EXPONENTS.items()
+        if name in tensors
     }
 
 
@@ -51,14 +54,14 @@ def compiled(tmp_path, request):
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
 
-    def build(weights, h0, h1, outputs):
+    def build(weights, h0, h1, outputs, after_spike=False):
         export_weights(weights, tmp_path / "c", "c99")
         driver = request.path.parents[1] / "data" / "loihi" / "driver.c"
         flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
         sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
         subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
         sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1)]
-        sizes += [("u2", outputs), ("v2", outputs)]
+        sizes += [("a1", h1)] * after_spike + [("u2", outputs), ("v2", outputs)]
         fields = [(name, np.int32, size) for name, size in sizes]
         spikes = [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
         state = np.dtype([*fields, *spikes, ("skipped", np.uint32)], align=True)
@@ -75,8 +78,13 @@ def compiled(tmp_path, request):
     return build
 
 
-@pytest.mark.parametrize(("seed", "outputs"), [(None, ""), (0, "roll-pitch"), (1, "roll-pitch"), (1, "up")])
-def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed, outputs):
+@pytest.mark.parametrize(
+    ("seed", "outputs", "after_spike"),
+    [(None, "", False), (0, "roll-pitch", False), (1, "roll-pitch", False), (1, "up", True)],
+)
+def test_c_source_equals_the_emulator_in_every_state_of_every_step(
+    compiled, tmp_path, seed, outputs, after_spike
+):
     if seed is None:
         config, tensors = shipped_network("att-snn")
         weights = "att-snn"
@@ -89,21 +97,23 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp
             steps_per_sample=1 + seed,
             outputs=outputs,
             output_scale=scale,
+            after_spike=after_spike,
         )
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
         save_network(weights, config, tensors)
     h0, h1, last = config.encoding, config.hidden, -config.n_outputs
     gyro, accel = readings(4000)
-    states = compiled(weights, h0, h1, config.n_outputs)(np.concatenate([gyro, accel], 1))
+    states = compiled(weights, h0, h1, config.n_outputs, after_spike)(np.concatenate([gyro, accel], 1))
     est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
     state = est.states[0]
-    encoder, u, v, spikes = (state[name] for name in ("encoder", "u", "v", "spikes"))
+    encoder, u, v, a, spikes = (state[name] for name in ("encoder", "u", "v", "a", "spikes"))
     for t, (theirs, attitude) in enumerate(states):
         out = est.update(gyro[t : t + 1], accel[t : t + 1])
         expected = {"input": encoder["inputs"], "skipped": encoder["missing"]}
         expected |= {"u0": state["current"], "u1": u[h0:last], "u2": u[last:]}
         expected |= {"v0": v[:h0], "v1": v[h0:last], "v2": v[last:]}
         expected |= {"s0": spikes[:h0], "s1": spikes[h0:last]}
+        expected |= {"a1": a[h0:last]} if after_spike else {}
         for name, value in expected.items():
             np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
         ours = out[0] if est.up is None else est.up[0]

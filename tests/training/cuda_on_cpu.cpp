@@ -126,9 +126,10 @@ void launch(int blocks, Kernel kernel) {
 
 extern "C" void forward(int steps, int n, void** p) {
   launch(n / SEQUENCES, [=] {
-    forward_window(steps, n, (int16*)p[0], (int8*)p[1], (int*)p[2], (int8*)p[3], (int*)p[4], (int*)p[5],
+    forward_window(steps, n, (int16*)p[0], (int8*)p[1], (int*)p[2], (int*)p[3], (int8*)p[4], (int*)p[5],
                    (int*)p[6], (int*)p[7], (int*)p[8], (int*)p[9], (int*)p[10], (int*)p[11], (int*)p[12],
-                   (int*)p[13], (int*)p[14], (int*)p[15], (bf16*)p[16], (unsigned long long*)p[17]);
+                   (int*)p[13], (int*)p[14], (int*)p[15], (int*)p[16], (int*)p[17], (int*)p[18], (bf16*)p[19],
+                   (unsigned long long*)p[20]);
   });
 }
 extern "C" void outputs(int steps, int n, void** p) {
@@ -140,7 +141,8 @@ extern "C" void outputs(int steps, int n, void** p) {
 extern "C" void backward(int steps, int n, void** p) {
   launch(n / SEQUENCES, [=] {
     backward_window(steps, n, (int16*)p[0], (int8*)p[1], (int*)p[2], (float*)p[3], (float*)p[4], (float*)p[5],
-                    (float*)p[6], (float*)p[7], (float*)p[8], (int*)p[9], (int*)p[10], (int*)p[11],
-                    (int*)p[12], (float*)p[13], (bf16*)p[14], (float*)p[15]);
+                    (float*)p[6], (float*)p[7], (float*)p[8], (float*)p[9], (float*)p[10], (int*)p[11],
+                    (int*)p[12], (int*)p[13], (int*)p[14], (int*)p[15], (float*)p[16], (bf16*)p[17],
+                    (float*)p[18]);
   });
 }

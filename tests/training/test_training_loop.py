@@ -99,7 +99,7 @@ def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model, outp
 def test_a_run_on_up_is_judged_by_the_inclination_and_goes_on(dataset, tmp_path):
     rows = []
     more = {"outputs": "up", "batches": 30, "window_s": 1.0, "pruning_target": 600, "rate_cost": 0.0}
-    more |= {"finest_exponent": -6}
+    more |= {"finest_exponent": -6, "after_spike": True}
     result = train(
         data=dataset, out=tmp_path / "run", progress=lambda row, config: rows.append(row), **TINY | more
     )

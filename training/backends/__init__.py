@@ -46,8 +46,11 @@ class Backend(Protocol):
         ...
 
     def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], ...]:
-        """Largest currents of the encoding (h0,) and hidden neurons (h1,) and after-spike currents (h1,) in
-        each `every`th step of it; the last empty or 0 in a network without them."""
+        """Largest currents in each `every`th step of it.
+
+        Of the encoding (h0,) and hidden neurons (h1,), and after-spike ones (h1,); in a network without
+        these they are 0, or none.
+        """
         ...
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Backend:

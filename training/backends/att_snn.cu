@@ -82,17 +82,17 @@ __device__ __forceinline__ void write_sum(float* to, float x) {
   if (threadIdx.x % 4 == 0) *to = x;
 }
 
-// Trace, row 0 before the window: u, v of each layer int32 (T + 1, n, h); spikes (T + 1, n, SOURCES) bf16.
-// w: mantissas / 2, (H1, SOURCES), times 2^shift state units, shifts (2, H1) of the encoding and the hidden
-// layer's spikes; w_out (OUTPUTS, H1); w_in (H0, INPUTS) mantissas. k*: 4096 τ. x (T, n, 8) in 1/1024. totals:
-// spikes of both layers.
+// Trace, row 0 before the window: u, v of each layer int32 (T + 1, n, h), after-spike currents a1 of the hidden
+// one; spikes (T + 1, n, SOURCES) bf16. w: mantissas / 2, (H1, SOURCES), times 2^shift state units, shifts
+// (2, H1) of the encoding and the hidden layer's spikes; w_after (H1) state units; w_out (OUTPUTS, H1); w_in
+// (H0, INPUTS) mantissas. k*: 4096 τ. x (T, n, 8) in 1/1024. totals: spikes of both layers.
 extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
     const int steps, const int n, const int16* __restrict__ x, const int8* __restrict__ w,
-    const int* __restrict__ shifts,
+    const int* __restrict__ shifts, const int* __restrict__ w_after,
     const int8* __restrict__ w_out, const int* __restrict__ w_in, const int* __restrict__ k_syn0,
     const int* __restrict__ k_mem0, const int* __restrict__ k_syn1, const int* __restrict__ k_mem1,
-    const int* __restrict__ k_out, int* __restrict__ u0, int* __restrict__ v0,
-    int* __restrict__ u1, int* __restrict__ v1, int* __restrict__ u2, int* __restrict__ v2,
+    const int* __restrict__ k_after, const int* __restrict__ k_out, int* __restrict__ u0, int* __restrict__ v0,
+    int* __restrict__ u1, int* __restrict__ v1, int* __restrict__ u2, int* __restrict__ v2, int* __restrict__ a1,
     bf16* __restrict__ spikes, unsigned long long* __restrict__ totals) {
   __shared__ __align__(16) uint8 sent[2][SEQUENCES][SPIKE_ROW];
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, t4 = lane % 4;
@@ -105,9 +105,9 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
   if (reads)
     for (int k = 0; k < H1 / 32; k++) load_int8(a_out[k], w_out, H1, OUTPUTS, 0, 32 * k);
 
-  int cu0[4], cv0[4], cu1[4], cv1[4], cu2[4], cv2[4], in[2][INPUTS];
-  int by_first[2], by_second[2];
-  uint32 syn0[2], mem0[2], syn1[2], mem1[2];
+  int cu0[4], cv0[4], cu1[4], cv1[4], ca1[4], cu2[4], cv2[4], in[2][INPUTS];
+  int by_first[2], by_second[2], own[2];
+  uint32 syn0[2], mem0[2], syn1[2], mem1[2], after[2];
   const uint32 syn2 = (uint32)k_out[0] << 20, mem2 = (uint32)k_out[1] << 20;
   for (int r = 0; r < 2; r++) {
     int i = row + 8 * r;
@@ -118,6 +118,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
     if (hides) {
       syn1[r] = (uint32)k_syn1[i] << 20, mem1[r] = (uint32)k_mem1[i] << 20;
       by_first[r] = 1 << shifts[i], by_second[r] = 1 << shifts[H1 + i];
+      own[r] = w_after[i], after[r] = (uint32)k_after[i] << 20;
     }
   }
   for (int c = 0; c < 4; c++) {
@@ -128,7 +129,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
       spikes[b * SOURCES + i] = cv0[c] > THRESHOLD ? 0x3f80 : 0;
     }
     if (hides) {
-      cu1[c] = u1[b * H1 + i], cv1[c] = v1[b * H1 + i];
+      cu1[c] = u1[b * H1 + i], cv1[c] = v1[b * H1 + i], ca1[c] = a1[b * H1 + i];
       sent[0][seq][H0 + i] = cv1[c] > THRESHOLD;
       spikes[b * SOURCES + H0 + i] = cv1[c] > THRESHOLD ? 0x3f80 : 0;
     }
@@ -162,13 +163,14 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
         int arriving = wrap21(first_sum[c] * by_first[r] + second_sum[c] * by_second[r]);
         int current = wrap23(decay(cu1[c], syn1[r]) + arriving);
         cu1[c] = current;
-        int v = clipped(decay(cv1[c] > THRESHOLD ? 0 : cv1[c], mem1[r]) + current, V_MAX);
+        ca1[c] = wrap23(decay(ca1[c], after[r]) + (cv1[c] > THRESHOLD ? own[r] : 0));
+        int v = clipped(decay(cv1[c] > THRESHOLD ? 0 : cv1[c], mem1[r]) + current + ca1[c], V_MAX);
         bool spike = v > THRESHOLD;
         cv1[c] = v;
         count1 += spike;
         sent[now ^ 1][seq][H0 + i] = spike;
         spikes[b * SOURCES + H0 + i] = spike ? 0x3f80 : 0;
-        u1[b * H1 + i] = cu1[c], v1[b * H1 + i] = v;
+        u1[b * H1 + i] = cu1[c], v1[b * H1 + i] = v, a1[b * H1 + i] = ca1[c];
       }
       if (encodes) {
         const int16* values = (const int16*)&sample[c % 2];
@@ -203,10 +205,11 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) forward_window(
 // sums (blocks, ...): per block gradients, see the layout at the end.
 extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
     const int steps, const int n, const int16* __restrict__ x, const int8* __restrict__ w,
-    const int* __restrict__ shifts, const float* __restrict__ w_out, const float* __restrict__ tau_syn0,
-    const float* __restrict__ tau_mem0, const float* __restrict__ tau_syn1, const float* __restrict__ tau_mem1,
+    const int* __restrict__ shifts, const float* __restrict__ w_after, const float* __restrict__ w_out,
+    const float* __restrict__ tau_syn0, const float* __restrict__ tau_mem0, const float* __restrict__ tau_syn1,
+    const float* __restrict__ tau_mem1, const float* __restrict__ tau_after,
     const float* __restrict__ costs, const int* __restrict__ u0, const int* __restrict__ v0,
-    const int* __restrict__ u1, const int* __restrict__ v1,
+    const int* __restrict__ u1, const int* __restrict__ v1, const int* __restrict__ a1_trace,
     const float* __restrict__ grad2, bf16* __restrict__ du, float* __restrict__ sums) {
 #if SHARED_WEIGHTS
 #ifndef EMULATED
@@ -239,20 +242,21 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
 #endif
     if (hides) load_transposed(a1[k], w, SOURCES, H0 + 16 * warp, 16 * k, shifts + H1);
   }
-  float syn0[2], mem0[2], syn1[2], mem1[2], out[2][OUTPUTS];
+  float syn0[2], mem0[2], syn1[2], mem1[2], after[2], own[2], out[2][OUTPUTS];
   float in[2][INPUTS], sum_syn0[2] = {0, 0}, sum_mem0[2] = {0, 0}, sum_syn1[2] = {0, 0}, sum_mem1[2] = {0, 0};
+  float sum_after[2] = {0, 0}, sum_own[2] = {0, 0};
   for (int r = 0; r < 2; r++) {
     int i = row + 8 * r;
     if (encodes) syn0[r] = tau_syn0[i], mem0[r] = tau_mem0[i];
     for (int k = 0; k < INPUTS; k++) in[r][k] = 0;
     if (hides) {
-      syn1[r] = tau_syn1[i], mem1[r] = tau_mem1[i];
+      syn1[r] = tau_syn1[i], mem1[r] = tau_mem1[i], after[r] = tau_after[i], own[r] = w_after[i];
       for (int o = 0; o < OUTPUTS; o++) out[r][o] = w_out[o * H1 + i];
     }
   }
   float du0[4] = {0, 0, 0, 0}, dv0[4] = {0, 0, 0, 0}, du1[4] = {0, 0, 0, 0}, dv1[4] = {0, 0, 0, 0};
-  float down0[4] = {0, 0, 0, 0}, down1[4] = {0, 0, 0, 0};
-  int now0[4], now1[4], nv0[4], nv1[4], nu0[4], nu1[4];  // potentials of this step; of the one before, currents
+  float down0[4] = {0, 0, 0, 0}, down1[4] = {0, 0, 0, 0}, da1[4] = {0, 0, 0, 0};
+  int now0[4], now1[4], nv0[4], nv1[4], nu0[4], nu1[4], na1[4];  // potentials of this step; of the one before, currents
   int4 next_x[2];
   float4 next_grad[2][READ / 4];
 
@@ -267,6 +271,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
       if (hides) {
         now1[c] = v1[(at + seq) * H1 + i];
         nv1[c] = v1[(before + seq) * H1 + i], nu1[c] = u1[(before + seq) * H1 + i];
+        na1[c] = a1_trace[(before + seq) * H1 + i];
       }
     }
     for (int s = 0; s < 2; s++) {
@@ -277,13 +282,13 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
   }
   int side = 0;
   for (int t = steps - 1; t >= 0; t--) {
-    int pv0[4], pv1[4], pu0[4], pu1[4];
+    int pv0[4], pv1[4], pu0[4], pu1[4], pa1[4];
     const int4 sample[2] = {next_x[0], next_x[1]};
     float4 of_output[2][READ / 4];
     for (int s = 0; s < 2; s++)
       for (int q = 0; q < READ / 4; q++) of_output[s][q] = next_grad[s][q];
     for (int c = 0; c < 4; c++) {
-      pv0[c] = nv0[c], pv1[c] = nv1[c], pu0[c] = nu0[c], pu1[c] = nu1[c];
+      pv0[c] = nv0[c], pv1[c] = nv1[c], pu0[c] = nu0[c], pu1[c] = nu1[c], pa1[c] = na1[c];
     }
     if (t > 0) {  // what the next turn needs
       const long long before = (long long)(t - 1) * n + first;
@@ -292,7 +297,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
         const int i = row + 8 * (c / 2);
         const long long b = before + 2 * t4 + c % 2;
         if (encodes) nv0[c] = v0[b * H0 + i], nu0[c] = u0[b * H0 + i];
-        if (hides) nv1[c] = v1[b * H1 + i], nu1[c] = u1[b * H1 + i];
+        if (hides) nv1[c] = v1[b * H1 + i], nu1[c] = u1[b * H1 + i], na1[c] = a1_trace[b * H1 + i];
       }
       for (int s = 0; s < 2; s++) {
         next_x[s] = *(const int4*)(x + (before + 2 * t4 + s) * 8);
@@ -306,7 +311,7 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
       const long long b = (long long)t * n + first + seq;
       if (hides) {
         const float* read = (const float*)of_output[c % 2];
-        float ds = down1[c] * unit + cost1;
+        float ds = down1[c] * unit + cost1 + own[r] * da1[c];  // da1 is of the step after
         for (int o = 0; o < OUTPUTS; o++) ds += read[o] * out[r][o];
         float v = now1[c] * unit, start = pv1[c] > THRESHOLD ? 0.0f : pv1[c] * unit;
         float slope = 1.0f + width * fabsf(v - 0.5f);
@@ -315,6 +320,9 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
         du1[c] = d + syn1[r] * du1[c];
         sum_mem1[r] += d * start;
         sum_syn1[r] += du1[c] * (pu1[c] * unit);
+        da1[c] = d + after[r] * da1[c];
+        sum_after[r] += da1[c] * (pa1[c] * unit);
+        sum_own[r] += pv1[c] > THRESHOLD ? da1[c] : 0.0f;
         bf16 upper = to_bf16(du1[c]), lower = to_bf16(du1[c] - from_bf16(upper));
         high[side][seq][i] = upper, low[side][seq][i] = lower;
         du[(b * 2) * H1 + i] = upper, du[(b * 2 + 1) * H1 + i] = lower;
@@ -353,8 +361,8 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
     }
     side ^= 1;
   }
-  // Per block: (H0, INPUTS + 2) of the encoding layer, then (H1, 2) of the hidden one: τ_syn, τ_mem.
-  float* to0 = sums + (long long)blockIdx.x * (H0 * (INPUTS + 2) + H1 * 2);
+  // Per block: (H0, INPUTS + 2) of the encoding layer, then (H1, 4) of the hidden one: τ_syn, τ_mem, w_after, τ_after.
+  float* to0 = sums + (long long)blockIdx.x * (H0 * (INPUTS + 2) + H1 * 4);
   float* to1 = to0 + H0 * (INPUTS + 2);
   for (int r = 0; r < 2; r++) {
     int i = row + 8 * r;
@@ -364,8 +372,10 @@ extern "C" __global__ void __launch_bounds__(WARPS * 32, 1) backward_window(
       write_sum(to0 + i * (INPUTS + 2) + INPUTS + 1, sum_mem0[r]);
     }
     if (hides) {
-      write_sum(to1 + i * 2, sum_syn1[r]);
-      write_sum(to1 + i * 2 + 1, sum_mem1[r]);
+      write_sum(to1 + i * 4, sum_syn1[r]);
+      write_sum(to1 + i * 4 + 1, sum_mem1[r]);
+      write_sum(to1 + i * 4 + 2, sum_own[r]);
+      write_sum(to1 + i * 4 + 3, sum_after[r]);
     }
   }
 }

@@ -96,6 +96,8 @@ class Trace:
     v1: Tensor
     u2: Tensor
     v2: Tensor
+    a1: Tensor
+    """After-spike currents of the hidden layer, the same."""
     spikes: Tensor
     """Of both layers, bfloat16, (T + 1, n, neurons)."""
     totals: Tensor
@@ -104,16 +106,15 @@ class Trace:
     @classmethod
     def empty(cls, steps: int, n: int, sizes: tuple[int, int, int], device: torch.device) -> Trace:
         """Buffers for one window."""
-        states = [
-            torch.zeros(steps + 1, n, sizes[k // 2], dtype=torch.int32, device=device) for k in range(6)
-        ]
+        of_states = (*np.repeat(sizes, 2), sizes[1])
+        states = [torch.zeros(steps + 1, n, size, dtype=torch.int32, device=device) for size in of_states]
         spikes = torch.zeros(steps + 1, n, sizes[0] + sizes[1], dtype=torch.bfloat16, device=device)
         return cls(*states, spikes=spikes, totals=torch.zeros(2, dtype=torch.int64, device=device))
 
     @property
     def states(self) -> list[Tensor]:
         """Currents and potentials."""
-        return [getattr(self, field.name) for field in fields(self)[:6]]
+        return [getattr(self, field.name) for field in fields(self)[:7]]
 
     def begin(self, goes_on: Tensor) -> None:
         """Start where the last window ended, sequences whose `goes_on` (n,) is 0 from rest."""
@@ -160,17 +161,32 @@ class _OnDevice(torch.autograd.Function):
             into[:, columns] = whole(mantissas, 128, hidden, into[:, columns].shape[1], dtype=torch.int8)
             shifts[k, : len(matrix)] = (7 + exponents[:, 0]).int()
         out = whole(w.w_out, 128, outputs, hidden, dtype=torch.int8)
-        taus = [whole(tau, 4096, size) for tau, size in zip(w[5:9], (encoding,) * 2 + (hidden,) * 2, strict=True)]
+        own = whole(w.w_after, STATE_ONE, hidden, 1)
+        in_layers = (w.syn0, w.mem0, w.syn1, w.mem1, w.syn_after)
+        sizes = (encoding, encoding, hidden, hidden, hidden)
+        taus = [whole(tau, 4096, size) for tau, size in zip(in_layers, sizes, strict=True)]
         last = torch.cat([whole(tau, 4096, 1) for tau in (w.syn2, w.mem2)])
         trace.begin(goes_on)
         steps, n = x.shape[:2]
         inputs = whole(w.w_in, 256, encoding, 6)
         backend.kernels.forward_window(
-            steps, n, x, into, shifts, out, inputs, *taus, last, *trace.states, trace.spikes, trace.totals
+            steps,
+            n,
+            x,
+            into,
+            shifts,
+            own,
+            out,
+            inputs,
+            *taus,
+            last,
+            *trace.states,
+            trace.spikes,
+            trace.totals,
         )
         ctx.backend, ctx.trace, ctx.run, ctx.x = backend, trace, backend.count(), x
         ctx.values, ctx.weights = (
-            (into, shifts, out.float() / 128, *(tau.float() / 4096 for tau in taus), last),
+            (into, shifts, own.float() / STATE_ONE, out.float() / 128, taus, last),
             weights,
         )
         rates = trace.totals.float() / torch.tensor(backend.places(steps), device=device)
@@ -182,7 +198,7 @@ class _OnDevice(torch.autograd.Function):
         trace: Trace = ctx.trace
         if backend.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
-        into, shifts, w_out, syn0, mem0, syn1, mem1, last = ctx.values
+        into, shifts, w_after, w_out, taus, last = ctx.values
         (steps, n), (encoding, hidden, outputs) = ctx.x.shape[:2], backend.padded
         device = {"device": ctx.x.device}
         of_currents = torch.empty(steps + 1, n, 4 if outputs <= 4 else 8, **device)
@@ -192,34 +208,33 @@ class _OnDevice(torch.autograd.Function):
         )
         costs = (grads[1] / torch.tensor(backend.places(steps), **device)).contiguous()
         down = torch.empty(steps, n, 2, hidden, dtype=torch.bfloat16, **device)
-        sums = torch.empty(n // SEQUENCES, 8 * encoding + 2 * hidden, **device)
-        states = trace.states[:4]
+        sums = torch.empty(n // SEQUENCES, 8 * encoding + 4 * hidden, **device)
         backend.kernels.backward_window(
             steps,
             n,
             ctx.x,
             into,
             shifts,
+            w_after,
             w_out,
-            syn0,
-            mem0,
-            syn1,
-            mem1,
+            *(tau.float() / 4096 for tau in taus),
             costs,
-            *states,
+            *trace.states[:4],
+            trace.a1,
             of_currents,
             down,
             sums,
         )
-        first, second = sums.sum(0).split([8 * encoding, 2 * hidden])
-        first, second = first.view(encoding, 8), second.view(hidden, 2)
+        first, second = sums.sum(0).split([8 * encoding, 4 * hidden])
+        first, second = first.view(encoding, 8), second.view(hidden, 4)
         spikes = trace.spikes[:-1].reshape(steps * n, encoding + hidden)
         of_weights = _product(down.view(steps * n, 2 * hidden), spikes)
         read = of_currents[:-1, :, :outputs].reshape(steps * n, outputs)
         of_out = _product(_two_parts(read), spikes)[:, encoding:]
+        syn2, mem2 = of_last.sum(0).split(1)
         found = Weights(
-            first[:, :6], of_weights[:, :encoding], of_weights[:, encoding:], of_out, ctx.weights[4],
-            first[:, 6], first[:, 7], second[:, 0], second[:, 1], *of_last.sum(0).split(1), ctx.weights[11],
+            first[:, :6], of_weights[:, :encoding], of_weights[:, encoding:], of_out, second[:, 2:3],
+            first[:, 6], first[:, 7], second[:, 0], second[:, 1], syn2, mem2, second[:, 3],
         )  # fmt: skip
         cut = (g[tuple(slice(size) for size in w.shape)] for g, w in zip(found, ctx.weights, strict=True))
         return None, None, None, None, *(g.to(w) for g, w in zip(cut, ctx.weights, strict=True))
@@ -308,14 +323,15 @@ class Cuda:
         first, middle = self._sizes[0], self.padded[0]
         return every[..., :first], every[..., middle : middle + self._sizes[1]]
 
-    def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Largest currents of both layers in the last window."""
+    def peak_currents(self, every: int = 1) -> tuple[NDArray[np.floating], ...]:
+        """Largest currents of both layers, and after-spike ones, in the last window."""
         assert self._sizes is not None
-        first, second = (
-            (u[1 + (every - 1) :: every, : self._n].abs().amax((0, 1)).float() / STATE_ONE).numpy(force=True)
-            for u in (self._last.u0, self._last.u1)
+        encoding, hidden, _ = self._sizes
+        currents = ((self._last.u0, encoding), (self._last.u1, hidden), (self._last.a1, hidden))
+        return tuple(
+            (u[every::every, : self._n, :size].abs().amax((0, 1)).float() / STATE_ONE).numpy(force=True)
+            for u, size in currents
         )
-        return first[: self._sizes[0]], second[: self._sizes[1]]
 
     def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Cuda:
         """The backend of these neurons alone; its windows continue from the last ones here."""
@@ -325,7 +341,7 @@ class Cuda:
             return smaller
         smaller._set_sizes((encoding.size, hidden.size, self._sizes[2]))
         of_layer = [torch.from_numpy(encoding)] * 2 + [torch.from_numpy(hidden)] * 2
-        of_layer += [torch.arange(self._sizes[2])] * 2
+        of_layer += [torch.arange(self._sizes[2])] * 2 + [torch.from_numpy(hidden)]
         for (n, steps), old in self._traces.items():
             device, size = old.v0.device, old.v0.shape[1]
             new = smaller._traces[n, steps] = Trace.empty(steps, size, smaller.padded, device)

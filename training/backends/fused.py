@@ -206,7 +206,7 @@ def backward_window(x, grad, weights, trace, gradients, constants, delay):
     down, down_before = np.zeros((n, h0 + h1), v0.dtype), np.zeros((n, h0 + h1), v0.dtype)
     used = _used(w_down)
     each = np.ones((n, 1), v0.dtype)
-    w_after, syn_after = (each * weights.w_after.T).ravel(), (each * weights.syn_after).ravel()
+    w_after, syn_after = (each * weights.w_after.ravel()).ravel(), (each * weights.syn_after).ravel()
     da, of_after = np.zeros_like(w_after), np.zeros((2, w_after.size), v0.dtype)
     for t in range(steps - 1, -1, -1):
         delivered = down if delay == 1 else down_before
