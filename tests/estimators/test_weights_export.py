@@ -186,6 +186,56 @@ def test_nir_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
     assert graph.metadata["outputs"] == "up"
 
 
+def euler_steps(graph, x):
+    """Potentials of the outputs of a NIR graph, by Euler steps of its equations, (T, outputs).
+
+    A loop delivers after a step, everything else within it.
+    """
+    nodes, dt = graph.nodes, float(graph.metadata["dt"])
+    order = [
+        *("w_in", "encoding", "w_ff", "w_rec", "synapse", "w_after", "after", "hidden", "w_out", "output")
+    ]
+    out, state, values = [], {name: 0.0 for name in order}, {"hidden": np.zeros(len(nodes["hidden"].tau))}
+    currents = {}
+    for sample in x:
+        values["input"] = sample
+        for name in order:
+            node, drive = nodes[name], sum(values[a] for a, b in graph.edges if b == name)
+            if hasattr(node, "weight"):
+                values[name] = node.weight @ drive
+            elif hasattr(node, "scale"):
+                values[name] = node.scale * drive
+            else:
+                if hasattr(node, "tau_syn"):
+                    rate = dt / node.tau_syn
+                    drive = currents[name] = (1 - rate) * currents.get(name, 0.0) + rate * node.w_in * drive
+                rate = dt / (node.tau_mem if hasattr(node, "tau_mem") else node.tau)
+                v = (1 - rate) * state[name] + rate * node.r * drive
+                threshold = getattr(node, "v_threshold", np.inf)
+                values[name] = v if np.isinf(threshold).all() else (v > threshold + 1e-11).astype(float)
+                state[name] = np.where(v > threshold + 1e-11, 0.0, v)
+        out.append(state["output"])
+    return np.array(out)
+
+
+def test_nir_graph_with_after_spike_currents_is_the_same_network(tmp_path):
+    nir = pytest.importorskip("nir")
+    config = NetworkConfig(
+        model="att-snn", encoding=9, hidden=7, outputs="up", output_scale=1 / 256, after_spike=True
+    )
+    tensors = random_snn(config, 1)
+    save_network(tmp_path / "w.safetensors", config, tensors)
+    graph = nir.read(export_weights(tmp_path / "w.safetensors", tmp_path / "snn.nir", "nir"))
+    np.testing.assert_array_equal(graph.nodes["w_after"].metadata["mantissa"], tensors["w_after"][:, 0])
+    np.testing.assert_array_equal(graph.nodes["after"].metadata["du"], tensors["syn_after"])
+    gyro, accel = readings(600)
+    x = scaled_inputs(config.inputs, gyro[None], accel[None])
+    out, _, hidden = forward(torch.tensor(x), Weights(*map(torch.tensor, real_weights(config, tensors))))
+    assert hidden.mean() > 0.02
+    found = euler_steps(graph, x[0])
+    np.testing.assert_allclose(found[:-2], out[0, 2:].numpy(), atol=1e-8)
+
+
 def test_onnx_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
     config = NetworkConfig(model="att-rnn", encoding=7, hidden=7, outputs="up")
