@@ -1,0 +1,157 @@
+"""What of the chip helps, and how many parameters: `python docs/search.py` writes search.md from search.csv.
+
+    python docs/search.py --train --data FOLDER
+
+trains every network of the page anew and writes search.csv. FOLDER holds the flights of att-snn-general,
+`train/*.zarr` and `val/*.zarr`, which the commands of its card make. It takes about an hour of one core, and
+goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from pages import ROOT, load_page, row
+from scipy.stats import t as student
+
+from estimators.evaluation.flights import Flights, load_flights
+from estimators.metrics import attitude_error
+from estimators.networks.network import create_network
+from estimators.networks.weights_file import load_network, parameters
+from quadsim.dataset.reading import open_dataset
+from quadsim.runs.files import write_csv
+from training.loop import train
+from training.run_folder import commit
+
+CSV = ROOT / "docs" / "search.csv"
+PRESET, EPOCHS, BATCHES, SEEDS = "general", 10, 800, (1, 2, 3)
+NEURONS = 100
+"""Of each layer in the ablation, as in the paper."""
+OPTIONS: dict[str, dict[str, Any]] = {
+    "all": {},
+    "no after-spike currents": {"after_spike": False},
+    "no finer weights": {"finest_exponent": 0},
+    "neither of the two": {"after_spike": False, "finest_exponent": 0},
+    "no shared weights": {"symmetric": False},
+    "two steps a sample": {"steps_per_sample": 2},
+    "random initial weights": {"initialisation": "random"},
+}
+SIZES = (32, 64, 128, 168)
+"""Neurons of each layer of the other networks of the front."""
+PAPER = 21202
+"""Parameters of the paper's network."""
+FLYING = (
+    "hummingbird", "windy", "gusty-px4mini", "robust-px4", "robust-crazyflie", "varied-px4-raw", "turbulent-raw",
+    "wide-crazyflie-raw", "fast-wind", "cruise-px4", "carried",
+)  # fmt: skip
+IN_THE_HAND = ("hand-held", "hand-held-raw", "tumbling")
+SHOWN = {"hummingbird": "Hummingbird", "robust-px4": "rough px4-quad", "robust-crazyflie": "rough Crazyflie"}
+
+
+def arms() -> list[tuple[str, int, int]]:
+    """Option, neurons and seed of each training."""
+    sizes = [("all", size) for size in SIZES]
+    return [(*arm, seed) for seed in SEEDS for arm in [*((name, NEURONS) for name in OPTIONS), *sizes]]
+
+
+def trained(option: str, neurons: int, seed: int, data: Path) -> dict[str, Any]:
+    """Train one network, or read it back; its row of the table."""
+    sets = {part: tuple(map(str, sorted((data / part).glob("*.zarr")))) for part in ("train", "val")}
+    result = train(
+        data=sets["train"],
+        validation=sets["val"],
+        out=data / "search" / f"{option.replace(' ', '-')}-{neurons}-{seed}",
+        preset=PRESET,
+        **{"encoding": neurons, "hidden": neurons, "seed": seed, "epochs": EPOCHS, "batches": BATCHES},
+        **OPTIONS[option],
+    )
+    config, tensors = load_network(result.weights)
+    found = {"option": option, "neurons": neurons, "seed": seed, "parameters": parameters(tensors)}
+    found |= {"updates": EPOCHS * BATCHES, "training_rmse_deg": round(result.best.train_rmse_deg, 3)}
+    for path in sets["val"]:
+        found[Path(path).stem] = round(error_deg(result.weights, config.rate_hz, Path(path)), 3)
+    return found | {"commit": commit()}
+
+
+def error_deg(weights: Path, rate_hz: float, path: Path) -> float:
+    """Mean absolute error of roll and pitch from an unknown start [°]."""
+    flights: Flights = load_flights([open_dataset(path)])
+    est = create_network("att-snn", rate_hz, weights)
+    est.reset(len(flights.gyro))
+    return attitude_error(est.sequence(flights.gyro, flights.accel), flights.truth).mean
+
+
+def with_interval(values: Sequence[float]) -> str:
+    """Mean and 95 % interval of the mean of a few trainings, Student's t."""
+    half = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values))
+    return f"{np.mean(values):.2f} ± {half:.2f}"
+
+
+def cells(found: pd.DataFrame) -> list[str]:
+    """Errors of the trainings of one network."""
+    columns = [found[name] for name in SHOWN]
+    columns += [found[list(names)].mean(axis=1) for names in (FLYING, IN_THE_HAND)]
+    return [with_interval(column.to_list()) for column in columns]
+
+
+def front_figure(found: pd.DataFrame) -> Figure:
+    """Error against parameters."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    whole = found[found["option"] == "all"]
+    for (name, label), colour in zip(SHOWN.items(), ("#33658a", "#c0563b", "#6a994e"), strict=True):
+        mean = whole.groupby("neurons")[["parameters", name]].mean()
+        axes.plot(mean["parameters"], mean[name], color=colour, linewidth=1.6, label=label)
+        axes.scatter(whole["parameters"], whole[name], s=14, color=colour)
+    axes.axvline(PAPER, color="black", linewidth=0.8, linestyle=":")
+    axes.annotate("the paper's 21 202", (PAPER, axes.get_ylim()[1]), (4, -4), va="top", fontsize="small",
+                  textcoords="offset points")  # fmt: skip
+    axes.set(xscale="log", xlabel="parameters", ylabel="error, unknown start [°]")
+    axes.set_xticks([2000, 5000, 10000, 20000, 50000], ["2 000", "5 000", "10 000", "20 000", "50 000"])
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    return figure
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train where asked to; write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--train", action="store_true", help="train the networks and write search.csv")
+    parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the flights")
+    given = parser.parse_args(arguments)
+    if given.train:
+        rows = []
+        for k, arm in enumerate(every := arms()):
+            rows.append(trained(*arm, given.data))
+            print(f"{k + 1} of {len(every)}: {rows[-1]}", flush=True)
+        write_csv(CSV, rows)
+    found = pd.read_csv(CSV)
+    page = load_page("search")
+    page.save(front_figure(found), "search.png", colours=64)
+    by_option = {name: found[(found["option"] == name) & (found["neurons"] == NEURONS)] for name in OPTIONS}
+    sizes = sorted(found.loc[found["option"] == "all", "neurons"].unique())
+    by_size = [found[(found["option"] == "all") & (found["neurons"] == size)] for size in sizes]
+    page.write(
+        {
+            "updates": str(found["updates"].iloc[0]),
+            "commit": str(found["commit"].iloc[0]),
+            "options": [
+                row(name, each["parameters"].iloc[0], *cells(each)) for name, each in by_option.items()
+            ],
+            "sizes": [
+                row(f"{size} + {size}", each["parameters"].iloc[0], *cells(each))
+                for size, each in zip(sizes, by_size, strict=True)
+            ],
+        }
+    )
+
+
+if __name__ == "__main__":
+    main()
