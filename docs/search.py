@@ -10,13 +10,14 @@ goes on where it was stopped.
 from __future__ import annotations
 
 import argparse
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from pages import ROOT, load_page, row
 from scipy.stats import t as student
 
@@ -33,8 +34,9 @@ CSV = ROOT / "docs" / "search.csv"
 PRESET, EPOCHS, BATCHES, SEEDS = "general", 10, 800, (1, 2, 3)
 NEURONS = 100
 """Of each layer in the ablation, as in the paper."""
+WHOLE = "everything"
 OPTIONS: dict[str, dict[str, Any]] = {
-    "all": {},
+    WHOLE: {},
     "no after-spike currents": {"after_spike": False},
     "no finer weights": {"finest_exponent": 0},
     "neither of the two": {"after_spike": False, "finest_exponent": 0},
@@ -47,8 +49,8 @@ SIZES = (32, 64, 128, 168)
 PAPER = 21202
 """Parameters of the paper's network."""
 FLYING = (
-    "hummingbird", "windy", "gusty-px4mini", "robust-px4", "robust-crazyflie", "varied-px4-raw", "turbulent-raw",
-    "wide-crazyflie-raw", "fast-wind", "cruise-px4", "carried",
+    "hummingbird", "windy", "gusty-px4mini", "robust-px4", "robust-crazyflie", "varied-px4-raw",
+    "turbulent-raw", "wide-crazyflie-raw", "fast-wind", "cruise-px4", "carried",
 )  # fmt: skip
 IN_THE_HAND = ("hand-held", "hand-held-raw", "tumbling")
 SHOWN = {"hummingbird": "Hummingbird", "robust-px4": "rough px4-quad", "robust-crazyflie": "rough Crazyflie"}
@@ -56,7 +58,7 @@ SHOWN = {"hummingbird": "Hummingbird", "robust-px4": "rough px4-quad", "robust-c
 
 def arms() -> list[tuple[str, int, int]]:
     """Option, neurons and seed of each training."""
-    sizes = [("all", size) for size in SIZES]
+    sizes = [(WHOLE, size) for size in SIZES]
     return [(*arm, seed) for seed in SEEDS for arm in [*((name, NEURONS) for name in OPTIONS), *sizes]]
 
 
@@ -87,31 +89,40 @@ def error_deg(weights: Path, rate_hz: float, path: Path) -> float:
     return attitude_error(est.sequence(flights.gyro, flights.accel), flights.truth).mean
 
 
-def with_interval(values: Sequence[float]) -> str:
+def with_interval(values: NDArray[np.float64]) -> str:
     """Mean and 95 % interval of the mean of a few trainings, Student's t."""
     half = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values))
     return f"{np.mean(values):.2f} ± {half:.2f}"
 
 
-def cells(found: pd.DataFrame) -> list[str]:
-    """Errors of the trainings of one network."""
-    columns = [found[name] for name in SHOWN]
-    columns += [found[list(names)].mean(axis=1) for names in (FLYING, IN_THE_HAND)]
-    return [with_interval(column.to_list()) for column in columns]
+Rows = list[dict[str, str]]
 
 
-def front_figure(found: pd.DataFrame) -> Figure:
+def errors(found: Rows, *sets: str) -> NDArray[np.float64]:
+    """Error of each training, the mean over validation sets [°]."""
+    return np.array([[float(each[name]) for name in sets] for each in found]).mean(axis=1)
+
+
+def cells(found: Rows) -> list[str]:
+    """Parameters, and errors of the trainings of one network."""
+    columns = [errors(found, *sets) for sets in (*([name] for name in SHOWN), FLYING, IN_THE_HAND)]
+    return [found[0]["parameters"], *map(with_interval, columns)]
+
+
+def front_figure(by_size: list[Rows]) -> Figure:
     """Error against parameters."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    whole = found[found["option"] == "all"]
     for (name, label), colour in zip(SHOWN.items(), ("#33658a", "#c0563b", "#6a994e"), strict=True):
-        mean = whole.groupby("neurons")[["parameters", name]].mean()
-        axes.plot(mean["parameters"], mean[name], color=colour, linewidth=1.6, label=label)
-        axes.scatter(whole["parameters"], whole[name], s=14, color=colour)
+        size = [int(each[0]["parameters"]) for each in by_size]
+        error = np.array([errors(each, name) for each in by_size])
+        axes.plot(size, error.mean(axis=1), color=colour, linewidth=1.6, label=label)
+        axes.plot(size, error, "o", color=colour, markersize=3)
     axes.axvline(PAPER, color="black", linewidth=0.8, linestyle=":")
-    axes.annotate("the paper's 21 202", (PAPER, axes.get_ylim()[1]), (4, -4), va="top", fontsize="small",
-                  textcoords="offset points")  # fmt: skip
+    axes.annotate(
+        "the paper's 21 202", (PAPER, 0.98), (4, 0), ("data", "axes fraction"), "offset points",
+        va="top", fontsize="small",
+    )  # fmt: skip
     axes.set(xscale="log", xlabel="parameters", ylabel="error, unknown start [°]")
     axes.set_xticks([2000, 5000, 10000, 20000, 50000], ["2 000", "5 000", "10 000", "20 000", "50 000"])
     axes.minorticks_off()
@@ -132,23 +143,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows.append(trained(*arm, given.data))
             print(f"{k + 1} of {len(every)}: {rows[-1]}", flush=True)
         write_csv(CSV, rows)
-    found = pd.read_csv(CSV)
+    found: Rows = list(csv.DictReader(CSV.read_text(encoding="utf-8").splitlines()))
+    of: dict[tuple[str, int], Rows] = {}
+    for each in found:
+        of.setdefault((each["option"], int(each["neurons"])), []).append(each)
+    by_size = [of[WHOLE, size] for size in sorted((*SIZES, NEURONS))]
     page = load_page("search")
-    page.save(front_figure(found), "search.png", colours=64)
-    by_option = {name: found[(found["option"] == name) & (found["neurons"] == NEURONS)] for name in OPTIONS}
-    sizes = sorted(found.loc[found["option"] == "all", "neurons"].unique())
-    by_size = [found[(found["option"] == "all") & (found["neurons"] == size)] for size in sizes]
+    page.save(front_figure(by_size), "search.png", colours=64)
     page.write(
         {
-            "updates": str(found["updates"].iloc[0]),
-            "commit": str(found["commit"].iloc[0]),
-            "options": [
-                row(name, each["parameters"].iloc[0], *cells(each)) for name, each in by_option.items()
-            ],
-            "sizes": [
-                row(f"{size} + {size}", each["parameters"].iloc[0], *cells(each))
-                for size, each in zip(sizes, by_size, strict=True)
-            ],
+            "updates": found[0]["updates"],
+            "commit": found[0]["commit"],
+            "seeds": str(len(SEEDS)),
+            "options": [row(name, *cells(of[name, NEURONS])) for name in OPTIONS],
+            "sizes": [row(f"{each[0]['neurons']} + {each[0]['neurons']}", *cells(each)) for each in by_size],
         }
     )
 
