@@ -397,7 +397,8 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
     from estimators.custom import tried
 
     if isinstance(estimator, str | Path):
-        return estimators.create(str(estimator), rate_hz, vehicle=scenario.vehicle, imu=scenario.imu)
+        vehicle = scenario.vehicle if scenario.vehicle_known else None
+        return estimators.create(str(estimator), rate_hz, vehicle=vehicle, imu=scenario.imu)
     return tried(_name_of(estimator), _own_copy(estimator, rate_hz))
 
 

@@ -139,6 +139,21 @@ class Vehicle(Strict):
         return self.motor.k_f * np.stack([np.ones(len(x)), y, -x, self.motor.k_m * self.reactions])
 
 
+def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
+    """The vehicle with this many times the drag of its rotors and of its frame."""
+    if factor == 1.0:
+        return vehicle
+    motor = {"rotor_drag": vehicle.motor.rotor_drag * factor}
+    motor["rolling_moment"] = vehicle.motor.rolling_moment * factor
+    areas = tuple(area * factor for area in vehicle.frame.drag_area)
+    return vehicle.model_copy(
+        update={
+            "motor": vehicle.motor.model_copy(update=motor),
+            "frame": vehicle.frame.model_copy(update={"drag_area": areas}),
+        }
+    )
+
+
 def load_vehicle(source: str | Path) -> Vehicle:
     """Read a vehicle: a shipped name ("hummingbird", "hexarotor", …) or the path of a TOML file."""
     return load_toml(source, "vehicles", Vehicle)

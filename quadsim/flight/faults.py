@@ -13,9 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..config.ranges import Between, Duration, Force, ForceVector, Frequency, Instant, Mass, RateDeg, Share
+from ..config.ranges import (
+    Arm,
+    Between,
+    Duration,
+    Force,
+    ForceVector,
+    Frequency,
+    Instant,
+    Mass,
+    RateDeg,
+    Share,
+)
 from ..config.toml import Strict
 from ..estimator import Readings
+from ..imu.spec import ImuSpec
 from ..plant import Plant
 from ..seeding import Seed, child, vehicle_seeds
 from ..vehicle import MAX_ROTORS
@@ -92,6 +104,28 @@ class Saturation(Strict):
     """Largest specific force that can be read [m/s²]."""
 
 
+class BiasRamp(Strict):
+    """The biases drift, as while a sensor warms up."""
+
+    kind: Literal["bias-ramp"]
+    gyro_deg: tuple[BiasDeg, BiasDeg, BiasDeg] = (0.0, 0.0, 0.0)
+    """Change of the gyroscope's bias at the end, body axes [deg/s]."""
+    accel: ForceVector = (0.0, 0.0, 0.0)
+    """Change of the accelerometer's bias at the end, body axes [m/s²]."""
+    at_s: Instant = 0.0
+    """When it begins [s]."""
+    length_s: Duration = 10.0
+    """How long it takes [s]."""
+
+
+class LeverArm(Strict):
+    """The IMU sits off the centre of mass, and nobody says so."""
+
+    kind: Literal["lever-arm"]
+    position: Arm
+    """Where, on top of the IMU's own, from the centre of mass in body axes [m]."""
+
+
 class Delay(Strict):
     """Samples are delayed."""
 
@@ -134,8 +168,20 @@ class LowBattery(Strict):
     """How long that takes [s]."""
 
 
-SensorFault: TypeAlias = GyroBiasStep | AccelBiasStep | Vibration | Dropout | Stuck | Saturation | Delay
-VehicleFault: TypeAlias = PayloadDrop | RotorLoss | LowBattery
+class GroundEffect(Strict):
+    """Near the ground the rotors give more thrust for the same speed: 1 / (1 − (R / 4z)²) times as much.
+
+    R is the rotors' radius, z the height of the centre of mass, at least R / 2. Cheeseman & Bennett, "The
+    effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021 (1955), in hover.
+    """
+
+    kind: Literal["ground-effect"]
+
+
+SensorFault: TypeAlias = (
+    GyroBiasStep | AccelBiasStep | BiasRamp | Vibration | Dropout | Stuck | Saturation | Delay
+)
+VehicleFault: TypeAlias = PayloadDrop | RotorLoss | LowBattery | GroundEffect | LeverArm
 Fault: TypeAlias = Annotated[SensorFault | VehicleFault, Field(discriminator="kind")]
 
 Corrupt: TypeAlias = Callable[[Readings, NDArray[np.int64]], None]
@@ -169,6 +215,15 @@ def sensor_faults(
     return corrupt if chain else None
 
 
+def displaced(imu: ImuSpec, faults: Sequence[SensorFault | VehicleFault]) -> ImuSpec:
+    """The IMU where its lever arms put it."""
+    arms = [fault.position for fault in faults if isinstance(fault, LeverArm)]
+    if not arms:
+        return imu
+    x, y, z = np.sum([imu.lever_arm, *arms], axis=0).tolist()
+    return imu.model_copy(update={"lever_arm": (x, y, z)})
+
+
 class VehicleFaults:
     """What the faults do to the plant: `apply` before every step, with every vehicle's count of samples."""
 
@@ -184,7 +239,7 @@ class VehicleFaults:
                 raise ValueError(f"faults: rotor = {fault.rotor}: this vehicle has rotors 0 to {rotors - 1}")
         self._plant = plant
         self._payloads = [fault for fault in faults if isinstance(fault, PayloadDrop)]
-        self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery)]
+        self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery | GroundEffect)]
         self.any = bool(self._payloads or self._rotors)
         self._empty = plant.vehicles["mass"].copy()
         self._mass = self._empty
@@ -211,6 +266,10 @@ class VehicleFaults:
             for fault in self._rotors:
                 if isinstance(fault, RotorLoss):
                     effect[time >= fault.at_s, fault.rotor] *= fault.effect
+                elif isinstance(fault, GroundEffect):
+                    radius = self._plant.vehicle.frame.prop_radius
+                    height = np.maximum(self._plant.position[:, 2], radius / 2)
+                    effect /= (1.0 - (radius / (4.0 * height)) ** 2)[:, None]
                 else:
                     faded = np.clip((time - fault.at_s) / fault.fade_s, 0.0, 1.0)
                     effect *= 1.0 - (1.0 - fault.effect) * faded[:, None]
@@ -224,6 +283,9 @@ def _corruption(fault: SensorFault, rate_hz: float, random: list[np.random.Gener
     match fault:
         case GyroBiasStep():
             return partial(_add_bias, start, np.radians(fault.bias_deg), np.zeros(3))
+        case BiasRamp():
+            change = np.radians(fault.gyro_deg), np.array(fault.accel)
+            return partial(_ramp_bias, start, fault.length_s * rate_hz, *change)
         case AccelBiasStep():
             return partial(_add_bias, start, np.zeros(3), np.array(fault.bias))
         case Vibration():
@@ -247,6 +309,14 @@ def _add_bias(
     on = (k >= start)[:, None]
     readings.gyro[:] += on * gyro_bias
     readings.accel[:] += on * accel_bias
+
+
+def _ramp_bias(
+    start: int, length: float, gyro: Array, accel: Array, readings: Readings, k: NDArray[np.int64]
+) -> None:
+    share = np.clip((k - start) / length, 0.0, 1.0)[:, None]
+    readings.gyro[:] += share * gyro
+    readings.accel[:] += share * accel
 
 
 def _vibrate(

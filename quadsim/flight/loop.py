@@ -27,6 +27,7 @@ from ..imu.kernel import ACCEL, GYRO, IMU, measure
 from ..imu.spec import ImuSpec
 from ..imu.stream import ImuStream
 from ..plant import Plant, fly, update_truth
+from ..rotation import euler_from_quat, quat_from_rotvec, quat_multiply
 from ..rotors import vehicle_dtype
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
@@ -139,12 +140,15 @@ class FlightLoop:
         quat: ArrayLike | None = None,
         ang_vel: ArrayLike | None = None,
         known_attitude: bool = False,
+        attitude_error: Array | None = None,
     ) -> None:
         """Reset all vehicles; arguments as for `Plant.reset`.
 
-        The estimator starts level, unless `known_attitude`: then it starts at the true roll and pitch.
+        The estimator starts level, unless `known_attitude`: then it starts at the true roll and pitch, turned
+        by `attitude_error`, rotation vectors (n, 3) in body axes [rad].
         """
-        self.restart(np.arange(self.n), position, velocity, quat, ang_vel, known_attitude)
+        every = np.arange(self.n)
+        self.restart(every, position, velocity, quat, ang_vel, known_attitude, attitude_error)
         self.sense()
 
     def restart(
@@ -155,6 +159,7 @@ class FlightLoop:
         quat: ArrayLike | None = None,
         ang_vel: ArrayLike | None = None,
         known_attitude: bool = False,
+        attitude_error: Array | None = None,
     ) -> None:
         """Reset some vehicles while the others continue; the next `sense` gives their first sample.
 
@@ -166,13 +171,21 @@ class FlightLoop:
         self.k[ids] = 0
         if self.imu is not None:
             self.imu.reset(ids)
-        if self.estimator is not None and len(ids) == self.n:
-            self.estimator.reset(self.n, roll_pitch=self.true_attitude.copy() if known_attitude else None)
-        elif self.estimator is not None:
-            restart = getattr(self.estimator, "restart", None)
-            if restart is None:
-                raise ValueError("this estimator has no restart(ids, roll_pitch): it starts all or none")
-            restart(ids, roll_pitch=self.true_attitude[ids] if known_attitude else None)
+        if self.estimator is None:
+            return
+        given = None
+        if known_attitude:
+            given = self.true_attitude[ids]
+            if attitude_error is not None:
+                off = quat_multiply(self.plant.quat[ids], quat_from_rotvec(attitude_error))
+                given = euler_from_quat(off)[:, :2]
+        if len(ids) == self.n:
+            self.estimator.reset(self.n, roll_pitch=given)
+            return
+        restart = getattr(self.estimator, "restart", None)
+        if restart is None:
+            raise ValueError("this estimator has no restart(ids, roll_pitch): it starts all or none")
+        restart(ids, roll_pitch=given)
 
     def step(self, level: Level, command: Command, wind: Array | None = None) -> None:
         """Advance by one sample: control from the present estimate, move, sense.

@@ -20,9 +20,9 @@ from ..rotation import quat_from_euler, quat_from_rotvec, quat_multiply
 from ..runs.compiled import njit
 from ..seeding import child
 from ..trajectory.reference import reference
-from ..vehicle import load_vehicle
+from ..vehicle import load_vehicle, with_drag
 from ..wind import wind_series
-from .faults import VehicleFaults, sensor_faults
+from .faults import VehicleFaults, displaced, sensor_faults
 from .loop import FlightLoop, sense_one, start_one
 from .scenario import Scenario
 
@@ -64,9 +64,9 @@ class Mission:
         duration_s: float | None = None,
     ) -> None:
         self.scenario, self.n, self.rate_hz = scenario, n, rate_hz
-        self.vehicle = load_vehicle(scenario.vehicle)
+        self.vehicle = with_drag(load_vehicle(scenario.vehicle), scenario.drag_factor)
         self.steps = steps_of(scenario.duration_s if duration_s is None else duration_s, rate_hz)
-        self._imu, self._estimator = load_imu(scenario.imu), estimator
+        self._imu, self._estimator = displaced(load_imu(scenario.imu), scenario.faults), estimator
         self._external = load_external(scenario.external)
 
     def begin(self, seeds: Seeds) -> None:
@@ -98,8 +98,8 @@ class Mission:
         self._flights["min_altitude"], self._flights["max_distance"] = crash.altitude, crash.distance
         self.target, self.air = self._flights["target"], self._flights["wind"]
         self.cause = self._flights["cause"]
-        start = self._start(seeds, self._plans["target"][:, 0])
-        self.loop.reset(*start, known_attitude=self.scenario.start.known_attitude)
+        start, error = self._start(seeds, self._plans["target"][:, 0])
+        self.loop.reset(*start, self.scenario.start.known_attitude, error)
         look_up_all(self.records, self._plans)
 
     def restart(self, ids: NDArray[np.int64], seeds: Seeds) -> None:
@@ -109,9 +109,9 @@ class Mission:
         """
         self._plans[ids] = plans = self._plan(seeds)
         self._flights["cause"][ids] = self._flights["crashed"][ids] = FLYING
-        start = self._start(seeds, plans["target"][:, 0])
+        start, error = self._start(seeds, plans["target"][:, 0])
         self._faults.restart(ids)
-        self.loop.restart(ids, *start, known_attitude=self.scenario.start.known_attitude)
+        self.loop.restart(ids, *start, self.scenario.start.known_attitude, error)
 
     def step(self, level: Level = "position", command: Command | None = None) -> None:
         """Advance by one sample, on a command at a level of the controller.
@@ -164,22 +164,32 @@ class Mission:
             plans["wind"] = wind_series(self.scenario.wind, len(seeds), steps, self.rate_hz, air)
         return plans
 
-    def _start(self, seeds: Seeds, first: NDArray[np.void]) -> tuple[Array, Array, Array, Array]:
-        """Position, velocity, quat_WB and body rate to begin with, from the first set-points (n,)."""
+    def _start(
+        self, seeds: Seeds, first: NDArray[np.void]
+    ) -> tuple[tuple[Array, Array, Array, Array], Array | None]:
+        """What to begin with, from the first set-points (n,).
+
+        Returns:
+            Position, velocity, quat_WB and body rate; the error of the attitude that is given, as rotation
+            vectors in body axes (n, 3) [rad], None without one.
+        """
         start = self.scenario.start
         angles = np.array(
-            [np.random.default_rng(child(s, BEGINNING)).uniform(-np.pi, np.pi, 3) for s in seeds]
+            [np.random.default_rng(child(s, BEGINNING)).uniform(-np.pi, np.pi, 4) for s in seeds]
         )
-        course, tilt_axis, spin_axis = np.stack(
+        course, tilt_axis, spin_axis, error_axis = np.stack(
             [np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1
         ).swapaxes(0, 1)
         heading = quat_from_euler(0.0, 0.0, first["yaw"])
-        return (
+        state = (
             first["position"] + start.offset,
             first["velocity"] + start.speed * course,
             quat_multiply(heading, quat_from_rotvec(math.radians(start.tilt_deg) * tilt_axis)),
             math.radians(start.rate_deg) * spin_axis,
         )
+        return state, math.radians(
+            start.attitude_error_deg
+        ) * error_axis if start.attitude_error_deg else None
 
 
 @njit(cache=True)

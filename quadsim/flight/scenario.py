@@ -29,6 +29,8 @@ class Start(Strict):
     """Size of the body rate, about a horizontal axis drawn for each seed [deg/s]."""
     known_attitude: bool = False
     """Whether the initial attitude is given to the estimator; otherwise it starts level."""
+    attitude_error_deg: Annotated[float, Between(0.0, 90.0, "°")] = 0.0
+    """Error of the attitude that is given, about a horizontal axis drawn for each seed [deg]."""
 
 
 class Crash(Strict):
@@ -53,6 +55,10 @@ class Scenario(Strict):
     """A shipped vehicle, or the path of a TOML file."""
     imu: str = "adis16448"
     """A shipped IMU, or the path of a TOML file."""
+    drag_factor: Annotated[float, Between(0.0, 100.0)] = 1.0
+    """The airframe's drag over that of the vehicle's file, which is what estimators are given."""
+    vehicle_known: bool = True
+    """Whether estimators are given the vehicle; without it, those that need one do not fly."""
     external: str = "ideal"
     """Where position, velocity and yaw come from: a shipped external sensor, or the path of a TOML file."""
     contact: bool = False

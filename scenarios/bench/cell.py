@@ -100,9 +100,8 @@ def fly_cell(
     """Simulate all flights of a cell at once; a failure is a cell with its reason."""
     try:
         tuning, rate_hz = tuning_of(estimator, settings.tuning), settings.rate_hz
-        made = estimators.create(
-            estimator, rate_hz, tuning=tuning, vehicle=scenario.vehicle, imu=scenario.imu
-        )
+        vehicle = scenario.vehicle if scenario.vehicle_known else None
+        made = estimators.create(estimator, rate_hz, tuning=tuning, vehicle=vehicle, imu=scenario.imu)
         mission = Mission(scenario, made, settings.seeds, rate_hz)
         log, end = fly(mission, settings.seed)
         return make_cell(name, estimator, fingerprint, mission, log, end)

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -75,7 +75,7 @@ class Results:
 
 
 def bench(
-    scenarios: Sequence[str | Path],
+    scenarios: Sequence[str | Path] | Mapping[str, Scenario],
     names: Sequence[str],
     out: str | Path,
     settings: FlightSettings,
@@ -92,7 +92,7 @@ def bench(
     main module, so a script calls this under `if __name__ == "__main__":`.
 
     Args:
-        scenarios: Names of shipped scenarios or paths of TOML files.
+        scenarios: Names of shipped scenarios or paths of TOML files; or scenarios by their names.
         names: Names of estimators, or paths of weights.
         out: Folder for the results.
         settings: Seeds, sample rate, tuning.
@@ -178,12 +178,16 @@ def suite_digest() -> str:
 
 
 def _load(
-    scenarios: Sequence[str | Path], names: Sequence[str], settings: FlightSettings, changes: ScenarioChanges
+    scenarios: Sequence[str | Path] | Mapping[str, Scenario],
+    names: Sequence[str],
+    settings: FlightSettings,
+    changes: ScenarioChanges,
 ) -> dict[str, Scenario]:
     """The scenarios by name, everything that a user may have mistyped checked before the first flight."""
     loaded: dict[str, Scenario] = {}
     for source in scenarios:
-        scenario, name = changes.of(load_scenario(source)), Path(source).name.removesuffix(".toml")
+        given = scenarios[str(source)] if isinstance(scenarios, Mapping) else load_scenario(source)
+        scenario, name = changes.of(given), Path(source).name.removesuffix(".toml")
         if name in loaded:
             raise ValueError(f'two scenarios are called "{name}"; give one of the files another name')
         load_vehicle(scenario.vehicle)

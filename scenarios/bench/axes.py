@@ -1,0 +1,268 @@
+"""Axes: what varies around a scenario, a designed fraction of all combinations, and the effect of each.
+
+A design is a Latin hypercube over the axes (McKay, Beckman & Conover 1979), of which scipy keeps the one that
+covers pairs of axes most evenly: every level is flown equally often, beside every level of the others about
+equally often, so that the mean over the flights of a level is its main effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from quadsim.flight.scenario import Scenario, changed, load_scenario
+
+from .flight_metrics import FlightRow, wilson
+from .runner import Results
+from .statistics import crash_test, interquartile_mean, probability_of_improvement, stratified_interval
+
+CELLS = 72
+"""Combinations of the designed fraction: whole multiples of three levels and of four."""
+SCENARIOS = ("hover", "figure-8", "dryden-moderate", "wind-8")
+"""What is flown at each combination, unless others are asked for."""
+VIBRATION = {"kind": "vibration", "frequency_hz": 87.0, "accel": 1.5, "gyro_deg": 1.0}
+LEVER_ARM = {"kind": "lever-arm", "position": (0.03, -0.02, 0.01)}
+RAW_BIAS = {"kind": "gyro-bias-step", "bias_deg": (2.5, -2.5, 1.87), "at_s": 0.0}
+"""4 °/s in all, from the first sample on."""
+
+AXES: dict[str, dict[str, dict[str, Any]]] = {
+    "initial attitude": {
+        "given": {"start": {"known_attitude": True}},
+        "given, 4° wrong": {"start": {"known_attitude": True, "attitude_error_deg": 4.0}},
+        "unknown": {"start": {"known_attitude": False}},
+    },
+    "motion": {
+        "rest": {"start": {"speed": 0.0, "tilt_deg": 0.0, "rate_deg": 0.0}},
+        "4 m/s": {"start": {"speed": 4.0, "tilt_deg": 0.0, "rate_deg": 0.0}},
+        "hand launch": {"start": {"speed": 2.0, "tilt_deg": 40.0, "rate_deg": 200.0}},
+    },
+    "drag": {
+        "known": {},
+        "half of what is known": {"drag_factor": 0.5},
+        "twice what is known": {"drag_factor": 2.0},
+        "not known": {"vehicle_known": False},
+    },
+    "airframe": {name: {"vehicle": name} for name in ("hummingbird", "px4-quad", "crazyflie", "hexarotor")},
+    "IMU": {
+        "ADIS16448": {"imu": "adis16448"},
+        "px4-mini": {"imu": "px4-mini"},
+        "rough, vibration, lever arm": {"imu": "rough", "faults": (VIBRATION, LEVER_ARM)},
+        "bias of 4 °/s": {"imu": "px4-mini", "faults": (RAW_BIAS,)},
+    },
+}
+"""For each axis its levels, and the fields of a scenario that they set; faults are added."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One cell of a design: a level of each axis, and what it is flown in."""
+
+    name: str
+    scenario: str
+    levels: dict[str, str]
+    """Axis to level."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An estimator at one level of one axis, or (`ALL`) over all."""
+
+    axis: str
+    level: str
+    estimator: str
+    flights: int
+    """0: it flies at none of them."""
+    crashes: int
+    crash_low: float
+    """Ends of the 95 % Wilson interval of the crash rate."""
+    crash_high: float
+    error_deg: float | None
+    """Interquartile mean of the flights' errors; None without a flight."""
+    low: float | None
+    """Ends of its 95 % interval, bootstrapped within each combination."""
+    high: float | None
+    failed: int
+    """Combinations at which it did not fly."""
+
+
+ALL = "all"
+
+
+def design(
+    scenarios: Sequence[str] = SCENARIOS, cells: int = CELLS, seed: int = 0, full: bool = False
+) -> list[Combination]:
+    """Combinations of the levels of `AXES` and of scenarios.
+
+    Args:
+        scenarios: An axis too: each combination is flown in one of them.
+        cells: How many combinations; with `full` every one of them.
+        seed: Of the design.
+        full: Every combination, in every scenario.
+
+    Raises:
+        ValueError: Fewer combinations than an axis has levels.
+    """
+    axes = {name: list(levels) for name, levels in AXES.items()}
+    most = max(map(len, (*axes.values(), scenarios)))
+    if full:
+        places = list(product(*(range(len(levels)) for levels in axes.values()), range(len(scenarios))))
+    elif cells < most:
+        raise ValueError(f"cells: {cells}, an axis has {most} levels; give {most} or more")
+    else:
+        sampler = qmc.LatinHypercube(len(axes) + 1, optimization="random-cd", rng=np.random.default_rng(seed))
+        counts = np.array([len(levels) for levels in axes.values()] + [len(scenarios)])
+        places = np.floor(sampler.random(cells) * counts).astype(int).tolist()
+    width = len(str(len(places) - 1))
+    return [
+        Combination(
+            f"axes-{number:0{width}}",
+            scenarios[place[-1]],
+            {axis: levels[k] for (axis, levels), k in zip(axes.items(), place, strict=False)},
+        )
+        for number, place in enumerate(places)
+    ]
+
+
+def scenario_of(combination: Combination) -> Scenario:
+    """The scenario of a combination.
+
+    Raises:
+        ValueError: No such scenario, or one that a level does not fit.
+    """
+    base = load_scenario(combination.scenario)
+    fields = base.model_dump()
+    for axis, level in combination.levels.items():
+        for name, value in AXES[axis][level].items():
+            if name == "faults":
+                fields[name] = (*fields[name], *value)
+            elif isinstance(value, Mapping):
+                fields[name] = {**fields[name], **value}
+            else:
+                fields[name] = value
+    levels = ", ".join(f"{axis}: {level}" for axis, level in combination.levels.items())
+    return changed(base, fields | {"description": f"{combination.scenario}; {levels}."})
+
+
+def effects(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[Effect]:
+    """Every estimator at every level of every axis, scenarios among them, and over all.
+
+    The flights that the truth crashes on count for nobody: no estimator could have flown them.
+
+    Args:
+        combinations: The design.
+        results: Of `bench` on its scenarios.
+        seed: Of the bootstrap.
+    """
+    lost = {(f.scenario, f.seed) for f in results.flights if f.estimator == "truth" and f.cause}
+    flown: dict[tuple[str, str], list[FlightRow]] = {}
+    for flight in results.flights:
+        if (flight.scenario, flight.seed) not in lost:
+            flown.setdefault((flight.scenario, flight.estimator), []).append(flight)
+    failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
+    by_axis = {axis: list(levels) for axis, levels in AXES.items()}
+    by_axis["scenario"] = list(dict.fromkeys(each.scenario for each in combinations))
+    rows = []
+    for axis, level in [(ALL, ALL), *((axis, level) for axis, levels in by_axis.items() for level in levels)]:
+        names = [each.name for each in combinations if axis == ALL or _level(each, axis) == level]
+        for estimator in results.estimators:
+            cells = [flown.get((name, estimator), []) for name in names]
+            flights = [flight for cell in cells for flight in cell]
+            crashes = sum(bool(flight.cause) for flight in flights)
+            known = [values for cell in cells if (values := _errors(cell)).size]
+            middle, low, high = None, None, None
+            if known:
+                middle = float(interquartile_mean(np.concatenate(known)))
+                low, high = stratified_interval(known, interquartile_mean, seed)
+            rows.append(
+                Effect(
+                    axis, level, estimator, len(flights), crashes, *wilson(crashes, len(flights)),
+                    middle, low, high, sum((name, estimator) in failed for name in names),
+                )
+            )  # fmt: skip
+    return rows
+
+
+def advice(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[str]:
+    """What to fly, a sentence for each condition: the airframe known, and not.
+
+    An estimator is better with fewer crashes, then with the smaller interquartile mean of its errors. Those
+    that neither the crashes (McNemar's test) nor the errors (probability of improvement) tell from the best
+    are named beside it.
+    """
+    conditions = {
+        "With the airframe's drag known": lambda level: level == "known",
+        "With drag that is half or twice what is known": lambda level: level.endswith("what is known"),
+        "On an airframe that nobody has described": lambda level: level == "not known",
+    }
+    lines = []
+    for text, fits in conditions.items():
+        part = [each for each in combinations if fits(each.levels["drag"])]
+        lines.append(f"{text}: {_best(part, results, seed)}")
+    return lines
+
+
+def _best(combinations: Sequence[Combination], results: Results, seed: int) -> str:
+    names = {each.name for each in combinations}
+    flights = [flight for flight in results.flights if flight.scenario in names]
+    lost = {(f.scenario, f.seed) for f in flights if f.estimator == "truth" and f.cause}
+    of: dict[str, list[FlightRow]] = {}
+    for flight in flights:
+        if (flight.scenario, flight.seed) not in lost:
+            of.setdefault(flight.estimator, []).append(flight)
+    most = max(map(len, of.values()), default=0)
+    candidates = {name: own for name, own in of.items() if name != "truth" and len(own) == most}
+    if not candidates:
+        return "no estimator flew."
+
+    def rank(name: str) -> tuple[int, float]:
+        own = candidates[name]
+        known = _errors(own)
+        return sum(bool(f.cause) for f in own), float(interquartile_mean(known)) if known.size else np.inf
+
+    ordered = sorted(candidates, key=rank)
+    best = ordered[0]
+    crashes, error = rank(best)
+    strata = {name: _strata(candidates[name]) for name in ordered}
+    tied = []
+    for other in ordered[1:]:
+        low, high = probability_of_improvement(strata[best], strata[other], seed)[1:]
+        crashed = [np.array([bool(f.cause) for f in candidates[name]]) for name in (best, other)]
+        if low <= 0.5 <= high and crash_test(crashed[0], crashed[1]) > 0.05:
+            tied.append(other)
+    worst = max(
+        (
+            each
+            for each in effects(combinations, results, seed)
+            if each.estimator == best and each.axis != ALL
+        ),
+        key=lambda each: (each.crashes / max(each.flights, 1), each.error_deg or 0.0),
+    )
+    text = f"fly {best}, {crashes} of {most} flights crashed, error {error:.2f}°; worst at {worst.axis} = "
+    text += f"{worst.level}, {worst.crashes} of {worst.flights}" + (
+        "" if worst.error_deg is None else f", {worst.error_deg:.2f}°"
+    )
+    return text + (f". These flights cannot tell it from {', '.join(tied)}." if tied else ".")
+
+
+def _errors(flights: Sequence[FlightRow]) -> NDArray[np.float64]:
+    """Errors of the flights that did not crash."""
+    return np.array([f.error_deg for f in flights if not f.cause and f.error_deg is not None], float)
+
+
+def _strata(flights: Sequence[FlightRow]) -> list[NDArray[np.float64]]:
+    """Errors by scenario, infinite of crashed flights."""
+    found: dict[str, list[float]] = {}
+    for flight in flights:
+        error = np.inf if flight.cause or flight.error_deg is None else flight.error_deg
+        found.setdefault(flight.scenario, []).append(error)
+    return [np.array(each) for each in found.values()]
+
+
+def _level(combination: Combination, axis: str) -> str:
+    return combination.scenario if axis == "scenario" else combination.levels[axis]
