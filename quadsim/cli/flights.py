@@ -8,6 +8,7 @@ from rich.table import Table
 
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
+from ..runs.files import save_figure, write_csv
 from .options import EngineToo, ImuToo, Rate, Seed, TuningOption, VehicleToo, Workers, headline, warn_of
 
 
@@ -131,7 +132,19 @@ def bench(
         list[str] | None,
         typer.Option(help="Estimator: a name, weights (.safetensors) or your module:Class; again for more."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Flights in each cell.")] = 10,
+    seeds: Annotated[
+        int | None,
+        typer.Option(min=1, max=10_000, help="Flights in each cell; 10 when left out, with --axes 4."),
+    ] = None,
+    axes: Annotated[
+        bool,
+        typer.Option(
+            "--axes",
+            help="Vary the initial attitude, motion, drag, airframe and IMU too: a designed fraction of all "
+            "combinations, and the effect of each.",
+        ),
+    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="With --axes: every combination.")] = False,
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenarios'.")
     ] = None,
@@ -159,26 +172,41 @@ def bench(
     Finished cells are stored: the same command resumes a killed run. Breaking points are
     searched by bisection, with the same estimators and seeds, and join the report.
 
+    With --axes, effects.csv and axes.png have the error and the crashes at each level of each axis, and the
+    verdict has a sentence for each condition: the airframe known, and not.
+
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
+
+    Example: quadsim bench --axes --estimator truth --estimator imm --estimator vqf --out reports/axes
     """
     import estimators
+    from scenarios.bench import axes as axes_of
     from scenarios.bench.breaking import breaking_points, chosen
     from scenarios.bench.runner import bench as run_bench
     from scenarios.bench.settings import FlightSettings, ScenarioChanges
+    from scenarios.report.axes_figure import axes_figure
     from scenarios.report.publish import publish
-    from scenarios.report.terminal import breaking_table, closed_loop_table
+    from scenarios.report.terminal import axes_tables, breaking_table, closed_loop_table
 
     from ..flight.scenario import scenario_names
 
     names = estimator or estimators.names()
     searched = chosen(breaking_point or [], duration)
-    settings = FlightSettings(seeds, seed, rate, tuning)
+    if full and not axes:
+        raise ValueError("--full is for --axes: give both")
+    if axes and (vehicle or imu or searched):
+        raise ValueError(
+            "--axes varies vehicle and IMU itself: leave --vehicle, --imu and --breaking-point out"
+        )
+    settings = FlightSettings(seeds or (4 if axes else 10), seed, rate, tuning)
     changes = ScenarioChanges(duration, vehicle, imu, external, engine)
+    combinations = axes_of.design(scenario or axes_of.SCENARIOS, full=full) if axes else []
+    flown = {each.name: axes_of.scenario_of(each) for each in combinations} or scenario or scenario_names()
     points = []
     with executor_of(cluster) as executor:
         with progress_bar("fly", "cells") as progress:
             results = run_bench(
-                scenario or scenario_names(), names, out, settings, changes,
+                flown, names, out, settings, changes,
                 workers=workers, executor=executor, progress=progress,
             )  # fmt: skip
         if searched:
@@ -188,12 +216,22 @@ def bench(
                     workers=workers, executor=executor, progress=progress,
                 )  # fmt: skip
     page, note = publish(out, results, points)
-    console.print(closed_loop_table(results))
+    if combinations:
+        effects = axes_of.effects(combinations, results)
+        write_csv(out / "axes.csv", axes_of.table(combinations))
+        write_csv(out / "effects.csv", effects)
+        save_figure(out / "axes.png", axes_figure(effects), dpi=130)
+        console.print(*axes_tables(effects))
+        for line in axes_of.advice(combinations, results):
+            console.print(line, soft_wrap=True)
+    else:
+        console.print(closed_loop_table(results))
     if points:
         console.print(breaking_table(points))
-    if note:
+    if note and not axes:
         console.print(note, soft_wrap=True)
-    warn_of(results)
+    if not axes:  # whose point are vehicles and IMUs that nobody tuned for
+        warn_of(results)
     console.print(headline(page, results), soft_wrap=True)
     if all(cell.reason for cell in results.cells):
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")

@@ -90,8 +90,18 @@ class Effect:
     failed: int
     """Combinations at which it did not fly."""
 
+    @property
+    def crash_rate(self) -> float:
+        """Share of the flights that crashed; 1 without any."""
+        return self.crashes / self.flights if self.flights else 1.0
+
 
 ALL = "all"
+
+
+def table(combinations: Sequence[Combination]) -> list[dict[str, str]]:
+    """The design as rows of a table."""
+    return [{"name": each.name, "scenario": each.scenario, **each.levels} for each in combinations]
 
 
 def design(
@@ -204,7 +214,30 @@ def advice(combinations: Sequence[Combination], results: Results, seed: int = 0)
     for text, fits in conditions.items():
         part = [each for each in combinations if fits(each.levels["drag"])]
         lines.append(f"{text}: {_best(part, results, seed)}")
+    found = [each for each in effects(combinations, results, seed) if each.axis != ALL]
+    names = [name for name in results.estimators if name != "truth"]
+    worst = {name: _worst(found, name) for name in names}
+    safest = min((name for name in names if worst[name]), key=lambda name: _cost(worst[name]), default=None)
+    if safest is not None:
+        lines.append(f"Smallest loss at its worst level: {safest}, {_described(worst[safest])}.")
     return lines
+
+
+def _worst(found: Sequence[Effect], estimator: str) -> Effect | None:
+    """The level at which most flights crash, or the error is largest; None where it did not fly."""
+    own = [each for each in found if each.estimator == estimator and each.flights]
+    return max(own, key=_cost, default=None)
+
+
+def _cost(effect: Effect | None) -> tuple[float, float]:
+    return (1.0, np.inf) if effect is None else (effect.crash_rate, effect.error_deg or 0.0)
+
+
+def _described(effect: Effect | None) -> str:
+    if effect is None:
+        return "no flight"
+    error = "" if effect.error_deg is None else f", error {effect.error_deg:.2f}°"
+    return f"{effect.axis} = {effect.level}, {effect.crashes} of {effect.flights} crashed{error}"
 
 
 def _best(combinations: Sequence[Combination], results: Results, seed: int) -> str:
@@ -235,18 +268,9 @@ def _best(combinations: Sequence[Combination], results: Results, seed: int) -> s
         crashed = [np.array([bool(f.cause) for f in candidates[name]]) for name in (best, other)]
         if low <= 0.5 <= high and crash_test(crashed[0], crashed[1]) > 0.05:
             tied.append(other)
-    worst = max(
-        (
-            each
-            for each in effects(combinations, results, seed)
-            if each.estimator == best and each.axis != ALL
-        ),
-        key=lambda each: (each.crashes / max(each.flights, 1), each.error_deg or 0.0),
-    )
-    text = f"fly {best}, {crashes} of {most} flights crashed, error {error:.2f}°; worst at {worst.axis} = "
-    text += f"{worst.level}, {worst.crashes} of {worst.flights}" + (
-        "" if worst.error_deg is None else f", {worst.error_deg:.2f}°"
-    )
+    found = [each for each in effects(combinations, results, seed) if each.axis != ALL]
+    text = f"fly {best}, {crashes} of {most} flights crashed, error {error:.2f}°; worst at "
+    text += _described(_worst(found, best))
     return text + (f". These flights cannot tell it from {', '.join(tied)}." if tied else ".")
 
 

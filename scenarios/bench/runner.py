@@ -119,12 +119,15 @@ def bench(
     if progress:
         progress(len(cells), len(pairs))
     jobs = [(s, loaded[s], e, settings, prints[s, e]) for s, e in missing]
+    said: set[tuple[str, str]] = set()
     for i, cell in spread(fly_cell, jobs, workers, executor):
         if isinstance(cell, BaseException):  # the worker itself died
             cell = failed_cell(*missing[i], prints[missing[i]], f"{type(cell).__name__}: {cell}")
         cells[missing[i]] = cell
         if cell.reason:
-            log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
+            if (cell.estimator, cell.reason) not in said:
+                log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
+            said.add((cell.estimator, cell.reason))  # other scenarios with the same reason are not listed
         else:
             write_json(cell_path(out, cell.scenario, cell.estimator), asdict(cell))
         if progress:

@@ -11,6 +11,7 @@ from estimators.analysis.ablation import Pruned
 from estimators.evaluation.comparison import EvaluationRow
 from estimators.loihi.chip import LIMITS, ChipCore
 
+from ..bench.axes import ALL, Effect
 from ..bench.breaking import BreakingPoint
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
@@ -35,6 +36,34 @@ def closed_loop_table(results: Results) -> Table:
     rows = ([name, *(_entry(found[scenario, name]) for scenario in results.scenarios)] for name in names)
     title = "In closed loop: error of roll and pitch, °; ✕ crashed flights"
     return _table(title, ["estimator"], results.scenarios, rows)
+
+
+def axes_tables(effects: Sequence[Effect]) -> list[Table]:
+    """A table for each axis: estimators against its levels, best over all first."""
+    overall = {each.estimator: each for each in effects if each.axis == ALL}
+    names = sorted(overall, key=lambda name: (overall[name].crash_rate, overall[name].error_deg or math.inf))
+    found = {(each.axis, each.level, each.estimator): each for each in effects}
+    levels: dict[str, list[str]] = {}
+    for each in effects:
+        of_axis = levels.setdefault(each.axis, [])
+        if each.level not in of_axis:
+            of_axis.append(each.level)
+    return [
+        _table(
+            "all flights" if axis == ALL else axis,
+            ["estimator"],
+            ["error, °; ✕ crashed"] if axis == ALL else own,
+            ([name, *(_effect(found[axis, level, name]) for level in own)] for name in names),
+        )
+        for axis, own in levels.items()
+    ]
+
+
+def _effect(each: Effect) -> str:
+    if not each.flights:
+        return "does not fly"
+    error = "–" if each.error_deg is None else f"{each.error_deg:.2f}"
+    return error + (f" ✕{each.crashes}/{each.flights}" if each.crashes else "")
 
 
 def breaking_table(points: Sequence[BreakingPoint]) -> Table:

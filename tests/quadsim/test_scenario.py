@@ -8,15 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import estimators
+from estimators.metrics import inclination_error
 from quadsim.config.toml import parse
 from quadsim.control.cascade import MEASURED
 from quadsim.estimator import Readings
 from quadsim.external import ExternalSensor, ExternalSpec
-from quadsim.flight.faults import RotorLoss, sensor_faults
+from quadsim.flight.faults import RotorLoss, displaced, sensor_faults
 from quadsim.flight.mission import CAUSES, GROUNDED, OUT_OF_BOUNDS, TILTED, Mission
 from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario, scenario_names
+from quadsim.imu.spec import load_imu
 from quadsim.seeding import vehicle_seeds
 from quadsim.trajectory.specs import Hover
+from quadsim.vehicle import load_vehicle, with_drag
 
 HOVER = Scenario(description="", duration_s=1.0, start=Start(known_attitude=True))
 
@@ -155,6 +158,36 @@ def test_starts_tilted_by_the_given_angle_about_an_axis_of_its_own():
     np.testing.assert_allclose(quat[:, 3], 0.0, atol=1e-12)
 
 
+def test_an_attitude_is_given_wrongly_by_the_angle_that_is_asked_for():
+    start = Start(known_attitude=True, attitude_error_deg=4.0, tilt_deg=30.0)
+    given = {}
+
+    class Listener:
+        rate_hz = 200.0
+
+        def reset(self, n, roll_pitch=None):
+            given["roll_pitch"] = roll_pitch
+
+        def update(self, gyro, accel):
+            return np.zeros((len(gyro), 2))
+
+    mission = Mission(HOVER.model_copy(update={"start": start}), Listener(), 50)
+    mission.begin(vehicle_seeds(0, 50))
+    truth = mission.loop.true_attitude
+    error = inclination_error(given["roll_pitch"][:, None], truth[:, None])[:, 0]
+    np.testing.assert_allclose(error, 4.0, atol=1e-6)
+    off = given["roll_pitch"] - truth
+    assert np.abs(off.mean(axis=0)).max() < np.radians(2.0)  # about an axis of each flight's own
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_airframe_has_so_many_times_the_drag_of_its_file(factor):
+    mission, known = Mission(HOVER.model_copy(update={"drag_factor": factor})), load_vehicle("hummingbird")
+    assert mission.vehicle.drag_time_constant == pytest.approx(known.drag_time_constant / factor)
+    np.testing.assert_allclose(mission.vehicle.frame.drag_area, factor * np.array(known.frame.drag_area))
+    assert with_drag(known, 1.0) is known
+
+
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
@@ -201,6 +234,35 @@ def test_bias_step_adds_to_its_sensor_from_its_time_on():
     np.testing.assert_allclose(out[:3], ideal[:3])
     np.testing.assert_allclose((out - ideal)[3:, 0, :3], [[0.0, np.pi, 0.0]] * 2)
     np.testing.assert_allclose((out - ideal)[..., 3:], 0.0)
+
+
+def test_a_bias_ramp_grows_evenly_and_then_stays():
+    ramp = {"kind": "bias-ramp", "gyro_deg": [10.0, 0, 0], "accel": [0, 0, 2.0], "at_s": 0.1, "length_s": 0.2}
+    change = corrupted(ramp, 40)[:, 0] - (1.0 + np.arange(40))[:, None]
+    share = np.clip((np.arange(40) - 10) / 20, 0, 1)
+    np.testing.assert_allclose(change[:, 0], np.radians(10.0) * share, atol=1e-12)
+    np.testing.assert_allclose(change[:, 5], 2.0 * share, atol=1e-12)
+    assert (change[:, [1, 2, 3, 4]] == 0).all()
+
+
+def test_a_lever_arm_adds_to_the_imu_s_own():
+    imu = load_imu("adis16448").model_copy(update={"lever_arm": (0.01, 0.0, 0.0)})
+    arms = with_faults(*[{"kind": "lever-arm", "position": [0.02, 0.03, 0.0]}] * 2).faults
+    np.testing.assert_allclose(displaced(imu, arms).lever_arm, (0.05, 0.06, 0.0))
+    assert displaced(imu, ()) is imu
+
+
+def test_near_the_ground_the_rotors_push_harder():
+    mission = Mission(with_faults({"kind": "ground-effect"}), None, 4)
+    mission.begin(vehicle_seeds(0, 4))
+    radius = mission.vehicle.frame.prop_radius
+    heights = np.array([0.1, 0.5, 1.0, 100.0]) * radius
+    mission.loop.plant.position[:, 2] = heights
+    mission._faults.apply(mission.k)
+    effect = mission.loop.plant.rotor_effect[:, 0]
+    np.testing.assert_allclose(effect, 1 / (1 - (1 / (4 * np.array([0.5, 0.5, 1.0, 100.0]))) ** 2))
+    mission._faults.restart(np.array([1]))
+    assert mission.loop.plant.rotor_effect[1, 0] == 1.0
 
 
 def test_stuck_sensor_repeats_its_last_good_sample():
