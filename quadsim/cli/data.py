@@ -8,7 +8,7 @@ from rich.table import Table
 
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
-from .options import EngineToo, Rate, Seed, Workers
+from .options import EngineToo, LearningSeed, Rate, Workers
 
 dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
 
@@ -26,7 +26,7 @@ def generate(
     imu: Annotated[str | None, typer.Option(help="Another IMU: a shipped name or a TOML file.")] = None,
     engine: EngineToo = None,
     rate: Rate = 200.0,
-    seed: Seed = 0,
+    seed: LearningSeed = 0,
     workers: Workers = None,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is at --out.")] = False,

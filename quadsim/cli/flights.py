@@ -134,7 +134,9 @@ def bench(
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(min=1, max=10_000, help="Flights in each cell; 10 when left out, with --axes 4."),
+        typer.Option(
+            min=1, max=10_000, help="Flights in each cell; 10 when left out, 4 with --axes or --held-out."
+        ),
     ] = None,
     axes: Annotated[
         bool,
@@ -145,6 +147,13 @@ def bench(
         ),
     ] = False,
     full: Annotated[bool, typer.Option("--full", help="With --axes: every combination.")] = False,
+    held_out: Annotated[
+        bool,
+        typer.Option(
+            "--held-out",
+            help="Fly the held-out suite: scenarios that are drawn, by seeds that nothing learnt from.",
+        ),
+    ] = False,
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenarios'.")
     ] = None,
@@ -172,8 +181,8 @@ def bench(
     Finished cells are stored: the same command resumes a killed run. Breaking points are
     searched by bisection, with the same estimators and seeds, and join the report.
 
-    With --axes, effects.csv and axes.png have the error and the crashes at each level of each axis, and the
-    verdict has a sentence for each condition: the airframe known, and not.
+    With --axes or --held-out, effects.csv and axes.png have the error and the crashes at each level of each
+    axis, and the verdict has a sentence for each condition: the airframe known, and not.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
 
@@ -182,6 +191,7 @@ def bench(
     import estimators
     from scenarios.bench import axes as axes_of
     from scenarios.bench.breaking import breaking_points, chosen
+    from scenarios.bench.held_out import suite as draw
     from scenarios.bench.runner import bench as run_bench
     from scenarios.bench.settings import FlightSettings, ScenarioChanges
     from scenarios.report.axes_figure import axes_figure
@@ -189,19 +199,32 @@ def bench(
     from scenarios.report.terminal import axes_tables, breaking_table, closed_loop_table
 
     from ..flight.scenario import scenario_names
+    from ..held_out import load_held_out, releases
 
     names = estimator or estimators.names()
     searched = chosen(breaking_point or [], duration)
     if full and not axes:
         raise ValueError("--full is for --axes: give both")
-    if axes and (vehicle or imu or searched):
+    if (axes or held_out) and (vehicle or imu or searched):
         raise ValueError(
-            "--axes varies vehicle and IMU itself: leave --vehicle, --imu and --breaking-point out"
+            "--axes and --held-out vary vehicle and IMU: leave --vehicle, --imu and --breaking-point out"
         )
-    settings = FlightSettings(seeds or (4 if axes else 10), seed, rate, tuning)
+    if held_out and (axes or scenario or seed):
+        raise ValueError("--held-out has its own scenarios and seed: leave --axes, --scenario and --seed out")
     changes = ScenarioChanges(duration, vehicle, imu, external, engine)
-    combinations = axes_of.design(scenario or axes_of.SCENARIOS, full=full) if axes else []
-    flown = {each.name: axes_of.scenario_of(each) for each in combinations} or scenario or scenario_names()
+    combinations, flown = [], scenario or scenario_names()
+    if axes:
+        combinations = axes_of.design(scenario or axes_of.SCENARIOS, full=full)
+        flown = {each.name: axes_of.scenario_of(each) for each in combinations}
+        settings = FlightSettings(seeds or 4, seed, rate, tuning)
+    elif held_out:
+        suite = load_held_out(releases()[-1])
+        drawn = draw(suite)
+        combinations = [combination for combination, _ in drawn.values()]
+        flown = {name: each for name, (_, each) in drawn.items()}
+        settings = FlightSettings(seeds or suite.flights, suite.seed, rate, tuning)
+    else:
+        settings = FlightSettings(seeds or 10, seed, rate, tuning)
     points = []
     with executor_of(cluster) as executor:
         with progress_bar("fly", "cells") as progress:
@@ -228,9 +251,9 @@ def bench(
         console.print(closed_loop_table(results))
     if points:
         console.print(breaking_table(points))
-    if note and not axes:
+    if note and not combinations:
         console.print(note, soft_wrap=True)
-    if not axes:  # whose point are vehicles and IMUs that nobody tuned for
+    if not combinations:  # whose point are vehicles and IMUs that nobody tuned for
         warn_of(results)
     console.print(headline(page, results), soft_wrap=True)
     if all(cell.reason for cell in results.cells):

@@ -8,7 +8,7 @@ import typer
 
 from ..runs.console import Bar, executor_of, progress_bar
 from ..runs.console import output as console
-from .options import Criterion, Fields, Initial, Preset, Search, Seed, Workers, fields_of, time_left
+from .options import Criterion, Fields, Initial, LearningSeed, Preset, Search, Workers, fields_of, time_left
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
@@ -34,7 +34,7 @@ def train(
     epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads that share a batch.")] = 1,
     set_: Fields = None,
-    seed: Seed = 0,
+    seed: LearningSeed = 0,
 ) -> None:
     """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
 
@@ -100,7 +100,7 @@ def kfold(
     folds: Annotated[int, typer.Option(min=2, help="Parts that each domain's flights are dealt into.")] = 5,
     epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
     set_: Fields = None,
-    seed: Seed = 0,
+    seed: LearningSeed = 0,
     workers: Workers = None,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
 ) -> None:
@@ -160,7 +160,7 @@ def tune(
         Search, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
     ] = "swarm",
     threads: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
-    seed: Seed = 0,
+    seed: LearningSeed = 0,
 ) -> None:
     """Tune a filter on recorded flights with the paper's particle swarm.
 
@@ -225,7 +225,7 @@ def inspect(
     out: Annotated[Path, typer.Option(help="Folder for figures, page and pruned weights.")] = Path(
         "reports/inspect"
     ),
-    seed: Seed = 0,
+    seed: LearningSeed = 0,
 ) -> None:
     """Look inside a spiking network: its place on the chip, its spikes, what they encode and cost.
 

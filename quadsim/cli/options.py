@@ -20,6 +20,20 @@ Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
 Criterion = Literal["contribution", "activity", "magnitude", "random"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+
+
+def _unreserved(seed: int) -> int:
+    from ..held_out import unreserved
+
+    try:
+        return unreserved(seed)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+LearningSeed = Annotated[
+    int, typer.Option(min=0, callback=_unreserved, help="Seed of everything random; not one held out.")
+]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
 Preset = Annotated[
     str,

@@ -145,7 +145,7 @@ class FlightLoop:
         """Reset all vehicles; arguments as for `Plant.reset`.
 
         The estimator starts level, unless `known_attitude`: then it starts at the true roll and pitch, turned
-        by `attitude_error`, rotation vectors (n, 3) in body axes [rad].
+        by `attitude_error`, rotation vectors (n, 3) in world axes [rad].
         """
         every = np.arange(self.n)
         self.restart(every, position, velocity, quat, ang_vel, known_attitude, attitude_error)
@@ -177,7 +177,7 @@ class FlightLoop:
         if known_attitude:
             given = self.true_attitude[ids]
             if attitude_error is not None:
-                off = quat_multiply(self.plant.quat[ids], quat_from_rotvec(attitude_error))
+                off = quat_multiply(quat_from_rotvec(attitude_error), self.plant.quat[ids])
                 given = euler_from_quat(off)[:, :2]
         if len(ids) == self.n:
             self.estimator.reset(self.n, roll_pitch=given)

@@ -171,7 +171,7 @@ class Mission:
 
         Returns:
             Position, velocity, quat_WB and body rate; the error of the attitude that is given, as rotation
-            vectors in body axes (n, 3) [rad], None without one.
+            vectors in world axes (n, 3) [rad], None without one.
         """
         start = self.scenario.start
         angles = np.array(

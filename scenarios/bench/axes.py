@@ -145,9 +145,17 @@ def scenario_of(combination: Combination) -> Scenario:
     Raises:
         ValueError: No such scenario, or one that a level does not fit.
     """
-    base = load_scenario(combination.scenario)
+    return with_levels(load_scenario(combination.scenario), combination.levels)
+
+
+def with_levels(base: Scenario, levels: Mapping[str, str]) -> Scenario:
+    """A scenario with what levels of the axes set; faults are added to its own.
+
+    Raises:
+        ValueError: A level that does not fit.
+    """
     fields = base.model_dump()
-    for axis, level in combination.levels.items():
+    for axis, level in levels.items():
         for name, value in AXES[axis][level].items():
             if name == "faults":
                 fields[name] = (*fields[name], *value)
@@ -155,8 +163,8 @@ def scenario_of(combination: Combination) -> Scenario:
                 fields[name] = {**fields[name], **value}
             else:
                 fields[name] = value
-    levels = ", ".join(f"{axis}: {level}" for axis, level in combination.levels.items())
-    return changed(base, fields | {"description": f"{combination.scenario}; {levels}."})
+    said = "; ".join(f"{axis}: {level}" for axis, level in levels.items())
+    return changed(base, fields | {"description": f"{base.description.rstrip('.')}; {said}."})
 
 
 def effects(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[Effect]:

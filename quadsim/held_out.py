@@ -1,0 +1,61 @@
+"""The held-out suite of a release: ranges that flights are drawn from, and seeds that nothing else uses."""
+
+from typing import Annotated
+
+from .config.ranges import Between, Duration, Rising, Speed
+from .config.toml import Strict, load_toml, preset_names
+
+SEEDS = 1_000_000
+"""Seeds that a suite reserves, from its own on."""
+Tilt = Annotated[float, Between(0.0, 55.0, "°")]
+
+
+class HeldOut(Strict):
+    """A file of `assets/held-out`."""
+
+    release: str
+    """The version that is judged by it."""
+    seed: Annotated[int, Between(0, 2**31)]
+    """Of everything that is drawn; it and the `SEEDS` - 1 after it are refused elsewhere."""
+    scenarios: Annotated[int, Between(1, 10_000)]
+    """How many are drawn."""
+    flights: Annotated[int, Between(1, 10_000)]
+    """Of each estimator in each of them."""
+    wind: Annotated[tuple[Speed, Speed], Rising]
+    """Mean wind, from any side [m/s]."""
+    wind_20ft: Annotated[tuple[Speed, Speed], Rising]
+    """Strength of Dryden turbulence, in half of them [m/s]."""
+    period_s: Annotated[tuple[Duration, Duration], Rising]
+    """Time of a lap of the figure of eight [s]."""
+    tilt_deg: Annotated[tuple[Tilt, Tilt], Rising]
+    """Largest tilt that random manoeuvres ask for [deg]."""
+
+
+def load_held_out(release: str) -> HeldOut:
+    """The suite of a release, by its name ("0.2").
+
+    Raises:
+        ValueError: There is none.
+    """
+    return load_toml(release, "held-out", HeldOut)
+
+
+def releases() -> list[str]:
+    """Releases that have a suite, the oldest first."""
+    return preset_names("held-out")
+
+
+def unreserved(seed: int) -> int:
+    """A seed that no held-out suite has.
+
+    Raises:
+        ValueError: One has it.
+    """
+    for release in releases():
+        first = load_held_out(release).seed
+        if first <= seed < first + SEEDS:
+            raise ValueError(
+                f"seed {seed} is of the held-out suite of {release}, on which nothing is trained, tuned or "
+                f"chosen; give one below {first} or from {first + SEEDS} on"
+            )
+    return seed
