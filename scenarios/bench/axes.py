@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from quadsim.flight.scenario import Scenario, changed, load_scenario
 
 from .flight_metrics import FlightRow, wilson
-from .runner import Results
+from .runner import Results, identical
 from .statistics import crash_test, interquartile_mean, probability_of_improvement, stratified_interval
 
 CELLS = 72
@@ -170,7 +170,8 @@ def with_levels(base: Scenario, levels: Mapping[str, str]) -> Scenario:
 def effects(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[Effect]:
     """Every estimator at every level of every axis, scenarios among them, and over all.
 
-    The flights that the truth crashes on count for nobody: no estimator could have flown them.
+    The flights that the truth crashes on count for nobody: no estimator could have flown them. Estimators
+    that flew exactly as another have no rows.
 
     Args:
         combinations: The design.
@@ -183,12 +184,13 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
         if (flight.scenario, flight.seed) not in lost:
             flown.setdefault((flight.scenario, flight.estimator), []).append(flight)
     failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
+    estimators = [name for name in results.estimators if name not in identical(results)]
     by_axis = {axis: list(levels) for axis, levels in AXES.items()}
     by_axis["scenario"] = list(dict.fromkeys(each.scenario for each in combinations))
     rows = []
     for axis, level in [(ALL, ALL), *((axis, level) for axis, levels in by_axis.items() for level in levels)]:
         names = [each.name for each in combinations if axis == ALL or _level(each, axis) == level]
-        for estimator in results.estimators:
+        for estimator in estimators:
             cells = [flown.get((name, estimator), []) for name in names]
             flights = [flight for cell in cells for flight in cell]
             crashes = sum(bool(flight.cause) for flight in flights)
@@ -223,7 +225,7 @@ def advice(combinations: Sequence[Combination], results: Results, seed: int = 0)
         part = [each for each in combinations if fits(each.levels["drag"])]
         lines.append(f"{text}: {_best(part, results, seed)}")
     found = [each for each in effects(combinations, results, seed) if each.axis != ALL]
-    names = [name for name in results.estimators if name != "truth"]
+    names = [name for name in results.estimators if name != "truth" and name not in identical(results)]
     worst = {name: _worst(found, name) for name in names}
     safest = min((name for name in names if worst[name]), key=lambda name: _cost(worst[name]), default=None)
     if safest is not None:
@@ -257,7 +259,8 @@ def _best(combinations: Sequence[Combination], results: Results, seed: int) -> s
         if (flight.scenario, flight.seed) not in lost:
             of.setdefault(flight.estimator, []).append(flight)
     most = max(map(len, of.values()), default=0)
-    candidates = {name: own for name, own in of.items() if name != "truth" and len(own) == most}
+    left_out = {"truth", *identical(results)}
+    candidates = {name: own for name, own in of.items() if name not in left_out and len(own) == most}
     if not candidates:
         return "no estimator flew."
 

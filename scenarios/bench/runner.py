@@ -4,7 +4,7 @@ import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -137,6 +137,19 @@ def bench(
     write_csv(out / "flights.csv", results.flights)
     _save_index(out, results)
     return results
+
+
+def identical(results: Results) -> dict[str, str]:
+    """Estimators whose flights equal those of one before them to the last digit, and which one."""
+    flown: dict[str, tuple[FlightRow, ...]] = {name: () for name in results.estimators}
+    for flight in results.flights:
+        flown[flight.estimator] += (replace(flight, estimator=""),)
+    first: dict[tuple[FlightRow, ...], str] = {}
+    found = {}
+    for name, flights in flown.items():
+        if flights and first.setdefault(flights, name) != name:
+            found[name] = first[flights]
+    return found
 
 
 def load_results(out: str | Path) -> Results:

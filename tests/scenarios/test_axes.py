@@ -11,7 +11,7 @@ from quadsim.flight.scenario import load_scenario
 from scenarios.bench.axes import ALL, AXES, Combination, advice, design, effects, scenario_of, table
 from scenarios.bench.cell import Cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
-from scenarios.bench.runner import Results, bench
+from scenarios.bench.runner import Results, bench, identical
 from scenarios.bench.settings import FlightSettings, ScenarioChanges
 
 LEVELS = {axis: next(iter(levels)) for axis, levels in AXES.items()}
@@ -133,3 +133,14 @@ def test_a_designed_benchmark_flies_and_an_unknown_vehicle_is_not_flown_with_ekf
     assert not any(reason for pair, reason in reasons.items() if pair != ("axes-1", "ekf-drag"))
     failed = [e for e in effects(combos, results) if (e.level, e.estimator) == ("not known", "ekf-drag")]
     assert (failed[0].flights, failed[0].failed) == (0, 1)
+
+
+def test_an_estimator_that_flies_exactly_as_another_is_shown_once():
+    combos = [replace_level(0, "drag", "known")]
+    errors = {("axes-0", name): [1.0, 2.0] for name in ("att-snn", "att-snn-loihi")} | {
+        ("axes-0", "imm"): [1.0, 2.5]
+    }
+    results = made(errors, combos)
+    assert identical(results) == {"att-snn-loihi": "att-snn"}
+    assert {each.estimator for each in effects(combos, results)} == {"att-snn", "imm"}
+    assert "att-snn-loihi" not in " ".join(advice(combos, results))
