@@ -12,7 +12,6 @@ from estimators.loihi.neurons import VTH_MAX
 from estimators.networks.network import NetworkEstimator, OnLoihi, roll_pitch_of_outputs
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
-from estimators.spiking import MATRICES
 from quadsim.rotation import roll_pitch_of_up
 from training.backends.fused import Fused
 from training.config import make_config
@@ -24,12 +23,15 @@ G = 9.81
 
 
 def network(encoding, hidden, seed=0, outputs="roll-pitch"):
-    """A symmetric network with a solved start, and its files' contents."""
-    rng = np.random.default_rng(seed)
-    model = AttSNN(encoding, hidden, Fused(), symmetric=True, output_scale=1 / 256, outputs=outputs)
+    """A symmetric network with a solved start; of odd seeds with after-spike currents."""
+    rng, after = np.random.default_rng(seed), seed % 2 == 1
+    model = AttSNN(
+        encoding, hidden, Fused(), symmetric=True, output_scale=1 / 256, outputs=outputs, after_spike=after
+    )
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
     initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed, fan_in=8)
-    config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden, outputs=outputs)
+    sizes = {"encoding": encoding, "hidden": hidden, "after_spike": after}
+    config = make_config("best", data="none.zarr", outputs=outputs, **sizes)
     return model, *exported(model, config, 200.0, {})
 
 
@@ -41,11 +43,12 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
     rng = np.random.default_rng(seed)
     squares = {
         name: torch.from_numpy(model.shared(name, rng.random(tuple(getattr(model, name).shape)) ** 20))
-        for name in MATRICES
+        for name in model.matrices
     }
-    constants = 2 * (encoding + hidden) + 2
+    constants = model.time_constants
     prune_connections(model, squares, constants + int(share * (model.parameter_count - constants)))
-    config = make_config("best", data="none.zarr", encoding=encoding, hidden=hidden)
+    sizes = {"encoding": encoding, "hidden": hidden, "after_spike": seed % 2 == 1}
+    config = make_config("best", data="none.zarr", **sizes)
     whole = exported(model, config, 200.0, {})
     fewer = connected(*whole)
     assert fewer[0].encoding <= encoding
