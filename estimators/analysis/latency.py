@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..networks.encoder import ENCODER, scaled_inputs
+from ..networks.forward import Weights
 from ..networks.network import real_weights, roll_pitch_of_outputs
 from ..networks.weights_file import shipped_network
 from ..registry import create, names
@@ -35,12 +36,15 @@ class TorchSNN:
 
     def __init__(self) -> None:
         self.config, tensors = shipped_network("att-snn")
-        weights = [torch.tensor(w, dtype=torch.float32) for w in real_weights(self.config, tensors)]
-        self.w_in, self.w_ff, self.w_rec, self.w_out = (w.T for w in weights[:4])
-        self.taus = weights[4:]
+        real = real_weights(self.config, tensors)
+        w = Weights(*(torch.tensor(each, dtype=torch.float32) for each in real))
+        self.w_in, self.w_ff, self.w_rec, self.w_out = w.w_in.T, w.w_ff.T, w.w_rec.T, w.w_out.T
+        self.taus = [w.syn0, w.mem0, w.syn1, w.mem1, w.syn2, w.mem2]
+        self.w_after, self.syn_after = w.w_after.flatten(), w.syn_after
         sizes = [self.config.encoding, self.config.hidden, self.config.n_outputs]
         self.encoder = np.zeros(1, ENCODER)
         self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
+        self.a = torch.zeros(1, len(self.syn_after))
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
@@ -52,9 +56,13 @@ class TorchSNN:
             self.s[0] @ self.w_ff + self.s[1] @ self.w_rec,
             self.s[1] @ self.w_out,
         ]
+        if self.config.after_spike:
+            self.a = self.a * self.syn_after + self.s[1] * self.w_after
         for k, drive in enumerate(drives):
             self.u[k] = self.u[k] * self.taus[2 * k] + drive
             self.v[k] = self.v[k] * self.taus[2 * k + 1] + self.u[k]
+            if k == 1 and self.config.after_spike:
+                self.v[k] = self.v[k] + self.a
             if k < 2:
                 self.s[k] = (self.v[k] > 0.5).float()
                 self.v[k] = self.v[k] * (1 - self.s[k])
