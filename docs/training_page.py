@@ -150,7 +150,7 @@ def training_cells(training: dict) -> tuple[str, ...]:
 def free_parameters(tensors: Tensors) -> int:
     """Different numbers among a symmetric network's parameters: shared ones count once."""
     shared = weight_sharing(*(len(tensors[name]) for name in ("w_in", "w_ff", "w_out")))
-    there = {name: tensors[name].ravel() != 0 for name in shared}
+    there = {name: tensors[name].ravel() != 0 for name in shared if name in tensors}
     return 2 + sum(np.unique(sharing.first[there[name]]).size for name, sharing in shared.items())
 
 
