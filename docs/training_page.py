@@ -139,7 +139,9 @@ def training_cells(training: dict) -> tuple[str, ...]:
     """Flights, updates, hours of flight in all updates, and hours that the last run took."""
     config = training.get("config", {})
     epochs, batches = -(-training["updates"] // config["batches"]), config["batches"]
-    plan = make_config(config["preset"], data="x") if config.get("later_windows") else None
+    plan = None
+    if config.get("later_windows"):
+        plan = make_config(config["preset"], data="x", model=config["model"])
     lengths = [plan.window_s_in(k) if plan else config["window_s"] for k in range(epochs)]
     hours = min(epochs * batches, training["updates"]) / epochs * config["batch_size"] * sum(lengths) / 3600
     seconds = training.get("seconds")
@@ -151,7 +153,7 @@ def free_parameters(tensors: Tensors) -> int:
     """Different numbers among a symmetric network's parameters: shared ones count once."""
     shared = weight_sharing(*(len(tensors[name]) for name in ("w_in", "w_ff", "w_out")))
     there = {name: tensors[name].ravel() != 0 for name in shared if name in tensors}
-    return 2 + sum(np.unique(sharing.first[there[name]]).size for name, sharing in shared.items())
+    return 2 + sum(np.unique(shared[name].first[used]).size for name, used in there.items())
 
 
 def symmetry_text(tensors: Tensors, flights: Flights) -> str:
