@@ -25,7 +25,6 @@ from scenarios.bench.axes import (
     effects,
     scenario_of,
 )
-from scenarios.bench.flight_metrics import wilson
 from scenarios.bench.held_out import suite
 from scenarios.bench.runner import Results, bench, identical
 from scenarios.bench.settings import FlightSettings
@@ -52,7 +51,7 @@ def standing_rows(found: Sequence[Effect]) -> list[str]:
     for each in whole:
         own = [e for e in found if e.estimator == each.estimator and e.axis != ALL and e.flights]
         worst = max(own, key=lambda e: (e.crash_rate, e.error_deg or 0.0))
-        low, high = (100 * share for share in wilson(each.crashes, each.flights))
+        low, high = 100 * each.crash_low, 100 * each.crash_high
         rows.append(
             row(
                 each.estimator,

@@ -184,7 +184,8 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
         if (flight.scenario, flight.seed) not in lost:
             flown.setdefault((flight.scenario, flight.estimator), []).append(flight)
     failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
-    estimators = [name for name in results.estimators if name not in identical(results)]
+    same = identical(results)
+    estimators = [name for name in results.estimators if name not in same]
     by_axis = {axis: list(levels) for axis, levels in AXES.items()}
     by_axis["scenario"] = list(dict.fromkeys(each.scenario for each in combinations))
     rows = []
@@ -225,9 +226,9 @@ def advice(combinations: Sequence[Combination], results: Results, seed: int = 0)
         part = [each for each in combinations if fits(each.levels["drag"])]
         lines.append(f"{text}: {_best(part, results, seed)}")
     found = [each for each in effects(combinations, results, seed) if each.axis != ALL]
-    names = [name for name in results.estimators if name != "truth" and name not in identical(results)]
-    worst = {name: _worst(found, name) for name in names}
-    safest = min((name for name in names if worst[name]), key=lambda name: _cost(worst[name]), default=None)
+    names = {each.estimator for each in found} - {"truth"}
+    worst = {name: each for name in sorted(names) if (each := _worst(found, name))}
+    safest = min(worst, key=lambda name: _cost(worst[name]), default=None)
     if safest is not None:
         lines.append(f"Smallest loss at its worst level: {safest}, {_described(worst[safest])}.")
     return lines
@@ -239,8 +240,8 @@ def _worst(found: Sequence[Effect], estimator: str) -> Effect | None:
     return max(own, key=_cost, default=None)
 
 
-def _cost(effect: Effect | None) -> tuple[float, float]:
-    return (1.0, np.inf) if effect is None else (effect.crash_rate, effect.error_deg or 0.0)
+def _cost(effect: Effect) -> tuple[float, float]:
+    return effect.crash_rate, effect.error_deg or 0.0
 
 
 def _described(effect: Effect | None) -> str:

@@ -141,14 +141,14 @@ def bench(
 
 def identical(results: Results) -> dict[str, str]:
     """Estimators whose flights equal those of one before them to the last digit, and which one."""
-    flown: dict[str, tuple[FlightRow, ...]] = {name: () for name in results.estimators}
+    flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators}
     for flight in results.flights:
-        flown[flight.estimator] += (replace(flight, estimator=""),)
+        flown[flight.estimator].append(replace(flight, estimator=""))
     first: dict[tuple[FlightRow, ...], str] = {}
     found = {}
     for name, flights in flown.items():
-        if flights and first.setdefault(flights, name) != name:
-            found[name] = first[flights]
+        if flights and (earlier := first.setdefault(tuple(flights), name)) != name:
+            found[name] = earlier
     return found
 
 

@@ -29,7 +29,7 @@ def test_a_stratified_interval_covers_the_mean_as_often_as_it_says():
 
 
 def test_strata_do_not_widen_the_interval():
-    """Draws from all values alike would have the spread between the strata in it."""
+    """Resampling all values together would widen it by the spread between the strata."""
     strata = [np.full(10, mean) for mean in (0.0, 10.0, 20.0)]
     assert stratified_interval(strata, interquartile_mean) == (10.0, 10.0)
 
