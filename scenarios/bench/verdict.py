@@ -72,7 +72,8 @@ def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] =
         lines.append(doubt)
     if focus in simulated[1:]:
         lines.append(_sentence(focus, totals[focus], truth))
-    return Verdict(_headline(simulated[0], best), lines, standings, doubt)
+    least = min(round(totals[name].error, 3) for name in simulated)
+    return Verdict(_headline(simulated[0], best, least), lines, standings, doubt)
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
@@ -100,12 +101,14 @@ def total(rows: Sequence[CellRow]) -> Total:
     return Total(flights, crashes, error, attitude, len(rows) - len(simulated))
 
 
-def _headline(name: str, best: Total) -> str:
+def _headline(name: str, best: Total, least: float) -> str:
+    """The best estimator; `least` is the smallest error of any, which may be of one that crashed."""
     if best.crashes:
         crashes = f"in {best.crashes} of {best.flights} flights"
         return f"Fly {name}: it crashed least, {crashes}, with an error of {best.error:.2f}°."
     flights = f"{best.flights} flight{'s' if best.flights > 1 else ''}"
-    return f"Fly {name}: no crash in {flights}, and the smallest error, {best.error:.2f}°."
+    of_those = "" if round(best.error, 3) <= least else " of those without one"
+    return f"Fly {name}: no crash in {flights}, and the smallest error{of_those}, {best.error:.2f}°."
 
 
 def _is_tied(best: str, other: str, pairs: Sequence[PairRow]) -> bool:

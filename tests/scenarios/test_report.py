@@ -90,7 +90,12 @@ def test_fewest_crashes_win_then_the_smallest_error():
     ]
     result = verdict(rows)
     assert [s.estimator for s in result.standings] == ["z", "y", "x", "truth"]
-    assert result.headline == "Fly z: no crash in 10 flights, and the smallest error, 1.00°."
+    assert (
+        result.headline
+        == "Fly z: no crash in 10 flights, and the smallest error of those without one, 1.00°."
+    )
+    without_x = verdict([each for each in rows if each.estimator != "x"])
+    assert without_x.headline == "Fly z: no crash in 10 flights, and the smallest error, 1.00°."
 
 
 def test_where_all_crash_the_verdict_says_so():
