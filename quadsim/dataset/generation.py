@@ -13,7 +13,7 @@ import numpy as np
 
 from ..config.ranges import steps_of
 from ..flight.simulate import FlightConfig
-from ..runs.files import alone
+from ..runs.files import alone, drop_parts
 from ..runs.fingerprint import code_digest
 from ..runs.pool import process_count, run_jobs
 from . import store as dataset_store
@@ -160,6 +160,8 @@ def _fly_all(
 ) -> None:
     """Fly what is missing; a pool of ours whose worker died is replaced, a few times."""
     for attempt in range(ATTEMPTS):
+        if executor is None:  # another machine's worker may still be writing
+            drop_parts(folder)
         whole = dataset_store.whole_flights(folder)
         missing = [flight for flight in range(plan.flights) if flight not in whole]
         batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}

@@ -216,7 +216,7 @@ def fly_batch(plan: Plan, folder: Path, flights: Sequence[int]) -> Sequence[int]
 def whole_flights(folder: Path) -> dict[int, Record]:
     """Flights that are complete, by number; one whose files have another size than recorded is not."""
     records = {}
-    for file in sorted((folder / "flights").glob("*.json")):
+    for file in sorted((folder / "flights").glob("[0-9]*.json")):
         flight = int(file.stem)
         try:
             record = Record(**json.loads(file.read_text(encoding="utf-8")))

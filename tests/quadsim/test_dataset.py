@@ -235,6 +235,25 @@ def test_a_worker_that_dies_is_replaced(finished, tmp_path, monkeypatch):
     assert files(out) == files(finished)
 
 
+def test_what_a_killed_worker_left_half_written_is_removed(finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset, "BATCH_FLIGHTS", 1)
+    dead = multiprocessing.Process(target=int)
+    dead.start()
+    dead.join()
+    out, left = tmp_path / "x.zarr", []
+
+    def leave_parts(done, total):
+        if done == 1 and not left:
+            flights = tmp_path / "x.zarr.partial" / "flights"
+            left.append(flights / f".00005.{dead.pid}.part.json")
+            left[0].write_text("{")
+            multiprocessing.active_children()[0].kill()
+
+    generate(CONFIG, FLIGHTS, DURATION, out, workers=2, progress=leave_parts)
+    assert left
+    assert files(out) == files(finished)
+
+
 def test_workers_that_keep_dying_are_one_clear_error(tmp_path, monkeypatch):
     monkeypatch.setattr(dataset, "ATTEMPTS", 1)
     monkeypatch.setattr(dataset, "BATCH_FLIGHTS", 1)
