@@ -125,7 +125,7 @@ def flop_rows(found: Inspection) -> list[str]:
     """Floating-point operations of both networks, of the host and of the layers behind it."""
     config = found.config
     first, second = (float(found.layer_rates(k).sum()) for k in (0, 1))
-    snn = snn_flops(config.encoding, config.hidden, (first, second), config.n_outputs)
+    snn = snn_flops(config.encoding, config.hidden, (first, second), config.n_outputs, config.after_spike)
     host = sum(each.multiplications + each.additions for each in host_costs(config))
     encoder = 2 * 6 * config.encoding
     twin, _ = shipped_network("att-rnn")

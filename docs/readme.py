@@ -19,7 +19,7 @@ from quadsim.estimator import AttitudeEstimator
 BLOCK = "errors, by docs/readme.py"
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 DRAG, MODELS, CHIP, GRU = "ekf-drag", "imm", "att-snn-loihi", "att-rnn"
-ALONE, GENERAL, GENERAL_GRU = "att-snn-hummingbird", "att-snn-general", "att-rnn-general"
+ALONE = "att-snn-hummingbird"
 VEHICLE = "hummingbird"
 HEAD = (
     "| roll and pitch from | Hummingbird, simulated [°] | the same, silenced [°] | RotorPy [°] "
@@ -62,8 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     package = {"vqf, package's parameters": vqf_with_defaults()}
     filters = made_of(WITHOUT_DRAG, RATE_HZ) | package
     models = made_of([MODELS], RATE_HZ)[MODELS]
-    trained = made_of([CHIP, GRU, GENERAL_GRU], RATE_HZ)
-    trained |= {name: create(CHIP, RATE_HZ, weights=name) for name in (ALONE, GENERAL)}
+    trained = made_of([CHIP, GRU], RATE_HZ) | {ALONE: create(CHIP, RATE_HZ, weights=ALONE)}
     both = filters | {MODELS: models} | trained
     sets = recordings(given.recordings)
     scores = [score(name, sets[name], both) for name in (BROAD, PHANTOM4)]
@@ -88,10 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ],
         "`ekf-drag`, given the vehicle": [f"{drag:.2f}", "–", drag_in_rotorpy, "–", "–"],
         "**Att-SNN on the emulated chip**": networks[CHIP],
-        "the same, 96 + 96 neurons for this airframe alone": networks[ALONE],
-        "the same, trained for any IMU and airframe": networks[GENERAL],
         "Att-RNN, its twin of GRUs": networks[GRU],
-        "Att-RNN, trained for any IMU and airframe": networks[GENERAL_GRU],
+        "Att-SNN trained for this Hummingbird alone": networks[ALONE],
     }
     page.write_block(
         ROOT / "README.md",

@@ -139,9 +139,7 @@ def training_cells(training: dict) -> tuple[str, ...]:
     """Flights, updates, hours of flight in all updates, and hours that the last run took."""
     config = training.get("config", {})
     epochs, batches = -(-training["updates"] // config["batches"]), config["batches"]
-    plan = None
-    if config.get("later_windows"):
-        plan = make_config(config["preset"], data="x", model=config["model"])
+    plan = TrainConfig(**config) if config.get("later_windows") else None
     lengths = [plan.window_s_in(k) if plan else config["window_s"] for k in range(epochs)]
     hours = min(epochs * batches, training["updates"]) / epochs * config["batch_size"] * sum(lengths) / 3600
     seconds = training.get("seconds")
@@ -309,8 +307,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "accel": ", ".join(f"{each:g}" for each in config.inputs.accel),
             "offset": ", ".join(f"{each:g}" for each in config.inputs.accel_offset),
             "symmetry": symmetry_text(tensors, flights),
-            "first": f"{best.encoding} + {best.hidden}",
-            "most": str(best.pruning_target),
             "window": f"{best.window_s:g}",
             "batch": str(best.batch_size),
             "huber": f"{best.huber_threshold:g}",
@@ -318,9 +314,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "rate_targets": shown(best.rate_targets),
             "lookahead": f"{best.lookahead_k}, {best.lookahead_alpha:g}",
             "lr": f"{best.optimiser_lr:g}",
-            "reinitialise": f"{100 * best.reinitialise_until:.0f}",
-            "prune_from": f"{100 * best.pruning_span[0]:.0f}",
-            "prune_to": f"{100 * best.pruning_span[1]:.0f}",
             "fields": field_rows(),
         }
     )

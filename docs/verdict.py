@@ -32,14 +32,13 @@ from scenarios.demo import SLOW
 from scenarios.report.axes_figure import axes_figure
 
 OUT = Path(__file__).parents[1] / "reports" / "verdict"
-OTHERS = ("att-snn-general", "att-rnn-general")
 FLIGHTS = 4
 """Of each estimator in each combination of the design."""
 
 
 def fly(name: str, scenarios: dict[str, Scenario], seeds: int, seed: int) -> Results:
     """A benchmark of all estimators in a folder of its own."""
-    names = [each for each in estimators.names() if each not in SLOW] + list(OTHERS)
+    names = [each for each in estimators.names() if each not in SLOW]
     with progress_bar(name, "cells") as progress:
         return bench(scenarios, names, OUT / name, FlightSettings(seeds, seed), progress=progress)
 

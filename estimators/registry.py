@@ -79,8 +79,8 @@ def create(
 
     Args:
         name: One of `names()`, a network's weights, by the path of a .safetensors file or by a name under
-            which some ship, such as "att-snn-general", or "module:Class" of your own estimator, which is made
-            with `rate_hz`.
+            which some ship, such as "att-snn-hummingbird", or "module:Class" of your own estimator, which
+            is made with `rate_hz`.
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
             `quadsim tune`; None for the shipped domain of the vehicle and the IMU.

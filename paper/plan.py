@@ -125,7 +125,7 @@ def _train(
     **choices: Any,
 ) -> Stage:
     """Train a network; choices: fields of `TrainConfig`, but `init` is a stage."""
-    settings = {"data": list(data), "validation": list(validation), "preset": "best", "seed": s.seed}
+    settings = {"data": list(data), "validation": list(validation), "preset": "hummingbird", "seed": s.seed}
     inputs = (*data, *validation, *([choices["init"]] if "init" in choices else []))
     seconds = _seconds(budget, choices, rate_hz)
     return Stage(name, work.train, settings | dict(budget) | choices, inputs, seconds)
@@ -151,7 +151,7 @@ def _networks(s: PaperSettings) -> list[Stage]:
 def _folds(s: PaperSettings) -> list[Stage]:
     stages = []
     for choices, budget in ((SPIKING, s.fold_snn), (GRU, s.fold_rnn)):
-        settings = {"folds": s.folds, "preset": "best", "seed": s.seed} | dict(budget) | choices
+        settings = {"folds": s.folds, "preset": "hummingbird", "seed": s.seed} | dict(budget) | choices
         seconds = _seconds(budget, choices) + 20
         for domain, other in (("sim", "real"), ("real", "sim")):
             inputs = (f"fly-{domain}", f"fly-{other}")

@@ -184,7 +184,7 @@ def look_inside(folder: Path, inputs: Inputs) -> None:
     rates = [inside.layer_rates(layer) for layer in (0, 1)]
     twin, _ = load_network(inputs[rnn] / WEIGHTS)
     spikes = float(rates[0].sum()), float(rates[1].sum())
-    flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs)
+    flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs, config.after_spike)
     drawn = slice(0, round(25.0 * flights.rate_hz), 4)
     responses = {
         name: {key: getattr(each, key) for key in ("error_deg", "gain", "slow_gain", "fast_gain")}

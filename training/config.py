@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 from estimators.networks.symmetry import is_symmetric
 from estimators.networks.weights_file import (
     EXPONENT_MIN,
+    EXPONENTS,
     PAPER_SCALING,
     InputScaling,
     Neurons,
@@ -45,7 +46,7 @@ class TrainingRecipe(Strict):
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
     finest_exponent: Annotated[int, Between(EXPONENT_MIN, 0)] = 0
     """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
-    the neuron's weights are small enough (att-snn)."""
+    the neuron's weights are small enough (att-snn). A run that continues from weights has at least theirs."""
     after_spike: bool = False
     """Give each hidden neuron an after-spike current: a weight and a time constant of its own by which its
     spikes act on itself (att-snn)."""
@@ -229,5 +230,7 @@ def _from_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, 
     shared = is_symmetric(tensors)
     if choices.get("symmetric") and not shared:
         raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
+    finest = min((int(tensors[name].min()) for name in EXPONENTS.values() if name in tensors), default=0)
+    fixed["finest_exponent"] = min(finest, values.get("finest_exponent", 0))
     fixed |= {"inputs": network.inputs, "symmetric": values.get("symmetric", False) and shared}
     return {"reinitialise_until": 0.0, **fixed}

@@ -64,7 +64,7 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
         model = AttSNN(encoding, hidden, backend, *how, *chip)
     if config.init:
         initialise_from_weights(model, config.init)
-        if isinstance(model, AttSNN) and config.prunes:
+        if isinstance(model, AttSNN):
             model.disconnect_zeros()
     elif isinstance(model, AttSNN) and config.initialisation == "random":
         initialise_random(model, config.seed)

@@ -28,6 +28,8 @@ class Activity:
     """0 or 1, (n, steps, neurons)."""
     active: NDArray[np.int64]
     """Steps in which a neuron had anything to update: a current, a potential or a bias, (n, neurons)."""
+    active_currents: NDArray[np.int64]
+    """Steps in which an after-spike current, which has a compartment of its own, was not 0, (n, neurons)."""
     potentials: Array
     """Membranes of the first flight after each step [threshold = 1], (steps, neurons)."""
     estimate: Array
@@ -61,7 +63,7 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     n, samples, _ = gyro.shape
     neurons, steps = sum(core.chip.sizes), samples * core.steps
     spikes = np.zeros((n, steps, neurons), np.int8)
-    active = np.zeros((n, neurons), np.int64)
+    active, active_currents = np.zeros((2, n, neurons), np.int64)
     potentials = np.zeros((steps, neurons), np.int32)
     outputs = np.empty((n, samples, core.outputs))
     states = zero_blocks(n, core.state)
@@ -73,8 +75,10 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
             step_on_loihi(core.network, states)
             spikes[:, k], potentials[k] = s, v[0]
             active += (u != 0) | (v != 0) | (a != 0) | (bias != 0) | (s != 0)
+            active_currents += a != 0
         outputs[:, t] = v[:, -core.outputs :] * core.scale
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
     estimate = roll_pitch_of_outputs(outputs)
-    return Activity((first, second, third), spikes, active, potentials / threshold, estimate)
+    sizes = first, second, third
+    return Activity(sizes, spikes, active, active_currents, potentials / threshold, estimate)

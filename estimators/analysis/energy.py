@@ -84,11 +84,12 @@ def counts(core: OnLoihi, activity: Activity) -> dict[str, float]:
     """Operations per step on the chip, mean over the flights.
 
     A spike causes one synaptic event for each of its synapses (weights of zero are not stored), and one
-    message to each core that holds any of them. Messages travel between tiles of four cores in a row.
+    message to each core that holds any of them. A neuron with an after-spike current has two compartments to
+    update. Messages travel between tiles of four cores in a row.
     """
     spikes = activity.spikes.sum(axis=(0, 1)) / activity.steps
-    updates = float(sum(activity.sizes))
-    active = float(activity.active.sum() / activity.steps)
+    updates = float(sum(placed.used()["compartments"] for placed in core.cores))
+    active = float((activity.active.sum() + activity.active_currents.sum()) / activity.steps)
     fan_out = synapses(core.cores, sum(activity.sizes))
     home = _homes(core)
     tile = np.arange(len(core.cores)) // CORES_PER_TILE
@@ -116,20 +117,24 @@ def costs(counted: dict[str, float]) -> list[Cost]:
     ]
 
 
-def snn_flops(encoding: int, hidden: int, spikes: tuple[float, float], outputs: int = 2) -> dict[str, float]:
+def snn_flops(
+    encoding: int, hidden: int, spikes: tuple[float, float], outputs: int = 2, after_spike: bool = False
+) -> dict[str, float]:
     """Floating-point operations of one update of the spiking network.
 
     The encoder multiplies six inputs; a spike adds one row of weights; every neuron decays and adds twice and
-    compares once, an output neuron does not compare. "dense" is what it takes if no use is made of zeros.
+    compares once, an output neuron does not compare; an after-spike current decays and adds twice. "dense" is
+    what it takes if no use is made of zeros.
 
     Args:
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the hidden layer.
         spikes: Mean spikes per step of both layers.
         outputs: Leaky integrators.
+        after_spike: Whether hidden neurons have after-spike currents.
     """
     encoder = 2 * 6 * encoding
-    neurons = 5 * (encoding + hidden) + 4 * outputs
+    neurons = 5 * (encoding + hidden) + 4 * outputs + 3 * after_spike * hidden
     sparse = spikes[0] * hidden + spikes[1] * (hidden + outputs)
     dense = 2 * (encoding * hidden + hidden * hidden + hidden * outputs)
     return {"sparse": encoder + neurons + sparse, "dense": encoder + neurons + dense}

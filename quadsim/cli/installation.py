@@ -46,8 +46,7 @@ def compile_code() -> None:
 
     def learn(folder: Path) -> None:
         for model in ("att-snn", "att-rnn"):
-            preset = "best" if model == "att-snn" else "paper"
-            train(model, str(folder / recipes[0]), folder / model, preset, **TRAINING)
+            train(model, str(folder / recipes[0]), folder / model, "best", **TRAINING)
 
     with progress_bar("compile", "parts") as bar, tempfile.TemporaryDirectory() as folder:
         parts = (simulate, fly, learn)

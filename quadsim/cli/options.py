@@ -38,7 +38,7 @@ Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one 
 Preset = Annotated[
     str,
     typer.Option(
-        help="paper: its recipe; best: the one to use; hummingbird: one airframe; robust: rough sensors; "
+        help="paper: its recipe; best: that of the shipped networks, for any IMU; hummingbird: one airframe; "
         "tune: logs; or a TOML file."
     ),
 ]

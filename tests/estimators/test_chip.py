@@ -15,7 +15,7 @@ def ones(out, inputs):
 def test_every_neuron_has_one_place_and_every_core_fits():
     config, tensors = shipped_network("att-snn")
     chip = OnLoihi(config, tensors)
-    sizes = (config.encoding, config.hidden, 2)
+    sizes = (config.encoding, config.hidden, 3)
     placed = [(k, i) for core in chip.cores for k, ids in core.neurons.items() for i in ids]
     assert sorted(placed) == [(k, i) for k, size in enumerate(sizes) for i in range(size)]
     assert all(core.used()[name] <= LIMITS[name] for core in chip.cores for name in LIMITS)

@@ -30,14 +30,17 @@ def test_what_is_recorded_is_what_flies(network, activity, flights):
 
 def test_events_are_spikes_times_the_weights_that_they_meet(network, activity):
     config, tensors = shipped_network("att-snn")
-    neurons = config.encoding + config.hidden + 2
+    neurons = config.encoding + config.hidden + 3
+    compartments = neurons + np.count_nonzero(tensors["w_after"])
     encoding, hidden = (activity.of_layer(activity.spikes, k).astype(int) for k in (0, 1))
     events = (encoding @ (tensors["w_ff"] != 0).T.sum(1)).sum()
-    events += (hidden @ ((tensors["w_rec"] != 0).T.sum(1) + (tensors["w_out"] != 0).T.sum(1))).sum()
+    of_hidden = ("w_rec", "w_out")
+    events += (hidden @ sum((tensors[name] != 0).sum(0) for name in of_hidden)).sum()
+    events += (hidden @ (tensors["w_after"][:, 0] != 0)).sum()  # on itself
     counted = counts(network, activity)
     assert counted["synaptic event"] == pytest.approx(events / activity.steps)
-    assert counted["active neuron update"] + counted["inactive neuron update"] == pytest.approx(neurons)
-    stored = sum(np.count_nonzero(tensors[name]) for name in ("w_ff", "w_rec", "w_out"))
+    assert counted["active neuron update"] + counted["inactive neuron update"] == pytest.approx(compartments)
+    stored = sum(np.count_nonzero(tensors[name]) for name in ("w_ff", "w_rec", "w_out", "w_after"))
     assert synapses(network.cores, neurons).sum() == stored
 
 
@@ -57,6 +60,7 @@ def test_flops_by_hand():
     # Encoder 12, neurons 5 + 5 + 8, one spike each: 1 synapse, and 1 + 2.
     assert snn_flops(1, 1, (1.0, 1.0))["sparse"] == 12 + 18 + 1 + 3
     assert snn_flops(1, 1, (0.5, 0.0))["dense"] == 12 + 18 + 2 * 4
+    assert snn_flops(1, 1, (0.5, 0.0), after_spike=True)["dense"] == 12 + 18 + 3 + 2 * 4
 
 
 def test_neurobench_counts_the_same(network, activity):
@@ -70,7 +74,8 @@ def test_neurobench_counts_the_same(network, activity):
     from neurobench.models import TorchModel
 
     config, tensors = shipped_network("att-snn")
-    names = ("w_ff", "w_rec", "w_out")
+    tensors["w_self"] = np.diagflat(tensors["w_after"])
+    names = ("w_ff", "w_rec", "w_self", "w_out")
     h0, both = config.encoding, config.encoding + config.hidden
 
     class Replay(torch.nn.Module):
@@ -86,7 +91,8 @@ def test_neurobench_counts_the_same(network, activity):
 
         def forward(self, spikes):
             first, second = self.encoding(spikes[:, :h0]), self.hidden(spikes[:, h0:both])
-            return self.w_ff(first).sum() + self.w_rec(second).sum() + self.w_out(second).sum()
+            of_second = (self.w_rec, self.w_self, self.w_out)
+            return self.w_ff(first).sum() + sum(each(second).sum() for each in of_second)
 
     net = Replay()
     model = TorchModel(net)
@@ -97,7 +103,12 @@ def test_neurobench_counts_the_same(network, activity):
     for step in spikes:
         net(step[None])
     found = SynapticOperations()(model, None, (torch.zeros(steps), None))
-    part = replace(activity, spikes=activity.spikes[:1, :steps], active=activity.active[:1])
+    part = replace(
+        activity,
+        spikes=activity.spikes[:1, :steps],
+        active=activity.active[:1],
+        active_currents=activity.active_currents[:1],
+    )
     assert found["Effective_ACs"] == pytest.approx(counts(network, part)["synaptic event"])
     assert found["Effective_MACs"] == 0
     rate = part.rates[:both].mean()

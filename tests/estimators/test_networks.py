@@ -230,9 +230,12 @@ def test_inference_does_not_import_torch(snn_file):
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_shipped_network_is_within_the_parameter_budget():
+def test_the_shipped_network_fits_one_core_of_the_chip():
+    assert len(OnLoihi(*shipped_network("att-snn")).cores) == 1
 
-    _, tensors = shipped_network("att-snn")
+
+def test_the_network_for_one_airframe_is_no_larger_than_the_paper_s():
+    _, tensors = shipped_network("att-snn-hummingbird")
     assert parameters(tensors) <= 21202
 
 
@@ -285,7 +288,7 @@ def test_weights_of_another_number_of_outputs_are_refused(tmp_path, snn_file):
 
 
 def test_files_that_name_no_outputs_have_roll_and_pitch():
-    shipped, tensors = shipped_network("att-snn")
+    shipped, tensors = shipped_network("att-snn-paper")
     assert (shipped.outputs, len(tensors["w_out"])) == ("roll-pitch", 2)
 
 
@@ -387,7 +390,7 @@ def test_an_exponent_is_a_smaller_step_of_the_weights_into_one_neuron():
 
 
 @pytest.mark.parametrize(
-    ("name", "same"), [("att-snn-general", "att-snn-loihi"), ("att-rnn-general", "att-rnn")]
+    ("name", "same"), [("att-snn-hummingbird", "att-snn-loihi"), ("att-rnn-paper", "att-rnn")]
 )
 def test_weights_that_ship_are_an_estimator_by_their_name(name, same):
     gyro, accel = samples(1, 50)

@@ -49,8 +49,6 @@ def silenced_ratio(name, weights, flights):
         ("att-snn", "att-snn"),
         ("att-snn-loihi", "att-snn"),
         ("att-snn-loihi", "att-snn-hummingbird"),
-        ("att-snn-loihi", "att-snn-general"),
-        ("att-rnn", "att-rnn-general"),
         ("att-rnn", "att-rnn"),
         ("att-rnn", "att-rnn-paper"),
     ],

@@ -22,16 +22,26 @@ from training.run_folder import exported
 G = 9.81
 
 
+def recipe(encoding, hidden, seed=0, outputs="roll-pitch"):
+    sizes = {"encoding": encoding, "hidden": hidden, "after_spike": seed % 2 == 1}
+    return make_config("best", data="none.zarr", outputs=outputs, **sizes)
+
+
 def network(encoding, hidden, seed=0, outputs="roll-pitch"):
     """A symmetric network with a solved start; of odd seeds with after-spike currents."""
-    rng, after = np.random.default_rng(seed), seed % 2 == 1
+    rng, config = np.random.default_rng(seed), recipe(encoding, hidden, seed, outputs)
     model = AttSNN(
-        encoding, hidden, Fused(), symmetric=True, output_scale=1 / 256, outputs=outputs, after_spike=after
+        encoding,
+        hidden,
+        Fused(),
+        symmetric=True,
+        output_scale=config.output_scale,
+        outputs=outputs,
+        finest_exponent=config.finest_exponent,
+        after_spike=config.after_spike,
     )
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
     initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed, fan_in=8)
-    sizes = {"encoding": encoding, "hidden": hidden, "after_spike": after}
-    config = make_config("best", data="none.zarr", outputs=outputs, **sizes)
     return model, *exported(model, config, 200.0, {})
 
 
@@ -47,9 +57,7 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
     }
     constants = model.time_constants
     prune_connections(model, squares, constants + int(share * (model.parameter_count - constants)))
-    sizes = {"encoding": encoding, "hidden": hidden, "after_spike": seed % 2 == 1}
-    config = make_config("best", data="none.zarr", **sizes)
-    whole = exported(model, config, 200.0, {})
+    whole = exported(model, recipe(encoding, hidden, seed), 200.0, {})
     fewer = connected(*whole)
     assert fewer[0].encoding <= encoding
     assert fewer[0].hidden <= hidden

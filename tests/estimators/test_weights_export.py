@@ -87,7 +87,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(
 ):
     if seed is None:
         config, tensors = shipped_network("att-snn")
-        weights = "att-snn"
+        weights, after_spike = "att-snn", config.after_spike
     else:
         scale = 1 / 256 if seed else 0.003
         config = NetworkConfig(
@@ -136,7 +136,7 @@ def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path, monkeypatch):
     monkeypatch.setattr(reader, "_to_tensor", lambda x: torch.as_tensor(x, dtype=torch.float64))
     gyro, accel = readings(600)
     rates = []
-    for weights_name in ("att-snn", "att-snn-paper"):
+    for weights_name in ("att-snn-hummingbird", "att-snn-paper"):  # it reads no after-spike currents
         config, tensors = shipped_network(weights_name)
         graph = nir.read(export_weights(weights_name, tmp_path / f"{weights_name}.nir", "nir"))
         # Norse's reader leaves the leaky integrators out: the spikes are the graph's output here.
@@ -165,12 +165,20 @@ def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
     graph = nir.read(export_weights("att-snn", tmp_path / "snn.nir", "nir"))
     for name in ("w_in", "w_ff", "w_rec", "w_out"):
         node = graph.nodes[name]
-        np.testing.assert_array_equal(node.metadata["mantissa"], tensors[name])
-        np.testing.assert_array_equal(node.weight * 256, tensors[name])
-    for name, syn, mem in (("encoding", "syn0", "mem0"), ("hidden", "syn1", "mem1")):
+        mantissa, exponent = node.metadata["mantissa"], node.metadata["exponent"]
+        np.testing.assert_array_equal(mantissa, tensors[name])
+        np.testing.assert_array_equal(node.weight, mantissa * np.exp2(exponent - 8.0)[:, None])
+    decays = {
+        ("encoding", "du", "tau_syn"): "syn0",
+        ("encoding", "dv", "tau_mem"): "mem0",
+        ("synapse", "du", "tau"): "syn1",
+        ("after", "du", "tau"): "syn_after",
+        ("hidden", "dv", "tau"): "mem1",
+    }
+    for (name, decay, tau), tensor in decays.items():
         node = graph.nodes[name]
-        np.testing.assert_array_equal(node.metadata["du"], tensors[syn])
-        np.testing.assert_allclose(4096 * graph.metadata["dt"] / node.tau_mem, tensors[mem])
+        np.testing.assert_array_equal(node.metadata[decay], tensors[tensor])
+        np.testing.assert_allclose(4096 * graph.metadata["dt"] / getattr(node, tau), tensors[tensor])
     assert type(graph.nodes["output"]).__name__ == "CubaLI"
 
 
@@ -238,18 +246,12 @@ def test_nir_graph_with_after_spike_currents_is_the_same_network(tmp_path):
 
 def test_onnx_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
-    config = NetworkConfig(model="att-rnn", encoding=7, hidden=7, outputs="up")
+    config, tensors = shipped_network("att-rnn")
+    session = runtime.InferenceSession(export_weights("att-rnn", tmp_path / "rnn.onnx", "onnx"))
     rng = np.random.default_rng(0)
-    tensors = {
-        k: rng.normal(0, 0.2, shape).astype(np.float32) for k, shape in expected_shapes(config).items()
-    }
-    save_network(tmp_path / "w.safetensors", config, tensors)
-    session = runtime.InferenceSession(
-        export_weights(tmp_path / "w.safetensors", tmp_path / "rnn.onnx", "onnx")
-    )
     gyro, accel = rng.normal(0, 1, (50, 1, 3)), rng.normal([0, 0, 9.8], 1.0, (50, 1, 3))
     feed = {"gyro": gyro.astype(np.float32), "accel": accel.astype(np.float32)}
-    feed |= {f"h{k}": np.zeros((1, 1, 7), np.float32) for k in (0, 1)}
+    feed |= {f"h{k}": np.zeros((1, 1, 100), np.float32) for k in (0, 1)}
     (up,) = session.run(["up"], feed)
     est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
     for t in range(50):
@@ -259,8 +261,8 @@ def test_onnx_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
 
 def test_onnx_runtime_estimates_as_the_network_here(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
-    session = runtime.InferenceSession(export_weights("att-rnn", tmp_path / "rnn.onnx", "onnx"))
-    config, tensors = shipped_network("att-rnn")
+    session = runtime.InferenceSession(export_weights("att-rnn-paper", tmp_path / "rnn.onnx", "onnx"))
+    config, tensors = shipped_network("att-rnn-paper")
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0, 1, (2, 300, 3)), rng.normal([0, 0, 9.8], 1.0, (2, 300, 3))
     est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
@@ -299,7 +301,13 @@ def test_the_c_header_names_the_scale_of_its_output(tmp_path):
     export_weights("att-snn", tmp_path / "c", "c99")
     header = (tmp_path / "c" / "att_snn.h").read_text()
     scale = OnLoihi(*shipped_network("att-snn")).scale
-    assert f"#define ATT_SNN_UNITS_PER_RADIAN {round(1 / scale)}\n" in header
+    assert f"#define ATT_SNN_UNITS_PER_ONE {round(1 / scale)}\n" in header
+    assert "#define ATT_SNN_OUTPUTS 3\n" in header
+    config = NetworkConfig(model="att-snn", encoding=5, hidden=7, output_scale=1 / 256)
+    save_network(tmp_path / "w.safetensors", config, random_snn(config))
+    export_weights(tmp_path / "w.safetensors", tmp_path / "rp", "c99")
+    header = (tmp_path / "rp" / "att_snn.h").read_text()
+    assert f"#define ATT_SNN_UNITS_PER_RADIAN {256 * 2**14}\n" in header
     assert "#define ATT_SNN_OUTPUTS 2\n" in header
 
 
