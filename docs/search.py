@@ -42,6 +42,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "neither of the two": {"after_spike": False, "finest_exponent": 0},
     "no shared weights": {"symmetric": False},
     "two steps a sample": {"steps_per_sample": 2},
+    "synaptic delay": {"recurrent_delay": 2},
     "random initial weights": {"initialisation": "random"},
 }
 SIZES = (32, 64, 128, 168)
@@ -131,6 +132,16 @@ def front_figure(by_size: list[Rows]) -> Figure:
     return figure
 
 
+def read() -> Rows:
+    """The trainings so far."""
+    return list(csv.DictReader(CSV.read_text(encoding="utf-8").splitlines())) if CSV.is_file() else []
+
+
+def arm_of(found: dict[str, str]) -> tuple[str, int, int]:
+    """Option, neurons and seed of a training."""
+    return found["option"], int(found["neurons"]), int(found["seed"])
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train where asked to; write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -138,12 +149,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--data", type=Path, default=ROOT / "data", help="folder of the flights")
     given = parser.parse_args(arguments)
     if given.train:
-        rows = []
-        for k, arm in enumerate(every := arms()):
-            rows.append(trained(*arm, given.data))
-            print(f"{k + 1} of {len(every)}: {rows[-1]}", flush=True)
-        write_csv(CSV, rows)
-    found: Rows = list(csv.DictReader(CSV.read_text(encoding="utf-8").splitlines()))
+        for option, neurons, seed in arms():
+            if not any(arm_of(each) == (option, neurons, seed) for each in read()):
+                row_of_it = trained(option, neurons, seed, given.data)
+                write_csv(CSV, [*read(), row_of_it])
+                print(row_of_it, flush=True)
+    found = read()
     of: dict[tuple[str, int], Rows] = {}
     for each in found:
         of.setdefault((each["option"], int(each["neurons"])), []).append(each)
@@ -153,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     page.write(
         {
             "updates": found[0]["updates"],
-            "commit": found[0]["commit"],
+            "commit": ", ".join(dict.fromkeys(each["commit"] for each in found)),
             "seeds": str(len(SEEDS)),
             "options": [row(name, *cells(of[name, NEURONS])) for name in OPTIONS],
             "sizes": [row(f"{each[0]['neurons']} + {each[0]['neurons']}", *cells(each)) for each in by_size],

@@ -189,7 +189,7 @@ def test_inspect_shows_where_the_neurons_go(quadsim, tmp_path):
     for heading in ("compartments", "synaptic", "formats", "fan-in", "(1048576)"):
         assert heading in out
     config, _ = shipped_network("att-snn")
-    assert f"{config.encoding + config.hidden + 2} neurons on 1 of a chip's 128 cores" in out
+    assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 1 of a chip's 128 cores" in out
 
 
 def test_inspect_leaves_pictures_and_a_page(quadsim, dataset, tmp_path):
