@@ -2,9 +2,9 @@
 
     python docs/search.py --train --data FOLDER
 
-trains every network of the page anew and writes search.csv. FOLDER holds the flights of att-snn,
-`train/*.zarr` and `val/*.zarr`, which the commands of its card make. It takes about an hour of one core, and
-goes on where it was stopped.
+trains the networks of the page that search.csv lacks, all of them without that file. FOLDER holds the flights
+of att-snn, `train/*.zarr` and `val/*.zarr`, which the commands of its card make. All of them take about an hour
+of one core; what was stopped goes on.
 """
 
 from __future__ import annotations

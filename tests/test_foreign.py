@@ -140,6 +140,6 @@ def test_a_finished_flight_is_not_simulated_again(foreign, hovering, tmp_path, m
 def test_the_truth_has_no_error_and_a_level_guess_none_in_hover(foreign, hovering, tmp_path, monkeypatch):
     monkeypatch.setattr(foreign, "AIRFRAMES", {"hummingbird": foreign.AIRFRAMES["hummingbird"]})
     assert foreign.foreign_error(lambda _: create("truth", 200.0), tmp_path) == 0.0
-    cell = foreign.foreign_cell("att-snn", lambda _: create("att-snn", 200.0), tmp_path)
+    cell = foreign.foreign_cell("att-rnn", lambda _: create("att-rnn", 200.0), tmp_path)
     assert cell.endswith("(silenced 0.00)")
     assert float(cell.split()[0]) > 0.0

@@ -188,6 +188,7 @@ def test_a_function_is_compiled_by_one_process_at_a_time():
         return 3 * x
 
     made = []
+    triple._cache.flush()  # of an earlier run
     lock = triple._cache.lock.lock_file
     with FileLock(lock):
         waiting = threading.Thread(target=lambda: made.append(triple(2.0)))
