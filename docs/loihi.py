@@ -68,6 +68,10 @@ def golden_rows() -> list[str]:
     return rows
 
 
+IN_NORSE = "att-snn-hummingbird"
+"""Norse reads no after-spike currents."""
+
+
 def core_rows(core: OnLoihi) -> list[str]:
     """The cores of the shipped network."""
     return [
@@ -185,8 +189,8 @@ def _c_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) 
 
 
 def _nir_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:
-    config, tensors = shipped_network("att-snn")
-    graph = nir.read(export_weights("att-snn", folder / "snn.nir", "nir"))
+    config, tensors = shipped_network(IN_NORSE)
+    graph = nir.read(export_weights(IN_NORSE, folder / "snn.nir", "nir"))
     spiking = ("input", "w_in", "encoding", "w_ff", "w_rec", "hidden")
     nodes = {name: graph.nodes[name] for name in spiking}
     nodes["finish"] = nir.Output({"output": np.array([config.hidden])})
@@ -207,7 +211,7 @@ def _nir_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]
     wrong = int((torch.stack(spikes, 1)[:, :-1] != floats[:, 1:]).sum())
     rounding = float((floats != chip).double().mean())
     result = f"{wrong} differ (both without the chip's rounding, which changes {rounding:.1%} of the spikes)"
-    return row("NIR", "Norse", f"{floats[:, 1:].numel()} hidden spikes", result)
+    return row(f"NIR, `{IN_NORSE}`", "Norse", f"{floats[:, 1:].numel()} hidden spikes", result)
 
 
 def _onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:

@@ -3,8 +3,8 @@
     python docs/search.py --train --data FOLDER
 
 trains the networks of the page that search.csv lacks, all of them without that file. FOLDER holds the flights
-of att-snn, `train/*.zarr` and `val/*.zarr`, which the commands of its card make. All of them take about an hour
-of one core; what was stopped goes on.
+of att-snn, `train/*.zarr` and `val/*.zarr`, which the commands of its card make. All networks take about an
+hour of one core; what was stopped goes on.
 """
 
 from __future__ import annotations
