@@ -2,7 +2,7 @@
 export const RAD = Math.PI / 180;
 const zip = (s, f) => Float32Array.from(s.roll, (_, k) => f(k));
 const down = (roll, pitch) => [-Math.sin(pitch), Math.sin(roll) * Math.cos(pitch), Math.cos(roll) * Math.cos(pitch)];
-function inclination(s) {
+export function inclination(s) {
   return zip(s, (k) => {
     const [a, b] = [down(s.roll[k] * RAD, s.pitch[k] * RAD), down(s.roll_est[k] * RAD, s.pitch_est[k] * RAD)];
     const cross = Math.hypot(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]);
