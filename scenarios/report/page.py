@@ -205,7 +205,10 @@ class PageFlights:
                 before = longest.setdefault(cell.scenario, cell.series)
                 longest[cell.scenario] = max(before, cell.series, key=lambda series: series.samples)
         return cls(
-            [cell.series and _with_signals(cell.series, cell.estimator in detailed) for cell in results.cells],
+            [
+                cell.series and _with_signals(cell.series, cell.estimator in detailed)
+                for cell in results.cells
+            ],
             {
                 scenario: FlightSeries(s.dt, {k: s.signals[k] for k in SHARED if k in s.signals})
                 for scenario, s in longest.items()
@@ -279,7 +282,7 @@ def _described(series: FlightSeries) -> dict[str, object]:
 
 
 def uplot() -> dict[str, str]:
-    """uPlot (github.com/leeoniya/uPlot, MIT), which draws the traces: its script, its style, its licence."""
+    """Script, style and licence of uPlot (github.com/leeoniya/uPlot, MIT), which draws the traces."""
     folder = files("scenarios") / "report" / "uplot"
     source = (folder / "uPlot.iife.min.js").read_text("utf-8")
     return {

@@ -1,23 +1,26 @@
 /* Panels on a time axis, drawn by uPlot: zoom and cursor of one are those of all in a list. */
-import { css } from "./dom.js";
+import { css, node } from "./dom.js";
 
 const shownValue = (v) => (v === null || v === undefined ? "–" : v.toFixed(Math.abs(v) < 1000 ? 2 : 0));
 const GAPS = { spanGaps: false, points: { show: false }, value: (_, v) => shownValue(v) };
 export const AXES = ["#d55e00", "#009e73", "#0072b2"]; // x, y, z
 export const line = (label, stroke, more = {}) => ({ label, stroke, width: 1.4, ...more });
 
-/** Add a panel { lines: [[values, series], …], low, high, bands } to a list, in a box of the page.
+/** Add a panel { title, lines: [[values, series], …], low, high, bands } to a list, in a box of the page.
     `hooks` are further hooks of uPlot, `end` is the length of the time axis, `labelled` whether it has numbers. */
-export function addPanel(plots, box, time, panel, { width, height, labelled, end, hooks = {} }) {
+export function addPanel(plots, box, time, panel, { height, labelled, end, hooks = {} }) {
+  const head = node("div", { class: "head" }, node("h3", {}, panel.title ?? ""));
+  box.append(head);
   const axis = { stroke: () => css("--soft"), grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
   const all = () => plot.setScale("x", { min: 0, max: end });
   const plot = new uPlot({
-    width, height: height + (labelled ? 34 : 14), pxAlign: false,
+    width: box.clientWidth, height: height + (labelled ? 34 : 14), pxAlign: false,
     cursor: { y: false, drag: { x: true, y: false }, points: { size: 5 }, bind: { dblclick: () => all } },
     scales: { x: { time: false }, y: { range: (_, low, high) => bounds(panel, low, high) } },
     axes: [{ ...axis, size: labelled ? 34 : 6, values: (_, ticks) => ticks.map((t) => (labelled ? `${t} s` : "")) }, { ...axis, size: 56 }],
     series: [{ label: "time", value: (_, t) => (t === null || t === undefined ? "–" : `${t.toFixed(2)} s`) },
       ...panel.lines.map(([, series]) => ({ ...GAPS, ...series }))],
+    legend: { mount: (_, legend) => head.append(legend) },
     bands: panel.bands ?? [],
     hooks: { ...hooks, setScale: [(_, key) => key === "x" && follow(plots, plot)] },
   }, [time, ...panel.lines.map(([values]) => values)], box);

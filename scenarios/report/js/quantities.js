@@ -9,6 +9,8 @@ export function inclination(s) {
     return Math.atan2(cross, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / RAD;
   });
 }
+/** Whether there is wind in what the flights of a scenario share. */
+export const windy = (shared) => ["wind_x", "wind_y", "wind_z"].some((name) => shared?.[name]?.some((v) => v !== 0));
 export const QUANTITIES = {
   inclination: { label: "Inclination error [deg]", main: inclination },
   roll: { label: "Roll, estimated and true [deg]", main: (s) => s.roll_est, truth: (s) => s.roll },

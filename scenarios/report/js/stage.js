@@ -2,7 +2,7 @@
 import { prepare, rule } from "./canvas.js";
 import { colour, data, flights, setTime, state } from "./data.js";
 import { $, css } from "./dom.js";
-import { inclination, RAD } from "./quantities.js";
+import { inclination, RAD, windy } from "./quantities.js";
 
 const camera = { azimuth: -0.9, elevation: 0.42, zoom: 1 };
 export function drawStage() {
@@ -13,7 +13,7 @@ export function drawStage() {
   const k = Math.min(long.x.length - 1, Math.round(state.time / long.dt));
   const centre = span(long), size = (Math.min(width, height) * 0.72 * camera.zoom) / centre.extent;
   const [ca, sa, ce, se] = [Math.cos(camera.azimuth), Math.sin(camera.azimuth), Math.cos(camera.elevation), Math.sin(camera.elevation)];
-  const project = (x, y, z) => {
+  let project = (x, y, z) => {
     [x, y, z] = [x - centre.x, y - centre.y, z - centre.z];
     const [u, v] = [ca * x - sa * y, sa * x + ca * y];
     const depth = 1 / (1 + (0.22 * (ce * v - se * z)) / centre.extent);
@@ -33,7 +33,7 @@ export function drawStage() {
   const [rx, ry, rz] = [long.x_ref[k], long.y_ref[k], long.z_ref[k]], mark = centre.extent * 0.03;
   for (const [dx, dy, dz] of [[mark, 0, 0], [0, mark, 0], [0, 0, mark]]) path([[rx - dx, ry - dy, rz - dz], [rx + dx, ry + dy, rz + dz]], css("--ink"), 2);
   const big = Math.max(1, (centre.extent * 0.075) / 0.17); // drawn larger than life in a wide scene
-  /* Arms, the front ones in another colour, and rotor discs; filled for a ghost. Angles [deg]. */
+  /* Arms, the front ones in another colour, and rotor discs; broad and filled for a ghost. Angles [deg]. */
   const body = (here, angles, stroke, front, alpha, ghost) => {
     const rotate = rotation(...angles.map((angle) => angle * RAD));
     const place = (x, y, z) => { const r = rotate(x * big, y * big, z * big); return [here[0] + r[0], here[1] + r[1], here[2] + r[2]]; };
@@ -45,6 +45,24 @@ export function drawStage() {
       if (ghost) { pen.globalAlpha = 0.7 * alpha; pen.fillStyle = stroke; pen.fill(); pen.globalAlpha = 1; }
     }
   };
+  /* The chosen vehicle and its ghost, large, in the corner. */
+  const closeUp = (name, s) => {
+    const j = Math.min(k, s.x.length - 1), side = Math.min(170, 0.4 * width), foot = width < 500 ? 30 : 10;
+    const scale = (0.36 * side) / (big * (Math.max(...data.hubs.map(([x, y]) => Math.hypot(x, y))) + data.prop_radius));
+    project = (x, y, z) => {
+      const v = sa * x + ca * y;
+      return [10 + side / 2 + scale * (ca * x - sa * y), height - foot - 0.42 * side - scale * (se * v + ce * z)];
+    };
+    pen.fillStyle = css("--card"); pen.strokeStyle = css("--line"); pen.lineWidth = 1;
+    pen.beginPath(); pen.roundRect(10, height - foot - 0.84 * side, side, 0.84 * side, 8); pen.fill(); pen.stroke();
+    both(name, s, j, [0, 0, 0], 1);
+    pen.fillStyle = css("--soft"); pen.textAlign = "left"; pen.textBaseline = "top";
+    pen.fillText("true and estimated", 18, height - foot + 6 - 0.84 * side);
+  };
+  const both = (name, s, j, here, alpha) => {
+    if (name === state.inside) body(here, [s.roll_est[j], s.pitch_est[j], s.yaw[j]], colour[name], colour[name], 0.35 * alpha, true);
+    body(here, [s.roll[j], s.pitch[j], s.yaw[j]], colour[name], css("--accent"), alpha, false);
+  };
   for (const [name, s] of crew) {
     const j = Math.min(k, s.x.length - 1), crashed = k > s.x.length - 1;
     const trail = [];
@@ -52,9 +70,10 @@ export function drawStage() {
     path(trail, colour[name], 1.5, 0.55);
     const here = [s.x[j], s.y[j], s.z[j]], alpha = crashed ? 0.35 : 1;
     path([[here[0], here[1], centre.floor], here], css("--soft"), 1, 0.35);
-    if (name === state.inside) body(here, [s.roll_est[j], s.pitch_est[j], s.yaw[j]], colour[name], colour[name], 0.35 * alpha, true);
-    body(here, [s.roll[j], s.pitch[j], s.yaw[j]], colour[name], css("--accent"), alpha, false);
+    both(name, s, j, here, alpha);
   }
+  const inside = crew.find(([name]) => name === state.inside);
+  if (inside) closeUp(...inside);
   pen.textAlign = "left"; pen.textBaseline = "middle";
   crew.forEach(([name, s], i) => {
     pen.fillStyle = colour[name]; pen.fillRect(10, 13 + 18 * i, 10, 10);
@@ -72,7 +91,7 @@ export function drawStage() {
 /* The wind at sample k as an arrow, full length at the largest speed of the flight. */
 function drawWind(pen, u, v, k, [ca, sa, ce, se]) {
   const wind = data.shared[state.scenario]?.flight;
-  if (!wind?.wind_x) return;
+  if (!windy(wind)) return;
   const at = (i) => [wind.wind_x[i], wind.wind_y[i], wind.wind_z[i]], i = Math.min(k, wind.wind_x.length - 1);
   const most = (wind.most ??= wind.wind_x.reduce((m, _, j) => Math.max(m, Math.hypot(...at(j))), 0));
   const [x, y, z] = at(i), speed = Math.hypot(x, y, z), scale = 38 / (most || 1);

@@ -2,7 +2,7 @@
 import { cell, colour, dash, data, flights, setTime, state } from "./data.js";
 import { $, css, node } from "./dom.js";
 import { addPanel, AXES, line, pointAt, shade } from "./panels.js";
-import { inclination, QUANTITIES } from "./quantities.js";
+import { inclination, QUANTITIES, windy } from "./quantities.js";
 
 const PLOTS = [];
 const quiet = { class: "unlisted", pxAlign: 0 };
@@ -39,7 +39,7 @@ function hooks(labelled, above = () => {}) {
   };
 }
 function add(box, s, panel, options) {
-  addPanel(PLOTS, box, times(s), panel, { width: box.clientWidth, ...options });
+  addPanel(PLOTS, box, times(s), panel, options);
   const plot = PLOTS.at(-1);
   (plot.hooks.setScale ??= []).push((_, key) => { if (key === "x") [state.from, state.to] = [plot.scales.x.min, plot.scales.x.max < state.end ? plot.scales.x.max : Infinity]; });
 }
@@ -86,7 +86,7 @@ function drawCompared(crew, end) {
     pen.restore();
   };
   const low = ["inclination", "distance"].includes($("quantity").value) ? 0 : undefined;
-  add($("plot"), longest, { lines, low }, { height: 300, labelled: true, end, hooks: hooks(true, crosses) });
+  add($("plot"), longest, { title: quantity.label, lines, low }, { height: 300, labelled: true, end, hooks: hooks(true, crosses) });
 }
 /* Everything of one estimator, one panel below the other. */
 function drawInside(s, end) {
@@ -94,7 +94,7 @@ function drawInside(s, end) {
   if (!s) return;
   const panels = insidePanels(s).filter((panel) => panel.lines.length);
   panels.forEach((panel, i) => {
-    const box = node("div", { class: "panel" }, node("h3", {}, panel.title));
+    const box = node("div", { class: "panel" });
     $("panels").append(box);
     add(box, s, panel, { height: 110, labelled: i === panels.length - 1, end, hooks: hooks(i === 0) });
   });
@@ -102,6 +102,7 @@ function drawInside(s, end) {
 function insideNote(s) {
   if (!s) return [state.unpacked ? "No flight is stored for this choice." : state.missing];
   const texts = [`The first flight of ${state.inside} in ${state.scenario}.`];
+  if (data.shared[state.scenario] && !windy(data.shared[state.scenario].flight)) texts.push("There is no wind.");
   if (s.roll_sigma) texts.push("The band around roll and pitch is ± σ, by the filter's own covariance.");
   if (s.gyro_x) return [texts.join(" ")];
   const command = `quadsim fly ${state.scenario} --estimator ${state.inside}`;
@@ -131,7 +132,7 @@ function insidePanels(s) {
       title: "gyroscope bias [°/s]" + (estimated ? "; broad: true, thin: estimated" : `, true; ${state.inside} estimates none or it is not in this page`),
       lines: [...truth, ...vector("", "bias_est", s).lines],
     },
-    vector("wind, world axes [m/s]", "wind", shared),
+    ...(windy(shared) ? [vector("wind, world axes [m/s]", "wind", shared)] : []),
     { title: "rotor commands [rad/s]", lines: rotors.map((name, k) => [gaps(s[name]), line(`rotor ${k}`, ROTORS[k % ROTORS.length], { width: 1 })]) },
     angle("roll", "roll"), angle("pitch", "pitch"),
     { title: "inclination error [°]", low: 0, lines: [[inclination(s), line(state.inside, colour[state.inside], own)]] },
