@@ -15,7 +15,9 @@ SERIES_HZ = 25.0
 MISSING = -32768
 """The integer of a number that is missing."""
 LEVELS, SIGNAL_LEVELS = 32767, 1023
-"""Integers on either side of zero, of a channel and of a signal: noise of a reading costs room."""
+"""Integers on either side of zero, of a channel and of a signal: noise costs room."""
+ANGLE_STEP, LENGTH_STEP = 0.002, 0.0005
+"""Least steps of angles [deg] and of positions [m]: nothing that a plot shows is finer."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,11 @@ def pack_series(
     angles = np.degrees(np.hstack([shown["euler"], shown["estimate"]]))
     names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
     columns = np.hstack([angles, shown["position"], shown["target"]])
+    steps = [ANGLE_STEP] * 5 + [LENGTH_STEP] * 6
+    channels = {n: _pack(v, LEVELS, step) for n, v, step in zip(names, columns.T, steps, strict=True)}
     packed = {name: _pack(v[: len(shown)], SIGNAL_LEVELS) for name, v in (signals or {}).items()}
     known = {name: channel for name, channel in packed.items() if (_integers(channel) != MISSING).any()}
-    return FlightSeries(every / rate_hz, dict(zip(names, map(_pack, columns.T), strict=True)), known)
+    return FlightSeries(every / rate_hz, channels, known)
 
 
 def unpack_series(series: FlightSeries) -> dict[str, Array]:
@@ -88,9 +92,10 @@ def _integers(channel: Channel) -> NDArray[np.int16]:
     return np.frombuffer(base64.b64decode(channel.data), "<i2")
 
 
-def _pack(values: Array, levels: int = LEVELS) -> Channel:
+def _pack(values: Array, levels: int, step: float = 1e-9) -> Channel:
     finite = np.isfinite(values)
-    scale = max(float(np.abs(values[finite]).max(initial=0.0)), 1e-6) / levels
+    scale = max(step, np.abs(values[finite]).max(initial=0.0) / levels)
+    scale = float(f"{scale:.6g}")  # short in the page
     integers = np.where(finite, np.round(np.where(finite, values, 0.0) / scale), MISSING).astype("<i2")
     return Channel(scale, base64.b64encode(integers.tobytes()).decode())
 
