@@ -63,5 +63,8 @@ class SignalLog:
 
 def _own(estimator: AttitudeEstimator | None, name: str, n: int, width: int) -> Array:
     """What an estimator of n vehicles knows of the first, (width,); NaN if it does not estimate that."""
-    found = np.asarray(getattr(estimator, name, np.nan), dtype=np.float64)
+    try:
+        found = np.asarray(getattr(estimator, name, np.nan), dtype=np.float64)
+    except (TypeError, ValueError):  # a user's attribute of that name that means something else
+        found = np.empty(0)
     return found[0] if found.shape == (n, width) else np.full(width, np.nan)

@@ -349,6 +349,15 @@ def test_clock_of_the_replay_moves_the_cursor_of_every_panel(page):
     assert cursors == pytest.approx([0.5] * 9, abs=0.01)
 
 
+def test_a_click_into_a_panel_moves_the_playing_clock(page):
+    page.evaluate("document.getElementById('speed').value = '0.25'")  # and no scrolling to it
+    page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
+    page.evaluate("document.getElementById('play').click()")
+    box = page.locator("#plot .u-over").bounding_box()
+    page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 100)
+    assert page.evaluate("state.playing && state.time") == pytest.approx(1.25, abs=0.1)
+
+
 def test_panels_show_the_signals_with_units_and_the_fault(page):
     titles = page.locator("#panels h3").all_inner_texts()
     assert [title.split(";")[0] for title in titles] == [

@@ -9,6 +9,7 @@ import estimators
 from quadsim.flight.faults import GyroBiasStep, PayloadDrop, Stuck, fault_spans
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
+from quadsim.rotation import euler_from_quat, quat_from_euler, quat_normalize
 from quadsim.wind import Constant
 from scenarios.bench.cell import CELL, fly, make_cell
 from scenarios.bench.series import SIGNAL_LEVELS, decimation, pack_series, unpack_series
@@ -71,6 +72,20 @@ def test_channels_without_a_value_are_left_out():
     assert {"gyro_x", "accel_z", "bias_x", "wind_y", "rotor_3"} <= set(known)
 
 
+def test_attributes_of_another_meaning_are_no_signals():
+    class Own(estimators.create("truth", 200.0).__class__):
+        roll_pitch_sigma = "unknown"
+
+        def gyro_bias(self):
+            """A method, not an array."""
+
+    mission = Mission(WINDY, Own(200.0), 2)
+    signals = SignalLog(mission, decimation(200.0))
+    fly(mission, 0, after_step=signals)
+    found = dict(zip(signals.names, signals.rows.T, strict=True))
+    assert np.isnan([found["bias_est_x"], found["roll_sigma"]]).all()
+
+
 def test_wind_is_that_of_the_scenario():
     found = unpack_series(pack_series(*_packed("truth")))
     np.testing.assert_allclose([found[f"wind_{axis}"][5] for axis in "xyz"], WIND.velocity, atol=2e-3)
@@ -98,3 +113,14 @@ def test_sigma_of_a_known_attitude_is_that_of_the_start(name):
     est = estimators.create(name, 200.0)
     est.reset(2, roll_pitch=(0.3, -0.6))
     np.testing.assert_allclose(est.roll_pitch_sigma, [[0.01 / np.cos(0.6), 0.01]] * 2)
+
+
+def test_sigma_of_the_ekf_is_that_of_quaternions_drawn_from_its_covariance():
+    rng, est = np.random.default_rng(0), estimators.create("ekf", 200.0)
+    est.reset(1, quat=quat_from_euler(0.3, -0.6, 2.0)[None])
+    for _ in range(100):
+        est.update(np.array([[0.5, -0.2, 0.3]]), np.array([[4.0, 2.0, 8.0]]))
+    covariance = 1e-4 * est._states["covariance"][0, ..., 0]  # small, as the linearisation is exact there
+    drawn = quat_normalize(est.quat[0] + rng.multivariate_normal(np.zeros(4), covariance, 20_000))
+    sd = euler_from_quat(drawn)[:, :2].std(axis=0)
+    np.testing.assert_allclose(est.roll_pitch_sigma[0], 100.0 * sd, rtol=0.03)

@@ -17,7 +17,7 @@ export function addPanel(plots, box, time, panel, { height, labelled, end, hooks
     width: box.clientWidth, height: height + (labelled ? 34 : 14), pxAlign: false,
     cursor: { y: false, drag: { x: true, y: false }, points: { size: 5 }, bind: { dblclick: () => all } },
     scales: { x: { time: false }, y: { range: (_, low, high) => bounds(panel, low, high) } },
-    axes: [{ ...axis, size: labelled ? 34 : 6, values: (_, ticks) => ticks.map((t) => (labelled ? `${t} s` : "")) }, { ...axis, size: 56 }],
+    axes: [{ ...axis, size: labelled ? 34 : 6, values: (_, ticks) => ticks.map((t) => (labelled ? `${t} s` : "")) }, { ...axis, size: 56, space: 22 }],
     series: [{ label: "time", value: (_, t) => (t === null || t === undefined ? "–" : `${t.toFixed(2)} s`) },
       ...panel.lines.map(([, series]) => ({ ...GAPS, ...series }))],
     legend: { mount: (_, legend) => head.append(legend) },

@@ -48,7 +48,9 @@ function closedLoop() {
   timeListeners.push(showTime, drawStage);
   turnable($("stage"));
   player();
-  for (const change of ["resize", "beforeprint", "afterprint"]) addEventListener(change, redraw);
+  let wide = innerWidth; // a phone's window changes its height as one scrolls
+  addEventListener("resize", () => { if (innerWidth !== wide) { wide = innerWidth; redraw(); } });
+  for (const change of ["beforeprint", "afterprint"]) addEventListener(change, redraw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(state.scenario);
   unpack().then(() => "No flight is stored for this choice.", () => "This browser cannot unpack the flights; one of 2023 or later can.")

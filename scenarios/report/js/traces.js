@@ -5,7 +5,7 @@ import { addPanel, AXES, line, pointAt, shade } from "./panels.js";
 import { inclination, QUANTITIES, windy } from "./quantities.js";
 
 const PLOTS = [];
-const quiet = { class: "unlisted", pxAlign: 0 };
+const quiet = { class: "unlisted" }; // not in the legend
 const gaps = (values) => Array.from(values, (v) => (Number.isNaN(v) ? null : v));
 const times = (s) => Float64Array.from({ length: s.x.length }, (_, k) => k * s.dt);
 const endOf = (s) => (s.x.length - 1) * s.dt;
@@ -48,7 +48,7 @@ function drawFaults(plot, labelled) {
   const faults = data.faults[state.scenario] ?? [], ratio = devicePixelRatio || 1, pen = plot.ctx, { left, top, width } = plot.bbox;
   shade(plot, faults.map(([, from, to]) => [from, to]), css("--accent"), 0.1);
   if (!labelled) return;
-  pen.save(); pen.font = `${12 * ratio}px system-ui`; pen.fillStyle = css("--accent"); pen.textBaseline = "top";
+  pen.save(); pen.font = `${12 * ratio}px system-ui`; pen.fillStyle = css("--accent"); pen.textAlign = "left"; pen.textBaseline = "top";
   const ends = []; // of the labels in each row
   for (const [label, from, to] of faults) {
     const x = Math.max(plot.valToPos(from, "x", true), left) + 4 * ratio, wide = pen.measureText(label).width;
@@ -109,12 +109,11 @@ function insideNote(s) {
   return [texts.join(" "), " Readings, bias and rotor commands of this flight are not in this page; ", node("code", {}, command), " shows them."];
 }
 function insidePanels(s) {
-  const vector = (title, name, from, more) => ({
-    title, lines: ["x", "y", "z"].flatMap((axis, k) => (from?.[`${name}_${axis}`] ? [[gaps(from[`${name}_${axis}`].subarray(0, s.x.length)), line(axis, AXES[k], { width: 1, ...more })]] : [])),
+  const vector = (title, name, from, more, kind = "") => ({
+    title, lines: ["x", "y", "z"].flatMap((axis, k) => (from?.[`${name}_${axis}`] ? [[gaps(from[`${name}_${axis}`].subarray(0, s.x.length)), line(axis + kind, AXES[k] + (more?.pale ?? ""), { width: 1, ...more })]] : [])),
   });
   const shared = data.shared[state.scenario]?.flight, estimated = Boolean(s.bias_est_x);
-  const truth = vector("", "bias", shared, estimated ? { width: 4, ...quiet } : {}).lines;
-  if (estimated) for (const [, series] of truth) series.stroke += "55";
+  const truth = vector("", "bias", shared, estimated ? { width: 4, pale: "55" } : {}, estimated ? " true" : "").lines;
   const rotors = Object.keys(s).filter((name) => name.startsWith("rotor_"));
   const own = { width: 1.5 };
   const angle = (name, title) => {
@@ -129,8 +128,8 @@ function insidePanels(s) {
   return [
     vector("gyroscope [°/s]", "gyro", s), vector("accelerometer [m/s²]", "accel", s),
     {
-      title: "gyroscope bias [°/s]" + (estimated ? "; broad: true, thin: estimated" : `, true; ${state.inside} estimates none or it is not in this page`),
-      lines: [...truth, ...vector("", "bias_est", s).lines],
+      title: "gyroscope bias [°/s]; " + (estimated ? "true and estimated" : s.gyro_x ? `true, ${state.inside} estimates none` : "true"),
+      lines: [...truth, ...vector("", "bias_est", s, {}, " estimated").lines],
     },
     ...(windy(shared) ? [vector("wind, world axes [m/s]", "wind", shared)] : []),
     { title: "rotor commands [rad/s]", lines: rotors.map((name, k) => [gaps(s[name]), line(`rotor ${k}`, ROTORS[k % ROTORS.length], { width: 1 })]) },
