@@ -22,8 +22,10 @@ export function drawTraces() {
   for (const plot of PLOTS) plot.setScale("x", { min: from, max: to });
   queueMicrotask(showTime); // after uPlot has its scales
 }
-/** Cursors at the time of the replay. */
-export const showTime = () => pointAt(PLOTS.filter((plot) => plot !== state.source), state.time);
+/** Cursors at the time of the replay, but for the plot that moved it, and one in which the pointer drags a range. */
+export const showTime = () => pointAt(PLOTS.filter((plot) => plot !== state.source && plot !== dragged), state.time);
+let [dragged, pressed] = [null, 0];
+addEventListener("mouseup", () => { dragged = null; });
 export function showAll() { for (const plot of PLOTS.slice(0, 1)) plot.setScale("x", { min: 0, max: state.end }); }
 
 function hooks(labelled, above = () => {}) {
@@ -35,7 +37,10 @@ function hooks(labelled, above = () => {}) {
       if (plot.cursor.left >= 0) setTime(Math.max(0, plot.posToVal(plot.cursor.left, "x")), plot);
       else pointAt([plot], state.time);
     }],
-    ready: [(plot) => plot.over.addEventListener("click", (event) => setTime(Math.max(0, plot.posToVal(event.offsetX, "x"))))],
+    ready: [(plot) => {
+      plot.over.addEventListener("mousedown", (event) => { [dragged, pressed] = [plot, event.offsetX]; });
+      plot.over.addEventListener("click", ({ offsetX }) => { if (Math.abs(offsetX - pressed) < 4) setTime(Math.max(0, plot.posToVal(offsetX, "x"))); });
+    }],
   };
 }
 function add(box, s, panel, options) {
