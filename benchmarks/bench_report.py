@@ -23,8 +23,9 @@ from scenarios.bench.cell import Cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow, Log, error_histogram, log_dtype
 from scenarios.bench.pairs import paired_differences
 from scenarios.bench.runner import Results
-from scenarios.bench.series import pack_series
+from scenarios.bench.series import decimation, pack_series
 from scenarios.bench.settings import FlightSettings
+from scenarios.bench.signals import signal_names
 from scenarios.report.flight_picture import cover
 from scenarios.report.page import ClosedLoopSection, write_report
 
@@ -53,6 +54,14 @@ def made_up_log(rng: np.random.Generator, duration_s: float, rate_hz: float) -> 
     return log
 
 
+def made_up_signals(rng: np.random.Generator, samples: int, dt: float) -> dict[str, np.ndarray]:
+    """What is behind an estimate: smooth, and readings and commands with noise."""
+    t, names = np.arange(samples) * dt, signal_names(4)
+    noise = [0.1 if name.startswith(("gyro", "accel", "rotor")) else 0.0 for name in names]
+    values = smooth(rng, t, len(names), 1.0) + rng.normal(0.0, 1.0, (samples, len(names))) * noise
+    return dict(zip(names, values.T, strict=True))
+
+
 def made_up_flight(rng: np.random.Generator, scenario: str, estimator: str, seed: int) -> FlightRow:
     cause = str(rng.choice(CAUSES[1:])) if rng.random() < 0.04 else ""
     values = {each.name: float(rng.lognormal()) for each in fields(FlightMetrics)}
@@ -68,7 +77,8 @@ def made_up_results(seeds: int) -> Results:
             log = made_up_log(rng, scenario.duration_s, settings.rate_hz)
             flights = [made_up_flight(rng, name, estimator, seed) for seed in range(seeds)]
             histogram = error_histogram(log[None], np.array([log.size])).tolist()
-            series = pack_series(log, settings.rate_hz)
+            signals = made_up_signals(rng, -(-log.size // decimation(settings.rate_hz)), 0.04)
+            series = pack_series(log, settings.rate_hz, signals)
             cells.append(Cell(name, estimator, "", "", flights, histogram, series))
     return Results(scenarios, estimators.names(), settings, cells)
 

@@ -14,7 +14,9 @@ from quadsim.runs.files import write_csv
 
 from .bench.cell import fly, make_cell
 from .bench.runner import NO_CHANGES, Results
+from .bench.series import decimation
 from .bench.settings import FlightSettings, ScenarioChanges
+from .bench.signals import SignalLog
 from .report.page import ClosedLoopSection, write_report
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
@@ -67,8 +69,9 @@ def fly_scenario(
     parts = {"vehicle": scenario.vehicle, "imu": scenario.imu}
     made = estimators.create(estimator, rate_hz, tuning=settings.tuning, **parts)
     mission = Mission(scenario, made, settings.seeds, rate_hz)
-    log, end = fly(mission, settings.seed, flight)
-    cell = make_cell(name, estimator, "", mission, log, end)
+    signals = SignalLog(mission, decimation(rate_hz))
+    log, end = fly(mission, settings.seed, flight, signals)
+    cell = make_cell(name, estimator, "", mission, log, end, signals)
     results = Results({name: scenario}, [estimator], settings, [cell])
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)

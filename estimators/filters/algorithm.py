@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadsim.config.toml import nearest
 from quadsim.estimator import OtherSensors
-from quadsim.rotation import quat_from_roll_pitch, quat_normalize
+from quadsim.rotation import euler_from_quat, quat_from_roll_pitch, quat_normalize
 from quadsim.runs.compiled import njit
 
 from .samples import SAMPLES, initial_states, sample_of, square_of_error, sum_of_squares
@@ -115,6 +115,9 @@ class Algorithm:
     """start(states, quat, known, params): initialise records (rows,) from quat (rows, 4), params (rows,)."""
     sensors: tuple[str, ...] = ()
     """Sensors beside the IMU, of `quadsim.estimator.Readings`, that `sequence` takes."""
+    tilt_covariance: Callable[[Records], Array] | None = None
+    """tilt_covariance(states): covariance (n, 2, 2) [rad²] of the tilt's error about world x and y; None
+    where the filter has no covariance."""
 
     def records(self, matrix: Array) -> Records:
         """Parameter sets (p, k), in the order of `parameters`, as records (p,)."""
@@ -291,10 +294,29 @@ class Filter:
         """Estimated velocity in the world axes of `quat`, (n, 3) [m/s]."""
         return self._field("velocity", "a velocity")
 
+    @property
+    def roll_pitch_sigma(self) -> Array:
+        """Standard deviation of roll and pitch, by the filter's own covariance (n, 2) [rad]."""
+        if self.algorithm.tilt_covariance is None:
+            raise AttributeError(f"{self.algorithm.name} has no covariance")
+        tilt = self.algorithm.tilt_covariance(self._states)
+        _, pitch, yaw = np.moveaxis(euler_from_quat(self.quat), -1, 0)
+        turn = np.stack([np.cos(yaw), np.sin(yaw), -np.sin(yaw), np.cos(yaw)], axis=-1).reshape(-1, 2, 2)
+        variance = np.diagonal(turn @ tilt @ np.swapaxes(turn, 1, 2), axis1=1, axis2=2)
+        sigma = np.sqrt(np.maximum(variance, 0.0))
+        sigma[:, 0] /= np.maximum(np.cos(pitch), 1e-3)
+        return np.minimum(sigma, math.pi)
+
     def _field(self, name: str, what: str) -> Array:
         if name not in (self.algorithm.state.names or ()):
             raise AttributeError(f"{self.algorithm.name} does not estimate {what}")
         return self._states[name].reshape(self._shape[0], -1).copy()
+
+
+def tilt_block(states: Records) -> Array:
+    """Covariance (n, 2, 2) of an error state that begins with the tilt about world x and y."""
+    covariance = states["covariance"]
+    return covariance.reshape(*covariance.shape[:3])[:, :2, :2]
 
 
 def start(

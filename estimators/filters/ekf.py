@@ -145,4 +145,20 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
     states["covariance"][:, range(4), range(4), 0] = 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
 
 
-EKF = Algorithm("ekf", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start)
+def _tilt_covariance(states: Records) -> Array:
+    """Of the error θ = 2 (δq ⊗ q*) in world axes, its x and y: (n, 2, 2) [rad²]."""
+    w, x, y, z = states["quat"][..., 0].T
+    to_tilt = 2.0 * np.stack([-x, w, -z, y, -y, z, w, -x], axis=-1).reshape(-1, 2, 4)
+    return to_tilt @ states["covariance"][..., 0] @ np.swapaxes(to_tilt, 1, 2)
+
+
+EKF = Algorithm(
+    "ekf",
+    PARAMETERS,
+    lanes_of(STATE),
+    lanes_of(PARAMS),
+    sequence,
+    score,
+    _start,
+    tilt_covariance=_tilt_covariance,
+)

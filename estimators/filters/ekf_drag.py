@@ -44,7 +44,16 @@ from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotat
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 
-from .algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, Records, score_of, sequence_of
+from .algorithm import (
+    FROM_VEHICLE,
+    Algorithm,
+    Array,
+    Parameter,
+    Records,
+    score_of,
+    sequence_of,
+    tilt_block,
+)
 from .ekf import SIGMA_KNOWN
 from .eskf import turned
 from .inline_math import roll_pitch_core
@@ -521,7 +530,9 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
     _begin(states, params, known)
 
 
-EKF_DRAG = Algorithm("ekf-drag", PARAMETERS, STATE, PARAMS, sequence, score, _start)
+EKF_DRAG = Algorithm(
+    "ekf-drag", PARAMETERS, STATE, PARAMS, sequence, score, _start, tilt_covariance=tilt_block
+)
 
 
 def drag_of(vehicle: Vehicle) -> dict[str, float]:

@@ -20,7 +20,7 @@ from quadsim.rotation import matrix_core, multiply_core, normalize_core, rotate_
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Parameter, Records
+from .algorithm import Algorithm, Array, Parameter, Records, tilt_block
 from .ekf import NOTHING_KNOWN, SIGMA_KNOWN, SIGMA_UNKNOWN
 from .inline_math import atan2_core, exp_core, four, put_four, roll_pitch_core, three
 from .samples import LANES, by_lanes, by_rows, lanes_of, parameter_record
@@ -195,4 +195,6 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
     states["covariance"][:, [2, 3, 4], [2, 3, 4], 0] = params["bias_sigma"] ** 2
 
 
-ESKF = Algorithm("eskf", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start)
+ESKF = Algorithm(
+    "eskf", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start, tilt_covariance=tilt_block
+)

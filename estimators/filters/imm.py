@@ -44,11 +44,11 @@ import math
 
 import numpy as np
 
-from quadsim.rotation import euler_from_quat, multiply_core, rotate_core
+from quadsim.rotation import multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Filter, Parameter, Records, score_of, sequence_of
+from .algorithm import Algorithm, Array, Filter, Parameter, Records, score_of, sequence_of, tilt_block
 from .ekf import SIGMA_KNOWN
 from .ekf_drag import at_rest, diverged, mean_square
 from .eskf import tilt_core, turned
@@ -519,11 +519,11 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
     _begin(states, params, known)
 
 
-IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start, ("rotor_vel",))
+IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start, ("rotor_vel",), tilt_block)
 
 
 class InteractingModels(Filter):
-    """The filter of n vehicles, with the model that it believes and how sure it is."""
+    """The filter of n vehicles, with the models that it believes; its σ is of their last update."""
 
     models = MODELS
     """Names of the models, in the order of `model_probability`."""
@@ -532,14 +532,3 @@ class InteractingModels(Filter):
     def model_probability(self) -> Array:
         """Probability of each model, (n, 5); a row sums to 1."""
         return self._states["probability"].copy()
-
-    @property
-    def roll_pitch_sigma(self) -> Array:
-        """Standard deviation of roll and pitch (n, 2) [rad], at the last update of the models."""
-        _, pitch, yaw = np.moveaxis(euler_from_quat(self._states["quat"]), -1, 0)
-        turn = np.stack([np.cos(yaw), np.sin(yaw), -np.sin(yaw), np.cos(yaw)], axis=-1).reshape(-1, 2, 2)
-        tilt = self._states["covariance"][:, TILT:VELOCITY, TILT:VELOCITY]
-        variance = np.diagonal(turn @ tilt @ np.swapaxes(turn, 1, 2), axis1=1, axis2=2)
-        sigma = np.sqrt(np.maximum(variance, 0.0))
-        sigma[:, 0] /= np.maximum(np.cos(pitch), 1e-3)
-        return np.minimum(sigma, math.pi)

@@ -7,7 +7,7 @@ seed.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,6 +222,32 @@ def displaced(imu: ImuSpec, faults: Sequence[SensorFault | VehicleFault]) -> Imu
         return imu
     x, y, z = np.sum([imu.lever_arm, *arms], axis=0).tolist()
     return imu.model_copy(update={"lever_arm": (x, y, z)})
+
+
+class FaultSpan(NamedTuple):
+    """When a fault is there, from and to [s]."""
+
+    label: str
+    start_s: float
+    end_s: float
+
+
+def fault_spans(faults: Sequence[SensorFault | VehicleFault], duration_s: float) -> list[FaultSpan]:
+    """When the faults of a flight are there, in their order; one that comes again has as many spans."""
+    spans = []
+    for fault in faults:
+        label, start = fault.kind.replace("-", " "), getattr(fault, "at_s", 0.0)
+        match fault:
+            case PayloadDrop():
+                found = [FaultSpan("payload", 0.0, fault.at_s)]
+            case Stuck():
+                starts = [start] if fault.every_s is None else np.arange(start, duration_s, fault.every_s)
+                found = [FaultSpan(label, float(each), float(each) + fault.length_s) for each in starts]
+            case _:
+                found = [FaultSpan(label, start, duration_s)]
+        ends = [min(each.end_s, duration_s) for each in found]
+        spans += [e._replace(end_s=end) for e, end in zip(found, ends, strict=True) if e.start_s < end]
+    return spans
 
 
 class VehicleFaults:

@@ -1,6 +1,7 @@
 """One cell of the benchmark: a scenario simulated with one estimator and many seeds, and its file."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +29,9 @@ from .flight_metrics import (
     summarise,
     write_row,
 )
-from .series import FlightSeries, pack_series
+from .series import FlightSeries, decimation, pack_series
 from .settings import FlightSettings
+from .signals import SignalLog
 
 BOUNDLESS = 1e100
 """What no number of a flight reaches that means something, in any unit."""
@@ -103,8 +105,9 @@ def fly_cell(
         vehicle = scenario.vehicle if scenario.vehicle_known else None
         made = estimators.create(estimator, rate_hz, tuning=tuning, vehicle=vehicle, imu=scenario.imu)
         mission = Mission(scenario, made, settings.seeds, rate_hz)
-        log, end = fly(mission, settings.seed)
-        return make_cell(name, estimator, fingerprint, mission, log, end)
+        signals = SignalLog(mission, decimation(rate_hz))
+        log, end = fly(mission, settings.seed, after_step=signals)
+        return make_cell(name, estimator, fingerprint, mission, log, end, signals)
     except Exception as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
         return failed_cell(name, estimator, fingerprint, f"{kind}{error}")
@@ -120,9 +123,15 @@ def tuning_of(estimator: str, tuning: str | None) -> str | None:
 
 
 def make_cell(
-    name: str, estimator: str, fingerprint: str, mission: Mission, log: Log, end: NDArray[np.int64]
+    name: str,
+    estimator: str,
+    fingerprint: str,
+    mission: Mission,
+    log: Log,
+    end: NDArray[np.int64],
+    signals: SignalLog | None = None,
 ) -> Cell:
-    """The cell of a simulated mission.
+    """The cell of a simulated mission, with the signals of its first flight if they were logged.
 
     Raises:
         ValueError: If numbers of the flight grew beyond all bounds.
@@ -144,14 +153,18 @@ def make_cell(
         )
         for i in range(mission.n)
     ]
-    series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz)
+    found = signals and dict(zip(signals.names, signals.rows.T, strict=True))
+    series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz, found)
     return Cell(name, estimator, fingerprint, "", flights, error_histogram(log, end).tolist(), series)
 
 
-def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Log, NDArray[np.int64]]:
+def fly(
+    mission: Mission, seed: int, first: int = 0, after_step: Callable[[int], None] | None = None
+) -> tuple[Log, NDArray[np.int64]]:
     """Simulate a mission: its log (n, T) of `log_dtype`, and how many samples each flight lasted (n,).
 
-    Its flights are those with the numbers `first`, `first` + 1, ... of the seed.
+    Its flights are those with the numbers `first`, `first` + 1, ... of the seed. `after_step` is called with
+    the number of each sample.
     """
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
     log = np.zeros((mission.steps, mission.n), log_dtype(len(mission.vehicle.rotors)))
@@ -160,6 +173,8 @@ def fly(mission: Mission, seed: int, first: int = 0) -> tuple[Log, NDArray[np.in
     for k in range(mission.steps):
         mission.step()
         write_row(mission.records, last_command, log[k])
+        if after_step is not None:
+            after_step(k)
         if mission.crashed:
             end[(mission.cause > 0) & (end > k)] = k
     return log.swapaxes(0, 1), end

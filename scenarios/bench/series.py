@@ -2,8 +2,8 @@
 
 import base64
 import zlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,12 @@ Array = NDArray[np.float64]
 
 SERIES_HZ = 25.0
 """Samples per second of the time series that are stored for plots."""
+MISSING = -32768
+"""The integer of a number that is missing."""
+LEVELS, SIGNAL_LEVELS = 32767, 1023
+"""Integers on either side of zero, of a channel and of a signal: noise costs room."""
+ANGLE_STEP, LENGTH_STEP = 0.002, 0.0005
+"""Least steps of angles [deg] and of positions [m]: nothing that a plot shows is finer."""
 
 
 @dataclass(frozen=True)
@@ -29,29 +35,45 @@ class FlightSeries:
     dt: float
     """Time between two samples [s]."""
     channels: dict[str, Channel]
+    signals: dict[str, Channel] = field(default_factory=dict)
+    """What is behind the estimate, by the names of `signals.signal_names`; those without a value left out."""
 
     @property
     def samples(self) -> int:
         """Length of every channel."""
-        return len(_integers(self.channels["x"]))
+        return len(_integers(next(iter(self.channels.values()))))
 
 
-def pack_series(log: NDArray[np.void], rate_hz: float) -> FlightSeries:
-    """One flight's log (T,) of `flight_metrics.log_dtype`, decimated to `SERIES_HZ`."""
-    every = max(round(rate_hz / SERIES_HZ), 1)
+def decimation(rate_hz: float) -> int:
+    """Of how many samples of a flight a series has one."""
+    return max(round(rate_hz / SERIES_HZ), 1)
+
+
+def pack_series(
+    log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Array] | None = None
+) -> FlightSeries:
+    """One flight's log (T,) of `flight_metrics.log_dtype`, decimated to `SERIES_HZ`.
+
+    Args:
+        log: The flight, until its end.
+        rate_hz: Samples per second of the log.
+        signals: Further channels by name, decimated already, at least as long; NaN where missing.
+    """
+    every = decimation(rate_hz)
     shown = log[::every]
     angles = np.degrees(np.hstack([shown["euler"], shown["estimate"]]))
     names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
     columns = np.hstack([angles, shown["position"], shown["target"]])
-    return FlightSeries(every / rate_hz, dict(zip(names, map(_pack, columns.T), strict=True)))
+    steps = [ANGLE_STEP] * 5 + [LENGTH_STEP] * 6
+    channels = {n: _pack(v, LEVELS, step) for n, v, step in zip(names, columns.T, steps, strict=True)}
+    packed = {name: _pack(v[: len(shown)], SIGNAL_LEVELS) for name, v in (signals or {}).items()}
+    known = {name: channel for name, channel in packed.items() if (_integers(channel) != MISSING).any()}
+    return FlightSeries(every / rate_hz, channels, known)
 
 
 def unpack_series(series: FlightSeries) -> dict[str, Array]:
-    """Every channel of a flight, each (T,), and its `time` [s]."""
-    found = {
-        name: channel.scale * _integers(channel).astype(np.float64)
-        for name, channel in series.channels.items()
-    }
+    """Every channel and signal of a flight, each (T,), NaN where missing, and its `time` [s]."""
+    found = {name: _unpack(channel) for name, channel in (series.channels | series.signals).items()}
     return found | {"time": series.dt * np.arange(len(found["x"]), dtype=np.float64)}
 
 
@@ -70,6 +92,14 @@ def _integers(channel: Channel) -> NDArray[np.int16]:
     return np.frombuffer(base64.b64decode(channel.data), "<i2")
 
 
-def _pack(values: Array) -> Channel:
-    scale = max(float(np.abs(values).max()), 1e-6) / 32767
-    return Channel(scale, base64.b64encode(np.round(values / scale).astype("<i2").tobytes()).decode())
+def _pack(values: Array, levels: int, step: float = 1e-9) -> Channel:
+    finite = np.isfinite(values)
+    scale = max(step, np.abs(values[finite]).max(initial=0.0) / levels)
+    scale = float(f"{scale:.6g}")  # short in the page
+    integers = np.where(finite, np.round(np.where(finite, values, 0.0) / scale), MISSING).astype("<i2")
+    return Channel(scale, base64.b64encode(integers.tobytes()).decode())
+
+
+def _unpack(channel: Channel) -> Array:
+    integers = _integers(channel)
+    return np.where(integers == MISSING, np.nan, channel.scale * integers.astype(np.float64))

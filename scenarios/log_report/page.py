@@ -8,7 +8,6 @@ import json
 import math
 import zlib
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 
 import jinja2
@@ -20,7 +19,7 @@ from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
 from estimators.metrics import inclination_error
 from quadsim.runs.files import write_whole
 
-from ..report.page import script
+from ..report.page import script, uplot
 from .verdict import log_verdict
 
 Array = NDArray[np.float64]
@@ -48,7 +47,6 @@ def write_log_report(
     described = {str(log.attrs["source"]): _log(log, scores, channels) for log in logs}
     names = [name for name in scores.estimators if name != LEVEL]
     data = {"estimators": sorted(names), "shown": names[:SHOWN], "logs": described}
-    package = files("scenarios")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("scenarios", ""),
         autoescape=True,
@@ -56,15 +54,12 @@ def write_log_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    uplot = package / "log_report" / "uplot"
     page = environment.get_template("log_report/log.html").render(
         verdict=log_verdict(scores),
         warnings=warnings,
         logs=list(described),
         rows=_table(scores),
-        uplot=(uplot / "uPlot.iife.min.js").read_text("utf-8"),
-        uplot_css=(uplot / "uPlot.min.css").read_text("utf-8"),
-        licence=(uplot / "LICENSE").read_text("utf-8"),
+        **uplot(),
         script=script("log_report/js/log.js"),
         payload=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         traces=_compress(channels),

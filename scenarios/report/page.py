@@ -5,7 +5,7 @@ import json
 import posixpath
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import imageio.v3 as imageio
 import jinja2
 import numpy as np
 
+from quadsim.flight.faults import fault_spans
 from quadsim.runs.files import write_whole
 from quadsim.vehicle import load_vehicle
 
@@ -21,13 +22,17 @@ from ..bench.cell import Cell
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow
 from ..bench.pairs import ALL, PAIRED, PairRow
 from ..bench.runner import Results
-from ..bench.series import compress_flights
+from ..bench.series import FlightSeries, compress_flights
 from ..bench.settings import FlightSettings
+from ..bench.signals import SHARED
 from ..bench.verdict import TRUTH, offline_verdict, verdict
 from .flight_picture import Picture
 
 SHOWN = 4
 """Estimators drawn at first in the time plots."""
+DETAILED = 120
+"""Flights whose signals are in the page, the same estimators in every scenario: with them, 30 scenarios × 14
+estimators stay below 5 MB."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,9 @@ def write_report(
     closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
     results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
     rows = results.rows
+    names = results.estimators or [str(row.get("estimator")) for row in offline.rows]
+    order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *_ranked(rows, focus), *names]))
+    flights = PageFlights.of(results, order)
     context = {
         "title": title,
         "verdict": verdict(rows, focus, closed_loop.pairs) if rows else offline_verdict(offline.rows),
@@ -105,8 +113,9 @@ def write_report(
         "csv": list(csv),
         "footer": footer or _footer(results),
         "script": script("report/js/report.js"),
-        "payload": _payload(closed_loop, rows, offline.rows, focus),
-        "flights": compress_flights(cell.series for cell in results.cells if cell.series),
+        "payload": _payload(closed_loop, rows, names, order, flights),
+        "flights": compress_flights(flights.packed),
+        **uplot(),
     }
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("scenarios.report", ""),
@@ -167,21 +176,64 @@ def _label(key: str) -> str:
     return key.replace("_", " ")
 
 
+def _ranked(rows: Sequence[CellRow], focus: str = "") -> list[str]:
+    return [s.estimator for s in verdict(rows, focus).standings]
+
+
+@dataclass(frozen=True)
+class PageFlights:
+    """Flights in time as they are in the page."""
+
+    cells: Sequence[FlightSeries | None]
+    """Of each cell; with its signals where there is room for them."""
+    shared: Mapping[str, FlightSeries]
+    """Of each scenario: what is the same with every estimator."""
+
+    @property
+    def packed(self) -> list[FlightSeries]:
+        """All of them, in the order in which the page unpacks them."""
+        return [*(series for series in self.cells if series), *self.shared.values()]
+
+    @classmethod
+    def of(cls, results: Results, order: Sequence[str]) -> "PageFlights":
+        """Those of a benchmark; `order` has the estimators whose signals are wanted most first."""
+        most = DETAILED // max(len(results.scenarios), 1)
+        detailed = sorted(order, key=lambda name: name == TRUTH)[:most]
+        longest: dict[str, FlightSeries] = {}
+        for cell in results.cells:
+            if cell.series and cell.series.signals:
+                before = longest.setdefault(cell.scenario, cell.series)
+                longest[cell.scenario] = max(before, cell.series, key=lambda series: series.samples)
+        return cls(
+            [
+                cell.series and _with_signals(cell.series, cell.estimator in detailed)
+                for cell in results.cells
+            ],
+            {
+                scenario: FlightSeries(s.dt, {k: s.signals[k] for k in SHARED if k in s.signals})
+                for scenario, s in longest.items()
+            },
+        )
+
+
+def _with_signals(series: FlightSeries, signals: bool) -> FlightSeries:
+    own = {name: channel for name, channel in series.signals.items() if signals and name not in SHARED}
+    return replace(series, channels=series.channels | own, signals={})
+
+
 def _payload(
     closed_loop: ClosedLoopSection,
     rows: Sequence[CellRow],
-    offline: Sequence[Mapping[str, object]],
-    focus: str,
+    names: Sequence[str],
+    order: Sequence[str],
+    flights: PageFlights,
 ) -> str:
     results = closed_loop.results
-    names = results.estimators or [str(row.get("estimator")) for row in offline]
-    ranked = [s.estimator for s in verdict(rows, focus).standings]
-    shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
         "scenarios": list(results.scenarios),
-        "shown": shown,
+        "shown": order[:SHOWN],
         "metrics": [vars(metric) for metric in METRICS],
         "edges": {"low": low, "high": high, "bins": ERROR_BINS},
     }
@@ -189,12 +241,14 @@ def _payload(
         vehicle = load_vehicle(next(iter(results.scenarios.values())).vehicle)
         data |= {
             "cells": {
-                f"{cell.scenario}|{cell.estimator}": _cell(cell, row)
-                for cell, row in zip(results.cells, rows, strict=True)
+                f"{cell.scenario}|{cell.estimator}": _cell(cell, row, series)
+                for cell, row, series in zip(results.cells, rows, flights.cells, strict=True)
             },
+            "shared": {scenario: _described(series) for scenario, series in flights.shared.items()},
+            "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
             "pairs": _pairs(closed_loop.pairs),
             "all": ALL,
-            "best": next((name for name in ranked if name != TRUTH), None),
+            "best": next((name for name in _ranked(rows) if name != TRUTH), None),
             "series_seed": 0,
             "hubs": vehicle.hubs.tolist(),
             "prop_radius": vehicle.frame.prop_radius,
@@ -215,15 +269,27 @@ def _pairs(pairs: Sequence[PairRow]) -> dict[str, list]:
     return out
 
 
-def _cell(cell: Cell, row: CellRow) -> dict[str, object]:
-    """What the charts show of a cell; of its flight in time all but the integers."""
+def _cell(cell: Cell, row: CellRow, series: FlightSeries | None) -> dict[str, object]:
+    """What the charts show of a cell."""
     values = {metric.key: getattr(row, metric.key) for metric in METRICS}
-    series = cell.series and {
-        "dt": cell.series.dt,
-        "samples": cell.series.samples,
-        "scales": {name: channel.scale for name, channel in cell.series.channels.items()},
+    return {"values": values, "histogram": cell.histogram, "series": series and _described(series)}
+
+
+def _described(series: FlightSeries) -> dict[str, object]:
+    """All of a flight in time but its integers."""
+    scales = {name: channel.scale for name, channel in series.channels.items()}
+    return {"dt": series.dt, "samples": series.samples, "scales": scales}
+
+
+def uplot() -> dict[str, str]:
+    """Script, style and licence of uPlot (github.com/leeoniya/uPlot, MIT), which draws the traces."""
+    folder = files("scenarios") / "report" / "uplot"
+    source = (folder / "uPlot.iife.min.js").read_text("utf-8")
+    return {
+        "uplot": re.sub(r"^/\*!.*?\*/\s*", "", source),
+        "uplot_css": (folder / "uPlot.min.css").read_text("utf-8"),
+        "licence": (folder / "LICENSE").read_text("utf-8"),
     }
-    return {"values": values, "histogram": cell.histogram, "series": series}
 
 
 def script(entry: str) -> str:

@@ -9,18 +9,21 @@ import numpy as np
 import pytest
 
 import estimators
+from quadsim.flight.faults import GyroBiasStep
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
+from quadsim.wind import Constant
 from scenarios.bench.breaking import BreakingPoint
 from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
 from scenarios.bench.flight_metrics import CellRow, FlightMetrics, FlightRow
 from scenarios.bench.pairs import paired_differences
 from scenarios.bench.runner import Results
-from scenarios.bench.series import unpack_series
+from scenarios.bench.series import decimation, unpack_series
 from scenarios.bench.settings import FlightSettings
+from scenarios.bench.signals import SHARED, SignalLog
 from scenarios.bench.verdict import offline_verdict, verdict
 from scenarios.report.flight_picture import Picture
-from scenarios.report.page import ClosedLoopSection, OfflineSection, write_report
+from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 OFFLINE = [
@@ -50,13 +53,18 @@ def flight(seed, scenario, estimator, cause="", error=1.0):
 @pytest.fixture(scope="module")
 def results():
     """Two scenarios, three estimators: one flies, one crashes half the time, one did not run."""
-    scenario = Scenario(description="Hold a place & <stay> there.", duration_s=2.0)
-    mission = Mission(scenario, estimators.create("mahony"), 2)
-    log, end = fly(mission, 0)
+    step = GyroBiasStep(kind="gyro-bias-step", bias_deg=(3.0, 0.0, 0.0), at_s=1.0)
+    wind = Constant(kind="constant", velocity=(3.0, 0.0, 0.0))
+    scenario = Scenario(
+        description="Hold a place & <stay> there.", duration_s=2.0, wind=(wind,), faults=(step,)
+    )
+    mission = Mission(scenario, estimators.create("eskf"), 2)
+    signals = SignalLog(mission, decimation(200.0))
+    log, end = fly(mission, 0, after_step=signals)
     cells = []
     for name in ("calm", "storm"):
         for estimator in ("truth", "mahony"):
-            cells.append(make_cell(name, estimator, "", mission, log, end))
+            cells.append(make_cell(name, estimator, "", mission, log, end, signals))
         flights = [flight(0, name, "ekf", "flew away", 9.0), flight(1, name, "ekf")]
         cells.append(Cell(name, "ekf", "", "", flights, cells[0].histogram, cells[0].series))
         cells.append(failed_cell(name, "vqf", "", "no weights <here>"))
@@ -180,6 +188,15 @@ def test_report_of_recorded_flights_alone(tmp_path):
     assert "<canvas" not in text
 
 
+def test_signals_are_left_out_where_there_is_no_room(results, monkeypatch):
+    monkeypatch.setattr("scenarios.report.page.DETAILED", 2)  # one estimator in each of two scenarios
+    flights = PageFlights.of(results, ["truth", "mahony", "ekf", "vqf"])
+    detailed = [series is not None and "gyro_x" in series.channels for series in flights.cells]
+    assert detailed == [False, True, False, False] * 2
+    assert set(flights.shared) == {"calm", "storm"}
+    assert set(flights.shared["calm"].channels) == set(SHARED)
+
+
 def test_report_of_nothing_is_refused(tmp_path):
     with pytest.raises(ValueError, match="nothing to report"):
         write_report(tmp_path / "r.html")
@@ -221,15 +238,15 @@ def column(page, number, table="#results"):
     return page.locator(f"{table} tbody tr td:nth-child({number})").all_inner_texts()
 
 
-def painted(page, canvas):
+def painted(page, selector):
     """How many pixels of a canvas are not empty."""
     return page.evaluate(
-        """id => {
-            const canvas = document.getElementById(id);
+        """selector => {
+            const canvas = document.querySelector(selector);
             const image = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
             return image.data.filter((value, i) => i % 4 == 3 && value).length;
         }""",
-        canvas,
+        selector,
     )
 
 
@@ -241,8 +258,8 @@ def test_everything_is_there(page):
     assert page.locator("#verdict h2").inner_text().startswith("Fly mahony: no crash in 4 flights")
     assert page.locator(".heat tbody td").count() == 8
     assert page.locator("#violins polygon").count() == 2
-    assert painted(page, "plot") > 1000
-    assert painted(page, "stage") > 1000
+    assert painted(page, "#plot canvas") > 1000
+    assert painted(page, "#stage") > 1000
     assert page.evaluate("document.querySelector('figure img').naturalWidth") == 160
 
 
@@ -257,6 +274,8 @@ def test_flights_in_the_page_are_those_of_the_cells(page, results):
             assert found is None
             continue
         expected = unpack_series(cell.series)
+        shared = page.evaluate("name => Object.entries(data.shared[name].flight)", cell.scenario)
+        found |= {name: values for name, values in shared if name in SHARED}
         assert found["dt"] == pytest.approx(expected.pop("time")[1])
         for name, values in expected.items():
             np.testing.assert_array_equal(found[name], values.astype(np.float32), err_msg=name)
@@ -313,23 +332,63 @@ def test_a_cell_of_the_map_chooses_the_flight(page):
     assert page.locator('#chips button[data-estimator="ekf"]').get_attribute("aria-pressed") == "true"
 
 
-def test_cursor_reads_the_curves(page):
-    box = page.locator("#plot").bounding_box()
-    page.locator("#plot").scroll_into_view_if_needed()
-    page.locator("#plot").hover(position={"x": box["width"] / 2, "y": 100})
-    assert "mahony" in page.locator("#readout").inner_text()
-
-
-def test_dragging_zooms_and_double_click_shows_all(page):
+def test_cursor_reads_the_curves_and_moves_the_clock_and_every_panel(page):
     page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
-    box = page.locator("#plot").bounding_box()
+    box = page.locator("#plot .u-over").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 60)
+    assert re.search(r"mahony:?\s*\d", page.locator("#plot .u-legend").inner_text())
+    assert page.evaluate("state.time") == pytest.approx(0.995, abs=0.02)
+    cursors = page.evaluate("PLOTS.map((plot) => plot.posToVal(plot.cursor.left, 'x'))")
+    assert cursors == pytest.approx([page.evaluate("state.time")] * 9, abs=0.02)
+    assert page.locator("#clock-text").inner_text() == "1.0 s"
+
+
+def test_clock_of_the_replay_moves_the_cursor_of_every_panel(page):
+    page.locator("#clock").fill("0.5")
+    cursors = page.evaluate("PLOTS.map((plot) => plot.posToVal(plot.cursor.left, 'x'))")
+    assert cursors == pytest.approx([0.5] * 9, abs=0.01)
+
+
+def test_a_click_into_a_panel_moves_the_playing_clock(page):
+    page.evaluate("document.getElementById('speed').value = '0.25'")  # and no scrolling to it
+    page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
+    page.evaluate("document.getElementById('play').click()")
+    box = page.locator("#plot .u-over").bounding_box()
+    page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 100)
+    assert page.evaluate("state.playing && state.time") == pytest.approx(1.25, abs=0.1)
+
+
+def test_panels_show_the_signals_with_units_and_the_fault(page):
+    titles = page.locator("#panels h3").all_inner_texts()
+    assert [title.split(";")[0] for title in titles] == [
+        "gyroscope [°/s]", "accelerometer [m/s²]", "gyroscope bias [°/s]", "wind, world axes [m/s]",
+        "rotor commands [rad/s]", "roll [°]", "pitch [°]", "inclination error [°]",
+    ]  # fmt: skip
+    assert "± σ" in page.locator("#inside-note").inner_text()
+    assert page.evaluate("data.faults.calm") == [["gyro bias step", 1.0, 2.0]]
+
+
+def test_what_is_not_in_the_page_is_said(page):
+    page.select_option("#inside", "ekf")
+    page.evaluate("delete cell('calm', 'ekf').flight.gyro_x; redraw()")
+    assert "quadsim fly calm --estimator ekf" in page.locator("#inside-note").inner_text()
+    page.select_option("#inside", "vqf")
+    assert page.locator("#inside-note").inner_text() == "No flight is stored for this choice."
+
+
+def test_dragging_zooms_all_panels_and_double_click_shows_all(page):
+    page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
+    box = page.locator("#plot .u-over").bounding_box()
     page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 100)
     page.mouse.down()
     page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 100)
     page.mouse.up()
-    assert 0 < page.evaluate("frame.t0") < page.evaluate("frame.t1") < page.evaluate("frame.end")
-    page.locator("#plot").dblclick()
-    assert page.evaluate("frame.t1 === frame.end")
+    page.wait_for_function("PLOTS[0].scales.x.min > 0")
+    ranges = page.evaluate("PLOTS.map((plot) => [plot.scales.x.min, plot.scales.x.max])")
+    assert ranges == [ranges[0]] * 9
+    assert 0 < ranges[0][0] < ranges[0][1] < page.evaluate("state.end")
+    page.locator("#plot .u-over").dblclick()
+    page.wait_for_function("PLOTS.every((p) => p.scales.x.min === 0 && p.scales.x.max === state.end)")
 
 
 def test_replay_moves(page):

@@ -1,13 +1,14 @@
 /* Stacked traces of a log on one time axis. */
 import { $, all, css, node } from "../../report/js/dom.js";
+import { addPanel, AXES, line, pointAt, shade } from "../../report/js/panels.js";
 import { COLOURS, DASHES } from "../../report/js/palette.js";
 import { makeSortable } from "../../report/js/tables.js";
 
 const data = JSON.parse($("data").textContent);
-const MISSING = -32768, AXES = ["#d55e00", "#009e73", "#0072b2"], PLOTS = [];
+const MISSING = -32768, PLOTS = [];
 const colour = (name) => COLOURS[data.estimators.indexOf(name) % COLOURS.length];
 const dash = (name) => DASHES[Math.floor(data.estimators.indexOf(name) / COLOURS.length) % DASHES.length];
-const shown = new Set(data.shown), sync = uPlot.sync("log");
+const shown = new Set(data.shown);
 let log = data.logs[$("log").value];
 
 /* Traces are 16-bit integers times a scale, one channel after the other: their differences, low bytes before high
@@ -26,7 +27,6 @@ async function unpack() {
   }
 }
 
-const line = (label, stroke, more = {}) => ({ label, stroke, width: 1.4, ...more });
 function panels() {
   const sensor = (name, unit) => ({
     title: `${name === "gyro" ? "gyroscope" : "accelerometer"} [${unit}]`,
@@ -51,45 +51,22 @@ function draw() {
   const before = PLOTS[0]?.scales.x, range = before && before.max > before.min ? [before.min, before.max] : null;
   for (const plot of PLOTS.splice(0)) plot.destroy();
   $("panels").replaceChildren();
-  const list = panels().filter((panel) => panel.lines.length);
+  const list = panels().filter((panel) => panel.lines.length), end = log.time.at(-1);
+  const hooks = { drawClear: [(plot) => shade(plot, log.uncounted, css("--line"), 0.5)], setCursor: [point] };
   list.forEach((panel, i) => {
-    const box = node("div", { class: "panel" }, node("h3", {}, panel.title));
+    const box = node("div", { class: "panel" });
     $("panels").append(box);
-    const last = i === list.length - 1;
-    const axis = { stroke: () => css("--soft"), grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
-    PLOTS.push(new uPlot({
-      width: $("panels").clientWidth, height: (last ? 34 : 14) + 118, pxAlign: false,
-      cursor: { sync: { key: sync.key, setSeries: false }, drag: { x: true, y: false }, points: { size: 5 } },
-      scales: { x: { time: false }, y: { range: (_, low, high) => bounds(panel, low, high) } },
-      axes: [{ ...axis, size: last ? 34 : 6, values: (_, ticks) => ticks.map((t) => (last ? `${t} s` : "")) }, { ...axis, size: 52 }],
-      series: [{ label: "time", value: (_, t) => (t === null ? "–" : `${t.toFixed(2)} s`) },
-        ...panel.lines.map(([, made]) => ({ ...made, spanGaps: false, points: { show: false }, value: (_, v) => (v === null || v === undefined ? "–" : v.toFixed(2)) }))],
-      hooks: { drawClear: [shade], setScale: [(plot, key) => key === "x" && follow(plot)] },
-    }, [log.time, ...panel.lines.map(([name]) => log.trace[name])], box));
+    const lines = panel.lines.map(([name, series]) => [log.trace[name], series]);
+    addPanel(PLOTS, box, log.time, { ...panel, lines }, { height: 118, labelled: i === list.length - 1, end, hooks });
   });
   if (range) for (const plot of PLOTS) plot.setScale("x", { min: range[0], max: range[1] });
   for (const chip of all("#chips button")) chip.setAttribute("aria-pressed", shown.has(chip.dataset.estimator));
   $("note").textContent = log.note;
 }
-function bounds(panel, low, high) {
-  if (low === null) return [panel.low ?? -1, panel.high ?? 1];
-  const pad = 0.06 * Math.max(high - low, 1e-3);
-  return [panel.low ?? low - pad, panel.high ?? high + pad];
-}
-/* What is not scored, in grey behind the lines. */
-function shade(plot) {
-  const { left, top, width, height } = plot.bbox, pen = plot.ctx;
-  pen.save(); pen.fillStyle = css("--line"); pen.globalAlpha = 0.5;
-  for (const [from, to] of log.uncounted) {
-    const a = Math.max(plot.valToPos(from, "x", true), left), b = Math.min(plot.valToPos(to, "x", true), left + width);
-    if (b > a) pen.fillRect(a, top, b - a, height);
-  }
-  pen.restore();
-}
-/* All panels have the time axis of the one that was zoomed. */
-function follow(plot) {
-  const { min, max } = plot.scales.x;
-  for (const other of PLOTS) if (other !== plot && (other.scales.x.min !== min || other.scales.x.max !== max)) other.setScale("x", { min, max });
+/* The cursor of a panel is that of all. */
+function point(plot) {
+  const { left } = plot.cursor;
+  pointAt(PLOTS.filter((other) => other !== plot), left >= 0 ? plot.posToVal(left, "x") : NaN);
 }
 
 $("theme").onclick = () => {

@@ -2,13 +2,15 @@
 export const RAD = Math.PI / 180;
 const zip = (s, f) => Float32Array.from(s.roll, (_, k) => f(k));
 const down = (roll, pitch) => [-Math.sin(pitch), Math.sin(roll) * Math.cos(pitch), Math.cos(roll) * Math.cos(pitch)];
-function inclination(s) {
+export function inclination(s) {
   return zip(s, (k) => {
     const [a, b] = [down(s.roll[k] * RAD, s.pitch[k] * RAD), down(s.roll_est[k] * RAD, s.pitch_est[k] * RAD)];
     const cross = Math.hypot(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]);
     return Math.atan2(cross, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / RAD;
   });
 }
+/** Whether there is wind in what the flights of a scenario share. */
+export const windy = (shared) => ["wind_x", "wind_y", "wind_z"].some((name) => shared?.[name]?.some((v) => v !== 0));
 export const QUANTITIES = {
   inclination: { label: "Inclination error [deg]", main: inclination },
   roll: { label: "Roll, estimated and true [deg]", main: (s) => s.roll_est, truth: (s) => s.roll },

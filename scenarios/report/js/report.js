@@ -1,11 +1,11 @@
 /* The entry: what the controls do. */
 import { CHARTS } from "./charts.js";
-import { colour, data, dotOf, state, unpack } from "./data.js";
+import { colour, data, dotOf, state, timeListeners, unpack } from "./data.js";
 import { $, all } from "./dom.js";
 import { QUANTITIES } from "./quantities.js";
 import { drawStage, player, turnable } from "./stage.js";
 import { makeSortable } from "./tables.js";
-import { drawPlot, zoomable } from "./traces.js";
+import { drawTraces, showAll, showTime } from "./traces.js";
 
 $("theme").onclick = () => {
   const dark = document.documentElement.dataset.theme
@@ -19,6 +19,8 @@ function closedLoop() {
     for (const name of data.scenarios) select?.add(new Option(name, name));
   const focus = data.estimators.filter((name) => data.shown.includes(name));
   for (const name of focus) state.shown.add(name);
+  for (const name of data.estimators) $("inside").add(new Option(name, name, false, name === state.inside));
+  $("inside").onchange = (event) => look(event.target.value);
   for (const [key, q] of Object.entries(QUANTITIES)) $("quantity").add(new Option(q.label, key));
   for (const name of data.estimators) {
     const chip = document.createElement("button");
@@ -39,13 +41,16 @@ function closedLoop() {
   }
   for (const select of all("select.scenario")) select.onchange = () => choose(select.value);
   for (const td of all(".heat td")) {
-    td.onclick = () => { state.shown.add(td.dataset.estimator); choose(td.dataset.scenario); $("series").scrollIntoView(); };
+    td.onclick = () => { look(td.dataset.estimator); choose(td.dataset.scenario); $("series").scrollIntoView(); };
     td.onkeydown = (event) => { if (event.key === "Enter") td.onclick(); };
   }
-  zoomable($("plot"));
+  $("traces").onkeydown = (event) => { if (event.key === "Escape") showAll(); };
+  timeListeners.push(showTime, drawStage);
   turnable($("stage"));
   player();
-  for (const change of ["resize", "beforeprint", "afterprint"]) addEventListener(change, redraw);
+  let wide = innerWidth; // a phone's window changes its height as one scrolls
+  addEventListener("resize", () => { if (innerWidth !== wide) { wide = innerWidth; redraw(); } });
+  for (const change of ["beforeprint", "afterprint"]) addEventListener(change, redraw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(state.scenario);
   unpack().then(() => "No flight is stored for this choice.", () => "This browser cannot unpack the flights; one of 2023 or later can.")
@@ -57,11 +62,17 @@ function choose(scenario) {
   for (const select of all("select.scenario")) select.value = scenario;
   redraw();
 }
+/* Choose the estimator whose signals are shown. */
+function look(estimator) {
+  $("inside").value = state.inside = estimator;
+  state.shown.add(estimator);
+  redraw();
+}
 function redraw() {
   if (!data.scenarios.length) return;
   for (const chip of all("#chips button")) chip.setAttribute("aria-pressed", state.shown.has(chip.dataset.estimator));
   for (const td of all(".heat td")) td.classList.toggle("chosen", td.dataset.scenario === state.scenario && state.shown.has(td.dataset.estimator));
-  drawPlot();
+  drawTraces();
   drawStage();
   for (const draw of CHARTS) draw();
 }

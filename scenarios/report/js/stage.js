@@ -1,8 +1,8 @@
 /* The replay in three dimensions, drawn with nothing but lines. */
-import { prepare } from "./canvas.js";
-import { colour, data, flights, state } from "./data.js";
+import { prepare, rule } from "./canvas.js";
+import { colour, data, flights, setTime, state } from "./data.js";
 import { $, css } from "./dom.js";
-import { RAD } from "./quantities.js";
+import { inclination, RAD, windy } from "./quantities.js";
 
 const camera = { azimuth: -0.9, elevation: 0.42, zoom: 1 };
 export function drawStage() {
@@ -13,7 +13,7 @@ export function drawStage() {
   const k = Math.min(long.x.length - 1, Math.round(state.time / long.dt));
   const centre = span(long), size = (Math.min(width, height) * 0.72 * camera.zoom) / centre.extent;
   const [ca, sa, ce, se] = [Math.cos(camera.azimuth), Math.sin(camera.azimuth), Math.cos(camera.elevation), Math.sin(camera.elevation)];
-  const project = (x, y, z) => {
+  let project = (x, y, z) => {
     [x, y, z] = [x - centre.x, y - centre.y, z - centre.z];
     const [u, v] = [ca * x - sa * y, sa * x + ca * y];
     const depth = 1 / (1 + (0.22 * (ce * v - se * z)) / centre.extent);
@@ -33,32 +33,78 @@ export function drawStage() {
   const [rx, ry, rz] = [long.x_ref[k], long.y_ref[k], long.z_ref[k]], mark = centre.extent * 0.03;
   for (const [dx, dy, dz] of [[mark, 0, 0], [0, mark, 0], [0, 0, mark]]) path([[rx - dx, ry - dy, rz - dz], [rx + dx, ry + dy, rz + dz]], css("--ink"), 2);
   const big = Math.max(1, (centre.extent * 0.075) / 0.17); // drawn larger than life in a wide scene
+  /* Arms, the front ones in another colour, and rotor discs; broad and filled for a ghost. Angles [deg]. */
+  const body = (here, angles, stroke, front, alpha, ghost) => {
+    const rotate = rotation(...angles.map((angle) => angle * RAD));
+    const place = (x, y, z) => { const r = rotate(x * big, y * big, z * big); return [here[0] + r[0], here[1] + r[1], here[2] + r[2]]; };
+    for (const [x, y, z] of data.hubs) {
+      path([place(0, 0, 0), place(x, y, z)], x > 0.5 * Math.hypot(x, y) ? front : stroke, ghost ? 6 : 3.5, alpha);
+      const ring = [];
+      for (let a = 0; a <= 16; a++) ring.push(place(x + data.prop_radius * Math.cos(a * Math.PI / 8), y + data.prop_radius * Math.sin(a * Math.PI / 8), z));
+      path(ring, stroke, 1.5, alpha);
+      if (ghost) { pen.globalAlpha = 0.7 * alpha; pen.fillStyle = stroke; pen.fill(); pen.globalAlpha = 1; }
+    }
+  };
+  /* The chosen vehicle and its ghost, large, in the corner. */
+  const closeUp = (name, s) => {
+    const j = Math.min(k, s.x.length - 1), side = Math.min(170, 0.4 * width), foot = width < 500 ? 30 : 10;
+    const scale = (0.36 * side) / (big * (Math.max(...data.hubs.map(([x, y]) => Math.hypot(x, y))) + data.prop_radius));
+    project = (x, y, z) => {
+      const v = sa * x + ca * y;
+      return [10 + side / 2 + scale * (ca * x - sa * y), height - foot - 0.42 * side - scale * (se * v + ce * z)];
+    };
+    pen.fillStyle = css("--card"); pen.strokeStyle = css("--line"); pen.lineWidth = 1;
+    pen.beginPath(); pen.roundRect(10, height - foot - 0.84 * side, side, 0.84 * side, 8); pen.fill(); pen.stroke();
+    both(name, s, j, [0, 0, 0], 1);
+    pen.fillStyle = css("--soft"); pen.textAlign = "left"; pen.textBaseline = "top";
+    pen.fillText("true and estimated", 18, height - foot + 6 - 0.84 * side);
+  };
+  const both = (name, s, j, here, alpha) => {
+    if (name === state.inside) body(here, [s.roll_est[j], s.pitch_est[j], s.yaw[j]], colour[name], colour[name], 0.35 * alpha, true);
+    body(here, [s.roll[j], s.pitch[j], s.yaw[j]], colour[name], css("--accent"), alpha, false);
+  };
   for (const [name, s] of crew) {
     const j = Math.min(k, s.x.length - 1), crashed = k > s.x.length - 1;
     const trail = [];
     for (let i = Math.max(0, j - Math.round(3 / s.dt)); i <= j; i++) trail.push([s.x[i], s.y[i], s.z[i]]);
     path(trail, colour[name], 1.5, 0.55);
-    const here = [s.x[j], s.y[j], s.z[j]], rotate = rotation(s.roll[j] * RAD, s.pitch[j] * RAD, s.yaw[j] * RAD);
-    const place = (x, y, z) => { const r = rotate(x * big, y * big, z * big); return [here[0] + r[0], here[1] + r[1], here[2] + r[2]]; };
+    const here = [s.x[j], s.y[j], s.z[j]], alpha = crashed ? 0.35 : 1;
     path([[here[0], here[1], centre.floor], here], css("--soft"), 1, 0.35);
-    data.hubs.forEach(([x, y, z]) => {
-      path([place(0, 0, 0), place(x, y, z)], x > 0.5 * Math.hypot(x, y) ? css("--accent") : colour[name], 3.5, crashed ? 0.35 : 1);
-      const ring = [];
-      for (let a = 0; a <= 16; a++) ring.push(place(x + data.prop_radius * Math.cos(a * Math.PI / 8), y + data.prop_radius * Math.sin(a * Math.PI / 8), z));
-      path(ring, colour[name], 1.5, crashed ? 0.35 : 1);
-    });
+    both(name, s, j, here, alpha);
   }
+  const inside = crew.find(([name]) => name === state.inside);
+  if (inside) closeUp(...inside);
   pen.textAlign = "left"; pen.textBaseline = "middle";
   crew.forEach(([name, s], i) => {
     pen.fillStyle = colour[name]; pen.fillRect(10, 13 + 18 * i, 10, 10);
-    pen.fillStyle = css("--ink"); pen.fillText(name + (k > s.x.length - 1 ? "  ✕ crashed" : ""), 27, 18.5 + 18 * i);
+    const off = name === state.inside ? `, estimate ${errors(s)[Math.min(k, s.x.length - 1)].toFixed(1)}° off` : "";
+    pen.fillStyle = css("--ink"); pen.fillText(name + off + (k > s.x.length - 1 ? "  ✕ crashed" : ""), 27, 18.5 + 18 * i);
   });
   pen.fillStyle = css("--soft"); pen.textAlign = "right";
   pen.fillText(`squares of ${step} m` + (centre.floor > 0 ? `, ${centre.floor.toFixed(1)} m above ground` : " on the ground"), width - 8, height - 10);
+  drawWind(pen, width - 70, 52, k, [ca, sa, ce, se]);
+  $("ghost-name").textContent = state.inside;
   $("clock").max = (long.x.length - 1) * long.dt;
   $("clock").value = state.time;
   $("clock-text").textContent = state.time.toFixed(1) + " s";
 }
+/* The wind at sample k as an arrow, full length at the largest speed of the flight. */
+function drawWind(pen, u, v, k, [ca, sa, ce, se]) {
+  const wind = data.shared[state.scenario]?.flight;
+  if (!windy(wind)) return;
+  const at = (i) => [wind.wind_x[i], wind.wind_y[i], wind.wind_z[i]], i = Math.min(k, wind.wind_x.length - 1);
+  const most = (wind.most ??= wind.wind_x.reduce((m, _, j) => Math.max(m, Math.hypot(...at(j))), 0));
+  const [x, y, z] = at(i), speed = Math.hypot(x, y, z), scale = 38 / (most || 1);
+  const [dx, dy] = [(ca * x - sa * y) * scale, -(se * (sa * x + ca * y) + ce * z) * scale], long = Math.hypot(dx, dy);
+  pen.strokeStyle = pen.fillStyle = css("--ink"); pen.lineWidth = 2.5; pen.lineCap = "butt"; pen.textAlign = "center";
+  if (long > 1) {
+    const [ex, ey] = [dx / long, dy / long], head = Math.min(9, long), [tx, ty] = [u + dx / 2, v + dy / 2];
+    rule(pen, u - dx / 2, v - dy / 2, tx - ex * head, ty - ey * head);
+    pen.beginPath(); pen.moveTo(tx, ty); pen.lineTo(tx - head * ex - 0.5 * head * ey, ty - head * ey + 0.5 * head * ex); pen.lineTo(tx - head * ex + 0.5 * head * ey, ty - head * ey - 0.5 * head * ex); pen.fill();
+  }
+  pen.fillText(`wind ${speed.toFixed(1)} m/s`, u, v + 36);
+}
+const errors = (s) => (s.errors ??= inclination(s));
 function span(s) {
   const range = (values) => { let [a, b] = [Infinity, -Infinity]; for (const v of values) { a = Math.min(a, v); b = Math.max(b, v); } return [a, b]; };
   const [x, y, z] = [range(s.x), range(s.y), range(s.z)];
@@ -103,19 +149,20 @@ export function player() {
   let last = null;
   const tick = (now) => {
     if (last === null) return;
-    state.time += ((now - last) / 1000) * Number($("speed").value);
+    const most = Number($("clock").max), time = Math.min(most, state.time + ((now - last) / 1000) * Number($("speed").value));
     last = now;
-    if (state.time >= Number($("clock").max)) { state.time = Number($("clock").max); stop(); }
-    drawStage();
+    if (time >= most) stop();
+    setTime(time);
     if (last !== null) requestAnimationFrame(tick);
   };
-  const stop = () => { last = null; $("play").textContent = "▶ Play"; };
+  const stop = () => { last = null; state.playing = false; $("play").textContent = "▶ Play"; };
   $("play").onclick = () => {
     if (last !== null) return stop();
     if (state.time >= Number($("clock").max)) state.time = 0;
     last = performance.now();
+    state.playing = true;
     $("play").textContent = "❚❚ Pause";
     requestAnimationFrame(tick);
   };
-  $("clock").oninput = () => { state.time = Number($("clock").value); drawStage(); };
+  $("clock").oninput = () => setTime(Number($("clock").value));
 }

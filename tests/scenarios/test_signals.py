@@ -1,0 +1,126 @@
+"""The signals behind an estimate: what is logged, and that they survive packing."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+import estimators
+from quadsim.flight.faults import GyroBiasStep, PayloadDrop, Stuck, fault_spans
+from quadsim.flight.mission import Mission
+from quadsim.flight.scenario import Scenario
+from quadsim.rotation import euler_from_quat, quat_from_euler, quat_normalize
+from quadsim.wind import Constant
+from scenarios.bench.cell import CELL, fly, make_cell
+from scenarios.bench.series import SIGNAL_LEVELS, decimation, pack_series, unpack_series
+from scenarios.bench.signals import SignalLog
+
+STEP = GyroBiasStep(kind="gyro-bias-step", bias_deg=(3.0, -2.0, 0.0), at_s=1.0)
+WIND = Constant(kind="constant", velocity=(3.0, 1.0, 0.0))
+WINDY = Scenario(description="", duration_s=2.0, wind=(WIND,), faults=(STEP,))
+
+
+def flown(estimator, scenario=WINDY):
+    mission = Mission(scenario, estimators.create(estimator, 200.0, vehicle="hummingbird"), 2)
+    signals = SignalLog(mission, decimation(200.0))
+    return mission, *fly(mission, 0, after_step=signals), signals
+
+
+def test_logging_changes_no_flight():
+    log = fly(Mission(WINDY, estimators.create("eskf", 200.0), 2), 0)[0]
+    np.testing.assert_array_equal(flown("eskf")[1], log)
+
+
+def test_signals_survive_packing_and_the_file_of_a_cell():
+    mission, log, end, signals = flown("eskf")
+    signals.rows[3, 0] = np.nan
+    cell = CELL.validate_python(asdict(make_cell("a", "eskf", "", mission, log, end, signals)))
+    found = unpack_series(cell.series)
+    for name, values in zip(signals.names, signals.rows.T, strict=True):
+        half = 0.5001 * np.nanmax(np.abs(values)) / SIGNAL_LEVELS + 1e-9
+        np.testing.assert_allclose(found[name], values, atol=half, rtol=0, err_msg=name)
+    assert np.isnan(found["gyro_x"]).nonzero()[0].tolist() == [3]
+
+
+def test_signals_of_an_old_file_are_none():
+    mission, log, end, _ = flown("mahony")
+    stored = asdict(make_cell("a", "mahony", "", mission, log, end))
+    del stored["series"]["signals"]
+    assert CELL.validate_python(stored).series.signals == {}
+
+
+def test_true_bias_is_that_of_the_imu_and_of_the_fault():
+    mission, _, _, signals = flown("mahony")
+    bias = dict(zip(signals.names, signals.rows.T, strict=True))
+    before, after = (np.array([bias[f"bias_{axis}"][k] for axis in "xyz"]) for k in (23, 26))
+    np.testing.assert_allclose(after - before, STEP.bias_deg, atol=0.02)  # but for the random walk
+    np.testing.assert_allclose(
+        np.radians(signals.rows[-1, 6:9] - STEP.bias_deg), mission.loop.imu.gyro_bias[0], atol=1e-4
+    )
+
+
+def test_mean_reading_of_a_hover_is_the_true_bias():
+    calm = Scenario(description="", duration_s=20.0, start={"known_attitude": True})
+    signals = flown("truth", calm)[-1].rows
+    np.testing.assert_allclose(signals[:, 0:3].mean(axis=0), signals[:, 6:9].mean(axis=0), atol=0.2)
+
+
+def test_channels_without_a_value_are_left_out():
+    mission, log, end, signals = flown("complementary")
+    known = make_cell("a", "complementary", "", mission, log, end, signals).series.signals
+    assert not {"bias_est_x", "roll_sigma"} & set(known)
+    assert {"gyro_x", "accel_z", "bias_x", "wind_y", "rotor_3"} <= set(known)
+
+
+def test_attributes_of_another_meaning_are_no_signals():
+    class Own(estimators.create("truth", 200.0).__class__):
+        roll_pitch_sigma = "unknown"
+
+        def gyro_bias(self):
+            """A method, not an array."""
+
+    mission = Mission(WINDY, Own(200.0), 2)
+    signals = SignalLog(mission, decimation(200.0))
+    fly(mission, 0, after_step=signals)
+    found = dict(zip(signals.names, signals.rows.T, strict=True))
+    assert np.isnan([found["bias_est_x"], found["roll_sigma"]]).all()
+
+
+def test_wind_is_that_of_the_scenario():
+    found = unpack_series(pack_series(*_packed("truth")))
+    np.testing.assert_allclose([found[f"wind_{axis}"][5] for axis in "xyz"], WIND.velocity, atol=2e-3)
+
+
+def _packed(estimator):
+    mission, log, _, signals = flown(estimator)
+    return log[0], mission.rate_hz, dict(zip(signals.names, signals.rows.T, strict=True))
+
+
+def test_spans_of_faults_end_with_the_flight():
+    stuck = Stuck(kind="stuck", at_s=5.0, length_s=0.5, every_s=4.0)
+    payload = PayloadDrop(kind="payload-drop", mass=0.1, at_s=3.0)
+    assert fault_spans([STEP, stuck, payload], 9.2) == [
+        ("gyro bias step", 1.0, 9.2),
+        ("stuck", 5.0, 5.5),
+        ("stuck", 9.0, 9.2),
+        ("payload", 0.0, 3.0),
+    ]
+    assert fault_spans([STEP], 0.5) == []
+
+
+@pytest.mark.parametrize("name", ["ekf", "eskf"])
+def test_sigma_of_a_known_attitude_is_that_of_the_start(name):
+    est = estimators.create(name, 200.0)
+    est.reset(2, roll_pitch=(0.3, -0.6))
+    np.testing.assert_allclose(est.roll_pitch_sigma, [[0.01 / np.cos(0.6), 0.01]] * 2)
+
+
+def test_sigma_of_the_ekf_is_that_of_quaternions_drawn_from_its_covariance():
+    rng, est = np.random.default_rng(0), estimators.create("ekf", 200.0)
+    est.reset(1, quat=quat_from_euler(0.3, -0.6, 2.0)[None])
+    for _ in range(100):
+        est.update(np.array([[0.5, -0.2, 0.3]]), np.array([[4.0, 2.0, 8.0]]))
+    covariance = 1e-4 * est._states["covariance"][0, ..., 0]  # small, as the linearisation is exact there
+    drawn = quat_normalize(est.quat[0] + rng.multivariate_normal(np.zeros(4), covariance, 20_000))
+    sd = euler_from_quat(drawn)[:, :2].std(axis=0)
+    np.testing.assert_allclose(est.roll_pitch_sigma[0], 100.0 * sd, rtol=0.03)
