@@ -5,8 +5,9 @@ import json
 import posixpath
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -20,10 +21,10 @@ from ..bench.breaking import DISTURBANCES, BreakingPoint
 from ..bench.cell import Cell
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow
 from ..bench.pairs import ALL, PAIRED, PairRow
-from ..bench.runner import Results
+from ..bench.runner import Results, identical, shown_once
 from ..bench.series import compress_flights
 from ..bench.settings import FlightSettings
-from ..bench.verdict import TRUTH, offline_verdict, verdict
+from ..bench.verdict import TRUTH, offline_verdict, totals_of, verdict
 from .flight_picture import Picture
 
 SHOWN = 4
@@ -79,16 +80,24 @@ def write_report(
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
     closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
+    closed_loop, focus, same = _once(closed_loop, focus)
     results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
     rows = results.rows
+    judged = (
+        verdict(rows, focus, closed_loop.pairs, results.scenarios) if rows else offline_verdict(offline.rows)
+    )
+    ranked = [standing.estimator for standing in judged.standings]
+    place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
     context = {
         "title": title,
-        "verdict": verdict(rows, focus, closed_loop.pairs) if rows else offline_verdict(offline.rows),
+        "verdict": judged,
+        "same": same,
         "warnings": results.warnings,
-        "rows": rows,
+        "rows": sorted(rows, key=lambda row: place[row.scenario, row.estimator]),
         "metrics": METRICS if rows else (),
         "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
-        "estimators": results.estimators,
+        "ranked": ranked,
+        "totals": totals_of(rows),
         "lookup": {(row.scenario, row.estimator): row for row in rows},
         "pairs": bool(closed_loop.pairs),
         "paired": [metric for metric in METRICS if metric.key in PAIRED],
@@ -105,7 +114,7 @@ def write_report(
         "csv": list(csv),
         "footer": footer or _footer(results),
         "script": script("report/js/report.js"),
-        "payload": _payload(closed_loop, rows, offline.rows, focus),
+        "payload": _payload(closed_loop, rows, offline.rows, focus, ranked),
         "flights": compress_flights(cell.series for cell in results.cells if cell.series),
     }
     environment = jinja2.Environment(
@@ -117,6 +126,15 @@ def write_report(
     )
     environment.filters["number"] = _number
     return write_whole(Path(path).expanduser(), environment.get_template("report.html").render(context))
+
+
+def _once(section: ClosedLoopSection, focus: str) -> tuple[ClosedLoopSection, str, str]:
+    """A benchmark without the estimators that flew exactly as another, what is in focus, and who they are."""
+    same = identical(section.results)
+    results, said = shown_once(section.results)
+    pairs = [pair for pair in section.pairs if not same.keys() & {pair.estimator, pair.versus}]
+    points = [point for point in section.points if point.estimator not in same]
+    return replace(section, results=results, pairs=pairs, points=points), same.get(focus, focus), said
 
 
 def _footer(results: Results) -> str:
@@ -172,14 +190,15 @@ def _payload(
     rows: Sequence[CellRow],
     offline: Sequence[Mapping[str, object]],
     focus: str,
+    ranked: Sequence[str],
 ) -> str:
     results = closed_loop.results
     names = results.estimators or [str(row.get("estimator")) for row in offline]
-    ranked = [s.estimator for s in verdict(rows, focus).standings]
     shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
+        "ranked": list(ranked),
         "scenarios": list(results.scenarios),
         "shown": shown,
         "metrics": [vars(metric) for metric in METRICS],

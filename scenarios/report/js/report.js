@@ -20,7 +20,7 @@ function closedLoop() {
   const focus = data.estimators.filter((name) => data.shown.includes(name));
   for (const name of focus) state.shown.add(name);
   for (const [key, q] of Object.entries(QUANTITIES)) $("quantity").add(new Option(q.label, key));
-  for (const name of data.estimators) {
+  for (const name of data.ranked) {
     const chip = document.createElement("button");
     chip.type = "button";
     chip.append(dotOf(name), name);
@@ -34,11 +34,11 @@ function closedLoop() {
     for (const row of $("results").tBodies[0].rows) row.hidden = event.target.value && row.dataset.scenario !== event.target.value;
   };
   if ($("pairs")) {
-    for (const name of data.estimators) $("pairs-base").add(new Option(name, name, false, name === data.best));
+    for (const name of data.ranked) $("pairs-base").add(new Option(name, name, false, name === data.best));
     for (const id of ["pairs-base", "pairs-scenario", "pairs-metric"]) $(id).onchange = redraw;
   }
   for (const select of all("select.scenario")) select.onchange = () => choose(select.value);
-  for (const td of all(".heat td")) {
+  for (const td of all(".heat td[data-scenario]")) {
     td.onclick = () => { state.shown.add(td.dataset.estimator); choose(td.dataset.scenario); $("series").scrollIntoView(); };
     td.onkeydown = (event) => { if (event.key === "Enter") td.onclick(); };
   }
@@ -60,7 +60,7 @@ function choose(scenario) {
 function redraw() {
   if (!data.scenarios.length) return;
   for (const chip of all("#chips button")) chip.setAttribute("aria-pressed", state.shown.has(chip.dataset.estimator));
-  for (const td of all(".heat td")) td.classList.toggle("chosen", td.dataset.scenario === state.scenario && state.shown.has(td.dataset.estimator));
+  for (const td of all(".heat td[data-scenario]")) td.classList.toggle("chosen", td.dataset.scenario === state.scenario && state.shown.has(td.dataset.estimator));
   drawPlot();
   drawStage();
   for (const draw of CHARTS) draw();
