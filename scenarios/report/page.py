@@ -11,10 +11,10 @@ from itertools import product
 from pathlib import Path
 
 import imageio.v3 as imageio
-import jinja2
 import numpy as np
 
 from quadsim.runs.files import write_whole
+from quadsim.runs.record import RunRecord
 from quadsim.vehicle import load_vehicle
 
 from ..bench.breaking import DISTURBANCES, BreakingPoint
@@ -26,6 +26,8 @@ from ..bench.series import compress_flights
 from ..bench.settings import FlightSettings
 from ..bench.verdict import TRUTH, offline_verdict, totals_of, verdict
 from .flight_picture import Picture
+from .provenance import provenance
+from .template import render
 
 SHOWN = 4
 """Estimators drawn at first in the time plots."""
@@ -62,6 +64,7 @@ def write_report(
     csv: Sequence[str] = (),
     footer: str = "",
     focus: str = "att-snn-loihi",
+    record: RunRecord | None = None,
 ) -> Path:
     """Write the report.
 
@@ -73,6 +76,7 @@ def write_report(
         csv: Files beside the report to link to.
         footer: How it was made.
         focus: The estimator that the verdict describes besides the best, if it ran.
+        record: Of the run, for the foot.
 
     Raises:
         ValueError: If there is nothing to report.
@@ -80,6 +84,7 @@ def write_report(
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
     closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
+    about = provenance(closed_loop.results, record)
     closed_loop, focus, same = _once(closed_loop, focus)
     results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
     rows = results.rows
@@ -113,19 +118,12 @@ def write_report(
         "still_caption": still.caption if still else "",
         "csv": list(csv),
         "footer": footer or _footer(results),
+        "provenance": about,
         "script": script("report/js/report.js"),
         "payload": _payload(closed_loop, rows, offline.rows, focus, ranked),
         "flights": compress_flights(cell.series for cell in results.cells if cell.series),
     }
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("scenarios.report", ""),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = _number
-    return write_whole(Path(path).expanduser(), environment.get_template("report.html").render(context))
+    return write_whole(Path(path).expanduser(), render("report.html", **context))
 
 
 def _once(section: ClosedLoopSection, focus: str) -> tuple[ClosedLoopSection, str, str]:
@@ -259,7 +257,3 @@ def script(entry: str) -> str:
 
     visit(entry)
     return '"use strict";\n' + "\n".join(found.values())
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"

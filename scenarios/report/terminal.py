@@ -11,7 +11,7 @@ from estimators.analysis.ablation import Pruned
 from estimators.evaluation.comparison import EvaluationRow
 from estimators.loihi.chip import LIMITS, ChipCore
 
-from ..bench.axes import ALL, Effect
+from ..bench.axes import ALL, Effect, ranking
 from ..bench.breaking import BreakingPoint
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
@@ -72,8 +72,7 @@ def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
 
 def axes_tables(effects: Sequence[Effect]) -> list[Table]:
     """A table for each axis: estimators against its levels, best over all first."""
-    overall = {each.estimator: each for each in effects if each.axis == ALL}
-    names = sorted(overall, key=lambda name: (overall[name].crash_rate, overall[name].error_deg or math.inf))
+    names = ranking(effects)
     found = {(each.axis, each.level, each.estimator): each for each in effects}
     levels: dict[str, list[str]] = {}
     for each in effects:

@@ -5,14 +5,8 @@ import { $, all } from "./dom.js";
 import { QUANTITIES } from "./quantities.js";
 import { drawStage, player, turnable } from "./stage.js";
 import { makeSortable } from "./tables.js";
+import { themed } from "./theme.js";
 import { drawPlot, zoomable } from "./traces.js";
-
-$("theme").onclick = () => {
-  const dark = document.documentElement.dataset.theme
-    ? document.documentElement.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-  document.documentElement.dataset.theme = dark ? "light" : "dark";
-  redraw();
-};
 
 function closedLoop() {
   for (const select of [...all("select.scenario"), ...["spread-scenario", "table-scenario", "pairs-scenario"].map($)])
@@ -46,7 +40,6 @@ function closedLoop() {
   turnable($("stage"));
   player();
   for (const change of ["resize", "beforeprint", "afterprint"]) addEventListener(change, redraw);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(state.scenario);
   unpack().then(() => "No flight is stored for this choice.", () => "This browser cannot unpack the flights; one of 2023 or later can.")
     .then((text) => { [state.missing, state.unpacked] = [text, true]; redraw(); });
@@ -66,5 +59,6 @@ function redraw() {
   for (const draw of CHARTS) draw();
 }
 
+themed(redraw);
 makeSortable();
 if (data.scenarios.length) closedLoop();

@@ -1,0 +1,45 @@
+"""What a benchmark cost: flights, hours of flight, processor time, and the estimator that took most of it."""
+
+from typing import NamedTuple
+
+from .runner import Results
+from .verdict import TRUTH
+
+
+class Cost(NamedTuple):
+    """Of all cells, those that an earlier run finished among them."""
+
+    flights: int
+    flight_s: float  #: time in the air, over all flights [s]
+    cpu_s: float  #: processor time [s]; 0 where it was not measured
+    slowest: str  #: the estimator, of all but the truth, with the largest share of it; empty without any
+    share: float  #: that share
+
+    def __str__(self) -> str:
+        """A sentence: "1200 flights, 6.2 h in the air, in 12.3 processor minutes, ..."."""
+        text = f"{self.flights} flight{'s' if self.flights != 1 else ''}, {hours(self.flight_s)} in the air"
+        if not self.cpu_s:
+            return text
+        text += (
+            f"; {self.cpu_s / 60:.1f} processor minutes, {self.flights / self.cpu_s:.2g} flights per second"
+        )
+        return text + (f", {100 * self.share:.0f} % of the time with {self.slowest}" if self.slowest else "")
+
+
+def cost_of(results: Results) -> Cost:
+    """Add up the cells."""
+    spent = dict.fromkeys(results.estimators, 0.0)
+    for cell in results.cells:
+        spent[cell.estimator] += cell.cpu_s
+    total, flights = sum(spent.values()), results.flights
+    others = [name for name in spent if name != TRUTH]
+    slowest = max(others, key=lambda name: spent[name], default="") if total else ""
+    share = spent[slowest] / total if slowest else 0.0
+    return Cost(len(flights), sum(flight.flown_s for flight in flights), total, slowest, share)
+
+
+def hours(seconds: float) -> str:
+    """A duration: "12 s", "3.4 min", "6.2 h"."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 6000.0 else f"{seconds / 3600:.1f} h"
