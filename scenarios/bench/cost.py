@@ -16,14 +16,13 @@ class Cost(NamedTuple):
     share: float  #: that share
 
     def __str__(self) -> str:
-        """A sentence: "1200 flights, 6.2 h in the air, in 12.3 processor minutes, ..."."""
+        """In words: "1200 flights, 6.2 h in the air; 12.3 min of processor time, ..."."""
         text = f"{self.flights} flight{'s' if self.flights != 1 else ''}, {hours(self.flight_s)} in the air"
         if not self.cpu_s:
             return text
-        text += (
-            f"; {self.cpu_s / 60:.1f} processor minutes, {self.flights / self.cpu_s:.2g} flights per second"
-        )
-        return text + (f", {100 * self.share:.0f} % of the time with {self.slowest}" if self.slowest else "")
+        text += f"; {hours(self.cpu_s)} of processor time"
+        text += f", {100 * self.share:.0f} % of it with {self.slowest}" if self.slowest else ""
+        return f"{text}, {self.flights / self.cpu_s:.1f} flights per second"
 
 
 def cost_of(results: Results) -> Cost:

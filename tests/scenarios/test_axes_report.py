@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from accessibility import findings
 
 from quadsim.cli.options import headline
 from quadsim.flight.scenario import Scenario
@@ -95,8 +96,8 @@ def test_the_foot_has_version_commit_command_date_and_cost(report):
     for part in ("quadsim 9.9.9, commit abc1234", RECORD.command, "2031-01-01 00:00:00 UTC, after 60.0 min"):
         assert part in text
     flights = 12 * SEEDS * 6 - 3 * SEEDS
-    assert f"{flights} flights, {flights * 20 / 3600:.1f} h in the air; 2.5 processor minutes" in text
-    assert f"{100 * 48 / 148.5:.0f} % of the time with att-snn" in text
+    assert f"{flights} flights, {flights * 20 / 3600:.1f} h in the air; 2.5 min of processor time" in text
+    assert f"{100 * 48 / 148.5:.0f} % of it with att-snn, {flights / 148.5:.1f} flights per second" in text
 
 
 def test_a_folder_has_the_tables_of_its_last_run_alone(results, tmp_path):
@@ -201,6 +202,14 @@ def test_theme_switches(page):
     before = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.locator("#theme").click()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before
+
+
+def test_everyone_can_use_the_page(page):
+    page.locator("#combinations summary").click()
+    page.locator("#chips button").first.click()
+    for _ in ("light", "dark"):
+        assert findings(page) == []
+        page.locator("#theme").click()
 
 
 def test_names_of_users_run_nothing(browser, results, tmp_path):

@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from accessibility import findings
 
 import estimators
 from quadsim.flight.mission import Mission
@@ -422,6 +423,13 @@ def test_theme_switches_the_colours(page):
     before = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.locator("#theme").click()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before
+
+
+def test_everyone_can_use_the_page(page):
+    page.locator("#chips button").first.click()  # one that is not shown
+    for _ in ("light", "dark"):
+        assert findings(page) == []
+        page.locator("#theme").click()
 
 
 HOSTILE = (
