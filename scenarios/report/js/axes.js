@@ -7,13 +7,15 @@ import { themed } from "./theme.js";
 const hidden = new Set();
 /** Ends of all intervals: every axis has the same scale. */
 const ENDS = data.effects.flatMap(([, , , error, low, high]) => (error ? [error, low || error, high] : []));
-const MARKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50];
+const MARKS = [0.1, 0.2, 0.5, 1, 2, 3, 5, 7, 10, 20, 50];
 
 /** A logarithmic axis from the values to pixels, and the marks on it. */
 function logAxis(values, from, to) {
   const [low, high] = [Math.log(Math.min(...values) / 1.1), Math.log(Math.max(...values) * 1.1)];
   const X = (v) => from + ((Math.log(v) - low) / (high - low)) * (to - from);
-  return [X, MARKS.filter((v) => X(v) >= from && X(v) <= to)];
+  const marks = [];
+  for (const v of MARKS) if (X(v) >= from && X(v) <= to && !(marks.length && X(v) - X(marks.at(-1)) < 34)) marks.push(v);
+  return [X, marks];
 }
 function canvasOf(place, height, label) {
   const width = Math.max(280, place.clientWidth);
