@@ -130,7 +130,10 @@ def bench(
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Estimator: a name, weights (.safetensors) or your module:Class; again for more. All but the slow ukf-filterpy if left out."),
+        typer.Option(
+            help="Estimator: a name, weights (.safetensors) or your module:Class; again for more. All but "
+            "the slow ukf-filterpy if left out."
+        ),
     ] = None,
     seeds: Annotated[
         int | None,

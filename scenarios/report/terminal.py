@@ -61,7 +61,7 @@ def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
             continue
         crashes = Text(f"{whole.crashes}/{whole.flights}", style="red" if whole.crashes else "")
         rows.append((name, place, f"{whole.error:.2f}", crashes, worst.scenario, _entry(worst)))
-    columns = ["rank", "mean error", "crashes", "worst scenario", "error there"]
+    columns = ["rank", "mean", "crashes", "worst scenario", "there"]
     title = (
         f"In closed loop, {len(results.scenarios)} scenarios: error of roll and pitch, °; ✕ crashed flights"
     )

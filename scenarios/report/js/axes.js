@@ -7,14 +7,15 @@ import { themed } from "./theme.js";
 const hidden = new Set();
 /** Ends of all intervals: every axis has the same scale. */
 const ENDS = data.effects.flatMap(([, , , error, low, high]) => (error ? [error, low || error, high] : []));
-const MARKS = [0.1, 0.2, 0.5, 1, 2, 3, 5, 7, 10, 20, 50];
+/** Leading digits of the marks of a logarithmic axis, from many to few. */
+const DIGITS = [[1, 2, 3, 5, 7], [1, 2, 5], [1, 3], [1]];
 
 /** A logarithmic axis from the values to pixels, and the marks on it. */
 function logAxis(values, from, to) {
   const [low, high] = [Math.log(Math.min(...values) / 1.1), Math.log(Math.max(...values) * 1.1)];
   const X = (v) => from + ((Math.log(v) - low) / (high - low)) * (to - from);
-  const marks = [];
-  for (const v of MARKS) if (X(v) >= from && X(v) <= to && !(marks.length && X(v) - X(marks.at(-1)) < 34)) marks.push(v);
+  const marksOf = (digits) => [-2, -1, 0, 1, 2].flatMap((decade) => digits.map((d) => Number(`${d}e${decade}`))).filter((v) => X(v) >= from && X(v) <= to);
+  const marks = DIGITS.map(marksOf).find((each) => each.every((v, k) => k === 0 || X(v) - X(each[k - 1]) >= 36)) ?? marksOf([1]);
   return [X, marks];
 }
 function canvasOf(place, height, label) {
