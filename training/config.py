@@ -22,6 +22,7 @@ from estimators.networks.weights_file import (
 )
 from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged
+from quadsim.held_out import unreserved
 
 from .augment import Augmentation
 from .backends import BACKENDS
@@ -147,6 +148,7 @@ class TrainConfig(TrainingRecipe):
 
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
+        unreserved(self.seed)
         if self.backend not in BACKENDS:
             raise ValueError(f"backend: {self.backend}, should be one of {', '.join(BACKENDS)}")
         constants = 2 * (self.encoding + self.hidden) + 2 + self.after_spike * self.hidden

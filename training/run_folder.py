@@ -6,7 +6,6 @@ import hashlib
 import io
 import json
 import math
-import subprocess
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ from estimators.analysis.ablation import connected
 from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Tensors, load_network, save_network
 from estimators.spiking import weight_exponents
 from quadsim.runs.files import drop_parts, save_figure, write_csv, write_whole
-from quadsim.runs.fingerprint import ROOT, code_digest
+from quadsim.runs.fingerprint import code_digest
+from quadsim.runs.record import commit
 
 from .config import TrainConfig
 from .data import TrainingFlights
@@ -168,17 +168,3 @@ def plot(out: Path, history: list[Epoch]) -> None:
     axes.legend()
     axes.grid(alpha=0.3)
     save_figure(out / "curve.png", figure, dpi=150, bbox_inches="tight")
-
-
-def commit() -> str:
-    """The commit of the code, where it runs from its own repository; "-dirty" where that has changes."""
-
-    def git(*arguments: str) -> str:
-        command = ["git", "-C", str(ROOT), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-
-    try:
-        ours = Path(git("rev-parse", "--show-toplevel") or "/").samefile(ROOT)
-        return git("describe", "--always", "--dirty", "--exclude=*") if ours else ""
-    except OSError:  # no git
-        return ""

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from quadsim.config.toml import preset_names
+from quadsim.held_out import unreserved
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.runs.files import drop_parts, write_whole
 
@@ -211,8 +212,10 @@ def tune(
         progress: Called after every iteration.
 
     Raises:
-        ValueError: For an estimator without parameters to search, or a dataset that is not one.
+        ValueError: For an estimator without parameters to search, a dataset that is not one, or a seed of a
+            held-out suite.
     """
+    unreserved(search.seed)
     searched = [key for key, each in parameters(name).items() if each.searched]
     if not searched:
         raise ValueError(f"{name} has no parameters to tune")

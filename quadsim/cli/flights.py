@@ -8,7 +8,7 @@ from rich.table import Table
 
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
-from ..runs.files import save_figure, write_csv
+from ..runs.record import recorded
 from .options import EngineToo, ImuToo, Rate, Seed, TuningOption, VehicleToo, Workers, headline, warn_of
 
 
@@ -130,7 +130,10 @@ def bench(
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Estimator: a name, weights (.safetensors) or your module:Class; again for more."),
+        typer.Option(
+            help="Estimator: a name, weights (.safetensors) or your module:Class; again for more. All but "
+            "the slow ukf-filterpy if left out."
+        ),
     ] = None,
     seeds: Annotated[
         int | None,
@@ -181,27 +184,35 @@ def bench(
     Finished cells are stored: the same command resumes a killed run. Breaking points are
     searched by bisection, with the same estimators and seeds, and join the report.
 
-    With --axes or --held-out, effects.csv and axes.png have the error and the crashes at each level of each
-    axis, and the verdict has a sentence for each condition: the airframe known, and not.
+    With --axes or --held-out, the report, effects.csv and axes.png have the error and the crashes at each
+    level of each axis, and the verdict has a sentence for each condition: the airframe known, and not.
+
+    On several machines (pip install 'quadsim[cluster]' on each): start `dask scheduler` on one, then `dask
+    worker tcp://HOST:8786 --nworkers auto --nthreads 1` on each, and give `--cluster tcp://HOST:8786` here.
+    Weights and files are read by the workers: the same paths must hold there.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
 
     Example: quadsim bench --axes --estimator truth --estimator imm --estimator vqf --out reports/axes
+
+    Example: quadsim bench --cluster tcp://127.0.0.1:8786 --seeds 100
     """
     import estimators
     from scenarios.bench import axes as axes_of
     from scenarios.bench.breaking import breaking_points, chosen
+    from scenarios.bench.cost import cost_of
     from scenarios.bench.held_out import suite as draw
     from scenarios.bench.runner import bench as run_bench
+    from scenarios.bench.runner import shown_once
     from scenarios.bench.settings import FlightSettings, ScenarioChanges
-    from scenarios.report.axes_figure import axes_figure
-    from scenarios.report.publish import publish
+    from scenarios.demo import SLOW
+    from scenarios.report.publish import publish, publish_axes
     from scenarios.report.terminal import axes_tables, breaking_table, closed_loop_table
 
     from ..flight.scenario import scenario_names
     from ..held_out import load_held_out, releases
 
-    names = estimator or estimators.names()
+    names = estimator or [name for name in estimators.names() if name not in SLOW]
     searched = chosen(breaking_point or [], duration)
     if full and not axes:
         raise ValueError("--full is for --axes: give both")
@@ -226,7 +237,10 @@ def bench(
     else:
         settings = FlightSettings(seeds or 10, seed, rate, tuning)
     points = []
-    with executor_of(cluster) as executor:
+    if not estimator:
+        slow = ", ".join(SLOW)
+        console.print(f"Without {slow}, slower than all others together; --estimator NAME chooses.")
+    with recorded(out), executor_of(cluster) as executor:
         with progress_bar("fly", "cells") as progress:
             results = run_bench(
                 flown, names, out, settings, changes,
@@ -238,25 +252,26 @@ def bench(
                     searched, names, out, settings, changes,
                     workers=workers, executor=executor, progress=progress,
                 )  # fmt: skip
-    page, note = publish(out, results, points)
+    failed = all(cell.reason for cell in results.cells)
+    page, note = (
+        (publish_axes(out, results, combinations), "")
+        if combinations and not failed
+        else publish(out, results, points)
+    )
     if combinations:
-        effects = axes_of.effects(combinations, results)
-        write_csv(out / "axes.csv", axes_of.table(combinations))
-        write_csv(out / "effects.csv", effects)
-        save_figure(out / "axes.png", axes_figure(effects), dpi=130)
-        console.print(*axes_tables(effects))
+        console.print(*axes_tables(axes_of.effects(combinations, results)))
         for line in axes_of.advice(combinations, results):
             console.print(line, soft_wrap=True)
     else:
         console.print(closed_loop_table(results))
     if points:
         console.print(breaking_table(points))
-    if note and not combinations:
-        console.print(note, soft_wrap=True)
+    for line in filter(None, (note, shown_once(results)[1], f"{cost_of(results)}.")):
+        console.print(line, soft_wrap=True)
     if not combinations:  # whose point are vehicles and IMUs that nobody tuned for
         warn_of(results)
-    console.print(headline(page, results), soft_wrap=True)
-    if all(cell.reason for cell in results.cells):
+    console.print(headline(page, results, combinations), soft_wrap=True)
+    if failed:
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
 
 
@@ -267,12 +282,16 @@ def report(
     """Write the report of finished closed-loop flights again."""
     from scenarios.bench.breaking import load_points
     from scenarios.bench.runner import load_results
-    from scenarios.report.publish import publish
+    from scenarios.report.publish import designed, publish, publish_axes
 
     results = load_results(folder)
-    reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
-    points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
-    console.print(headline(publish(folder, results, points, out)[0], results), soft_wrap=True)
+    if combinations := designed(folder, results):
+        page = publish_axes(folder, results, combinations, out)
+    else:
+        reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
+        points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
+        page = publish(folder, results, points, out)[0]
+    console.print(headline(page, results, combinations), soft_wrap=True)
 
 
 def demo(

@@ -14,6 +14,7 @@ from ..config.toml import merged
 from ..runs.console import output
 
 if TYPE_CHECKING:
+    from scenarios.bench.axes import Combination
     from scenarios.bench.runner import Results
 
 Initial = Literal["unknown", "known"]
@@ -80,13 +81,18 @@ def warn_of(results: Results) -> None:
         output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
 
 
-def headline(path: Path, results: Results) -> str:
-    """Path of the report, and its verdict."""
+def headline(path: Path, results: Results, combinations: Sequence[Combination] = ()) -> str:
+    """Path of the report, and its verdict; of a design what to fly on which condition."""
+    from scenarios.bench import axes
     from scenarios.bench.pairs import paired_differences
+    from scenarios.bench.runner import shown_once
     from scenarios.bench.verdict import verdict
 
-    judged = verdict(results.rows, pairs=paired_differences(results.flights))
-    return f"{path}: {judged.headline}\n{judged.doubt}".rstrip()
+    if combinations:
+        return f"{path}: {axes.headline(axes.choices(combinations, results))}"
+    results = shown_once(results)[0]
+    judged = verdict(results.rows, "", paired_differences(results.flights), results.scenarios)
+    return "\n".join([f"{path}: {judged.headline}", *judged.lines])
 
 
 def time_left(seconds: float, done: int, total: int) -> str:

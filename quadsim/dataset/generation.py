@@ -13,6 +13,7 @@ import numpy as np
 
 from ..config.ranges import steps_of
 from ..flight.simulate import FlightConfig
+from ..held_out import unreserved
 from ..runs.files import alone, drop_parts
 from ..runs.fingerprint import code_digest
 from ..runs.pool import process_count, run_jobs
@@ -53,7 +54,7 @@ def generate(
         flights: Number of flights; flight i has the i-th child of the seed.
         duration_s: Length of each flight [s].
         out: Path of the dataset; grows as `out.partial` until it is whole.
-        seed: Seed of everything random.
+        seed: Seed of everything random; none of a held-out suite.
         rate_hz: Samples per second.
         workers: Processes; 1 stays in this process. By default one for each CPU, but 1 for few samples. With
             an executor, how many workers it has.
@@ -89,7 +90,7 @@ def generate(
 def _plan(config: FlightConfig, flights: int, duration_s: float, seed: int, rate_hz: float) -> Plan:
     return Plan(
         quadsim_version=version("quadsim"),
-        seed=_at_least("seed", seed, 0),
+        seed=unreserved(_at_least("seed", seed, 0)),
         flights=int(FLIGHTS.of("flights", _at_least("flights", flights, 1))),
         steps=steps_of(duration_s, rate_hz),
         rate_hz=rate_hz,

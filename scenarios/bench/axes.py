@@ -7,10 +7,12 @@ equally often, so that the mean over the flights of a level is its main effect.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,14 @@ from quadsim.flight.scenario import Scenario, changed, load_scenario
 
 from .flight_metrics import FlightRow, wilson
 from .runner import Results, identical
-from .statistics import crash_test, interquartile_mean, probability_of_improvement, stratified_interval
+from .statistics import (
+    crash_test,
+    interquartile_mean,
+    performance_profile,
+    probability_of_improvement,
+    stratified_interval,
+)
+from .verdict import TRUTH
 
 CELLS = 72
 """Combinations of the designed fraction: whole multiples of three levels and of four."""
@@ -104,6 +113,22 @@ def table(combinations: Sequence[Combination]) -> list[dict[str, str]]:
     return [{"name": each.name, "scenario": each.scenario, **each.levels} for each in combinations]
 
 
+def read_table(path: Path) -> list[Combination]:
+    """The design from the file that `table` was written to; none where there is no such file.
+
+    Raises:
+        ValueError: It is no table of a design.
+    """
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    try:
+        return [Combination(r["name"], r["scenario"], {axis: r[axis] for axis in AXES}) for r in rows]
+    except KeyError as error:
+        raise ValueError(f"{path}: not the table of a design: it has no column {error}") from None
+
+
 def design(
     scenarios: Sequence[str] = SCENARIOS, cells: int = CELLS, seed: int = 0, full: bool = False
 ) -> list[Combination]:
@@ -178,11 +203,9 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
         results: Of `bench` on its scenarios.
         seed: Of the bootstrap.
     """
-    lost = {(f.scenario, f.seed) for f in results.flights if f.estimator == "truth" and f.cause}
     flown: dict[tuple[str, str], list[FlightRow]] = {}
-    for flight in results.flights:
-        if (flight.scenario, flight.seed) not in lost:
-            flown.setdefault((flight.scenario, flight.estimator), []).append(flight)
+    for flight in counted(results.flights):
+        flown.setdefault((flight.scenario, flight.estimator), []).append(flight)
     failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
     same = identical(results)
     estimators = [name for name in results.estimators if name not in same]
@@ -209,34 +232,95 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
     return rows
 
 
-def advice(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[str]:
-    """What to fly, a sentence for each condition: the airframe known, and not.
+def counted(flights: Sequence[FlightRow]) -> list[FlightRow]:
+    """The flights that the truth did not crash on."""
+    lost = {(f.scenario, f.seed) for f in flights if f.estimator == TRUTH and f.cause}
+    return [flight for flight in flights if (flight.scenario, flight.seed) not in lost]
+
+
+def ranking(effects: Sequence[Effect]) -> list[str]:
+    """Estimators over all flights: fewest crashes first, then the smallest error; the truth last."""
+    whole = [each for each in effects if each.axis == ALL]
+    return [each.estimator for each in sorted(whole, key=lambda e: (e.estimator == TRUTH, *_cost(e)))]
+
+
+def profiles(results: Results, thresholds: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Share of the flights with an error of at most each threshold [deg], by estimator.
+
+    Flights that crashed, and those that the estimator cannot fly, are of the flights but below no threshold.
+    """
+    flights = counted(results.flights)
+    same, flown = identical(results), len({(flight.scenario, flight.seed) for flight in flights})
+    found = {}
+    for name in (each for each in results.estimators if each not in same):
+        known = _errors([flight for flight in flights if flight.estimator == name])
+        errors = np.concatenate([known, np.full(flown - len(known), np.inf)])
+        found[name] = performance_profile(errors, thresholds) if flown else np.zeros(len(thresholds))
+    return found
+
+
+class Choice(NamedTuple):
+    """What to fly on a condition."""
+
+    condition: str
+    where: str  #: the condition in the headline
+    estimator: str | None  #: None where none flew
+    text: str
+
+
+CONDITIONS = {
+    "With the airframe's drag known": ("where the airframe's drag is known", ("known",)),
+    "With drag that is half or twice what is known": (
+        "where it is half or twice that", ("half of what is known", "twice what is known"),
+    ),
+    "On an airframe that nobody has described": ("where nobody has described the airframe", ("not known",)),
+}  # fmt: skip
+"""For each condition its words in the headline, and its levels of drag."""
+
+
+def choices(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[Choice]:
+    """What to fly on each condition: the airframe known, and not.
 
     An estimator is better with fewer crashes, then with the smaller interquartile mean of its errors. Those
     that neither the crashes (McNemar's test) nor the errors (probability of improvement) tell from the best
     are named beside it.
     """
-    conditions = {
-        "With the airframe's drag known": lambda level: level == "known",
-        "With drag that is half or twice what is known": lambda level: level.endswith("what is known"),
-        "On an airframe that nobody has described": lambda level: level == "not known",
+    parts = {
+        condition: [each for each in combinations if each.levels["drag"] in levels]
+        for condition, (_, levels) in CONDITIONS.items()
     }
-    lines = []
-    for text, fits in conditions.items():
-        part = [each for each in combinations if fits(each.levels["drag"])]
-        lines.append(f"{text}: {_best(part, results, seed)}")
-    found = [each for each in effects(combinations, results, seed) if each.axis != ALL]
-    names = {each.estimator for each in found} - {"truth"}
-    worst = {name: each for name in sorted(names) if (each := _worst(found, name))}
+    return [
+        Choice(condition, CONDITIONS[condition][0], *_best(part, results, seed))
+        for condition, part in parts.items()
+    ]
+
+
+def headline(found: Sequence[Choice]) -> str:
+    """The choices in one sentence."""
+    chosen = [each for each in found if each.estimator]
+    names = list(dict.fromkeys(each.estimator for each in chosen))
+    if not names:
+        return "No estimator flew."
+    if len(names) == 1:
+        return f"Fly {names[0]}, whether the airframe's drag is known or not."
+    return f"Fly {', '.join(f'{each.estimator} {each.where}' for each in chosen)}."
+
+
+def advice(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[str]:
+    """`choices` as sentences, and the estimator with the smallest loss at its worst level."""
+    lines = [f"{each.condition}: {each.text}" for each in choices(combinations, results, seed)]
+    found = effects(combinations, results, seed)
+    names = {each.estimator for each in found} - {TRUTH}
+    worst = {name: each for name in sorted(names) if (each := worst_level(found, name))}
     safest = min(worst, key=lambda name: _cost(worst[name]), default=None)
     if safest is not None:
-        lines.append(f"Smallest loss at its worst level: {safest}, {_described(worst[safest])}.")
+        lines.append(f"Smallest loss at its worst level: {safest}, {described(worst[safest])}.")
     return lines
 
 
-def _worst(found: Sequence[Effect], estimator: str) -> Effect | None:
+def worst_level(found: Sequence[Effect], estimator: str) -> Effect | None:
     """The level at which most flights crash, or the error is largest; None where it did not fly."""
-    own = [each for each in found if each.estimator == estimator and each.flights]
+    own = [each for each in found if each.estimator == estimator and each.axis != ALL and each.flights]
     return max(own, key=_cost, default=None)
 
 
@@ -244,26 +328,24 @@ def _cost(effect: Effect) -> tuple[float, float]:
     return effect.crash_rate, effect.error_deg or 0.0
 
 
-def _described(effect: Effect | None) -> str:
+def described(effect: Effect | None) -> str:
+    """A level with its crashes and error."""
     if effect is None:
         return "no flight"
     error = "" if effect.error_deg is None else f", error {effect.error_deg:.2f}°"
     return f"{effect.axis} = {effect.level}, {effect.crashes} of {effect.flights} crashed{error}"
 
 
-def _best(combinations: Sequence[Combination], results: Results, seed: int) -> str:
+def _best(combinations: Sequence[Combination], results: Results, seed: int) -> tuple[str | None, str]:
     names = {each.name for each in combinations}
-    flights = [flight for flight in results.flights if flight.scenario in names]
-    lost = {(f.scenario, f.seed) for f in flights if f.estimator == "truth" and f.cause}
     of: dict[str, list[FlightRow]] = {}
-    for flight in flights:
-        if (flight.scenario, flight.seed) not in lost:
-            of.setdefault(flight.estimator, []).append(flight)
+    for flight in counted([flight for flight in results.flights if flight.scenario in names]):
+        of.setdefault(flight.estimator, []).append(flight)
     most = max(map(len, of.values()), default=0)
-    left_out = {"truth", *identical(results)}
+    left_out = {TRUTH, *identical(results)}
     candidates = {name: own for name, own in of.items() if name not in left_out and len(own) == most}
     if not candidates:
-        return "no estimator flew."
+        return None, "no estimator flew."
 
     def rank(name: str) -> tuple[int, float]:
         own = candidates[name]
@@ -280,10 +362,10 @@ def _best(combinations: Sequence[Combination], results: Results, seed: int) -> s
         crashed = [np.array([bool(f.cause) for f in candidates[name]]) for name in (best, other)]
         if low <= 0.5 <= high and crash_test(crashed[0], crashed[1]) > 0.05:
             tied.append(other)
-    found = [each for each in effects(combinations, results, seed) if each.axis != ALL]
+    found = effects(combinations, results, seed)
     text = f"fly {best}, {crashes} of {most} flights crashed, error {error:.2f}°; worst at "
-    text += _described(_worst(found, best))
-    return text + (f". These flights cannot tell it from {', '.join(tied)}." if tied else ".")
+    text += described(worst_level(found, best))
+    return best, text + (f". These flights cannot tell it from {', '.join(tied)}." if tied else ".")
 
 
 def _errors(flights: Sequence[FlightRow]) -> NDArray[np.float64]:

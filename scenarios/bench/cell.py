@@ -1,8 +1,9 @@
 """One cell of the benchmark: a scenario simulated with one estimator and many seeds, and its file."""
 
 import re
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,8 @@ class Cell:
     """Counts of the errors, as in `flight_metrics.error_histogram`."""
     series: FlightSeries | None
     """The first seed in time."""
+    cpu_s: float = field(default=0.0, compare=False)
+    """Processor time that it took [s]."""
 
     @property
     def row(self) -> CellRow:
@@ -100,6 +103,7 @@ def fly_cell(
     name: str, scenario: Scenario, estimator: str, settings: FlightSettings, fingerprint: str = ""
 ) -> Cell:
     """Simulate all flights of a cell at once; a failure is a cell with its reason."""
+    began = time.thread_time()
     try:
         tuning, rate_hz = tuning_of(estimator, settings.tuning), settings.rate_hz
         vehicle = scenario.vehicle if scenario.vehicle_known else None
@@ -107,7 +111,8 @@ def fly_cell(
         mission = Mission(scenario, made, settings.seeds, rate_hz)
         signals = SignalLog(mission, decimation(rate_hz))
         log, end = fly(mission, settings.seed, after_step=signals)
-        return make_cell(name, estimator, fingerprint, mission, log, end, signals)
+        cell = make_cell(name, estimator, fingerprint, mission, log, end, signals)
+        return replace(cell, cpu_s=round(time.thread_time() - began, 3))
     except Exception as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
         return failed_cell(name, estimator, fingerprint, f"{kind}{error}")

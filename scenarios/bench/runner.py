@@ -33,6 +33,7 @@ from .cell import (
 )
 from .flight_metrics import CellRow, FlightRow
 from .settings import FlightSettings, ScenarioChanges
+from .verdict import TRUTH
 
 log = logging.getLogger(__name__)
 
@@ -140,16 +141,32 @@ def bench(
 
 
 def identical(results: Results) -> dict[str, str]:
-    """Estimators whose flights equal those of one before them to the last digit, and which one."""
-    flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators}
+    """Estimators whose flights equal those of one before them to the last digit, and which one.
+
+    The truth stands for no estimator.
+    """
+    flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators if name != TRUTH}
     for flight in results.flights:
-        flown[flight.estimator].append(replace(flight, estimator=""))
+        if flight.estimator != TRUTH:
+            flown[flight.estimator].append(replace(flight, estimator=""))
     first: dict[tuple[FlightRow, ...], str] = {}
     found = {}
     for name, flights in flown.items():
         if flights and (earlier := first.setdefault(tuple(flights), name)) != name:
             found[name] = earlier
     return found
+
+
+def shown_once(results: Results) -> tuple[Results, str]:
+    """Results without the estimators that flew exactly as another, and a line that names them."""
+    same = identical(results)
+    kept = replace(
+        results,
+        estimators=[name for name in results.estimators if name not in same],
+        cells=[cell for cell in results.cells if cell.estimator not in same],
+    )
+    said = "; ".join(f"{name} flew exactly as {other}" for name, other in same.items())
+    return kept, f"{said}: shown once." if same else ""
 
 
 def load_results(out: str | Path) -> Results:

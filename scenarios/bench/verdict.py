@@ -1,15 +1,21 @@
 """The verdict of a benchmark in words: the best estimator, and how the others compare."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from quadsim.flight.scenario import Scenario
 
 from .flight_metrics import CellRow
 from .pairs import ALL, PairRow
 
 TRUTH = "truth"
 """The estimator that returns the true attitude: the reference, not a candidate."""
+MOST_LINES = 4
+"""Lines below the headline."""
 
 
 class Standing(NamedTuple):
@@ -44,36 +50,82 @@ class Total(NamedTuple):
         return (not self.flights, self.crashes / max(self.flights, 1), round(self.error, 3))
 
 
-def verdict(rows: Sequence[CellRow], focus: str = "", pairs: Sequence[PairRow] = ()) -> Verdict:
+def verdict(
+    rows: Sequence[CellRow],
+    focus: str = "",
+    pairs: Sequence[PairRow] = (),
+    scenarios: Mapping[str, Scenario] | None = None,
+) -> Verdict:
     """Rank the estimators of a benchmark; describe the best, then `focus` if it ran.
 
-    `pairs`, paired differences, decide which estimators do not differ significantly from the best.
+    Args:
+        rows: A row of each cell.
+        focus: An estimator that is described besides the best.
+        pairs: Paired differences, which decide what does not differ significantly from the best.
+        scenarios: What was flown, by name; a line says on what condition the verdict holds.
     """
-    names = list(dict.fromkeys(row.estimator for row in rows))
-    totals = {name: total([row for row in rows if row.estimator == name]) for name in names}
-    ranked = sorted((name for name in names if name != TRUTH), key=lambda name: totals[name].rank)
-    references = [name for name in names if name == TRUTH]
+    totals = totals_of(rows)
+    ranked = sorted((name for name in totals if name != TRUTH), key=lambda name: totals[name].rank)
+    references = [name for name in totals if name == TRUTH]
     standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
     simulated = [name for name in ranked if totals[name].flights]
     if not simulated:
-        only = "Only the truth ran." if TRUTH in names and totals[TRUTH].flights else "No estimator ran."
+        only = "Only the truth ran." if TRUTH in totals and totals[TRUTH].flights else "No estimator ran."
         return Verdict(only, [], standings)
     best, truth = totals[simulated[0]], totals.get(TRUTH)
-    lines = []
-    if truth and truth.attitude > 0:
-        ratio = best.attitude / truth.attitude
-        lines.append(f"Its attitude tracking error is {ratio:.2f} × that with the true attitude.")
-    equals = [name for name in simulated[1:] if totals[name].crashes == best.crashes]
-    tied = [name for name in equals if _is_tied(simulated[0], name, pairs)]
+    tied = [
+        name
+        for name in simulated[1:]
+        if totals[name].crashes == best.crashes and _is_tied(simulated[0], name, pairs)
+    ]
     doubt = ""
     if tied:
-        others = " and ".join(filter(None, [", ".join(tied[:-1]), tied[-1]]))
-        doubt = f"Its error is not significantly different from that of {others} (paired 95 % CI includes 0)."
-        lines.append(doubt)
+        doubt = (
+            f"The error of {simulated[0]} is not significantly different from that of {_listed(tied)} "
+            "(paired 95 % CI includes 0)."
+        )
+    least = min(round(totals[name].error, 3) for name in simulated)
+    headline = _tie([simulated[0], *tied], totals) if tied else _headline(simulated[0], best, least)
+    lines = [conditions(scenarios or {}), _by_worst(simulated, rows), doubt]
     if focus in simulated[1:]:
         lines.append(_sentence(focus, totals[focus], truth))
-    least = min(round(totals[name].error, 3) for name in simulated)
-    return Verdict(_headline(simulated[0], best, least), lines, standings, doubt)
+    if truth and truth.attitude > 0 and len(list(filter(None, lines))) < MOST_LINES:
+        ratio = best.attitude / truth.attitude
+        whose = f"The attitude tracking error of {simulated[0]}" if tied else "Its attitude tracking error"
+        lines.insert(3, f"{whose} is {ratio:.2f} × that with the true attitude.")
+    return Verdict(headline, list(filter(None, lines)), standings, doubt)
+
+
+def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
+    """Every estimator over all its scenarios, in the order of the rows."""
+    names = dict.fromkeys(row.estimator for row in rows)
+    return {name: total([row for row in rows if row.estimator == name]) for name in names}
+
+
+def worst_row(rows: Sequence[CellRow], estimator: str) -> CellRow | None:
+    """The scenario with an estimator's most crashes, or else its largest error; None where it did not fly."""
+    own = [row for row in rows if row.estimator == estimator and row.flights]
+    return max(own, key=_loss, default=None)
+
+
+def conditions(scenarios: Mapping[str, Scenario]) -> str:
+    """What the scenarios have in common, and how many differ, in a sentence; empty without scenarios."""
+    if not scenarios:
+        return ""
+    aspects: dict[str, Callable[[Scenario], str]] = {
+        "airframe": lambda s: Path(s.vehicle).stem,
+        "its drag": _drag,
+        "IMU": lambda s: Path(s.imu).stem,
+        "initial attitude": _initial,
+    }
+    found = {
+        aspect: Counter(of(scenario) for scenario in scenarios.values()).most_common()
+        for aspect, of in aspects.items()
+    }
+    said = [f"{aspect} {_levels(levels)}" for aspect, levels in found.items()]
+    varied = all(len(levels) > 1 for levels in found.values())
+    hint = "" if varied else " quadsim bench --axes varies these."
+    return f"Conditions: {'; '.join(said)}.{hint}"
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
@@ -111,6 +163,64 @@ def _headline(name: str, best: Total, least: float) -> str:
     return f"Fly {name}: no crash in {flights}, and the smallest error{of_those}, {best.error:.2f}°."
 
 
+def _tie(names: Sequence[str], totals: Mapping[str, Total]) -> str:
+    """The headline where errors do not tell the best, the first of `names`, from the others."""
+    best, errors = totals[names[0]], [totals[name].error for name in names]
+    others = names[1] if len(names) == 2 else f"one of {len(names) - 1} others"
+    crashes = f"{best.crashes} of {best.flights} flights crashed" if best.crashes else "no crash"
+    return (
+        f"Fly {names[0]} or {others}: {crashes} with each, and errors of {min(errors):.2f}° to "
+        f"{max(errors):.2f}° that do not differ significantly."
+    )
+
+
+def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow]) -> str:
+    """What the worst scenario of each says, in place of the mean; empty with a single scenario."""
+    worst = {name: each for name in simulated if (each := worst_row(rows, name))}
+    if len({row.scenario for row in rows}) < 2 or not worst:
+        return ""
+    first, best = simulated[0], min(worst, key=lambda name: _loss(worst[name]))
+    if best == first:
+        return f"{first} is also the best by its worst scenario, {described(worst[first])}."
+    return (
+        f"By the worst scenario {best} is the best: {described(worst[best])}; of {first} it is "
+        f"{described(worst[first])}."
+    )
+
+
+def described(row: CellRow) -> str:
+    """A scenario with its crashes and error: "storm, 2 of 10 crashed, 3.10°"."""
+    crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
+    return f"{row.scenario}, {crashes}" + ("no error" if row.error_deg is None else f"{row.error_deg:.2f}°")
+
+
+def _loss(row: CellRow) -> tuple[float, float]:
+    return row.crash_rate or 0.0, round(row.error_deg or 0.0, 3)
+
+
+def _drag(scenario: Scenario) -> str:
+    if not scenario.vehicle_known:
+        return "not known"
+    return "known" if scenario.drag_factor == 1.0 else f"{scenario.drag_factor:g} times what is known"
+
+
+def _initial(scenario: Scenario) -> str:
+    if not scenario.start.known_attitude:
+        return "not given"
+    error = scenario.start.attitude_error_deg
+    return f"given {error:g}° wrong" if error else "given"
+
+
+def _levels(levels: Sequence[tuple[str, int]]) -> str:
+    if len(levels) == 1:
+        return levels[0][0]
+    return ", ".join(f"{level} in {times} scenario{'s' if times > 1 else ''}" for level, times in levels)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
 def _is_tied(best: str, other: str, pairs: Sequence[PairRow]) -> bool:
     """Whether two estimators' errors over all scenarios are not significantly different."""
     return any(
@@ -136,6 +246,10 @@ def _standing(name: str, each: Total, rows: Sequence[CellRow]) -> Standing:
         return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
     text += " · the reference" if name == TRUTH else f" · error {each.error:.2f}°"
+    worst = worst_row(rows, name)
+    several = len({row.scenario for row in rows}) > 1
+    if several and worst and worst.error_deg is not None and not crashed and name != TRUTH:
+        text += f" · at worst {worst.error_deg:.2f}° in {worst.scenario}"
     if each.failed:
         text += f" · {each.failed} scenario{'s' if each.failed > 1 else ''} did not run"
     return Standing(name, "crashes" if crashed or each.failed else "flies", text)

@@ -7,26 +7,29 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
 
 import imageio.v3 as imageio
-import jinja2
 import numpy as np
 
 from quadsim.flight.faults import fault_spans
 from quadsim.runs.files import write_whole
+from quadsim.runs.record import RunRecord
 from quadsim.vehicle import load_vehicle
 
 from ..bench.breaking import DISTURBANCES, BreakingPoint
 from ..bench.cell import Cell
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow
 from ..bench.pairs import ALL, PAIRED, PairRow
-from ..bench.runner import Results
+from ..bench.runner import Results, identical, shown_once
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.settings import FlightSettings
 from ..bench.signals import SHARED
-from ..bench.verdict import TRUTH, offline_verdict, verdict
+from ..bench.verdict import TRUTH, offline_verdict, totals_of, verdict
 from .flight_picture import Picture
+from .provenance import provenance
+from .template import render
 
 SHOWN = 4
 """Estimators drawn at first in the time plots."""
@@ -66,6 +69,7 @@ def write_report(
     csv: Sequence[str] = (),
     footer: str = "",
     focus: str = "att-snn-loihi",
+    record: RunRecord | None = None,
 ) -> Path:
     """Write the report.
 
@@ -77,6 +81,7 @@ def write_report(
         csv: Files beside the report to link to.
         footer: How it was made.
         focus: The estimator that the verdict describes besides the best, if it ran.
+        record: Of the run, for the foot.
 
     Raises:
         ValueError: If there is nothing to report.
@@ -84,19 +89,28 @@ def write_report(
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
     closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
+    about = provenance(closed_loop.results, record)
+    closed_loop, focus, same = _once(closed_loop, focus)
     results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
     rows = results.rows
+    judged = (
+        verdict(rows, focus, closed_loop.pairs, results.scenarios) if rows else offline_verdict(offline.rows)
+    )
+    ranked = [standing.estimator for standing in judged.standings]
+    place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
     names = results.estimators or [str(row.get("estimator")) for row in offline.rows]
-    order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *_ranked(rows, focus), *names]))
+    order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
     flights = PageFlights.of(results, order)
     context = {
         "title": title,
-        "verdict": verdict(rows, focus, closed_loop.pairs) if rows else offline_verdict(offline.rows),
+        "verdict": judged,
+        "same": same,
         "warnings": results.warnings,
-        "rows": rows,
+        "rows": sorted(rows, key=lambda row: place[row.scenario, row.estimator]),
         "metrics": METRICS if rows else (),
         "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
-        "estimators": results.estimators,
+        "ranked": ranked,
+        "totals": totals_of(rows),
         "lookup": {(row.scenario, row.estimator): row for row in rows},
         "pairs": bool(closed_loop.pairs),
         "paired": [metric for metric in METRICS if metric.key in PAIRED],
@@ -112,20 +126,22 @@ def write_report(
         "still_caption": still.caption if still else "",
         "csv": list(csv),
         "footer": footer or _footer(results),
+        "provenance": about,
         "script": script("report/js/report.js"),
-        "payload": _payload(closed_loop, rows, names, order, flights),
+        "payload": _payload(closed_loop, rows, names, order, ranked, flights),
         "flights": compress_flights(flights.packed),
         **uplot(),
     }
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("scenarios.report", ""),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = _number
-    return write_whole(Path(path).expanduser(), environment.get_template("report.html").render(context))
+    return write_whole(Path(path).expanduser(), render("report.html", **context))
+
+
+def _once(section: ClosedLoopSection, focus: str) -> tuple[ClosedLoopSection, str, str]:
+    """A benchmark without the estimators that flew exactly as another, what is in focus, and who they are."""
+    same = identical(section.results)
+    results, said = shown_once(section.results)
+    pairs = [pair for pair in section.pairs if not same.keys() & {pair.estimator, pair.versus}]
+    points = [point for point in section.points if point.estimator not in same]
+    return replace(section, results=results, pairs=pairs, points=points), same.get(focus, focus), said
 
 
 def _footer(results: Results) -> str:
@@ -176,10 +192,6 @@ def _label(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _ranked(rows: Sequence[CellRow], focus: str = "") -> list[str]:
-    return [s.estimator for s in verdict(rows, focus).standings]
-
-
 @dataclass(frozen=True)
 class PageFlights:
     """Flights in time as they are in the page."""
@@ -226,12 +238,14 @@ def _payload(
     rows: Sequence[CellRow],
     names: Sequence[str],
     order: Sequence[str],
+    ranked: Sequence[str],
     flights: PageFlights,
 ) -> str:
     results = closed_loop.results
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
+        "ranked": list(ranked),
         "scenarios": list(results.scenarios),
         "shown": order[:SHOWN],
         "metrics": [vars(metric) for metric in METRICS],
@@ -248,7 +262,7 @@ def _payload(
             "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
             "pairs": _pairs(closed_loop.pairs),
             "all": ALL,
-            "best": next((name for name in _ranked(rows) if name != TRUTH), None),
+            "best": next((name for name in ranked if name != TRUTH), None),
             "series_seed": 0,
             "hubs": vehicle.hubs.tolist(),
             "prop_radius": vehicle.frame.prop_radius,
@@ -306,7 +320,3 @@ def script(entry: str) -> str:
 
     visit(entry)
     return '"use strict";\n' + "\n".join(found.values())
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"

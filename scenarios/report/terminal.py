@@ -11,12 +11,15 @@ from estimators.analysis.ablation import Pruned
 from estimators.evaluation.comparison import EvaluationRow
 from estimators.loihi.chip import LIMITS, ChipCore
 
-from ..bench.axes import ALL, Effect
+from ..bench.axes import ALL, Effect, ranking
 from ..bench.breaking import BreakingPoint
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
-from ..bench.runner import Results
-from ..bench.verdict import verdict
+from ..bench.runner import Results, shown_once
+from ..bench.verdict import TRUTH, totals_of, verdict, worst_row
+
+MOST_COLUMNS = 6
+"""Scenarios that have a column of their own."""
 
 
 def _table(
@@ -30,18 +33,46 @@ def _table(
 
 
 def closed_loop_table(results: Results) -> Table:
-    """Estimators from best to worst against scenarios: mean error, and crashes where there were any."""
+    """Estimators from best to worst, those that flew exactly alike once.
+
+    Against scenarios: mean error, and crashes where there were any. With more than `MOST_COLUMNS` scenarios
+    the mean over them and the worst one.
+    """
+    results = shown_once(results)[0]
+    ranked = [standing.estimator for standing in verdict(results.rows).standings]
+    return (_over_scenarios if len(results.scenarios) > MOST_COLUMNS else _by_scenario)(results, ranked)
+
+
+def _by_scenario(results: Results, ranked: Sequence[str]) -> Table:
     found = {(row.scenario, row.estimator): row for row in results.rows}
-    names = [standing.estimator for standing in verdict(results.rows).standings]
-    rows = ([name, *(_entry(found[scenario, name]) for scenario in results.scenarios)] for name in names)
+    rows = ([name, *(_entry(found[scenario, name]) for scenario in results.scenarios)] for name in ranked)
     title = "In closed loop: error of roll and pitch, °; ✕ crashed flights"
     return _table(title, ["estimator"], results.scenarios, rows)
 
 
+def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
+    totals = totals_of(results.rows)
+    rows = []
+    for rank, name in enumerate(ranked, 1):
+        whole, worst = totals[name], worst_row(results.rows, name)
+        place = "–" if name == TRUTH else str(rank)
+        if worst is None:
+            rows.append((name, place, Text("did not run", style="red"), "", "", ""))
+            continue
+        crashes = Text(f"{whole.crashes}/{whole.flights}", style="red" if whole.crashes else "")
+        rows.append((name, place, f"{whole.error:.2f}", crashes, worst.scenario, _entry(worst)))
+    columns = ["rank", "mean", "crashes", "worst scenario", "there"]
+    title = (
+        f"In closed loop, {len(results.scenarios)} scenarios: error of roll and pitch, °; ✕ crashed flights"
+    )
+    table = _table(title, ["estimator"], columns, rows)
+    table.caption = "Every scenario: report.html, results.csv"
+    return table
+
+
 def axes_tables(effects: Sequence[Effect]) -> list[Table]:
     """A table for each axis: estimators against its levels, best over all first."""
-    overall = {each.estimator: each for each in effects if each.axis == ALL}
-    names = sorted(overall, key=lambda name: (overall[name].crash_rate, overall[name].error_deg or math.inf))
+    names = ranking(effects)
     found = {(each.axis, each.level, each.estimator): each for each in effects}
     levels: dict[str, list[str]] = {}
     for each in effects:

@@ -1,6 +1,7 @@
 """The command line: what it says to a newcomer, to a mistake, and at the end of the work."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from safetensors.numpy import save_file
 from estimators.networks.weights_file import shipped_network
 from quadsim.cli import app, main
 from quadsim.cli.options import pair_of
+from quadsim.runs.record import load_record
+from scenarios.bench.axes import design
 
 VERBS = [
     "generate",
@@ -231,6 +234,36 @@ def test_bench_finds_breaking_points_and_reports_them_again(quadsim, tmp_path):
     assert quadsim("bench", *flown, "--out", tmp_path)[0] == 0
     assert quadsim("report", tmp_path)[0] == 0  # of the last run, which looked for none
     assert "Breaking points: least" not in (tmp_path / "report.html").read_text()
+
+
+def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(quadsim, tmp_path, monkeypatch):
+    monkeypatch.setattr("estimators.names", lambda: ["truth", "mahony", "ukf-filterpy"])
+    flown = ["--scenario", "hover", "--seeds", 1, "--duration", 0.5, "--workers", 1, "--out", tmp_path]
+    code, out, _ = quadsim("bench", *flown)
+    assert code == 0
+    assert "Without ukf-filterpy, slower than all others together; --estimator" in out
+    assert "2 flights, 1 s in the air; " in out
+    assert "Conditions: airframe hummingbird; its drag known; IMU adis16448" in out
+    text = (tmp_path / "report.html").read_text()
+    assert "<dt>command</dt>" in text
+    assert "--scenario hover --seeds 1" in text
+    written = load_record(tmp_path)
+    assert quadsim("report", tmp_path)[0] == 0
+    assert load_record(tmp_path) == written
+    assert written.date in (tmp_path / "report.html").read_text()
+
+
+def test_a_designed_bench_has_the_report_by_condition_and_is_reported_again(quadsim, tmp_path, monkeypatch):
+    monkeypatch.setattr("scenarios.bench.axes.design", partial(design, cells=4))
+    flown = ["--estimator", "truth", "--estimator", "mahony", "--seeds", 1, "--duration", 0.3, "--workers", 1]
+    code, out, _ = quadsim("bench", "--axes", *flown, "--out", tmp_path)
+    assert code == 0
+    assert "report.html: Fly mahony, whether the airframe's drag is known or not." in out
+    assert "warning" not in out
+    first = (tmp_path / "report.html").read_text()
+    assert "Combinations flown" in first
+    assert quadsim("report", tmp_path)[0] == 0
+    assert (tmp_path / "report.html").read_text() == first
 
 
 def test_a_breaking_point_that_cannot_be_is_refused_before_anything_is_flown(quadsim, tmp_path):

@@ -21,6 +21,7 @@ from quadsim.runs.block import block_type, fields, matrix, packed, vector, zero_
 from quadsim.runs.compiled import float64, guvectorize, njit
 from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint, source_digest
+from quadsim.runs.record import load_record, recorded
 
 
 def full_disk(part: Path) -> None:
@@ -309,3 +310,26 @@ def test_a_process_that_was_forked_compiles_with_a_lock_of_its_own(tmp_path):
         [sys.executable, tmp_path / "forks.py"], env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_a_record_adds_up_the_time_of_runs_of_the_same_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/quadsim", "bench", "--out", "a b"])
+    with pytest.raises(KeyboardInterrupt), recorded(tmp_path):
+        raise KeyboardInterrupt
+    first = load_record(tmp_path)
+    assert first.command == "quadsim bench --out 'a b'"
+    with recorded(tmp_path):
+        pass
+    assert load_record(tmp_path).wall_s > first.wall_s > 0.0
+    monkeypatch.setattr(sys, "argv", ["quadsim", "bench"])
+    with recorded(tmp_path):
+        pass
+    assert load_record(tmp_path).command == "quadsim bench"
+    assert load_record(tmp_path).wall_s < 1.0
+
+
+def test_a_run_that_was_refused_leaves_no_record(tmp_path):
+    with pytest.raises(ValueError, match="no"), recorded(tmp_path / "none"):
+        raise ValueError("no")
+    assert not (tmp_path / "none").exists()
+    assert load_record(tmp_path / "none") is None

@@ -7,10 +7,16 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from estimators.tuning.search import SearchSettings, tune
 from quadsim.cli import main
+from quadsim.dataset.generation import generate
+from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.held_out import SEEDS, load_held_out, releases, unreserved
 from scenarios.bench.axes import AXES
 from scenarios.bench.held_out import suite
+from scenarios.bench.runner import bench
+from scenarios.bench.settings import FlightSettings, ScenarioChanges
+from training.loop import train
 
 NEWEST = load_held_out(releases()[-1])
 LEARNING = (
@@ -55,6 +61,26 @@ def test_no_verb_that_learns_takes_a_reserved_seed(monkeypatch, capsys, command)
         main()
     assert stop.value.code == 2
     assert "is of the held-out suite" in capsys.readouterr().err
+
+
+RESERVED = rf"seed {NEWEST.seed + 7} is of the held-out suite"
+
+
+def test_nothing_that_learns_takes_a_reserved_seed_from_python(tmp_path):
+    with pytest.raises(ValueError, match=RESERVED):
+        generate(flight_config(load_recipe("hummingbird")), 1, 1.0, tmp_path / "x.zarr", NEWEST.seed + 7)
+    with pytest.raises(ValueError, match=RESERVED):
+        train(data="x.zarr", out=tmp_path / "run", seed=NEWEST.seed + 7)
+    with pytest.raises(ValueError, match=RESERVED):
+        tune("mahony", [], SearchSettings(seed=NEWEST.seed + 7))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_held_out_suite_itself_is_flown_with_its_seed(tmp_path):
+    name, (_, scenario) = next(iter(suite(NEWEST).items()))
+    changes = ScenarioChanges(duration_s=0.1)
+    results = bench({name: scenario}, ["truth"], tmp_path, FlightSettings(1, NEWEST.seed), changes, workers=1)
+    assert [cell.reason for cell in results.cells] == [""]
 
 
 def test_no_file_that_was_made_by_learning_names_a_reserved_seed():

@@ -7,11 +7,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from accessibility import findings
 
 import estimators
 from quadsim.flight.faults import GyroBiasStep
 from quadsim.flight.mission import Mission
-from quadsim.flight.scenario import Scenario
+from quadsim.flight.scenario import Scenario, Start
 from quadsim.wind import Constant
 from scenarios.bench.breaking import BreakingPoint
 from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
@@ -123,10 +124,56 @@ def test_verdict_names_estimators_that_do_not_differ_significantly_from_the_best
     ]
     result = verdict(rows, pairs=paired_differences(flights))
     assert result.doubt == (
-        "Its error is not significantly different from that of y and w (paired 95 % CI includes 0)."
+        "The error of x is not significantly different from that of y and w (paired 95 % CI includes 0)."
     )
     assert result.lines == [result.doubt]
+    assert result.headline == (
+        "Fly x or one of 2 others: no crash with each, and errors of 1.00° to 1.20° that do not differ "
+        "significantly."
+    )
     assert verdict(rows).doubt == ""
+    assert verdict(rows).headline.startswith("Fly x: no crash")
+
+
+def test_verdict_ranks_by_the_worst_scenario_too():
+    rows = [row("a", "x", error=0.5), row("b", "x", error=4.0)]
+    rows += [row("a", "y", error=2.5), row("b", "y", error=3.0)]
+    result = verdict(rows)
+    assert result.headline.startswith("Fly x: no crash in 20 flights, and the smallest error, 2.25°")
+    assert result.lines == ["By the worst scenario y is the best: b, 3.00°; of x it is b, 4.00°."]
+    assert result.standings[1].text == "no crash in 20 flights · error 2.75° · at worst 3.00° in b"
+    rows[1] = row("b", "x", error=2.0)
+    assert verdict(rows).lines == ["x is also the best by its worst scenario, b, 2.00°."]
+    rows[3] = row("b", "y", crashes=2, error=0.1)
+    assert verdict(rows).lines == ["x is also the best by its worst scenario, b, 2.00°."]
+
+
+def test_verdict_says_on_what_condition_it_holds():
+    given = Scenario(description="", start=Start(known_attitude=True))
+    others = {
+        "b": given.model_copy(update={"drag_factor": 2.0}),
+        "c": given.model_copy(update={"start": Start(), "vehicle_known": False}),
+    }
+    rows = [row(name, "x") for name in "abc"]
+    assert verdict(rows[:1], scenarios={"a": given}).lines == [
+        "Conditions: airframe hummingbird; its drag known; IMU adis16448; initial attitude given. "
+        "quadsim bench --axes varies these."
+    ]
+    found = verdict(rows, scenarios={"a": given} | others).lines[0]
+    assert (
+        "its drag known in 1 scenario, 2 times what is known in 1 scenario, not known in 1 scenario" in found
+    )
+    assert "initial attitude given in 2 scenarios, not given in 1 scenario." in found
+
+
+def test_a_verdict_has_at_most_four_lines():
+    scenarios = {name: Scenario(description="") for name in "ab"}
+    rows = [
+        row(s, name, error=error) for s in "ab" for name, error in (("truth", 0.5), ("x", 1.0), ("y", 1.1))
+    ]
+    noisy = {"x": (0, 0.3, 0, 0.3), "y": (0.3, 0, 0.3, 0)}
+    flights = [flight(k, s, n, error=1 + noisy[n][k]) for s in "ab" for n in noisy for k in range(4)]
+    assert len(verdict(rows, "y", paired_differences(flights), scenarios).lines) == 4
 
 
 def test_verdict_speaks_of_the_estimator_in_focus_and_compares_with_the_truth():
@@ -256,7 +303,8 @@ def test_everything_is_there(page):
     ):  # fmt: skip
         assert page.locator(f"#{part}").is_visible()
     assert page.locator("#verdict h2").inner_text().startswith("Fly mahony: no crash in 4 flights")
-    assert page.locator(".heat tbody td").count() == 8
+    assert page.locator(".heat td[data-scenario]").count() == 8
+    assert page.locator(".heat tbody td.mean").count() == 4
     assert page.locator("#violins polygon").count() == 2
     assert painted(page, "#plot canvas") > 1000
     assert painted(page, "#stage") > 1000
@@ -306,9 +354,41 @@ def test_table_shows_one_scenario(page):
 
 def test_map_shows_another_metric(page):
     page.select_option("#map-metric", "crash_rate")
-    cells = page.locator(".heat tbody tr:nth-child(3) td b").all_inner_texts()
-    assert cells == ["0.50", "0.50"]
-    assert page.locator(".heat td.crashed").count() == 2
+    assert page.locator('.heat td[data-estimator="ekf"] b').all_inner_texts() == ["0.50"] * 3
+    assert page.locator(".heat td.crashed[data-scenario]").count() == 2
+    assert page.locator(".heat td.crashed.mean").count() == 1
+
+
+def test_map_ranks_estimators_with_the_truth_last_and_has_their_mean_first(page, results):
+    names = page.locator(".heat tbody th").all_inner_texts()
+    assert [name.strip() for name in names] == ["mahony", "ekf", "vqf", "truth"]
+    errors = [row.error_deg for row in results.rows if row.estimator == "mahony"]
+    cells = page.locator('.heat td[data-estimator="mahony"] b').all_inner_texts()
+    assert cells == [f"{value:.2f}" for value in (np.mean(errors), *errors)]
+    assert page.locator('.heat td.mean[data-estimator="ekf"] small').inner_text() == "✕ 2/4"
+    assert page.locator('.heat td.mean[data-estimator="vqf"] small').all_inner_texts()[-1] == "failed in 2"
+
+
+def test_first_column_of_the_map_stays_where_it_is(page):
+    first, scroll = page.locator(".heat tbody th").first, page.locator("#map .scroll")
+    before = first.bounding_box()["x"]
+    scroll.evaluate("each => { each.scrollLeft = 80; }")
+    assert first.bounding_box()["x"] == pytest.approx(before, abs=3)
+
+
+def test_estimators_that_flew_exactly_alike_are_shown_once(results, tmp_path):
+    def renamed(cell):
+        flights = [replace(each, estimator="ekf-two") for each in cell.flights]
+        return replace(cell, estimator="ekf-two", flights=flights)
+
+    twice = [*results.cells, *(renamed(cell) for cell in results.cells if cell.estimator == "ekf")]
+    names = [*results.estimators, "ekf-two"]
+    twin = Results(results.scenarios, names, results.settings, twice)
+    pairs = paired_differences(twin.flights)
+    text = write_report(tmp_path / "r.html", ClosedLoopSection(twin, pairs), focus="ekf-two").read_text()
+    assert "ekf-two flew exactly as ekf: shown once." in text
+    assert text.count("ekf-two") == 1
+    assert "ekf: 2 crashes in 4 flights" in text  # in focus under the name that is shown
 
 
 def test_pairs_compare_with_the_chosen_estimator(page):
@@ -404,6 +484,13 @@ def test_theme_switches_the_colours(page):
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before
 
 
+def test_everyone_can_use_the_page(page):
+    page.locator("#chips button").first.click()  # one that is not shown
+    for _ in ("light", "dark"):
+        assert findings(page) == []
+        page.locator("#theme").click()
+
+
 HOSTILE = (
     "<img src=x onerror=hurt()>.safetensors",
     "<script>hurt()</script>",
@@ -421,7 +508,8 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
     for scenario in HOSTILE[:3]:
         for name in names:
             own = {"scenario": scenario, "estimator": name}
-            flights = [replace(each, **own, cause=HOSTILE[0]) for each in results.cells[1].flights]
+            unlike = {"cause": HOSTILE[0], "error_deg": 1.0 + len(cells)}
+            flights = [replace(each, **own, **unlike) for each in results.cells[1].flights]
             cells.append(replace(results.cells[1], **own, flights=flights))
         cells[-1] = failed_cell(scenario, names[-1], "", HOSTILE[0])
     described = Scenario(description=HOSTILE[1], duration_s=2.0)

@@ -5,11 +5,13 @@ import sys
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from dataclasses import fields, replace
 from importlib.resources import files
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from processes import alive, await_true, children, square
+from rich.console import Console
 
 import estimators
 from quadsim.flight.mission import Mission
@@ -19,6 +21,7 @@ from quadsim.vehicle import load_vehicle
 from scenarios.bench import cell as cell_module
 from scenarios.bench import runner
 from scenarios.bench.cell import fly, fly_cell, load_cell
+from scenarios.bench.cost import cost_of, hours
 from scenarios.bench.flight_metrics import (
     FlightMetrics,
     FlightRow,
@@ -347,6 +350,33 @@ def test_crashes_are_counted_with_their_cause(tmp_path, crashing):
     assert (row.crashes, row.crash_rate) == (2, 1.0)
     assert 0.3 < row.crash_low < row.crash_high == 1.0
     assert closed_loop_table(results).row_count == 1
+
+
+def test_a_table_of_many_scenarios_has_ranks_means_and_the_worst_scenario(tmp_path, crashing):
+    few = small(tmp_path / "few", scenarios=["hover", "wind-2"])
+    assert [column.header for column in closed_loop_table(few).columns] == ["estimator", "hover", "wind-2"]
+    names = ["hover", "wind-2", "wind-5", "wind-8", "wind-12", "step", crashing]
+    many = small(tmp_path / "many", scenarios=names)
+    table = closed_loop_table(many)
+    cells = [[str(cell) for cell in column.cells] for column in table.columns]
+    mahony = [row for row in many.rows if row.estimator == "mahony"]
+    mean = np.mean([row.error_deg for row in mahony if row.error_deg is not None])
+    assert cells[0] == ["mahony", "truth"]
+    assert [cells[1], cells[2][0], cells[3]] == [["1", "–"], f"{mean:.2f}", ["2/14", "2/14"]]
+    assert cells[4] == ["crashing", "crashing"]
+    console = Console(width=80, file=StringIO())
+    console.print(table)
+    assert "…" not in console.file.getvalue()
+    assert "results.csv" in console.file.getvalue()
+
+
+def test_cost_adds_up_what_each_cell_took(tmp_path):
+    first = cost_of(small(tmp_path))
+    assert (first.flights, first.flight_s, first.slowest) == (8, pytest.approx(8 * SHORT), "mahony")
+    assert first.cpu_s > 0.0
+    assert 0.0 < first.share < 1.0
+    assert cost_of(small(tmp_path)) == first  # of a second run, which flies nothing
+    assert f"8 flights, 2 s in the air; {hours(first.cpu_s)} of processor time" in str(first)
 
 
 def test_results_load_as_they_were(tmp_path):

@@ -8,23 +8,31 @@ export const CHARTS = [drawMap, drawViolins, drawForest];
 
 function drawMap() {
   const metric = data.metrics.find((m) => m.key === $("map-metric").value);
-  const cells = all(".heat td").map((td) => [td, cell(td.dataset.scenario, td.dataset.estimator)]);
-  const positive = cells.map(([, c]) => c?.values[metric.key]).filter((v) => v > 0);
+  const valuesOf = (e, scenarios) => scenarios.map((s) => cell(s, e)?.values).filter(Boolean);
+  const cells = all(".heat tbody td").map((td) => {
+    const found = valuesOf(td.dataset.estimator, td.dataset.scenario === undefined ? data.scenarios : [td.dataset.scenario]);
+    return [td, meanOf(found.map((v) => v[metric.key])), found.some((v) => v.crash_rate > 0)];
+  });
+  const positive = cells.map(([, value]) => value).filter((v) => v > 0);
   const [low, high] = [Math.log(Math.min(...positive)), Math.log(Math.max(...positive))];
-  for (const [td, c] of cells) {
-    const value = c?.values[metric.key];
-    const known = value !== null && value !== undefined;
+  for (const [td, value, crashed] of cells) {
+    const known = value !== null;
     td.querySelector("b").textContent = known ? value.toFixed(metric.digits) : "";
     td.classList.toggle("none", !known);
-    td.classList.toggle("crashed", c?.values.crash_rate > 0);
+    td.classList.toggle("crashed", crashed);
     const t = metric.key.endsWith("rate") ? value : value > 0 && high > low ? (Math.log(value) - low) / (high - low) : 0;
     td.style.setProperty("--t", known ? t.toFixed(3) : 0);
   }
 }
 
+function meanOf(values) {
+  const known = values.filter((v) => v !== null && v !== undefined);
+  return known.length ? known.reduce((a, b) => a + b, 0) / known.length : null;
+}
+
 function drawViolins() {
   const scenario = $("spread-scenario").value, { low, high, bins } = data.edges;
-  const rows = data.estimators.filter((e) => e !== "truth").map((e) => {
+  const rows = data.ranked.filter((e) => e !== "truth").map((e) => {
     const total = new Float64Array(bins);
     for (const s of scenario ? [scenario] : data.scenarios) cell(s, e)?.histogram?.forEach((count, i) => { total[i] += count; });
     return [e, total, total.reduce((a, b) => a + b, 0)];

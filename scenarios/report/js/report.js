@@ -5,14 +5,8 @@ import { $, all } from "./dom.js";
 import { QUANTITIES } from "./quantities.js";
 import { drawStage, player, turnable } from "./stage.js";
 import { makeSortable } from "./tables.js";
+import { themed } from "./theme.js";
 import { drawTraces, showAll, showTime } from "./traces.js";
-
-$("theme").onclick = () => {
-  const dark = document.documentElement.dataset.theme
-    ? document.documentElement.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-  document.documentElement.dataset.theme = dark ? "light" : "dark";
-  redraw();
-};
 
 function closedLoop() {
   for (const select of [...all("select.scenario"), ...["spread-scenario", "table-scenario", "pairs-scenario"].map($)])
@@ -22,7 +16,7 @@ function closedLoop() {
   for (const name of data.estimators) $("inside").add(new Option(name, name, false, name === state.inside));
   $("inside").onchange = (event) => look(event.target.value);
   for (const [key, q] of Object.entries(QUANTITIES)) $("quantity").add(new Option(q.label, key));
-  for (const name of data.estimators) {
+  for (const name of data.ranked) {
     const chip = document.createElement("button");
     chip.type = "button";
     chip.append(dotOf(name), name);
@@ -36,11 +30,11 @@ function closedLoop() {
     for (const row of $("results").tBodies[0].rows) row.hidden = event.target.value && row.dataset.scenario !== event.target.value;
   };
   if ($("pairs")) {
-    for (const name of data.estimators) $("pairs-base").add(new Option(name, name, false, name === data.best));
+    for (const name of data.ranked) $("pairs-base").add(new Option(name, name, false, name === data.best));
     for (const id of ["pairs-base", "pairs-scenario", "pairs-metric"]) $(id).onchange = redraw;
   }
   for (const select of all("select.scenario")) select.onchange = () => choose(select.value);
-  for (const td of all(".heat td")) {
+  for (const td of all(".heat td[data-scenario]")) {
     td.onclick = () => { look(td.dataset.estimator); choose(td.dataset.scenario); $("series").scrollIntoView(); };
     td.onkeydown = (event) => { if (event.key === "Enter") td.onclick(); };
   }
@@ -51,7 +45,6 @@ function closedLoop() {
   let wide = innerWidth; // a phone's window changes its height as one scrolls
   addEventListener("resize", () => { if (innerWidth !== wide) { wide = innerWidth; redraw(); } });
   for (const change of ["beforeprint", "afterprint"]) addEventListener(change, redraw);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   choose(state.scenario);
   unpack().then(() => "No flight is stored for this choice.", () => "This browser cannot unpack the flights; one of 2023 or later can.")
     .then((text) => { [state.missing, state.unpacked] = [text, true]; redraw(); });
@@ -71,11 +64,12 @@ function look(estimator) {
 function redraw() {
   if (!data.scenarios.length) return;
   for (const chip of all("#chips button")) chip.setAttribute("aria-pressed", state.shown.has(chip.dataset.estimator));
-  for (const td of all(".heat td")) td.classList.toggle("chosen", td.dataset.scenario === state.scenario && state.shown.has(td.dataset.estimator));
+  for (const td of all(".heat td[data-scenario]")) td.classList.toggle("chosen", td.dataset.scenario === state.scenario && state.shown.has(td.dataset.estimator));
   drawTraces();
   drawStage();
   for (const draw of CHARTS) draw();
 }
 
+themed(redraw);
 makeSortable();
 if (data.scenarios.length) closedLoop();

@@ -1,0 +1,79 @@
+"""The record of a run: version, commit, command, date and duration, as reports name them."""
+
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from .files import read_json, write_json
+from .fingerprint import ROOT
+
+FILE = "run.json"
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """How and when a folder of results was made."""
+
+    version: str
+    commit: str
+    """Empty without a repository; ends in "-dirty" where it has changes."""
+    command: str
+    date: str
+    """When the run ended, UTC, to the second."""
+    wall_s: float
+    """Time that it took, with that of the interrupted runs that it resumed [s]."""
+
+
+_RECORD = TypeAdapter(RunRecord)
+
+
+@contextmanager
+def recorded(folder: Path) -> Iterator[None]:
+    """Write `run.json` into a folder at the end of what is done inside, interrupted or not, if it exists."""
+    began, folder = time.perf_counter(), folder.expanduser()
+    try:
+        yield
+    finally:
+        if folder.is_dir():
+            command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+            now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
+            new = RunRecord(version("quadsim"), commit(), command, now, time.perf_counter() - began)
+            write_json(folder / FILE, asdict(_resumed(new, load_record(folder))))
+
+
+def load_record(folder: Path) -> RunRecord | None:
+    """The record of a folder; None where there is none."""
+    try:
+        return _RECORD.validate_python(read_json(folder.expanduser() / FILE))
+    except (OSError, ValueError):
+        return None
+
+
+def commit() -> str:
+    """The commit of the code, where it runs from its own repository; "-dirty" where that has changes."""
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(ROOT), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+    try:
+        ours = Path(git("rev-parse", "--show-toplevel") or "/").samefile(ROOT)
+        return git("describe", "--always", "--dirty", "--exclude=*") if ours else ""
+    except OSError:  # no git
+        return ""
+
+
+def _resumed(new: RunRecord, old: RunRecord | None) -> RunRecord:
+    """The same command of the same code goes on with what it left: their times add up."""
+    if old is None or (old.version, old.commit, old.command) != (new.version, new.commit, new.command):
+        return new
+    return RunRecord(new.version, new.commit, new.command, new.date, new.wall_s + old.wall_s)

@@ -1,0 +1,20 @@
+"""What the templates of the reports share: the environment, and numbers as they are shown."""
+
+import jinja2
+
+
+def render(name: str, **context: object) -> str:
+    """A page from a template of this folder; what is undefined is an error, and every name is escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("scenarios.report", ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = _number
+    return environment.get_template(name).render(context)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
