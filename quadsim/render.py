@@ -32,6 +32,13 @@ Image = NDArray[np.uint8]
 NO_OPENGL = "no headless OpenGL on this machine, so no pictures: install Debian's libegl1 or libosmesa6"
 NO_SCREEN = "no screen to open a window on; --video (render_mode rgb_array) needs none"
 TRAIL_COLOUR = np.array([0.93, 0.36, 0.08, 0.85], dtype=np.float32)
+GHOST_COLOUR = np.array([0.10, 0.55, 0.95, 0.30], dtype=np.float32)
+TARGET_COLOUR = np.array([0.10, 0.75, 0.30, 0.90], dtype=np.float32)
+WIND_COLOUR = np.array([0.45, 0.25, 0.85, 0.90], dtype=np.float32)
+WIND_SCALE = 0.06
+"""Length of the wind's arrow, metres for each m/s."""
+CALM = 0.05
+"""Wind without an arrow [m/s]."""
 
 
 class View(NamedTuple):
@@ -43,6 +50,22 @@ class View(NamedTuple):
     elevation: float = -22.0  #: [deg]; negative looks down
 
 
+class Marks(NamedTuple):
+    """What a film shows beside the vehicle, sample by sample."""
+
+    estimate: NDArray[np.float64]  #: (T, 4) estimated quat_WB, of a translucent second body
+    target: NDArray[np.float64]  #: (T, 3) set-point [m]
+    wind: NDArray[np.float64]  #: (T, 3) wind at the vehicle, world axes [m/s]
+
+    def text(self, k: int, time: float, quat: ArrayLike) -> tuple[str, str]:
+        """Words of sample k, and their values: clock, error of the estimate, wind."""
+        error = 2 * np.arccos(min(abs(float(np.dot(self.estimate[k], np.asarray(quat)))), 1.0))
+        speed = float(np.linalg.norm(self.wind[k]))
+        said = {"time": f"{time:.1f} s", "estimate (blue) off by": f"{np.degrees(error):.1f} deg"}
+        said |= {"wind (violet)": f"{speed:.1f} m/s", "set-point": "green"}
+        return "\n".join(said), "\n".join(said.values())
+
+
 class Scene:
     """An offscreen picture of some quadrotors, to be drawn again and again; `close` it afterwards.
 
@@ -52,19 +75,29 @@ class Scene:
         width: Width of the image [px].
         height: Height of the image [px].
         oversample: Drawn this many times finer and averaged, for smooth edges.
+        ghost: Draw the last quadrotor as translucent.
 
     Raises:
         RuntimeError: If neither EGL nor OSMesa works here; the message says what to install.
     """
 
     def __init__(
-        self, vehicle: Vehicle, copies: int = 1, width: int = 960, height: int = 540, oversample: int = 1
+        self,
+        vehicle: Vehicle,
+        copies: int = 1,
+        width: int = 960,
+        height: int = 540,
+        oversample: int = 1,
+        ghost: bool = False,
     ):
         self.width, self.height, self.oversample = width, height, oversample
         shape = (height * oversample, width * oversample)
         self._context = _gl_context(shape[1], shape[0])
         self._context.make_current()
         self.model = scene_model(vehicle, copies, shape[1], shape[0], samples=4 if oversample == 1 else 0)
+        if ghost:
+            own = self.model.geom_bodyid == self.model.body(f"quadrotor{copies - 1}").id
+            self.model.geom_matid[own], self.model.geom_rgba[own] = -1, GHOST_COLOUR
         self.data = mujoco.MjData(self.model)
         self._rect = mujoco.MjrRect(0, 0, shape[1], shape[0])
         self._pixels = np.empty((*shape, 3), dtype=np.uint8)
@@ -73,7 +106,16 @@ class Scene:
         self._drawer = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._drawer)
 
-    def draw(self, position: ArrayLike, quat: ArrayLike, view: View, trail: ArrayLike | None = None) -> Image:
+    def draw(
+        self,
+        position: ArrayLike,
+        quat: ArrayLike,
+        view: View,
+        trail: ArrayLike | None = None,
+        target: ArrayLike | None = None,
+        wind: ArrayLike | None = None,
+        text: tuple[str, str] | None = None,
+    ) -> Image:
         """Draw the quadrotors.
 
         Args:
@@ -81,6 +123,9 @@ class Scene:
             quat: (copies, 4) or (4,) quat_WB.
             view: Camera.
             trail: (m, 3) points joined by a thin line [m].
+            target: (3,) set-point, a small ball [m].
+            wind: (3,) an arrow above the first quadrotor, world axes [m/s].
+            text: Words and their values, a line each, in a corner.
 
         Returns:
             Image of shape (height, width, 3).
@@ -99,8 +144,16 @@ class Scene:
         mujoco.mjv_updateScene(self.model, self.data, option, perturbation, camera, every, self._scene)
         if trail is not None:
             self._add_trail(np.asarray(trail, dtype=np.float64), radius=0.0025 * max(view.distance, 2.0))
+        if target is not None:
+            self._add_ball(np.asarray(target, dtype=np.float64), radius=0.012 * max(view.distance, 1.0))
+        if wind is not None and np.linalg.norm(wind) > CALM:
+            start = np.atleast_2d(position)[0] + [0.0, 0.0, 0.25]
+            self._connect("ARROW", 0.012, start, start + WIND_SCALE * np.asarray(wind), WIND_COLOUR)
         self._context.make_current()
         mujoco.mjr_render(self._rect, self._scene, self._drawer)
+        if text is not None:
+            font, place = mujoco.mjtFont.mjFONT_NORMAL.value, mujoco.mjtGridPos.mjGRID_TOPLEFT.value
+            mujoco.mjr_overlay(font, place, self._rect, *text, self._drawer)
         mujoco.mjr_readPixels(self._pixels, None, self._rect, self._drawer)
         return self._shrink(self._pixels[::-1])
 
@@ -130,11 +183,25 @@ class Scene:
         for start, end in itertools.pairwise(points):
             if self._scene.ngeom >= self._scene.maxgeom:
                 return
-            geom = self._scene.geoms[self._scene.ngeom]
-            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE.value
-            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), TRAIL_COLOUR)
-            mujoco.mjv_connector(geom, capsule, radius, start, end)
-            self._scene.ngeom += 1
+            self._connect("CAPSULE", radius, start, end, TRAIL_COLOUR)
+
+    def _connect(
+        self,
+        kind: str,
+        radius: float,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        colour: NDArray[np.float32],
+    ) -> None:
+        geom, of = self._scene.geoms[self._scene.ngeom], getattr(mujoco.mjtGeom, f"mjGEOM_{kind}").value
+        mujoco.mjv_initGeom(geom, of, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+        mujoco.mjv_connector(geom, of, radius, start, end)
+        self._scene.ngeom += 1
+
+    def _add_ball(self, place: NDArray[np.float64], radius: float) -> None:
+        geom, ball = self._scene.geoms[self._scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE.value
+        mujoco.mjv_initGeom(geom, ball, np.full(3, radius), place, np.eye(3).ravel(), TARGET_COLOUR)
+        self._scene.ngeom += 1
 
 
 class Window:
@@ -245,6 +312,7 @@ def film(
     fps: float = 25.0,
     width: int = 960,
     height: int = 540,
+    marks: Marks | None = None,
 ) -> Path:
     """Write a video of a flight in real time; the camera follows, and the last two seconds leave a trail.
 
@@ -257,6 +325,7 @@ def film(
         fps: Frames per second.
         width: Width of the video [px].
         height: Height of the video [px].
+        marks: What to show of estimate, set-point and wind, with a clock.
 
     Raises:
         RuntimeError: If neither EGL nor OSMesa works here.
@@ -271,12 +340,18 @@ def film(
     targets = _smooth(p, seconds=0.12, dt=float(t[1] - t[0]))
     tail = max(round(2.0 / (t[1] - t[0])), 40)
     with (
-        closing(Scene(vehicle, 1, width, height)) as scene,
-        imageio.get_writer(path, fps=fps, macro_block_size=2, quality=8) as video,
+        closing(Scene(vehicle, 2 if marks else 1, width, height, ghost=bool(marks))) as scene,
+        imageio.get_writer(path, fps=fps, macro_block_size=2, quality=7) as video,
     ):
         for k in frames:
             view = View(tuple(targets[k]), distance=2.0, elevation=-18.0)
-            video.append_data(scene.draw(p[k], q[k], view, p[max(k - tail, 0) : k + 1 : tail // 40]))  # pyright: ignore[reportAttributeAccessIssue]
+            trail = p[max(k - tail, 0) : k + 1 : tail // 40]
+            if marks is None:
+                image = scene.draw(p[k], q[k], view, trail)
+            else:
+                shown = marks.target[k], marks.wind[k], marks.text(k, t[k], q[k])
+                image = scene.draw(p[[k, k]], np.stack([q[k], marks.estimate[k]]), view, trail, *shown)
+            video.append_data(image)  # pyright: ignore[reportAttributeAccessIssue]
     return Path(path)
 
 

@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import estimators
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario
-from quadsim.render import film, replay
+from quadsim.render import Marks, film, replay
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 
@@ -79,10 +80,26 @@ def fly_scenario(
     time = np.arange(len(first)) / rate_hz
     table = np.column_stack([time, *(first[key] for key in ("position", "euler", "estimate", "target"))])
     write_csv(out / "flight.csv", [dict(zip(COLUMNS, row, strict=True)) for row in table.tolist()])
-    section, title = ClosedLoopSection(results), f"{name} with attitude from {estimator}"
-    report = write_report(out / "report.html", section, title=title, csv=["flight.csv"], focus=estimator)
     poses = (time, first["position"], quat_from_euler(*first["euler"].T))
-    film_path = film(out / "flight.mp4", mission.vehicle, *poses) if video else None
+    film_path, problem = None, None
+    if video:
+        try:
+            film_path = film(out / "flight.mp4", mission.vehicle, *poses, marks=marks_of(first, signals))
+        except RuntimeError as error:  # no OpenGL: the report is written without it
+            problem = error
+    section = ClosedLoopSection(results, film=film_path)
+    title = f"{name} with attitude from {estimator}"
+    report = write_report(out / "report.html", section, title=title, csv=["flight.csv"], focus=estimator)
+    if problem:
+        raise problem
     if view:
         replay(mission.vehicle, *poses)
     return SingleFlight(results, report, out / "flight.csv", film_path)
+
+
+def marks_of(flight: NDArray[np.void], signals: SignalLog) -> Marks:
+    """What the video shows of a flight's log (T,): the estimate with the true yaw, set-point and wind."""
+    roll, pitch = flight["estimate"].T
+    columns = [signals.names.index(f"wind_{axis}") for axis in "xyz"]
+    wind = np.repeat(signals.rows[:, columns], signals.every, axis=0)[: len(flight)]
+    return Marks(quat_from_euler(roll, pitch, flight["euler"][:, 2]), flight["target"], np.nan_to_num(wind))

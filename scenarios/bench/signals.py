@@ -29,7 +29,7 @@ class SignalLog:
     """
 
     def __init__(self, mission: Mission, every: int) -> None:
-        self._mission, self._every = mission, every
+        self._mission, self.every = mission, every
         steps = [f for f in mission.scenario.faults if isinstance(f, GyroBiasStep | BiasRamp | AccelBiasStep)]
         self._added = sensor_faults(steps, 1, mission.rate_hz, 0)
         self.names = signal_names(len(mission.vehicle.rotors))
@@ -37,10 +37,10 @@ class SignalLog:
 
     def __call__(self, k: int) -> None:
         """Take sample k of the mission."""
-        if k % self._every:
+        if k % self.every:
             return
         loop, mission = self._mission.loop, self._mission
-        self.rows[k // self._every] = np.concatenate(
+        self.rows[k // self.every] = np.concatenate(
             [
                 np.degrees(loop.gyro[0]),
                 loop.readings.accel[0],

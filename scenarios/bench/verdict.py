@@ -84,8 +84,13 @@ def verdict(
             f"The error of {simulated[0]} is not significantly different from that of {_listed(tied)} "
             "(paired 95 % CI includes 0)."
         )
-    least = min(round(totals[name].error, 3) for name in simulated)
-    headline = _tie([simulated[0], *tied], totals) if tied else _headline(simulated[0], best, least)
+    if tied:
+        headline = _tie([simulated[0], *tied], totals)
+    elif len(ranked) == 1:
+        headline = _alone(ranked[0], best)
+    else:
+        least = min(round(totals[name].error, 3) for name in simulated)
+        headline = _headline(simulated[0], best, least)
     lines = [conditions(scenarios or {}), _by_worst(simulated, rows), doubt]
     if focus in simulated[1:]:
         lines.append(_sentence(focus, totals[focus], truth))
@@ -153,6 +158,14 @@ def total(rows: Sequence[CellRow]) -> Total:
     return Total(flights, crashes, error, attitude, len(rows) - len(simulated))
 
 
+def _alone(name: str, own: Total) -> str:
+    """What happened, where there is nothing to compare with."""
+    if own.flights == 1:
+        return f"{name} {'crashed' if own.crashes else 'did not crash'}: error {own.error:.2f}°."
+    crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
+    return f"{name}: {crashes} {own.flights} flights, error {own.error:.2f}°."
+
+
 def _headline(name: str, best: Total, least: float) -> str:
     """The best estimator; `least` is the smallest error of any, which may be of one that crashed."""
     if best.crashes:
@@ -180,6 +193,8 @@ def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow]) -> str:
     if len({row.scenario for row in rows}) < 2 or not worst:
         return ""
     first, best = simulated[0], min(worst, key=lambda name: _loss(worst[name]))
+    if len(worst) == 1:
+        return f"Its worst scenario is {described(worst[first])}."
     if best == first:
         return f"{first} is also the best by its worst scenario, {described(worst[first])}."
     return (

@@ -47,6 +47,8 @@ class ClosedLoopSection:
     points: Sequence[BreakingPoint] = ()
     still: Picture | None = None
     """Picture for the top."""
+    film: Path | None = None
+    """Video for the top, MP4."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,7 @@ def write_report(
         "still": still
         and base64.b64encode(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)).decode(),
         "still_caption": still.caption if still else "",
+        "film": closed_loop.film and base64.b64encode(closed_loop.film.read_bytes()).decode(),
         "csv": list(csv),
         "footer": footer or _footer(results),
         "provenance": about,
