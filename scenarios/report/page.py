@@ -13,6 +13,7 @@ import imageio.v3 as imageio
 import jinja2
 import numpy as np
 
+from estimators.appearance import looks
 from quadsim.runs.files import write_whole
 from quadsim.vehicle import load_vehicle
 
@@ -174,12 +175,14 @@ def _payload(
     focus: str,
 ) -> str:
     results = closed_loop.results
-    names = results.estimators or [str(row.get("estimator")) for row in offline]
+    recorded = [str(row.get("estimator")) for row in offline]
+    names = results.estimators or recorded
     ranked = [s.estimator for s in verdict(rows, focus).standings]
     shown = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked]))[:SHOWN]
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
+        "looks": {name: look._asdict() for name, look in looks([*names, *recorded]).items()},
         "scenarios": list(results.scenarios),
         "shown": shown,
         "metrics": [vars(metric) for metric in METRICS],

@@ -1,0 +1,101 @@
+"""One colour, dash and marker per estimator, the same in every figure, page and report.
+
+The hues are seen apart with normal sight, without red cones (protanopia) and without green ones (deuteranopia), on
+white and on the reports' dark background; tests/estimators/test_appearance.py has the measures. Estimators that
+share a hue differ in both dash and marker.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+from zlib import crc32
+
+SOLID: tuple[float, ...] = ()
+DASHED, DASHDOT, DOTTED = (5.0, 2.0), (5.0, 1.5, 1.0, 1.5), (1.0, 1.5)
+LONG, DOUBLE = (10.0, 2.5), (5.0, 1.5, 1.0, 1.5, 1.0, 1.5)
+DASHES = (SOLID, DASHED, DASHDOT, DOTTED, LONG, DOUBLE)
+MARKERS = "osD^vP<>X*phd"
+"""As matplotlib names them; the browser's are in scenarios/report/js/markers.js."""
+GREY = "#757b83"
+AMBER, WINE, MAUVE, MAGENTA = "#cc8400", "#9c5460", "#b484b4", "#c0189c"
+INDIGO, SKY, TEAL, GREEN = "#6054e4", "#3090fc", "#18a884", "#3c7830"
+RED, CORAL = "#d80018", "#fc546c"
+HUES = (AMBER, WINE, MAUVE, MAGENTA, INDIGO, SKY, TEAL, GREEN, RED, CORAL)
+
+
+class Look(NamedTuple):
+    """How one estimator is drawn."""
+
+    colour: str  #: "#rrggbb"
+    dash: tuple[float, ...]  #: lengths on and off [line widths]; empty for a solid line
+    marker: str  #: one of `MARKERS`
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """Keywords of matplotlib's `plot` for a line."""
+        return {"color": self.colour, "linestyle": (0, self.dash) if self.dash else "-"}
+
+    @property
+    def points(self) -> dict[str, Any]:
+        """Keywords of matplotlib's `plot` for a line with markers."""
+        return self.line | {"marker": self.marker}
+
+
+FIXED = {
+    "truth": Look(GREY, SOLID, "o"),
+    "complementary": Look(MAUVE, DASHDOT, "v"),
+    "complementary-adaptive": Look(MAUVE, DOTTED, "<"),
+    "mahony": Look(AMBER, SOLID, "s"),
+    "madgwick": Look(WINE, DASHED, "D"),
+    "ekf": Look(INDIGO, SOLID, "^"),
+    "eskf": Look(SKY, DASHED, "P"),
+    "ekf-drag": Look(TEAL, SOLID, "X"),
+    "imm": Look(GREEN, DASHDOT, "p"),
+    "ekf-filterpy": Look(INDIGO, DOTTED, ">"),
+    "ukf-filterpy": Look(INDIGO, DASHED, "h"),
+    "vqf": Look(MAGENTA, SOLID, "d"),
+    "att-rnn": Look(CORAL, DASHED, "*"),
+    "att-rnn-paper": Look(CORAL, DOTTED, "P"),
+    "att-snn": Look(RED, DASHED, "<"),
+    "att-snn-loihi": Look(RED, SOLID, "o"),
+    "att-snn-hummingbird": Look(RED, DASHDOT, "s"),
+    "att-snn-paper": Look(RED, DOTTED, "D"),
+}
+"""Of the estimators and weights that ship."""
+
+
+def _left(hue: str) -> list[Look]:
+    """Looks of a hue whose dash and marker no estimator of that hue has."""
+    taken = [look for look in FIXED.values() if look.colour == hue]
+    dashes = [dash for dash in DASHES if dash not in {look.dash for look in taken}]
+    markers = [marker for marker in MARKERS if marker not in {look.marker for look in taken}]
+    return [Look(hue, *style) for style in zip(dashes, markers, strict=False)]
+
+
+OWN = [look for hue in HUES for look in _left(hue)]
+"""Of a user's estimators and weights."""
+
+
+def look(name: str) -> Look:
+    """How an estimator is drawn, where no other of a user's own is drawn beside it.
+
+    Args:
+        name: One of `estimators.names()`, or shipped weights; any other name gets a look that depends on it alone.
+    """
+    return FIXED.get(name) or OWN[_place(name)]
+
+
+def looks(names: Iterable[str]) -> dict[str, Look]:
+    """How the estimators of one figure are drawn: `look`, and the next free one where two of a user's own have the same.
+
+    It does not depend on the order of the names. Looks come again where a user has more than `OWN` holds.
+    """
+    shown = list(dict.fromkeys(names))
+    own: dict[str, Look] = {}
+    for name in sorted(name for name in shown if name not in FIXED):
+        order = [OWN[(_place(name) + k) % len(OWN)] for k in range(len(OWN))]
+        own[name] = next((each for each in order if each not in own.values()), order[0])
+    return {name: FIXED.get(name) or own[name] for name in shown}
+
+
+def _place(name: str) -> int:
+    return crc32(name.encode()) % len(OWN)
