@@ -1,8 +1,8 @@
 """One colour, dash and marker per estimator, the same in every figure, page and report.
 
-The hues are seen apart with normal sight, without red cones (protanopia) and without green ones (deuteranopia), on
-white and on the reports' dark background; tests/estimators/test_appearance.py has the measures. Estimators that
-share a hue differ in both dash and marker.
+The hues are distinct for normal sight, protanopia and deuteranopia, and show on white and on the reports'
+dark background; tests/estimators/test_appearance.py has the measures. Estimators that share a hue differ in
+dash and in marker.
 """
 
 from collections.abc import Iterable
@@ -18,8 +18,8 @@ MARKERS = "osD^vP<>X*phd"
 GREY = "#757b83"
 AMBER, WINE, MAUVE, MAGENTA = "#cc8400", "#9c5460", "#b484b4", "#c0189c"
 INDIGO, SKY, TEAL, GREEN = "#6054e4", "#3090fc", "#18a884", "#3c7830"
-RED, CORAL = "#d80018", "#fc546c"
-HUES = (AMBER, WINE, MAUVE, MAGENTA, INDIGO, SKY, TEAL, GREEN, RED, CORAL)
+RED, CORAL, OLIVE = "#d80018", "#fc546c", "#728a5a"
+HUES = (AMBER, WINE, MAUVE, MAGENTA, INDIGO, SKY, TEAL, GREEN, RED, CORAL, OLIVE)
 
 
 class Look(NamedTuple):
@@ -71,31 +71,38 @@ def _left(hue: str) -> list[Look]:
     return [Look(hue, *style) for style in zip(dashes, markers, strict=False)]
 
 
-OWN = [look for hue in HUES for look in _left(hue)]
+OWN = [Look(OLIVE, *style) for style in zip(DASHES, MARKERS, strict=False)]
 """Of a user's estimators and weights."""
+OWN_TOO = [look for hue in HUES for look in _left(hue) if hue != OLIVE]
+"""Of a user's where there are several in a figure."""
 
 
 def look(name: str) -> Look:
-    """How an estimator is drawn, where no other of a user's own is drawn beside it.
+    """How an estimator is drawn where no more than one of a user's own is in the figure.
 
     Args:
-        name: One of `estimators.names()`, or shipped weights; any other name gets a look that depends on it alone.
+        name: One of `estimators.names()` or shipped weights; the look of any other depends on its name alone.
     """
-    return FIXED.get(name) or OWN[_place(name)]
+    return FIXED.get(name) or _own(name)[0]
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
-    """How the estimators of one figure are drawn: `look`, and the next free one where two of a user's own have the same.
+    """How the estimators of one figure are drawn, in any order of their names.
 
-    It does not depend on the order of the names. Looks come again where a user has more than `OWN` holds.
+    A user's own after the first get hues that no other in the figure has, while there are such, then dashes
+    and markers that no other of their hue has, and last a look that is not theirs alone.
     """
     shown = list(dict.fromkeys(names))
-    own: dict[str, Look] = {}
-    for name in sorted(name for name in shown if name not in FIXED):
-        order = [OWN[(_place(name) + k) % len(OWN)] for k in range(len(OWN))]
-        own[name] = next((each for each in order if each not in own.values()), order[0])
-    return {name: FIXED.get(name) or own[name] for name in shown}
+    found = {name: FIXED[name] for name in shown if name in FIXED}
+    for name in sorted(set(shown) - set(found)):
+        hues = {each.colour for each in found.values()}
+        free = [each for each in _own(name) if each not in found.values()]
+        found[name] = next(iter([each for each in free if each.colour not in hues] or free), look(name))
+    return {name: found[name] for name in shown}
 
 
-def _place(name: str) -> int:
-    return crc32(name.encode()) % len(OWN)
+def _own(name: str) -> list[Look]:
+    """Looks for a user's estimator, the best first."""
+    k = crc32(name.encode())
+    first, then = k % len(OWN), k % len(OWN_TOO)
+    return [*OWN[first:], *OWN[:first], *OWN_TOO[then:], *OWN_TOO[:then]]

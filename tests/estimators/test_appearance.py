@@ -1,9 +1,9 @@
 """Every estimator has one look, and no two are mixed up, with colour vision or without.
 
-Colour difference: CIEDE2000, Sharma, Wu & Dalal, "The CIEDE2000 color-difference formula: implementation notes,
-supplementary test data, and mathematical observations", Color Research & Application 30 (2005). Colour blindness:
-Machado, Oliveira & Fernandes, "A physiologically-based model for simulation of color vision deficiency", IEEE TVCG 15
-(2009), severity 1.0. Contrast: WCAG 2.2, 1.4.11.
+Colour difference: CIEDE2000, Sharma, Wu & Dalal, "The CIEDE2000 color-difference formula: implementation
+notes, supplementary test data, and mathematical observations", Color Research & Application 30 (2005). Colour
+blindness: Machado, Oliveira & Fernandes, "A physiologically-based model for simulation of color vision
+deficiency", IEEE TVCG 15 (2009), severity 1.0. Contrast: WCAG 2.2, 1.4.11.
 """
 
 import re
@@ -15,12 +15,13 @@ import pytest
 from matplotlib.lines import Line2D
 
 from estimators import names
-from estimators.appearance import DASHES, FIXED, HUES, MARKERS, OWN, look, looks
+from estimators.appearance import DASHES, FIXED, HUES, MARKERS, OWN, OWN_TOO, look, looks
 from estimators.networks.weights_file import shipped_names
 
 FAR = 10.0
 """ΔE00 that is seen at a glance; 1 is just noticed side by side."""
 CONTRAST = 3.0
+EVERY = [*FIXED.values(), *OWN, *OWN_TOO]
 VISION = {
     "normal": np.eye(3),
     "protanopia": np.array(
@@ -126,7 +127,7 @@ def test_colour_blindness_mixes_up_red_and_green_and_leaves_grey():
 
 def test_every_name_and_shipped_weights_have_a_look_of_their_own():
     assert set(FIXED) == {*names(), *shipped_names()}
-    assert len({*FIXED.values(), *OWN}) == len(FIXED) + len(OWN)
+    assert len(set(EVERY)) == len(EVERY)
 
 
 def test_no_two_hues_are_mixed_up_with_any_colour_vision():
@@ -135,7 +136,7 @@ def test_no_two_hues_are_mixed_up_with_any_colour_vision():
 
 
 def test_two_looks_differ_in_hue_or_in_dash_and_marker():
-    for one, other in combinations([*FIXED.values(), *OWN], 2):
+    for one, other in combinations(EVERY, 2):
         apart = one.dash != other.dash and one.marker != other.marker
         assert apart or far(one.colour, other.colour), (one, other)
 
@@ -143,7 +144,7 @@ def test_two_looks_differ_in_hue_or_in_dash_and_marker():
 def test_every_colour_shows_on_white_and_on_the_dark_theme():
     assert "#ffffff" in backgrounds()
     assert len(backgrounds()) > 1
-    for colour in {each.colour for each in [*FIXED.values(), *OWN]}:
+    for colour in {each.colour for each in EVERY}:
         for background in ("#ffffff", *backgrounds()):
             assert contrast(colour, background) >= CONTRAST, (colour, background)
 
@@ -160,19 +161,31 @@ def test_the_network_on_the_chip_looks_like_its_floats_but_for_dash_and_marker()
     assert floats.marker != chip.marker
 
 
-def test_a_users_estimators_are_apart_in_one_figure_in_any_order():
-    own = [f"mine:Filter{k}" for k in range(len(OWN))]
-    found = looks(["mahony", *own])
-    assert len(set(found.values())) == 1 + len(own)
-    assert found == looks([*reversed(own), "mahony"])
-    assert looks(["mine:Filter3"])["mine:Filter3"] == look("mine:Filter3") == look("mine:Filter3")
+def test_a_users_estimator_has_a_hue_of_its_own():
+    found = looks([*FIXED, "mine:Filter"])
+    assert found["mine:Filter"] == look("mine:Filter") == looks(["mine:Filter"])["mine:Filter"]
+    assert not any(each.colour == look("mine:Filter").colour for each in FIXED.values())
+
+
+def test_two_of_a_user_have_hues_that_no_other_in_the_figure_has():
+    found = looks(
+        ["mine:Filter", "runs/a/weights.safetensors", "runs/b/weights.safetensors", "mahony", "ekf"]
+    )
+    assert len({each.colour for each in found.values()}) == len(found)
+
+
+def test_all_of_a_user_are_apart_in_one_figure_in_any_order():
+    own = [f"mine:Filter{k}" for k in range(len(OWN) + len(OWN_TOO))]
+    found = looks([*FIXED, *own])
+    assert len(set(found.values())) == len(found)
+    assert found == looks([*reversed(own), *FIXED])
     assert len(looks([*own, "one more"])) == len(own) + 1
 
 
 def test_matplotlib_and_the_browser_draw_every_dash_and_marker():
     shapes = (files("scenarios") / "report" / "js" / "markers.js").read_text(encoding="utf-8")
     assert set(re.findall(r'^  "?(.)"?: "M', shapes, re.MULTILINE)) == set(MARKERS)
-    for each in [*FIXED.values(), *OWN]:
+    for each in EVERY:
         line = Line2D([0], [0], **each.points)
         assert (line.get_color(), line.get_marker()) == (each.colour, each.marker)
         assert line.is_dashed() == bool(each.dash)

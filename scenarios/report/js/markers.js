@@ -27,6 +27,6 @@ export function paint(dot, look) {
 }
 /** A piece of the line with its marker, for a legend. */
 export function legendKey(look) {
-  const line = node("line", { x1: -13, x2: 13, y1: 0, y2: 0, stroke: look.colour, "stroke-width": 2, "stroke-dasharray": dashes(look, 2).join(" ") });
-  return node("i", { class: "dot key" }, node("svg", { viewBox: "-13 -6 26 12" }, line, markerPath(look, 0, 0, 4.4)));
+  const line = node("line", { x1: -17, x2: 17, y1: 0, y2: 0, stroke: look.colour, "stroke-width": 1.8, "stroke-dasharray": dashes(look, 1.5).join(" ") });
+  return node("i", { class: "dot key" }, node("svg", { viewBox: "-17 -6 34 12" }, line, markerPath(look, 0, 0, 4.4)));
 }
