@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from estimators.analysis.latency import point
 from estimators.appearance import Look, look
 from quadsim.dataset.figures import LINES
 
@@ -107,9 +106,8 @@ def fig4(numbers: Numbers) -> Figure:
         curves, ("train_mse", "val_mse"), ("training windows", "validation flights"), strict=True
     ):
         for stage, label in CURVES.items():
-            axes.plot(
-                numbers[stage]["updates"], numbers[stage][kind], label=label, lw=1.1, **_look(stage).line
-            )
+            style = _look(stage).line | {"lw": 1.1}
+            axes.plot(numbers[stage]["updates"], numbers[stage][kind], label=label, **style)
         axes.set(title=title, xlabel="updates", xscale="log", yscale="log")
         axes.xaxis.set_major_formatter(PLAIN)
     curves[0].set_ylabel("mean square error [rad²]")
@@ -216,6 +214,8 @@ def fig8(numbers: Numbers) -> Figure:
 
 def fig9(numbers: Numbers) -> Figure:
     """Time of an update, and the modelled energy of a step."""
+    from estimators.analysis.latency import point  # imports torch
+
     taken = sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
     paper = {"the paper: Loihi": CHIP["µs"]} | {f"the paper: {name}": us for name, us in PYTORCH_US.items()}
     figure, (left, right) = _panels(9.6, 4.4, 1, 2, width_ratios=(1.5, 1))

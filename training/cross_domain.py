@@ -83,15 +83,11 @@ def plot(path: Path, scores: Sequence[Score]) -> None:
         for k, cell in enumerate(cells):
             key = cell.model, cell.trained_on, cell.tested_on
             errors = [s.error_deg for s in scores if (s.model, s.trained_on, s.tested_on) == key]
-            look = appearance[cell.model]
-            axes.plot(
-                np.full(len(errors), k) + 0.16, errors, look.marker, ms=4, mfc="none", color=look.colour
-            )
-            axes.errorbar(
-                k - 0.12, cell.mean_deg, cell.sd_deg, fmt=look.marker, ms=5, color=look.colour, capsize=3
-            )
-        for model, look in appearance.items():
-            axes.plot([], [], look.marker, color=look.colour, label=model)
+            colour, _, marker = appearance[cell.model]
+            axes.plot(np.full(len(errors), k) + 0.16, errors, marker, ms=4, mfc="none", color=colour)
+            axes.errorbar(k - 0.12, cell.mean_deg, cell.sd_deg, fmt=marker, ms=5, color=colour, capsize=3)
+        for model, (colour, _, marker) in appearance.items():
+            axes.plot([], [], marker, color=colour, label=model)
         labels = [f"{cell.trained_on}\n{cell.tested_on}" for cell in cells]
         axes.set_xticks(range(len(cells)), labels, rotation=0 if len(cells) < 9 else 45)
         axes.set(ylabel="mean absolute error [°]", xlabel="trained on, and below it tested on")
