@@ -11,8 +11,8 @@ from zlib import crc32
 
 SOLID: tuple[float, ...] = ()
 DASHED, DASHDOT, DOTTED = (5.0, 2.0), (5.0, 1.5, 1.0, 1.5), (1.0, 1.5)
-LONG, DOUBLE = (10.0, 2.5), (5.0, 1.5, 1.0, 1.5, 1.0, 1.5)
-DASHES = (SOLID, DASHED, DASHDOT, DOTTED, LONG, DOUBLE)
+LOOSE, DOUBLE = (3.0, 3.0), (5.0, 1.5, 1.0, 1.5, 1.0, 1.5)
+DASHES = (SOLID, DASHED, DASHDOT, DOTTED, LOOSE, DOUBLE)
 MARKERS = "osD^vP<>X*phd"
 """As matplotlib names them; the browser's are in scenarios/report/js/markers.js."""
 GREY = "#757b83"
@@ -52,12 +52,12 @@ FIXED = {
     "imm": Look(GREEN, DASHDOT, "p"),
     "ekf-filterpy": Look(SKY, DOTTED, ">"),
     "ukf-filterpy": Look(SKY, DASHED, "h"),
-    "vqf": Look(CORAL, LONG, "d"),
+    "vqf": Look(CORAL, DASHED, "d"),
     "att-rnn": Look(AMBER, DASHDOT, "*"),
     "att-rnn-paper": Look(AMBER, DOTTED, "P"),
     "att-snn": Look(RED, DASHED, "<"),
     "att-snn-loihi": Look(RED, SOLID, "o"),
-    "att-snn-hummingbird": Look(RED, LONG, "s"),
+    "att-snn-hummingbird": Look(RED, LOOSE, "s"),
     "att-snn-paper": Look(RED, DOTTED, "D"),
 }
 """Of the estimators and weights that ship."""

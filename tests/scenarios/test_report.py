@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import estimators
+from estimators.appearance import look
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from scenarios.bench.breaking import BreakingPoint
@@ -343,6 +344,14 @@ def test_theme_switches_the_colours(page):
     before = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.locator("#theme").click()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before
+
+
+@pytest.mark.parametrize("place", ["#chips button", "#map th"])
+def test_an_estimator_has_its_look_in_the_page(page, place):
+    for name in ("truth", "mahony", "ekf"):
+        path = page.locator(f"{place} path").nth(("truth", "mahony", "ekf").index(name))
+        assert path.get_attribute("fill") == look(name).colour
+        assert path.get_attribute("d") == page.evaluate("(marker) => MARKERS[marker]", look(name).marker)
 
 
 HOSTILE = (
