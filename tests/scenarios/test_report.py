@@ -348,8 +348,8 @@ def test_theme_switches_the_colours(page):
 
 @pytest.mark.parametrize("place", ["#chips button", "#map th"])
 def test_an_estimator_has_its_look_in_the_page(page, place):
-    for name in ("truth", "mahony", "ekf"):
-        path = page.locator(f"{place} path").nth(("truth", "mahony", "ekf").index(name))
+    for k, name in enumerate(("truth", "mahony", "ekf")):
+        path = page.locator(f"{place} path").nth(k)
         assert path.get_attribute("fill") == look(name).colour
         assert path.get_attribute("d") == page.evaluate("(marker) => MARKERS[marker]", look(name).marker)
 
