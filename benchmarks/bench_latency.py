@@ -17,10 +17,9 @@ from matplotlib.figure import Figure
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators.analysis.latency import CALLS, PAPER_US, RATE_HZ, Update, contenders, measure
+from estimators.analysis.latency import CALLS, PAPER_US, RATE_HZ, Update, contenders, measure, point
 from estimators.networks.encoder import ENCODER, encode_sample
 from estimators.networks.network import OnLoihi, create_network, drive, host_and_chip, loihi_state
-from estimators.registry import NETWORKS
 from quadsim.dataset.figures import STYLE
 from quadsim.runs.block import vector, zero_blocks
 
@@ -51,15 +50,14 @@ def every_contender() -> dict[str, Update]:
 def draw(taken: dict[str, NDArray[np.float64]]) -> Figure:
     """Median and 99th percentile of each; apart the paper's figures, of its recurrent layer alone."""
     order = sorted(taken, key=lambda name: float(np.median(taken[name])))
-    colours = {True: "#c0563b", False: "#33658a"}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 0.27 * (len(order) + len(PAPER_US)) + 1.0), layout="constrained")
         axes = figure.subplots()
         for place, name in enumerate(order):
             low, middle, high = np.percentile(taken[name], [1, 50, 99])
-            colour = colours[name.startswith(NETWORKS) or "PyTorch" in name]
-            axes.plot([low, high], [place, place], color=colour, lw=3, alpha=0.35, solid_capstyle="butt")
-            axes.plot(middle, place, "o", color=colour, ms=5)
+            style = point(name)
+            axes.plot([low, high], [place, place], c=style["color"], lw=3, alpha=0.35, solid_capstyle="butt")
+            axes.plot(middle, place, ls="", ms=6, **style)
             axes.annotate(
                 f"{middle:.1f}" if middle < 10 else f"{middle:.0f}",
                 (high, place),

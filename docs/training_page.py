@@ -18,6 +18,7 @@ from simulated import estimate_of, options, simulated
 
 from estimators import create, names
 from estimators.analysis.activity import record
+from estimators.appearance import look
 from estimators.evaluation.comparison import made_of, silenced_twin, tilted_starts
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error, up_in_body
@@ -82,7 +83,7 @@ def start_figure(estimators: dict[str, AttitudeEstimator], pieces: Flights) -> F
     time = np.arange(1, pieces.gyro.shape[1] + 1) / pieces.rate_hz
     for name in STARTERS:
         error = np.median(inclination_error(estimate_of(estimators[name], pieces), pieces.truth), axis=0)
-        axes.plot(time, error, label=name, linewidth=2.4 if name in NETWORKS else 1.2)
+        axes.plot(time, error, label=name, lw=2.4 if name in NETWORKS else 1.2, **look(name).line)
     axes.axhline(2.0, color="black", linewidth=0.8, linestyle=":")
     axes.set(
         xlim=(0, 5), ylim=(0, 20), xlabel="time since the start [s]", ylabel="inclination error, median [°]"

@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from estimators.appearance import Look, look
 from quadsim.dataset.figures import LINES
 
 from .claims import NETWORKS, TOLERANCE, Numbers, by_rate, pooled, scatter
-from .plan import FLOAT, PAPER, RNN, SNN, TEST
+from .plan import FLOAT, PAPER, RESCALED, RNN, SNN, TEST, TRAINED_ON
 from .quoted import CHIP, CONVERGE_S, PYTORCH_US, REMOVABLE, TEST_DEG
 from .scores import CONVERGED_DEG, FILTERS, RESPONSE_S, SHIPPED, SHOWN_HZ, SIX
 
@@ -34,6 +35,16 @@ CURVES = {
     PAPER: "Att-SNN, the paper's recipe",
     RNN: "Att-RNN",
 }
+SAME = {
+    SNN: "att-snn-loihi",
+    FLOAT: "att-snn",
+    PAPER: "att-snn-paper",
+    RNN: "att-rnn",
+    "att-snn, shipped": "att-snn-loihi",
+    RESCALED: "att-snn",
+    TRAINED_ON: "att-snn-loihi",
+}
+"""Networks of the paper, and the estimator whose look they have."""
 
 
 def _panels(width: float, height: float, *shape: int, **options: Any) -> tuple[Figure, Any]:
@@ -42,14 +53,14 @@ def _panels(width: float, height: float, *shape: int, **options: Any) -> tuple[F
     return figure, figure.subplots(*shape, **options)
 
 
-def _line(k: int) -> dict[str, Any]:
-    """Colour and dash of the k-th line."""
-    return {"color": COLOURS[k], "ls": DASHES[k]}
+def _look(name: str) -> Look:
+    """Colour, dash and marker of a method."""
+    return look(SAME.get(name, name))
 
 
 def _marked(k: int, size: float = 5) -> dict[str, Any]:
-    """The same with a marker at each point."""
-    return _line(k) | {"marker": MARKS[k], "ms": size}
+    """Colour, dash and marker of the k-th line of a figure that does not compare methods."""
+    return {"color": COLOURS[k], "ls": DASHES[k], "marker": MARKS[k], "ms": size}
 
 
 def _note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **options: Any) -> None:
@@ -94,15 +105,16 @@ def fig4(numbers: Numbers) -> Figure:
     for axes, kind, title in zip(
         curves, ("train_mse", "val_mse"), ("training windows", "validation flights"), strict=True
     ):
-        for k, (stage, label) in enumerate(CURVES.items()):
-            axes.plot(numbers[stage]["updates"], numbers[stage][kind], label=label, lw=1.1, **_line(k))
+        for stage, label in CURVES.items():
+            style = _look(stage).line | {"lw": 1.1}
+            axes.plot(numbers[stage]["updates"], numbers[stage][kind], label=label, **style)
         axes.set(title=title, xlabel="updates", xscale="log", yscale="log")
         axes.xaxis.set_major_formatter(PLAIN)
     curves[0].set_ylabel("mean square error [rad²]")
     curves[0].legend(fontsize=7, loc="upper right")
     for k, stage in enumerate(CURVES):
         size = 100 * scatter(numbers[stage]["val_mse"])
-        bars.barh(k, size, color="#bbbbbb", edgecolor=BLACK, hatch=HATCHES[k])
+        bars.barh(k, size, color=_look(stage).colour, edgecolor=BLACK, hatch=HATCHES[k])
     _name_rows(bars, [label.replace(", ", ",\n") for label in CURVES.values()], 7)
     bars.set(title="scatter of validation", xlabel="epoch to epoch [%]")
     return figure
@@ -142,8 +154,8 @@ def fig6(numbers: Numbers) -> Figure:
         for k, name in enumerate((*FILTERS, *NETWORKS)):
             if kind in curves[name]:
                 error = curves[name][kind]["median"]
-                style = _marked(k, 4) | {"lw": 2.0 if name == "att-snn" else 1.1, "markevery": (5 * k, 40)}
-                axes.plot(np.arange(len(error)) / SHOWN_HZ, error, label=name, **style)
+                style = {"ms": 4, "lw": 2.0 if name == "att-snn" else 1.1, "markevery": (5 * k, 40)}
+                axes.plot(np.arange(len(error)) / SHOWN_HZ, error, label=name, **style, **_look(name).points)
         axes.axhline(CONVERGED_DEG, color=BLACK, lw=0.8, ls=":")
         for (key, seconds), sign in zip(CONVERGE_S.items(), "<>", strict=True):
             axes.axvline(seconds, color=GREY, lw=0.8)
@@ -202,12 +214,14 @@ def fig8(numbers: Numbers) -> Figure:
 
 def fig9(numbers: Numbers) -> Figure:
     """Time of an update, and the modelled energy of a step."""
+    from estimators.analysis.latency import point  # imports torch
+
     taken = sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
     paper = {"the paper: Loihi": CHIP["µs"]} | {f"the paper: {name}": us for name, us in PYTORCH_US.items()}
     figure, (left, right) = _panels(9.6, 4.4, 1, 2, width_ratios=(1.5, 1))
-    for place, (_, (low, middle, high)) in enumerate(taken):
+    for place, (name, (low, middle, high)) in enumerate(taken):
         left.plot([low, high], [place, place], color=GREY, lw=3, solid_capstyle="butt")
-        left.plot(middle, place, "o", color=BLACK, ms=5)
+        left.plot(middle, place, ls="", ms=6, **point(name))
         _note(left, f"{middle:.3g}", (high, place), (5, -3))
     for place, value in enumerate(paper.values(), len(taken)):
         left.plot(value, place, **QUOTED)
@@ -232,8 +246,8 @@ def loop(numbers: Numbers) -> Figure:
     scenarios = numbers["loop"]["scenarios"]
     figure, panels = _panels(9.0, 3.0, 1, len(scenarios))
     for axes, (scenario, scores) in zip(panels, scenarios.items(), strict=True):
-        for k, name in enumerate(name for name in scores if name != "truth"):
-            axes.plot([1, 2, 3], scores[name]["parts_deg"], label=name, **_marked(k))
+        for name in (name for name in scores if name != "truth"):
+            axes.plot([1, 2, 3], scores[name]["parts_deg"], label=name, ms=5, **_look(name).points)
         axes.set(title=scenario, xlabel="third of the flight", xticks=[1, 2, 3], xlim=(0.7, 3.3))
         axes.set_ylim(bottom=0)
     panels[0].set_ylabel("mean absolute error [°]")
@@ -245,8 +259,9 @@ def rate(numbers: Numbers) -> Figure:
     """Error against the sample rate."""
     by_hz = by_rate(numbers)
     figure, axes = _panels(6.4, 3.4)
-    for k, name in enumerate(next(iter(by_hz.values()))):
-        axes.plot(list(by_hz), [each[name] for each in by_hz.values()], label=name, **_marked(k))
+    for name in next(iter(by_hz.values())):
+        errors = [each[name] for each in by_hz.values()]
+        axes.plot(list(by_hz), errors, label=name, ms=5, **_look(name).points)
     axes.set(xscale="log", yscale="log", xlabel="sample rate [Hz]", ylabel="mean absolute error [°]")
     axes.set_xticks(list(by_hz), [f"{rate:g}" for rate in by_hz])
     axes.minorticks_off()

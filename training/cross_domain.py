@@ -11,7 +11,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from rich.table import Column, Table
 
-from quadsim.dataset.figures import LINES, STYLE
+from estimators.appearance import looks
+from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure
 
 TRAIN, TEST = "(train)", "(test)"
@@ -75,22 +76,22 @@ def terminal_table(cells: Sequence[TableEntry]) -> Table:
 def plot(path: Path, scores: Sequence[Score]) -> None:
     """Every fold's error as a dot, one column for each entry of Table 1, with mean and standard deviation."""
     cells = table(scores)
-    models = list(dict.fromkeys(cell.model for cell in cells))
+    appearance = looks(cell.model for cell in cells)
     with rc_context(STYLE):
         figure = Figure(figsize=(1.6 + 0.75 * len(cells), 3.4), layout="constrained")
         axes = figure.subplots()
         for k, cell in enumerate(cells):
             key = cell.model, cell.trained_on, cell.tested_on
             errors = [s.error_deg for s in scores if (s.model, s.trained_on, s.tested_on) == key]
-            colour = LINES[1 + models.index(cell.model) % 2][0]
-            axes.plot(np.full(len(errors), k) + 0.16, errors, "o", ms=4, mfc="none", color=colour)
-            axes.errorbar(k - 0.12, cell.mean_deg, cell.sd_deg, fmt="s", ms=5, color=colour, capsize=3)
-        for model in models:
-            axes.plot([], [], "s", color=LINES[1 + models.index(model) % 2][0], label=model)
+            colour, _, marker = appearance[cell.model]
+            axes.plot(np.full(len(errors), k) + 0.16, errors, marker, ms=4, mfc="none", color=colour)
+            axes.errorbar(k - 0.12, cell.mean_deg, cell.sd_deg, fmt=marker, ms=5, color=colour, capsize=3)
+        for model, (colour, _, marker) in appearance.items():
+            axes.plot([], [], marker, color=colour, label=model)
         labels = [f"{cell.trained_on}\n{cell.tested_on}" for cell in cells]
         axes.set_xticks(range(len(cells)), labels, rotation=0 if len(cells) < 9 else 45)
         axes.set(ylabel="mean absolute error [°]", xlabel="trained on, and below it tested on")
         axes.set(ylim=(0, 1.15 * max(s.error_deg for s in scores)), xlim=(-0.6, len(cells) - 0.4))
         axes.grid(axis="x", visible=False)
-        axes.legend(title="folds (dots), mean ± SD")
+        axes.legend(title="folds (open), mean ± SD")
         save_figure(path, figure, dpi=150)

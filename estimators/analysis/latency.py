@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..appearance import look
 from ..networks.encoder import ENCODER, scaled_inputs
 from ..networks.forward import Weights
 from ..networks.network import real_weights, roll_pitch_of_outputs
@@ -24,6 +26,8 @@ CALLS = 100
 """In a turn."""
 PAPER_US = {"Loihi (the chip)": 10.0, "SNN, PyTorch": 555.0, "GRU, PyTorch": 150.0}
 """What the paper measured, on other hardware [µs]."""
+PYTORCH = {"SNN, plain PyTorch": "att-snn", "GRU, PyTorch": "att-rnn"}
+"""What is timed beside the estimators, and which of them it computes."""
 
 Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
 
@@ -94,7 +98,7 @@ def contenders() -> dict[str, Update]:
     found: dict[str, Update] = {
         name: create(name, RATE_HZ, vehicle="hummingbird").update for name in names() if name != "truth"
     }
-    return found | {"SNN, plain PyTorch": TorchSNN().update, "GRU, PyTorch": TorchGRU().update}
+    return found | dict(zip(PYTORCH, (TorchSNN().update, TorchGRU().update), strict=True))
 
 
 def measure(updates: Mapping[str, Update], rounds: int) -> dict[str, NDArray[np.float64]]:
@@ -115,3 +119,10 @@ def measure(updates: Mapping[str, Update], rounds: int) -> dict[str, NDArray[np.
                 if turn > 0:
                     taken[name].append(end - begin)
     return {name: np.array(each) / 1e3 for name, each in taken.items()}
+
+
+def point(name: str) -> dict[str, Any]:
+    """Keywords of matplotlib's `plot` for a contender's time: hollow for PyTorch's and for a part of one."""
+    estimator = PYTORCH.get(name, name.split(",")[0])
+    colour, _, marker = look(estimator)
+    return {"color": colour, "marker": marker, "mfc": colour if estimator == name else "white"}

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from ..appearance import looks
 from .comparison import BLOCK_S, SETTLED_DEG, TILTS_DEG, Evaluation
 
 COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
@@ -14,8 +15,6 @@ PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
 MOST_BANDS = 6
 """Lines that may have a band; more bands hide the lines."""
-STYLES = ("-", "--", ":")
-"""The colours of a line come again after ten, with the next style."""
 
 
 def violins(evaluation: Evaluation) -> Figure:
@@ -49,14 +48,12 @@ def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots()
     names = _shown(name for name, start in evaluation.over_time if start == initial)
-    for k, name in enumerate(names):
+    for name, look in looks(names).items():
         error = evaluation.over_time[name, initial]
         low, middle, high = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
-        (line,) = axes.plot(
-            evaluation.time_s, middle, label=name, color=f"C{k % 10}", linestyle=STYLES[k // 10]
-        )
+        axes.plot(evaluation.time_s, middle, label=name, **look.line)
         if len(names) <= MOST_BANDS:
-            axes.fill_between(evaluation.time_s, low, high, color=line.get_color(), alpha=0.12, linewidth=0.0)
+            axes.fill_between(evaluation.time_s, low, high, color=look.colour, alpha=0.12, linewidth=0.0)
     _finish(axes, f"absolute error, {initial} start [°]")
     return figure
 
@@ -66,10 +63,10 @@ def settling(evaluation: Evaluation) -> Figure:
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     panels = figure.subplots(1, len(TILTS_DEG), sharey=True)
     for axes, tilt in zip(panels, TILTS_DEG, strict=True):
-        for k, name in enumerate(_shown(name for name, start in evaluation.settling if start == tilt)):
+        names = _shown(name for name, start in evaluation.settling if start == tilt)
+        for name, look in looks(names).items():
             curve = evaluation.settling[name, tilt]
-            style = {"color": f"C{k % 10}", "linestyle": STYLES[k // 10], "linewidth": 1.0}
-            axes.plot((np.arange(curve.size) + 0.5) * BLOCK_S, curve, label=name, **style)
+            axes.plot((np.arange(curve.size) + 0.5) * BLOCK_S, curve, label=name, lw=1.2, **look.line)
         axes.axhline(SETTLED_DEG, color="black", linewidth=0.8, linestyle=":")
         axes.set_title(f"started in a tilt of {tilt:.0f}°")
         _finish(axes, "inclination error [°]", legend=tilt == TILTS_DEG[-1])

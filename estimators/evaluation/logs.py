@@ -17,6 +17,7 @@ from quadsim.estimator import AttitudeEstimator
 from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
 from quadsim.runs.files import write_csv
 
+from ..appearance import looks
 from ..metrics import absolute_error, inclination_error, share_without_number
 from ..registry import FILTERPY, names, needs_vehicle
 from ..running import run
@@ -218,12 +219,12 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
     for k, axes in enumerate((roll, pitch)):
         axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.0, label="truth")
         axes.set_ylabel(("roll, °", "pitch, °")[k])
-    for name in shown:
+    for name, look in looks(shown).items():
         estimate = scores.estimates[log, name]
         for k, axes in enumerate((roll, pitch)):
-            axes.plot(time[part], np.degrees(estimate[part, k]), lw=1.0, label=name)
+            axes.plot(time[part], np.degrees(estimate[part, k]), lw=1.0, label=name, **look.line)
         off = np.where(scores.counted[log], inclination_error(estimate, truth), np.nan)
-        error.plot(time[part], off[part], lw=1.0, label=name)
+        error.plot(time[part], off[part], lw=1.0, label=name, **look.line)
     error.set(ylabel="inclination error, °\nwhere it counts", xlabel="time, s")
     error.set_ylim(bottom=0)
     figure.suptitle(f"{log}, raw readings: truth and the best of the estimators", fontsize="medium")

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from estimators.appearance import looks
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
 from estimators.metrics import inclination_error
 from quadsim.runs.files import write_whole
@@ -46,7 +47,8 @@ def write_log_report(
     channels: list[NDArray[np.int16]] = []
     described = {str(log.attrs["source"]): _log(log, scores, channels) for log in logs}
     names = [name for name in scores.estimators if name != LEVEL]
-    data = {"estimators": sorted(names), "shown": names[:SHOWN], "logs": described}
+    appearance = {name: look._asdict() for name, look in looks(names).items()}
+    data = {"estimators": sorted(names), "looks": appearance, "shown": names[:SHOWN], "logs": described}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("scenarios", ""),
         autoescape=True,

@@ -6,9 +6,10 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
+from estimators.appearance import looks
+
 from ..bench.axes import ALL, Effect
 
-MARKERS = "osD^vPX<>*hp"
 COLUMNS = 2
 
 
@@ -16,21 +17,21 @@ def axes_figure(effects: Sequence[Effect]) -> Figure:
     """Interquartile mean errors with 95 % intervals at each level; open markers: some flights crashed."""
     shown = [each for each in effects if each.estimator != "truth" and each.axis != ALL]
     axes = list(dict.fromkeys(each.axis for each in shown))
-    names = list(dict.fromkeys(each.estimator for each in shown))
+    appearance = looks(each.estimator for each in shown)
     rows = -(-len(axes) // COLUMNS)
     figure = Figure(figsize=(11.0, 3.0 * rows + 0.6), layout="constrained")
     panels = figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel()
     for panel, axis in zip(panels, axes, strict=False):
         levels = list(dict.fromkeys(each.level for each in shown if each.axis == axis))
-        for k, name in enumerate(names):
+        for k, (name, look) in enumerate(appearance.items()):
             own = [each for each in shown if (each.axis, each.estimator) == (axis, name)]
-            place = np.arange(len(levels)) + 0.7 * ((k + 0.5) / len(names) - 0.5)
+            place = np.arange(len(levels)) + 0.7 * ((k + 0.5) / len(appearance) - 0.5)
             for x, each in zip(place, own, strict=True):
                 if each.error_deg is None or each.low is None or each.high is None:
                     continue
-                panel.plot([x, x], [each.low, each.high], color=f"C{k % 10}", linewidth=1.2)
+                panel.plot([x, x], [each.low, each.high], color=look.colour, linewidth=1.2)
                 panel.plot(
-                    x, each.error_deg, MARKERS[k % len(MARKERS)], color=f"C{k % 10}", markersize=5,
+                    x, each.error_deg, look.marker, color=look.colour, markersize=5,
                     markerfacecolor="white" if each.crashes else None,
                 )  # fmt: skip
         panel.set_xticks(range(len(levels)), [fill(level, 14) for level in levels], fontsize="small")
@@ -43,8 +44,8 @@ def axes_figure(effects: Sequence[Effect]) -> Figure:
         panel.set_visible(False)
     for panel in panels[::COLUMNS]:
         panel.set_ylabel("error [°]")
-    for k, name in enumerate(names):
-        panels[0].plot([], [], MARKERS[k % len(MARKERS)], color=f"C{k % 10}", label=name)
+    for name, look in appearance.items():
+        panels[0].plot([], [], look.marker, color=look.colour, label=name)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle("Interquartile mean error and 95 % interval; open markers: some flights crashed")

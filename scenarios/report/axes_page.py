@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from estimators.appearance import looks
 from quadsim.runs.files import write_whole
 from quadsim.runs.record import RunRecord
 
@@ -114,6 +115,7 @@ def _payload(results: Results, effects: Sequence[Effect], ranked: Sequence[str])
     data = {
         "estimators": [name for name in results.estimators if name in ranked],
         "ranked": [name for name in ranked if name != TRUTH],
+        "looks": {name: look._asdict() for name, look in looks(results.estimators).items()},
         "scenarios": [],
         "thresholds": THRESHOLDS.round(4).tolist(),
         "profiles": {name: each.round(4).tolist() for name, each in shares.items() if name != TRUTH},

@@ -13,6 +13,7 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 
+from estimators.appearance import Look, looks
 from quadsim.flight.faults import fault_spans
 from quadsim.runs.files import write_whole
 from quadsim.runs.record import RunRecord
@@ -100,7 +101,8 @@ def write_report(
     )
     ranked = [standing.estimator for standing in judged.standings]
     place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
-    names = results.estimators or [str(row.get("estimator")) for row in offline.rows]
+    recorded = [str(row.get("estimator")) for row in offline.rows]
+    names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
     flights = PageFlights.of(results, order)
     context = {
@@ -131,7 +133,7 @@ def write_report(
         "footer": footer or _footer(results),
         "provenance": about,
         "script": script("report/js/report.js"),
-        "payload": _payload(closed_loop, rows, names, order, ranked, flights),
+        "payload": _payload(closed_loop, rows, names, order, ranked, flights, looks([*names, *recorded])),
         "flights": compress_flights(flights.packed),
         **uplot(),
     }
@@ -243,11 +245,13 @@ def _payload(
     order: Sequence[str],
     ranked: Sequence[str],
     flights: PageFlights,
+    drawn: Mapping[str, Look],
 ) -> str:
     results = closed_loop.results
     low, high = ERROR_DECADES
     data: dict[str, object] = {
         "estimators": list(dict.fromkeys(names)),
+        "looks": {name: look._asdict() for name, look in drawn.items()},
         "ranked": list(ranked),
         "scenarios": list(results.scenarios),
         "shown": order[:SHOWN],

@@ -8,7 +8,7 @@ import pytest
 
 from quadsim.config.toml import preset_names
 from quadsim.flight.scenario import Scenario
-from quadsim.render import NO_OPENGL, Scene, View, film, quadrotor_geoms, still
+from quadsim.render import NO_OPENGL, WIND_SCALE, Marks, Scene, View, film, quadrotor_geoms, still
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import fly_cell
@@ -137,3 +137,42 @@ except RuntimeError as error:
     if code == "OK" and out.stdout.strip() == NO_OPENGL:
         pytest.skip("OSMesa is not installed")
     assert out.stdout.strip() == code
+
+
+def test_the_ghost_has_the_estimated_attitude_and_lets_the_vehicle_through():
+    estimate = quat_from_euler(0.5, -0.2, 0.0)
+    scene = Scene(VEHICLE, 2, 160, 90, ghost=True)
+    scene.draw(np.tile([0.0, 0.0, 1.0], (2, 1)), np.stack([LEVEL, estimate]), VIEW)
+    np.testing.assert_allclose(scene.data.body("quadrotor1").xquat, estimate, atol=1e-12)
+    own = [
+        scene.model.geom_rgba[scene.model.geom_bodyid == scene.model.body(f"quadrotor{k}").id] for k in (0, 1)
+    ]
+    assert (own[1][:, 3] < 0.5).all()
+    assert not (own[0][:, 3] == own[1][0, 3]).any()
+    scene.close()
+
+
+def test_the_arrow_points_where_the_wind_blows_to():
+    wind = np.array([3.0, -4.0, 0.0])
+    scene = Scene(VEHICLE, 1, 160, 90)
+    scene.draw((0, 0, 1), LEVEL, VIEW, target=(1, 0, 1), wind=wind)
+    ball, arrow = (scene._scene.geoms[scene._scene.ngeom - k] for k in (2, 1))
+    np.testing.assert_allclose(ball.pos, (1, 0, 1), atol=1e-6)
+    np.testing.assert_allclose(arrow.mat[:, 2], wind / 5.0, atol=1e-6)
+    assert arrow.size[2] == pytest.approx(WIND_SCALE * 5.0, rel=1e-5)
+    drawn = scene._scene.ngeom
+    scene.draw((0, 0, 1), LEVEL, VIEW, target=(1, 0, 1), wind=np.zeros(3))
+    assert scene._scene.ngeom == drawn - 1  # no arrow in calm air
+    scene.close()
+
+
+def test_a_film_with_marks_plays_in_real_time(tmp_path):
+    time = np.arange(100) / 50.0
+    level, place = np.tile(LEVEL, (100, 1)), np.tile([0.0, 0.0, 1.0], (100, 1))
+    tilted = quat_from_euler(np.full(100, np.radians(30.0)), np.zeros(100), np.zeros(100))
+    marks = Marks(tilted, place, np.tile([2.0, 0.0, 0.0], (100, 1)))
+    assert "30.0 deg" in marks.text(5, 0.1, LEVEL)[1]
+    path = film(tmp_path / "a.mp4", VEHICLE, time, place, level, width=160, height=96, marks=marks)
+    about = imageio.immeta(path)
+    assert about["fps"] == 25.0
+    assert about["duration"] == pytest.approx(2.0, abs=0.05)

@@ -10,6 +10,7 @@ import pytest
 from accessibility import findings
 
 import estimators
+from estimators.appearance import look
 from quadsim.flight.faults import GyroBiasStep
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario, Start
@@ -105,6 +106,15 @@ def test_fewest_crashes_win_then_the_smallest_error():
     )
     without_x = verdict([each for each in rows if each.estimator != "x"])
     assert without_x.headline == "Fly z: no crash in 10 flights, and the smallest error, 1.00°."
+
+
+def test_one_estimator_is_described_and_not_compared():
+    rows = [row("a", "truth", error=0.0), row("a", "x", 2, 1.0), row("b", "x", error=2.0)]
+    result = verdict(rows)
+    assert result.headline == "x: crashed in 2 of 20 flights, error 1.50°."
+    assert "Its worst scenario is a, 2 of 10 crashed, 1.00°." in result.lines
+    assert verdict(rows[2:]).headline == "x: no crash in 10 flights, error 2.00°."
+    assert verdict(rows[2:]).lines == []
 
 
 def test_where_all_crash_the_verdict_says_so():
@@ -489,6 +499,14 @@ def test_everyone_can_use_the_page(page):
     for _ in ("light", "dark"):
         assert findings(page) == []
         page.locator("#theme").click()
+
+
+@pytest.mark.parametrize("place", ["#chips button", "#map tbody th"])
+def test_an_estimator_has_its_look_in_the_page(page, place):
+    for name in ("truth", "mahony", "ekf"):
+        path = page.locator(place, has_text=re.compile(f"^{name}$")).locator("path").first
+        assert path.get_attribute("fill") == look(name).colour
+        assert path.get_attribute("d") == page.evaluate("(marker) => MARKERS[marker]", look(name).marker)
 
 
 HOSTILE = (

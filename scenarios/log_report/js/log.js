@@ -1,13 +1,12 @@
 /* Stacked traces of a log on one time axis. */
 import { $, all, css, node } from "../../report/js/dom.js";
+import { dashes, legendKey, paint } from "../../report/js/markers.js";
 import { addPanel, AXES, line, pointAt, shade } from "../../report/js/panels.js";
-import { COLOURS, DASHES } from "../../report/js/palette.js";
 import { makeSortable } from "../../report/js/tables.js";
 
 const data = JSON.parse($("data").textContent);
 const MISSING = -32768, PLOTS = [];
-const colour = (name) => COLOURS[data.estimators.indexOf(name) % COLOURS.length];
-const dash = (name) => DASHES[Math.floor(data.estimators.indexOf(name) / COLOURS.length) % DASHES.length];
+const MODELS = ["#0072b2", "#56b4e9", "#e69f00", "#009e73", "#7b5cd6"];
 const shown = new Set(data.shown);
 let log = data.logs[$("log").value];
 
@@ -41,11 +40,11 @@ function panels() {
     sensor("gyro", "°/s"), sensor("accel", "m/s²"), angle("roll"), angle("pitch"),
     { title: "inclination error [°]", lines: estimates("error"), low: 0 },
     ...(models.length ? [{ title: "probability of imm's models", low: 0, high: 1,
-      lines: models.map((name, k) => [name, line(name.slice(6), COLOURS[(k + 1) % COLOURS.length])]) }] : []),
+      lines: models.map((name, k) => [name, line(name.slice(6), MODELS[k % MODELS.length])]) }] : []),
   ];
 }
 const estimates = (kind) => data.estimators.filter((name) => shown.has(name) && `${kind}|${name}` in log.scales)
-  .map((name) => [`${kind}|${name}`, line(name, colour(name), { dash: dash(name) })]);
+  .map((name) => [`${kind}|${name}`, line(name, data.looks[name].colour, { dash: dashes(data.looks[name], 1.4) })]);
 
 function draw() {
   const before = PLOTS[0]?.scales.x, range = before && before.max > before.min ? [before.min, before.max] : null;
@@ -75,11 +74,9 @@ $("theme").onclick = () => {
   document.documentElement.dataset.theme = dark ? "light" : "dark";
   draw();
 };
-for (const dot of all(".dot")) dot.style.setProperty("--colour", colour(dot.dataset.estimator) ?? "#888");
+for (const dot of all(".dot")) paint(dot, data.looks[dot.dataset.estimator]);
 for (const name of data.estimators) {
-  const dot = node("i", { class: "dot" }), chip = node("button", { type: "button", "data-estimator": name }, dot, name);
-  dot.style.setProperty("--colour", colour(name));
-  chip.style.setProperty("--colour", colour(name));
+  const chip = node("button", { type: "button", "data-estimator": name }, legendKey(data.looks[name]), name);
   chip.onclick = () => { shown.has(name) ? shown.delete(name) : shown.add(name); draw(); };
   $("chips").append(chip);
 }

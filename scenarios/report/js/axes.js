@@ -41,7 +41,7 @@ function drawProfiles() {
   for (const name of data.ranked.filter((each) => !hidden.has(each))) {
     const points = data.profiles[name].map((share, k) => `${X(data.thresholds[k]).toFixed(1)},${Y(share).toFixed(1)}`);
     svg.append(node("g", { class: "curve", "data-estimator": name }, node("title", {}, name),
-      node("polyline", { points: points.join(" "), fill: "none", stroke: colour[name], "stroke-width": 2, "stroke-dasharray": (dash[name] ?? []).join(" ") })));
+      node("polyline", { points: points.join(" "), fill: "none", stroke: colour[name], "stroke-width": 2, "stroke-dasharray": dash[name].join(" ") })));
   }
 }
 
@@ -85,7 +85,6 @@ for (const name of data.ranked) {
   const chip = document.createElement("button");
   chip.type = "button";
   chip.append(dotOf(name), name);
-  chip.style.setProperty("--colour", colour[name]);
   chip.dataset.estimator = name;
   chip.onclick = () => { hidden.has(name) ? hidden.delete(name) : hidden.add(name); redraw(); };
   $("chips").append(chip);

@@ -2,6 +2,7 @@
 import { ticks } from "./canvas.js";
 import { cell, colour, data } from "./data.js";
 import { $, all, css, node } from "./dom.js";
+import { markerPath } from "./markers.js";
 
 /** Every chart: drawn at first, and again when a choice, the size or the theme changes. */
 export const CHARTS = [drawMap, drawViolins, drawForest];
@@ -81,7 +82,7 @@ function drawForest() {
     const row = node("g", {}, ...label(name, left - 12, y + 4));
     if (mean !== null) {
       if (low !== null) row.append(node("line", { x1: X(low), x2: X(high), y1: y, y2: y, stroke: colour[name], "stroke-width": 3, "stroke-linecap": "round" }));
-      row.append(node("circle", { cx: X(mean), cy: y, r: 5, fill: colour[name] }));
+      row.append(markerPath(data.looks[name], X(mean), y, 5));
     }
     const text = mean === null ? "no flight that both flew" : `${mean > 0 ? "+" : ""}${mean.toFixed(2)}` + (low === null ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)})`);
     const crashes = only || other ? `, ✕ ${only} : ${other}` : "";

@@ -1,6 +1,6 @@
-/* The results in the page, what of them is shown, and the colours of the estimators. */
-import { all, node } from "./dom.js";
-import { COLOURS, DASHES } from "./palette.js";
+/* The results in the page, what of them is shown, and the looks of the estimators. */
+import { all } from "./dom.js";
+import { dashes, legendKey, paint } from "./markers.js";
 
 export const data = JSON.parse(document.getElementById("data").textContent);
 export const cell = (scenario, estimator) => data.cells[scenario + "|" + estimator];
@@ -13,10 +13,10 @@ export function setTime(time, source = null) {
   for (const show of timeListeners) show();
 }
 
-export const colour = Object.fromEntries(data.estimators.map((name, i) => [name, COLOURS[i % COLOURS.length]]));
-export const dash = Object.fromEntries(data.estimators.map((name, i) => [name, DASHES[Math.floor(i / COLOURS.length) % DASHES.length]]));
-for (const dot of all(".dot")) dot.style.setProperty("--colour", colour[dot.dataset.estimator] ?? "#888");
-export const dotOf = (name) => { const dot = node("i", { class: "dot" }); dot.style.setProperty("--colour", colour[name]); return dot; };
+export const colour = Object.fromEntries(Object.entries(data.looks).map(([name, look]) => [name, look.colour]));
+export const dash = Object.fromEntries(Object.entries(data.looks).map(([name, look]) => [name, dashes(look, 1.5)]));
+for (const dot of all(".dot")) paint(dot, data.looks[dot.dataset.estimator]);
+export const dotOf = (name) => legendKey(data.looks[name]);
 
 /* Flights in time are 16-bit integers times a scale, one channel of one cell after the other, then those that are the
    same with every estimator of a scenario. The page holds their

@@ -1,6 +1,6 @@
 /* The entry: what the controls do. */
 import { CHARTS } from "./charts.js";
-import { colour, data, dotOf, state, timeListeners, unpack } from "./data.js";
+import { data, dotOf, state, timeListeners, unpack } from "./data.js";
 import { $, all } from "./dom.js";
 import { QUANTITIES } from "./quantities.js";
 import { drawStage, player, turnable } from "./stage.js";
@@ -20,7 +20,6 @@ function closedLoop() {
     const chip = document.createElement("button");
     chip.type = "button";
     chip.append(dotOf(name), name);
-    chip.style.setProperty("--colour", colour[name]);
     chip.onclick = () => { state.shown.has(name) ? state.shown.delete(name) : state.shown.add(name); redraw(); };
     chip.dataset.estimator = name;
     $("chips").append(chip);

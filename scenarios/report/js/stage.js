@@ -2,6 +2,7 @@
 import { prepare, rule } from "./canvas.js";
 import { colour, data, flights, setTime, state } from "./data.js";
 import { $, css } from "./dom.js";
+import { drawMarker } from "./markers.js";
 import { inclination, RAD, windy } from "./quantities.js";
 
 const camera = { azimuth: -0.9, elevation: 0.42, zoom: 1 };
@@ -76,7 +77,7 @@ export function drawStage() {
   if (inside) closeUp(...inside);
   pen.textAlign = "left"; pen.textBaseline = "middle";
   crew.forEach(([name, s], i) => {
-    pen.fillStyle = colour[name]; pen.fillRect(10, 13 + 18 * i, 10, 10);
+    drawMarker(pen, data.looks[name], 15, 18 + 18 * i, 5);
     const off = name === state.inside ? `, estimate ${errors(s)[Math.min(k, s.x.length - 1)].toFixed(1)}° off` : "";
     pen.fillStyle = css("--ink"); pen.fillText(name + off + (k > s.x.length - 1 ? "  ✕ crashed" : ""), 27, 18.5 + 18 * i);
   });
