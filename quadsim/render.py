@@ -349,7 +349,7 @@ def film(
             if marks is None:
                 image = scene.draw(p[k], q[k], view, trail)
             else:
-                shown = marks.target[k], marks.wind[k], marks.text(k, t[k], q[k])
+                shown = marks.target[k], marks.wind[k], marks.text(k, float(t[k]), q[k])
                 image = scene.draw(p[[k, k]], np.stack([q[k], marks.estimate[k]]), view, trail, *shown)
             video.append_data(image)  # pyright: ignore[reportAttributeAccessIssue]
     return Path(path)
