@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib
 import numpy as np
@@ -37,7 +38,7 @@ from scenarios.bench.linear_bound import least_error
 from scenarios.bench.pairs import ALL, paired_differences
 from scenarios.bench.runner import Results, bench, suite_digest
 from scenarios.bench.settings import FlightSettings, ScenarioChanges
-from scenarios.bench.verdict import TRUTH, total, verdict
+from scenarios.bench.verdict import TRUTH, conditions, total, verdict
 from scenarios.demo import SLOW
 from scenarios.report.publish import publish
 
@@ -295,6 +296,7 @@ def main() -> None:
     page.write(
         {
             "verdict": verdict(results.rows).headline,
+            "conditions": fill(conditions(results.scenarios), 125),
             "suite": suite_text(results, minutes),
             "seeds": str(SEEDS),
             "breaking_seeds": str(BREAKING_SEEDS),
