@@ -68,7 +68,7 @@ def golden_rows() -> list[str]:
     return rows
 
 
-IN_NORSE = "att-snn-hummingbird"
+IN_NORSE = "att-snn-paper"
 """Norse reads no after-spike currents."""
 
 

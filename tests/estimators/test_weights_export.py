@@ -3,6 +3,7 @@
 import importlib
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -136,9 +137,11 @@ def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path, monkeypatch):
     monkeypatch.setattr(reader, "_to_tensor", lambda x: torch.as_tensor(x, dtype=torch.float64))
     gyro, accel = readings(600)
     rates = []
-    for weights_name in ("att-snn-hummingbird", "att-snn-paper"):  # it reads no after-spike currents
-        config, tensors = shipped_network(weights_name)
-        graph = nir.read(export_weights(weights_name, tmp_path / f"{weights_name}.nir", "nir"))
+    own = NetworkConfig(model="att-snn", encoding=40, hidden=40, outputs="up", output_scale=1 / 256)
+    save_network(tmp_path / "own.safetensors", own, random_snn(own, 1))
+    for weights in ("att-snn-paper", tmp_path / "own.safetensors"):  # it reads no after-spike currents
+        config, tensors = load_network(weights)
+        graph = nir.read(export_weights(weights, tmp_path / f"{Path(weights).stem}.nir", "nir"))
         # Norse's reader leaves the leaky integrators out: the spikes are the graph's output here.
         spiking = ("input", "w_in", "encoding", "w_ff", "w_rec", "hidden")
         nodes = {name: graph.nodes[name] for name in spiking}
