@@ -222,6 +222,8 @@ def bench(
         )
     if held_out and (axes or scenario or seed):
         raise ValueError("--held-out has its own scenarios and seed: leave --axes, --scenario and --seed out")
+    if (axes or held_out) and set(names) == {"truth"}:
+        raise ValueError("--axes and --held-out compare estimators: give one besides truth")
     changes = ScenarioChanges(duration, vehicle, imu, external, engine)
     combinations, flown = [], scenario or scenario_names()
     if axes:
