@@ -78,10 +78,10 @@ Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.
 def warn_of(results: Results) -> None:
     """Warn of filters tuned for another vehicle or IMU, and of faults that never came."""
     late = [
-        f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {fault.at_s:g} s"
+        f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {start:g} s"
         for name, scenario in results.scenarios.items()
         for fault in scenario.faults
-        if hasattr(fault, "at_s") and fault.at_s >= scenario.duration_s
+        if (start := getattr(fault, "at_s", 0.0)) >= scenario.duration_s
     ]
     for line in [*results.warnings, *late]:
         output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
