@@ -68,7 +68,7 @@ def standing_rows(found: Sequence[Effect]) -> list[str]:
 def _error(each: Effect) -> str:
     if each.error_deg is None:
         return "–"
-    return f"{each.error_deg:.2f} ({each.low:.2f}–{each.high:.2f})"
+    return f"{each.error_deg:.2f}" + ("" if each.low is None else f" ({each.low:.2f}–{each.high:.2f})")
 
 
 def level_rows(found: Sequence[Effect], axis: str) -> list[str]:

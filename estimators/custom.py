@@ -19,12 +19,14 @@ def own(name: str, rate_hz: float) -> AttitudeEstimator:
     module, _, attribute = name.partition(":")
     try:
         made = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise ValueError(f"{name} is no module:Class: {error}") from error
+    except Exception as error:  # whatever a user's module does
+        raise ValueError(f"{name} is no module:Class: {type(error).__name__}: {error}") from error
     try:
-        return tried(name, made(rate_hz))
-    except TypeError as error:
-        raise ValueError(f"{name} is made with one argument, rate_hz: {error}") from error
+        est = made(rate_hz)
+    except Exception as error:  # and its class
+        kind = "" if isinstance(error, TypeError) else f"{type(error).__name__}: "
+        raise ValueError(f"{name} is made with one argument, rate_hz: {kind}{error}") from error
+    return tried(name, est)
 
 
 def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
@@ -35,6 +37,8 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
     """
     if missing := [each for each in ("reset", "update") if not callable(getattr(est, each, None))]:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
+    if not hasattr(est, "rate_hz"):
+        raise ValueError(f"{name} has no attribute rate_hz, the samples per second that it is made with")
     try:
         est.reset(n=2, roll_pitch=None)
         result = np.asarray(est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1))), np.float64)

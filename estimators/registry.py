@@ -206,7 +206,8 @@ def parameter_matrix(
 
 def _known(name: str) -> None:
     if name not in names():
-        raise ValueError(f'unknown estimator "{name}"; {nearest(name, names())}')
+        known = dict.fromkeys([*names(), *shipped_names()])
+        raise ValueError(f'unknown estimator "{name}"; {nearest(name, known)}')
 
 
 def _values(

@@ -15,7 +15,6 @@ import time as clock
 import warnings
 from contextlib import closing
 from importlib import resources
-from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import mujoco
@@ -48,22 +47,6 @@ class View(NamedTuple):
     distance: float = 1.3  #: [m]
     azimuth: float = 145.0  #: direction of view about z [deg]; 0 looks along +x
     elevation: float = -22.0  #: [deg]; negative looks down
-
-
-class Marks(NamedTuple):
-    """What a film shows beside the vehicle, sample by sample."""
-
-    estimate: NDArray[np.float64]  #: (T, 4) estimated quat_WB, of a translucent second body
-    target: NDArray[np.float64]  #: (T, 3) set-point [m]
-    wind: NDArray[np.float64]  #: (T, 3) wind at the vehicle, world axes [m/s]
-
-    def text(self, k: int, time: float, quat: ArrayLike) -> tuple[str, str]:
-        """Words of sample k, and their values: clock, error of the estimate, wind."""
-        error = 2 * np.arccos(min(abs(float(np.dot(self.estimate[k], np.asarray(quat)))), 1.0))
-        speed = float(np.linalg.norm(self.wind[k]))
-        said = {"time": f"{time:.1f} s", "estimate (blue) off by": f"{np.degrees(error):.1f} deg"}
-        said |= {"wind (violet)": f"{speed:.1f} m/s", "set-point": "green"}
-        return "\n".join(said), "\n".join(said.values())
 
 
 class Scene:
@@ -303,58 +286,6 @@ def still(
         return scene.draw(places, quat, view, trail)
 
 
-def film(
-    path: str | Path,
-    vehicle: Vehicle,
-    time: ArrayLike,
-    position: ArrayLike,
-    quat: ArrayLike,
-    fps: float = 25.0,
-    width: int = 960,
-    height: int = 540,
-    marks: Marks | None = None,
-) -> Path:
-    """Write a video of a flight in real time; the camera follows, and the last two seconds leave a trail.
-
-    Args:
-        path: File to write, `.mp4`.
-        vehicle: Airframe.
-        time: (T,) [s].
-        position: (T, 3) [m].
-        quat: (T, 4) quat_WB.
-        fps: Frames per second.
-        width: Width of the video [px].
-        height: Height of the video [px].
-        marks: What to show of estimate, set-point and wind, with a clock.
-
-    Raises:
-        RuntimeError: If neither EGL nor OSMesa works here.
-        ValueError: If the flight has no two samples.
-    """
-    import imageio.v2 as imageio
-
-    t, p, q = (np.asarray(each, dtype=np.float64) for each in (time, position, quat))
-    if t.ndim != 1 or t.size < 2:
-        raise ValueError(f"time has shape {t.shape}; a film needs a flight of at least two samples")
-    frames = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / fps))
-    targets = _smooth(p, seconds=0.12, dt=float(t[1] - t[0]))
-    tail = max(round(2.0 / (t[1] - t[0])), 40)
-    with (
-        closing(Scene(vehicle, 2 if marks else 1, width, height, ghost=bool(marks))) as scene,
-        imageio.get_writer(path, fps=fps, macro_block_size=2, quality=7) as video,
-    ):
-        for k in frames:
-            view = View(tuple(targets[k]), distance=2.0, elevation=-18.0)
-            trail = p[max(k - tail, 0) : k + 1 : tail // 40]
-            if marks is None:
-                image = scene.draw(p[k], q[k], view, trail)
-            else:
-                shown = marks.target[k], marks.wind[k], marks.text(k, float(t[k]), q[k])
-                image = scene.draw(p[[k, k]], np.stack([q[k], marks.estimate[k]]), view, trail, *shown)
-            video.append_data(image)  # pyright: ignore[reportAttributeAccessIssue]
-    return Path(path)
-
-
 def scene_model(vehicle: Vehicle, copies: int, width: int, height: int, samples: int) -> mujoco.MjModel:
     """The scene with quadrotors that can be placed anywhere (mocap bodies); samples: for each pixel."""
     spec = mujoco.MjSpec.from_string((resources.files("assets") / "scene.xml").read_text(encoding="utf-8"))
@@ -448,17 +379,6 @@ def _rotor(
         blade["pos"] = [x + 0.5 * radius * np.cos(angle), y + 0.5 * radius * np.sin(angle), z]
         shapes.append(blade)
     return shapes
-
-
-def _smooth(points: NDArray[np.float64], seconds: float, dt: float) -> NDArray[np.float64]:
-    """Low-pass without delay: a first-order filter forwards, then backwards."""
-    decay = np.exp(-dt / seconds)
-    out = points.copy()
-    for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
-        step = order.step
-        for k in order:
-            out[k] += decay * (out[k - step] - out[k])
-    return out
 
 
 class _Context(Protocol):

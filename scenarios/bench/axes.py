@@ -222,7 +222,8 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
             middle, low, high = None, None, None
             if known:
                 middle = float(interquartile_mean(np.concatenate(known)))
-                low, high = stratified_interval(known, interquartile_mean, seed)
+                if max(map(len, known)) > 1:  # one flight of each scenario says nothing of its scatter
+                    low, high = stratified_interval(known, interquartile_mean, seed)
             rows.append(
                 Effect(
                     axis, level, estimator, len(flights), crashes, *wilson(crashes, len(flights)),

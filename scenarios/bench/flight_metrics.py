@@ -5,6 +5,7 @@ crash. Samples after it are not counted.
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
@@ -179,17 +180,18 @@ def flight_metrics(
     inclination = inclination_error(estimate, truth)
     distance = np.linalg.norm(valid["position"] - valid["target"], axis=-1)
     power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(valid["rotor_vel"] ** 3, axis=-1)
-    return FlightMetrics(
-        error_deg=attitude_error(estimate, truth).sequences,
-        inclination_deg=_rms(inclination),
-        attitude_deg=np.degrees(_rms(valid["tracking"])),
-        position_m=_rms(distance),
-        worst_tilt_deg=np.degrees(np.nanmax(valid["tilt"], axis=1)),
-        converge_s=convergence_time(inclination, rate_hz),
-        recover_s=recovery_time(distance, end == log.shape[1], rate_hz),
-        power_w=np.nanmean(power, axis=1),
-        jitter=_rms(valid["command_change"]),
-    )
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of flights without a number
+        return FlightMetrics(
+            error_deg=attitude_error(estimate, truth).sequences,
+            inclination_deg=_rms(inclination),
+            attitude_deg=np.degrees(_rms(valid["tracking"])),
+            position_m=_rms(distance),
+            worst_tilt_deg=np.degrees(np.nanmax(valid["tilt"], axis=1)),
+            converge_s=convergence_time(inclination, rate_hz),
+            recover_s=recovery_time(distance, end == log.shape[1], rate_hz),
+            power_w=np.nanmean(power, axis=1),
+            jitter=_rms(valid["command_change"]),
+        )
 
 
 def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:

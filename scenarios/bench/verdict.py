@@ -40,7 +40,7 @@ class Total(NamedTuple):
 
     flights: int
     crashes: int
-    error: float  #: mean over scenarios of the estimation error [deg]
+    error: float  #: mean over scenarios of the estimation error [deg]; infinite where none was measured
     attitude: float  #: mean over scenarios of the attitude tracking [deg]
     failed: int  #: cells that did not run
 
@@ -151,29 +151,34 @@ def total(rows: Sequence[CellRow]) -> Total:
     """Add up an estimator's rows."""
     simulated = [row for row in rows if not row.reason]
     error, attitude = (
-        float(np.mean([v for row in simulated if (v := getattr(row, key)) is not None] or [0.0]))
-        for key in ("error_deg", "attitude_deg")
+        float(np.mean([v for row in simulated if (v := getattr(row, key)) is not None] or [without]))
+        for key, without in (("error_deg", np.inf), ("attitude_deg", 0.0))
     )
     flights, crashes = (sum(getattr(row, key) or 0 for row in simulated) for key in ("flights", "crashes"))
     return Total(flights, crashes, error, attitude, len(rows) - len(simulated))
 
 
+def shown(error_deg: float) -> str:
+    """An error in words; an infinite one is none at all."""
+    return f"{error_deg:.2f}°" if np.isfinite(error_deg) else "not measured"
+
+
 def _alone(name: str, own: Total) -> str:
     """What happened, where there is nothing to compare with."""
     if own.flights == 1:
-        return f"{name} {'crashed' if own.crashes else 'did not crash'}: error {own.error:.2f}°."
+        return f"{name} {'crashed' if own.crashes else 'did not crash'}: error {shown(own.error)}."
     crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
-    return f"{name}: {crashes} {own.flights} flights, error {own.error:.2f}°."
+    return f"{name}: {crashes} {own.flights} flights, error {shown(own.error)}."
 
 
 def _headline(name: str, best: Total, least: float) -> str:
     """The best estimator; `least` is the smallest error of any, which may be of one that crashed."""
     if best.crashes:
         crashes = f"in {best.crashes} of {best.flights} flights"
-        return f"Fly {name}: it crashed least, {crashes}, with an error of {best.error:.2f}°."
+        return f"Fly {name}: it crashed least, {crashes}, with an error of {shown(best.error)}."
     flights = f"{best.flights} flight{'s' if best.flights > 1 else ''}"
     of_those = "" if round(best.error, 3) <= least else " of those without one"
-    return f"Fly {name}: no crash in {flights}, and the smallest error{of_those}, {best.error:.2f}°."
+    return f"Fly {name}: no crash in {flights}, and the smallest error{of_those}, {shown(best.error)}."
 
 
 def _tie(names: Sequence[str], totals: Mapping[str, Total]) -> str:
@@ -182,8 +187,8 @@ def _tie(names: Sequence[str], totals: Mapping[str, Total]) -> str:
     others = names[1] if len(names) == 2 else f"one of {len(names) - 1} others"
     crashes = f"{best.crashes} of {best.flights} flights crashed" if best.crashes else "no crash"
     return (
-        f"Fly {names[0]} or {others}: {crashes} with each, and errors of {min(errors):.2f}° to "
-        f"{max(errors):.2f}° that do not differ significantly."
+        f"Fly {names[0]} or {others}: {crashes} with each, and errors of {shown(min(errors))} to "
+        f"{shown(max(errors))} that do not differ significantly."
     )
 
 
@@ -206,11 +211,11 @@ def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow]) -> str:
 def described(row: CellRow) -> str:
     """A scenario with its crashes and error: "storm, 2 of 10 crashed, 3.10°"."""
     crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
-    return f"{row.scenario}, {crashes}" + ("no error" if row.error_deg is None else f"{row.error_deg:.2f}°")
+    return f"{row.scenario}, {crashes}{shown(np.inf if row.error_deg is None else row.error_deg)}"
 
 
 def _loss(row: CellRow) -> tuple[float, float]:
-    return row.crash_rate or 0.0, round(row.error_deg or 0.0, 3)
+    return row.crash_rate or 0.0, np.inf if row.error_deg is None else round(row.error_deg, 3)
 
 
 def _drag(scenario: Scenario) -> str:
@@ -247,7 +252,7 @@ def _is_tied(best: str, other: str, pairs: Sequence[PairRow]) -> bool:
 
 def _sentence(name: str, each: Total, truth: Total | None) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
-    text = f"{name}: {crashes} in {each.flights} flights, error {each.error:.2f}°"
+    text = f"{name}: {crashes} in {each.flights} flights, error {shown(each.error)}"
     if truth and truth.attitude > 0:
         ratio = each.attitude / truth.attitude
         text += f", attitude tracking error {ratio:.2f} × that with the true attitude"
@@ -260,7 +265,7 @@ def _standing(name: str, each: Total, rows: Sequence[CellRow]) -> Standing:
     if not each.flights:
         return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
-    text += " · the reference" if name == TRUTH else f" · error {each.error:.2f}°"
+    text += " · the reference" if name == TRUTH else f" · error {shown(each.error)}"
     worst = worst_row(rows, name)
     several = len({row.scenario for row in rows}) > 1
     if several and worst and worst.error_deg is not None and not crashed and name != TRUTH:

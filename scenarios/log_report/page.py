@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import jinja2
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from estimators.metrics import inclination_error
 from quadsim.runs.files import write_whole
 
 from ..report.page import script, uplot
+from ..report.template import render
 from .verdict import log_verdict
 
 Array = NDArray[np.float64]
@@ -49,14 +49,10 @@ def write_log_report(
     names = [name for name in scores.estimators if name != LEVEL]
     appearance = {name: look._asdict() for name, look in looks(names).items()}
     data = {"estimators": sorted(names), "looks": appearance, "shown": names[:SHOWN], "logs": described}
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("scenarios", ""),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template("log_report/log.html").render(
+    page = render(
+        "log_report/log.html",
+        title="Attitude estimators on recorded logs",
+        kicker="recorded logs",
         verdict=log_verdict(scores),
         warnings=warnings,
         logs=list(described),

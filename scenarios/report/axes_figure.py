@@ -27,9 +27,10 @@ def axes_figure(effects: Sequence[Effect]) -> Figure:
             own = [each for each in shown if (each.axis, each.estimator) == (axis, name)]
             place = np.arange(len(levels)) + 0.7 * ((k + 0.5) / len(appearance) - 0.5)
             for x, each in zip(place, own, strict=True):
-                if each.error_deg is None or each.low is None or each.high is None:
+                if each.error_deg is None:
                     continue
-                panel.plot([x, x], [each.low, each.high], color=look.colour, linewidth=1.2)
+                if each.low is not None and each.high is not None:
+                    panel.plot([x, x], [each.low, each.high], color=look.colour, linewidth=1.2)
                 panel.plot(
                     x, each.error_deg, look.marker, color=look.colour, markersize=5,
                     markerfacecolor="white" if each.crashes else None,

@@ -64,8 +64,9 @@ def write_axes_report(
     return write_whole(
         Path(path).expanduser(),
         render(
-            "axes.html",
+            "report/axes.html",
             title=title,
+            kicker=f"closed loop, {len(combinations)} combinations of conditions",
             headline=headline(choices(combinations, results)),
             advice=[line.split(": ", 1) for line in advice(combinations, results)],
             same=shown_once(results)[1],
@@ -98,6 +99,8 @@ def _axes(effects: Sequence[Effect], names: Sequence[str]) -> list[dict[str, obj
     found = {(each.axis, each.level, each.estimator): each for each in shown}
 
     def cell(each: Effect) -> dict[str, object]:
+        if each.error_deg is None:  # every flight crashed
+            return {"effect": each, "shade": 1.0}
         shade = (math.log(each.error_deg) - low) / (high - low) if each.error_deg and high > low else 0.0
         return {"effect": each, "shade": shade}
 

@@ -107,6 +107,7 @@ def write_report(
     flights = PageFlights.of(results, order)
     context = {
         "title": title,
+        "kicker": "closed loop" if rows else "recorded flights",
         "verdict": judged,
         "same": same,
         "warnings": results.warnings,
@@ -137,7 +138,7 @@ def write_report(
         "flights": compress_flights(flights.packed),
         **uplot(),
     }
-    return write_whole(Path(path).expanduser(), render("report.html", **context))
+    return write_whole(Path(path).expanduser(), render("report/report.html", **context))
 
 
 def _once(section: ClosedLoopSection, focus: str) -> tuple[ClosedLoopSection, str, str]:

@@ -4,9 +4,9 @@ import jinja2
 
 
 def render(name: str, **context: object) -> str:
-    """A page from a template of this folder; what is undefined is an error, and every name is escaped."""
+    """A page from a template below `scenarios/`; what is undefined is an error, and every name is escaped."""
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("scenarios.report", ""),
+        loader=jinja2.PackageLoader("scenarios", ""),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -16,7 +16,7 @@ from ..bench.breaking import BreakingPoint
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
 from ..bench.runner import Results, shown_once
-from ..bench.verdict import TRUTH, totals_of, verdict, worst_row
+from ..bench.verdict import TRUTH, shown, totals_of, verdict, worst_row
 
 MOST_COLUMNS = 6
 """Scenarios that have a column of their own."""
@@ -60,7 +60,9 @@ def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
             rows.append((name, place, Text("did not run", style="red"), "", "", ""))
             continue
         crashes = Text(f"{whole.crashes}/{whole.flights}", style="red" if whole.crashes else "")
-        rows.append((name, place, f"{whole.error:.2f}", crashes, worst.scenario, _entry(worst)))
+        rows.append(
+            (name, place, shown(whole.error).removesuffix("°"), crashes, worst.scenario, _entry(worst))
+        )
     columns = ["rank", "mean", "crashes", "worst scenario", "there"]
     title = (
         f"In closed loop, {len(results.scenarios)} scenarios: error of roll and pitch, °; ✕ crashed flights"

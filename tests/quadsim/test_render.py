@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from quadsim.config.toml import preset_names
+from quadsim.film import Marks, film
 from quadsim.flight.scenario import Scenario
-from quadsim.render import NO_OPENGL, WIND_SCALE, Marks, Scene, View, film, quadrotor_geoms, still
+from quadsim.render import NO_OPENGL, WIND_SCALE, Scene, View, quadrotor_geoms, still
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import fly_cell

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from dataclasses import fields, replace
 
 import numpy as np
@@ -23,7 +22,6 @@ from scenarios.report.axes_page import write_axes_report
 from scenarios.report.publish import designed, publish, publish_axes
 from scenarios.report.terminal import axes_tables
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SEEDS = 6
 LEVELS = {axis: list(levels) for axis, levels in AXES.items()}
 COMBINATIONS = [
@@ -122,18 +120,6 @@ def test_nothing_flown_is_refused(tmp_path):
 
 
 # --- in a browser ---------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Debian's Chromium, without a screen."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no chromium: install Debian's package of that name")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield browser
-        browser.close()
 
 
 def opened(browser, path, width=1280):

@@ -2,7 +2,6 @@
 
 import math
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +15,6 @@ from quadsim.rotation import quat_from_roll_pitch
 from quadsim.vehicle import GRAVITY
 from scenarios.log_report.page import MOST_SAMPLES, write_log_report
 from scenarios.log_report.verdict import log_verdict
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 def log(name, bias=0.0, seconds=40.0):
@@ -86,22 +83,17 @@ def test_long_logs_are_decimated(tmp_path):
 
 
 @pytest.fixture(scope="module", params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])
-def page(request, report):
+def page(request, browser, report):
     """The report, open; errors are looked at afterwards."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no chromium: install Debian's package of that name")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        page = browser.new_page(viewport=dict(zip(("width", "height"), request.param, strict=True)))
-        noise = []
-        page.on("console", lambda message: noise.append(message.text))
-        page.on("pageerror", lambda error: noise.append(str(error)))
-        page.goto(report.as_uri())
-        page.wait_for_selector(".uplot")
-        yield page
-        assert noise == []
-        browser.close()
+    page = browser.new_page(viewport=dict(zip(("width", "height"), request.param, strict=True)))
+    noise = []
+    page.on("console", lambda message: noise.append(message.text))
+    page.on("pageerror", lambda error: noise.append(str(error)))
+    page.goto(report.as_uri())
+    page.wait_for_selector(".uplot")
+    yield page
+    assert noise == []
+    page.close()
 
 
 def test_traces_are_those_of_the_log(page, scored):

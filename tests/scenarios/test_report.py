@@ -1,7 +1,6 @@
 """The report, as text and in a browser."""
 
 import re
-import shutil
 from dataclasses import fields, replace
 from html.parser import HTMLParser
 
@@ -27,7 +26,6 @@ from scenarios.bench.verdict import offline_verdict, verdict
 from scenarios.report.flight_picture import Picture
 from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 OFFLINE = [
     {"estimator": "truth", "start": "known", "mean_deg": 0.0},
     {"estimator": "mahony", "start": "known", "mean_deg": 2.5},
@@ -42,7 +40,7 @@ def metrics(**known):
 def row(scenario, estimator, crashes=0, error=1.0, flights=10, reason=""):
     if reason:
         return CellRow(scenario, estimator, reason, *[None] * 5, **metrics())
-    numbers = metrics(error_deg=error, attitude_deg=2 * error)
+    numbers = metrics(error_deg=error, attitude_deg=None if error is None else 2 * error)
     return CellRow(scenario, estimator, "", flights, crashes, crashes / flights, 0.0, 1.0, **numbers)
 
 
@@ -115,6 +113,13 @@ def test_one_estimator_is_described_and_not_compared():
     assert "Its worst scenario is a, 2 of 10 crashed, 1.00°." in result.lines
     assert verdict(rows[2:]).headline == "x: no crash in 10 flights, error 2.00°."
     assert verdict(rows[2:]).lines == []
+
+
+def test_an_error_that_nobody_measured_is_none():
+    rows = [row("a", "x", 10, None), row("a", "y", 10, 9.0), row("a", "z", error=1.0)]
+    result = verdict(rows)
+    assert [each.estimator for each in result.standings] == ["z", "y", "x"]
+    assert result.standings[-1].text == "crashed in a (10 of 10) · error not measured"
 
 
 def test_where_all_crash_the_verdict_says_so():
@@ -260,18 +265,6 @@ def test_report_of_nothing_is_refused(tmp_path):
 
 
 # --- in a browser ---------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Debian's Chromium, without a screen."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no chromium: install Debian's package of that name")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])

@@ -6,7 +6,7 @@ import { themed } from "./theme.js";
 
 const hidden = new Set();
 /** Ends of all intervals: every axis has the same scale. */
-const ENDS = data.effects.flatMap(([, , , error, low, high]) => (error ? [error, low || error, high] : []));
+const ENDS = data.effects.flatMap(([, , , error, low, high]) => (error ? [error, low || error, high ?? error] : []));
 /** Leading digits of the marks of a logarithmic axis, from many to few. */
 const DIGITS = [[1, 2, 3, 5, 7], [1, 2, 5], [1, 3], [1]];
 
@@ -69,8 +69,8 @@ function drawEffects(place) {
     for (const [, level, , error, low, high, crashes] of found.filter((each) => each[2] === name)) {
       if (!error) continue;
       const k = levels.indexOf(level), y = top + 10 + step * k, stroke = colour[name];
-      svg.append(node("g", {}, node("title", {}, `${name}, ${level}: ${error.toFixed(2)}° (${low.toFixed(2)} to ${high.toFixed(2)})`),
-        node("line", { x1: X(low || error), x2: X(high), y1: y, y2: y, stroke, "stroke-width": 2 }),
+      svg.append(node("g", {}, node("title", {}, `${name}, ${level}: ${error.toFixed(2)}°` + (low === null ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)})`)),
+        ...(low === null ? [] : [node("line", { x1: X(low || error), x2: X(high), y1: y, y2: y, stroke, "stroke-width": 2 })]),
         marker(k, X(error), y, { fill: crashes ? "var(--card)" : stroke, stroke, "stroke-width": 1.5 })));
     }
   });

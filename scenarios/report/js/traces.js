@@ -74,7 +74,7 @@ function drawCompared(crew, end) {
     : state.missing;
   if (!crew.length) return;
   const longest = crew.reduce((a, b) => (b[1].x.length > a[1].x.length ? b : a))[1], n = longest.x.length;
-  const padded = (values) => Array.from({ length: n }, (_, k) => values[k] ?? null);
+  const padded = (values) => gaps(Array.from({ length: n }, (_, k) => values[k] ?? null));
   const lines = crew.flatMap(([name, s]) => [
     ...(quantity.truth ? [[padded(quantity.truth(s)), line(name, colour[name] + "66", { width: 3.5, ...quiet })]] : []),
     [padded(quantity.main(s)), line(name, colour[name], { width: 1.5, dash: dash[name] })],
@@ -86,7 +86,8 @@ function drawCompared(crew, end) {
       const last = endOf(s);
       if (last > end - 0.5 || last < plot.scales.x.min || last > plot.scales.x.max) continue;
       pen.fillStyle = colour[name];
-      pen.fillText("✕", plot.valToPos(last, "x", true), plot.valToPos(quantity.main(s).at(-1), "y", true));
+      const at = quantity.main(s).at(-1);
+      pen.fillText("✕", plot.valToPos(last, "x", true), plot.valToPos(Number.isNaN(at) ? plot.scales.y.min : at, "y", true));
     }
     pen.restore();
   };
