@@ -26,6 +26,8 @@ def own(name: str, rate_hz: float) -> AttitudeEstimator:
     except Exception as error:  # and its class
         kind = "" if isinstance(error, TypeError) else f"{type(error).__name__}: "
         raise ValueError(f"{name} is made with one argument, rate_hz: {kind}{error}") from error
+    if not hasattr(est, "rate_hz"):
+        est.rate_hz = rate_hz
     return tried(name, est)
 
 
@@ -37,8 +39,6 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
     """
     if missing := [each for each in ("reset", "update") if not callable(getattr(est, each, None))]:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
-    if not hasattr(est, "rate_hz"):
-        raise ValueError(f"{name} has no attribute rate_hz, the samples per second that it is made with")
     try:
         est.reset(n=2, roll_pitch=None)
         result = np.asarray(est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1))), np.float64)

@@ -29,6 +29,7 @@ from .backends import BACKENDS
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Step = Annotated[float, Between(1e-6, 1e6)]
+Parametrisation = Literal["decays", "logits"]
 Window = Annotated[float, Between(0.01, 3600.0, "s")]
 
 
@@ -62,6 +63,12 @@ class TrainingRecipe(Strict):
     """Radians, or parts of a unit vector, for an output potential of 1.0 (att-snn)."""
     initialisation: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
+    parametrisation: Parametrisation = "decays"
+    """What the optimiser's parameters are. "decays", as in the paper's published code: 1 - τ, and in floats
+    weights over 1 - τ_mem. "logits": those of τ, and weights over the root mean square of their row
+    (att-snn)."""
+    fixed_taus: bool = False
+    """Train the weights alone and leave the time constants as they are at first (att-snn)."""
     reinitialise_until: Share = 0.0
     """Share of the epochs, from the first, that begin with new inputs for hidden neurons that never or always
     spike (att-snn)."""

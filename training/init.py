@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimators.networks.forward import TIME_CONSTANTS
 from estimators.networks.network import real_weights
 from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
@@ -18,14 +17,17 @@ from estimators.networks.weights_file import load_network
 from .backends import BACKENDS
 from .config import TrainConfig
 from .data import TrainingFlights, sample_windows
-from .models import AttRNN, AttSNN
+from .models import MEMBRANE, AttRNN, AttSNN
+from .rescale import at_rate
 
 DEAD = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron carries no information."""
 
 Range = tuple[float, float]
-PAPER_TAUS = {name: (1.0, 5.0) for name in TIME_CONSTANTS} | {"syn2": (2.0, 2.0), "mem2": (5.0, 5.0)}
-"""Ranges of the paper's initial time constants, log-uniform [network steps]."""
+PAPER_DECAYS = {"syn0": 0.08, "mem0": 0.03, "syn1": 0.08, "mem1": 0.03, "syn2": 0.5, "mem2": 0.08}
+PAPER_DECAYS |= {"syn_after": 0.08}
+"""1 - τ of every neuron at first, in the paper's code (github.com/tudelft/neuromorphic_attitude_estimation)."""
+PAPER_HZ = 200.0
 SOLVED_TAUS = {
     "syn0": (0.5, 4.0),
     "mem0": (60.0, 400.0),
@@ -60,28 +62,42 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
             )
         backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
         how = (config.output_scale, config.symmetric, config.outputs)
-        chip = (config.finest_exponent, config.after_spike)
+        chip = (config.finest_exponent, config.after_spike, config.parametrisation)
         model = AttSNN(encoding, hidden, backend, *how, *chip)
     if config.init:
         initialise_from_weights(model, config.init)
         if isinstance(model, AttSNN):
             model.disconnect_zeros()
     elif isinstance(model, AttSNN) and config.initialisation == "random":
-        initialise_random(model, config.seed)
+        initialise_random(model, config.seed, flights.rate_hz)
     elif isinstance(model, AttSNN):
         samples = sample_windows(config, flights, steps, (config.seed, 0))
         initialise_from_data(model, *samples, config.seed, config.steps_per_sample)
     return model
 
 
-def initialise_random(model: AttSNN, seed: int) -> None:
-    """Weights of unit scale over the square root of their number, short time constants."""
+def initialise_random(model: AttSNN, seed: int, rate_hz: float = PAPER_HZ) -> None:
+    """The initial values of the paper's published code: one time constant a layer, weights at random.
+
+    Into the encoding and the output layer uniform within ± 1 / √inputs, the others normal with a variance of
+    2 / hidden, over 1 - τ_mem of the neurons that they lead to. At another rate than the paper's, the same
+    network in continuous time.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _initialise_taus(model, PAPER_TAUS, rng)
+    values = {name: 1.0 - np.full(getattr(model, name).shape, PAPER_DECAYS[name]) for name in model.taus}
     for name in model.matrices:
-        w = getattr(model, name)
-        with torch.no_grad():
-            w.copy_(torch.tensor(rng.normal(0, 1 / math.sqrt(w.shape[1]), w.shape)))
+        shape = getattr(model, name).shape
+        limit, deviation = 1 / math.sqrt(shape[1]), math.sqrt(2 / shape[0])
+        edge = name in ("w_in", "w_out")
+        drawn = rng.uniform(-limit, limit, shape) if edge else rng.normal(0.0, deviation, shape)
+        values[name] = drawn * (1.0 - values[MEMBRANE[name]]).reshape(-1, 1)
+    if rate_hz != PAPER_HZ:
+        none = {"w_after": np.zeros((len(values["w_ff"]), 0)), "syn_after": np.zeros(0)}
+        values = at_rate(none | values, rate_hz / PAPER_HZ)
+    for name in model.taus:
+        model.set_taus(name, values[name])
+    for name in model.matrices:
+        model.set_weights(name, values[name])
     model.constrain()
 
 
@@ -115,7 +131,7 @@ def initialise_from_data(
     directions = rng.normal(size=(h0, 6)) * (rng.random((h0, 6)) < 0.3)
     directions[np.arange(h0), np.arange(h0) % 5] += np.where(np.arange(h0) // 5 % 2 == 0, -2.0, 2.0)
     gain = np.exp(rng.uniform(math.log(0.05), math.log(0.5), (h0, 1)))
-    tau = torch.sigmoid(model.syn0).detach().numpy()[:, None]
+    tau = model.tau("syn0").detach().numpy()[:, None]
     w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / deviation * gain * (1 - tau)
     w_ff = np.zeros((h1, h0))
     for row in w_ff:
@@ -125,7 +141,7 @@ def initialise_from_data(
     model.set_weights("w_in", w_in)
     model.constrain()
     w_ff = model.shared("w_ff", w_ff)
-    current = _filtered(_spikes(model, x)[0] @ w_ff.T, torch.sigmoid(model.syn1).detach().numpy())
+    current = _filtered(_spikes(model, x)[0] @ w_ff.T, model.tau("syn1").detach().numpy())
     model.set_weights("w_ff", w_ff * model.shared("mem1", _drive_scale(current, (0.2, 1.0), rng)[:, None]))
     model.set_weights("w_rec", w_rec)
     if "w_after" in model.matrices:
@@ -156,12 +172,10 @@ def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
     if (config.model, *sizes) != ("att-snn", *ours):
         raise ValueError(f"init: {path} holds {layers}")
     values = real_weights(config, tensors)._asdict()
+    for name in model.taus:
+        model.set_taus(name, np.clip(values[name], 1 / 1024, 4095 / 4096))
     for name in model.matrices:
         model.set_weights(name, values[name])
-    for name in model.taus:
-        inside = np.clip(values[name], 1 / 1024, 4095 / 4096)
-        with torch.no_grad():
-            getattr(model, name).copy_(torch.tensor(np.log(inside / (1 - inside))))
 
 
 def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) -> int:
@@ -191,7 +205,7 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
             w[name][:, dead] = 0.0
         tau = model.shared("mem1", np.exp(-1.0 / np.exp(rng.uniform(0.0, math.log(100.0), rate.size))))
         for name in ("syn1", "mem1"):
-            getattr(model, name)[dead] = torch.from_numpy(np.log(tau / (1 - tau)))[dead].float()
+            model.set_taus(name, tau[dead], dead)
     for row in dead:
         for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", active)):
             w[name][row] = 0.0
@@ -216,13 +230,11 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
 def _initialise_taus(
     model: AttSNN, ranges: Mapping[str, Range], rng: np.random.Generator, stretch: int = 1
 ) -> None:
-    with torch.no_grad():
-        for name in model.taus:
-            parameter = getattr(model, name)
-            factor = 1 if name in ("syn0", "syn2") else stretch
-            low, high = (math.log(limit * factor) for limit in ranges[name])
-            tau = np.exp(-1.0 / np.exp(rng.uniform(low, high, parameter.shape)))
-            parameter.copy_(torch.tensor(np.log(tau / (1 - tau))))
+    for name in model.taus:
+        factor = 1 if name in ("syn0", "syn2") else stretch
+        low, high = (math.log(limit * factor) for limit in ranges[name])
+        shape = getattr(model, name).shape
+        model.set_taus(name, np.exp(-1.0 / np.exp(rng.uniform(low, high, shape))))
 
 
 def _spikes(model: AttSNN, x: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
@@ -258,7 +270,7 @@ def _solve_outputs(model: AttSNN, x: NDArray[np.float64], target: NDArray[np.flo
     _, spikes = _spikes(model, x)
     features = spikes.astype(np.float32)
     for name in ("syn2", "mem2"):
-        features = _filtered(features, torch.sigmoid(getattr(model, name)).detach().numpy())
+        features = _filtered(features, model.tau(name).detach().numpy())
     settled = x.shape[1] // 4
     a = features[:, settled:].reshape(-1, features.shape[2]).astype(np.float64)
     b = target[:, settled:].reshape(-1, target.shape[-1]) / model.output_scale

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Outputs, 
 from estimators.spiking import quantise_decay, quantise_weights
 
 from .backends import Backend
+from .config import Parametrisation
 
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
@@ -26,10 +28,17 @@ LAYERS = {"w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1)
 LAYERS |= {"w_after": (1, None), "syn_after": (1,)}
 LAYERS |= {f"{tau}{layer}": (index,) for tau in ("syn", "mem") for layer, index in enumerate((0, 1, None))}
 """For each axis of a parameter the layer whose neurons it counts: 0 encoding, 1 hidden."""
+MEMBRANE = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1", "w_after": "mem1", "w_out": "mem2"}
+"""Membrane time constants of the neurons that a matrix leads to."""
+LEAST_DECAY = 1 / 4096
+"""Of a current or membrane, in a step."""
 
 
 class AttSNN(nn.Module):
-    """The spiking network; its time constants are trained as logits of τ.
+    """The spiking network.
+
+    Its time constants are trained as logits of τ and its weights in units of their row's, or both as in the
+    paper's published code: see `training.config.TrainingRecipe.parametrisation`.
 
     Args:
         encoding: Neurons of the encoding layer.
@@ -40,6 +49,7 @@ class AttSNN(nn.Module):
         outputs: Roll and pitch, or up.
         finest_exponent: Of the weights into a hidden neuron on the chip, 0 or less.
         after_spike: Whether hidden neurons have after-spike currents.
+        parametrisation: What the parameters are.
     """
 
     w_in: Tensor
@@ -57,11 +67,13 @@ class AttSNN(nn.Module):
         outputs: Outputs = "roll-pitch",
         finest_exponent: int = 0,
         after_spike: bool = False,
+        parametrisation: Parametrisation = "logits",
     ) -> None:
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
         self.backend, self.output_scale, self.finest_exponent = backend, output_scale, finest_exponent
         self.outputs: Outputs = outputs
+        self.parametrisation: Parametrisation = parametrisation
         network = NetworkConfig(
             model="att-snn", encoding=encoding, hidden=hidden, outputs=outputs, after_spike=after_spike
         )
@@ -85,6 +97,10 @@ class AttSNN(nn.Module):
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
         """Set a weight matrix, and its rows' scales to their root mean square."""
         w = torch.tensor(values, dtype=torch.float32)
+        if self.normalised:
+            with torch.no_grad():
+                getattr(self, name).copy_(w / (1.0 - self.tau(MEMBRANE[name])).reshape(-1, 1))
+            return
         used = (w != 0).sum(1, keepdim=True).clamp(min=1)
         scale = (w.square().sum(1, keepdim=True) / used).sqrt().clamp(min=1e-3)
         if self.sharing:  # rows that share their weights share their scale
@@ -93,6 +109,23 @@ class AttSNN(nn.Module):
         with torch.no_grad():
             getattr(self, f"{name}_scale").copy_(scale)
             getattr(self, name).copy_(w / scale)
+
+    @property
+    def normalised(self) -> bool:
+        """Whether weights are parameters times 1 − τ_mem of the neuron that they lead to."""
+        return self.parametrisation == "decays"
+
+    def set_taus(self, name: str, values: NDArray[np.floating], where: Any = slice(None)) -> None:
+        """Set time constants of a kind, or of some of its neurons, before the weights that they scale."""
+        tau = torch.tensor(values)
+        raw = torch.log(tau / (1 - tau)) if self.parametrisation == "logits" else 1 - tau
+        with torch.no_grad():
+            getattr(self, name)[where] = raw.to(torch.float32)
+
+    def tau(self, name: str) -> Tensor:
+        """Time constants of a kind."""
+        value = getattr(self, name)
+        return torch.sigmoid(value) if self.parametrisation == "logits" else 1.0 - value
 
     def shared(self, name: str, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """The values of a parameter in which entries that share a weight have that of the first of them."""
@@ -105,7 +138,9 @@ class AttSNN(nn.Module):
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
         w = {name: getattr(self, name) * getattr(self, f"{name}_scale") for name in self.matrices}
-        tau = {name: torch.sigmoid(getattr(self, name)) for name in self.taus}
+        tau = {name: self.tau(name) for name in self.taus}
+        if self.normalised:
+            w = {name: value * (1.0 - tau[MEMBRANE[name]]).reshape(-1, 1) for name, value in w.items()}
         if self.backend.quantised:
             finest = dict.fromkeys(EXPONENTS, self.finest_exponent)
             w = {name: quantise_weights(value, finest.get(name, 0)) for name, value in w.items()}
@@ -134,8 +169,9 @@ class AttSNN(nn.Module):
             if self.backend.quantised:
                 limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
+        logits = self.parametrisation == "logits"
         for name in self.taus:
-            getattr(self, name).clamp_(-6.0, math.log(4095.0))
+            getattr(self, name).clamp_(*((-6.0, math.log(4095.0)) if logits else (LEAST_DECAY, 1.0)))
 
     @torch.no_grad()
     def limit_currents(self) -> None:
@@ -171,7 +207,7 @@ class AttSNN(nn.Module):
         backend = self.backend.connected(encoding, hidden)
         sizes, symmetric = (encoding.size, hidden.size), bool(self.sharing)
         how = (self.output_scale, symmetric, self.outputs, self.finest_exponent, "w_after" in self.matrices)
-        smaller = AttSNN(*sizes, backend, *how)
+        smaller = AttSNN(*sizes, backend, *how, self.parametrisation)
         smaller.load_state_dict(
             {
                 name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)

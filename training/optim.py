@@ -11,6 +11,8 @@ import torch
 from torch import nn
 from torch.optim import Optimizer
 
+from estimators.networks.forward import TIME_CONSTANTS
+
 from .config import TrainConfig
 
 
@@ -115,6 +117,7 @@ def new_optimiser(model: nn.Module, config: TrainConfig) -> Lookahead:
     """
     encoding, hidden, output = config.layer_steps
     steps = {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_after": hidden, "w_out": output}
+    steps |= dict.fromkeys(TIME_CONSTANTS, 0.0 if config.fixed_taus else 1.0)
     groups = [{"params": [p], "step": steps.get(name, 1.0)} for name, p in model.named_parameters()]
     adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
     return Lookahead(adam, config.lookahead_k, config.lookahead_alpha)

@@ -149,7 +149,7 @@ def test_an_estimator_that_flies_exactly_as_another_is_shown_once():
 def test_one_flight_of_each_combination_has_no_interval():
     combos = design()
     alone = made({(each.name, "a"): [1.0 + k % 3] for k, each in enumerate(combos)}, combos)
-    twice = made({(each.name, "a"): [1.0 + k % 3, 2.0] for k, each in enumerate(combos)}, combos)
+    twice = made({(each.name, "a"): [1.0 + k % 3, 4.0] for k, each in enumerate(combos)}, combos)
     assert {(each.low, each.high) for each in effects(combos, alone)} == {(None, None)}
     whole = effects(combos, twice)[0]
     assert whole.low < whole.error_deg < whole.high
