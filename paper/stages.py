@@ -41,6 +41,8 @@ class Stage:
     """Expected duration, for order and progress alone."""
     alone: bool = False
     """Whether nothing else may run beside it (what it measures is time)."""
+    packages: tuple[str, ...] = ()
+    """Packages that its code takes modules from by name: all of them count."""
 
 
 def with_inputs(stages: dict[str, Stage], wanted: Iterable[str]) -> list[Stage]:
@@ -56,7 +58,7 @@ def fingerprints(stages: Sequence[Stage]) -> dict[str, str]:
     """Of every stage; inputs come before what needs them."""
     prints: dict[str, str] = {}
     for stage in stages:
-        code = stage.make.__qualname__, code_digest(stage.make.__module__, "estimators")
+        code = stage.make.__qualname__, code_digest(stage.make.__module__, *stage.packages)
         inputs = [prints[name] for name in stage.inputs]
         prints[stage.name] = fingerprint(stage.name, *code, dict(stage.settings), inputs)[:16]
     return prints

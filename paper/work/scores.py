@@ -1,9 +1,8 @@
-"""Stages that score: every estimator on recorded flights, recoveries, rates, sizes, and the closed loop."""
+"""Stages that score: networks over folds, all estimators on recorded flights, recoveries, the closed loop."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from estimators import create, run
 from estimators.evaluation.comparison import evaluate, tilted_starts
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import absolute_error, attitude_error, inclination_error
+from estimators.networks.network import create_network
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
@@ -21,14 +21,17 @@ from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario
 from scenarios.bench.cell import fly as fly_mission
 from scenarios.bench.flight_metrics import Log, flight_metrics
+from training.config import TrainConfig
+from training.data import flights_of as training_flights_of
+from training.data import load_training_flights
 
-from .work import FLIGHTS, TUNING, WEIGHTS, Inputs, Names, write_numbers
+from .files import FLIGHTS, TUNING, WEIGHTS, Inputs, Names, write_numbers
 
 Array = NDArray[np.float64]
 Networks = Mapping[str, Sequence[str]]
 """Label to model, stage whose weights it has ("": those that ship), and for these a digest."""
 
-SIX = ("complementary", "mahony", "madgwick", "ekf", "att-rnn", "att-snn")
+SIX = ("att-snn", "att-rnn", "madgwick", "mahony", "complementary", "ekf")
 """The methods of the paper's Table 2."""
 FILTERS = ("complementary", "complementary-adaptive", "mahony", "madgwick", "ekf")
 SHIPPED = {"att-rnn, shipped": "att-rnn", "att-snn, shipped": "att-snn-loihi"}
@@ -60,6 +63,31 @@ def estimators_of(
 def flights_of(inputs: Inputs, stage: str) -> Flights:
     """The flights of a stage."""
     return load_flights([open_dataset(inputs[stage] / FLIGHTS)])
+
+
+def folds(folder: Path, inputs: Inputs, *, mixed: Names, only: Mapping[str, str]) -> None:
+    """Errors of the flights that trained and that did not, of both domains mixed and of one alone (Table 1).
+
+    Inputs: the flights of both domains, and networks: of `mixed`, by draws of the 70/20/10 split, and of
+    `only`, which gives the domain of each.
+    """
+    found = {}
+    domains = {stage for stage in inputs if stage.startswith("fly-")}
+    for stage in (*mixed, *only):
+        config = TrainConfig.model_validate_json((inputs[stage] / "config.json").read_text("utf-8"))
+        own = [only[stage]] if stage in only else sorted(domains, reverse=True)
+        paths = tuple(str(inputs[name] / FLIGHTS) for name in own)
+        train, _, test = training_flights_of(config.model_copy(update={"data": paths}))
+        if stage in only:
+            (other,) = domains - set(own)
+            test = load_training_flights([inputs[other] / FLIGHTS])
+        network = create_network(config.model, train.rate_hz, inputs[stage] / WEIGHTS)
+        found[stage] = {}
+        for name, flights in (("train", train), ("test", test)):
+            network.reset(len(flights))
+            error = attitude_error(network.sequence(flights.gyro, flights.accel), flights.roll_pitch)
+            found[stage][name] = error.sequences.tolist()
+    write_numbers(folder, found)
 
 
 def score(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contenders: Any) -> None:
@@ -167,39 +195,3 @@ def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> None:
 
     taken = measure(contenders(), rounds)
     write_numbers(folder, {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()})
-
-
-def look_inside(folder: Path, inputs: Inputs) -> None:
-    """Spikes, ablation, manipulated inputs and operations of a network (Figs. 7, 8, 9, FLOPs).
-
-    Inputs: flights, the spiking network, and its twin of GRUs.
-    """
-    from estimators.analysis.energy import gru_flops, snn_flops
-    from estimators.analysis.inspection import FRACTIONS, inspect
-
-    stage, network, rnn = inputs
-    config, tensors = load_network(inputs[network] / WEIGHTS)
-    flights = flights_of(inputs, stage)
-    inside = inspect(network, config, tensors, flights)
-    rates = [inside.layer_rates(layer) for layer in (0, 1)]
-    twin, _ = load_network(inputs[rnn] / WEIGHTS)
-    spikes = float(rates[0].sum()), float(rates[1].sum())
-    flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs, config.after_spike)
-    drawn = slice(0, round(25.0 * flights.rate_hz), 4)
-    responses = {
-        name: {key: getattr(each, key) for key in ("error_deg", "gain", "slow_gain", "fast_gain")}
-        | {"roll_deg": np.degrees(each.estimate[drawn, 0]).round(2).tolist()}
-        for name, each in inside.responses.items()
-    }
-    numbers = {
-        "rates": [each.round(5).tolist() for each in rates],
-        "silent": inside.silent,
-        "fractions": FRACTIONS,
-        "ablation": {by: errors.tolist() for by, errors in inside.ablation.items()},
-        "responses": responses,
-        "roll_deg": np.degrees(inside.truth[drawn, 0]).round(2).tolist(),
-        "step_s": drawn.step / flights.rate_hz,
-        "costs": [asdict(each) for each in inside.costs],
-        "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden, twin.n_outputs)},
-    }
-    write_numbers(folder, numbers)

@@ -1,0 +1,1 @@
+"""The pages: what the paper says, ours beside it, and verdicts."""

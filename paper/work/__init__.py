@@ -1,0 +1,1 @@
+"""What stages do: flights, networks, filters, and scores of these."""

@@ -1,0 +1,49 @@
+"""Stages of filters: tuned by the paper's particle swarm within its bounds."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.evaluation.flights import load_flights
+from estimators.registry import parameter_matrix, parameters
+from estimators.tuned import Tuned
+from estimators.tuning.search import SearchSettings, mean_squared_error, swarm, upright, write_tuning
+from quadsim.dataset.reading import open_dataset
+
+from .files import FLIGHTS, TUNING, Inputs, write_numbers
+
+GIVEN = {"complementary-adaptive": {"k_a": 0.01}}
+"""Parameters that the paper sets."""
+LEAST = 1e-6
+"""The swarm searches every other parameter itself between this, for 0, and 1."""
+
+
+def tune(folder: Path, inputs: Inputs, *, name: str, particles: int, iterations: int, seed: int) -> None:
+    """Tune a filter on flights of both domains from an unknown start."""
+    data = upright(load_flights([open_dataset(path / FLIGHTS) for path in inputs.values()]))
+    given = GIVEN.get(name, {})
+    searched = [key for key, each in parameters(name).items() if each.searched and key not in given]
+
+    def values(positions: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        found = dict(zip(searched, np.maximum(positions, LEAST).T, strict=True))
+        return found | {key: np.full(len(positions), value) for key, value in given.items()}
+
+    best = swarm(
+        lambda positions: mean_squared_error(name, values(positions), data),
+        [np.clip(parameters(name)[key].default, 0.0, 1.0) for key in searched],
+        SearchSettings(particles=particles, iterations=iterations, seed=seed),
+    )
+    (row,) = parameter_matrix(name, values(best.position[None]), data.rate_hz)
+    tuned = Tuned(
+        command="quadsim paper",
+        rate_hz=data.rate_hz,
+        rmse_deg=round(float(np.degrees(np.sqrt(best.cost))), 6),
+        evaluations=best.evaluations,
+        values=dict(zip(parameters(name), map(float, row), strict=True)),
+    )
+    write_tuning(folder / TUNING, name, tuned, "Tuned by the paper's swarm on the flights of both domains.")
+    write_numbers(
+        folder,
+        {"values": {key: tuned.values[key] for key in (*searched, *given)}, "rmse_deg": tuned.rmse_deg},
+    )

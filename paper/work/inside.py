@@ -1,0 +1,88 @@
+"""Stages that look inside a network: spikes, ablation, operations, and manipulated inputs."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from estimators.analysis.ablation import CRITERIA, ablation, error_deg, importance, without
+from estimators.analysis.activity import record
+from estimators.analysis.encoding_study import responses
+from estimators.analysis.energy import costs, counts, gru_flops, snn_flops
+from estimators.analysis.inspection import FRACTIONS
+from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking
+from estimators.networks.weights_file import load_network
+
+from .files import WEIGHTS, Inputs, write_numbers
+from .scores import flights_of
+
+RARE = 0.005
+"""Spikes per step below which the paper removes a neuron."""
+
+
+def look(folder: Path, inputs: Inputs) -> None:
+    """Spikes, ablation, modelled energy and operations of a network on the chip (Figs. 7, 9).
+
+    Inputs: flights, the spiking network, and its twin of GRUs.
+    """
+    stage, network, rnn = inputs
+    config, tensors = load_network(inputs[network] / WEIGHTS)
+    flights = flights_of(inputs, stage)
+    core = OnLoihi(config, tensors)
+    activity = record(core, flights.gyro, flights.accel)
+    rates = [activity.of_layer(activity.rates, layer) for layer in (0, 1)]
+    left = without(config, tensors, [np.flatnonzero(rate >= RARE) for rate in rates])
+    curves = {
+        by: ablation(config, tensors, importance(tensors, activity, by), FRACTIONS, flights)
+        for by in CRITERIA
+    }
+    synapses = [
+        sum(int(np.prod(t[name].shape)) for name in ("w_in", "w_ff", "w_rec", "w_out"))
+        for _, t in ((config, tensors), left)
+    ]
+    twin, _ = load_network(inputs[rnn] / WEIGHTS)
+    spikes = float(rates[0].sum()), float(rates[1].sum())
+    flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs, config.after_spike)
+    numbers = {
+        "rates": [rate.round(5).tolist() for rate in rates],
+        "without_rare": {
+            "error_deg": error_deg(*left, flights),
+            "neurons": left[0].encoding + left[0].hidden,
+            "synapses": synapses,
+        },
+        "fractions": FRACTIONS,
+        "ablation": {by: errors.tolist() for by, errors in curves.items()},
+        "costs": [asdict(each) for each in costs(counts(core, activity))],
+        "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden, twin.n_outputs)},
+    }
+    write_numbers(folder, numbers)
+
+
+def manipulate(folder: Path, inputs: Inputs) -> None:
+    """Estimates from manipulated inputs: pitch at a constant velocity, gains in aggressive flight (Fig. 8).
+
+    Inputs: both flights, and networks.
+    """
+    cruise, test, *networks = inputs
+    found = {}
+    for name in networks:
+        config, tensors = load_network(inputs[name] / WEIGHTS)
+        est = NetworkEstimator(Spiking(config, tensors), config.rate_hz)
+        steady, fast = (responses(est, flights_of(inputs, stage)) for stage in (cruise, test))
+        found[name] = {
+            way: {
+                "pitch_deg": np.degrees(steady[way].estimate[::SHOWN, 1]).round(2).tolist(),
+                "cruise_deg": steady[way].error_deg,
+                "error_deg": each.error_deg,
+                "slow_gain": each.slow_gain,
+                "fast_gain": each.fast_gain,
+            }
+            for way, each in fast.items()
+        }
+    truth = flights_of(inputs, cruise)
+    pitch = np.degrees(truth.truth[0, ::SHOWN, 1]).round(2).tolist()
+    write_numbers(folder, {"networks": found, "pitch_deg": pitch, "step_s": SHOWN / truth.rate_hz})
+
+
+SHOWN = 8
+"""Only one in so many samples of the responses is drawn."""

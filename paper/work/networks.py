@@ -1,0 +1,33 @@
+"""Stages of networks: trained by the paper's recipe, or by ours, until a rule ends it."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from training.config import make_config
+from training.loop import run
+
+from .files import FLIGHTS, Inputs, Names, write_numbers
+
+
+def train(folder: Path, inputs: Inputs, *, data: Names, validation: Names, **choices: Any) -> None:
+    """Train a network on stages of flights; without any to validate on, 70 % of them train and 20 % validate.
+
+    choices: fields of `TrainConfig`.
+    """
+    train, choose = ([inputs[name] / FLIGHTS for name in names] for names in (data, validation))
+    result = run(make_config(data=train, validation=choose, **choices), folder)
+    if result.reason == "interrupted":
+        raise KeyboardInterrupt
+    log = np.atleast_1d(np.genfromtxt(folder / "log.csv", delimiter=",", names=True))
+    numbers = {
+        "updates": log["updates"].tolist(),
+        "train_mse": (np.radians(log["train_rmse_deg"]) ** 2).tolist(),
+        "val_mse": log["val_mse"].tolist(),
+        "seconds": float(log["seconds"][-1]),
+        "best": asdict(result.best),
+        "reason": result.reason,
+    }
+    write_numbers(folder, numbers)
