@@ -1,5 +1,1 @@
 """The paper again: its tables and figures, ours beside theirs, and a verdict on each of its claims."""
-
-from .run import paper
-
-__all__ = ["paper"]
