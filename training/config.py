@@ -86,8 +86,8 @@ class TrainingRecipe(Strict):
     """Decay of Adam's second moment."""
     decay: Literal["none", "cosine"] = "none"
     """Learning rate over the epochs: constant, or half a cosine down to a hundredth."""
-    clip: Annotated[float, Between(0.0, 1e6)] = 0.0
-    """Largest norm of the gradient; 0: no limit."""
+    clip: Annotated[float, Between(0.0, 1e6)] = 5.0
+    """Largest norm of the gradient, as in the paper's published code; 0: no limit."""
     lookahead_k: Number = 6
     """Steps of the fast weights for one of the slow."""
     lookahead_alpha: Annotated[float, Between(1e-3, 1.0)] = 0.5
