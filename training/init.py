@@ -18,7 +18,6 @@ from .backends import BACKENDS
 from .config import TrainConfig
 from .data import TrainingFlights, sample_windows
 from .models import MEMBRANE, AttRNN, AttSNN
-from .rescale import at_rate
 
 DEAD = (1e-3, 0.999)
 """Spikes per step below and above which a hidden neuron carries no information."""
@@ -27,7 +26,6 @@ Range = tuple[float, float]
 PAPER_DECAYS = {"syn0": 0.08, "mem0": 0.03, "syn1": 0.08, "mem1": 0.03, "syn2": 0.5, "mem2": 0.08}
 PAPER_DECAYS |= {"syn_after": 0.08}
 """1 - τ of every neuron at first, in the paper's code (github.com/tudelft/neuromorphic_attitude_estimation)."""
-PAPER_HZ = 200.0
 SOLVED_TAUS = {
     "syn0": (0.5, 4.0),
     "mem0": (60.0, 400.0),
@@ -69,19 +67,18 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
         if isinstance(model, AttSNN):
             model.disconnect_zeros()
     elif isinstance(model, AttSNN) and config.initialisation == "random":
-        initialise_random(model, config.seed, flights.rate_hz)
+        initialise_random(model, config.seed)
     elif isinstance(model, AttSNN):
         samples = sample_windows(config, flights, steps, (config.seed, 0))
         initialise_from_data(model, *samples, config.seed, config.steps_per_sample)
     return model
 
 
-def initialise_random(model: AttSNN, seed: int, rate_hz: float = PAPER_HZ) -> None:
+def initialise_random(model: AttSNN, seed: int) -> None:
     """The initial values of the paper's published code: one time constant a layer, weights at random.
 
     Into the encoding and the output layer uniform within ± 1 / √inputs, the others normal with a variance of
-    2 / hidden, over 1 - τ_mem of the neurons that they lead to. At another rate than the paper's, the same
-    network in continuous time.
+    2 / hidden, over 1 - τ_mem of the neurons that they lead to.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     values = {name: 1.0 - np.full(getattr(model, name).shape, PAPER_DECAYS[name]) for name in model.taus}
@@ -91,9 +88,6 @@ def initialise_random(model: AttSNN, seed: int, rate_hz: float = PAPER_HZ) -> No
         edge = name in ("w_in", "w_out")
         drawn = rng.uniform(-limit, limit, shape) if edge else rng.normal(0.0, deviation, shape)
         values[name] = drawn * (1.0 - values[MEMBRANE[name]]).reshape(-1, 1)
-    if rate_hz != PAPER_HZ:
-        none = {"w_after": np.zeros((len(values["w_ff"]), 0)), "syn_after": np.zeros(0)}
-        values = at_rate(none | values, rate_hz / PAPER_HZ)
     for name in model.taus:
         model.set_taus(name, values[name])
     for name in model.matrices:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,23 +27,19 @@ def rescaled(config: NetworkConfig, tensors: Tensors, rate_hz: float) -> tuple[N
     if config.model != "att-snn":
         raise ValueError(f"{config.model} has no time constants to rescale, att-snn has")
     SAMPLE_RATE.of("rate_hz", rate_hz)
-    new = at_rate(real_weights(config, tensors)._asdict(), rate_hz / config.rate_hz)
-    changed = config.model_copy(update={"rate_hz": rate_hz, "quantised": False})
-    return changed, {name: value.astype(np.float32) for name, value in new.items() if name in tensors}
-
-
-def at_rate(old: Mapping[str, NDArray[np.floating]], k: float) -> dict[str, NDArray[np.floating]]:
-    """Weights and time constants for k steps in place of one: see `rescaled`."""
-    old = dict(old) | {name: np.clip(old[name], 0.0, 4095 / 4096) for name in TIME_CONSTANTS}
+    k = rate_hz / config.rate_hz
+    old = real_weights(config, tensors)._asdict()
+    old |= {name: np.clip(old[name], 0.0, 4095 / 4096) for name in TIME_CONSTANTS}
     new = {name: old[name] ** (1 / k) for name in TIME_CONSTANTS}
 
     def area(name: str) -> NDArray[np.float64]:
-        return np.reshape((1 - new[name]) / (1 - old[name]), (-1, 1))
+        return ((1 - new[name]) / (1 - old[name]))[:, None]
 
     new["w_in"] = old["w_in"] * area("syn0") / k
     new["w_ff"] = old["w_ff"] * area("syn1")
     new["w_rec"] = old["w_rec"] * area("syn1")
     new["w_out"] = old["w_out"] * area("syn2")
-    if old["w_after"].size:
+    if config.after_spike:
         new["w_after"] = old["w_after"] * area("syn_after")
-    return new
+    changed = config.model_copy(update={"rate_hz": rate_hz, "quantised": False})
+    return changed, {name: value.astype(np.float32) for name, value in new.items() if name in tensors}
