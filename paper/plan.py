@@ -39,8 +39,8 @@ ITEMS = {
     "fig9": ("latencies", "inside"),
     "operations": ("inside",),
     "loop": ("loop",),
-    "rate": ("compare-rate-",),
-    "minutes": ("compare-minutes",),
+    "rate": ("compare-rate-", "rate-"),
+    "minutes": ("compare-minutes", "minutes-"),
 }
 """What `--only` chooses from, and how the names begin of the stages whose numbers it shows."""
 

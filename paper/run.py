@@ -7,12 +7,12 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from .claims import Judgement
-from .pages import BESIDE, Placement, write_pages
+from .page.claims import Judgement
+from .page.pages import BESIDE, Placement, write_pages
 from .plan import chosen, stages_of
 from .settings import PaperSettings, settings_of
 from .stages import Progress, fingerprints, record_of, run_stages, with_inputs
-from .work import NUMBERS
+from .work.files import NUMBERS
 
 VERBS = {"holds": "hold", "partly": "hold partly", "does not hold": "do not", "not judged": "not judged"}
 
@@ -40,7 +40,7 @@ def paper(
     progress: Progress = lambda done, total, note: None,
     settings: PaperSettings | None = None,
 ) -> Paper:
-    """Make the paper's tables and figures, and the pages around them.
+    """Make the paper's tables and figures, and the page around them.
 
     Stages that an earlier run with the same settings finished in the folder are not run again.
 
@@ -72,13 +72,13 @@ def paper(
 def write_results(
     parts: Path, folder: Path, settings: PaperSettings, placement: Placement = BESIDE
 ) -> list[Judgement]:
-    """Write the pages of everything that is finished, paper.md and three beside it; the judged claims.
+    """Write the page of everything that is finished, and its figures; the judged claims.
 
     Args:
         parts: Folder of the stages' folders.
         folder: Where the pages go.
         settings: Of the run.
-        placement: Names of the pages and their figures.
+        placement: Names of the figures.
     """
     stages, shows = stages_of(settings)
     prints = fingerprints(list(stages.values()))

@@ -25,7 +25,7 @@ DEAD = (1e-3, 0.999)
 Range = tuple[float, float]
 PAPER_DECAYS = {"syn0": 0.08, "mem0": 0.03, "syn1": 0.08, "mem1": 0.03, "syn2": 0.5, "mem2": 0.08}
 PAPER_DECAYS |= {"syn_after": 0.08}
-"""1 - τ of every neuron at first, in the paper's code (github.com/tudelft/neuromorphic_attitude_estimation)."""
+"""1 - τ of every neuron at first in the paper's code, github.com/tudelft/neuromorphic_attitude_estimation."""
 SOLVED_TAUS = {
     "syn0": (0.5, 4.0),
     "mem0": (60.0, 400.0),

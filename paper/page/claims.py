@@ -1,32 +1,37 @@
 """The paper's claims, each judged from this run's numbers.
 
-Each function below judges the claim in the first paragraph of its docstring by the rule in the second one, as
-the page prints them. It returns whether the claim holds, whether it holds partly, what was measured, and why.
+Each function below judges the claim in the first paragraph of its docstring by the rule in the second; the
+third says what the verdict does not show. The page prints all three. It returns a verdict and what was
+measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from inspect import getdoc
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from training.cross_domain import TEST, Score, table
-
-from .plan import FLOAT, RNN, SNN, TRAINED_ON
-from .quoted import CONVERGE_S, FLOPS_RATIO, REMOVABLE, TEST_DEG
-from .scores import SHIPPED, SIX
+from ..plan import CROSS, RNN, SNN
+from ..work.scores import FILTERS
+from .quoted import ACTIVITY, CONVERGE_S, LOSSES, mean_deg, operations
 
 Verdict = Literal["holds", "partly", "does not hold", "not judged"]
 Numbers = Mapping[str, dict[str, Any]]
 """Numbers of the finished stages by name."""
-Judged = tuple[bool, bool, str, str]
+Judged = tuple[Verdict, str]
+Array = NDArray[np.float64]
 
-NETWORKS = ("att-rnn", "att-snn")
+FOUR = ("madgwick", "mahony", "complementary", "ekf")
+NETWORKS = ("att-snn", "att-rnn")
 TOLERANCE = 1.02
 """An error that is larger by less than this factor is no loss."""
+DRAWS = 2000
+AVERAGED = 20
+"""Epochs of the paper's moving average of a loss; its measure begins after twice as many."""
 
 
 class Judgement(NamedTuple):
@@ -39,246 +44,330 @@ class Judgement(NamedTuple):
     """When it counts as holding."""
     verdict: Verdict
     measured: str
-    why: str = ""
+    limits: str
+    """What the verdict does not show."""
 
 
-def judge(numbers: Numbers) -> list[Judgement]:
-    """All claims; one whose stages are not there is not judged."""
+class Interval(NamedTuple):
+    """A number, and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        """As a page shows it."""
+        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
+
+    def below(self, limit: float) -> Verdict:
+        """Whether it is below a limit: wholly, by its value alone, or not."""
+        return "holds" if self.high < limit else "partly" if self.value < limit else "does not hold"
+
+    def above(self, limit: float) -> Verdict:
+        """Whether it is above a limit: wholly, by its value alone, or not."""
+        return "holds" if self.low > limit else "partly" if self.value > limit else "does not hold"
+
+
+def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
+    """All claims; one whose stages are not there is not judged, and none where the run is too small."""
     judged = []
     for function in CLAIMS:
-        claim, rule = (getdoc(function) or "").split(".\n\nIt holds if ")
-        text = function.__name__, claim, " ".join(rule.rstrip(".").split())
+        claim, rule, limits = (" ".join(part.split()) for part in (getdoc(function) or "").split("\n\n"))
+        verdict: Verdict = "not judged"
         try:
-            holds, partly, measured, why = function(numbers)
-            verdict: Verdict = "holds" if holds else "partly" if partly else "does not hold"
-            judged.append(Judgement(*text, verdict, measured, why))
+            found, measured = function(numbers)
+            verdict = found if judges else verdict
         except KeyError:
-            judged.append(Judgement(*text, "not judged", "its numbers were not made in this run"))
+            measured = "its numbers were not made in this run"
+        if not judges:
+            measured += "; preset quick is for a look, and judges nothing"
+        rule, limits = (text.rstrip(".") for text in (rule.removeprefix("It holds if "), limits))
+        judged.append(
+            Judgement(
+                ITEM.get(function.__name__, function.__name__),
+                claim.rstrip("."),
+                rule,
+                verdict,
+                measured,
+                limits,
+            )
+        )
     return judged
 
 
-def pooled(numbers: Numbers, kind: str, method: str, start: str) -> np.ndarray:
-    """Errors of a method on every flight of both domains, of the training or the test set [deg]."""
-    stages = (f"score-{kind}sim", f"score-{kind}real")
-    return np.concatenate([numbers[stage]["sequences"][method][start] for stage in stages])
+def interval(
+    function: Callable[..., float], *samples: Sequence[float] | Array, paired: bool = False
+) -> Interval:
+    """Bootstrap of a number that is computed from samples, which are drawn together where they are paired."""
+    rng = np.random.default_rng(0)
+    arrays = [np.asarray(each, dtype=np.float64) for each in samples]
+
+    def drawn() -> list[Array]:
+        picks = [rng.integers(len(each), size=len(each)) for each in arrays]
+        return [each[picks[0] if paired else pick] for each, pick in zip(arrays, picks, strict=True)]
+
+    values = [function(*drawn()) for _ in range(DRAWS)]
+    low, high = np.quantile(values, (0.025, 0.975), method="inverted_cdf")
+    return Interval(function(*arrays), float(low), float(high))
 
 
-def scatter(losses: Sequence[float], root_mean_square: bool = False) -> float:
-    """Standard deviation of a validation loss from epoch to epoch, as a share of it, without its trend.
+def ratio(above: Sequence[float], below: Sequence[float], paired: bool = False) -> Interval:
+    """Mean of some errors over the mean of others."""
+    return interval(lambda a, b: float(a.mean() / b.mean()), above, below, paired=paired)
 
-    That of log L[i] − (log L[i−1] + log L[i+1]) / 2 over the middle half of a training, times √(2/3), which
-    makes it that of the noise if this is white: 1.4826 times the median of the sizes, which the few steps of
-    a steep descent do not enlarge, or the root mean square.
+
+def errors(
+    numbers: Numbers, method: str, start: str = "unknown", stage: str = "score-fly-test-real"
+) -> list[float]:
+    """Errors of a method on every test flight of a domain, the second one if none is named [deg]."""
+    return numbers[stage]["sequences"][method][start]
+
+
+def scatter(losses: Sequence[float]) -> float:
+    """Standard deviation of a validation loss about its moving average, as the paper's code computes it.
+
+    That of mean(L[i] … L[i + 19]) − L[i] from the 41st epoch on; NaN of a shorter training.
     """
-    log = np.log(np.asarray(losses, dtype=np.float64))
-    jumps = log[1:-1] - 0.5 * (log[:-2] + log[2:])
-    quarter = len(jumps) // 4
-    middle = jumps[quarter : len(jumps) - quarter]
-    size = np.sqrt(np.mean(middle**2)) if root_mean_square else 1.4826 * np.median(np.abs(middle))
-    return float(size * np.sqrt(2 / 3))
-
-
-def fold_errors(numbers: Numbers) -> list[Any]:
-    """Entries of Table 1: mean and standard deviation over the folds of each network and pair of domains."""
-    rows = [row for name, stage in numbers.items() if name.startswith("fold-") for row in stage["scores"]]
-    scores = sorted((Score(**row) for row in rows), key=lambda s: (s.model, s.trained_on != "sim", s.fold))
-    return table(scores)
-
-
-def by_rate(numbers: Numbers) -> dict[float, dict[str, float]]:
-    """Mean error of each estimator at each sample rate [deg]."""
-    errors = {
-        float(name.removeprefix("compare-rate-")): {
-            label: float(np.mean([np.mean(each) for each in flights.values()]))
-            for label, flights in stage["errors"].items()
-        }
-        for name, stage in numbers.items()
-        if name.startswith("compare-rate-")
-    }
-    if not errors:
-        raise KeyError("rate")
-    return dict(sorted(errors.items()))
+    loss = np.asarray(losses, dtype=np.float64)
+    if len(loss) < 3 * AVERAGED + 2:
+        return float("nan")
+    average = np.convolve(loss, np.full(AVERAGED, 1 / AVERAGED), mode="valid")
+    return float(np.std((average - loss[: len(average)])[2 * AVERAGED :]))
 
 
 def table2(numbers: Numbers) -> Judged:
-    """Att-SNN is competitive with the filters.
+    """Att-SNN's error is that of the classical filters.
 
-    It holds if its mean error on test flights is below that of two of the four filters; partly: of one.
+    It holds if, from an unknown start on the second domain's test flights, the 95 % interval of its mean
+    error over that of the two middle filters lies below 1.1; partly: the ratio alone does.
+
+    Both domains are simulated and all methods were tuned on both: nothing of real flight or of an airframe
+    that was not seen.
     """
-    error = {name: float(pooled(numbers, "test-", name, "unknown").mean()) for name in SIX}
-    beaten = [name for name in error if name not in NETWORKS and error["att-snn"] < error[name]]
-    shown = ", ".join(f"{name} {error[name]:.2f}°" for name in sorted(error, key=error.__getitem__))
-    theirs, ours = (each["att-snn"] / each["complementary"] for each in (TEST_DEG, error))
-    why = (
-        f"in the paper Att-SNN has {theirs:.2f} times the error of the complementary filter, here {ours:.2f} "
-        "times; a complementary filter takes every acceleration for a tilt, which costs more the more "
-        "aggressive the flights are"
-    )
-    measured = f"on test flights from an unknown start {shown}; Att-SNN beats {len(beaten)} of 4 filters"
-    return len(beaten) >= 2, bool(beaten), measured, why
+    ours = {name: float(np.mean(errors(numbers, name))) for name in ("att-snn", *FOUR)}
+    order = sorted(FOUR, key=ours.__getitem__)
+    middle = np.mean([errors(numbers, name) for name in order[1:3]], axis=0)
+    over = ratio(errors(numbers, "att-snn"), middle.tolist(), paired=True)
+    theirs = mean_deg("att-snn") / float(np.median([mean_deg(name) for name in FOUR]))
+    shown = ", ".join(f"{name} {ours[name]:.2f}°" for name in sorted(ours, key=ours.__getitem__))
+    return over.below(1.1), f"{shown}: {over} times the median filter, in the paper {theirs:.2f} times"
+
+
+def twin(numbers: Numbers) -> Judged:
+    """Att-RNN is more accurate than Att-SNN.
+
+    It holds if the 95 % interval of Att-SNN's mean error over Att-RNN's on the second domain's test flights
+    lies above 1; partly: the ratio alone does.
+
+    One training of each: another seed moves either.
+    """
+    over = ratio(errors(numbers, "att-snn"), errors(numbers, "att-rnn"), paired=True)
+    theirs = mean_deg("att-snn") / mean_deg("att-rnn")
+    both = ", ".join(f"{name} {np.mean(errors(numbers, name)):.2f}°" for name in NETWORKS)
+    return over.above(1.0), f"{both}: {over} times, in the paper {theirs:.2f} times"
 
 
 def fig4(numbers: Numbers) -> Judged:
-    """The SNN's loss is noisier than the RNN's.
+    """The SNN's validation loss is noisier than the RNN's.
 
-    It holds if its validation loss scatters more, on the chip's grid and in floats, by the median and by the
-    root mean square of the jumps; partly: in some of these.
+    It holds if its standard deviation about the moving average, by the paper's own measure, is larger than
+    Att-RNN's; partly: only as a share of the loss itself.
+
+    A loss that is lower altogether scatters less in rad²; one training of each.
     """
-    titles = {SNN: "Att-SNN", FLOAT: "in floats", RNN: "Att-RNN"}
-    jumps = {name: [scatter(numbers[name]["val_mse"], way) for way in (False, True)] for name in titles}
+    losses = {name: numbers[name]["val_mse"] for name in (SNN, RNN)}
+    size = {name: scatter(each) for name, each in losses.items()}
+    part = {
+        name: size[name] / float(np.mean(each[2 * AVERAGED :] or [np.nan])) for name, each in losses.items()
+    }
+    if not all(map(np.isfinite, size.values())):
+        raise KeyError("a training too short for the measure")
+    verdict: Verdict = (
+        "holds" if size[SNN] > size[RNN] else "partly" if part[SNN] > part[RNN] else "does not hold"
+    )
     shown = ", ".join(
-        f"{title} {100 * jumps[name][0]:.1f} % ({100 * jumps[name][1]:.1f} %)"
-        for name, title in titles.items()
+        f"{title} {1e3 * size[name]:.2f}e-3 rad², {100 * part[name]:.0f} % of its loss "
+        f"(the paper {1e3 * LOSSES[key]:.1f}e-3)"
+        for title, name, key in (("Att-SNN", SNN, "att-snn"), ("Att-RNN", RNN, "att-rnn"))
     )
-    more = [jumps[name][k] > jumps[RNN][k] for name in (SNN, FLOAT) for k in (0, 1)]
-    why = (
-        "a spike is there or not: a small step of the weights moves many of them at once; the learning rates "
-        "are each network's own, and the spiking one's is the larger"
-        if any(more)
-        else "with Lookahead's slow weights and a decaying learning rate little of the spikes' noise is left"
-    )
-    measured = (
-        f"validation loss scatters from epoch to epoch, by the median (by the root mean square): {shown}"
-    )
-    return all(more), any(more), measured, why
+    return verdict, shown
 
 
 def table1(numbers: Numbers) -> Judged:
-    """Training on a single source generalises badly.
+    """Trained on a single source it generalises badly.
 
-    It holds if on the other domain the error is above 1.25 times that of networks trained there, for both
-    networks; partly: for one.
+    It holds if, from either domain to the other, the 95 % interval of the error over that of the mixed folds'
+    test flights lies above 1.25; partly: one of the two ratios alone does.
+
+    The second domain stands for real flights and is nearer to the first than those are.
     """
-    errors = {(e.model, e.trained_on, e.tested_on): e.mean_deg for e in fold_errors(numbers)}
-    bad, shown = 0, []
-    for model in NETWORKS:
-        other, home = errors[model, "sim", "real"], errors[model, "real", TEST]
-        bad += int(other > 1.25 * home)
-        shown.append(f"{model} {other:.2f}° against {home:.2f}°")
-    learnt = "the second airframe has other inertia, drag and sensors, and a network learns the first one's"
-    why = (
-        "both domains are simulated here and fly alike: the gap to a real vehicle, with its vibration and "
-        "its misaligned sensors, is larger; and the folds' networks are trained briefly",
-        f"{learnt}; the other network has learnt little of either in a fold's short training",
-        learnt,
-    )[bad]
-    measured = f"trained on the Hummingbird, tested on the second domain: {', '.join(shown)} if trained there"
-    return bad == 2, bad > 0, measured, why
+    folds = numbers["score-folds"]
+    mixed = [error for name, each in folds.items() if name not in CROSS for error in each["test"]]
+    over = {source: ratio(folds[source]["test"], mixed) for source in CROSS}
+    each = [found.above(1.25) for found in over.values()]
+    verdict: Verdict = (
+        "holds" if set(each) == {"holds"} else "does not hold" if set(each) == {"does not hold"} else "partly"
+    )
+    titles = {"net-only-sim": "simulation to px4-quad", "net-only-real": "px4-quad to simulation"}
+    shown = ", ".join(f"{titles[name]} {found} times" for name, found in over.items())
+    return verdict, f"folds {np.mean(mixed):.2f}°; {shown} (the paper 1.83, 2.04)"
 
 
 def fig6(numbers: Numbers) -> Judged:
-    """From 20° off, networks converge in < 1 s and filters in > 7 s.
+    """From 20° off, networks converge in less than 1 s and filters take more than 7 s.
 
-    It holds if both networks are first below 2° within 1 s and some filter after 7 s; partly: both networks
-    are quicker than the median filter.
+    It holds if the 95 % intervals of both networks' median times to an inclination error below 2° end before
+    1 s and every filter's begin after 7 s; partly: both networks are quicker than every filter.
+
+    A filter's time follows from its gains, which are tuned for complete flights: others are quicker, and
+    noisier.
     """
-    times = {
-        name: np.inf if each["flight"]["first_s"] is None else each["flight"]["first_s"]
-        for name, each in numbers["recover"]["curves"].items()
-        if name not in SHIPPED
-    }
-    slowest = max(times[name] for name in NETWORKS)
-    filters = [time for name, time in times.items() if name not in NETWORKS]
-    holds = slowest < CONVERGE_S["networks"] and max(filters) > CONVERGE_S["filters"]
+    curves = numbers["recover"]["curves"]
+    times = {name: median_time(curves[name]["flight"]["times_s"]) for name in (*NETWORKS, *FILTERS)}
+    slowest = max(times[name].high for name in NETWORKS)
+    quickest = min(times[name].low for name in FILTERS)
+    if slowest < CONVERGE_S["networks"] and quickest > CONVERGE_S["filters"]:
+        verdict: Verdict = "holds"
+    elif max(times[name].value for name in NETWORKS) < min(times[name].value for name in FILTERS):
+        verdict = "partly"
+    else:
+        verdict = "does not hold"
     shown = ", ".join(
-        f"{name} never" if np.isinf(times[name]) else f"{name} {times[name]:.2f} s"
-        for name in sorted(times, key=times.__getitem__)
+        f"{name} {shown_time(times[name])}" for name in sorted(times, key=lambda n: times[n].value)
     )
-    why = (
-        "networks store no attitude that would have to be forgotten: their memory is a second or so. The "
-        "filters' gains are tuned for whole flights, and how long they take to forget follows from those"
-    )
-    measured = f"from 20° to the first time below 2° in flight: {shown}"
-    return holds, slowest < float(np.median(filters)), measured, why
+    return verdict, f"median first time below 2° [s]: {shown}"
+
+
+def median_time(times: Sequence[float | None]) -> Interval:
+    """Median of times [s], where None is never."""
+    finite = [np.inf if time is None else time for time in times]
+    return interval(lambda each: float(np.sort(each)[len(each) // 2]), finite)
+
+
+def shown_time(each: Interval) -> str:
+    """A median time as a page shows it."""
+    return "never" if np.isinf(each.value) else f"{each.value:.2f} ({each.low:.2f} to {each.high:.2f})"
 
 
 def fig7(numbers: Numbers) -> Judged:
-    """About 25 % of the neurons can go without loss.
+    """All neurons that spike in less than 0.5 % of the steps, about a quarter, can go without loss.
 
-    It holds if 25 % can go for less than 2 % more error; partly: more than 5 % can.
+    It holds if the error without them is less than 2 % larger and they are an eighth of all neurons at least;
+    partly: they are fewer.
+
+    Nothing of networks that are trained to spike little, or again after the cut.
     """
     inside = numbers["inside"]
-    fractions = np.array(inside["fractions"])
-    free = {
-        by: float(fractions[np.array(errors) < TOLERANCE * errors[0]].max())
-        for by, errors in inside["ablation"].items()
-        if by != "random"
-    }
-    best = max(free, key=free.__getitem__)
-    errors = inside["ablation"][best]
-    at = int(np.argmin(np.abs(fractions - REMOVABLE)))
+    before, after = inside["ablation"]["activity"][0], inside["without_rare"]["error_deg"]
+    every = sum(map(len, inside["rates"]))
+    gone = 1 - inside["without_rare"]["neurons"] / every
+    synapses = 1 - inside["without_rare"]["synapses"][1] / inside["without_rare"]["synapses"][0]
+    free = after < TOLERANCE * before
+    verdict: Verdict = "holds" if free and gone >= 0.125 else "partly" if free else "does not hold"
     measured = (
-        f"{100 * free[best]:.0f} % can go for less than 2 % more error (by {best}, nothing trained again); "
-        f"without {100 * fractions[at]:.0f} % of them the error is {errors[at]:.2f}° in place of "
-        f"{errors[0]:.2f}°"
+        f"{100 * gone:.0f} % of the neurons, {100 * synapses:.0f} % of the synapses, are such (the paper "
+        f"{100 * ACTIVITY['removed_neurons']:.0f} %, almost {100 * ACTIVITY['removed_synapses']:.0f} %); "
+        "the error is "
+        f"{before:.2f}° with and {after:.2f}° without them"
     )
-    why = f"{sum(inside['silent'])} neurons hardly ever spike, and each of the others carries a share"
-    return free[best] > REMOVABLE - 0.01, free[best] > 0.05, measured, why
+    return verdict, measured
 
 
 def fig8(numbers: Numbers) -> Judged:
-    """The accelerometer is the reference in the long time, the gyroscope in the short.
+    """The accelerometer is the reference at a constant attitude, the gyroscope in fast motion.
 
-    It holds if slow attitude is followed better without gyroscope than without accelerometer, fast attitude
-    the other way round; partly: one of them.
+    It holds if slow attitude (below 0.2 Hz) is followed better without gyroscope than with θ_acc = 0, and
+    fast attitude (above 1 Hz) the other way round; partly: one of them.
+
+    Gains are of aggressive test flights of the Hummingbird; no interval.
     """
-    responses = numbers["inside"]["responses"]
-    no_gyro, no_accel = responses["gyro removed"], responses["accel removed"]
-    long_time = no_gyro["slow_gain"] > no_accel["slow_gain"]
-    short_time = no_accel["fast_gain"] > no_gyro["fast_gain"]
+    each = numbers["manipulate"]["networks"][SNN]
+    no_gyro, no_accel = each["gyro removed"], each["accel removed"]
+    slow = no_gyro["slow_gain"] > no_accel["slow_gain"]
+    fast = no_accel["fast_gain"] > no_gyro["fast_gain"]
     measured = (
-        f"slow attitude (below 0.2 Hz) is followed with a gain of {no_gyro['slow_gain']:.2f} without "
-        f"gyroscope and of {no_accel['slow_gain']:.2f} without accelerometer; fast attitude (above 1 Hz) of "
-        f"{no_gyro['fast_gain']:.2f} and of {no_accel['fast_gain']:.2f}"
+        f"gain of slow attitude {no_gyro['slow_gain']:.2f} without gyroscope, "
+        f"{no_accel['slow_gain']:.2f} with "
+        "θ_acc = 0; "
+        f"of fast attitude {no_gyro['fast_gain']:.2f} and {no_accel['fast_gain']:.2f}"
     )
-    why = (
-        "as in any filter, rates drift when integrated and forces are disturbed when accelerating"
-        if long_time
-        else "thrust is along the body's z at any tilt, and in flight the accelerometer depends on tilt by "
-        "rotor drag alone; in flights as aggressive as these even slow attitude comes mostly from the rates"
-    )
-    return long_time and short_time, long_time or short_time, measured, why
+    return ("holds" if slow and fast else "partly" if slow or fast else "does not hold"), measured
 
 
 def flops(numbers: Numbers) -> Judged:
-    """Att-RNN needs about 3 × the FLOPs of Att-SNN.
+    """Att-RNN needs almost 3 times the operations of Att-SNN.
 
-    It holds if the ratio is 2.4 or more, multiplying zeros too; partly: only without silent neurons.
+    It holds if it does by the paper's formulas for the recurrent layer, 2.7 times or more.
+
+    The formulas count a multiplication with a spike that is not there; chips that skip these do far less.
     """
+    layer = operations(100, 100)
     count = numbers["inside"]["flops"]
     dense, sparse = (count["gru"] / count[kind] for kind in ("dense", "sparse"))
     measured = (
-        f"{count['gru']:.0f} operations an update against {count['dense']:.0f}: {dense:.1f} times; counting "
-        f"only synapses of neurons that spike, {sparse:.0f} times"
+        f"by its formulas {layer['gru']} against {layer['snn']} a step: "
+        f"{layer['gru'] / layer['snn']:.2f} times; "
+        "all "
+        f"layers and operations counted {dense:.1f} times, without those of silent neurons {sparse:.0f} times"
     )
-    why = "a GRU has three gates where a spiking layer has one current; formulas are our own"
-    return dense >= 0.8 * FLOPS_RATIO, sparse >= FLOPS_RATIO, measured, why
+    return ("holds" if layer["gru"] / layer["snn"] >= 2.7 else "does not hold"), measured
 
 
 def rate(numbers: Numbers) -> Judged:
     """Higher data rates lower the error.
 
-    It holds if the error is lower at the highest rate than at the lowest by 2 %, and never 2 % higher than at
-    the rate before; partly: the former alone.
+    It holds if the 95 % interval of the error at the highest rate over that at the lowest lies below 1, and
+    no rate is 2 % worse than the one before; partly: the ratio alone is below 1.
+
+    The same recipe at every rate, in samples: other time constants at first, or more updates, may do better.
     """
-    rates = by_rate(numbers)
-    first, *_, last = rates.values()
-    lower = last[TRAINED_ON] < first[TRAINED_ON] / TOLERANCE
-    falling = all(b[TRAINED_ON] <= TOLERANCE * a[TRAINED_ON] for a, b in pairwise(rates.values()))
-    shown = ", ".join(f"{errors[TRAINED_ON]:.2f}° at {hz:g} Hz" for hz, errors in rates.items())
-    why = (
-        "more steps in a second carry finer rates of spikes and shorter delays"
-        if lower
-        else "the network comes from 200 Hz, and is trained on briefly over more steps the higher the rate"
-    )
-    return lower and falling, lower, f"trained on at each rate: {shown}", why
+    by_hz = by_rate(numbers, "att-snn")
+    over = ratio(by_hz[max(by_hz)], by_hz[min(by_hz)], paired=True)
+    means = [float(np.mean(each)) for each in by_hz.values()]
+    falls = all(b <= TOLERANCE * a for a, b in pairwise(means))
+    verdict = over.below(1.0)
+    shown = ", ".join(f"{mean:.2f}° at {hz:g} Hz" for hz, mean in zip(by_hz, means, strict=True))
+    return (
+        "partly" if verdict == "holds" and not falls else verdict
+    ), f"{shown}: {over} times from the lowest to the highest"
+
+
+def by_rate(numbers: Numbers, method: str) -> dict[float, list[float]]:
+    """Errors of a method on the test flights at each sample rate [deg]."""
+    prefix = "compare-rate-"
+    found = {
+        float(name.removeprefix(prefix)): next(iter(stage["errors"][method].values()))
+        for name, stage in numbers.items()
+        if name.startswith(prefix)
+    }
+    if not found:
+        raise KeyError("rate")
+    return dict(sorted(found.items()))
+
+
+def minutes(numbers: Numbers) -> Judged:
+    """Less than 20 minutes of flight are enough to train on.
+
+    It holds if the 95 % interval of the error after 10 minutes over that after the most lies below 1.1 on
+    unseen flights; partly: the ratio alone does.
+
+    One airframe, simulated, one training each: variety counts for more than minutes where it is wanting.
+    """
+    found = numbers["compare-minutes"]["errors"]
+    most = max(found, key=int)
+    near = min(found, key=lambda n: abs(int(n) - 10))
+    over = ratio(found[near]["fly-test-sim"], found[most]["fly-test-sim"], paired=True)
+    shown = ", ".join(f"{np.mean(each['fly-test-sim']):.2f}° from {n} min" for n, each in found.items())
+    return over.below(1.1), f"{shown}; {near} min over {most} min {over} times"
 
 
 def loop(numbers: Numbers) -> Judged:
-    """Errors do not accumulate in the loop.
+    """Errors do not accumulate when the vehicle flies on the network.
 
-    It holds if no flight crashes, and in every scenario the last third's error is below 1.2 times the
-    first's; partly: in some.
+    It holds if no flight on Att-SNN crashes, and in every scenario the last third's error is below 1.2 times
+    the first's; partly: in some.
+
+    Simulated flights; position and yaw come from motion capture.
     """
     scores = {name: each["att-snn"] for name, each in numbers["loop"]["scenarios"].items()}
     crashes, flights = (sum(each[key] for each in scores.values()) for key in ("crashes", "flights"))
@@ -289,12 +378,19 @@ def loop(numbers: Numbers) -> Judged:
     }
     steady = sum(ratio < 1.2 for ratio in growth.values())
     shown = ", ".join(f"{name} {ratio:.2f}" for name, ratio in growth.items())
-    measured = (
-        f"{crashes} of {flights} flights with attitude from Att-SNN crashed; error of the last third over "
-        f"that of the first: {shown}"
+    verdict: Verdict = (
+        "holds" if steady == len(scores) and crashes == 0 else "partly" if steady else "does not hold"
     )
-    why = "the accelerometer is a reference that does not drift, and the network forgets in a second"
-    return steady == len(scores) and crashes == 0, steady > 0, measured, why
+    return verdict, f"{crashes} of {flights} flights crashed; last third over first: {shown}"
 
 
-CLAIMS = (table2, fig4, table1, fig6, fig7, fig8, flops, rate, loop)
+CLAIMS = (table2, twin, fig4, table1, fig6, fig7, fig8, flops, rate, minutes, loop)
+ELSEWHERE = {
+    "a step of the recurrent layer takes 10 µs and 13.2 µJ on Loihi": "no chip here; our energy is a model",
+    "the network runs on a Loihi beside the flight controller": "no chip and no vehicle here",
+    "2.79° on 40 real sequences of a Pixhawk 4 Mini": "a simulated airframe stands for its recordings",
+    "both networks overfit to some extent": "windows that train start from rest, flights that validate once",
+}
+"""What the paper shows and this run cannot, and why."""
+ITEM = {"twin": "table2", "flops": "operations"}
+"""Items of the claims whose functions have another name."""

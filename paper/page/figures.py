@@ -1,8 +1,8 @@
-"""Figures, drawn from the stages' numbers; distinguished by line, marker and hatching, for grey too."""
+"""Figures in the paper's forms, from the stages' numbers; told apart by line and marker in grey too."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,11 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from estimators.appearance import Look, look
 from quadsim.dataset.figures import LINES
 
-from .claims import NETWORKS, TOLERANCE, Numbers, by_rate, pooled, scatter
-from .plan import FLOAT, PAPER, RESCALED, RNN, SNN, TEST, TRAINED_ON
-from .quoted import CHIP, CONVERGE_S, PYTORCH_US, REMOVABLE, TEST_DEG
-from .scores import CONVERGED_DEG, FILTERS, RESPONSE_S, SHIPPED, SHOWN_HZ, SIX
+from ..plan import SNN, TEST
+from ..work.scores import CONVERGED_DEG, FILTERS, RESPONSE_S, SHOWN_HZ, SIX
+from .claims import NETWORKS, Numbers, by_rate, errors, interval
+from .quoted import ACTIVITY, CONVERGE_S, LAYER, METHODS
+from .tables import CURVES, OWN, RESPONSES
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 BLACK, GREY, LIGHT = "#111111", "#999999", "#d9d9d9"
@@ -29,21 +30,7 @@ HATCHES = ("", "///", "...", "xxx", "\\\\\\")
 QUOTED: dict[str, Any] = {"marker": "D", "ls": "", "mfc": "white", "color": BLACK, "ms": 5}
 """How the paper's values are drawn."""
 DOMAIN_TITLES = {"sim": "Hummingbird, ADIS16448", "real": "px4-quad, Pixhawk 4 Mini"}
-CURVES = {
-    SNN: "Att-SNN, on the chip's grid",
-    FLOAT: "Att-SNN, floats",
-    PAPER: "Att-SNN, the paper's recipe",
-    RNN: "Att-RNN",
-}
-SAME = {
-    SNN: "att-snn-loihi",
-    FLOAT: "att-snn",
-    PAPER: "att-snn-paper",
-    RNN: "att-rnn",
-    "att-snn, shipped": "att-snn-loihi",
-    RESCALED: "att-snn",
-    TRAINED_ON: "att-snn-loihi",
-}
+SAME = {"att-snn, chip": "att-snn-loihi", "att-snn, ours": "att-snn-hummingbird"}
 """Networks of the paper, and the estimator whose look they have."""
 
 
@@ -99,116 +86,128 @@ def fig3(numbers: Numbers) -> Figure:
 
 
 def fig4(numbers: Numbers) -> Figure:
-    """Training and validation loss of four networks, and the scatter of the latter."""
-    figure, panels = _panels(9.6, 3.4, 1, 3, width_ratios=(1, 1, 0.6))
-    *curves, bars = panels
-    for axes, kind, title in zip(
-        curves, ("train_mse", "val_mse"), ("training windows", "validation flights"), strict=True
-    ):
-        for stage, label in CURVES.items():
-            style = _look(stage).line | {"lw": 1.1}
-            axes.plot(numbers[stage]["updates"], numbers[stage][kind], label=label, **style)
-        axes.set(title=title, xlabel="updates", xscale="log", yscale="log")
-        axes.xaxis.set_major_formatter(PLAIN)
-    curves[0].set_ylabel("mean square error [rad²]")
-    curves[0].legend(fontsize=7, loc="upper right")
-    for k, stage in enumerate(CURVES):
-        size = 100 * scatter(numbers[stage]["val_mse"])
-        bars.barh(k, size, color=_look(stage).colour, edgecolor=BLACK, hatch=HATCHES[k])
-    _name_rows(bars, [label.replace(", ", ",\n") for label in CURVES.values()], 7)
-    bars.set(title="scatter of validation", xlabel="epoch to epoch [%]")
+    """Training and validation loss of the four networks, epoch by epoch."""
+    figure, panels = _panels(10.2, 3.0, 1, len(CURVES), sharey=True)
+    for axes, (stage, title) in zip(panels, CURVES.items(), strict=True):
+        for kind, label, style in (
+            ("train_mse", "training", {"color": GREY, "ls": "--"}),
+            ("val_mse", "validation", {"color": BLACK, "ls": "-"}),
+        ):
+            loss = numbers[stage][kind]
+            axes.plot(np.arange(1, len(loss) + 1), loss, label=label, lw=1.0, **style)
+        best = numbers[stage]["best"]
+        axes.plot(best["epoch"] + 1, best["val_mse"], "o", ms=5, mfc="none", color=BLACK, label="best")
+        axes.set_title(title.replace(" (", "\n("))
+        axes.set(xlabel="epoch", yscale="log")
+    panels[0].set_ylabel("mean square error [rad²]")
+    panels[0].legend(fontsize=8)
     return figure
 
 
 def fig5(numbers: Numbers) -> Figure:
-    """Error of every test flight, with an unknown and, for filters, a known start."""
-    names = [*SIX, *SHIPPED]
-    figure, axes = _panels(8.4, 3.6)
+    """Error of every test flight of the second domain, with an unknown and, for filters, a known start."""
+    names = [*SIX, *OWN]
+    figure, axes = _panels(9.6, 3.8)
     handles: list[Artist] = []
     for shift, start, hatch, colour in ((-0.2, "unknown", "////", LIGHT), (0.2, "known", "", "#8f8f8f")):
         shown = [name for name in names if start == "unknown" or not name.startswith("att")]
-        data = [pooled(numbers, "test-", name, start) for name in shown]
         positions = [names.index(name) + shift for name in shown]
+        data = [errors(numbers, name, start) for name in shown]
         parts = axes.violinplot(data, positions=positions, widths=0.36, showmedians=True)
         for body in parts["bodies"]:
             body.set(facecolor=colour, edgecolor=BLACK, alpha=1.0, hatch=hatch, linewidth=0.7)
         for part in ("cmedians", "cmins", "cmaxes", "cbars"):
             parts[part].set(color=BLACK, linewidth=1.0)
+        quoted = [
+            (names.index(name) + shift, each[1][1]) for (name, s), each in METHODS.items() if s == start
+        ]
+        label = "the paper, mean on its flights" if start == "known" else None
+        drawn = axes.plot(*zip(*quoted, strict=True), **QUOTED, zorder=5, label=label)
         handles.append(Patch(facecolor=colour, edgecolor=BLACK, hatch=hatch, label=f"{start} start"))
-    places = [names.index(name) for name in TEST_DEG]
-    handles += axes.plot(places, list(TEST_DEG.values()), **QUOTED, zorder=5, label="the paper, its flights")
-    axes.set_xticks(range(len(names)), [name.replace(", ", ",\n") for name in names], fontsize=8)
+    titles = [(OWN.get(name) or name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
+    axes.set_xticks(range(len(names)), titles, fontsize=8)
     axes.set(ylabel="mean absolute error of a flight [°]")
     axes.set_ylim(bottom=0)
     axes.grid(axis="x", visible=False)
-    axes.legend(handles=handles, fontsize=8)
+    axes.legend(handles=[*handles, *drawn], fontsize=8)
     return figure
 
 
 def fig6(numbers: Numbers) -> Figure:
-    """Inclination error after a start with an error of 20°."""
-    curves = numbers["recover"]["curves"]
-    figure, panels = _panels(9.6, 3.6, 1, 2, sharey=True)
-    titles = ("in flight, tilted by 20°, believed level", "in hover, filters given a roll of 20°")
-    for axes, kind, title in zip(panels, ("flight", "hover"), titles, strict=True):
-        for k, name in enumerate((*FILTERS, *NETWORKS)):
-            if kind in curves[name]:
-                error = curves[name][kind]["median"]
-                style = {"ms": 4, "lw": 2.0 if name == "att-snn" else 1.1, "markevery": (5 * k, 40)}
-                axes.plot(np.arange(len(error)) / SHOWN_HZ, error, label=name, **style, **_look(name).points)
+    """Pitch after one start with an error of 20°, and the median inclination error after all."""
+    found = numbers["recover"]
+    figure, panels = _panels(10.2, 3.8, 1, 3)
+    one, *medians = panels
+    one.plot(
+        np.arange(len(found["example"]["truth"])) / SHOWN_HZ, found["example"]["truth"], color=BLACK, lw=2.0
+    )
+    one.annotate("truth", (RESPONSE_S, found["example"]["truth"][-1]), fontsize=7, ha="right")
+    for k, name in enumerate((*FILTERS, *NETWORKS)):
+        style = {"ms": 4, "lw": 2.0 if name == "att-snn" else 1.0, "markevery": (5 * k, 40)} | _look(
+            name
+        ).points
+        pitch = found["example"][name]
+        one.plot(np.arange(len(pitch)) / SHOWN_HZ, pitch, **style)
+        for axes, kind in zip(medians, ("flight", "hover"), strict=True):
+            if kind in found["curves"][name]:
+                error = found["curves"][name][kind]["median"]
+                axes.plot(np.arange(len(error)) / SHOWN_HZ, error, label=name, **style)
+    one.set(title="one start, in flight", xlabel="time [s]", ylabel="pitch [°]", xlim=(0, RESPONSE_S))
+    for axes, title in zip(medians, ("all starts, in flight", "in hover, told a roll of 20°"), strict=True):
         axes.axhline(CONVERGED_DEG, color=BLACK, lw=0.8, ls=":")
         for (key, seconds), sign in zip(CONVERGE_S.items(), "<>", strict=True):
             axes.axvline(seconds, color=GREY, lw=0.8)
-            _note(axes, f"the paper: {key} {sign} {seconds:g} s", (seconds, 27), (3, 0), color="#555555")
+            _note(axes, f"the paper:\n{key} {sign} {seconds:g} s", (seconds, 25), (3, 0), color="#555555")
         axes.set(title=title, xlabel="time [s]", xlim=(0, RESPONSE_S), ylim=(0, 30))
-    panels[0].set_ylabel("inclination error, median start [°]")
-    figure.legend(*panels[0].get_legend_handles_labels(), fontsize=8, ncols=7, loc="outside lower center")
+    medians[0].set_ylabel("inclination error, median [°]")
+    figure.legend(*medians[0].get_legend_handles_labels(), fontsize=8, ncols=7, loc="outside lower center")
     return figure
 
 
 def fig7(numbers: Numbers) -> Figure:
-    """How often neurons spike, and the error with some removed."""
+    """How often neurons spike, the most active first, and the error with some removed."""
     inside = numbers["inside"]
     figure, (left, right) = _panels(9.6, 3.2, 1, 2)
-    styles: dict[str, dict[str, Any]] = {
-        "encoding": {"color": LIGHT, "edgecolor": BLACK, "hatch": "////"},
-        "hidden": {"color": "#6b6b6b", "alpha": 0.75},
-    }
-    for rates, (layer, style) in zip(inside["rates"], styles.items(), strict=True):
-        label = f"{layer}, mean {np.mean(rates):.2f}"
-        left.hist(rates, np.linspace(0, 1, 26), label=label, linewidth=0.7, **style)
-    left.set(title="spiking", xlabel="spikes per step", ylabel="neurons")
-    left.legend(fontsize=8)
-    for k, (by, errors) in enumerate(inside["ablation"].items()):
+    for k, (rates, layer) in enumerate(zip(inside["rates"], ("encoding", "recurrent"), strict=True)):
+        share = 100 * np.arange(1, len(rates) + 1) / len(rates)
+        left.step(
+            share, np.maximum(sorted(rates, reverse=True), 1e-5), color=COLOURS[k], ls=DASHES[k], label=layer
+        )
+        left.axvline(
+            100 * (1 - ACTIVITY["never"][k] - ACTIVITY["rare"][k]), color=COLOURS[k], lw=0.8, ls=DASHES[k]
+        )
+    left.axhline(0.005, color=GREY, lw=0.8)
+    _note(left, "0.5 % of the steps", (0, 0.005), (2, -9))
+    _note(left, "vertical: where the paper's\nfall below", (0, 2e-5), (2, 0), color="#555555")
+    left.set(title="spikes per neuron and step, sorted", xlabel="neurons [%]", yscale="log", ylim=(1e-5, 1.5))
+    left.legend(fontsize=8, loc="lower center")
+    for k, (by, found) in enumerate(inside["ablation"].items()):
         label = "at random" if by == "random" else f"by {by}"
-        right.plot(100 * np.array(inside["fractions"]), errors, label=label, **_marked(k, 4))
-    complete = next(iter(inside["ablation"].values()))[0]
-    right.axhline(TOLERANCE * complete, color=BLACK, lw=0.8, ls=":")
-    right.axvline(100 * REMOVABLE, color=GREY, lw=0.8)
-    right.set(title="ablation, nothing trained again", xlabel="neurons removed [%]", yscale="log")
+        right.plot(100 * np.array(inside["fractions"]), found, label=label, **_marked(k, 4))
+    right.axvline(100 * ACTIVITY["removed_neurons"], color=GREY, lw=0.8)
+    right.set(title="error without neurons, untrained", xlabel="neurons removed [%]", yscale="log")
     right.set_ylabel("mean absolute error [°]")
     right.yaxis.set_major_formatter(PLAIN)
-    right.yaxis.set_minor_formatter(PLAIN)
+    right.yaxis.set_minor_formatter(NullFormatter())
     right.legend(fontsize=8)
     return figure
 
 
 def fig8(numbers: Numbers) -> Figure:
-    """Roll estimated from manipulated inputs."""
-    inside = numbers["inside"]
-    responses = inside["responses"]
-    time = np.arange(len(inside["roll_deg"])) * inside["step_s"]
-    figure, panels = _panels(8.0, 1.35 * len(responses) + 0.3, len(responses), 1, sharex=True)
-    for axes, (name, each) in zip(panels, responses.items(), strict=True):
-        axes.plot(time, inside["roll_deg"], color=GREY, lw=1.6, label="true roll")
-        axes.plot(time, each["roll_deg"], color=BLACK, lw=0.8, ls="-", label="estimated")
-        axes.set_title(
-            f"{name}: error {each['error_deg']:.2f}°, gain below 0.2 Hz {each['slow_gain']:.2f}, "
-            f"above 1 Hz {each['fast_gain']:.2f}"
-        )
-        axes.set(ylabel="[°]", xlim=(0, time[-1]))
-    panels[0].legend(ncols=2, fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0)
-    panels[-1].set_xlabel("time [s]")
+    """Pitch estimated from manipulated inputs at a constant velocity, and its error."""
+    found = numbers["manipulate"]
+    truth = np.array(found["pitch_deg"])
+    time = np.arange(len(truth)) * found["step_s"]
+    figure, (above, below) = _panels(9.6, 4.6, 2, 1, sharex=True)
+    above.plot(time, truth, color=BLACK, ls="--", lw=2.2, label="truth")
+    for k, (way, label) in enumerate(RESPONSES.items()):
+        pitch = np.array(found["networks"][SNN][way]["pitch_deg"])
+        style: dict[str, Any] = {"color": COLOURS[k + 1], "ls": DASHES[k], "lw": 1.1, "label": label}
+        above.plot(time, pitch, **style)
+        below.plot(time, np.abs(pitch - truth), **style)
+    above.set(ylabel="pitch [°]", title="pitch, Att-SNN")
+    below.set(ylabel="error of pitch [°]", xlabel="time [s]", xlim=(0, time[-1]))
+    figure.legend(*above.get_legend_handles_labels(), fontsize=8, ncols=5, loc="outside lower center")
     return figure
 
 
@@ -217,7 +216,8 @@ def fig9(numbers: Numbers) -> Figure:
     from estimators.analysis.latency import point  # imports torch
 
     taken = sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
-    paper = {"the paper: Loihi": CHIP["µs"]} | {f"the paper: {name}": us for name, us in PYTORCH_US.items()}
+    layer = {"Loihi": "loihi_us", "PyTorch SNN": "snn_us", "GRU": "gru_us"}
+    paper = {f"the paper's recurrent layer: {name}": LAYER[key] for name, key in layer.items()}
     figure, (left, right) = _panels(9.6, 4.4, 1, 2, width_ratios=(1.5, 1))
     for place, (name, (low, middle, high)) in enumerate(taken):
         left.plot([low, high], [place, place], color=GREY, lw=3, solid_capstyle="butt")
@@ -257,56 +257,41 @@ def loop(numbers: Numbers) -> Figure:
 
 def rate(numbers: Numbers) -> Figure:
     """Error against the sample rate."""
-    by_hz = by_rate(numbers)
     figure, axes = _panels(6.4, 3.4)
-    for name in next(iter(by_hz.values())):
-        errors = [each[name] for each in by_hz.values()]
-        axes.plot(list(by_hz), errors, label=name, ms=5, **_look(name).points)
-    axes.set(xscale="log", yscale="log", xlabel="sample rate [Hz]", ylabel="mean absolute error [°]")
-    axes.set_xticks(list(by_hz), [f"{rate:g}" for rate in by_hz])
-    axes.minorticks_off()
-    errors = [error for each in by_hz.values() for error in each.values()]
-    ticks = [t for t in (1, 1.5, 2, 3, 4, 5, 7, 10, 15, 20, 30) if 0.7 * min(errors) < t < 1.4 * max(errors)]
-    axes.set_yticks(ticks, [f"{t:g}" for t in ticks])
-    axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.legend(fontsize=8)
-    return figure
-
-
-def _compared(stage: Mapping[str, Any], places: Sequence[float], label: str) -> Figure:
-    """Errors of networks on both test sets against a size, a filter's as a line."""
-    figure, axes = _panels(6.4, 3.4)
-    sets = ("unseen Hummingbird flights", "the second domain, never trained on")
-    for k, (flights, title) in enumerate(zip(TEST, sets, strict=True)):
-        errors = [stage["errors"][name][flights] for name in stage["sizes"]]
-        means, deviations = np.mean(errors, axis=1), np.std(errors, axis=1)
-        axes.errorbar(places, means, deviations, capsize=3, label=title, **_marked(k))
-    if "mahony" in stage["errors"]:
-        level = np.mean(stage["errors"]["mahony"][TEST[0]])
-        axes.axhline(level, color="#6b6b6b", lw=1.0, ls=":")
-        _note(axes, "mahony, Hummingbird", (places[-1], level), (0, 3), ha="right")
-    axes.set(xscale="log", xlabel=label, ylabel="mean absolute error [°]")
-    axes.set_xticks(places, [f"{place:.2g}" if place < 100 else f"{place:g}" for place in places])
+    for name in ("att-snn", "complementary", "mahony"):
+        found = {hz: interval(lambda x: float(x.mean()), each) for hz, each in by_rate(numbers, name).items()}
+        means = [each.value for each in found.values()]
+        ends = [
+            [each.value - each.low for each in found.values()],
+            [each.high - each.value for each in found.values()],
+        ]
+        axes.errorbar(list(found), means, ends, capsize=3, label=name, ms=5, **_look(name).points)
+    axes.set(xscale="log", xlabel="sample rate [Hz]", ylabel="mean absolute error [°]")
+    axes.set_xticks(list(found), [f"{hz:g}" for hz in found])
     axes.minorticks_off()
     axes.set_ylim(bottom=0)
     axes.legend(fontsize=8)
     return figure
 
 
-def size(numbers: Numbers) -> Figure:
-    """Error against the number of neurons."""
-    stage = numbers["compare-size"]
-    return _compared(stage, [neurons for neurons, _ in stage["sizes"].values()], "neurons of both layers")
-
-
 def minutes(numbers: Numbers) -> Figure:
     """Error against the minutes of flight trained on."""
-    stage = numbers["compare-minutes"]
-    places = [int(flights) * stage["duration_s"] / 60 for flights in stage["sizes"]]
-    return _compared(stage, places, "minutes of flight trained on")
+    found = numbers["compare-minutes"]["errors"]
+    figure, axes = _panels(6.4, 3.4)
+    titles = ("unseen Hummingbird flights", "px4-quad, never trained on")
+    for k, (flights, title) in enumerate(zip(TEST, titles, strict=True)):
+        each = [interval(lambda x: float(x.mean()), sets[flights]) for sets in found.values()]
+        ends = [[one.value - one.low for one in each], [one.high - one.value for one in each]]
+        axes.errorbar(
+            [int(n) for n in found], [one.value for one in each], ends, capsize=3, label=title, **_marked(k)
+        )
+    axes.set(xscale="log", xlabel="minutes of flight trained on", ylabel="mean absolute error [°]")
+    axes.set_xticks([int(n) for n in found], list(found))
+    axes.minorticks_off()
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize=8)
+    return figure
 
 
-FIGURES = {
-    make.__name__: make for make in (fig3, fig4, fig5, fig6, fig7, fig8, fig9, loop, rate, size, minutes)
-}
+FIGURES = {make.__name__: make for make in (fig3, fig4, fig5, fig6, fig7, fig8, fig9, loop, rate, minutes)}
 """Figure of each item that has one."""

@@ -1,4 +1,4 @@
-"""The pages: prose of `sections.md` around the tables and figures, every number of them from the run."""
+"""The page: prose of `sections.md` around the tables and figures, every number of it from the run."""
 
 from __future__ import annotations
 
@@ -12,30 +12,29 @@ import matplotlib
 from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure, write_whole
 
+from ..plan import ITEMS
+from ..settings import PaperSettings
 from . import tables
-from .claims import Judgement, Numbers, judge
+from .claims import ELSEWHERE, Judgement, Numbers, judge
 from .figures import FIGURES
-from .plan import ITEMS
-from .quoted import TITLE
-from .settings import PaperSettings
+from .quoted import CODE, TITLE
 
-OWN_PAGES = ("rate", "size", "minutes")
-"""Items with a page of their own."""
 MARKS = {"holds": "✔ holds", "partly": "◐ partly", "does not hold": "✘ does not hold", "not judged": "–"}
 MISSING = "Not made in this run."
+LOOK = "\n\n**This is preset quick: short flights and trainings, for a look. No verdict follows from it.**"
 
 
 class Placement(NamedTuple):
-    """Names of the pages and their figures."""
+    """Names of the page's figures."""
 
     prefix: str = ""
-    """Begins the names of the three pages and of all figures."""
+    """Begins the names of all figures."""
     images: str = "."
-    """Folder of the figures, inside that of the pages."""
+    """Folder of the figures, inside that of the page."""
     kinds: tuple[str, ...] = ("png", "svg")
-    """Formats; the pages show the first."""
+    """Formats; the page shows the first."""
     then: str = ""
-    """A further command that these pages are made with."""
+    """A further command that this page is made with."""
 
 
 BESIDE = Placement()
@@ -56,7 +55,7 @@ def write_pages(
     seconds: float,
     placement: Placement,
 ) -> list[Judgement]:
-    """Write the page, the three beside it, and their figures; the judged claims.
+    """Write paper.md and its figures; the judged claims.
 
     Args:
         folder: Where.
@@ -64,22 +63,25 @@ def write_pages(
         shown: Items whose stages are all finished.
         settings: Of the run.
         seconds: Time that its stages took, added up.
-        placement: Names of the pages and their figures.
+        placement: Names of the figures.
     """
     prefix, images, kinds, then = placement
-    judged, texts = judge(numbers), sections()
+    judged, texts = judge(numbers, settings.judges), sections()
     command = f"quadsim paper --preset {settings.preset}"
     command += f" --seed {settings.seed} --out runs/paper" if settings.seed else " --out runs/paper"
     gaps = _Gaps(
         s=settings,
         n=numbers,
         title=TITLE,
+        code=CODE,
+        look="" if settings.judges else LOOK,
         computing_min=f"{seconds / 60:.0f}",
         made_by=f"Made by `{command}`{f' and `{then}`' if then else ''}.",
-        domains=texts["domains"][1],
         checklist="\n".join(
-            f"| {each.claim} | **{MARKS[each.verdict]}** | {each.measured} | {each.rule} |" for each in judged
+            f"| {each.claim} | **{MARKS[each.verdict]}** | {each.measured} | {each.rule} | {each.limits} |"
+            for each in judged
         ),
+        elsewhere="\n".join(f"* {what}: **not judged**, {why}." for what, why in ELSEWHERE.items()),
     )
     bodies = dict.fromkeys(ITEMS, MISSING)
     for item in shown:
@@ -94,17 +96,7 @@ def write_pages(
             parts.append(f"![{texts[item][0]}]({name}.{kinds[0]})")
         parts += [_verdict(each) for each in judged if each.item == item]
         bodies[item] = "\n\n".join(parts)
-    further = []
-    for item in OWN_PAGES:
-        title = texts[item][0]
-        further.append(f"* [{title}]({prefix}{item}.md)" if item in shown else f"* {title}: {MISSING}")
-        if item in shown:
-            head = f"# {title}\n\n{gaps['made_by']}\n\n{gaps['domains']}"
-            write_whole(folder / f"{prefix}{item}.md", f"{head}\n\n{bodies[item]}\n")
-    gaps["further"] = "\n".join(further)
-    gaps["sections"] = "\n\n".join(
-        f"## {texts[item][0]}\n\n{body}" for item, body in bodies.items() if item not in OWN_PAGES
-    )
+    gaps["sections"] = "\n\n".join(f"## {texts[item][0]}\n\n{body}" for item, body in bodies.items())
     title, text = texts["paper"]
     write_whole(folder / "paper.md", f"# {title}\n\n{text.format_map(gaps)}\n")
     return judged
@@ -112,7 +104,7 @@ def write_pages(
 
 def sections() -> dict[str, tuple[str, str]]:
     """Heading and text of every part of `sections.md` by its name."""
-    text = (files("paper") / "sections.md").read_text(encoding="utf-8")
+    text = (files("paper.page") / "sections.md").read_text(encoding="utf-8")
     parts = {}
     for part in text.split("=== ")[1:]:
         head, body = part.split("\n", 1)
@@ -122,6 +114,5 @@ def sections() -> dict[str, tuple[str, str]]:
 
 
 def _verdict(each: Judgement) -> str:
-    """A claim, the verdict and its reason, below its table or figure."""
-    why = f"\nWhy: {each.why}." if each.why else ""
-    return f"**“{each.claim}”: {each.verdict}.** {each.measured[:1].upper()}{each.measured[1:]}.{why}"
+    """A claim and its verdict, below its table or figure."""
+    return f"**“{each.claim}”: {each.verdict}.** {each.measured[:1].upper()}{each.measured[1:]}."

@@ -1,23 +1,38 @@
-"""What the paper says, as far as its numbers are known to this project. What is not here is "not quoted"."""
+"""What the paper says, from `quoted.toml`."""
 
-from __future__ import annotations
+import tomllib
+from importlib.resources import files
+from typing import Any
 
-NOT_QUOTED = "not quoted"
 TITLE = (
     "S. Stroobants, J. Dupeyroux and G. C. H. E. de Croon, *Neuromorphic computing for attitude estimation "
     "onboard quadrotors*, 2022, [arXiv:2304.08802](https://arxiv.org/abs/2304.08802)"
 )
-TEST_DEG = {"att-snn": 2.79, "att-rnn": 2.45, "complementary": 2.13}
-"""Error on its test flights [deg]."""
-GENERAL_DEG = "4.9 (others 2–3)"
-"""Its Table 1: trained in simulation and tested on real flights; otherwise [deg]."""
-CONVERGE_S = {"networks": 1.0, "filters": 7.0}
-"""From 20° off: networks in less, filters in more [s] (its Fig. 6)."""
-REMOVABLE = 0.25
-"""Share of the neurons that can go without loss, about (its Fig. 7)."""
-FLOPS_RATIO = 3.0
-"""Operations of Att-RNN over those of Att-SNN, about."""
-CHIP = {"µJ": 13.2, "µs": 10.0}
-"""Energy and time of a step on its board of 32 chips."""
-PYTORCH_US = {"SNN, plain PyTorch": 555.0, "GRU, PyTorch": 150.0}
-"""Time of a step in PyTorch, on its computer (its Fig. 9)."""
+CODE = (
+    "[tudelft/neuromorphic_attitude_estimation](https://github.com/tudelft/neuromorphic_attitude_estimation)"
+)
+_ALL: dict[str, Any] = tomllib.loads((files("paper.page") / "quoted.toml").read_text(encoding="utf-8"))
+
+FOLDS: dict[str, tuple[list[float], list[float]]] = {
+    row["fold"]: (row["train"], row["test"]) for row in _ALL["table1"]
+}
+"""Table 1: mean and SD on training and test flights [deg] by fold; "sim", "px4": trained on these alone."""
+METHODS: dict[tuple[str, str], tuple[list[float], list[float]]] = {
+    (row["method"], row["start"]): (row["train"], row["test"]) for row in _ALL["table2"]
+}
+"""Table 2: median, mean and SD on training and test flights [deg], by method and start."""
+LOSSES: dict[str, float] = _ALL["losses"]
+CONVERGE_S: dict[str, float] = _ALL["converge_s"]
+ACTIVITY: dict[str, Any] = _ALL["activity"]
+LAYER: dict[str, float] = _ALL["recurrent_layer"]
+
+
+def mean_deg(method: str, start: str = "unknown") -> float:
+    """Mean error on the test flights [deg]."""
+    return METHODS[method, start][1][1]
+
+
+def operations(neurons: int, inputs: int) -> dict[str, int]:
+    """Operations a step of a layer by the paper's formulas."""
+    m, n = neurons, inputs
+    return {"snn": m * m + m * n + 2 * m, "gru": 3 * m * m + 3 * m * n + 3 * m}

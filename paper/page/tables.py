@@ -1,21 +1,33 @@
-"""Tables in Markdown for the gaps of `sections.md`, from the stages' numbers."""
+"""Tables in Markdown for the gaps of `sections.md`, from the stages' numbers, the paper's own beside ours."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from training.cross_domain import TEST, TRAIN
+from ..plan import CHIP, CROSS, FIXED, RNN, SNN
+from ..work.scores import FILTERS, SHIPPED, SIX
+from .claims import NETWORKS, Numbers, by_rate, errors, interval, median_time, scatter, shown_time
+from .quoted import ACTIVITY, FOLDS, LAYER, LOSSES, METHODS, operations
 
-from .claims import NETWORKS, Numbers, by_rate, fold_errors, pooled
-from .figures import CURVES, DOMAIN_TITLES
-from .plan import RNN
-from .quoted import CHIP, GENERAL_DEG, NOT_QUOTED, PYTORCH_US, TEST_DEG
-from .scores import FILTERS, SHIPPED, SIX
-
-DOMAIN_NAMES = {"sim": "Hummingbird", "real": "second domain"}
+DOMAIN_NAMES = {"fly-sim": "Hummingbird", "fly-real": "px4-quad"}
+CURVES = {
+    SNN: "Att-SNN",
+    FIXED: "Att-SNN (only weights trained)",
+    CHIP: "Att-SNN (Loihi quantisation)",
+    RNN: "Att-RNN",
+}
+"""The networks of the paper's Fig. 4, as its published code names them."""
+RESPONSES = {
+    "gyro removed": "gyroscope 0",
+    "accel zero": "accelerometer 0",
+    "accel removed": "accelerometer such that θ_acc = 0",
+    "intact": "untouched",
+}
+"""The paper's four inputs of Fig. 8."""
+OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)", "att-snn, ours": "Att-SNN, our recipe"}
+OWN |= dict.fromkeys(SHIPPED, "")
 
 
 def _table(header: str, rows: Iterable[Sequence[object]]) -> str:
@@ -24,37 +36,48 @@ def _table(header: str, rows: Iterable[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
-def _italic(name: str) -> str:
-    return f"*{name}*" if name in SHIPPED else name
+def _named(name: str) -> str:
+    """A method, in italics where it is none of the paper's."""
+    return name if name in SIX else f"*{OWN.get(name) or name}*"
+
+
+def _spread(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.2f} ({np.std(values, ddof=1):.2f})"
 
 
 def folds(numbers: Numbers) -> str:
-    """Table 1: k-fold and cross-domain errors."""
-    tested = {TRAIN: "training flights", TEST: "unseen flights of the same domain"}
+    """Table 1: errors of every fold, mean (SD) over flights."""
+    found = numbers["score-folds"]
     rows = []
-    for cell in fold_errors(numbers):
-        quoted = (cell.model, cell.trained_on, cell.tested_on) == ("att-snn", "sim", "real")
-        on = tested.get(cell.tested_on) or f"all of the {DOMAIN_NAMES[cell.tested_on]}"
-        error = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}"
-        home, theirs = DOMAIN_NAMES[cell.trained_on], GENERAL_DEG if quoted else NOT_QUOTED
-        rows.append([cell.model, home, on, cell.folds, error, theirs])
-    return _table("network | trained on | tested on | folds | mean ± SD [°] | the paper [°]", rows)
+    mixed = [name for name in found if name not in CROSS]
+    for key, name in [*zip("12345", mixed, strict=False), ("sim", "net-only-sim"), ("px4", "net-only-real")]:
+        theirs = [f"{mean:.2f} ({sd:.2f})" for mean, sd in FOLDS[key]]
+        title = {"sim": "Hummingbird → px4-quad", "px4": "px4-quad → Hummingbird"}.get(key, f"fold {key}")
+        rows.append([title, *(_spread(found[name][kind]) for kind in ("train", "test")), *theirs])
+    return _table("fold | training | test | the paper, training | the paper, test", rows)
 
 
 def methods(numbers: Numbers) -> str:
-    """Table 2: median, mean and SD of every method, pooled over both domains (networks: unknown start)."""
+    """Table 2: median, mean and SD of every method over flights."""
     rows = []
-    every = [*SIX, "complementary-adaptive", *SHIPPED]
-    known = [name for name in every if not name.startswith("att")]
-    for name, start in [*((name, "unknown") for name in every), *((name, "known") for name in known)]:
-        errors = [pooled(numbers, kind, name, start) for kind in ("", "test-")]
-        cells = [value for each in errors for value in (np.median(each), each.mean(), each.std(ddof=1))]
-        cells += [np.mean(numbers[f"score-test-{each}"]["sequences"][name][start]) for each in DOMAIN_NAMES]
-        theirs = TEST_DEG.get(name, NOT_QUOTED) if start == "unknown" else NOT_QUOTED
-        rows.append([_italic(name), start, *(f"{error:.2f}" for error in cells), theirs])
+    for name in (*SIX, "complementary-adaptive", *OWN):
+        for start in ("unknown",) if name.startswith("att") else ("known", "unknown"):
+            training = [
+                e
+                for stage in ("score-fly-sim", "score-fly-real")
+                for e in errors(numbers, name, start, stage)
+            ]
+            test = errors(numbers, name, start)
+            cells = [
+                " / ".join(f"{f(each):.2f}" for f in (np.median, np.mean, np.std))
+                for each in (training, test)
+            ]
+            home = np.mean(errors(numbers, name, start, "score-fly-test-sim"))
+            quoted = METHODS.get((name, start))
+            theirs = [" / ".join(f"{x:.2f}" for x in each) for each in quoted] if quoted else ["–", "–"]
+            rows.append([_named(name), start, cells[0], theirs[0], cells[1], theirs[1], f"{home:.2f}"])
     header = (
-        "method | start | training: median | mean | SD | test: median | mean | SD | test, Hummingbird | "
-        "test, second domain | the paper, test"
+        "method | start | training | the paper, training | test | the paper, test | test, Hummingbird, mean"
     )
     return _table(header, rows)
 
@@ -66,30 +89,43 @@ def tuned(numbers: Numbers) -> str:
         each = numbers[f"tune-{name}"]
         values = ", ".join(f"`{key}` {value:.4g}" for key, value in each["values"].items())
         rows.append([name, values, f"{each['rmse_deg']:.2f}"])
-    return _table("filter | tuned values | RMSE on the training flights [°]", rows)
+    return _table("filter | tuned values | RMSE on the flights that tuned it [°]", rows)
 
 
 def distributions(numbers: Numbers) -> str:
     """Standard deviations of inputs and outputs in both domains."""
-    domains = numbers["distributions"]
+    domains = {f"fly-{name}": each for name, each in numbers["distributions"].items()}
     rows = [
-        [DOMAIN_TITLES[domain], *(f"{each['sd']:.2f}" for each in columns.values())]
+        [DOMAIN_NAMES[domain], *(f"{each['sd']:.2f}" for each in columns.values())]
         for domain, columns in domains.items()
     ]
-    return _table(" | ".join(["SD of", *domains["sim"]]), rows)
+    return _table(" | ".join(["SD of", *next(iter(domains.values()))]), rows)
 
 
 def losses(numbers: Numbers) -> str:
-    """Last and best epochs of the four trainings, the best network first."""
+    """Best epochs and scatter of the trainings."""
     rows = []
-    for stage in sorted(CURVES, key=lambda name: numbers[name]["best"]["val_error_deg"]):
-        best = numbers[stage]["best"]
+    for stage, title in CURVES.items():
+        each = numbers[stage]
+        best = each["best"]
         spikes = "–" if stage == RNN else f"{best['rate_encoding']:.2f}, {best['rate_hidden']:.2f}"
-        updates, minutes = numbers[stage]["updates"][-1], numbers[stage]["seconds"] / 60
-        error = f"{best['val_error_deg']:.2f}"
-        rows.append([CURVES[stage], f"{updates:.0f}", best["updates"], error, spikes, f"{minutes:.1f}"])
+        quoted = {SNN: LOSSES["att-snn"], RNN: LOSSES["att-rnn"]}.get(stage)
+        rows.append(
+            [
+                title,
+                f"{len(each['updates'])}",
+                best["epoch"] + 1,
+                f"{best['val_error_deg']:.2f}",
+                f"{1e3 * scatter(each['val_mse']):.2f}",
+                f"{1e3 * quoted:.1f}" if quoted else "–",
+                spikes,
+                f"{each['seconds'] / 60:.0f}",
+                each["reason"],
+            ]
+        )
     header = (
-        "network | updates | of them to the best | validation error [°] | spikes a step, both layers | min"
+        "network | epochs | the best | validation error [°] | scatter [10⁻³ rad²] | the paper | "
+        "spikes a step, both layers | min | ended because"
     )
     return _table(header, rows)
 
@@ -101,34 +137,64 @@ def recoveries(numbers: Numbers) -> str:
         cells = []
         for kind in ("flight", "hover"):
             if kind in each:
-                time = each[kind]["first_s"]
-                cells += ["never" if time is None else f"{time:.2f}", f"{100 * each[kind]['within']:.0f} %"]
+                times = each[kind]["times_s"]
+                within = np.mean([time is not None for time in times])
+                cells += [shown_time(median_time(times)), f"{100 * within:.0f} %"]
             else:
                 cells += ["–", "–"]
-        theirs = "< 1 s" if name in NETWORKS else "> 7 s (its filters)" if name in SIX else NOT_QUOTED
-        rows.append([_italic(name), *cells, theirs])
-    return _table("method | in flight [s] | converged | in hover [s] | converged | the paper", rows)
+        theirs = "< 1" if name in NETWORKS else "> 7" if name in SIX else "between"
+        rows.append([_named(name), *cells, theirs if name in (*SIX, "complementary-adaptive") else "–"])
+    return _table("method | in flight [s] | converged | in hover [s] | converged | the paper [s]", rows)
+
+
+def activity(numbers: Numbers) -> str:
+    """Shares of neurons that hardly spike."""
+    rows = []
+    rates = [np.array(each) for each in numbers["inside"]["rates"]]
+    for layer, rate, never, rare in zip(
+        ("encoding", "recurrent"), rates, ACTIVITY["never"], ACTIVITY["rare"], strict=True
+    ):
+        ours = [(rate == 0).mean(), ((rate > 0) & (rate < 0.005)).mean()]
+        cells = [f"{100 * share:.0f} %" for share in (ours[0], never, ours[1], rare)]
+        rows.append([layer, f"{rate.mean():.3f}", *cells])
+    header = (
+        "layer | spikes per neuron and step | never spike | the paper | below 0.5 % of the steps | the paper"
+    )
+    return _table(header, rows)
 
 
 def manipulations(numbers: Numbers) -> str:
     """Errors and gains with a sensor changed."""
-    rows = [
-        [name, *(f"{each[key]:.2f}" for key in ("error_deg", "gain", "slow_gain", "fast_gain"))]
-        for name, each in numbers["inside"]["responses"].items()
-    ]
-    return _table("inputs | error [°] | gain | gain below 0.2 Hz | gain above 1 Hz", rows)
+    rows = []
+    for network, title in ((SNN, "Att-SNN"), (CHIP, "Att-SNN (Loihi quantisation)")):
+        for way, name in RESPONSES.items():
+            each = numbers["manipulate"]["networks"][network][way]
+            keys = ("cruise_deg", "error_deg", "slow_gain", "fast_gain")
+            rows.append([title, name, *(f"{each[key]:.2f}" for key in keys)])
+    header = (
+        "network | inputs | error at constant velocity [°] | in aggressive flight [°] | "
+        "gain below 0.2 Hz | above 1 Hz"
+    )
+    return _table(header, rows)
 
 
 def latencies(numbers: Numbers) -> str:
     """Time of one update."""
-    chip = numbers["latencies"]["att-snn-loihi"][1]
-    theirs = {name: f"{value:g}" for name, value in PYTORCH_US.items()}
-    theirs["att-snn-loihi"] = f"{CHIP['µs']:g} (the chip itself)"
     rows = [
-        [name, f"{middle:.2f}", f"{high:.2f}", f"{middle / chip:.2f}", theirs.get(name, NOT_QUOTED)]
+        [name, f"{middle:.2f}", f"{high:.2f}"]
         for name, (_, middle, high) in sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
     ]
-    return _table("estimator | median [µs] | 99 % [µs] | over att-snn-loihi | the paper [µs]", rows)
+    return _table("estimator | median [µs] | 99 % [µs]", rows)
+
+
+def layer(numbers: Numbers) -> str:
+    """The paper's measurements of a step of the recurrent layer."""
+    rows = [
+        ["Loihi, a board of 32 chips", f"{LAYER['loihi_us']:g}", f"{LAYER['loihi_uj']:g}"],
+        ["PyTorch SNN, a laptop", f"{LAYER['snn_us']:g}", "–"],
+        ["GRU, a laptop", f"{LAYER['gru_us']:g}", "–"],
+    ]
+    return _table("the paper, the recurrent layer alone | time of a step [µs] | energy of a step [µJ]", rows)
 
 
 def energy(numbers: Numbers) -> str:
@@ -143,18 +209,31 @@ def energy(numbers: Numbers) -> str:
     return _table("operation | a step | pJ each | nJ a step | share", rows)
 
 
-def operations(numbers: Numbers) -> str:
-    """Floating-point operations of one update."""
+def counted(numbers: Numbers) -> str:
+    """Operations of one update, by the paper's formulas and counted."""
     flops = numbers["inside"]["flops"]
+    by_formula = operations(100, 100)
     rows = [
-        [label, f"{flops[key]:.0f}", f"{flops[key] / flops['dense']:.2f}", theirs]
-        for key, label, theirs in (
-            ("dense", "Att-SNN, zeros multiplied too", NOT_QUOTED),
-            ("sparse", "Att-SNN, synapses of spikes alone", NOT_QUOTED),
-            ("gru", "Att-RNN", "about 3"),
-        )
+        [
+            "by the paper's formulas, the recurrent layer",
+            by_formula["snn"],
+            by_formula["gru"],
+            f"{by_formula['gru'] / by_formula['snn']:.2f}",
+        ],
+        [
+            "counted, all layers, zeros too",
+            f"{flops['dense']:.0f}",
+            f"{flops['gru']:.0f}",
+            f"{flops['gru'] / flops['dense']:.2f}",
+        ],
+        [
+            "counted, synapses of spikes alone",
+            f"{flops['sparse']:.0f}",
+            f"{flops['gru']:.0f}",
+            f"{flops['gru'] / flops['sparse']:.1f}",
+        ],
     ]
-    return _table("network | operations an update | over the first | the paper", rows)
+    return _table("operations an update | Att-SNN | Att-RNN | ratio", rows)
 
 
 def loops(numbers: Numbers) -> str:
@@ -165,7 +244,8 @@ def loops(numbers: Numbers) -> str:
             parts = " → ".join(f"{part:.2f}" for part in each["parts_deg"])
             error, *tracking = (f"{each[key]:.2f}" for key in ("error_deg", "attitude_deg", "position_m"))
             crashed = f"{each['crashes']} of {each['flights']}"
-            rows.append([scenario, _italic(name), crashed, error, parts, *tracking])
+            title = name if name == "truth" or name in FILTERS else _named(name)
+            rows.append([scenario, title, crashed, error, parts, *tracking])
     header = (
         "scenario | attitude from | crashed | estimation error [°] | in thirds of the flight [°] | "
         "attitude tracking [°] | position tracking [m]"
@@ -175,40 +255,42 @@ def loops(numbers: Numbers) -> str:
 
 def rates(numbers: Numbers) -> str:
     """Errors at each sample rate."""
-    by_hz = by_rate(numbers)
-    rows = [[f"{rate:g}", *(f"{error:.2f}" for error in each.values())] for rate, each in by_hz.items()]
-    names = next(iter(by_hz.values()))
-    return _table(" | ".join(["samples a second", *(f"{name} [°]" for name in names)]), rows)
-
-
-def sizes(numbers: Numbers) -> str:
-    """Errors of networks of several sizes, and which are enough."""
-    stage = numbers["compare-size"]
-    names = {
-        name: f"{name} neurons ({parameters} parameters)" for name, (_, parameters) in stage["sizes"].items()
+    methods = ("att-snn", "complementary", "mahony")
+    found = {name: by_rate(numbers, name) for name in methods}
+    trained = {
+        float(name.removeprefix("rate-")): each for name, each in numbers.items() if name.startswith("rate-")
     }
-    return _compared(stage, names, "network")
+    rows = []
+    for hz, each in found["att-snn"].items():
+        mean = interval(lambda x: float(x.mean()), each)
+        training = trained[hz]
+        cells = [f"{np.mean(found[name][hz]):.2f}" for name in methods[1:]]
+        rows.append(
+            [
+                f"{hz:g}",
+                str(mean),
+                *cells,
+                len(training["updates"]),
+                training["best"]["epoch"] + 1,
+                training["reason"],
+            ]
+        )
+    return _table(
+        "samples a second | Att-SNN [°] | complementary [°] | mahony [°] | epochs | the best | ended because",
+        rows,
+    )
 
 
-def minutes(numbers: Numbers) -> str:
-    """Errors of networks trained on several minutes of flight, and which are enough."""
-    stage = numbers["compare-minutes"]
-    names = {name: f"{int(name) * stage['duration_s'] / 60:.1f} minutes of flight" for name in stage["sizes"]}
-    return _compared(stage, names, "trained on")
-
-
-def _compared(stage: Mapping[str, Any], names: Mapping[str, str], first: str) -> str:
-    """Errors on both test sets, and the least network within a tenth of the error of the last."""
-    errors = stage["errors"]
-    rows = [
-        [
-            names.get(name, name),
-            *(f"{np.mean(each):.2f} ± {np.std(each, ddof=1):.2f}" for each in sets.values()),
-        ]
-        for name, sets in errors.items()
-    ]
-    *_, last = names
-    means = {name: np.mean(errors[name]["fly-test-sim"]) for name in names}
-    least = next(name for name in names if means[name] <= 1.1 * means[last])
-    table = _table(f"{first} | unseen Hummingbird flights [°] | second domain [°]", rows)
-    return f"{table}\n\n{names[least]} come within a tenth of the error of {names[last]}."
+def flown_minutes(numbers: Numbers) -> str:
+    """Errors of networks trained on several minutes of flight."""
+    rows = []
+    for n, sets in numbers["compare-minutes"]["errors"].items():
+        training = numbers[f"minutes-{n}"]
+        cells = [str(interval(lambda x: float(x.mean()), each)) for each in sets.values()]
+        rows.append([n, *cells, len(training["updates"]), training["best"]["epoch"] + 1, training["reason"]])
+    header = (
+        "minutes of flight | unseen Hummingbird flights [°] | px4-quad, never trained on [°] | epochs | "
+        "the best | "
+        "ended because"
+    )
+    return _table(header, rows)

@@ -12,8 +12,9 @@ from estimators.analysis.energy import costs, counts, gru_flops, snn_flops
 from estimators.analysis.inspection import FRACTIONS
 from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking
 from estimators.networks.weights_file import load_network
+from quadsim.dataset.reading import open_dataset
 
-from .files import WEIGHTS, Inputs, write_numbers
+from .files import FLIGHTS, WEIGHTS, Inputs, write_numbers
 from .scores import flights_of
 
 RARE = 0.005
@@ -81,7 +82,10 @@ def manipulate(folder: Path, inputs: Inputs) -> None:
         }
     truth = flights_of(inputs, cruise)
     pitch = np.degrees(truth.truth[0, ::SHOWN, 1]).round(2).tolist()
-    write_numbers(folder, {"networks": found, "pitch_deg": pitch, "step_s": SHOWN / truth.rate_hz})
+    flown = open_dataset(inputs[cruise] / FLIGHTS)["velocity"].to_numpy()
+    metres_s = float(np.median(np.linalg.norm(flown, axis=-1)))
+    numbers = {"networks": found, "pitch_deg": pitch, "step_s": SHOWN / truth.rate_hz, "metres_s": metres_s}
+    write_numbers(folder, numbers)
 
 
 SHOWN = 8
