@@ -48,15 +48,17 @@ class PaperSettings(Strict):
     iterations: Number = 50
     """How often."""
     snn: Budget = Budget()
-    """Networks by the paper's recipe."""
+    """Att-SNN and its variants."""
     rnn: Budget = Budget(epochs=200)
     """Att-RNN."""
+    fold: Budget = Budget(epochs=250)
+    """Networks of further folds, and of one domain alone."""
     ours_epochs: Number = 60
     """Of the preset `hummingbird`, a thousand updates each."""
     rates_hz: tuple[SampleRate, ...] = (100.0, 200.0, 500.0, 1000.0)
     rate_flights: Number = 20
     """Flights of `flight_s` at each rate."""
-    rate: Budget = Budget(epochs=150)
+    rate: Budget = Budget(epochs=120)
     minutes: tuple[Number, ...] = (1, 3, 10, 30, 60)
     """Flights of a minute that train."""
     minutes_validation: Number = 9
@@ -87,6 +89,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "iterations": 15,
         "snn": Budget(epochs=60, window_s=5.0),
         "rnn": Budget(epochs=30, window_s=2.5),
+        "fold": SHORT,
         "ours_epochs": 3,
         "rates_hz": (100.0, 200.0, 500.0),
         "rate_flights": 6,

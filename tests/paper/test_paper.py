@@ -35,6 +35,7 @@ TINY = PaperSettings(
     iterations=1,
     snn=SHORT,
     rnn=SHORT,
+    fold=SHORT,
     ours_epochs=1,
     rates_hz=(100.0, 200.0),
     rate_flights=3,
