@@ -30,7 +30,7 @@ OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)", "att-snn, ours": "Att-SN
 OWN |= dict.fromkeys(SHIPPED, "")
 
 
-def _table(header: str, rows: Iterable[Sequence[object]]) -> str:
+def markdown_table(header: str, rows: Iterable[Sequence[object]]) -> str:
     """A table under a header "a | b | c"; the first column to the left, numbers to the right."""
     lines = [header.split(" | "), ["---", *["---:"] * header.count(" | ")], *rows]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
@@ -54,7 +54,7 @@ def folds(numbers: Numbers) -> str:
         theirs = [f"{mean:.2f} ({sd:.2f})" for mean, sd in FOLDS[key]]
         title = {"sim": "Hummingbird → px4-quad", "px4": "px4-quad → Hummingbird"}.get(key, f"fold {key}")
         rows.append([title, *(_spread(found[name][kind]) for kind in ("train", "test")), *theirs])
-    return _table("fold | training | test | the paper, training | the paper, test", rows)
+    return markdown_table("fold | training | test | the paper, training | the paper, test", rows)
 
 
 def methods(numbers: Numbers) -> str:
@@ -75,11 +75,16 @@ def methods(numbers: Numbers) -> str:
             home = np.mean(errors(numbers, name, start, "score-fly-test-sim"))
             quoted = METHODS.get((name, start))
             theirs = [" / ".join(f"{x:.2f}" for x in each) for each in quoted] if quoted else ["–", "–"]
-            rows.append([_named(name), start, cells[0], theirs[0], cells[1], theirs[1], f"{home:.2f}"])
+            silenced = [
+                numbers[f"score-fly-test-{domain}"]["silenced_deg"].get(name) for domain in ("real", "sim")
+            ]
+            beside = ["" if each is None else f" (silenced {each:.1f})" for each in silenced]
+            ours = [cells[1] + beside[0], f"{home:.2f}{beside[1]}"]
+            rows.append([_named(name), start, cells[0], theirs[0], ours[0], theirs[1], ours[1]])
     header = (
         "method | start | training | the paper, training | test | the paper, test | test, Hummingbird, mean"
     )
-    return _table(header, rows)
+    return markdown_table(header, rows)
 
 
 def tuned(numbers: Numbers) -> str:
@@ -89,7 +94,7 @@ def tuned(numbers: Numbers) -> str:
         each = numbers[f"tune-{name}"]
         values = ", ".join(f"`{key}` {value:.4g}" for key, value in each["values"].items())
         rows.append([name, values, f"{each['rmse_deg']:.2f}"])
-    return _table("filter | tuned values | RMSE on the flights that tuned it [°]", rows)
+    return markdown_table("filter | tuned values | RMSE on the flights that tuned it [°]", rows)
 
 
 def distributions(numbers: Numbers) -> str:
@@ -99,7 +104,7 @@ def distributions(numbers: Numbers) -> str:
         [DOMAIN_NAMES[domain], *(f"{each['sd']:.2f}" for each in columns.values())]
         for domain, columns in domains.items()
     ]
-    return _table(" | ".join(["SD of", *next(iter(domains.values()))]), rows)
+    return markdown_table(" | ".join(["SD of", *next(iter(domains.values()))]), rows)
 
 
 def losses(numbers: Numbers) -> str:
@@ -127,7 +132,7 @@ def losses(numbers: Numbers) -> str:
         "network | epochs | the best | validation error [°] | scatter [10⁻³ rad²] | the paper | "
         "spikes a step, both layers | min | ended because"
     )
-    return _table(header, rows)
+    return markdown_table(header, rows)
 
 
 def recoveries(numbers: Numbers) -> str:
@@ -144,7 +149,9 @@ def recoveries(numbers: Numbers) -> str:
                 cells += ["–", "–"]
         theirs = "< 1" if name in NETWORKS else "> 7" if name in SIX else "between"
         rows.append([_named(name), *cells, theirs if name in (*SIX, "complementary-adaptive") else "–"])
-    return _table("method | in flight [s] | converged | in hover [s] | converged | the paper [s]", rows)
+    return markdown_table(
+        "method | in flight [s] | converged | in hover [s] | converged | the paper [s]", rows
+    )
 
 
 def activity(numbers: Numbers) -> str:
@@ -160,7 +167,7 @@ def activity(numbers: Numbers) -> str:
     header = (
         "layer | spikes per neuron and step | never spike | the paper | below 0.5 % of the steps | the paper"
     )
-    return _table(header, rows)
+    return markdown_table(header, rows)
 
 
 def manipulations(numbers: Numbers) -> str:
@@ -175,7 +182,7 @@ def manipulations(numbers: Numbers) -> str:
         "network | inputs | error at constant velocity [°] | in aggressive flight [°] | "
         "gain below 0.2 Hz | above 1 Hz"
     )
-    return _table(header, rows)
+    return markdown_table(header, rows)
 
 
 def latencies(numbers: Numbers) -> str:
@@ -184,7 +191,7 @@ def latencies(numbers: Numbers) -> str:
         [name, f"{middle:.2f}", f"{high:.2f}"]
         for name, (_, middle, high) in sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
     ]
-    return _table("estimator | median [µs] | 99 % [µs]", rows)
+    return markdown_table("estimator | median [µs] | 99 % [µs]", rows)
 
 
 def layer(numbers: Numbers) -> str:
@@ -194,7 +201,9 @@ def layer(numbers: Numbers) -> str:
         ["PyTorch SNN, a laptop", f"{LAYER['snn_us']:g}", "–"],
         ["GRU, a laptop", f"{LAYER['gru_us']:g}", "–"],
     ]
-    return _table("the paper, the recurrent layer alone | time of a step [µs] | energy of a step [µJ]", rows)
+    return markdown_table(
+        "the paper, the recurrent layer alone | time of a step [µs] | energy of a step [µJ]", rows
+    )
 
 
 def energy(numbers: Numbers) -> str:
@@ -206,7 +215,7 @@ def energy(numbers: Numbers) -> str:
         nanojoules, share = f"{count * picojoules / 1e3:.2f}", f"{100 * each['share']:.0f} %"
         rows.append([each["operation"], f"{count:.1f}", f"{picojoules:g}", nanojoules, share])
     rows.append(["sum, modelled", "", "", f"{total / 1e3:.1f}", ""])
-    return _table("operation | a step | pJ each | nJ a step | share", rows)
+    return markdown_table("operation | a step | pJ each | nJ a step | share", rows)
 
 
 def counted(numbers: Numbers) -> str:
@@ -233,7 +242,7 @@ def counted(numbers: Numbers) -> str:
             f"{flops['gru'] / flops['sparse']:.1f}",
         ],
     ]
-    return _table("operations an update | Att-SNN | Att-RNN | ratio", rows)
+    return markdown_table("operations an update | Att-SNN | Att-RNN | ratio", rows)
 
 
 def loops(numbers: Numbers) -> str:
@@ -250,7 +259,7 @@ def loops(numbers: Numbers) -> str:
         "scenario | attitude from | crashed | estimation error [°] | in thirds of the flight [°] | "
         "attitude tracking [°] | position tracking [m]"
     )
-    return _table(header, rows)
+    return markdown_table(header, rows)
 
 
 def rates(numbers: Numbers) -> str:
@@ -275,7 +284,7 @@ def rates(numbers: Numbers) -> str:
                 training["reason"],
             ]
         )
-    return _table(
+    return markdown_table(
         "samples a second | Att-SNN [°] | complementary [°] | mahony [°] | epochs | the best | ended because",
         rows,
     )
@@ -293,4 +302,4 @@ def flown_minutes(numbers: Numbers) -> str:
         "the best | "
         "ended because"
     )
-    return _table(header, rows)
+    return markdown_table(header, rows)

@@ -99,7 +99,8 @@ def score(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contende
     for (name, start), errors in done.sequences.items():
         if start == "unknown" or name in FILTERS:
             sequences[name][start] = errors.tolist()
-    write_numbers(folder, {"sequences": sequences})
+    silenced = {row.estimator: row.silenced_deg for row in done.rows if np.isfinite(row.silenced_deg)}
+    write_numbers(folder, {"sequences": sequences, "silenced_deg": silenced})
 
 
 def recover(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contenders: Any) -> None:

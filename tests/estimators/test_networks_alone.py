@@ -1,6 +1,5 @@
 """The estimate of a network is the work of its neurons: the host has no memory but the last good sample."""
 
-from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -49,19 +48,13 @@ def silenced_ratio(name, weights, flights):
         ("att-snn", "att-snn"),
         ("att-snn-loihi", "att-snn"),
         ("att-snn-loihi", "att-snn-hummingbird"),
+        ("att-snn-loihi", "att-snn-paper"),
         ("att-rnn", "att-rnn"),
         ("att-rnn", "att-rnn-paper"),
     ],
 )
 def test_the_silenced_error_is_at_least_three_times_the_error(name, weights, validation):
     assert silenced_ratio(name, weights, validation) >= FACTOR
-
-
-def test_the_card_of_the_papers_spiking_network_says_that_it_fails_this(validation):
-    ratio = silenced_ratio("att-snn", "att-snn-paper", validation)
-    card = (files("assets") / "weights" / "att-snn-paper.md").read_text()
-    assert ratio < FACTOR
-    assert "fails the silenced-error gate" in card
 
 
 @pytest.mark.parametrize("name", CORES)
