@@ -39,8 +39,8 @@ def train(
     """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
 
     Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the
-    same command continues a run that stopped. For att-snn, use --preset best: the paper's
-    recipe hardly learns on the chip's grid.
+    same command continues a run that stopped. The default preset is the paper's recipe; hummingbird is more
+    accurate for one airframe and IMU, best for any IMU.
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
     """

@@ -94,11 +94,11 @@ def paper(
     only: Annotated[
         str | None,
         typer.Option(
-            help="Some of it, such as table1,fig5: table1 table2 fig3 to fig9 flops loop rate size minutes."
+            help="Some of it, such as table1,fig5: table1 table2 fig3 to fig9 operations loop rate minutes."
         ),
     ] = None,
     preset: Annotated[
-        str, typer.Option(help="quick: short flights and trainings; full: the paper's sizes.")
+        str, typer.Option(help="quick: short flights and trainings, for a look; full: the paper's sizes.")
     ] = "quick",
     seed: Seed = 0,
     workers: Workers = None,
@@ -106,11 +106,10 @@ def paper(
     """Make every table and figure of the paper from nothing, and judge which of its claims hold here.
 
     Stroobants, Dupeyroux and de Croon (2022), without a Loihi, a quadrotor or a motion-capture hall: flights
-    are generated, filters tuned, networks trained and simulated. Writes paper.md with its figures, and a page
-    each on sample rates, network sizes and minutes of flight.
+    are generated, filters tuned, networks trained and simulated. Writes paper.md with its figures.
 
-    quick takes some minutes on two cores, full about an hour or two. Every part is stored in the folder: the
-    same command resumes a killed run, and makes nothing twice.
+    quick takes some minutes on two cores and gives no verdicts; full takes a night. Every part is stored in
+    the folder: the same command resumes a killed run, and makes nothing twice.
 
     Example: quadsim paper --out reports/paper --only table2,fig6
     """
