@@ -34,7 +34,9 @@ LENGTH = 12
 """Hexadecimal digits of a digest."""
 LISTED = 8
 """Names that a line of the check has at most."""
-NOTICE = "> Made by code and weights of {made_at}, which have changed since: some numbers are older than they."
+NOTICE = (
+    "> Made by code and weights of {made_at}, which have changed since: some numbers are older than they."
+)
 """First line of an archived page."""
 
 

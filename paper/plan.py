@@ -135,7 +135,7 @@ def _networks(s: PaperSettings) -> list[Stage]:
         _train(RNN, GRU, s.rnn, s.seed),
         _train(SNN, PAPER, s.snn, s.seed),
         _train(CHIP, ON_CHIP, s.snn, s.seed),
-        _train(FIXED, PAPER | {"fixed_taus": True}, s.snn, s.seed),
+        _train(FIXED, PAPER | {"fixed_taus": True}, s.fold, s.seed),
         Stage(OURS, networks.train, own | ours, (SIM, REAL), 12.0 * s.ours_epochs),
         *(_train(f"net-fold-{k}", PAPER, s.fold, s.seed + k) for k in range(1, s.folds)),
         *(_train(name, PAPER, s.fold, s.seed, [domain]) for name, domain in CROSS.items()),

@@ -48,21 +48,21 @@ class PaperSettings(Strict):
     iterations: Number = 50
     """How often."""
     snn: Budget = Budget()
-    """Att-SNN and its variants."""
+    """Att-SNN, in floats and with Loihi's quantisation."""
     rnn: Budget = Budget(epochs=200)
     """Att-RNN."""
-    fold: Budget = Budget(epochs=250)
-    """Networks of further folds, and of one domain alone."""
-    ours_epochs: Number = 60
+    fold: Budget = Budget(epochs=170)
+    """Networks of further folds, of one domain alone, and with fixed time constants."""
+    ours_epochs: Number = 30
     """Of the preset `hummingbird`, a thousand updates each."""
     rates_hz: tuple[SampleRate, ...] = (100.0, 200.0, 500.0, 1000.0)
     rate_flights: Number = 20
     """Flights of `flight_s` at each rate."""
-    rate: Budget = Budget(epochs=120)
+    rate: Budget = Budget(epochs=100)
     minutes: tuple[Number, ...] = (1, 3, 10, 30, 60)
     """Flights of a minute that train."""
     minutes_validation: Number = 9
-    study: Budget = Budget(epochs=200)
+    study: Budget = Budget(epochs=170)
     """Networks trained on several minutes of flight."""
     latency_rounds: Number = 40
     """Turns of a hundred calls."""
