@@ -45,7 +45,7 @@ class PaperSettings(Strict):
     """Draws of the 70/20/10 split."""
     particles: Number = 100
     """Parameter sets that a filter's tuning tries at once."""
-    iterations: Number = 50
+    iterations: Number = 20
     """How often."""
     snn: Budget = Budget()
     """Att-SNN, in floats and with Loihi's quantisation."""
