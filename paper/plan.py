@@ -20,11 +20,7 @@ SNN, FIXED, CHIP, RNN, OURS = "net-snn", "net-weights", "net-chip", "net-rnn", "
 """By the paper's recipe: Att-SNN in floats, with fixed time constants, in the chip's integers, and Att-RNN;
 and the same network of neurons by our preset `hummingbird`."""
 CROSS = {"net-only-sim": SIM, "net-only-real": REAL}
-CRUISE = {
-    "kind": "waypoints",
-    "points": [[120.0 * k, 0.0, 20.0] for k in range(4)],
-    "speed": 8.0,
-}
+CRUISE = {"kind": "waypoints", "points": [[20.0 * k, 0.0, 20.0] for k in range(11)], "speed": 5.0}
 """A flight that has a constant velocity for long."""
 
 ITEMS = {

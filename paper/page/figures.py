@@ -138,16 +138,14 @@ def fig6(numbers: Numbers) -> Figure:
     found = numbers["recover"]
     figure, panels = _panels(10.2, 3.8, 1, 3)
     one, *medians = panels
-    one.plot(
-        np.arange(len(found["example"]["truth"])) / SHOWN_HZ, found["example"]["truth"], color=BLACK, lw=2.0
-    )
-    one.annotate("truth", (RESPONSE_S, found["example"]["truth"][-1]), fontsize=7, ha="right")
+    truth = found["example"]["truth"]
+    one.plot(np.arange(len(truth)) / SHOWN_HZ, truth, color=BLACK, lw=2.5, alpha=0.5, label="truth")
     for k, name in enumerate((*FILTERS, *NETWORKS)):
         style = {"ms": 4, "lw": 2.0 if name == "att-snn" else 1.0, "markevery": (5 * k, 40)} | _look(
             name
         ).points
         pitch = found["example"][name]
-        one.plot(np.arange(len(pitch)) / SHOWN_HZ, pitch, **style)
+        one.plot(np.arange(len(pitch)) / SHOWN_HZ, pitch, label=name, **style)
         for axes, kind in zip(medians, ("flight", "hover"), strict=True):
             if kind in found["curves"][name]:
                 error = found["curves"][name][kind]["median"]
@@ -160,7 +158,7 @@ def fig6(numbers: Numbers) -> Figure:
             _note(axes, f"the paper:\n{key} {sign} {seconds:g} s", (seconds, 25), (3, 0), color="#555555")
         axes.set(title=title, xlabel="time [s]", xlim=(0, RESPONSE_S), ylim=(0, 30))
     medians[0].set_ylabel("inclination error, median [°]")
-    figure.legend(*medians[0].get_legend_handles_labels(), fontsize=8, ncols=7, loc="outside lower center")
+    figure.legend(*one.get_legend_handles_labels(), fontsize=8, ncols=8, loc="outside lower center")
     return figure
 
 
@@ -187,6 +185,8 @@ def fig7(numbers: Numbers) -> Figure:
     right.axvline(100 * ACTIVITY["removed_neurons"], color=GREY, lw=0.8)
     right.set(title="error without neurons, untrained", xlabel="neurons removed [%]", yscale="log")
     right.set_ylabel("mean absolute error [°]")
+    low, high = right.get_ylim()
+    right.set_yticks([tick for tick in (1, 1.5, 2, 3, 4, 5, 7, 10, 15) if low < tick < high])
     right.yaxis.set_major_formatter(PLAIN)
     right.yaxis.set_minor_formatter(NullFormatter())
     right.legend(fontsize=8)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..plan import CHIP, CROSS, FIXED, RNN, SNN
 from ..work.scores import FILTERS, SHIPPED, SIX
-from .claims import NETWORKS, Numbers, by_rate, errors, interval, median_time, scatter, shown_time
+from .claims import NETWORKS, TITLES, Numbers, by_rate, errors, interval, median_time, scatter, shown_time
 from .quoted import ACTIVITY, FOLDS, LAYER, LOSSES, METHODS, operations
 
 DOMAIN_NAMES = {"fly-sim": "Hummingbird", "fly-real": "px4-quad"}
@@ -38,7 +38,7 @@ def markdown_table(header: str, rows: Iterable[Sequence[object]]) -> str:
 
 def _named(name: str) -> str:
     """A method, in italics where it is none of the paper's."""
-    return name if name in SIX else f"*{OWN.get(name) or name}*"
+    return TITLES.get(name, name) if name in SIX else f"*{OWN.get(name) or name}*"
 
 
 def _spread(values: Sequence[float]) -> str:
@@ -75,16 +75,19 @@ def methods(numbers: Numbers) -> str:
             home = np.mean(errors(numbers, name, start, "score-fly-test-sim"))
             quoted = METHODS.get((name, start))
             theirs = [" / ".join(f"{x:.2f}" for x in each) for each in quoted] if quoted else ["–", "–"]
-            silenced = [
-                numbers[f"score-fly-test-{domain}"]["silenced_deg"].get(name) for domain in ("real", "sim")
-            ]
-            beside = ["" if each is None else f" (silenced {each:.1f})" for each in silenced]
+            beside = [_silenced(numbers, name, domain) for domain in ("real", "sim")]
             ours = [cells[1] + beside[0], f"{home:.2f}{beside[1]}"]
             rows.append([_named(name), start, cells[0], theirs[0], ours[0], theirs[1], ours[1]])
     header = (
         "method | start | training | the paper, training | test | the paper, test | test, Hummingbird, mean"
     )
     return markdown_table(header, rows)
+
+
+def _silenced(numbers: Numbers, name: str, domain: str) -> str:
+    """Error with output weights of zero, which is that of a level estimate whatever the network."""
+    level = next(iter(numbers[f"score-fly-test-{domain}"]["silenced_deg"].values()))
+    return f" (silenced {level:.1f})" if name.startswith("att") else ""
 
 
 def tuned(numbers: Numbers) -> str:
