@@ -229,7 +229,7 @@ def fig9(numbers: Numbers) -> Figure:
     _name_rows(left, [*(name for name, _ in taken), *paper])
     left.axhline(len(taken) - 0.5, color=GREY, lw=0.8)
     left.axvline(5000, color=BLACK, lw=0.8, ls=":")
-    left.set(title="one update from Python; dotted: a sample at 200 Hz", xlabel="time [µs]", xscale="log")
+    left.set(title="one update; dotted: a sample at 200 Hz", xlabel="time [µs]", xscale="log")
     lines = numbers["inside"]["costs"]
     energy = [each["count"] * each["picojoules"] / 1e3 for each in lines]
     for place, (value, hatch) in enumerate(zip(energy, HATCHES, strict=True)):
@@ -237,7 +237,7 @@ def fig9(numbers: Numbers) -> Figure:
         _note(right, f"{value:.2g}", (value, place), (4, -3), fontsize=8)
     _name_rows(right, [each["operation"] for each in lines])
     right.set_xlim(0, 1.2 * max(energy))
-    right.set(title=f"modelled energy of a step, {sum(energy):.0f} nJ", xlabel="[nJ]")
+    right.set(title=f"modelled: {sum(energy):.0f} nJ a step", xlabel="[nJ]")
     return figure
 
 

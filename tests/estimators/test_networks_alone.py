@@ -1,6 +1,5 @@
 """The estimate of a network is the work of its neurons: the host has no memory but the last good sample."""
 
-
 import numpy as np
 import pytest
 

@@ -221,8 +221,9 @@ def rates(*of_each):
     }
 
 
-def minutes(ten, sixty):
-    found = {n: {"fly-test-sim": [error, error + 0.1]} for n, error in (("10", ten), ("60", sixty))}
+def minutes(*of_each):
+    errors = dict(zip(("10", "30", "60"), of_each, strict=True))
+    found = {n: {"fly-test-sim": [error, error + 0.1]} for n, error in errors.items()}
     return {"compare-minutes": {"errors": found}}
 
 
@@ -261,8 +262,9 @@ def loop(crashes, last):
         ("data rates", rates(4.0, 3.0, 2.0), "holds"),
         ("data rates", rates(4.0, 5.0, 3.0), "partly"),
         ("data rates", rates(2.0, 2.0, 2.5), "does not hold"),
-        ("20 minutes", minutes(2.0, 2.0), "holds"),
-        ("20 minutes", minutes(4.0, 2.0), "does not hold"),
+        ("20 minutes", minutes(2.0, 2.0, 2.0), "holds"),
+        ("20 minutes", minutes(2.5, 2.0, 2.0), "partly"),
+        ("20 minutes", minutes(4.0, 4.0, 2.0), "does not hold"),
         ("accumulate", loop(0, 1.1), "holds"),
         ("accumulate", loop(1, 1.1), "partly"),
         ("accumulate", loop(0, 1.5), "does not hold"),
