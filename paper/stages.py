@@ -70,7 +70,7 @@ def record_of(folder: Path, fingerprint: str) -> dict[str, Any]:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
         return {}
-    return record if record["fingerprint"] == fingerprint else {}
+    return record if record.get("fingerprint") == fingerprint else {}
 
 
 def run_stages(

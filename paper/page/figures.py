@@ -151,7 +151,7 @@ def fig6(numbers: Numbers) -> Figure:
                 error = found["curves"][name][kind]["median"]
                 axes.plot(np.arange(len(error)) / SHOWN_HZ, error, label=name, **style)
     one.set(title="one start, in flight", xlabel="time [s]", ylabel="pitch [°]", xlim=(0, RESPONSE_S))
-    for axes, title in zip(medians, ("all starts, in flight", "in hover, told a roll of 20°"), strict=True):
+    for axes, title in zip(medians, ("all starts, in flight", "in hover, given a roll of 20°"), strict=True):
         axes.axhline(CONVERGED_DEG, color=BLACK, lw=0.8, ls=":")
         for (key, seconds), sign in zip(CONVERGE_S.items(), "<>", strict=True):
             axes.axvline(seconds, color=GREY, lw=0.8)

@@ -116,6 +116,7 @@ def losses(numbers: Numbers) -> str:
     for stage, title in CURVES.items():
         each = numbers[stage]
         best = each["best"]
+        size = scatter(each["val_mse"])
         spikes = "–" if stage == RNN else f"{best['rate_encoding']:.2f}, {best['rate_hidden']:.2f}"
         quoted = {SNN: LOSSES["att-snn"], RNN: LOSSES["att-rnn"]}.get(stage)
         rows.append(
@@ -124,7 +125,7 @@ def losses(numbers: Numbers) -> str:
                 f"{len(each['updates'])}",
                 best["epoch"] + 1,
                 f"{best['val_error_deg']:.2f}",
-                f"{1e3 * scatter(each['val_mse']):.2f}",
+                f"{1e3 * size:.2f}" if np.isfinite(size) else "–",
                 f"{1e3 * quoted:.1f}" if quoted else "–",
                 spikes,
                 f"{each['seconds'] / 60:.0f}",

@@ -88,6 +88,18 @@ def test_a_killed_stage_continues_in_its_folder(tmp_path):
     assert (tmp_path / "d" / "text").read_text() == "{}{'x': 1}{}{'x': 1}"
 
 
+def test_a_record_that_holds_nothing_is_made_again(tmp_path):
+    run_stages(chain(), tmp_path, workers=1)
+    (tmp_path / "d" / RECORD).write_text("{}")
+    assert run_stages(chain(), tmp_path, workers=1) == ["d"]
+
+
+def test_a_training_too_short_for_the_scatter_is_said_so():
+    short = {name: {"val_mse": [1.0] * 30} for name in ("net-snn", "net-rnn")}
+    (found,) = (each for each in judge(short) if "noisier" in each.claim)
+    assert (found.verdict, found.measured) == ("not judged", "the measure needs trainings of 62 epochs")
+
+
 def test_inputs_are_found_at_any_depth_and_come_first():
     stages = {stage.name: stage for stage in chain()}
     assert [stage.name for stage in with_inputs(stages, ["c"])] == ["a", "b", "c"]
