@@ -220,8 +220,8 @@ def table1(numbers: Numbers) -> Judged:
     It holds if, from either domain to the other, the 95 % interval of the error over that of the mixed folds'
     test flights lies above 1.25; partly: one of the two ratios alone does.
 
-    The second domain stands for real flights and is nearer to the first than those are. The mixed test flights
-    are of both domains, and the sources alone have fewer flights: 24 and 8 train, in the folds 32.
+    The second domain stands for real flights and is nearer to the first than those are. The mixed test
+    flights are of both domains, and a single source has fewer flights to train on.
     """
     folds = numbers["score-folds"]
     mixed = [error for name, each in folds.items() if name not in CROSS for error in each["test"]]
