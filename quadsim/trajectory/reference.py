@@ -172,19 +172,21 @@ SEGMENT = np.dtype(
         ("first", "f8", 3),  # displacement of a dash or a jump, or the first axis of a loop [m]
         ("second", "f8", 3),  # second axis of a loop, a circle or an eight [m]
         ("omega", "f8"),  # frequency of the first axis [rad/s]
-        ("ratio", "f8"),  # of the second over the first
+        ("ratio", "f8"),  # of the second over the first; the part of a cruise in which it speeds up
     ]
 )
 TURN = np.dtype([("start", "f8"), ("length", "f8"), ("angle", "f8")])
 """A turn of the heading [s, s, rad]."""
-_DASH, _LOOP, _PAUSE, _JUMP = range(4)
+_DASH, _LOOP, _PAUSE, _JUMP, _CRUISE = range(5)
 ZERO = (0.0, 0.0, 0.0)
 _DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
+_RAMP_PEAK = 35 / 16  # its largest |s'|
 
 
 def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np.void]:
     rows: list[tuple[object, ...]] = []
     clock, where = 0.0, np.zeros(3)
+    shares = (spec.pause_share, spec.circle_share, spec.jump_share, spec.eight_share, spec.cruise_share)
     low, high = math.radians(min(spec.min_tilt_deg, spec.max_tilt_deg)), math.radians(spec.max_tilt_deg)
     while clock < end:
         draw, heading = rng.random(), rng.uniform(-np.pi, np.pi)
@@ -193,7 +195,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
         if draw < spec.pause_share:
             length = rng.uniform(*spec.pause_s)
             row = (_PAUSE, ZERO, ZERO, 0.0, 0.0)
-        elif draw < spec.pause_share + spec.circle_share:
+        elif draw < sum(shares[:2]):
             turns, period = int(rng.integers(1, 4)), rng.uniform(*spec.circle_s)
             length, omega = (turns + 2) * period, 2 * np.pi / period
             radius = 0.7 * lateral / omega**2  # the window adds to the acceleration
@@ -202,12 +204,12 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
             )
             flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
             row = (_LOOP, (*axes[0], bob), (*(flat * axes[1]), -bob), omega, 1.0)
-        elif draw < spec.pause_share + spec.circle_share + spec.jump_share:
+        elif draw < sum(shares[:3]):
             length, reach = rng.uniform(2.0, 4.0), rng.uniform(*spec.jump_m)
             move = reach * np.array([math.cos(heading), math.sin(heading), rng.uniform(-0.3, 0.3)])
             where = where + move
             row = (_JUMP, move, ZERO, 0.0, 0.0)
-        elif draw < spec.pause_share + spec.circle_share + spec.jump_share + spec.eight_share:
+        elif draw < sum(shares[:4]):
             laps, period = int(rng.integers(3, 9)), rng.uniform(*spec.eight_s)
             length, omega = (laps + 1) * period, 2 * np.pi / period
             share = rng.uniform(-1.0, 1.0)  # of the slow sweep's peak acceleration in that of the fast one
@@ -215,10 +217,17 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
             slow = share * peak / omega**2 * np.array([math.cos(heading), math.sin(heading)])
             fast = peak / (2 * omega) ** 2 * np.array([-math.sin(heading), math.cos(heading)])
             row = (_LOOP, (*slow, 0.0), (*fast, 0.5 * climb / (2 * omega) ** 2), omega, 2.0)
+        elif draw < sum(shares):
+            heading = _homewards(where, spec.radius, heading, rng)
+            steady, speed = rng.uniform(*spec.cruise_s), rng.uniform(*spec.cruise_speed)
+            ramp = _RAMP_PEAK * speed / lateral
+            length, reach = steady + 2 * ramp, speed * (steady + ramp)
+            move = reach * np.array([math.cos(heading), math.sin(heading), 0.0])
+            where = where + move
+            row = (_CRUISE, move, ZERO, 0.0, ramp / length)
         else:
             length = rng.uniform(*spec.dash_s)
-            if np.linalg.norm(where[:2]) > spec.radius:
-                heading = math.atan2(-where[1], -where[0]) + rng.uniform(-0.5, 0.5)
+            heading = _homewards(where, spec.radius, heading, rng)
             reach = lateral * length**2 / _DASH_PEAK
             rise = climb * length**2 / _DASH_PEAK
             if abs(where[2] + rise) > 0.4 * spec.position[2]:
@@ -229,6 +238,13 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
         rows.append((clock, length, *row))
         clock += length
     return np.array(rows, SEGMENT)
+
+
+def _homewards(where: Array, radius: float, heading: float, rng: np.random.Generator) -> float:
+    """The heading, or beyond `radius` about that to the centre [rad]."""
+    if np.linalg.norm(where[:2]) > radius:
+        return math.atan2(-where[1], -where[0]) + rng.uniform(-0.5, 0.5)
+    return heading
 
 
 def _doublet_segments(spec: Doublets, end: float, rng: np.random.Generator) -> NDArray[np.void]:
@@ -263,6 +279,12 @@ def _rest_to_rest(s):
 
 
 @njit(cache=True)
+def _ramp_way(s):
+    """Integral of the first of them, 0 to 1/2."""
+    return s**5 * (7.0 + s * (-14.0 + s * (10.0 - 2.5 * s)))
+
+
+@njit(cache=True)
 def _fly_segments(segments, turns, time, out):
     base = np.empty(3)
     for i in range(3):
@@ -270,7 +292,7 @@ def _fly_segments(segments, turns, time, out):
     seg, turn, heading = 0, 0, 0.0
     for k in range(time.size):
         while seg < segments.size and time[k] >= segments[seg].start + segments[seg].length:
-            if segments[seg].kind == _DASH or segments[seg].kind == _JUMP:
+            if segments[seg].kind == _DASH or segments[seg].kind == _JUMP or segments[seg].kind == _CRUISE:
                 for i in range(3):
                     base[i] += segments[seg].first[i]
             seg += 1
@@ -290,6 +312,18 @@ def _fly_segments(segments, turns, time, out):
             elif row.kind == _JUMP:
                 for i in range(3):
                     p[i] += first[i]
+            elif row.kind == _CRUISE:
+                ramp = row.ratio
+                # the speed rises as the polynomial does, stays, and falls; its integral is the way
+                edge, sign = min(s, 1.0 - s) / ramp, (1.0 if s < 0.5 else -1.0)
+                level, slope, _ = _rest_to_rest(min(edge, 1.0))
+                way = ramp * _ramp_way(min(edge, 1.0)) + max(min(s, 1.0 - s) - ramp, 0.0)
+                way = (way if s < 0.5 else 1.0 - ramp - way) / (1.0 - ramp)
+                speed = 1.0 / (1.0 - ramp) / length
+                for i in range(3):
+                    p[i] += first[i] * way
+                    v[i] = first[i] * speed * level
+                    acc[i] = first[i] * speed * sign * slope / (ramp * length)
             elif row.kind == _LOOP:
                 # the window rises over the first quarter of the segment and falls over the last
                 edge, sign = 4.0 * min(s, 1.0 - s), (1.0 if s < 0.5 else -1.0)
