@@ -64,8 +64,8 @@ class TrainingRecipe(Strict):
     initialisation: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
     parametrisation: Parametrisation = "decays"
-    """What the optimiser's parameters are. "decays", as in the paper's published code: 1 - τ, and weights over
-    1 - τ_mem. "logits": those of τ, and weights over the root mean square of their row (att-snn)."""
+    """What the optimiser's parameters are. "decays", as in the paper's published code: 1 - τ, and weights
+    over 1 - τ_mem. "logits": those of τ, and weights over the root mean square of their row (att-snn)."""
     fixed_taus: bool = False
     """Train the weights alone and leave the time constants as they are at first (att-snn)."""
     reinitialise_until: Share = 0.0

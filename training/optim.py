@@ -88,7 +88,8 @@ class Lookahead:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from the result of `state_dict`."""
         self.optimizer.load_state_dict(state["optimizer"])
-        self.slow = [p.to(fast.device, copy=True) for p, fast in zip(state["slow"], self._fast(), strict=True)]
+        devices = [p.device for p in self._fast()]
+        self.slow = [p.to(device, copy=True) for p, device in zip(state["slow"], devices, strict=True)]
         self.steps, self.k, self.alpha = state["steps"], state["k"], state["alpha"]
 
 

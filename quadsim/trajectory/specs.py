@@ -71,9 +71,7 @@ class Waypoints(Strict):
     random_points: Annotated[int, Between(2, 100)] = Field(default=8, description="How many to draw.")
     box: Position = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
     position: Position = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
-    speed: Speed = Field(
-        default=2.5, description="Mean speed along straight legs [m/s]."
-    )
+    speed: Speed = Field(default=2.5, description="Mean speed along straight legs [m/s].")
 
     @model_validator(mode="after")
     def _leads_somewhere(self) -> "Waypoints":
@@ -85,7 +83,7 @@ class Waypoints(Strict):
 
 
 class Mix(Strict):
-    """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, cruises, stops and turns.
+    """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, cruises, stops.
 
     A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
     up to `max_tilt_deg`, so the standard deviation of roll and pitch is about 0.25 rad.

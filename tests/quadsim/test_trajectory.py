@@ -10,7 +10,16 @@ from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
 EIGHTS = Mix(eight_share=1.0, circle_share=0.0, pause_share=0.0)
-SMOOTH = [Lissajous(), Move(), Waypoints(), Doublets(), Mix(), EIGHTS, Lissajous(yaw_along=True)]
+SMOOTH = [
+    Mix(cruise_share=0.5),
+    Lissajous(),
+    Move(),
+    Waypoints(),
+    Doublets(),
+    Mix(),
+    EIGHTS,
+    Lissajous(yaw_along=True),
+]
 
 
 def fly(spec, seconds=60.0, n=2, seed=0):
@@ -55,6 +64,21 @@ def test_eights_sweep_twice_across_for_once_along_and_keep_to_the_largest_tilt()
     lap = one[:, int(4 * RATE) : int(8 * RATE)]  # the window is open in the middle of the shortest
     spectrum = np.abs(np.fft.rfft(lap - lap.mean(1, keepdims=True), axis=1)) ** 2
     assert spectrum[:, 1:3].sum() > 0.99 * spectrum.sum()
+
+
+def test_cruises_hold_a_constant_velocity_between_two_ramps():
+    spec = Mix(
+        cruise_share=1.0, circle_share=0.0, pause_share=0.0, cruise_s=(3.0, 3.0), cruise_speed=(4.0, 6.0)
+    )
+    path = fly(spec, seconds=60, n=4)
+    speed = np.linalg.norm(path["velocity"], axis=-1)
+    steady = np.linalg.norm(path["acceleration"], axis=-1) < 1e-9
+    assert np.all((speed[steady] < 1e-9) | ((speed[steady] > 3.99) & (speed[steady] < 6.01)))
+    assert 0.3 < np.mean(steady & (speed > 1.0)) < 0.9
+    assert tilt_deg(path).max() <= 45
+    assert (
+        np.linalg.norm(path["position"][..., :2], axis=-1).max() < 15 + 6 * 6 + 1
+    )  # beyond 15 m they lead back
 
 
 def test_minimum_snap_passes_the_waypoints_and_rests_at_both_ends():
@@ -144,10 +168,12 @@ def test_a_tilt_beyond_the_controller_is_refused():
     st.floats(0, 1),
     st.floats(0, 1),
     st.floats(0, 3),
+    st.floats(0, 1),
 )
-def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, yaw_rate):
+def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, yaw_rate, cruises):
     rest = (1.0 - circles) * pauses
-    spec = Mix(max_tilt_deg=tilt, circle_share=circles, pause_share=rest, max_yaw_rate=yaw_rate)
+    shares = {"circle_share": circles, "pause_share": rest, "cruise_share": (1.0 - circles - rest) * cruises}
+    spec = Mix(max_tilt_deg=tilt, max_yaw_rate=yaw_rate, **shares)
     path = fly(spec, seconds=20, n=1, seed=seed)
     assert np.all(np.isfinite(path.view(np.float64)))
     assert np.abs(path["yaw_rate"]).max() <= yaw_rate + 1e-9
