@@ -104,7 +104,7 @@ def test_a_lost_file_of_a_finished_stage_is_made_again(tmp_path):
 def test_seeds_of_the_held_out_suite_and_out_of_range_are_refused_at_once():
     with pytest.raises(ValueError, match="held-out suite"):
         settings_of("quick", load_held_out("0.2").seed)
-    with pytest.raises(ValueError, match="^paper: seed = -1: should be"):
+    with pytest.raises(ValueError, match=r"^paper: seed = -1: should be"):
         settings_of("quick", -1)
 
 
