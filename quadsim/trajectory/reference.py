@@ -11,9 +11,21 @@ from numpy.typing import NDArray
 from ..config.ranges import COORDINATE, Position
 from ..config.toml import read_text
 from ..control.cascade import SET_POINT
+from ..own import load_own
 from ..runs.compiled import njit
 from ..vehicle import GRAVITY
-from .specs import Doublets, Hover, Lissajous, Mix, Move, SetPointFile, Step, Trajectory, Waypoints
+from .specs import (
+    Doublets,
+    Hover,
+    Lissajous,
+    Mix,
+    Move,
+    OwnFunction,
+    SetPointFile,
+    Step,
+    Trajectory,
+    Waypoints,
+)
 
 Array = NDArray[np.float64]
 SetPoints = NDArray[np.void]
@@ -34,7 +46,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Set
         (n, steps) records of `SET_POINT`.
 
     Raises:
-        ValueError: If a set-point file is missing or malformed.
+        ValueError: If a set-point file is missing or malformed, or a user's function fails.
     """
     time = np.arange(steps) / rate_hz
     if isinstance(spec, Mix | Waypoints | Doublets) and not (isinstance(spec, Waypoints) and spec.points):
@@ -57,7 +69,9 @@ def _random(spec: Mix | Waypoints | Doublets, time: Array, rng: np.random.Genera
     return out
 
 
-def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, time: Array) -> SetPoints:
+def _fixed(
+    spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile | OwnFunction, time: Array
+) -> SetPoints:
     match spec:
         case Hover():
             out = _still(spec.position, math.radians(spec.yaw_deg), time)
@@ -74,6 +88,8 @@ def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, tim
             out = _minimum_snap(np.array(spec.points), spec.speed, time)
         case SetPointFile():
             out = _from_file(Path(spec.path), time)
+        case OwnFunction():
+            out = _from_function(spec.function, time)
     return out
 
 
@@ -132,8 +148,6 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
 
 
 def _from_file(path: Path, time: Array) -> SetPoints:
-    from scipy.interpolate import CubicSpline
-
     try:
         rows = list(csv.DictReader(read_text(path, most_mb=100.0).splitlines()))
     except csv.Error as error:
@@ -151,6 +165,36 @@ def _from_file(path: Path, time: Array) -> SetPoints:
         raise ValueError(f"{path}: set-points need two rows or more, finite, with rising t")
     for name, values in zip("xyz", points.T, strict=True):
         COORDINATE.of(f"{path}: {name}", values[np.argmax(np.abs(values))])
+    return _splined(clock, points, yaw, time)
+
+
+def _from_function(name: str, time: Array) -> SetPoints:
+    """Set-points of a user's function."""
+    fly = load_own(name)
+    try:
+        made = np.asarray(fly(time.copy()), np.float64)
+    except Exception as error:  # whatever a user's function does
+        raise ValueError(f"trajectory {name} ends with {type(error).__name__}: {error}") from error
+    if made.shape not in ((time.size, 3), (time.size, 4)):
+        raise ValueError(
+            f"trajectory {name} returns an array of shape {made.shape} for {time.size} times; x, y, z [m] "
+            "and, if wanted, yaw [rad] are required, a row for each"
+        )
+    if not np.isfinite(made).all():
+        raise ValueError(f"trajectory {name} returns numbers that are not finite")
+    for axis, values in zip("xyz", made.T, strict=False):
+        COORDINATE.of(f"trajectory {name}: {axis}", values[np.argmax(np.abs(values))])
+    if time.size < 2:
+        out = np.zeros(time.size, SET_POINT)
+        out["position"] = made[:, :3]
+        return out
+    return _splined(time, made[:, :3], made[:, 3] if made.shape[1] == 4 else np.zeros(time.size), time)
+
+
+def _splined(clock: Array, points: Array, yaw: Array, time: Array) -> SetPoints:
+    """Set-points on a cubic spline, at rest at both ends."""
+    from scipy.interpolate import CubicSpline
+
     at = np.clip(time, clock[0], clock[-1])
     curve = CubicSpline(clock, np.column_stack([points, np.unwrap(yaw)]), bc_type="clamped")
     out = np.zeros(time.size, SET_POINT)

@@ -157,6 +157,17 @@ class SetPointFile(Strict):
     path: str = Field(description="The CSV file.")
 
 
+class OwnFunction(Strict):
+    """A user's function of time, splined between the samples for velocity and acceleration.
+
+    Called with times (T,) [s], it returns x, y, z [m] and, if wanted, yaw [rad], shape (T, 3) or (T, 4).
+    """
+
+    kind: Literal["function"] = "function"
+    function: str = Field(description='Its name: "package.module:function" or "path/file.py:function".')
+
+
 Trajectory = Annotated[
-    Hover | Step | Move | Lissajous | Waypoints | Mix | Doublets | SetPointFile, Field(discriminator="kind")
+    Hover | Step | Move | Lissajous | Waypoints | Mix | Doublets | SetPointFile | OwnFunction,
+    Field(discriminator="kind"),
 ]

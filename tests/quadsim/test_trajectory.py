@@ -4,8 +4,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from quadsim.flight.recipe import load_recipe
 from quadsim.trajectory.reference import reference
-from quadsim.trajectory.specs import Doublets, Hover, Lissajous, Mix, Move, SetPointFile, Step, Waypoints
+from quadsim.trajectory.specs import (
+    Doublets,
+    Hover,
+    Lissajous,
+    Mix,
+    Move,
+    OwnFunction,
+    SetPointFile,
+    Step,
+    Waypoints,
+)
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
@@ -191,3 +202,54 @@ def test_move_goes_from_rest_to_rest_and_stays():
 def test_a_range_that_runs_backwards_is_refused(name):
     with pytest.raises(ValueError, match="least and then the largest"):
         Mix(**{name: (3.0, 1.0)})
+
+
+FLY = """
+import numpy as np
+
+def fly(t):
+    return np.column_stack([np.cos(t), np.sin(t), 2.0 + 0 * t, t])
+
+def short(t):
+    return np.zeros(3)
+
+def fast(t):
+    return np.full((t.size, 3), 1e300)
+
+def broken(t):
+    return t["x"]
+"""
+
+
+@pytest.fixture
+def functions(tmp_path):
+    path = tmp_path / "fly.py"
+    path.write_text(FLY)
+    return path
+
+
+def test_a_function_of_ones_own_is_flown_with_its_derivatives(functions):
+    flown = fly(OwnFunction(function=f"{functions}:fly"), seconds=6)[0]
+    t = np.arange(flown.size) / RATE
+    middle = slice(200, -200)  # the spline is at rest at its ends
+    wanted = np.column_stack([-np.sin(t), np.cos(t), 0 * t])
+    np.testing.assert_allclose(flown["position"][:, :2], np.column_stack([np.cos(t), np.sin(t)]), atol=1e-9)
+    np.testing.assert_allclose(flown["velocity"][middle], wanted[middle], atol=1e-6)
+    np.testing.assert_allclose(flown["yaw_rate"][middle], 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("short", r"shape \(3,\)"), ("fast", "z|x|y"), ("broken", "IndexError"), ("none", "has no none")],
+)
+def test_a_function_that_fails_is_named(functions, name, text):
+    with pytest.raises(ValueError, match=text) as error:
+        fly(OwnFunction(function=f"{functions}:{name}"))
+    assert "\n" not in str(error.value)
+
+
+def test_a_function_beside_a_recipe_is_found_from_any_directory(functions):
+    recipe = functions.with_name("mine.toml")
+    head = 'description = "mine"\nvehicle = "hummingbird"\nimu = "perfect"\n'
+    recipe.write_text(head + '[trajectory]\nkind = "function"\nfunction = "fly.py:fly"\n')
+    assert load_recipe(recipe).trajectory.function == f"{functions}:fly"
