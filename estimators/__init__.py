@@ -1,6 +1,8 @@
 """Attitude estimators: everything that runs at inference."""
 
+from .checking import check_estimator
+from .filters.algorithm import Parameter
 from .registry import create, names, parameters
 from .running import run, run_batch
 
-__all__ = ["create", "names", "parameters", "run", "run_batch"]
+__all__ = ["Parameter", "check_estimator", "create", "names", "parameters", "run", "run_batch"]

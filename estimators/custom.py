@@ -1,31 +1,64 @@
-"""A user's own estimator: a class that `module:Class` names."""
+"""A user's own estimator: a class that "module:Class", "file.py:Class" or an entry point names."""
 
-import importlib
-import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quadsim.estimator import AttitudeEstimator
+from quadsim.own import is_own, load_own, own_file
 from quadsim.vehicle import GRAVITY
 
+from .filters.algorithm import Parameter
 
-def own(name: str, rate_hz: float) -> AttitudeEstimator:
-    """A user's estimator, "module:Class".
+GROUP = "quadsim.estimators"
+"""Group of the entry points by which an installed package offers estimators."""
+
+
+def is_custom(name: str) -> bool:
+    """Whether a name is of a user's own estimator."""
+    return is_own(name, GROUP)
+
+
+def declared(name: str) -> dict[str, Parameter]:
+    """Parameters that a user's class declares: its `parameters`, a mapping of `Parameter` by keyword.
+
+    Raises:
+        ValueError: No such class, or it declares something else.
+    """
+    return dict(_declared(name, load_own(name, GROUP)))
+
+
+def _declared(name: str, made: Any) -> Mapping[str, Parameter]:
+    found = getattr(made, "parameters", None) if isinstance(made, type) else None
+    if found is None:
+        return {}
+    if not isinstance(found, Mapping) or not all(isinstance(each, Parameter) for each in found.values()):
+        raise ValueError(
+            f"{name}: parameters should be a dict of names and estimators.Parameter(default, low, high)"
+        )
+    return found
+
+
+def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) -> AttitudeEstimator:
+    """A user's estimator.
+
+    Args:
+        name: "module:Class", "path/file.py:Class", or an entry point.
+        rate_hz: Samples per second, the class's only positional argument.
+        values: Declared parameters, its keywords.
 
     Raises:
         ValueError: No such module or class, or it is no estimator.
     """
-    module, _, attribute = name.partition(":")
+    made, given = load_own(name, GROUP), dict(values or {})
     try:
-        made = getattr(importlib.import_module(module), attribute)
-    except Exception as error:  # whatever a user's module does
-        raise ValueError(f"{name} is no module:Class: {type(error).__name__}: {error}") from error
-    try:
-        est = made(rate_hz)
-    except Exception as error:  # and its class
+        est = made(rate_hz, **given)
+    except Exception as error:  # whatever a user's class does
         kind = "" if isinstance(error, TypeError) else f"{type(error).__name__}: "
-        raise ValueError(f"{name} is made with one argument, rate_hz: {kind}{error}") from error
+        arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in given)])
+        raise ValueError(f"{name} is made with {arguments}: {kind}{error}") from error
     if not hasattr(est, "rate_hz"):
         est.rate_hz = rate_hz
     return tried(name, est)
@@ -56,9 +89,5 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
 
 
 def own_source(name: str) -> Path | None:
-    """File of the module that "module:Class" names; None for other names, and where there is none."""
-    try:
-        spec = importlib.util.find_spec(name.partition(":")[0]) if ":" in name else None
-    except (ImportError, ValueError):
-        return None
-    return Path(spec.origin) if spec is not None and spec.origin is not None else None
+    """File that a user's estimator comes from; None for other names, and where there is none."""
+    return own_file(name, GROUP) if is_custom(name) else None

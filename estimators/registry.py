@@ -13,7 +13,7 @@ from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.vehicle import Vehicle, load_vehicle
 
-from .custom import own
+from .custom import declared, is_custom, own
 from .filters import ekf
 from .filters.algorithm import Algorithm, Filter, Parameter, checked
 from .filters.complementary import ADAPTIVE, COMPLEMENTARY
@@ -46,9 +46,13 @@ def names() -> list[str]:
 def parameters(name: str) -> Mapping[str, Parameter]:
     """Numeric parameters of an estimator, with their defaults and the range in which tuning looks for them.
 
+    Those of your own estimator are what its class declares as `parameters`.
+
     Raises:
         ValueError: For an unknown name.
     """
+    if is_custom(name):
+        return declared(name)
     _known(name)
     if name in COMPILED:
         return COMPILED[name].parameters
@@ -79,8 +83,9 @@ def create(
 
     Args:
         name: One of `names()`, a network's weights, by the path of a .safetensors file or by a name under
-            which some ship, such as "att-snn-hummingbird", or "module:Class" of your own estimator, which
-            is made with `rate_hz`.
+            which some ship, such as "att-snn-hummingbird"; or your own estimator: "module:Class",
+            "path/file.py:Class" or an entry point of the group "quadsim.estimators". It is made with
+            `rate_hz`, and with the parameters that its class declares as keywords.
         rate_hz: Samples per second.
         tuning: Where parameters come from that are not given: a shipped domain or a TOML file made by
             `quadsim tune`; None for the shipped domain of the vehicle and the IMU.
@@ -96,8 +101,13 @@ def create(
         from .networks.weights_file import load_network
 
         return _network(load_network(name)[0].model, rate_hz, params | {"weights": name})
-    if ":" in name:
-        return own(name, rate_hz)
+    if is_custom(name):
+        spec, parts = declared(name), loaded(vehicle, imu)
+        return own(
+            name,
+            rate_hz,
+            _values(name, rate_hz, params, tuning, *parts) if spec else checked(name, {}, params),
+        )
     _known(name)
     SAMPLE_RATE.of("rate_hz", rate_hz)
     if name == "truth":
@@ -149,7 +159,7 @@ def tuning_misfit(
         imu: What it carries, as in `create`.
     """
     airframe, sensor = loaded(vehicle, imu)
-    if name not in names() or not parameters(name) or airframe is None or sensor is None:
+    if not (name in names() or is_custom(name)) or not parameters(name) or airframe is None or sensor is None:
         return ""
     tuned = tuned_for(name, tuning, airframe, sensor)
     if tuned is None:

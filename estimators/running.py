@@ -65,6 +65,17 @@ def run_quietly(
 ) -> Array:
     """`run`, for a caller that reports `missing_samples` itself."""
     readings = _sequences(gyro, accel, **sensors)
+    try:
+        return _run(est, readings, roll_pitch, quat)
+    except Exception as error:  # whatever a user's class does
+        if isinstance(error, ValueError) or type(est).__module__.startswith("estimators."):
+            raise
+        raise ValueError(f"{type(est).__name__} ends with {type(error).__name__}: {error}") from error
+
+
+def _run(
+    est: AttitudeEstimator, readings: Readings, roll_pitch: ArrayLike | None, quat: ArrayLike | None
+) -> Array:
     n, steps = readings.gyro.shape[:2]
     est.reset(n, roll_pitch=roll_pitch)
     observe, sequence = getattr(est, "observe", None), getattr(est, "sequence", None)

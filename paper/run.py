@@ -11,7 +11,7 @@ from .page.claims import Judgement
 from .page.pages import BESIDE, Placement, write_pages
 from .plan import chosen, stages_of
 from .settings import PaperSettings, settings_of
-from .stages import Progress, fingerprints, record_of, run_stages, with_inputs
+from .stages import Progress, fingerprints, is_finished, record_of, run_stages, with_inputs
 from .work.files import NUMBERS
 
 VERBS = {"holds": "hold", "partly": "hold partly", "does not hold": "do not", "not judged": "not judged"}
@@ -82,10 +82,10 @@ def write_results(
     """
     stages, shows = stages_of(settings)
     prints = fingerprints(list(stages.values()))
-    records = {name: record_of(parts / name, prints[name]) for name in stages}
-    files = {name: parts / name / NUMBERS for name, record in records.items() if "seconds" in record}
+    done = [name for name in stages if is_finished(parts / name, prints[name])]
+    files = {name: parts / name / NUMBERS for name in done}
     numbers = {name: json.loads(file.read_text("utf-8")) for name, file in files.items() if file.exists()}
     shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
-    seconds = sum(records[name]["seconds"] for name in files)
+    seconds = sum(record_of(parts / name, prints[name])["seconds"] for name in done)
     numbers = {name: numbers[name] for item in shown for name in shows[item]}
     return write_pages(folder, numbers, shown, settings, seconds, placement)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+from pydantic import ValidationError, model_validator
+
 from quadsim.config.ranges import Between, SampleRate
-from quadsim.config.toml import Strict
+from quadsim.config.toml import Strict, describe
+from quadsim.held_out import unreserved
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Seconds = Annotated[float, Between(0.01, 3600.0, "s")]
@@ -49,26 +52,31 @@ class PaperSettings(Strict):
     """How often."""
     snn: Budget = Budget()
     """Att-SNN, in floats and with Loihi's quantisation."""
-    rnn: Budget = Budget(epochs=200)
+    rnn: Budget = Budget()
     """Att-RNN."""
-    fold: Budget = Budget(epochs=170)
+    fold: Budget = Budget(epochs=300)
     """Networks of further folds, of one domain alone, and with fixed time constants."""
     ours_epochs: Number = 30
     """Of the preset `hummingbird`, a thousand updates each."""
     rates_hz: tuple[SampleRate, ...] = (100.0, 200.0, 500.0, 1000.0)
     rate_flights: Number = 20
     """Flights of `flight_s` at each rate."""
-    rate: Budget = Budget(epochs=100)
+    rate: Budget = Budget(epochs=200)
     minutes: tuple[Number, ...] = (1, 3, 10, 30, 60)
     """Flights of a minute that train."""
     minutes_validation: Number = 9
-    study: Budget = Budget(epochs=170)
+    study: Budget = Budget(epochs=300)
     """Networks trained on several minutes of flight."""
     latency_rounds: Number = 40
     """Turns of a hundred calls."""
     loop_seeds: Number = 8
     loop_s: Seconds = 100.0
     """Length of the closed-loop flights [s]."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> PaperSettings:
+        unreserved(self.seed)
+        return self
 
     @property
     def judges(self) -> bool:
@@ -110,8 +118,11 @@ def settings_of(preset: str, seed: int = 0) -> PaperSettings:
     """Sizes of a preset.
 
     Raises:
-        ValueError: There is no such preset.
+        ValueError: There is no such preset, or the seed is out of range or of a held-out suite.
     """
     if preset not in PRESETS:
         raise ValueError(f"no preset {preset!r}, there are {' and '.join(PRESETS)}")
-    return PaperSettings(preset=preset, seed=seed, **PRESETS[preset])
+    try:
+        return PaperSettings(preset=preset, seed=seed, **PRESETS[preset])
+    except ValidationError as error:
+        raise ValueError(f"paper: {describe(error, PaperSettings)}") from error

@@ -70,7 +70,13 @@ def record_of(folder: Path, fingerprint: str) -> dict[str, Any]:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
         return {}
-    return record if record.get("fingerprint") == fingerprint else {}
+    return record if isinstance(record, dict) and record.get("fingerprint") == fingerprint else {}
+
+
+def is_finished(folder: Path, fingerprint: str) -> bool:
+    """Whether a stage was finished in a folder and all that it left there is still there."""
+    record = record_of(folder, fingerprint)
+    return "seconds" in record and all((folder / name).exists() for name in record["files"])
 
 
 def run_stages(
@@ -97,7 +103,7 @@ def run_stages(
     jobs = {
         stage.name: (stage, out / stage.name, {name: out / name for name in stage.inputs}, prints[stage.name])
         for stage in stages
-        if "seconds" not in record_of(out / stage.name, prints[stage.name])
+        if not is_finished(out / stage.name, prints[stage.name])
     }
     done = set(prints) - set(jobs)
     workers = process_count(workers, len(jobs))
@@ -132,6 +138,7 @@ def make(stage: Stage, folder: Path, inputs: Mapping[str, Path], fingerprint: st
     began = time.monotonic()
     stage.make(folder, inputs, **stage.settings)
     record["seconds"] = round(time.monotonic() - began, 1)
+    record["files"] = sorted(path.name for path in folder.iterdir() if path.name != RECORD)
     write_whole(folder / RECORD, json.dumps(record))
 
 

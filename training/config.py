@@ -64,9 +64,8 @@ class TrainingRecipe(Strict):
     initialisation: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
     parametrisation: Parametrisation = "decays"
-    """What the optimiser's parameters are. "decays", as in the paper's published code: 1 - τ, and in floats
-    weights over 1 - τ_mem. "logits": those of τ, and weights over the root mean square of their row
-    (att-snn)."""
+    """What the optimiser's parameters are. "decays", as in the paper's published code: 1 - τ, and weights
+    over 1 - τ_mem. "logits": those of τ, and weights over the root mean square of their row (att-snn)."""
     fixed_taus: bool = False
     """Train the weights alone and leave the time constants as they are at first (att-snn)."""
     reinitialise_until: Share = 0.0
@@ -146,7 +145,8 @@ class TrainConfig(TrainingRecipe):
     threads: Annotated[int, Between(1, 1024)] = 1
     """Threads that share a batch; the result depends on their number in the last digits only."""
     backend: str = "fused"
-    """What computes the outputs and gradients of att-snn: a key of `training.backends.BACKENDS`."""
+    """What computes the outputs and gradients of att-snn: a key of `training.backends.BACKENDS`. "cuda" puts
+    att-rnn on the GPU too."""
     preset: str = "paper"
     """Preset that the other values started from: a shipped name or a TOML file."""
     init: str = ""
@@ -162,6 +162,11 @@ class TrainConfig(TrainingRecipe):
         if self.model == "att-snn" and 0 < self.pruning_target <= constants:
             raise ValueError(
                 f"pruning_target: {self.pruning_target}, but time constants alone are {constants}"
+            )
+        if self.fixed_taus and self.reinitialise_until > 0:
+            raise ValueError(
+                f"reinitialise_until: {self.reinitialise_until}, but re-initialised neurons get new time "
+                "constants and fixed_taus keeps them; give reinitialise_until=0, or fixed_taus=false"
             )
         shares = [share for share, _ in self.later_windows]
         if sorted(set(shares)) != shares:

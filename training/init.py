@@ -15,6 +15,7 @@ from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
 
 from .backends import BACKENDS
+from .backends.cuda import NO_GPU
 from .config import TrainConfig
 from .data import TrainingFlights, sample_windows
 from .models import MEMBRANE, AttRNN, AttSNN
@@ -52,6 +53,10 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
         if encoding != hidden:
             raise ValueError(f"att-rnn: layers of {encoding} and {hidden} units, should be equal")
         model = AttRNN(hidden, config.outputs)
+        if config.backend == "cuda":
+            if not torch.cuda.is_available():
+                raise ValueError(NO_GPU)
+            model.cuda()
     else:
         if config.symmetric and not config.init and min(encoding, hidden) < len(OPERATIONS):
             raise ValueError(

@@ -96,7 +96,7 @@ def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Res
         before = training.validate()[0] if config.init else None
         if (out / "checkpoint.pt").is_file():
             try:
-                training.restore(torch.load(out / "checkpoint.pt", weights_only=True))
+                training.restore(torch.load(out / "checkpoint.pt", weights_only=True, map_location="cpu"))
             except (RuntimeError, KeyError, TypeError) as error:
                 text = "its checkpoint is of another version of quadsim, choose another folder"
                 raise ValueError(f"{out}: {text}") from error

@@ -128,6 +128,11 @@ class AttSNN(nn.Module):
         """Whether weights are parameters times 1 − τ_mem of the neuron that they lead to."""
         return self.parametrisation == "decays"
 
+    def _units(self, name: str) -> Tensor:
+        """Weights for a parameter of 1, a row for each neuron that they lead to."""
+        scale = getattr(self, f"{name}_scale")
+        return scale * (1.0 - self.tau(MEMBRANE[name])).reshape(-1, 1) if self.normalised else scale
+
     def set_taus(self, name: str, values: NDArray[np.floating], where: Any = slice(None)) -> None:
         """Set time constants of a kind, or of some of its neurons, before the weights that they scale."""
         tau = torch.tensor(values)
@@ -150,10 +155,8 @@ class AttSNN(nn.Module):
 
     def weights(self) -> Weights:
         """Weights and time constants as the network uses them."""
-        w = {name: getattr(self, name) * getattr(self, f"{name}_scale") for name in self.matrices}
+        w = {name: getattr(self, name) * self._units(name) for name in self.matrices}
         tau = {name: self.tau(name) for name in self.taus}
-        if self.normalised:
-            w = {name: value * (1.0 - tau[MEMBRANE[name]]).reshape(-1, 1) for name, value in w.items()}
         if self.backend.quantised:
             finest = dict.fromkeys(EXPONENTS, self.finest_exponent)
             w = {name: quantise_weights(value, finest.get(name, 0)) for name, value in w.items()}
@@ -177,14 +180,14 @@ class AttSNN(nn.Module):
             getattr(self, name).copy_(
                 torch.from_numpy(self.shared(name, getattr(self, name).detach().numpy()))
             )
-        for name in self.matrices:
-            w = getattr(self, name).mul_(getattr(self, f"{name}_connected"))
-            if self.backend.quantised:
-                limit = WEIGHT_MAX / getattr(self, f"{name}_scale")
-                w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
         logits = self.parametrisation == "logits"
         for name in self.taus:
             getattr(self, name).clamp_(*((-6.0, math.log(4095.0)) if logits else (LEAST_DECAY, 1.0)))
+        for name in self.matrices:
+            w = getattr(self, name).mul_(getattr(self, f"{name}_connected"))
+            if self.backend.quantised:
+                limit = WEIGHT_MAX / self._units(name)
+                w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
 
     @torch.no_grad()
     def limit_currents(self) -> None:
@@ -288,7 +291,10 @@ def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], mo
 
 
 class AttRNN(nn.Module):
-    """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles; or up)."""
+    """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles; or up).
+
+    Inputs and outputs are on the CPU, wherever the parameters are.
+    """
 
     def __init__(self, hidden: int = 100, outputs: Outputs = "roll-pitch") -> None:
         """Build with PyTorch's own initial weights."""
@@ -307,10 +313,10 @@ class AttRNN(nn.Module):
         if reset is None or reset.all():
             before = None
         elif before is not None:
-            before = before * torch.from_numpy(~reset)[:, None]
-        y, state = self.gru(x, before)
+            before = before * torch.from_numpy(~reset)[:, None].to(before.device)
+        y, state = self.gru(x.to(self.out.weight.device), before)
         self._state = state.detach()
-        return self.out(y), torch.zeros(2)
+        return self.out(y).cpu(), torch.zeros(2)
 
     @torch.no_grad()
     def constrain(self) -> None:

@@ -88,7 +88,8 @@ class Lookahead:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from the result of `state_dict`."""
         self.optimizer.load_state_dict(state["optimizer"])
-        self.slow = [p.clone() for p in state["slow"]]
+        devices = [p.device for p in self._fast()]
+        self.slow = [p.to(device, copy=True) for p, device in zip(state["slow"], devices, strict=True)]
         self.steps, self.k, self.alpha = state["steps"], state["k"], state["alpha"]
 
 
@@ -117,7 +118,8 @@ def new_optimiser(model: nn.Module, config: TrainConfig) -> Lookahead:
     """
     encoding, hidden, output = config.layer_steps
     steps = {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_after": hidden, "w_out": output}
-    steps |= dict.fromkeys(TIME_CONSTANTS, 0.0 if config.fixed_taus else 1.0)
+    for name, parameter in model.named_parameters():
+        parameter.requires_grad_(not (config.fixed_taus and name in TIME_CONSTANTS))
     groups = [{"params": [p], "step": steps.get(name, 1.0)} for name, p in model.named_parameters()]
     adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
     return Lookahead(adam, config.lookahead_k, config.lookahead_alpha)

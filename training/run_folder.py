@@ -70,7 +70,8 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
             ) from None
-        if before != config:
+        how = {"backend": config.backend, "threads": config.threads}  # change the last digits alone
+        if before.model_copy(update=how) != config:
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     write_whole(file, text)
     if contents is None:
@@ -114,7 +115,7 @@ def exported(
         training=note,
     )
     if not spiking:
-        return network, {name: value.numpy().copy() for name, value in model.state_dict().items()}
+        return network, {name: value.cpu().numpy().copy() for name, value in model.state_dict().items()}
     with torch.no_grad():
         arrays = {name: w.numpy() for name, w in model.weights()._asdict().items() if w.numel()}
     if not config.quantised:

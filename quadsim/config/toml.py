@@ -79,7 +79,7 @@ def located(found: Model, source: str | Path) -> Model:
     """A model with the relative paths in it taken from the folder of the file that it was loaded from.
 
     Paths are texts in the fields `vehicle`, `imu` and `external`, unless they are names of presets, and in
-    the field `path` of a part.
+    the fields `path` and `function` of a part.
 
     Args:
         found: What `load_toml` made of it.
@@ -98,7 +98,11 @@ def _located(value: Any, folder: Path) -> Any:
     for name in type(value).model_fields:
         inner = getattr(value, name)
         if isinstance(inner, str):
-            if name == "path" or (name in ("vehicle", "imu", "external") and not _is_preset(inner)):
+            if (
+                name == "path"
+                or (name == "function" and ".py:" in inner)
+                or (name in ("vehicle", "imu", "external") and not _is_preset(inner))
+            ):
                 changes[name] = str(folder / Path(inner).expanduser())
         elif (moved := _located(inner, folder)) is not inner:
             changes[name] = moved

@@ -144,14 +144,21 @@ def _attitude_stage(g, q, axis, yaw_error):
 
 @njit(cache=True)
 def _rate_stage(c, gyro, wanted):
-    """PI on body rate: the torque to ask for, gyroscopic term included, a tuple [N m]."""
-    g, inertia, acc = c.gains, c.inertia, c.ang_acc_cmd
+    """PI on body rate: the torque to ask for, a tuple [N m]."""
+    g, acc = c.gains, c.ang_acc_cmd
     for i in range(3):
         proportional, integral = (g.rate, g.rate_integral) if i < 2 else (g.yaw_rate, g.yaw_rate_integral)
         error = wanted[i] - gyro[i]
         bound = MAX_TRIM * c.max_ang_acc[i]
         c.trim[i] = min(max(c.trim[i] + integral * c.dt * error, -bound), bound)
         acc[i] = proportional * error + c.trim[i]
+    return _torque(c, gyro)
+
+
+@njit(cache=True)
+def _torque(c, gyro):
+    """Torque of the commanded angular acceleration, gyroscopic term included, a tuple [N m]."""
+    inertia, acc = c.inertia, c.ang_acc_cmd
     return (
         inertia[0] * acc[0] + (inertia[2] - inertia[1]) * gyro[1] * gyro[2],
         inertia[1] * acc[1] + (inertia[0] - inertia[2]) * gyro[2] * gyro[0],
@@ -200,6 +207,43 @@ def _tilt_rate(c, q, target):
 
 
 @njit(cache=True)
+def _guide(level, u, m, c):
+    """The levels above the body rate: the rate to ask for, a tuple [rad/s], and the thrust per mass [m/s²].
+
+    The commanded thrust axis is left in the record. Arguments as of `control`.
+    """
+    g, q = c.gains, from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
+    thrust, tilt_rate = c.thrust_cmd, (0.0, 0.0)
+    if level == ATTITUDE:
+        yaw = c.attitude_cmd[2]
+        w = from_euler_core(c.attitude_cmd[0], c.attitude_cmd[1], yaw)
+        axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
+    else:
+        yaw, v, a = u.yaw, u.velocity, u.acceleration
+        if level == POSITION:
+            ex, ey, ez = _clip_norm(
+                g.position * (u.position[0] - m.position[0]),
+                g.position * (u.position[1] - m.position[1]),
+                g.position * (u.position[2] - m.position[2]),
+                MAX_SPEED_ERROR,
+            )
+            wanted = (v[0] + ex, v[1] + ey, v[2] + ez)
+            ax, ay, az = _velocity_stage(c, m.velocity, wanted, (a[0], a[1], a[2]))
+            tilt_rate = _tilt_rate(c, q, u)
+        else:
+            ax, ay, az = _velocity_stage(c, m.velocity, (v[0], v[1], v[2]), (0.0, 0.0, 0.0))
+        zx, zy, zz, size = _thrust_direction(ax, ay, az)
+        axis = (zx, zy, zz)
+        bx, by, bz = rotate_core(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
+        # only the part of the commanded force along the estimated thrust axis can be made now
+        thrust = size * max(zx * bx + zy * by + zz * bz, 0.2)
+    c.thrust_axis[0], c.thrust_axis[1], c.thrust_axis[2] = axis
+    p, r, s = _attitude_stage(g, q, axis, yaw - m.yaw)
+    forward_yaw = u.yaw_rate if level == POSITION else 0.0
+    return (p + tilt_rate[0], r + tilt_rate[1], s + forward_yaw), thrust
+
+
+@njit(cache=True)
 def control(level, u, m, c):
     """One step of the cascade for one vehicle, to its `rotor_vel_cmd`.
 
@@ -213,40 +257,44 @@ def control(level, u, m, c):
         for i in range(c.rotor_vel_cmd.shape[0]):
             c.rotor_vel_cmd[i] = min(max(c.rotor_vel_cmd[i], 0.0), c.max_rotor_vel)
         return
-    g, q = c.gains, from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
-    thrust = c.thrust_cmd
     if level == RATE:
-        rate = (c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2])
+        rate, thrust = (c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2]), c.thrust_cmd
     else:
-        tilt_rate = (0.0, 0.0)
-        if level == ATTITUDE:
-            yaw = c.attitude_cmd[2]
-            w = from_euler_core(c.attitude_cmd[0], c.attitude_cmd[1], yaw)
-            axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
-        else:
-            yaw, v, a = u.yaw, u.velocity, u.acceleration
-            if level == POSITION:
-                ex, ey, ez = _clip_norm(
-                    g.position * (u.position[0] - m.position[0]),
-                    g.position * (u.position[1] - m.position[1]),
-                    g.position * (u.position[2] - m.position[2]),
-                    MAX_SPEED_ERROR,
-                )
-                wanted = (v[0] + ex, v[1] + ey, v[2] + ez)
-                ax, ay, az = _velocity_stage(c, m.velocity, wanted, (a[0], a[1], a[2]))
-                tilt_rate = _tilt_rate(c, q, u)
-            else:
-                ax, ay, az = _velocity_stage(c, m.velocity, (v[0], v[1], v[2]), (0.0, 0.0, 0.0))
-            zx, zy, zz, size = _thrust_direction(ax, ay, az)
-            axis = (zx, zy, zz)
-            bx, by, bz = rotate_core(q[0], q[1], q[2], q[3], 0.0, 0.0, 1.0)
-            # only the part of the commanded force along the estimated thrust axis can be made now
-            thrust = size * max(zx * bx + zy * by + zz * bz, 0.2)
-        c.thrust_axis[0], c.thrust_axis[1], c.thrust_axis[2] = axis
-        p, r, s = _attitude_stage(g, q, axis, yaw - m.yaw)
-        forward_yaw = u.yaw_rate if level == POSITION else 0.0
-        rate = (p + tilt_rate[0], r + tilt_rate[1], s + forward_yaw)
+        rate, thrust = _guide(level, u, m, c)
     _allocate(c, c.mass * thrust, _rate_stage(c, m.gyro, rate))
+
+
+@njit(cache=True)
+def attitude_set_point(level, u, m, c, out):
+    """What an attitude controller in place of the inner levels is to follow, for one vehicle.
+
+    Args:
+        level: 0 position … 2 attitude.
+        u: Record of `SET_POINT`, for the levels position and velocity.
+        m: Record of `MEASURED`.
+        c: Record of `controller_dtype`.
+        out: (4,) roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²].
+    """
+    rate, out[3] = _guide(level, u, m, c)
+    axis, cos, sin = c.thrust_axis, math.cos(m.yaw), math.sin(m.yaw)
+    across = cos * axis[1] - sin * axis[0]
+    out[0] = -math.asin(min(max(across, -1.0), 1.0))
+    out[1] = math.atan2(cos * axis[0] + sin * axis[1], axis[2])
+    out[2] = rate[2]
+
+
+@njit(cache=True)
+def actuate(m, c, action):
+    """Rotor speeds of one vehicle, to its `rotor_vel_cmd`, for an angular acceleration and a thrust.
+
+    Args:
+        m: Record of `MEASURED`.
+        c: Record of `controller_dtype`.
+        action: (4,) angular acceleration, body axes [rad/s²], and thrust per mass [m/s²].
+    """
+    for i in range(3):
+        c.ang_acc_cmd[i] = min(max(action[i], -c.max_ang_acc[i]), c.max_ang_acc[i])
+    _allocate(c, c.mass * max(action[3], 0.0), _torque(c, m.gyro))
 
 
 class Controller:

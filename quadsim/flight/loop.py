@@ -21,6 +21,7 @@ from ..control.cascade import (
     control,
     controller_dtype,
 )
+from ..control.own import InnerLoop, MakeController, made
 from ..estimator import AttitudeEstimator, Readings, accepted_sensors
 from ..external import ExternalSensor
 from ..imu.kernel import ACCEL, GYRO, IMU, measure
@@ -86,6 +87,7 @@ class FlightLoop:
             0; may change readings in place: sensor faults. At NaN the controller holds its last body rate.
         nominal: The vehicle that the controller is tuned for, instead of the first.
         engine: What integrates the motion, see `quadsim.plant.Plant`.
+        controller: Makes the attitude controller; None for the cascade's own.
     """
 
     def __init__(
@@ -102,6 +104,7 @@ class FlightLoop:
         corrupt: Callable[[Readings, NDArray[np.int64]], None] | None = None,
         nominal: Vehicle | None = None,
         engine: Engine = "auto",
+        controller: MakeController | None = None,
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
@@ -111,6 +114,9 @@ class FlightLoop:
         integrator = "implicitfast" if contact else "RK4"
         self.plant = Plant(vehicle, n, rate_hz, integrator, contact, engine, records["vehicle"])
         self.controller = Controller(nominal or first, n, rate_hz, records=records["controller"])
+        self.inner = None
+        if controller is not None:
+            self.inner = InnerLoop(made(controller, rate_hz, nominal or first), records)
         self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed, records["imu"])
         self.noise = np.empty((n, 0, 0, 3)) if self.imu is None else self.imu.noise
         self.estimator, self._last_rate = estimator, np.zeros((n, 3))
@@ -168,6 +174,8 @@ class FlightLoop:
         """
         self.plant.reset(position, velocity, quat, ang_vel, ids=ids)
         self.controller.reset(ids)
+        if self.inner is not None:
+            self.inner.reset(ids)
         self.k[ids] = 0
         if self.imu is not None:
             self.imu.reset(ids)
@@ -201,7 +209,11 @@ class FlightLoop:
     def move(self, level: Level, command: Command, wind: Array | None = None) -> None:
         """The first half of `step`: control and motion."""
         self.plant.wind[:] = 0.0 if wind is None else wind
-        self.move_on(self.accept(level, command))
+        self.move_on(self.steered(self.accept(level, command)))
+
+    def steered(self, level: int) -> int:
+        """Let an attitude controller of one's own act on the commands in the records; their level then."""
+        return level if self.inner is None else self.inner.steer(level, self.readings.accel)
 
     def move_on(self, level: int) -> None:
         """`move` on the commands in the records, at the level of this number."""

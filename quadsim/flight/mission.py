@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..config.ranges import steps_of
 from ..control.cascade import LEVELS, SET_POINT, Command, Level
+from ..control.own import MakeController
 from ..estimator import AttitudeEstimator
 from ..external import ExternalSensor, ExternalSpec, load_external
 from ..imu.spec import load_imu
@@ -53,6 +54,7 @@ class Mission:
         n: Number of flights.
         rate_hz: Samples per second.
         duration_s: Length of a flight, instead of the scenario's.
+        controller: Makes the attitude controller, see `quadsim.control.own`; None for the cascade's own.
     """
 
     def __init__(
@@ -62,12 +64,13 @@ class Mission:
         n: int = 1,
         rate_hz: float = 200.0,
         duration_s: float | None = None,
+        controller: MakeController | None = None,
     ) -> None:
         self.scenario, self.n, self.rate_hz = scenario, n, rate_hz
         self.vehicle = with_drag(load_vehicle(scenario.vehicle), scenario.drag_factor)
         self.steps = steps_of(scenario.duration_s if duration_s is None else duration_s, rate_hz)
         self._imu, self._estimator = displaced(load_imu(scenario.imu), scenario.faults), estimator
-        self._external = load_external(scenario.external)
+        self._external, self._controller = load_external(scenario.external), controller
 
     def begin(self, seeds: Seeds) -> None:
         """Begin all flights, one seed each."""
@@ -88,6 +91,7 @@ class Mission:
             contact=self.scenario.contact,
             engine=self.scenario.engine,
             external=external,
+            controller=self._controller,
             corrupt=sensor_faults(faults, self.n, self.rate_hz, [child(seed, FAULT) for seed in seeds]),
         )
         self._faults = VehicleFaults(faults, self.loop.plant)
@@ -143,7 +147,8 @@ class Mission:
         self.crashed = follow_all(self.records, self._plans)
 
     def _accept(self, level: Level, command: Command | None) -> int:
-        return LEVELS.index(level) if command is None else self.loop.accept(level, command)
+        index = LEVELS.index(level) if command is None else self.loop.accept(level, command)
+        return self.loop.steered(index)
 
     def _prepare(self) -> None:
         """Put crashed vehicles back above their set-points, and let the faults of vehicles act."""

@@ -11,9 +11,21 @@ from numpy.typing import NDArray
 from ..config.ranges import COORDINATE, Position
 from ..config.toml import read_text
 from ..control.cascade import SET_POINT
+from ..own import load_own
 from ..runs.compiled import njit
 from ..vehicle import GRAVITY
-from .specs import Doublets, Hover, Lissajous, Mix, Move, SetPointFile, Step, Trajectory, Waypoints
+from .specs import (
+    Doublets,
+    Hover,
+    Lissajous,
+    Mix,
+    Move,
+    OwnFunction,
+    SetPointFile,
+    Step,
+    Trajectory,
+    Waypoints,
+)
 
 Array = NDArray[np.float64]
 SetPoints = NDArray[np.void]
@@ -34,7 +46,7 @@ def reference(spec: Trajectory, steps: int, rate_hz: float, seeds: Seeds) -> Set
         (n, steps) records of `SET_POINT`.
 
     Raises:
-        ValueError: If a set-point file is missing or malformed.
+        ValueError: If a set-point file is missing or malformed, or a user's function fails.
     """
     time = np.arange(steps) / rate_hz
     if isinstance(spec, Mix | Waypoints | Doublets) and not (isinstance(spec, Waypoints) and spec.points):
@@ -57,7 +69,9 @@ def _random(spec: Mix | Waypoints | Doublets, time: Array, rng: np.random.Genera
     return out
 
 
-def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, time: Array) -> SetPoints:
+def _fixed(
+    spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile | OwnFunction, time: Array
+) -> SetPoints:
     match spec:
         case Hover():
             out = _still(spec.position, math.radians(spec.yaw_deg), time)
@@ -74,6 +88,8 @@ def _fixed(spec: Hover | Step | Move | Lissajous | Waypoints | SetPointFile, tim
             out = _minimum_snap(np.array(spec.points), spec.speed, time)
         case SetPointFile():
             out = _from_file(Path(spec.path), time)
+        case OwnFunction():
+            out = _from_function(spec.function, time)
     return out
 
 
@@ -132,8 +148,6 @@ def _minimum_snap(points: Array, speed: float, time: Array) -> SetPoints:
 
 
 def _from_file(path: Path, time: Array) -> SetPoints:
-    from scipy.interpolate import CubicSpline
-
     try:
         rows = list(csv.DictReader(read_text(path, most_mb=100.0).splitlines()))
     except csv.Error as error:
@@ -151,6 +165,36 @@ def _from_file(path: Path, time: Array) -> SetPoints:
         raise ValueError(f"{path}: set-points need two rows or more, finite, with rising t")
     for name, values in zip("xyz", points.T, strict=True):
         COORDINATE.of(f"{path}: {name}", values[np.argmax(np.abs(values))])
+    return _splined(clock, points, yaw, time)
+
+
+def _from_function(name: str, time: Array) -> SetPoints:
+    """Set-points of a user's function."""
+    fly = load_own(name)
+    try:
+        made = np.asarray(fly(time.copy()), np.float64)
+    except Exception as error:  # whatever a user's function does
+        raise ValueError(f"trajectory {name} ends with {type(error).__name__}: {error}") from error
+    if made.shape not in ((time.size, 3), (time.size, 4)):
+        raise ValueError(
+            f"trajectory {name} returns an array of shape {made.shape} for {time.size} times; x, y, z [m] "
+            "and, if wanted, yaw [rad] are required, a row for each"
+        )
+    if not np.isfinite(made).all():
+        raise ValueError(f"trajectory {name} returns numbers that are not finite")
+    for axis, values in zip("xyz", made.T, strict=False):
+        COORDINATE.of(f"trajectory {name}: {axis}", values[np.argmax(np.abs(values))])
+    if time.size < 2:
+        out = np.zeros(time.size, SET_POINT)
+        out["position"] = made[:, :3]
+        return out
+    return _splined(time, made[:, :3], made[:, 3] if made.shape[1] == 4 else np.zeros(time.size), time)
+
+
+def _splined(clock: Array, points: Array, yaw: Array, time: Array) -> SetPoints:
+    """Set-points on a cubic spline, at rest at both ends."""
+    from scipy.interpolate import CubicSpline
+
     at = np.clip(time, clock[0], clock[-1])
     curve = CubicSpline(clock, np.column_stack([points, np.unwrap(yaw)]), bc_type="clamped")
     out = np.zeros(time.size, SET_POINT)
@@ -172,19 +216,21 @@ SEGMENT = np.dtype(
         ("first", "f8", 3),  # displacement of a dash or a jump, or the first axis of a loop [m]
         ("second", "f8", 3),  # second axis of a loop, a circle or an eight [m]
         ("omega", "f8"),  # frequency of the first axis [rad/s]
-        ("ratio", "f8"),  # of the second over the first
+        ("ratio", "f8"),  # of the second over the first; the part of a cruise in which it speeds up
     ]
 )
 TURN = np.dtype([("start", "f8"), ("length", "f8"), ("angle", "f8")])
 """A turn of the heading [s, s, rad]."""
-_DASH, _LOOP, _PAUSE, _JUMP = range(4)
+_DASH, _LOOP, _PAUSE, _JUMP, _CRUISE = range(5)
 ZERO = (0.0, 0.0, 0.0)
 _DASH_PEAK = 84 * math.sqrt(5) / 25  # largest |s''| of the rest-to-rest polynomial of degree 7
+_RAMP_PEAK = 35 / 16  # its largest |s'|
 
 
 def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np.void]:
     rows: list[tuple[object, ...]] = []
     clock, where = 0.0, np.zeros(3)
+    shares = (spec.pause_share, spec.circle_share, spec.jump_share, spec.eight_share, spec.cruise_share)
     low, high = math.radians(min(spec.min_tilt_deg, spec.max_tilt_deg)), math.radians(spec.max_tilt_deg)
     while clock < end:
         draw, heading = rng.random(), rng.uniform(-np.pi, np.pi)
@@ -193,7 +239,7 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
         if draw < spec.pause_share:
             length = rng.uniform(*spec.pause_s)
             row = (_PAUSE, ZERO, ZERO, 0.0, 0.0)
-        elif draw < spec.pause_share + spec.circle_share:
+        elif draw < sum(shares[:2]):
             turns, period = int(rng.integers(1, 4)), rng.uniform(*spec.circle_s)
             length, omega = (turns + 2) * period, 2 * np.pi / period
             radius = 0.7 * lateral / omega**2  # the window adds to the acceleration
@@ -202,12 +248,12 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
             )
             flat, bob = rng.uniform(-1.0, 1.0), 0.5 * climb / omega**2
             row = (_LOOP, (*axes[0], bob), (*(flat * axes[1]), -bob), omega, 1.0)
-        elif draw < spec.pause_share + spec.circle_share + spec.jump_share:
+        elif draw < sum(shares[:3]):
             length, reach = rng.uniform(2.0, 4.0), rng.uniform(*spec.jump_m)
             move = reach * np.array([math.cos(heading), math.sin(heading), rng.uniform(-0.3, 0.3)])
             where = where + move
             row = (_JUMP, move, ZERO, 0.0, 0.0)
-        elif draw < spec.pause_share + spec.circle_share + spec.jump_share + spec.eight_share:
+        elif draw < sum(shares[:4]):
             laps, period = int(rng.integers(3, 9)), rng.uniform(*spec.eight_s)
             length, omega = (laps + 1) * period, 2 * np.pi / period
             share = rng.uniform(-1.0, 1.0)  # of the slow sweep's peak acceleration in that of the fast one
@@ -215,10 +261,17 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
             slow = share * peak / omega**2 * np.array([math.cos(heading), math.sin(heading)])
             fast = peak / (2 * omega) ** 2 * np.array([-math.sin(heading), math.cos(heading)])
             row = (_LOOP, (*slow, 0.0), (*fast, 0.5 * climb / (2 * omega) ** 2), omega, 2.0)
+        elif draw < sum(shares):
+            heading = _homewards(where, spec.radius, heading, rng)
+            steady, speed = rng.uniform(*spec.cruise_s), rng.uniform(*spec.cruise_speed)
+            ramp = _RAMP_PEAK * speed / lateral
+            length, reach = steady + 2 * ramp, speed * (steady + ramp)
+            move = reach * np.array([math.cos(heading), math.sin(heading), 0.0])
+            where = where + move
+            row = (_CRUISE, move, ZERO, 0.0, ramp / length)
         else:
             length = rng.uniform(*spec.dash_s)
-            if np.linalg.norm(where[:2]) > spec.radius:
-                heading = math.atan2(-where[1], -where[0]) + rng.uniform(-0.5, 0.5)
+            heading = _homewards(where, spec.radius, heading, rng)
             reach = lateral * length**2 / _DASH_PEAK
             rise = climb * length**2 / _DASH_PEAK
             if abs(where[2] + rise) > 0.4 * spec.position[2]:
@@ -229,6 +282,13 @@ def _mix_segments(spec: Mix, end: float, rng: np.random.Generator) -> NDArray[np
         rows.append((clock, length, *row))
         clock += length
     return np.array(rows, SEGMENT)
+
+
+def _homewards(where: Array, radius: float, heading: float, rng: np.random.Generator) -> float:
+    """The heading, or beyond `radius` about that to the centre [rad]."""
+    if np.linalg.norm(where[:2]) > radius:
+        return math.atan2(-where[1], -where[0]) + rng.uniform(-0.5, 0.5)
+    return heading
 
 
 def _doublet_segments(spec: Doublets, end: float, rng: np.random.Generator) -> NDArray[np.void]:
@@ -263,6 +323,12 @@ def _rest_to_rest(s):
 
 
 @njit(cache=True)
+def _ramp_way(s):
+    """Integral of the first of them, 0 to 1/2."""
+    return s**5 * (7.0 + s * (-14.0 + s * (10.0 - 2.5 * s)))
+
+
+@njit(cache=True)
 def _fly_segments(segments, turns, time, out):
     base = np.empty(3)
     for i in range(3):
@@ -270,7 +336,7 @@ def _fly_segments(segments, turns, time, out):
     seg, turn, heading = 0, 0, 0.0
     for k in range(time.size):
         while seg < segments.size and time[k] >= segments[seg].start + segments[seg].length:
-            if segments[seg].kind == _DASH or segments[seg].kind == _JUMP:
+            if segments[seg].kind == _DASH or segments[seg].kind == _JUMP or segments[seg].kind == _CRUISE:
                 for i in range(3):
                     base[i] += segments[seg].first[i]
             seg += 1
@@ -290,6 +356,18 @@ def _fly_segments(segments, turns, time, out):
             elif row.kind == _JUMP:
                 for i in range(3):
                     p[i] += first[i]
+            elif row.kind == _CRUISE:
+                ramp = row.ratio
+                # the speed rises as the polynomial does, stays, and falls; its integral is the way
+                edge, sign = min(s, 1.0 - s) / ramp, (1.0 if s < 0.5 else -1.0)
+                level, slope, _ = _rest_to_rest(min(edge, 1.0))
+                way = ramp * _ramp_way(min(edge, 1.0)) + max(min(s, 1.0 - s) - ramp, 0.0)
+                way = (way if s < 0.5 else 1.0 - ramp - way) / (1.0 - ramp)
+                speed = 1.0 / (1.0 - ramp) / length
+                for i in range(3):
+                    p[i] += first[i] * way
+                    v[i] = first[i] * speed * level
+                    acc[i] = first[i] * speed * sign * slope / (ramp * length)
             elif row.kind == _LOOP:
                 # the window rises over the first quarter of the segment and falls over the last
                 edge, sign = 4.0 * min(s, 1.0 - s), (1.0 if s < 0.5 else -1.0)

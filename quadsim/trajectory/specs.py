@@ -9,6 +9,7 @@ from ..config.toml import Strict
 
 Manoeuvre = Annotated[float, Between(0.05, 3600.0, "s")]
 ManoeuvreRange = Annotated[tuple[Manoeuvre, Manoeuvre], Rising]
+Speed = Annotated[float, Between(0.01, 100.0, "m/s")]
 LEAST_PEAK_DEG = 25.0
 MOST_POINTS = 10_000
 Multiple = Annotated[int, Between(-100, 100)]
@@ -70,9 +71,7 @@ class Waypoints(Strict):
     random_points: Annotated[int, Between(2, 100)] = Field(default=8, description="How many to draw.")
     box: Position = Field(default=(6.0, 6.0, 2.0), description="Half size of the box to draw in [m].")
     position: Position = Field(default=(0.0, 0.0, 4.0), description="Centre of that box [m].")
-    speed: Annotated[float, Between(0.01, 100.0, "m/s")] = Field(
-        default=2.5, description="Mean speed along straight legs [m/s]."
-    )
+    speed: Speed = Field(default=2.5, description="Mean speed along straight legs [m/s].")
 
     @model_validator(mode="after")
     def _leads_somewhere(self) -> "Waypoints":
@@ -84,7 +83,7 @@ class Waypoints(Strict):
 
 
 class Mix(Strict):
-    """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, stops and turns.
+    """Random aggressive flight that fills the envelope: dashes, circles, eights, jumps, cruises, stops.
 
     A dash is a rest-to-rest move whose tilt swings once each way, like an attitude doublet; peaks are drawn
     up to `max_tilt_deg`, so the standard deviation of roll and pitch is about 0.25 rad.
@@ -108,6 +107,13 @@ class Mix(Strict):
     jump_m: Annotated[tuple[Distance, Distance], Rising] = Field(
         default=(0.5, 2.5), description="Range of their size [m]."
     )
+    cruise_share: Share = Field(default=0.0, description="Share of straight flights of constant velocity.")
+    cruise_s: ManoeuvreRange = Field(
+        default=(2.0, 6.0), description="Range of the time at a constant velocity [s]."
+    )
+    cruise_speed: Annotated[tuple[Speed, Speed], Rising] = Field(
+        default=(2.0, 8.0), description="Range of that velocity [m/s]."
+    )
     pause_share: Share = Field(default=0.1, description="Share of hovering pauses.")
     pause_s: ManoeuvreRange = Field(default=(0.2, 1.5), description="Range of their length [s].")
     max_yaw_rate: Annotated[float, Between(0.0, 70.0, "rad/s")] = Field(
@@ -124,11 +130,12 @@ class Mix(Strict):
                 f"min_tilt_deg = {self.min_tilt_deg:g} is above max_tilt_deg = {self.max_tilt_deg:g}; "
                 "peaks are drawn between them"
             )
-        total = self.circle_share + self.eight_share + self.jump_share + self.pause_share
+        shares = ("circle_share", "eight_share", "jump_share", "cruise_share", "pause_share")
+        total = sum(getattr(self, name) for name in shares)
         if total > 1.0 + 1e-9:
             raise ValueError(
-                f"circle_share + eight_share + jump_share + pause_share = {total:g}; shares of "
-                "manoeuvres add up to 1 at most, and dashes are the rest"
+                f"{' + '.join(shares)} = {total:g}; shares of manoeuvres add up to 1 at most, and dashes are "
+                "the rest"
             )
         return self
 
@@ -150,6 +157,17 @@ class SetPointFile(Strict):
     path: str = Field(description="The CSV file.")
 
 
+class OwnFunction(Strict):
+    """A user's function of time, splined between the samples for velocity and acceleration.
+
+    Called with times (T,) [s], it returns x, y, z [m] and, if wanted, yaw [rad], shape (T, 3) or (T, 4).
+    """
+
+    kind: Literal["function"] = "function"
+    function: str = Field(description='Its name: "package.module:function" or "path/file.py:function".')
+
+
 Trajectory = Annotated[
-    Hover | Step | Move | Lissajous | Waypoints | Mix | Doublets | SetPointFile, Field(discriminator="kind")
+    Hover | Step | Move | Lissajous | Waypoints | Mix | Doublets | SetPointFile | OwnFunction,
+    Field(discriminator="kind"),
 ]

@@ -15,6 +15,7 @@ from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, load_scenario
 from quadsim.imu.spec import load_imu
+from quadsim.own import own_file
 from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
 from quadsim.runs.fingerprint import ROOT, code_digest, file_digest, fingerprint
 from quadsim.runs.spread import spread
@@ -203,6 +204,16 @@ def cell_path(out: Path, scenario: str, estimator: str) -> Path:
     return out / "cells" / f"{scenario}--{file_name(estimator)}.json"
 
 
+def _files_of(scenario: Scenario) -> list[str | Path]:
+    """What a scenario reads besides presets: set-points, a user's function, wind."""
+    found: list[str | Path] = [
+        part.path for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"
+    ]
+    if scenario.trajectory.kind == "function" and (own := own_file(scenario.trajectory.function)):
+        found.append(own)
+    return found
+
+
 def suite_digest() -> str:
     """Digest of the code and data that a cell's numbers come from: change these, and cells run again."""
     files = [path for path in (ROOT / "assets").rglob("*.*") if "__pycache__" not in path.parts]
@@ -244,7 +255,7 @@ def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, c
         "vehicle": load_vehicle(scenario.vehicle).model_dump(mode="json"),
         "imu": load_imu(scenario.imu).model_dump(mode="json"),
         "external": load_external(scenario.external).model_dump(mode="json"),
-        "files": [digest_if_there(p.path) for p in (scenario.trajectory, *scenario.wind) if p.kind == "file"],
+        "files": [digest_if_there(path) for path in _files_of(scenario)],
         "weights": weights_digest(estimator),
         "tuning": tuning and load_tuning(tuning)[estimator].model_dump(),
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],

@@ -20,6 +20,7 @@ from paper.stages import RECORD, Stage, run_stages, with_inputs
 from paper.work import networks
 from paper.work.files import NUMBERS
 from paper.work.flights import fly
+from quadsim.held_out import load_held_out
 from quadsim.runs.fingerprint import PACKAGES, ROOT, closure
 
 SHORT = Budget(epochs=2, batches=1, batch_size=2, window_s=0.5)
@@ -92,6 +93,19 @@ def test_a_record_that_holds_nothing_is_made_again(tmp_path):
     run_stages(chain(), tmp_path, workers=1)
     (tmp_path / "d" / RECORD).write_text("{}")
     assert run_stages(chain(), tmp_path, workers=1) == ["d"]
+
+
+def test_a_lost_file_of_a_finished_stage_is_made_again(tmp_path):
+    run_stages(chain(), tmp_path, workers=1)
+    (tmp_path / "d" / "text").unlink()
+    assert run_stages(chain(), tmp_path, workers=1) == ["d"]
+
+
+def test_seeds_of_the_held_out_suite_and_out_of_range_are_refused_at_once():
+    with pytest.raises(ValueError, match="held-out suite"):
+        settings_of("quick", load_held_out("0.2").seed)
+    with pytest.raises(ValueError, match=r"^paper: seed = -1: should be"):
+        settings_of("quick", -1)
 
 
 def test_a_training_too_short_for_the_scatter_is_said_so():

@@ -4,13 +4,33 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from quadsim.flight.recipe import load_recipe
 from quadsim.trajectory.reference import reference
-from quadsim.trajectory.specs import Doublets, Hover, Lissajous, Mix, Move, SetPointFile, Step, Waypoints
+from quadsim.trajectory.specs import (
+    Doublets,
+    Hover,
+    Lissajous,
+    Mix,
+    Move,
+    OwnFunction,
+    SetPointFile,
+    Step,
+    Waypoints,
+)
 from quadsim.vehicle import GRAVITY
 
 RATE = 200.0
 EIGHTS = Mix(eight_share=1.0, circle_share=0.0, pause_share=0.0)
-SMOOTH = [Lissajous(), Move(), Waypoints(), Doublets(), Mix(), EIGHTS, Lissajous(yaw_along=True)]
+SMOOTH = [
+    Mix(cruise_share=0.5),
+    Lissajous(),
+    Move(),
+    Waypoints(),
+    Doublets(),
+    Mix(),
+    EIGHTS,
+    Lissajous(yaw_along=True),
+]
 
 
 def fly(spec, seconds=60.0, n=2, seed=0):
@@ -55,6 +75,21 @@ def test_eights_sweep_twice_across_for_once_along_and_keep_to_the_largest_tilt()
     lap = one[:, int(4 * RATE) : int(8 * RATE)]  # the window is open in the middle of the shortest
     spectrum = np.abs(np.fft.rfft(lap - lap.mean(1, keepdims=True), axis=1)) ** 2
     assert spectrum[:, 1:3].sum() > 0.99 * spectrum.sum()
+
+
+def test_cruises_hold_a_constant_velocity_between_two_ramps():
+    spec = Mix(
+        cruise_share=1.0, circle_share=0.0, pause_share=0.0, cruise_s=(3.0, 3.0), cruise_speed=(4.0, 6.0)
+    )
+    path = fly(spec, seconds=60, n=4)
+    speed = np.linalg.norm(path["velocity"], axis=-1)
+    steady = np.linalg.norm(path["acceleration"], axis=-1) < 1e-9
+    assert np.all((speed[steady] < 1e-9) | ((speed[steady] > 3.99) & (speed[steady] < 6.01)))
+    assert 0.3 < np.mean(steady & (speed > 1.0)) < 0.9
+    assert tilt_deg(path).max() <= 45
+    assert (
+        np.linalg.norm(path["position"][..., :2], axis=-1).max() < 15 + 6 * 6 + 1
+    )  # beyond 15 m they lead back
 
 
 def test_minimum_snap_passes_the_waypoints_and_rests_at_both_ends():
@@ -144,10 +179,12 @@ def test_a_tilt_beyond_the_controller_is_refused():
     st.floats(0, 1),
     st.floats(0, 1),
     st.floats(0, 3),
+    st.floats(0, 1),
 )
-def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, yaw_rate):
+def test_no_draw_makes_a_reference_that_is_not_finite(seed, tilt, circles, pauses, yaw_rate, cruises):
     rest = (1.0 - circles) * pauses
-    spec = Mix(max_tilt_deg=tilt, circle_share=circles, pause_share=rest, max_yaw_rate=yaw_rate)
+    shares = {"circle_share": circles, "pause_share": rest, "cruise_share": (1.0 - circles - rest) * cruises}
+    spec = Mix(max_tilt_deg=tilt, max_yaw_rate=yaw_rate, **shares)
     path = fly(spec, seconds=20, n=1, seed=seed)
     assert np.all(np.isfinite(path.view(np.float64)))
     assert np.abs(path["yaw_rate"]).max() <= yaw_rate + 1e-9
@@ -165,3 +202,54 @@ def test_move_goes_from_rest_to_rest_and_stays():
 def test_a_range_that_runs_backwards_is_refused(name):
     with pytest.raises(ValueError, match="least and then the largest"):
         Mix(**{name: (3.0, 1.0)})
+
+
+FLY = """
+import numpy as np
+
+def fly(t):
+    return np.column_stack([np.cos(t), np.sin(t), 2.0 + 0 * t, t])
+
+def short(t):
+    return np.zeros(3)
+
+def fast(t):
+    return np.full((t.size, 3), 1e300)
+
+def broken(t):
+    return t["x"]
+"""
+
+
+@pytest.fixture
+def functions(tmp_path):
+    path = tmp_path / "fly.py"
+    path.write_text(FLY)
+    return path
+
+
+def test_a_function_of_ones_own_is_flown_with_its_derivatives(functions):
+    flown = fly(OwnFunction(function=f"{functions}:fly"), seconds=6)[0]
+    t = np.arange(flown.size) / RATE
+    middle = slice(200, -200)  # the spline is at rest at its ends
+    wanted = np.column_stack([-np.sin(t), np.cos(t), 0 * t])
+    np.testing.assert_allclose(flown["position"][:, :2], np.column_stack([np.cos(t), np.sin(t)]), atol=1e-9)
+    np.testing.assert_allclose(flown["velocity"][middle], wanted[middle], atol=1e-6)
+    np.testing.assert_allclose(flown["yaw_rate"][middle], 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("short", r"shape \(3,\)"), ("fast", "z|x|y"), ("broken", "IndexError"), ("none", "has no none")],
+)
+def test_a_function_that_fails_is_named(functions, name, text):
+    with pytest.raises(ValueError, match=text) as error:
+        fly(OwnFunction(function=f"{functions}:{name}"))
+    assert "\n" not in str(error.value)
+
+
+def test_a_function_beside_a_recipe_is_found_from_any_directory(functions):
+    recipe = functions.with_name("mine.toml")
+    head = 'description = "mine"\nvehicle = "hummingbird"\nimu = "perfect"\n'
+    recipe.write_text(head + '[trajectory]\nkind = "function"\nfunction = "fly.py:fly"\n')
+    assert load_recipe(recipe).trajectory.function == f"{functions}:fly"

@@ -22,7 +22,14 @@ from training.augment import Augmentation, augment
 from training.backends.fused import Fused
 from training.config import Preset, TrainConfig, make_config
 from training.data import load_training_flights, network_inputs, split, windows
-from training.init import DEAD, _spikes, initialise_from_data, reinitialise_dead_neurons
+from training.init import (
+    DEAD,
+    _spikes,
+    initialise_from_data,
+    initialise_from_weights,
+    initialise_random,
+    reinitialise_dead_neurons,
+)
 from training.loop import train
 from training.loss import finished
 from training.models import CURRENT_MAX, AttSNN, prune_connections
@@ -616,6 +623,60 @@ def test_currents_that_would_leave_the_chip_s_range_are_brought_back(symmetric):
     currents()
     model.limit_currents()
     assert torch.equal(kept, model.w_ff)
+
+
+@pytest.mark.parametrize("parametrisation", ["decays", "logits"])
+def test_limits_of_the_chip_leave_weights_that_fit_it_as_they_are(parametrisation):
+    network, _ = load_network("att-snn-hummingbird")
+    sizes = network.encoding, network.hidden, Fused(quantised=True, recurrent_delay=1)
+    how = {"outputs": network.outputs, "parametrisation": parametrisation}
+    model = AttSNN(*sizes, finest_exponent=-6, after_spike=True, **how)
+    initialise_from_weights(model, "att-snn-hummingbird")
+    before = model.weights()
+    model.constrain()
+    for value, kept in zip(before, model.weights(), strict=True):
+        torch.testing.assert_close(kept, value, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("parametrisation", ["decays", "logits"])
+def test_a_weight_can_be_trained_to_the_ends_of_the_chips_range_and_no_further(parametrisation):
+    model = AttSNN(8, 8, Fused(quantised=True, recurrent_delay=1), parametrisation=parametrisation)
+    initialise_random(model, 0)
+    with torch.no_grad():
+        model.w_ff.mul_(1e6)
+        model.w_in.mul_(-1e6)
+    model.constrain()
+    weights = model.weights()
+    assert (
+        set(weights.w_ff.abs().unique().tolist()) == set(weights.w_in.abs().unique().tolist()) == {127 / 128}
+    )
+
+
+def test_fixed_time_constants_stay_and_do_not_count_in_the_gradients_norm(dataset, tmp_path):
+    choices = TINY | {"preset": "paper", "windows_per_stream": 1, "fixed_taus": True}
+    train(data=dataset, out=tmp_path / "run", **choices)
+    tensors = weights_of(tmp_path / "run")
+    for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2"):
+        assert np.unique(tensors[name]).size == 1
+    made = make_config(data=dataset, **choices)
+    run = loop.Training(made, *loop.flights_of(made)[:2])
+    frozen = {name for name, p in run.model.named_parameters() if not p.requires_grad}
+    assert frozen == {"syn0", "mem0", "syn1", "mem1", "syn2", "mem2"}
+    with pytest.raises(ValueError, match="reinitialise_until"):
+        make_config(data=dataset, **choices, reinitialise_until=0.5)
+
+
+def test_a_run_continues_with_another_number_of_threads(dataset, tmp_path):
+    choices = {"data": dataset, "out": tmp_path / "run", **TINY}
+
+    def die(epoch, config):
+        raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        train(progress=die, **choices)
+    rows = []
+    train(progress=lambda epoch, config: rows.append(epoch.epoch), threads=2, **choices)
+    assert rows == [1, 2]
 
 
 @pytest.mark.parametrize("symmetric", [False, True])

@@ -27,6 +27,9 @@ REGISTERS_HOLD = 128
 """Neurons of a hidden layer above which a block keeps weights of the backward pass in shared memory."""
 
 
+NO_GPU = "backend cuda: PyTorch finds no GPU; choose another backend"
+
+
 class Kernels(Protocol):
     """The kernels of `att_snn.cu` for a network's sizes, arguments as there: tensors, whole numbers."""
 
@@ -55,7 +58,7 @@ class OnGpu:
             text = "backend cuda needs CuPy: pip install 'quadsim[gpu]', or choose another backend"
             raise ValueError(text) from error
         if not torch.cuda.is_available():
-            raise ValueError("backend cuda: PyTorch finds no GPU; choose another backend")
+            raise ValueError(NO_GPU)
         sizes = {"H0": encoding, "H1": hidden, "INPUTS": 6, "OUTPUTS": outputs}
         options = ("-std=c++17", *(f"-D{name}={value}" for name, value in sizes.items()))
         module = cupy.RawModule(code=source(), options=options)

@@ -1,0 +1,141 @@
+"""Attitude controllers of one's own, in place of the cascade's levels of attitude and body rate.
+
+The levels of position and velocity stay in front of them and give the set-point, the allocation of rotor
+speeds with its limits stays behind.
+"""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runs.compiled import njit
+from ..vehicle import Vehicle
+from .cascade import ATTITUDE, ROTOR, actuate, attitude_set_point
+
+Array = NDArray[np.float64]
+
+
+class AttitudeController(Protocol):
+    """Follows set-points of attitude for n vehicles, one sample at a time."""
+
+    def reset(self, n: int) -> None:
+        """Start n vehicles. With `restart(ids)` too, single ones can start anew."""
+        ...
+
+    def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
+        """What to ask of the rotors now.
+
+        Args:
+            set_point: (n, 4) roll, pitch [rad], yaw rate [rad/s] and collective thrust per mass [m/s²].
+            gyro: (n, 3) measured body rate [rad/s]; the last valid one where a sample is missing.
+            accel: (n, 3) measured specific force [m/s²], likewise.
+            roll_pitch: (n, 2) estimated roll and pitch [rad].
+
+        Returns:
+            (n, 4) angular acceleration, body axes [rad/s²], and collective thrust per mass [m/s²].
+        """
+        ...
+
+
+MakeController = Callable[[float, Vehicle], AttitudeController]
+"""Called as make(rate_hz, vehicle)."""
+
+
+def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeController:
+    """The controller that a factory makes.
+
+    Raises:
+        ValueError: It cannot, or what it makes is no controller.
+    """
+    name = getattr(make, "__name__", type(make).__name__)
+    try:
+        controller = make(rate_hz, vehicle)
+    except ValueError:
+        raise
+    except Exception as error:  # whatever a user's function does
+        kind = type(error).__name__
+        raise ValueError(f"controller {name} is made with (rate_hz, vehicle): {kind}: {error}") from error
+    if missing := [each for each in ("reset", "update") if not callable(getattr(controller, each, None))]:
+        raise ValueError(f"{name} makes no attitude controller: it has no {' and no '.join(missing)}")
+    return controller
+
+
+class InnerLoop:
+    """A controller of one's own for the records of a loop.
+
+    Args:
+        controller: It.
+        records: (n,) records with the fields `set_point`, `measured` and `controller`.
+        name: Of the controller, for messages.
+    """
+
+    def __init__(self, controller: AttitudeController, records: NDArray[np.void], name: str = "") -> None:
+        self.controller, self.records = controller, records
+        self.name = name or type(controller).__name__
+        self.set_point = np.zeros((len(records), 4))
+        """Of the last sample, (n, 4)."""
+        self._accel = np.zeros((len(records), 3))
+
+    def reset(self, ids: NDArray[np.int64]) -> None:
+        """Start some vehicles.
+
+        Raises:
+            ValueError: The controller cannot restart single ones.
+        """
+        self._accel[ids] = 0.0
+        if len(ids) == len(self.records):
+            self.controller.reset(len(ids))
+            return
+        restart = getattr(self.controller, "restart", None)
+        if restart is None:
+            raise ValueError(f"controller {self.name} has no restart(ids): it starts all vehicles or none")
+        restart(ids)
+
+    def steer(self, level: int, accel: Array) -> int:
+        """Write rotor speeds for the commands in the records; the level at which they stand there.
+
+        Args:
+            level: Number of the level of the commands, 0 position … 4 rotor; nothing is done at 3 and 4,
+                which are below the controller.
+            accel: (n, 3) specific force as read [m/s²].
+
+        Raises:
+            ValueError: The controller fails, or what it returns is not (n, 4) finite numbers.
+        """
+        if level > ATTITUDE:
+            return level
+        guide_all(level, self.records, self.set_point)
+        measured = self.records["measured"]
+        self._accel = np.where(np.isfinite(accel), accel, self._accel)
+        given = (self.set_point, measured["gyro"], self._accel, measured["roll_pitch"])
+        try:
+            action = np.asarray(self.controller.update(*(np.array(each) for each in given)), np.float64)
+        except Exception as error:  # whatever a user's class does
+            raise ValueError(
+                f"controller {self.name}: update ends with {type(error).__name__}: {error}"
+            ) from error
+        if action.shape != self.set_point.shape:
+            raise ValueError(
+                f"controller {self.name}: update returns an array of shape {action.shape}; angular "
+                f"acceleration [rad/s²] and thrust per mass [m/s²], {self.set_point.shape}, are required"
+            )
+        if not np.isfinite(action).all():
+            raise ValueError(f"controller {self.name}: update returns numbers that are not finite")
+        actuate_all(self.records, action)
+        return ROTOR
+
+
+@njit(cache=True)
+def guide_all(level, loops, out):
+    """`attitude_set_point` for records (n,), to `out` (n, 4)."""
+    for i in range(loops.shape[0]):
+        attitude_set_point(level, loops[i].set_point, loops[i].measured, loops[i].controller, out[i])
+
+
+@njit(cache=True)
+def actuate_all(loops, actions):
+    """`actuate` for records (n,) and actions (n, 4)."""
+    for i in range(loops.shape[0]):
+        actuate(loops[i].measured, loops[i].controller, actions[i])

@@ -1,0 +1,105 @@
+"""Objects of a user's own code, by name: "package.module:Name", "path/file.py:Name", or an entry point."""
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from .config.toml import nearest
+from .runs.fingerprint import content_digest
+
+
+def is_own(name: str, group: str = "") -> bool:
+    """Whether a name is of a user's own code: it has a colon, or it is an entry point of the group."""
+    return ":" in name or name in entry_points_of(group)
+
+
+def load_own(name: str, group: str = "") -> Any:
+    """The object of that name.
+
+    Args:
+        name: "package.module:Name"; "path/file.py:Name", from the working directory; or an entry point.
+        group: Of entry points.
+
+    Raises:
+        ValueError: There is no such file, module or object, or the code fails.
+    """
+    if name in entry_points_of(group):
+        name = entry_points_of(group)[name].value
+    module, _, attribute = name.rpartition(":")
+    if not module or not attribute:
+        raise ValueError(f"{name}: should be package.module:Name or path/file.py:Name")
+    try:
+        found = _from_file(Path(module)) if module.endswith(".py") else importlib.import_module(module)
+        for part in attribute.split("."):
+            found = getattr(found, part)
+    except FileNotFoundError as error:
+        raise ValueError(f"{name}: there is no file {error.filename or module}") from error
+    except AttributeError as error:
+        if isinstance(error.obj, type(sys)) and error.name == attribute:
+            public = [each for each in vars(error.obj) if not each.startswith("_")]
+            raise ValueError(f"{name}: {module} has no {attribute}; {nearest(attribute, public)}") from error
+        raise ValueError(f"{name}: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:  # whatever a user's module does
+        raise ValueError(f"{name}: {type(error).__name__}: {error}") from error
+    return found
+
+
+def own_file(name: str, group: str = "") -> Path | None:
+    """The file that an object of a user's comes from, without running it; None where there is none."""
+    if name in entry_points_of(group):
+        name = entry_points_of(group)[name].value
+    module = name.rpartition(":")[0]
+    if module.endswith(".py"):
+        return Path(module) if Path(module).is_file() else None
+    try:
+        spec = importlib.util.find_spec(module) if module else None
+    except (ImportError, ValueError, AttributeError):
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin not in (None, "built-in", "frozen") else None
+
+
+def absolute(name: str) -> str:
+    """The name with its file's whole path, so that it means the same in every directory."""
+    module, colon, attribute = name.rpartition(":")
+    return f"{Path(module).absolute()}{colon}{attribute}" if module.endswith(".py") else name
+
+
+@cache
+def entry_points_of(group: str) -> dict[str, EntryPoint]:
+    """Entry points that installed packages offer in a group."""
+    return {each.name: each for each in entry_points(group=group)} if group else {}
+
+
+def _from_file(path: Path) -> Any:
+    """The module of a file, which may import its neighbours; loaded once for each content."""
+    path = path.absolute()
+    name = f"quadsim_own_{content_digest(str(path) + path.read_text('utf-8', 'replace'))[:16]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"cannot be imported: {path}")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        with _importable(path.parent):
+            spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+@contextmanager
+def _importable(folder: Path) -> Iterator[None]:
+    """Let modules of a folder be imported, after all others."""
+    sys.path.append(str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))

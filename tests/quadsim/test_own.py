@@ -1,0 +1,114 @@
+"""Objects of a user's code by name."""
+
+import sys
+from textwrap import dedent
+
+import numpy as np
+import pytest
+
+import estimators
+from quadsim import own as own_code
+from quadsim.own import absolute, load_own, own_file
+
+SOURCE = dedent(
+    """
+    import numpy as np
+    from estimators import Parameter
+    import neighbour_of_mine
+
+    class Mine:
+        parameters = {"gain": Parameter(0.02, 0.001, 0.5)}
+
+        def __init__(self, rate_hz, gain=0.02):
+            self.rate_hz, self.gain = rate_hz, gain
+
+        def reset(self, n=1, roll_pitch=None):
+            self.angle = np.zeros((n, 2)) if roll_pitch is None else np.array(roll_pitch, float)
+
+        def update(self, gyro, accel):
+            x, y, z = accel.T
+            tilt = np.column_stack([np.arctan2(y, z), np.arctan2(-x, z)])
+            self.angle = (1 - self.gain) * (self.angle + gyro[:, :2] / self.rate_hz) + self.gain * tilt
+            return self.angle
+
+        class Inner:
+            pass
+
+    class Fails(Mine):
+        def update(self, gyro, accel):
+            if gyro.any():
+                raise RuntimeError("no more")
+            return super().update(gyro, accel)
+    """
+)
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "neighbour_of_mine.py").write_text("")
+    path = tmp_path / "mine.py"
+    path.write_text(SOURCE)
+    yield path
+    sys.modules.pop("neighbour_of_mine", None)
+
+
+def test_a_class_of_a_file_is_loaded_with_its_neighbours(file):
+    assert load_own("mine.py:Mine").__name__ == "Mine"
+    assert load_own(f"{file}:Mine.Inner").__name__ == "Inner"
+    assert own_file("mine.py:Mine").resolve() == file
+    assert absolute("mine.py:Mine") == f"{file}:Mine"
+
+
+def test_a_changed_file_is_loaded_anew(file):
+    before = load_own("mine.py:Mine")
+    assert load_own("mine.py:Mine") is before
+    file.write_text(SOURCE + "\nMine.changed = True\n")
+    assert load_own("mine.py:Mine").changed
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("mine.py:Min", "has no Min; .*Mine"),
+        ("nothing.py:Mine", "there is no file"),
+        ("no_such_module:Mine", "No module named"),
+        ("mine.py:", "should be package.module:Name"),
+        ("bad.py:Mine", "SyntaxError"),
+        ("exits.py:Mine", "SystemExit"),
+    ],
+)
+def test_what_cannot_be_loaded_is_said_in_one_line(file, name, text):
+    file.with_name("bad.py").write_text("def")
+    file.with_name("exits.py").write_text("raise SystemExit(3)")
+    with pytest.raises(ValueError, match=text) as error:
+        load_own(name)
+    assert "\n" not in str(error.value)
+
+
+def test_an_entry_point_is_a_name_as_well(file, monkeypatch):
+    class Point:
+        value = "mine.py:Mine"
+
+    monkeypatch.setattr(own_code, "entry_points_of", lambda group: {"mine": Point} if group else {})
+    assert estimators.create("mine").gain == 0.02
+
+
+def test_declared_parameters_are_given_tuned_and_read_from_a_file(file):
+    name = "mine.py:Mine"
+    assert list(estimators.parameters(name)) == ["gain"]
+    assert estimators.create(name, gain=0.1).gain == 0.1
+    with pytest.raises(ValueError, match="gian"):
+        estimators.create(name, gian=0.1)
+    table = f'["{name}"]\ncommand = "by hand"\nrate_hz = 200\nrmse_deg = 1.0\nevaluations = 1\n'
+    file.with_name("tuned.toml").write_text(f"{table}values = {{ gain = 0.25 }}\n")
+    assert estimators.create(name, tuning="tuned.toml").gain == 0.25
+    gyro, accel = np.zeros((1, 50, 3)), np.tile([0.0, 2.0, 9.6], (1, 50, 1))
+    slow, fast = estimators.run_batch(name, {"gain": [0.01, 0.3]}, gyro, accel)
+    assert fast[0, -1, 0] > 2 * slow[0, -1, 0]
+
+
+def test_a_class_that_fails_later_is_named(file):
+    estimator = estimators.create("mine.py:Fails")
+    with pytest.raises(ValueError, match=r"^Fails ends with RuntimeError: no more"):
+        estimators.run(estimator, np.ones((1, 5, 3)), np.ones((1, 5, 3)))
