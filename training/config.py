@@ -17,7 +17,7 @@ from estimators.networks.weights_file import (
     Outputs,
     OutputScale,
     StepsPerSample,
-    load_network,
+    attitude_network,
     number_of,
 )
 from quadsim.config.ranges import Between, Share
@@ -236,7 +236,7 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
 def _from_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
     """The fields that follow from the weights of `init`."""
     init = choices["init"] = str(choices["init"])
-    network, tensors = load_network(init)
+    network, tensors = attitude_network(init)
     fixed = {name: getattr(network, name) for name in FROM_WEIGHTS}
     for name, value in fixed.items():
         if choices.get(name, value) != value:

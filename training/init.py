@@ -117,7 +117,7 @@ def initialise_from_data(
 
     Args:
         model: To fill.
-        x: Scaled inputs, shape (n, T, 6).
+        x: Scaled inputs, shape (n, T, inputs).
         target: Of the outputs, shape (n, T, outputs).
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
@@ -126,9 +126,12 @@ def initialise_from_data(
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     _initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
     h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
-    deviation = x.reshape(-1, 6).std(0)
-    directions = rng.normal(size=(h0, 6)) * (rng.random((h0, 6)) < 0.3)
-    directions[np.arange(h0), np.arange(h0) % 5] += np.where(np.arange(h0) // 5 % 2 == 0, -2.0, 2.0)
+    inputs = x.shape[-1]
+    preferred = inputs if inputs > 6 else 5  # of readings alone, all but the vertical force
+    every = np.arange(h0)
+    deviation = x.reshape(-1, inputs).std(0)
+    directions = rng.normal(size=(h0, inputs)) * (rng.random((h0, inputs)) < 0.3)
+    directions[every, every % preferred] += np.where(every // preferred % 2 == 0, -2.0, 2.0)
     gain = np.exp(rng.uniform(math.log(0.05), math.log(0.5), (h0, 1)))
     tau = model.tau("syn0").detach().numpy()[:, None]
     w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / deviation * gain * (1 - tau)

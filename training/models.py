@@ -14,7 +14,15 @@ from torch import Tensor, nn
 from estimators.analysis.ablation import connected_neurons
 from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
 from estimators.networks.symmetry import weight_sharing
-from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Outputs, expected_shapes, number_of
+from estimators.networks.weights_file import (
+    EXPONENTS,
+    NetworkConfig,
+    NetworkOutputs,
+    Outputs,
+    SetPointScaling,
+    expected_shapes,
+    number_of,
+)
 from estimators.spiking import quantise_decay, quantise_weights
 
 from .backends import Backend
@@ -46,7 +54,7 @@ class AttSNN(nn.Module):
         backend: Computes outputs and gradients; a quantised one takes weights on the chip's grid.
         output_scale: Radians, or parts of a unit vector, for an output potential of 1.0.
         symmetric: Whether weights are shared as `estimators.networks.symmetry` says.
-        outputs: Roll and pitch, or up.
+        outputs: Roll and pitch, or up; of a controller, with 9 inputs, angular acceleration.
         finest_exponent: Of the weights into a hidden neuron on the chip, 0 or less.
         after_spike: Whether hidden neurons have after-spike currents.
         parametrisation: What the parameters are.
@@ -64,7 +72,7 @@ class AttSNN(nn.Module):
         backend: Backend,
         output_scale: float = 1.0,
         symmetric: bool = False,
-        outputs: Outputs = "roll-pitch",
+        outputs: NetworkOutputs = "roll-pitch",
         finest_exponent: int = 0,
         after_spike: bool = False,
         parametrisation: Parametrisation = "logits",
@@ -72,10 +80,15 @@ class AttSNN(nn.Module):
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
         self.backend, self.output_scale, self.finest_exponent = backend, output_scale, finest_exponent
-        self.outputs: Outputs = outputs
+        self.outputs: NetworkOutputs = outputs
         self.parametrisation: Parametrisation = parametrisation
         network = NetworkConfig(
-            model="att-snn", encoding=encoding, hidden=hidden, outputs=outputs, after_spike=after_spike
+            model="att-snn",
+            encoding=encoding,
+            hidden=hidden,
+            outputs=outputs,
+            after_spike=after_spike,
+            set_point=SetPointScaling() if outputs == "angular-acceleration" else None,
         )
         shapes = expected_shapes(network)
         self.matrices = [name for name in MATRICES if name in shapes]
@@ -152,7 +165,7 @@ class AttSNN(nn.Module):
         return Weights(**(none | w | tau))
 
     def forward(self, x: Tensor, reset: NDArray[np.bool_] | None = None) -> tuple[Tensor, Tensor]:
-        """Outputs (n, T, outputs) of a window of scaled inputs (n, T, 6), and the layers' spike rates (2,).
+        """Outputs (n, T, outputs) of a window of scaled inputs (n, T, inputs), and spike rates (2,).
 
         Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
         window of this shape; None: all are reset.

@@ -9,7 +9,13 @@ from estimators.analysis.ablation import Pruned, error_deg, importance, pruned
 from estimators.analysis.activity import record
 from estimators.evaluation.flights import load_flights
 from estimators.networks.network import OnLoihi
-from estimators.networks.weights_file import load_network, parameters, save_network, shipped_network
+from estimators.networks.weights_file import (
+    attitude_network,
+    load_network,
+    parameters,
+    save_network,
+    shipped_network,
+)
 from quadsim.dataset.reading import open_dataset
 
 from .loop import Progress, train
@@ -52,7 +58,7 @@ def prune(
     """
     if stages < 1:
         raise ValueError(f"stages: {stages}, should be at least 1")
-    config, tensors = shipped_network("att-snn") if weights is None else load_network(weights)
+    config, tensors = shipped_network("att-snn") if weights is None else attitude_network(weights)
     flights = load_flights(list(map(open_dataset, data)), RANKED_ON)
     scored = load_flights(list(map(open_dataset, validation)))
     full = config.encoding, config.hidden

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from quadsim.runs.block import fields, zero_blocks
 
 from ..networks.encoder import encode
-from ..networks.network import OnLoihi, roll_pitch_of_outputs, step_on_loihi
+from ..networks.network import NO_SET_POINTS, OnLoihi, roll_pitch_of_outputs, step_on_loihi
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Activity:
     potentials: Array
     """Membranes of the first flight after each step [threshold = 1], (steps, neurons)."""
     estimate: Array
-    """Roll and pitch after each sample, (n, T, 2) [rad]."""
+    """Roll and pitch after each sample, (n, T, 2) [rad]; of a controller its outputs, (n, T, 3) [rad/s²]."""
 
     @property
     def rates(self) -> Array:
@@ -51,13 +51,14 @@ class Activity:
         return values[..., edges[layer] : edges[layer + 1]]
 
 
-def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
+def record(core: OnLoihi, gyro: Array, accel: Array, set_points: Array | None = None) -> Activity:
     """Run a network on the chip from rest and record what its neurons do.
 
     Args:
         core: The network.
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force (n, T, 3) [m/s²].
+        set_points: Of a controller, as integer inputs (n, T, 3).
     """
     gyro, accel = np.asarray(gyro, np.float64), np.asarray(accel, np.float64)
     n, samples, _ = gyro.shape
@@ -72,13 +73,13 @@ def record(core: OnLoihi, gyro: Array, accel: Array) -> Activity:
     for t in range(samples):
         encode(gyro[:, t], accel[:, t], core.host, state["encoder"])
         for k in range(t * core.steps, (t + 1) * core.steps):
-            step_on_loihi(core.network, states)
+            step_on_loihi(core.network, states, NO_SET_POINTS if set_points is None else set_points[:, t])
             spikes[:, k], potentials[k] = s, v[0]
             active += (u != 0) | (v != 0) | (a != 0) | (bias != 0) | (s != 0)
             active_currents += a != 0
         outputs[:, t] = v[:, -core.outputs :] * core.scale
     threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
     first, second, third = core.chip.sizes
-    estimate = roll_pitch_of_outputs(outputs)
+    estimate = roll_pitch_of_outputs(outputs) if set_points is None else outputs
     sizes = first, second, third
     return Activity(sizes, spikes, active, active_currents, potentials / threshold, estimate)

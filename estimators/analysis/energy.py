@@ -54,12 +54,16 @@ class HostCost:
 def host_costs(config: NetworkConfig) -> list[HostCost]:
     """Operations of the host for one sample: those of `encoder.encode_sample` and of `networks.drive`.
 
-    Each of six readings takes a subtraction and a multiplication. In each step of the network the current of
-    each encoding neuron takes six products, their sums, and a multiplication and an addition for its decay.
-    Comparisons and shifts are not counted.
+    Each of six readings takes a subtraction and a multiplication, as does a controller's set-point. In each
+    step of the network the current of each encoding neuron takes a product for each input, their sums, and a
+    multiplication and an addition for its decay. Comparisons and shifts are not counted.
     """
-    currents = 7 * config.encoding * config.steps_per_sample
-    return [HostCost("scaled readings", 6, 6), HostCost("currents of the encoding layer", currents, currents)]
+    inputs = config.n_inputs
+    currents = (inputs + 1) * config.encoding * config.steps_per_sample
+    return [
+        HostCost("scaled readings", inputs, inputs),
+        HostCost("currents of the encoding layer", currents, currents),
+    ]
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,11 @@ def inspect(
     """Run a network over flights in every way that the page shows.
 
     Raises:
-        ValueError: The network is not for the chip, or the flights have another sample rate.
+        ValueError: The network is not for the chip, or no attitude estimator, or the flights have another
+            sample rate.
     """
+    if config.controls:
+        raise ValueError(f"{name} is a controller, flights are for attitude estimators; leave out --data")
     if not np.isclose(flights.rate_hz, config.rate_hz):
         raise ValueError(f"{name} is for {config.rate_hz:g} Hz, the flights have {flights.rate_hz:g} Hz")
     core = OnLoihi(config, tensors)

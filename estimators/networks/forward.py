@@ -1,5 +1,7 @@
 """Compiled forward pass of Att-SNN: 6 inputs -> LIF -> recurrent LIF -> 2 or 3 leaky integrators (LI).
 
+A controller is the same network with 9 inputs: set-points follow the readings.
+
 One function, `step`, is the network for training, streaming and whole sequences alike. Per layer
 
     u[t] = D(u[t-1], τ_syn) + W s[t-1]
@@ -283,13 +285,14 @@ def _state(block, recurrent_delay):
 
 
 @njit(cache=True, inline="always")
-def _run(gyro, accel, network, states, quantised, out):
+def _run(gyro, accel, set_points, network, states, quantised, out):
     scaling = Scaling(vector(network, 0, np.float64), vector(network, 1, np.float64))
     weights = _weights(network)
     steps, delay, scale = vector(network, 14, np.float64)
     threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
     outputs = weights.w_out.shape[1]
-    x = np.empty(6)
+    x = np.empty(weights.w_in.shape[0])
+    more = x.size - 6
     total, drive = np.zeros(weights.w_ff.shape[1]), np.zeros(weights.w_ff.shape[0])
     for n in range(states.shape[0]):
         encoder, copy = vector(states[n], 0, ENCODER)[0], _state(states[n], delay)
@@ -297,6 +300,8 @@ def _run(gyro, accel, network, states, quantised, out):
             encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], scaling, encoder)
             for k in range(6):
                 x[k] = encoder.inputs[k] / INPUT_ONE
+            for k in range(more):
+                x[6 + k] = set_points[n, more * t + k] / INPUT_ONE
             for _ in range(int(steps)):
                 step(x, weights, copy, total, drive, quantised)
                 for k in range(1 + copy.s1[0]):
@@ -308,20 +313,21 @@ def _run(gyro, accel, network, states, quantised, out):
 
 
 @njit(cache=True, nogil=True)
-def run_floats(gyro, accel, network, states, out):
+def run_floats(gyro, accel, set_points, network, states, out):
     """Run n copies over whole sequences, or one sample, from and to their states.
 
     Args:
         gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
         accel: Specific force, the same shape [m/s²].
+        set_points: A controller's further inputs, integers, shape (n, inputs T); of others not read.
         network: What `network_block` made.
         states: Blocks of `state_type`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """
-    _run(gyro, accel, network, states, False, out)
+    _run(gyro, accel, set_points, network, states, False, out)
 
 
 @njit(cache=True, nogil=True)
-def run_quantised(gyro, accel, network, states, out):
+def run_quantised(gyro, accel, set_points, network, states, out):
     """The same in integer arithmetic."""
-    _run(gyro, accel, network, states, True, out)
+    _run(gyro, accel, set_points, network, states, True, out)

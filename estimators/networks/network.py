@@ -44,9 +44,10 @@ from .forward import (
     run_quantised,
     state_type,
 )
-from .weights_file import LEVEL_UP, NetworkConfig, Tensors, exponents, load_network, shipped_network
+from .weights_file import LEVEL_UP, NetworkConfig, Tensors, attitude_network, exponents, shipped_network
 
 Array = NDArray[np.float64]
+NO_SET_POINTS = np.zeros((0, 0))
 
 
 def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
@@ -64,7 +65,7 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
     if name not in ("att-snn", "att-snn-loihi", "att-rnn"):
         raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
     model = name.removesuffix("-loihi")
-    config, tensors = shipped_network(model) if weights is None else load_network(weights)
+    config, tensors = shipped_network(model) if weights is None else attitude_network(weights)
     if config.model != model:
         raise ValueError(f"{weights}: weights of {config.model}, {name} needs {model}")
     if not np.isclose(rate_hz, config.rate_hz):
@@ -190,9 +191,11 @@ class Spiking:
         self.state = state_type(config.encoding, config.hidden, self.outputs)
         self._run = run_quantised if config.quantised else run_floats
 
-    def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, 3 T) twice, write the outputs (n, outputs T)."""
-        self._run(gyro, accel, self._network, states, out)
+    def run(
+        self, states: Words, gyro: Array, accel: Array, out: Array, set_points: Array = NO_SET_POINTS
+    ) -> None:
+        """Take samples (n, 3 T) twice, of a controller also set-points, write the outputs (n, outputs T)."""
+        self._run(gyro, accel, set_points, self._network, states, out)
 
 
 class Host(NamedTuple):
@@ -203,7 +206,7 @@ class Host(NamedTuple):
     gain: Array
     """Of the readings, shape (6,)."""
     w_in: NDArray[np.int32]
-    """Mantissas of the encoding weights by source, shape (6, h0)."""
+    """Mantissas of the encoding weights by source, shape (inputs, h0)."""
     decay: NDArray[np.int32]
     """Decays of the encoding layer's currents, shape (h0,)."""
 
@@ -262,9 +265,11 @@ class OnLoihi:
         layout = {"encoder": (ENCODER, ()), "current": (np.int32, (first,)), "spikes": (np.int8, (neurons,))}
         self.state = block_type(layout | {name: (np.int32, (neurons,)) for name in ("u", "v", "a", "bias")})
 
-    def run(self, states: Words, gyro: Array, accel: Array, out: Array) -> None:
-        """Take samples (n, 3 T) twice, write the outputs (n, outputs T)."""
-        _run_on_loihi(gyro, accel, self.network, states, out)
+    def run(
+        self, states: Words, gyro: Array, accel: Array, out: Array, set_points: Array = NO_SET_POINTS
+    ) -> None:
+        """Take samples (n, 3 T) twice, of a controller also set-points, write the outputs (n, outputs T)."""
+        _run_on_loihi(gyro, accel, set_points, self.network, states, out)
 
 
 class Recurrent:
@@ -351,8 +356,10 @@ def loihi_state(block):
 
 
 @njit(cache=True, nogil=True)
-def _run_on_loihi(gyro, accel, network, states, out):
+def _run_on_loihi(gyro, accel, set_points, network, states, out):
     host, chip = host_and_chip(network)
+    x = np.empty(host.w_in.shape[0])
+    more = x.size - 6
     steps, scale, count = vector(network, 13, np.float64)
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
@@ -360,26 +367,34 @@ def _run_on_loihi(gyro, accel, network, states, out):
         outputs = state.v[state.v.size - int(count) :]
         for t in range(gyro.shape[1] // 3):
             encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], host, encoder)
+            x[:6] = encoder.inputs
+            for k in range(more):
+                x[6 + k] = set_points[n, more * t + k]
             for _ in range(int(steps)):
-                drive(encoder.inputs, host, state.current, state.bias, sums)
+                drive(x, host, state.current, state.bias, sums)
                 step_chip(chip, state, sources, sums)
             for o in range(outputs.size):
                 out[n, outputs.size * t + o] = outputs[o] * scale
 
 
 @njit(cache=True)
-def step_on_loihi(network, states):
+def step_on_loihi(network, states, set_points):
     """One step of all copies on the host and on the chip.
 
     Args:
         network: `OnLoihi.network`.
         states: Blocks of `OnLoihi.state`, shape (n, words); changed.
+        set_points: A controller's further inputs, integers, shape (n, inputs); of others not read.
     """
     host, chip = host_and_chip(network)
+    x = np.empty(host.w_in.shape[0])
     sources, sums = np.empty(chip.weights.shape[0], np.int32), np.zeros(chip.weights.shape[1], np.int32)
     for n in range(states.shape[0]):
         state = loihi_state(states[n])
-        drive(vector(states[n], 0, ENCODER)[0].inputs, host, state.current, state.bias, sums)
+        x[:6] = vector(states[n], 0, ENCODER)[0].inputs
+        for k in range(6, x.size):
+            x[k] = set_points[n, k - 6]
+        drive(x, host, state.current, state.bias, sums)
         step_chip(chip, state, sources, sums)
 
 
@@ -388,14 +403,14 @@ def drive(x, host, current, bias, sums):
     """Advance the host's currents of the encoding layer by one step; write them as bias mantissas.
 
     Args:
-        x: Integer inputs, shape (6,).
+        x: Integer inputs, shape (inputs,), a multiple of 3.
         host: What the host encodes with.
         current: Currents [state units], shape (h0,); changed.
         bias: Bias mantissas of the chip's neurons, whose first h0 are the encoding layer; changed.
         sums: Zeros, int32, at least (h0,), to add in; zeros again afterwards.
     """
     total = sums[: current.size]
-    for k in range(0, 6, 3):
+    for k in range(0, host.w_in.shape[0], 3):
         a, b, c = np.int32(x[k]), np.int32(x[k + 1]), np.int32(x[k + 2])
         w_a, w_b, w_c = host.w_in[k], host.w_in[k + 1], host.w_in[k + 2]
         for i in range(total.size):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, ValidationError
+from pydantic import Field, JsonValue, ValidationError, model_validator
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
@@ -30,6 +30,13 @@ Neurons = Annotated[int, Between(1, 4096)]
 OutputScale = Annotated[float, Between(1e-6, 1e3, "rad")]
 StepsPerSample = Annotated[int, Between(1, 16)]
 Outputs = Literal["roll-pitch", "up"]
+"""Of an attitude estimator."""
+NetworkOutputs = Literal["roll-pitch", "up", "angular-acceleration"]
+"""Of any network; angular acceleration is a controller's."""
+READINGS, SET_POINTS = 6, 3
+"""Inputs of every network, gyroscope first; what a controller has besides: roll, pitch, yaw rate."""
+CONTROLLER = "control-"
+"""What the names of controllers that ship begin with."""
 EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec", "w_after": "exp_after"}
 """Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised
 network without them has exponents of 0."""
@@ -53,6 +60,21 @@ class InputScaling(Strict):
 PAPER_SCALING = InputScaling(gyro=4.2, accel=(16.8, 16.8, 16.8), accel_offset=(0.0, 0.0, 0.0))
 
 
+class SetPointScaling(Strict):
+    """What a controller's set-points are as inputs: clipped to the limit, over the range."""
+
+    tilt: Annotated[float, Between(1e-3, 10.0, "rad")] = 0.5
+    """Roll or pitch of an input of 1.0 [rad]."""
+    yaw_rate: Annotated[float, Between(1e-3, 100.0, "rad/s")] = 1.5
+    """Yaw rate of an input of 1.0 [rad/s]."""
+    tilt_limit: Annotated[float, Between(1e-3, 3.14, "rad")] = 1.05
+    """Largest roll or pitch that is followed [rad]."""
+    yaw_rate_limit: Annotated[float, Between(1e-3, 100.0, "rad/s")] = 3.0
+    """Largest yaw rate that is followed [rad/s]."""
+    bound: Annotated[float, Between(1e-3, 1e4, "rad/s²")] = 150.0
+    """Largest angular acceleration that is asked for about any axis [rad/s²]."""
+
+
 class NetworkConfig(Strict):
     """How a network is run, and where its weights come from."""
 
@@ -72,13 +94,33 @@ class NetworkConfig(Strict):
     """Whether hidden neurons have after-spike currents, `w_after` and `syn_after` (att-snn)."""
     steps_per_sample: StepsPerSample = 1
     """Network steps for each IMU sample."""
-    outputs: Outputs = "roll-pitch"
+    outputs: NetworkOutputs = "roll-pitch"
     """Roll and pitch [rad], or the world's up in body axes less that of a level attitude, which is singular
-    nowhere and 0 of a silent network."""
+    nowhere and 0 of a silent network; of a controller angular acceleration, body axes [rad/s²]."""
     output_scale: OutputScale = 1.0
-    """Radians, or parts of the unit vector, for an output potential of 1.0."""
+    """Radians, parts of the unit vector or rad/s² for an output potential of 1.0."""
+    set_point: SetPointScaling | None = None
+    """Inputs and bounds of a controller; None: an attitude estimator."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
     """Data, seed, epochs, commit, validation error."""
+
+    @model_validator(mode="after")
+    def _one_task(self) -> NetworkConfig:
+        if (self.outputs == "angular-acceleration") != (self.set_point is not None):
+            raise ValueError("outputs: angular-acceleration and set_point go together, those of a controller")
+        if self.controls and self.model != "att-snn":
+            raise ValueError(f"model: {self.model}; a controller is a spiking network, att-snn")
+        return self
+
+    @property
+    def controls(self) -> bool:
+        """Whether it is a controller, not an attitude estimator."""
+        return self.set_point is not None
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs: 6 readings, and of a controller 3 set-points after them."""
+        return READINGS + SET_POINTS * self.controls
 
     @property
     def n_outputs(self) -> int:
@@ -86,16 +128,16 @@ class NetworkConfig(Strict):
         return number_of(self.outputs)
 
 
-def number_of(outputs: Outputs) -> int:
-    """How many outputs a network has: roll and pitch, or the three components of up."""
-    return 3 if outputs == "up" else 2
+def number_of(outputs: NetworkOutputs) -> int:
+    """How many outputs a network has: roll and pitch, or three components of up or angular acceleration."""
+    return 2 if outputs == "roll-pitch" else 3
 
 
 def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the tensors of a network."""
     h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
-        weights = {"w_in": (h0, 6), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (out, h1)}
+        weights = {"w_in": (h0, config.n_inputs), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (out, h1)}
         taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
         own = {"w_after": (h1, 1), "syn_after": (h1,)} if config.after_spike else {}
         return {**weights, **taus, **own}
@@ -136,7 +178,8 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     """
     _check(Path(path), config, dict(tensors))
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    metadata = {"format": FORMAT, "config": config.model_dump_json()}
+    unused = None if config.controls else {"set_point"}
+    metadata = {"format": FORMAT, "config": config.model_dump_json(exclude=unused)}
     write_whole(path, _ordered(save(plain, metadata=metadata)))
 
 
@@ -152,17 +195,18 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
     """Read a network that `save_network` wrote.
 
     Args:
-        path: The file, or the name of weights that ship, such as "att-snn".
+        path: The file, or the name of weights that ship, such as "att-snn", controllers included.
 
     Raises:
         FileNotFoundError: No such file.
         ValueError: One line: not such a file, or tensors of the wrong shape or type.
     """
-    if str(path) in shipped_names():
+    shipped = [*shipped_names(), *shipped_controllers()]
+    if str(path) in shipped:
         return shipped_network(str(path))
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such weights file; shipped: {', '.join(shipped_names())}")
+        raise FileNotFoundError(f"{path}: no such weights file; shipped: {', '.join(shipped)}")
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
@@ -183,14 +227,36 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
     return config, tensors
 
 
+def attitude_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
+    """`load_network` of an attitude estimator.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: One line: as of `load_network`, or a controller.
+    """
+    config, tensors = load_network(path)
+    if config.controls:
+        raise ValueError(f"{path}: a controller, not an attitude estimator; fly it as the controller")
+    return config, tensors
+
+
 def shipped_names() -> list[str]:
-    """Names of the weights that ship with the package."""
+    """Names of the attitude estimators' weights that ship with the package."""
+    return [name for name in _shipped() if not name.startswith(CONTROLLER)]
+
+
+def shipped_controllers() -> list[str]:
+    """Names of the controllers' weights that ship with the package."""
+    return [name for name in _shipped() if name.startswith(CONTROLLER)]
+
+
+def _shipped() -> list[str]:
     found = (files("assets") / "weights").iterdir()
     return sorted(each.name.removesuffix(END) for each in found if each.name.endswith(END))
 
 
 def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
-    """Weights that ship with the package, by one of `shipped_names()`."""
+    """Weights that ship with the package, by one of `shipped_names()` or `shipped_controllers()`."""
     with as_file(files("assets") / "weights" / f"{model}.safetensors") as path:
         return load_network(path)
 
