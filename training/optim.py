@@ -13,7 +13,7 @@ from torch.optim import Optimizer
 
 from estimators.networks.forward import TIME_CONSTANTS
 
-from .config import TrainConfig
+from .config import TrainingRecipe
 
 
 class Lookahead:
@@ -111,7 +111,7 @@ def resized_state(
     return state | {"optimizer": inner | {"state": moments}, "slow": slow}
 
 
-def new_optimiser(model: nn.Module, config: TrainConfig) -> Lookahead:
+def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
     """Adam in Lookahead; each parameter has a group with the factor `step` of its learning rate.
 
     The factors differ between layers since a common change of many weights adds up over the neurons.
@@ -125,7 +125,7 @@ def new_optimiser(model: nn.Module, config: TrainConfig) -> Lookahead:
     return Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
 
 
-def learning_rate(config: TrainConfig, update: int) -> float:
+def learning_rate(config: TrainingRecipe, update: int) -> float:
     """Learning rate of an update, counted from 0 over all epochs."""
     if config.decay == "none":
         return config.optimiser_lr

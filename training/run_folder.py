@@ -17,11 +17,12 @@ from pydantic import ValidationError
 from estimators.analysis.ablation import connected
 from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Tensors, load_network, save_network
 from estimators.spiking import weight_exponents
+from quadsim.config.toml import Strict
 from quadsim.runs.files import drop_parts, save_figure, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 
-from .config import TrainConfig
+from .config import TrainConfig, TrainingRecipe
 from .data import TrainingFlights
 from .models import AttRNN, AttSNN
 
@@ -53,7 +54,7 @@ class Epoch:
     """Time of training so far."""
 
 
-def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None) -> None:
+def claim(out: Path, config: Strict, contents: dict[str, str] | None = None) -> None:
     """Make the folder this run's; `contents` are digests by `contents_of`, None: they are not compared.
 
     Raises:
@@ -65,12 +66,13 @@ def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file():
         try:
-            before = TrainConfig.model_validate_json(file.read_text(encoding="utf-8"))
+            before = type(config).model_validate_json(file.read_text(encoding="utf-8"))
         except ValidationError:
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
             ) from None
-        how = {"backend": config.backend, "threads": config.threads}  # change the last digits alone
+        same = {"backend", "threads"} & type(config).model_fields.keys()  # change the last digits alone
+        how = {name: getattr(config, name) for name in same}
         if before.model_copy(update=how) != config:
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     write_whole(file, text)
@@ -116,10 +118,15 @@ def exported(
     )
     if not spiking:
         return network, {name: value.cpu().numpy().copy() for name, value in model.state_dict().items()}
+    return network, spiking_tensors(model, config)
+
+
+def spiking_tensors(model: AttSNN, config: TrainingRecipe) -> Tensors:
+    """The tensors of a spiking network for `save_network`."""
     with torch.no_grad():
         arrays = {name: w.numpy() for name, w in model.weights()._asdict().items() if w.numel()}
     if not config.quantised:
-        return network, {name: w.astype(np.float32) for name, w in arrays.items()}
+        return {name: w.astype(np.float32) for name, w in arrays.items()}
     taus = {name: 4096 * (1 - arrays[name].astype(np.float64)) for name in model.taus}
     mantissas = {name: arrays[name] * 256 for name in model.matrices}
     exps = {}
@@ -127,8 +134,7 @@ def exported(
         exp = EXPONENTS[name]
         exps[exp] = weight_exponents(torch.from_numpy(arrays[name]), config.finest_exponent).numpy()[:, 0]
         mantissas[name] = mantissas[name] * np.exp2(-exps[exp])[:, None]
-    whole = {name: np.rint(value).astype(np.int16) for name, value in (mantissas | taus | exps).items()}
-    return network, whole
+    return {name: np.rint(value).astype(np.int16) for name, value in (mantissas | taus | exps).items()}
 
 
 def save_best(

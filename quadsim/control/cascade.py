@@ -297,6 +297,28 @@ def actuate(m, c, action):
     _allocate(c, c.mass * max(action[3], 0.0), _torque(c, m.gyro))
 
 
+@njit(cache=True)
+def follow_attitude(level, u, m, set_point, c):
+    """The inner levels alone, for one vehicle: to `ang_acc_cmd` of the record.
+
+    Args:
+        level: Level of the command that the set-point comes from; at 0, position, the motion of its own
+            thrust axis is fed forward.
+        u: Record of `SET_POINT`.
+        m: Record of `MEASURED`.
+        set_point: What `attitude_set_point` gives, (4,).
+        c: Record of `controller_dtype`.
+    """
+    q = from_euler_core(m.roll_pitch[0], m.roll_pitch[1], m.yaw)
+    w = from_euler_core(set_point[0], set_point[1], m.yaw)
+    axis = rotate_core(w[0], w[1], w[2], w[3], 0.0, 0.0, 1.0)
+    p, r, _ = _attitude_stage(c.gains, q, axis, 0.0)
+    if level == POSITION:
+        x, y = _tilt_rate(c, q, u)
+        p, r = p + x, r + y
+    _rate_stage(c, m.gyro, (p, r, set_point[2]))
+
+
 class Controller:
     """The cascade for n vehicles of one type, with its integrators.
 
