@@ -1,12 +1,11 @@
 """A spiking network as attitude controller: set-points and readings to angular accelerations.
 
-It stands where the cascade's levels of attitude and body rate do, see `quadsim.control.own`. As of an attitude
-network, the scaling of inputs and outputs is all that the host does; the host's memory is the last valid inputs.
+It takes the place of the cascade's levels of attitude and body rate, see `quadsim.control.own`. As of an
+attitude network, the host scales inputs and outputs and no more; its memory is the last valid inputs.
 
-Inputs are bounded and so are outputs: a set-point is clipped to the limits of the network's
-`SetPointScaling`, one that is not finite keeps its last value, and so does a missing reading. An angular
-acceleration is clipped to `bound`. There is no integral beside the potentials of the neurons, which the chip
-limits to 512 thresholds.
+Inputs are bounded and so are outputs. A set-point is clipped to the limits of the network's `SetPointScaling`;
+one that is NaN keeps its last value, and so does a missing reading. An angular acceleration is clipped to
+`bound`. There is no integral beside the potentials of the neurons, which the chip limits to 1024 thresholds.
 """
 
 from __future__ import annotations
@@ -118,13 +117,13 @@ class SpikingController:
         return self.sequence(*samples)[:, 0]
 
     def sequence(self, set_point: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> Array:
-        """T samples, (n, T, 4), (n, T, 3) and (n, T, 3); the same numbers as T calls of `update`, (n, T, 4)."""
+        """T samples, (n, T, 4), (n, T, 3) and (n, T, 3): as T calls of `update`, (n, T, 4)."""
         wanted, rate, force = (np.asarray(each, np.float64) for each in (set_point, gyro, accel))
         n, steps = len(self._states), rate.shape[1] if rate.ndim == 3 else 0
         if (wanted.shape, rate.shape, force.shape) != ((n, steps, 4), (n, steps, 3), (n, steps, 3)):
             raise ValueError(
-                f"set-point {wanted.shape}, gyro {rate.shape} and accel {force.shape} of {n} vehicles; should "
-                "end in 4, 3 and 3"
+                f"set-point {wanted.shape}, gyro {rate.shape} and accel {force.shape}, should be "
+                f"({n}, T, 4), ({n}, T, 3) and ({n}, T, 3)"
             )
         wanted = held(np.concatenate([self._set_point[:, None], bounded(self.scaling, wanted)], 1))
         self._set_point = wanted[:, -1]
