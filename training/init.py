@@ -124,7 +124,7 @@ def initialise_from_data(
         fan_in: Encoders that each hidden neuron reads.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    _initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
+    initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
     h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
     inputs = x.shape[-1]
     preferred = inputs if inputs > 6 else 5  # of readings alone, all but the vertical force
@@ -143,13 +143,13 @@ def initialise_from_data(
     model.set_weights("w_in", w_in)
     model.constrain()
     w_ff = model.shared("w_ff", w_ff)
-    current = _filtered(_spikes(model, x)[0] @ w_ff.T, model.tau("syn1").detach().numpy())
-    model.set_weights("w_ff", w_ff * model.shared("mem1", _drive_scale(current, (0.2, 1.0), rng)[:, None]))
+    current = filtered(layer_spikes(model, x)[0] @ w_ff.T, model.tau("syn1").detach().numpy())
+    model.set_weights("w_ff", w_ff * model.shared("mem1", drive_scale(current, (0.2, 1.0), rng)[:, None]))
     model.set_weights("w_rec", w_rec)
     if "w_after" in model.matrices:
         model.set_weights("w_after", np.full((h1, 1), AFTER_SPIKE))
     model.constrain()
-    w_out = _solve_outputs(model, x, target)
+    w_out = solve_outputs(model, x, target)
     model.set_weights("w_out", model.sharing["w_out"].mean(w_out) if model.sharing else w_out)
     model.constrain()
 
@@ -190,7 +190,7 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
     Returns how many neurons were re-initialised; `x` are scaled inputs, shape (n, T, 6).
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    first, second = _spikes(model, x)
+    first, second = layer_spikes(model, x)
     group = model.first("mem1")
     rate = (np.bincount(group, second.mean((0, 1))) / np.maximum(np.bincount(group), 1))[group]
     always = rate > DEAD[1]
@@ -216,9 +216,9 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
     for name in ("w_ff", "w_rec"):
         w[name] = model.shared(name, w[name])
     drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[dead].T
-    current = _filtered(drive, tau[dead])
+    current = filtered(drive, tau[dead])
     scale = np.ones(rate.size)
-    scale[dead] = _drive_scale(current, (0.1, 0.5), rng)
+    scale[dead] = drive_scale(current, (0.1, 0.5), rng)
     for name in ("w_ff", "w_rec"):
         model.set_weights(name, w[name] * model.shared("mem1", scale)[:, None])
     model.set_weights("w_out", w["w_out"])
@@ -229,9 +229,10 @@ def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) 
     return int(dead.size)
 
 
-def _initialise_taus(
+def initialise_taus(
     model: AttSNN, ranges: Mapping[str, Range], rng: np.random.Generator, stretch: int = 1
 ) -> None:
+    """Draw time constants log-uniform between the limits of their kind [steps], slow ones times `stretch`."""
     for name in model.taus:
         factor = 1 if name in ("syn0", "syn2") else stretch
         low, high = (math.log(limit * factor) for limit in ranges[name])
@@ -239,14 +240,14 @@ def _initialise_taus(
         model.set_taus(name, np.exp(-1.0 / np.exp(rng.uniform(low, high, shape))))
 
 
-def _spikes(model: AttSNN, x: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-    """Spikes of both layers, (n, T, h)."""
+def layer_spikes(model: AttSNN, x: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+    """Spikes of both layers on inputs (n, T, inputs), (n, T, h)."""
     with torch.no_grad():
         model(torch.from_numpy(x))
     return model.backend.spikes()
 
 
-def _filtered(signal: NDArray, tau: NDArray) -> NDArray:
+def filtered(signal: NDArray, tau: NDArray) -> NDArray:
     """First-order filter u[t] = τ u[t-1] + signal[t] along time, (n, T, k)."""
     out = np.empty(signal.shape, np.float32)
     state = np.zeros((signal.shape[0], signal.shape[2]))
@@ -256,7 +257,7 @@ def _filtered(signal: NDArray, tau: NDArray) -> NDArray:
     return out
 
 
-def _drive_scale(current: NDArray, parts: Range, rng: np.random.Generator) -> NDArray:
+def drive_scale(current: NDArray, parts: Range, rng: np.random.Generator) -> NDArray:
     """Factors (k,) of neurons' input weights that make the means of their currents (n, T, k) positive.
 
     The standard deviations become a part of the threshold that is log-uniform between the two `parts`.
@@ -267,12 +268,12 @@ def _drive_scale(current: NDArray, parts: Range, rng: np.random.Generator) -> ND
     return sign * 0.5 * part / np.maximum(current.std((0, 1)), 1e-6)
 
 
-def _solve_outputs(model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating]) -> NDArray:
+def solve_outputs(model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating]) -> NDArray:
     """Ridge regression from the hidden spikes, filtered as the outputs filter them, to the targets."""
-    _, spikes = _spikes(model, x)
+    _, spikes = layer_spikes(model, x)
     features = spikes.astype(np.float32)
     for name in ("syn2", "mem2"):
-        features = _filtered(features, model.tau(name).detach().numpy())
+        features = filtered(features, model.tau(name).detach().numpy())
     settled = x.shape[1] // 4
     a = features[:, settled:].reshape(-1, features.shape[2]).astype(np.float64)
     b = target[:, settled:].reshape(-1, target.shape[-1]) / model.output_scale

@@ -24,7 +24,7 @@ from training.config import Preset, TrainConfig, make_config
 from training.data import load_training_flights, network_inputs, split, windows
 from training.init import (
     DEAD,
-    _spikes,
+    layer_spikes,
     initialise_from_data,
     initialise_from_weights,
     initialise_random,
@@ -690,7 +690,7 @@ def test_reinitialised_neurons_spike_and_leave_the_estimate_as_it_was(symmetric)
         model.w_ff[8:24] = 1.0 / model.w_ff_scale[8:24]
         model.w_rec[8:24] = 0.0
         before = model(torch.from_numpy(x))[0].clone()
-    rate = _spikes(model, x)[1].mean((0, 1))
+    rate = layer_spikes(model, x)[1].mean((0, 1))
     if symmetric:
         rate = model.sharing["mem1"].mean(rate)
     dead = (rate < DEAD[0]) | (rate > DEAD[1])
@@ -700,7 +700,7 @@ def test_reinitialised_neurons_spike_and_leave_the_estimate_as_it_was(symmetric)
     with torch.no_grad():
         after = model(torch.from_numpy(x))[0]
     assert after.numpy() == pytest.approx(before.numpy(), abs=0.02 * float(before.std()))
-    still = _spikes(model, x)[1].mean((0, 1))
+    still = layer_spikes(model, x)[1].mean((0, 1))
     assert np.mean((still[dead] > DEAD[0]) & (still[dead] < DEAD[1])) > 0.6
     for name in model.sharing:
         values = getattr(model, name).detach().numpy()
