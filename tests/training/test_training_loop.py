@@ -24,10 +24,10 @@ from training.config import Preset, TrainConfig, make_config
 from training.data import load_training_flights, network_inputs, split, windows
 from training.init import (
     DEAD,
-    layer_spikes,
     initialise_from_data,
     initialise_from_weights,
     initialise_random,
+    layer_spikes,
     reinitialise_dead_neurons,
 )
 from training.loop import train
