@@ -34,6 +34,24 @@ COMPILED: dict[str, Algorithm] = {
 }
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
 NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
+DESCRIPTIONS = {
+    "truth": "The true attitude: the bound that no estimator passes.",
+    "complementary": "Complementary filter with a fixed gain.",
+    "complementary-adaptive": "Complementary filter that trusts the accelerometer less in motion.",
+    "mahony": "Mahony's nonlinear complementary filter, with gyroscope bias.",
+    "madgwick": "Madgwick's gradient descent, with gyroscope bias.",
+    "ekf": "Extended Kalman filter of roll, pitch and gyroscope bias.",
+    "eskf": "Error-state Kalman filter that adapts to motion.",
+    "ekf-drag": "Extended Kalman filter with the airframe's drag; needs a vehicle.",
+    "imm": "Interacting multiple models: filters for several airframes and motions at once.",
+    "ekf-filterpy": "The same extended Kalman filter by filterpy, to compare with.",
+    "ukf-filterpy": "Unscented Kalman filter by filterpy; slow.",
+    "vqf": "VQF (Laidig & Seel 2023), six axes.",
+    "att-rnn": "Two GRU layers: the spiking network's twin.",
+    "att-snn": "Spiking network for any six-axis IMU.",
+    "att-snn-loihi": "The same network on the emulated chip, bit for bit.",
+}
+"""A sentence on each estimator."""
 DEFAULT_RATE_HZ = 200.0
 """Sample rate to which the untuned defaults belong."""
 

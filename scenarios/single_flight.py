@@ -15,6 +15,7 @@ from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 
 from .bench.cell import fly, make_cell
+from .bench.controllers import controller_of, estimator_of, make_controller
 from .bench.runner import NO_CHANGES, Results
 from .bench.series import decimation
 from .bench.settings import FlightSettings, ScenarioChanges
@@ -50,7 +51,7 @@ def fly_scenario(
 
     Args:
         source: A shipped scenario or the path of a TOML file.
-        estimator: Name of an estimator.
+        estimator: Name of an estimator; with another controller "ESTIMATOR @ CONTROLLER".
         out: Folder for `report.html`, `flight.csv` and `flight.mp4`.
         settings: Seeds, sample rate, tuning; the files show the first flight.
         changes: Fields that replace those of the scenario.
@@ -69,8 +70,9 @@ def fly_scenario(
     scenario, name = changes.of(load_scenario(source)), Path(source).name.removesuffix(".toml")
     rate_hz = settings.rate_hz
     parts = {"vehicle": scenario.vehicle, "imu": scenario.imu}
-    made = estimators.create(estimator, rate_hz, tuning=settings.tuning, **parts)
-    mission = Mission(scenario, made, settings.seeds, rate_hz)
+    made = estimators.create(estimator_of(estimator), rate_hz, tuning=settings.tuning, **parts)
+    controller = make_controller(controller_of(estimator))
+    mission = Mission(scenario, made, settings.seeds, rate_hz, controller=controller)
     signals = SignalLog(mission, decimation(rate_hz))
     log, end = fly(mission, settings.seed, flight, signals)
     cell = make_cell(name, estimator, "", mission, log, end, signals)

@@ -7,19 +7,21 @@ fast.
 import logging
 import os
 import sys
+from importlib.metadata import version
 from io import TextIOWrapper
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from . import data, flights, installation, logs, networks, studies
+from . import catalogue, data, flights, installation, logs, networks, studies
 
 app = typer.Typer(
     name="quadsim",
     help="Fly a MuJoCo quadrotor on spiking, learned and classical attitude estimators: see which to trust.",
     epilog="Start here: quadsim demo --out reports/demo",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
@@ -42,7 +44,22 @@ for verb in (
     studies.paper,
 ):
     app.command()(verb)
+app.command("list")(catalogue.list_names)
 app.command("compile")(installation.compile_code)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"quadsim {version('quadsim')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None: ...
 
 
 def main() -> None:
@@ -59,13 +76,13 @@ def main() -> None:
         message = str(error) or type(error).__name__
         if isinstance(error, OSError) and error.filename and error.strerror:
             message = f"{error.filename}: {error.strerror.lower()}"
-        Console(stderr=True).print(
+        Console(stderr=True, emoji=False).print(
             f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
         )
         sys.exit(2)
     except SystemExit as end:
         if end.code == 130:  # typer's for Ctrl-C, and it says nothing
-            Console(stderr=True).print(
+            Console(stderr=True, emoji=False).print(
                 "quadsim: interrupted; finished work stays: give the same command again"
             )
         raise

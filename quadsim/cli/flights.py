@@ -9,7 +9,18 @@ from rich.table import Table
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
 from ..runs.record import recorded
-from .options import EngineToo, ImuToo, Rate, Seed, TuningOption, VehicleToo, Workers, headline, warn_of
+from .options import (
+    OWN_CONTROLLER,
+    EngineToo,
+    ImuToo,
+    Rate,
+    Seed,
+    TuningOption,
+    VehicleToo,
+    Workers,
+    headline,
+    warn_of,
+)
 
 
 def design(
@@ -64,9 +75,10 @@ def fly(
     estimator: Annotated[
         str,
         typer.Option(
-            help="Estimator whose attitude is used: a name, weights (.safetensors) or your module:Class."
+            help="Estimator whose attitude is used: a name, weights (.safetensors) or your own file.py:Class."
         ),
     ] = "att-snn-loihi",
+    controller: Annotated[str, typer.Option(help=f"Attitude controller: {OWN_CONTROLLER}.")] = "cascaded",
     out: Annotated[
         Path | None,
         typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out, and the other choices."),
@@ -95,9 +107,11 @@ def fly(
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
     """
     from scenarios.bench.cell import file_name
+    from scenarios.bench.controllers import contender
     from scenarios.bench.settings import FlightSettings, ScenarioChanges
     from scenarios.single_flight import fly_scenario
 
+    estimator = contender(estimator, controller)
     parts = (scenario, estimator, *(each for each in (vehicle, imu, tuning) if each is not None))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
@@ -131,8 +145,14 @@ def bench(
     estimator: Annotated[
         list[str] | None,
         typer.Option(
-            help="Estimator: a name, weights (.safetensors) or your module:Class; again for more. All but "
-            "the slow ukf-filterpy if left out."
+            help="Estimator: a name, weights (.safetensors) or your own file.py:Class; again for more. All "
+            "but the slow ukf-filterpy if left out."
+        ),
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            help=f"Attitude controller: {OWN_CONTROLLER}; again for more, each with every estimator."
         ),
     ] = None,
     seeds: Annotated[
@@ -193,6 +213,8 @@ def bench(
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
 
+    Example: quadsim bench --scenario step --estimator eskf --controller cascaded --controller mine.py:make
+
     Example: quadsim bench --axes --estimator truth --estimator imm --estimator vqf --out reports/axes
 
     Example: quadsim bench --cluster tcp://127.0.0.1:8786 --seeds 100
@@ -200,6 +222,7 @@ def bench(
     import estimators
     from scenarios.bench import axes as axes_of
     from scenarios.bench.breaking import breaking_points, chosen
+    from scenarios.bench.controllers import contenders
     from scenarios.bench.cost import cost_of
     from scenarios.bench.held_out import suite as draw
     from scenarios.bench.runner import bench as run_bench
@@ -212,7 +235,9 @@ def bench(
     from ..flight.scenario import scenario_names
     from ..held_out import load_held_out, releases
 
-    names = estimator or [name for name in estimators.names() if name not in SLOW]
+    names = contenders(
+        estimator or [name for name in estimators.names() if name not in SLOW], controller or []
+    )
     searched = chosen(breaking_point or [], duration)
     if full and not axes:
         raise ValueError("--full is for --axes: give both")

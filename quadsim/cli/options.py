@@ -72,6 +72,10 @@ TuningOption = Annotated[
         "vehicle when left out."
     ),
 ]
+OWN_CONTROLLER = (
+    "cascaded, or your own file.py:make or module:make, called with sample rate and vehicle, in place of the "
+    "cascade's levels of attitude and body rate"
+)
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
 
 

@@ -17,7 +17,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-output = Console(width=None if sys.stdout.isatty() else 110)  # a file or a pipe has no width of its own
+output = Console(
+    width=None if sys.stdout.isatty() else 110, emoji=False
+)  # a file or a pipe has no width of its own
 
 
 class Bar(Protocol):
@@ -40,7 +42,7 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
         TimeRemainingColumn(),
         TextColumn("left"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=Console(stderr=True, emoji=False)) as bar:
         task = bar.add_task(title, total=None, note="")
 
         def update(done: int, total: int, note: str = "") -> None:

@@ -20,6 +20,7 @@ from quadsim.runs.files import read_json
 from quadsim.runs.fingerprint import content_digest
 from quadsim.seeding import vehicle_seeds
 
+from .controllers import controller_file, controller_of, estimator_of, make_controller
 from .flight_metrics import (
     CellRow,
     FlightRow,
@@ -73,9 +74,10 @@ def file_name(name: str) -> str:
 
 
 def weights_digest(estimator: str) -> str:
-    """Digest of the weights, or of the user's module, that an estimator's name means; none of others."""
-    source = estimator if is_weights(estimator) else own_source(estimator)
-    return digest_if_there(source) if source else ""
+    """Digest of the weights and the user's modules that a contender's name means; empty without such."""
+    name = estimator_of(estimator)
+    sources = name if is_weights(name) else own_source(name), controller_file(estimator)
+    return "".join(digest_if_there(source) for source in sources if source)
 
 
 def digest_if_there(path: str | Path) -> str:
@@ -107,8 +109,11 @@ def fly_cell(
     try:
         tuning, rate_hz = tuning_of(estimator, settings.tuning), settings.rate_hz
         vehicle = scenario.vehicle if scenario.vehicle_known else None
-        made = estimators.create(estimator, rate_hz, tuning=tuning, vehicle=vehicle, imu=scenario.imu)
-        mission = Mission(scenario, made, settings.seeds, rate_hz)
+        made = estimators.create(
+            estimator_of(estimator), rate_hz, tuning=tuning, vehicle=vehicle, imu=scenario.imu
+        )
+        controller = make_controller(controller_of(estimator))
+        mission = Mission(scenario, made, settings.seeds, rate_hz, controller=controller)
         signals = SignalLog(mission, decimation(rate_hz))
         log, end = fly(mission, settings.seed, after_step=signals)
         cell = make_cell(name, estimator, fingerprint, mission, log, end, signals)
@@ -124,7 +129,7 @@ def tuning_of(estimator: str, tuning: str | None) -> str | None:
     Raises:
         ValueError: The file cannot be read.
     """
-    return tuning if tuning is not None and estimator in load_tuning(tuning) else None
+    return tuning if tuning is not None and estimator_of(estimator) in load_tuning(tuning) else None
 
 
 def make_cell(

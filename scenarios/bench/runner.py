@@ -32,6 +32,7 @@ from .cell import (
     tuning_of,
     weights_digest,
 )
+from .controllers import controller_of, estimator_of, make_controller
 from .flight_metrics import CellRow, FlightRow
 from .settings import FlightSettings, ScenarioChanges
 from .verdict import TRUTH
@@ -62,7 +63,7 @@ class Results:
         tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
         simulated_with = dict.fromkeys((s.vehicle, s.imu) for s in self.scenarios.values())
         for (vehicle, imu), name in product(simulated_with, self.estimators):
-            if other := tuning_misfit(name, tuning_of(name, tuning), vehicle, imu):
+            if other := tuning_misfit(estimator_of(name), tuning_of(name, tuning), vehicle, imu):
                 simulated = f"{Path(vehicle).stem} with {Path(imu).stem}"
                 found.setdefault(f"for {other}, not for {simulated}, which was simulated", {})[name] = None
         return [
@@ -238,11 +239,13 @@ def _load(
         load_imu(scenario.imu)
         load_external(scenario.external)
         loaded[name] = scenario
-    if settings.tuning is not None and not set(names) & set(load_tuning(settings.tuning)):
+    if settings.tuning is not None and not set(map(estimator_of, names)) & set(load_tuning(settings.tuning)):
         raise ValueError(f"{settings.tuning}: it has no table of {', '.join(names)}")
-    for name in names:
+    for name in dict.fromkeys(map(estimator_of, names)):
         if name not in estimators.names():
             estimators.create(name, settings.rate_hz)  # raises: the valid ones, or what is wrong with weights
+    for name in dict.fromkeys(map(controller_of, names)):
+        make_controller(name)
     if not loaded or not names:
         raise ValueError(f"nothing to fly: give at least one {'estimator' if loaded else 'scenario'}")
     return loaded
@@ -257,7 +260,7 @@ def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, c
         "external": load_external(scenario.external).model_dump(mode="json"),
         "files": [digest_if_there(path) for path in _files_of(scenario)],
         "weights": weights_digest(estimator),
-        "tuning": tuning and load_tuning(tuning)[estimator].model_dump(),
+        "tuning": tuning and load_tuning(tuning)[estimator_of(estimator)].model_dump(),
         "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
     return fingerprint(content)

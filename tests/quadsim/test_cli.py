@@ -29,6 +29,7 @@ VERBS = [
     "demo",
     "inspect",
     "paper",
+    "list",
 ]
 
 

@@ -1,0 +1,117 @@
+"""The verb `list`: what ships, and the user's own scenarios."""
+
+import re
+from enum import StrEnum
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import typer
+from rich.table import Table
+
+from ..config.toml import preset_names, read_toml
+from ..runs.console import output as console
+
+
+class Kind(StrEnum):
+    """What can be listed."""
+
+    SCENARIOS = "scenarios"
+    ESTIMATORS = "estimators"
+    VEHICLES = "vehicles"
+    IMUS = "imus"
+    EXTERNALS = "externals"
+    RECIPES = "recipes"
+    PRESETS = "presets"
+    TUNING = "tuning"
+    WEIGHTS = "weights"
+
+
+HOW = {
+    Kind.SCENARIOS: "quadsim fly NAME; quadsim bench --scenario NAME",
+    Kind.ESTIMATORS: "--estimator NAME; also weights, or your own: file.py:Class, module:Class",
+    Kind.VEHICLES: "--vehicle NAME, or a TOML file",
+    Kind.IMUS: "--imu NAME, or a TOML file",
+    Kind.EXTERNALS: "quadsim bench --external NAME, or a TOML file",
+    Kind.RECIPES: "quadsim generate --recipe NAME, or a TOML file",
+    Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
+    Kind.TUNING: "--tuning NAME, or a file of quadsim tune",
+    Kind.WEIGHTS: "--estimator NAME; quadsim inspect NAME; quadsim export NAME",
+}
+"""Where a name is used."""
+
+
+class Item(NamedTuple):
+    """A row of the list."""
+
+    name: str
+    description: str
+    path: str = ""
+    """Of a file of the user's."""
+
+
+def list_names(
+    kind: Annotated[Kind, typer.Argument(help="What to list.")],
+) -> None:
+    """List what ships by name, with a sentence on each: scenarios, estimators, vehicles and so on.
+
+    TOML files of your own, in a folder named as the kind, for example scenarios/, are listed too.
+
+    Example: quadsim list scenarios
+    """
+    table = Table("name", "what it is", box=None, pad_edge=False)
+    for item in items(kind):
+        table.add_row(item.path or item.name, item.description)
+    console.print(table)
+    console.print(f"Use: {HOW[kind]}", style="dim", markup=False, highlight=False)
+
+
+def items(kind: Kind) -> list[Item]:
+    """Everything of a kind, what ships first."""
+    match kind:
+        case Kind.ESTIMATORS:
+            from estimators.registry import DESCRIPTIONS, names
+
+            return [Item(name, DESCRIPTIONS[name]) for name in names()]
+        case Kind.WEIGHTS:
+            from estimators.networks.weights_file import shipped_names
+
+            cards = files("assets") / "weights"
+            return [
+                Item(name, card_summary((cards / f"{name}.md").read_text("utf-8")))
+                for name in shipped_names()
+            ]
+    root = files("scenarios") if kind is Kind.SCENARIOS else files("assets") / kind
+    shipped = [Item(name, summary(root / f"{name}.toml")) for name in preset_names(kind)]
+    own = sorted(path for path in Path(kind).glob("*.toml") if not _ships(path, root))
+    return shipped + [Item(path.stem, summary(path), path.as_posix()) for path in own]
+
+
+def summary(file: Traversable) -> str:
+    """What a TOML file says of itself: its description or source, else the comment on top."""
+    try:
+        text = file.read_text(encoding="utf-8")
+        data = read_toml(text, file.name)
+    except (OSError, ValueError) as error:
+        return f"cannot be read: {error}"
+    for key in ("description", "source"):
+        if isinstance(data.get(key), str):
+            return data[key]
+    head = re.match(r"(?:#.*\n)*", text)
+    return first_sentence(" ".join(line.strip("# ") for line in head[0].splitlines()) if head else "")
+
+
+def card_summary(text: str) -> str:
+    """First sentence of a card of weights, which follows its title."""
+    return first_sentence(" ".join(text.split("\n\n")[1].split()))
+
+
+def first_sentence(text: str) -> str:
+    """A text up to its first full stop that ends a sentence."""
+    return re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0]
+
+
+def _ships(path: Path, root: Traversable) -> bool:
+    """Whether a file is one of the presets themselves, seen from the repository's root."""
+    return isinstance(root, Path) and path.resolve().parent == root.resolve()

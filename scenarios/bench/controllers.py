@@ -1,0 +1,59 @@
+"""Contenders: an estimator alone, or "ESTIMATOR @ CONTROLLER", which flies another attitude controller."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from quadsim.config.toml import nearest
+from quadsim.control.own import MakeController
+from quadsim.own import is_own, load_own, own_file
+
+CASCADED = "cascaded"
+"""The cascade's own levels of attitude and body rate."""
+GROUP = "quadsim.controllers"
+"""Group of the entry points by which an installed package offers controllers."""
+MARK = " @ "
+
+
+def contenders(estimators: Sequence[str], controllers: Sequence[str]) -> list[str]:
+    """Every estimator with every controller."""
+    return [contender(estimator, each) for each in controllers or [CASCADED] for estimator in estimators]
+
+
+def contender(estimator: str, controller: str = CASCADED) -> str:
+    """Name of an estimator with a controller."""
+    return estimator if controller == CASCADED else f"{estimator}{MARK}{controller}"
+
+
+def estimator_of(name: str) -> str:
+    """The estimator of a contender."""
+    return name.partition(MARK)[0]
+
+
+def controller_of(name: str) -> str:
+    """Its controller."""
+    return name.partition(MARK)[2] or CASCADED
+
+
+def make_controller(name: str) -> MakeController | None:
+    """What makes a controller; None for the cascade's own.
+
+    Args:
+        name: "cascaded", or your own: "module:make", "path/file.py:make" or an entry point of the group
+            "quadsim.controllers", called as make(rate_hz, vehicle).
+
+    Raises:
+        ValueError: There is no such controller.
+    """
+    if name == CASCADED:
+        return None
+    if not is_own(name, GROUP):
+        raise ValueError(
+            f'unknown controller "{name}"; {nearest(name, [CASCADED])}, or your own file.py:make'
+        )
+    return load_own(name, GROUP)
+
+
+def controller_file(name: str) -> Path | None:
+    """The file that a contender's controller comes from; None where there is none."""
+    controller = controller_of(name)
+    return own_file(controller, GROUP) if is_own(controller, GROUP) else None
