@@ -268,10 +268,22 @@ def drive_scale(current: NDArray, parts: Range, rng: np.random.Generator) -> NDA
     return sign * 0.5 * part / np.maximum(current.std((0, 1)), 1e-6)
 
 
-def solve_outputs(model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating]) -> NDArray:
-    """Ridge regression from the hidden spikes, filtered as the outputs filter them, to the targets."""
+def solve_outputs(
+    model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating], first: int = 0
+) -> NDArray:
+    """Ridge regression from the hidden spikes, filtered as the outputs filter them, to the targets.
+
+    Args:
+        model: Whose output weights to solve.
+        x: Scaled inputs (n, T, inputs).
+        target: Of the outputs, (n, T, outputs).
+        first: First hidden neuron that the outputs may read.
+
+    Returns:
+        Weights (outputs, hidden neurons from the first on).
+    """
     _, spikes = layer_spikes(model, x)
-    features = spikes.astype(np.float32)
+    features = spikes[..., first:].astype(np.float32)
     for name in ("syn2", "mem2"):
         features = filtered(features, model.tau(name).detach().numpy())
     settled = x.shape[1] // 4

@@ -3,7 +3,7 @@
 It takes the place of the cascade's levels of attitude and body rate, see `quadsim.control.own`. As of an
 attitude network, the host scales inputs and outputs and no more; its memory is the last valid inputs.
 
-Inputs are bounded and so are outputs. A set-point is clipped to the limits of the network's `SetPointScaling`;
+Inputs are bounded and so are outputs. A set-point is clipped to the limits of the file's `SetPointScaling`;
 one that is NaN keeps its last value, and so does a missing reading. An angular acceleration is clipped to
 `bound`. There is no integral beside the potentials of the neurons, which the chip limits to 1024 thresholds.
 """

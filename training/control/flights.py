@@ -1,0 +1,303 @@
+"""Flights to imitate: set-points and readings, and what the teacher would ask for at the true state.
+
+The teacher is the cascade's levels of attitude and body rate, which read the true attitude and body rate. Who
+flies is another matter: the teacher, the student, or now one and then the other (DAgger).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.control.controller import SpikingController, bounded
+from quadsim.control.cascade import POSITION, follow_attitude
+from quadsim.flight.loop import FlightLoop
+from quadsim.flight.recipe import FlightConfig
+from quadsim.imu.spec import ImuSpec
+from quadsim.rotation import quat_from_euler, quat_from_rotvec, quat_multiply
+from quadsim.runs.compiled import njit
+from quadsim.seeding import child
+from quadsim.trajectory.reference import reference
+from quadsim.vehicle import Vehicle, randomise
+from quadsim.wind import wind_series
+
+from .config import ControlConfig, Excitation
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+MOTION, BODY, AIR, IMU, EXCITATION = range(5)
+"""Children of a flight's seed."""
+MAX_TILT_DEG, MAX_DISTANCE, MAX_RATE = 80.0, 40.0, 30.0
+"""Where a flight ends: tilt [deg], distance from the set-point [m], body rate [rad/s]."""
+PART_S = 0.5
+"""Time after which another may fly [s]."""
+SIGNALS = ("gyro", "accel", "set_point", "target")
+
+
+@dataclass(frozen=True)
+class ControlFlights:
+    """n flights of T samples, float32; what comes after `end` is not valid."""
+
+    gyro: Float32
+    """Measured body rate (n, T, 3) [rad/s]."""
+    accel: Float32
+    """Measured specific force (n, T, 3) [m/s²]."""
+    set_point: Float32
+    """Roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²], (n, T, 4)."""
+    target: Float32
+    """Angular acceleration that the teacher asks for, (n, T, 3) [rad/s²]."""
+    end: NDArray[np.int64]
+    """Valid samples (n,): all, or those before a crash."""
+    error_deg: Array
+    """Root mean square over a flight of the angle between the thrust axes commanded and true, (n,) [deg]."""
+    rate_hz: float
+
+    def __len__(self) -> int:
+        """Number of flights."""
+        return len(self.gyro)
+
+    @property
+    def crashes(self) -> int:
+        """How many ended early."""
+        return int(np.sum(self.end < self.gyro.shape[1]))
+
+
+def joined(parts: Sequence[ControlFlights]) -> ControlFlights:
+    """All flights of several sets of equal length."""
+    names = (*SIGNALS, "end", "error_deg")
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return ControlFlights(**whole, rate_hz=parts[0].rate_hz)
+
+
+@njit(cache=True)
+def teach_all(level, loops, measured, set_points, teachers):
+    """`follow_attitude` for records (n,) of loops, of measured truth and of teachers, set-points (n, 4)."""
+    for i in range(loops.shape[0]):
+        follow_attitude(level, loops[i].set_point, measured[i], set_points[i], teachers[i])
+
+
+class Pilot:
+    """Who flies: an attitude controller that asks teacher and student, lets one answer, and records.
+
+    Args:
+        steps: Samples to record.
+        excitation: Added to the set-points of roll, pitch and yaw rate, (n, steps, 3).
+        disturbance: Added to the angular acceleration that is asked for, (n, steps, 3) [rad/s²].
+        student: A controller; None: the teacher flies alone.
+        by_student: Samples at which the student flies, (n, steps).
+        config: Of the run.
+    """
+
+    def __init__(
+        self,
+        steps: int,
+        excitation: Array,
+        disturbance: Array,
+        student: SpikingController | None,
+        by_student: NDArray[np.bool_],
+        config: ControlConfig,
+    ) -> None:
+        n = len(excitation)
+        self.excitation, self.disturbance = excitation, disturbance
+        self.student, self.by_student, self.config = student, by_student, config
+        self.k = 0
+        self.log = {
+            name: np.zeros((n, steps, 4 if name == "set_point" else 3), np.float32) for name in SIGNALS
+        }
+
+    def attach(self, loop: FlightLoop) -> None:
+        """The loop that it flies in, once that exists."""
+        self.loop = loop
+        self.teachers = loop.controller.records.copy()
+        self.limits = self.teachers["max_ang_acc"].copy()
+
+    def reset(self, n: int) -> None:
+        """Start n vehicles."""
+        if self.student is not None:
+            self.student.reset(n)
+
+    def restart(self, ids: NDArray[np.int64]) -> None:
+        """Start some vehicles again."""
+        if self.student is not None:
+            self.student.restart(ids)
+        for name in ("trim", "has_last_axis"):
+            self.teachers[name][ids] = 0
+
+    def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
+        """As of an `AttitudeController`; the truth is the loop's."""
+        wanted = set_point.copy()
+        wanted[:, :3] += self.excitation[:, self.k]
+        wanted = bounded(self.config.set_point, wanted)
+        truth = self.loop.records["measured"].copy()
+        truth["gyro"], truth["roll_pitch"] = self.loop.plant.ang_vel, self.loop.plant.roll_pitch
+        teach_all(POSITION, self.loop.records, truth, wanted, self.teachers)
+        taught = np.clip(self.teachers["ang_acc_cmd"], -self.limits, self.limits)
+        for name, values in zip(SIGNALS, (gyro, accel, wanted, taught), strict=True):
+            self.log[name][:, self.k] = values
+        action = np.concatenate([taught, set_point[:, 3:]], 1)
+        if self.student is not None:
+            own = self.student.update(wanted, gyro, accel, roll_pitch)
+            action = np.where(self.by_student[:, self.k, None], own, action)
+        action[:, :3] += self.disturbance[:, self.k]
+        self.k += 1
+        self.wanted = wanted
+        return action
+
+
+def fly(
+    config: ControlConfig,
+    flights: FlightConfig,
+    seeds: Sequence[np.random.SeedSequence],
+    student: SpikingController | None = None,
+    teacher_share: float = 0.0,
+    rate_hz: float = 200.0,
+) -> ControlFlights:
+    """Fly, and label by the teacher.
+
+    Args:
+        config: Of the run.
+        flights: What to fly.
+        seeds: One for each flight.
+        student: Who flies; None: the teacher.
+        teacher_share: Share of the time at which the teacher flies all the same.
+        rate_hz: Samples per second.
+    """
+    n, steps = len(seeds), round(config.flight_s * rate_hz)
+    draws = [np.random.default_rng(child(seed, EXCITATION)) for seed in seeds]
+    target = reference(flights.trajectory, steps, rate_hz, [child(seed, MOTION) for seed in seeds])
+    wind = np.zeros((n, steps, 3))
+    if flights.wind:
+        wind = wind_series(flights.wind, n, steps, rate_hz, [child(seed, AIR) for seed in seeds])
+    vehicles = [_vehicle(flights, child(seed, BODY)) for seed in seeds]
+    added = config.excitation
+    pilot = Pilot(
+        steps,
+        np.stack([set_point_excitation(added, steps, rate_hz, rng) for rng in draws]),
+        np.stack([torque_excitation(added, steps, rate_hz, rng) for rng in draws]),
+        student,
+        np.stack([_turns(1.0 - teacher_share, steps, rate_hz, rng) for rng in draws]),
+        config,
+    )
+    loop = _loop(flights.vehicle, vehicles, rate_hz, flights.imu, [child(seed, IMU) for seed in seeds], pilot)
+    effect = np.stack([rotor_effect(added, len(flights.vehicle.rotors), rng) for rng in draws])
+    pilot.attach(loop)
+    tilts = np.stack([rng.uniform(-1.0, 1.0, 3) for rng in draws])
+    tilts = math.radians(added.start_tilt_deg) * tilts * [1.0, 1.0, 0.0] / math.sqrt(2.0)
+    heading = quat_from_euler(0.0, 0.0, target["yaw"][:, 0])
+    start = {
+        "position": target["position"][:, 0],
+        "velocity": target["velocity"][:, 0],
+        "quat": quat_multiply(heading, quat_from_rotvec(tilts)),
+    }
+    loop.reset(**start)
+    loop.plant.rotor_effect[:] = effect
+    end, squares = np.full(n, steps), np.zeros(n)
+    for k in range(steps):
+        loop.move("position", target[:, k], wind[:, k])
+        error = thrust_axis_error(pilot.wanted, loop.plant.quat, loop.plant.yaw)
+        squares += np.where(end == steps, error**2, 0.0)
+        down = _down(loop, target[:, k])
+        if down.size:
+            end[down] = np.minimum(end[down], k)
+            loop.restart(down, position=target["position"][down, k], velocity=target["velocity"][down, k])
+        loop.sense()
+    error_deg = np.degrees(np.sqrt(squares / np.maximum(end, 1)))
+    return ControlFlights(**pilot.log, end=end, error_deg=error_deg, rate_hz=rate_hz)
+
+
+def _vehicle(flights: FlightConfig, seed: np.random.SeedSequence) -> Vehicle:
+    return randomise(flights.vehicle, flights.randomisation, np.random.default_rng(seed))
+
+
+def _loop(
+    nominal: Vehicle,
+    vehicles: Sequence[Vehicle],
+    rate_hz: float,
+    imu: ImuSpec,
+    seeds: Sequence[np.random.SeedSequence],
+    pilot: Pilot,
+) -> FlightLoop:
+    return FlightLoop(
+        vehicles,
+        len(vehicles),
+        rate_hz=rate_hz,
+        imu=imu,
+        seed=seeds,
+        nominal=nominal,
+        controller=lambda rate_hz, vehicle: pilot,
+    )
+
+
+def _down(loop: FlightLoop, target: NDArray[np.void]) -> NDArray[np.int64]:
+    """Vehicles (k,) that have tilted over, are out of bounds or diverge."""
+    plant = loop.plant
+    up = 1.0 - 2.0 * (plant.quat[:, 1] ** 2 + plant.quat[:, 2] ** 2)
+    distance = np.linalg.norm(plant.position - target["position"], axis=1)
+    rate = np.linalg.norm(plant.ang_vel, axis=1)
+    well = (up > math.cos(math.radians(MAX_TILT_DEG))) & (distance < MAX_DISTANCE) & (rate < MAX_RATE)
+    return np.flatnonzero(~well)
+
+
+def thrust_axis_error(set_point: Array, quat: Array, yaw: Array) -> Array:
+    """Angle between the thrust axes of set-points (n, 4) and of attitudes (n, 4), (n,) [rad]."""
+    wanted = quat_from_euler(set_point[:, 0], set_point[:, 1], yaw)
+    axes = [thrust_axis(each) for each in (wanted, quat)]
+    return np.arccos(np.clip(np.sum(axes[0] * axes[1], axis=1), -1.0, 1.0))
+
+
+def thrust_axis(quat: Array) -> Array:
+    """The body's z axis in world axes, (n, 3)."""
+    w, x, y, z = quat.T
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+
+
+def set_point_excitation(added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator) -> Array:
+    """Steps and chirps of roll and pitch [rad], steps of the yaw rate [rad/s], (steps, 3)."""
+    out, k = np.zeros((steps, 3)), 0
+    (low, high), tilt = added.step_s, math.radians(added.step_deg)
+    while k < steps:
+        kind = rng.random()
+        length = max(1, round(rate_hz * math.exp(rng.uniform(math.log(low), math.log(high)))))
+        part = slice(k, min(k + length, steps))
+        if kind > added.still + 0.6 * (1.0 - added.still):
+            length *= 3
+            part = slice(k, min(k + length, steps))
+            time = np.arange(part.stop - part.start) / rate_hz
+            f0, f1 = np.exp(rng.uniform(*np.log(added.chirp_hz), 2))
+            phase = 2.0 * math.pi * (f0 * time + 0.5 * (f1 - f0) * time**2 * rate_hz / length)
+            out[part, :2] = np.sin(phase)[:, None] * rng.uniform(-1.0, 1.0, 2) * math.radians(added.chirp_deg)
+        elif kind > added.still:
+            out[part] = rng.uniform(-1.0, 1.0, 3) * [tilt, tilt, added.yaw_rate]
+        k += length
+    return out
+
+
+def torque_excitation(added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator) -> Array:
+    """Pulses and slowly varying noise of angular acceleration, (steps, 3) [rad/s²]."""
+    from scipy.signal import lfilter  # takes half a second
+
+    decay = math.exp(-1.0 / (rate_hz * math.exp(rng.uniform(math.log(0.03), math.log(0.3)))))
+    white = rng.normal(size=(steps, 3)) * math.sqrt(1.0 - decay**2)
+    out = added.noise * rng.uniform() * np.asarray(lfilter([1.0], [1.0, -decay], white, axis=0))
+    k = 0
+    while k < steps:
+        k += round(rate_hz * rng.uniform(0.5, 4.0))
+        length = round(rate_hz * rng.uniform(0.02, 0.15))
+        out[k : k + length] += added.pulse * rng.uniform(-1.0, 1.0, 3)
+        k += length
+    return out * [1.0, 1.0, 0.1]
+
+
+def rotor_effect(added: Excitation, rotors: int, rng: np.random.Generator) -> Array:
+    """Thrust of each rotor over its nominal one, (rotors,)."""
+    return rng.uniform(added.battery, 1.0) * (1.0 - added.rotor_spread * rng.uniform(0.0, 1.0, rotors))
+
+
+def _turns(share: float, steps: int, rate_hz: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Samples (steps,) at which one flies that flies a share of the time."""
+    length = max(1, round(PART_S * rate_hz))
+    return np.repeat(rng.random(-(-steps // length)) < share, length)[:steps]
