@@ -52,20 +52,20 @@ class PaperSettings(Strict):
     """How often."""
     snn: Budget = Budget()
     """Att-SNN, in floats and with Loihi's quantisation."""
-    rnn: Budget = Budget()
+    rnn: Budget = Budget(epochs=250)
     """Att-RNN."""
-    fold: Budget = Budget(epochs=300)
+    fold: Budget = Budget(epochs=170)
     """Networks of further folds, of one domain alone, and with fixed time constants."""
     ours_epochs: Number = 30
     """Of the preset `hummingbird`, a thousand updates each."""
     rates_hz: tuple[SampleRate, ...] = (100.0, 200.0, 500.0, 1000.0)
     rate_flights: Number = 20
     """Flights of `flight_s` at each rate."""
-    rate: Budget = Budget(epochs=200)
+    rate: Budget = Budget(epochs=100)
     minutes: tuple[Number, ...] = (1, 3, 10, 30, 60)
     """Flights of a minute that train."""
     minutes_validation: Number = 9
-    study: Budget = Budget(epochs=300)
+    study: Budget = Budget(epochs=170)
     """Networks trained on several minutes of flight."""
     latency_rounds: Number = 40
     """Turns of a hundred calls."""
