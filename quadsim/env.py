@@ -16,10 +16,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import SAMPLE_RATE
+from .config.toml import nearest
 from .control.cascade import ATTITUDE, LEVELS, POSITION, RATE, ROTOR, VELOCITY, Level
+from .control.own import MakeController
 from .estimator import AttitudeEstimator, OtherSensors, Readings, accepted_sensors
 from .flight.mission import CAUSES, FLYING, Mission
-from .flight.scenario import Scenario, load_scenario
+from .flight.scenario import Scenario, changed, load_scenario
+from .own import load_own
 from .render import Image, Scene, View, Window
 from .runs.compiled import njit
 from .vehicle import GRAVITY
@@ -58,6 +61,8 @@ MOST = 100_000
 """Environments in a batch."""
 FPS = 50
 """Pictures per second of flight in a window."""
+OPTIONS = ("scenario", "wind")
+"""Of `reset`."""
 
 
 class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
@@ -119,6 +124,29 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
       `quadsim.flight.mission.CAUSES`.
     - Truncation: the scenario's duration is over.
 
+    ## Information
+
+    What `reset` and `step` return last: a dictionary of numbers that the agent does not see. In the batched
+    twin each has a row for every vehicle.
+
+    | key              | shape    | meaning                                                             |
+    |------------------|----------|---------------------------------------------------------------------|
+    | `attitude`       | (3,)     | true roll, pitch and yaw [rad]                                      |
+    | `estimate`       | (2,)     | estimated roll and pitch [rad]                                      |
+    | `attitude_error` | ()       | mean absolute error of roll and pitch [rad]                         |
+    | `position`       | (3,)     | true, world axes [m]                                                |
+    | `velocity`       | (3,)     | true, world axes [m/s]                                              |
+    | `wind`           | (3,)     | world axes [m/s]                                                    |
+    | `rotor_vel`      | (rotors,)| rotor speeds [rad/s]                                                |
+    | `position_cost`  | ()       | ‖e_p‖² of the reward [m²]                                           |
+    | `velocity_cost`  | ()       | 0.1 ‖e_v‖² of the reward                                            |
+    | `cause`          | ()       | why it crashed, in the last step of an episode                      |
+
+    ## Options of `reset`
+
+    `reset(options={"scenario": ..., "wind": (x, y, z)})` flies another scenario, by name, file or `Scenario`,
+    or with a constant wind [m/s] in place of the scenario's, until the next `reset`.
+
     ## Arguments
 
     | argument      | default    | meaning                                                                |
@@ -129,6 +157,10 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
     | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
     | `render_mode` | None       | "rgb_array" for pictures, "human" for MuJoCo's viewer                  |
+    | `controller`  | None       | attitude controller of your own, see `quadsim.control.own`; or weights |
+
+    `metadata["render_fps"]` is `rate_hz`, so that gymnasium's RecordVideo, which draws every step, plays in
+    real time (it needs moviepy: `pip install 'quadsim[video]'`).
 
     `gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, ...)` makes the batched twin: sub-environment i
     is, number for number, this environment reset with `seed + i`. It restarts finished episodes in the next
@@ -153,8 +185,10 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         rate_hz: float = 200.0,
         duration_s: float | None = None,
         render_mode: str | None = None,
+        controller: str | Path | MakeController | None = None,
     ) -> None:
-        self._flights = Episodes(estimator, scenario, level, 1, rate_hz, duration_s, render_mode)
+        self._flights = Episodes(estimator, scenario, level, 1, rate_hz, duration_s, render_mode, controller)
+        self.metadata = {**self.metadata, "render_fps": rate_hz}
         self.render_mode = render_mode
         self.observation_space, self.action_space = self._flights.spaces()
         self._over = False
@@ -162,11 +196,16 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode."""
+        """Begin an episode, with the options of the class's docstring.
+
+        Raises:
+            ValueError: An unknown option, or a value that it cannot have.
+        """
         super().reset(seed=_whole(seed))
-        self._flights.begin([flight_seed(self.np_random)], afresh=seed is not None)
+        anew = self._flights.choose(options)
+        self._flights.begin([flight_seed(self.np_random)], afresh=seed is not None or anew)
         self._over = False
-        return self._flights.observe()[0][0], {}
+        return self._flights.observe()[0][0], _first(self._flights.info())
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one sample with an action.
@@ -182,7 +221,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         mission = flights.mission
         cause, over = mission.cause.item(), mission.k.item() >= mission.steps
         self._over = cause != FLYING or over
-        info = {"cause": CAUSES[cause]} if cause != FLYING else {}
+        info = _first(flights.info()) | ({"cause": CAUSES[cause]} if cause != FLYING else {})
         return observation[0], reward.item(), cause != FLYING, over, info
 
     def render(self) -> Image | None:
@@ -212,8 +251,12 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         rate_hz: float = 200.0,
         duration_s: float | None = None,
         render_mode: str | None = None,
+        controller: str | Path | MakeController | None = None,
     ) -> None:
-        self._flights = Episodes(estimator, scenario, level, num_envs, rate_hz, duration_s, render_mode)
+        self._flights = Episodes(
+            estimator, scenario, level, num_envs, rate_hz, duration_s, render_mode, controller
+        )
+        self.metadata = {**self.metadata, "render_fps": rate_hz}
         self.num_envs, self.render_mode = num_envs, render_mode
         self.single_observation_space, self.single_action_space = self._flights.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -224,14 +267,15 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin all episodes."""
+        """Begin all episodes, with the options of `QuadrotorEnv`."""
         super().reset(seed=_whole(seed))
+        anew = self._flights.choose(options)
         if seed is not None or not self._random:
             first = int(self.np_random.integers(2**31)) if seed is None else seed
             self._random = [np_random(first + i)[0] for i in range(self.num_envs)]
-        self._flights.begin([flight_seed(each) for each in self._random], afresh=seed is not None)
+        self._flights.begin([flight_seed(each) for each in self._random], afresh=seed is not None or anew)
         self._done[:] = False
-        return self._flights.observe()[0], {}
+        return self._flights.observe()[0], self._info()
 
     def step(
         self, actions: ArrayLike
@@ -245,8 +289,15 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         terminated, truncated = mission.cause != FLYING, mission.k >= mission.steps
         reward[again] = 0.0
         self._done = terminated | truncated
-        info = {"cause": mission.cause.copy(), "_cause": terminated.copy()} if terminated.any() else {}
+        info = self._info()
+        if terminated.any():
+            info |= {"cause": mission.cause.copy(), "_cause": terminated.copy()}
         return observation, reward, terminated, truncated, info
+
+    def _info(self) -> dict[str, Any]:
+        """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
+        found, every = self._flights.info(), np.ones(self.num_envs, dtype=bool)
+        return found | {f"_{key}": every.copy() for key in found}
 
     def render(self) -> tuple[Image, ...] | None:
         """A picture of every vehicle; None without a render mode, or in a window, which shows the first."""
@@ -271,6 +322,7 @@ class Episodes:
         rate_hz: float,
         duration_s: float | None,
         render_mode: str | None,
+        controller: str | Path | MakeController | None = None,
     ) -> None:
         if level not in LEVELS:
             raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
@@ -280,11 +332,12 @@ class Episodes:
         if not isinstance(n, int) or not 1 <= n <= MOST:
             raise ValueError(f"num_envs = {n!r}: a whole number from 1 to {MOST} is allowed")
         self._live, self._frame = render_mode == "human", max(round(rate_hz / FPS), 1)
-        scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
-        made = made_for(estimator, scenario, rate_hz)
-        if made is not None and n > 1 and not hasattr(made, "restart"):
-            made = OnePerVehicle(made)
-        self.mission = Mission(scenario, made, n, rate_hz, duration_s)
+        self._scenario = self._flown = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        self._made, self._controller = estimator, controller_for(controller)
+        if self._controller is not None and LEVELS.index(level) > ATTITUDE:
+            raise ValueError(f'level "{level}" is below the attitude controller: leave controller out')
+        self._sizes = n, rate_hz, duration_s
+        self.mission = self._mission(self._scenario)
         self._level: Level = level
         self._index = LEVELS.index(level)
         vehicle, self._scale = self.mission.vehicle, np.array(ACTION_SCALE[level])
@@ -298,6 +351,58 @@ class Episodes:
         self._window: Window | None = None
         self._shown_at = 0.0
         self._begun = False
+
+    def _mission(self, scenario: Scenario) -> Mission:
+        n, rate_hz, duration_s = self._sizes
+        made = made_for(self._made, scenario, rate_hz)
+        if made is not None and n > 1 and not hasattr(made, "restart"):
+            made = OnePerVehicle(made)
+        return Mission(scenario, made, n, rate_hz, duration_s, self._controller)
+
+    def choose(self, options: dict[str, Any] | None) -> bool:
+        """Take the scenario that options ask for, or the environment's own; whether it is another one.
+
+        Raises:
+            ValueError: An unknown option, or a value that it cannot have.
+        """
+        given = dict(options or {})
+        for key in given.keys() - OPTIONS:
+            raise ValueError(f'reset has no option "{key}"; {nearest(str(key), OPTIONS)}')
+        scenario = given.get("scenario", self._scenario)
+        if not isinstance(scenario, Scenario):
+            if not isinstance(scenario, str | Path):
+                raise ValueError(f"scenario = {scenario!r}: should be a name, a file or a Scenario")
+            scenario = load_scenario(scenario)
+        if "wind" in given:
+            wind = np.asarray(given["wind"], dtype=np.float64)
+            if wind.shape != (3,):
+                raise ValueError(f"wind has shape {wind.shape}; it must be (3,) [m/s]")
+            scenario = changed(scenario, {"wind": ({"kind": "constant", "velocity": tuple(wind.tolist())},)})
+        if scenario == self._flown:
+            return False
+        mission = self._mission(scenario)
+        if len(mission.vehicle.rotors) != len(self.mission.vehicle.rotors):
+            raise ValueError(f"{scenario.vehicle} has another number of rotors: make another environment")
+        self.close()
+        self.mission, self._flown, self._begun = mission, scenario, False
+        return True
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """What agents do not see, new arrays of n rows; see the table of `QuadrotorEnv`."""
+        mission, loop = self.mission, self.mission.loop
+        plant, target = loop.plant, mission.target
+        estimate = loop.measured_state["roll_pitch"].copy()
+        return {
+            "attitude": np.column_stack([plant.roll_pitch, plant.yaw]),
+            "estimate": estimate,
+            "attitude_error": np.abs(estimate - plant.roll_pitch).mean(axis=1),
+            "position": plant.position.copy(),
+            "velocity": plant.velocity.copy(),
+            "wind": mission.air.copy(),
+            "rotor_vel": plant.rotor_vel.copy(),
+            "position_cost": np.sum((target["position"] - plant.position) ** 2, axis=1),
+            "velocity_cost": 0.1 * np.sum((target["velocity"] - plant.velocity) ** 2, axis=1),
+        }
 
     def spaces(self) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
         """Observation and action space of one vehicle."""
@@ -402,6 +507,28 @@ def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEst
     return tried(_name_of(estimator), _own_copy(estimator, rate_hz))
 
 
+def controller_for(controller: str | Path | MakeController | None) -> MakeController | None:
+    """What makes an environment's attitude controller; None for the cascade's own.
+
+    Args:
+        controller: A function of sample rate and vehicle, or its name ("file.py:make", "module:make"); a
+            spiking controller's weights, by path or name; None or "cascaded".
+
+    Raises:
+        ValueError: No such controller.
+    """
+    if controller is None or callable(controller):
+        return controller
+    name = str(controller)
+    if name == "cascaded":
+        return None
+    from estimators.control.controller import create_controller, is_controller
+
+    if is_controller(name):
+        return partial(create_controller, name)
+    return load_own(name)
+
+
 def _own_copy(
     estimator: AttitudeEstimator | Callable[[float], AttitudeEstimator], rate_hz: float
 ) -> AttitudeEstimator:
@@ -463,6 +590,11 @@ class OnePerVehicle:
             observe = getattr(each, "observe", None)
             if observe is not None:
                 observe(quat[i : i + 1])
+
+
+def _first(rows: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """The only row of each array; a number where it is one."""
+    return {key: values[0] if values.ndim > 1 else values[0].item() for key, values in rows.items()}
 
 
 def _shaped(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:

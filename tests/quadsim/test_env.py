@@ -1,6 +1,7 @@
 import copy
 import pickle
 import warnings
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -128,7 +129,7 @@ def test_a_crash_terminates_with_its_cause():
     env = gymnasium.make(ID, scenario=TILTING)
     env.reset(seed=0)
     _, reward, terminated, truncated, info = env.step(np.zeros(4))
-    assert (reward, terminated, truncated, info) == (0.0, True, False, {"cause": "tilted over"})
+    assert (reward, terminated, truncated, info["cause"]) == (0.0, True, False, "tilted over")
 
 
 def test_time_truncates():
@@ -348,3 +349,82 @@ def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():
 def test_step_before_reset_is_refused():
     with pytest.raises(ValueError, match="before reset"):
         gymnasium.make(ID).unwrapped.step(np.zeros(4))
+
+
+INFO = {
+    "attitude": (3,), "estimate": (2,), "attitude_error": (), "position": (3,), "velocity": (3,),
+    "wind": (3,), "rotor_vel": (4,), "position_cost": (), "velocity_cost": (),
+}  # fmt: skip
+
+
+def test_information_holds_the_truth_the_estimate_and_the_terms_of_the_reward():
+    env = gymnasium.make(ID, estimator="mahony", scenario="wind-5", level="position").unwrapped
+    _, first = env.reset(seed=1)
+    assert {key: np.shape(value) for key, value in first.items()} == INFO
+    for _ in range(200):
+        observation, reward, _, _, info = env.step(np.zeros(4))
+    np.testing.assert_allclose(observation[9:11], info["estimate"], atol=1e-6)
+    assert info["attitude_error"] == pytest.approx(np.abs(info["attitude"][:2] - info["estimate"]).mean())
+    assert reward == pytest.approx(1 / (1 + info["position_cost"] + info["velocity_cost"]))
+    assert np.linalg.norm(info["wind"]) == pytest.approx(5.0)
+    assert not np.array_equal(first["rotor_vel"], info["rotor_vel"])
+
+
+def test_information_of_a_batch_has_a_row_and_a_mask_for_every_vehicle():
+    batch = gymnasium.make_vec(ID, num_envs=3, scenario="hover")
+    _, info = batch.reset(seed=0)
+    assert {key: value.shape for key, value in info.items() if key[0] != "_"} == {
+        key: (3, *shape) for key, shape in INFO.items()
+    }
+    assert all(info[f"_{key}"].all() for key in INFO)
+    single, one = gymnasium.make(ID, scenario="hover"), None
+    _, one = single.reset(seed=2)
+    np.testing.assert_array_equal(info["position"][2], one["position"])
+
+
+def test_reset_flies_another_scenario_or_wind_until_the_next_reset():
+    env = gymnasium.make(ID, scenario="hover", level="position")
+    _, before = env.reset(seed=3)
+    env.reset(seed=3, options={"scenario": "step", "wind": (4.0, 0.0, 0.0)})
+    np.testing.assert_array_equal(env.step(np.zeros(4))[4]["wind"], [4.0, 0.0, 0.0])
+    _, after = env.reset(seed=3)
+    for key in INFO:
+        np.testing.assert_array_equal(before[key], after[key])
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"scenarios": "hover"}, 'no option "scenarios"; did you mean "scenario"'),
+        ({"scenario": "hovr"}, 'unknown scenario "hovr"; did you mean "hover"'),
+        ({"scenario": 3}, "should be a name"),
+        ({"wind": 4.0}, r"shape \(\)"),
+        ({"wind": (1e9, 0, 0)}, "wind"),
+    ],
+)
+def test_a_wrong_option_is_named_and_the_environment_lives_on(options, text):
+    env = gymnasium.make(ID, scenario="hover").unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=text):
+        env.reset(options=options)
+    env.reset(seed=0)
+    env.step(np.zeros(4))
+
+
+def test_pictures_of_every_step_play_in_real_time():
+    for rate_hz in (100.0, 200.0):
+        env = gymnasium.make(ID, rate_hz=rate_hz)
+        assert env.metadata["render_fps"] == rate_hz
+    assert gymnasium.make_vec(ID, num_envs=2).metadata["render_fps"] == 200.0
+
+
+def test_a_controller_of_ones_own_flies_in_the_environment():
+    make = f"{Path(__file__).parents[2] / 'examples' / 'my_controller.py'}:make"
+    env = gymnasium.make(ID, scenario="hover", level="position", controller=make)
+    env.reset(seed=0)
+    for _ in range(400):
+        _, reward, over, *_ = env.step(np.zeros(4))
+    assert not over
+    assert reward > 0.9
+    with pytest.raises(ValueError, match="below the attitude controller"):
+        gymnasium.make(ID, level="rate", controller=make)
