@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: install run test check pages clean
+.PHONY: install run test check pages docs clean
 
 run: install  ## Generate flights, score the estimators, fly them through four scenarios, write the report
 	$(BIN)/quadsim demo --out reports/demo
@@ -29,6 +29,9 @@ install: .venv/installed
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps neurobench
 	$(BIN)/quadsim compile
 	touch $@
+
+docs: install  ## The site, into reports/site; a broken link is an error
+	$(BIN)/mkdocs build --strict --quiet
 
 clean:
 	rm -rf .venv reports
