@@ -75,9 +75,12 @@ PLANS = {
     for airframe, seed in (("hummingbird", 101), ("crazyflie", 201))
 }
 """The flights of each airframe."""
-DESCRIPTION = (
+PLAN = (
     f"{sum(map(len, PLANS.values()))} flights of {DURATION_S:g} s of "
-    "[RotorPy](https://github.com/spencerfolk/rotorpy), a simulator by other authors: its Hummingbird and "
+    "[RotorPy](https://github.com/spencerfolk/rotorpy)"
+)
+DESCRIPTION = (
+    f"{PLAN}, a simulator by other authors: its Hummingbird and "
     "Crazyflie, its aerodynamics, wind, trajectories and controller, with our model of the IMU"
 )
 """Of the flights, for the pages."""

@@ -38,7 +38,10 @@ KINDS: dict[str, tuple[type[BaseModel], str]] = {
     "external": (ExternalSpec, "A sensor of position, velocity and yaw: `assets/externals/`, `--external`."),
     "recipe": (Recipe, "What `quadsim generate` simulates: `assets/recipes/`, `--recipe`."),
     "scenario": (Scenario, "What `quadsim fly` and `quadsim bench` simulate: `scenarios/`."),
-    "preset": (Preset, "How a network is trained: `assets/presets/`, `--preset`; `--set` takes the same keys."),
+    "preset": (
+        Preset,
+        "How a network is trained: `assets/presets/`, `--preset`; `--set` takes the same keys.",
+    ),
     "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--tuning`."),
     "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
 }
@@ -196,5 +199,3 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 def _cell(text: str) -> str:
     """A text for a cell of a table."""
     return " ".join(text.split()).replace("|", "\\|")
-
-

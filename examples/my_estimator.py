@@ -1,0 +1,44 @@
+"""An attitude estimator of your own, as a template: a complementary filter with one parameter.
+
+    quadsim bench --scenario hover --estimator examples/my_estimator.py:MyEstimator --estimator eskf
+    quadsim tune --estimator examples/my_estimator.py:MyEstimator --data data/train.zarr --out mine.toml
+
+`estimators.check_estimator("examples/my_estimator.py:MyEstimator")` says what is wrong with it, if anything.
+"""
+
+import numpy as np
+
+from estimators import Parameter
+
+
+class MyEstimator:
+    """The gyroscope for short times, gravity for long ones.
+
+    Args:
+        rate_hz: Samples per second.
+        time_constant: Time after which gravity counts more than the gyroscope [s].
+    """
+
+    parameters = {"time_constant": Parameter(default=2.0, low=0.1, high=20.0)}  # noqa: RUF012
+    """What `quadsim tune` searches, by keyword; leave it out if there is nothing to tune."""
+
+    def __init__(self, rate_hz, time_constant=2.0):
+        self.rate_hz = rate_hz
+        self.weight = 1.0 / (1.0 + time_constant * rate_hz)
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start n vehicles; roll_pitch (n, 2) [rad] where the initial attitude is known."""
+        self.angles = np.zeros((n, 2)) if roll_pitch is None else np.array(roll_pitch, float)
+
+    def update(self, gyro, accel):
+        """Roll and pitch (n, 2) [rad] from gyro [rad/s] and accel [m/s²], (n, 3) each; NaN is missing."""
+        gyro = np.nan_to_num(gyro)
+        roll, pitch = self.angles.T
+        roll_rate = gyro[:, 0] + np.tan(pitch) * (np.sin(roll) * gyro[:, 1] + np.cos(roll) * gyro[:, 2])
+        pitch_rate = np.cos(roll) * gyro[:, 1] - np.sin(roll) * gyro[:, 2]
+        self.angles = self.angles + np.column_stack([roll_rate, pitch_rate]) / self.rate_hz
+        x, y, z = accel.T
+        tilt = np.column_stack([np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))])
+        here = np.isfinite(tilt).all(axis=1)
+        self.angles[here] += self.weight * (tilt[here] - self.angles[here])
+        return self.angles.copy()
