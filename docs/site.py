@@ -1,7 +1,7 @@
 """Hook of MkDocs: pages of the site that come from the code, and the results on the landing page.
 
-`mkdocs build` (make docs) calls the functions below. The reference of the command line comes from the verbs, that
-of the files from the typed models.
+`mkdocs build` (make docs) calls the functions below. The reference of the command line comes from the verbs,
+that of the files from the typed models.
 """
 
 import re
@@ -146,6 +146,8 @@ def _row(key: str, field: FieldInfo) -> str:
 def _default(field: FieldInfo) -> str:
     if field.default is PydanticUndefined:
         return "depends"
+    if field.default is None:
+        return "none"
     value = field.default
     if isinstance(value, BaseModel):
         return f"{type(value).__name__}'s own"

@@ -37,7 +37,7 @@ HOW = {
     Kind.RECIPES: "quadsim generate --recipe NAME, or a TOML file",
     Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
     Kind.TUNING: "--tuning NAME, or a file of quadsim tune",
-    Kind.WEIGHTS: "--estimator NAME; quadsim inspect NAME; quadsim export NAME",
+    Kind.WEIGHTS: "--estimator NAME; quadsim inspect --weights NAME; quadsim export NAME",
 }
 """Where a name is used."""
 

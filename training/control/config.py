@@ -90,8 +90,8 @@ class ControlRecipe(Strict):
     excitation: Excitation = Excitation()
     """What is added to them."""
     estimator: str = ""
-    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights stay as they are. Empty:
-    the network reads the IMU itself and is trained end to end."""
+    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights stay as they are.
+    Empty: the network reads the IMU itself and is trained end to end."""
     set_point: SetPointScaling = SetPointScaling()
     """Scaling and limits of the set-points, and the bound of the outputs."""
     output_scale: OutputScale = 32.0
