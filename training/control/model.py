@@ -29,11 +29,11 @@ from .config import ControlConfig, read_estimator
 Array = NDArray[np.float64]
 TAUS = {
     "syn0": (0.5, 2.0),
-    "mem0": (2.0, 400.0),
+    "mem0": (1.0, 60.0),
     "syn1": (0.5, 100.0),
-    "mem1": (2.0, 400.0),
+    "mem1": (1.0, 400.0),
     "syn2": (0.5, 0.5),
-    "mem2": (3.0, 3.0),
+    "mem2": (1.5, 1.5),
     "syn_after": (1.0, 100.0),
 }
 """Ranges of the controller's time constants at first, log-uniform [steps]: the slowest hold an integral."""
