@@ -44,7 +44,7 @@ LEARNING: dict[str, Any] = {
     "window_s": 1.5,
     "windows_per_stream": 12,
     "stop_early": False,
-    "huber_threshold": 1.0,
+    "huber_threshold": 0.3,
     "rate_cost": 0.01,
     "rate_targets": (0.12, 0.15),
 }
@@ -52,7 +52,11 @@ LEARNING: dict[str, Any] = {
 
 
 class Excitation(Strict):
-    """What is added to flights of the recipe, drawn for each flight and, in turn, for each part of it."""
+    """What is added to flights of the recipe, drawn for each flight and, in turn, for each part of it.
+
+    All but the thrust of rotors and battery is scaled by a factor of the flight, the square of a uniform
+    number: half of the flights are calm.
+    """
 
     step_deg: Degrees = 20.0
     """Largest step of the roll and the pitch set-point [deg]."""
@@ -91,8 +95,10 @@ class ControlRecipe(Strict):
     excitation: Excitation = Excitation()
     """What is added to them."""
     estimator: str = ""
-    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights stay as they are. Empty:
+    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights do not change. Empty:
     the network reads the IMU itself and is trained end to end."""
+    init: str = ""
+    """Weights of a controller of the same layers to continue from, by a shipped name or a file."""
     set_point: SetPointScaling = SetPointScaling()
     """Scaling and limits of the set-points, and the bound of the outputs."""
     output_scale: OutputScale = 32.0
@@ -106,8 +112,8 @@ class ControlRecipe(Strict):
     flight_s: Seconds = 16.0
     """Length of a flight [s]."""
     rounds: Annotated[int, Between(0, 100)] = 11
-    """Further rounds, in each of which the student flies too and the teacher labels its flights (DAgger: Ross,
-    Gordon & Bagnell, AISTATS 2011)."""
+    """Further rounds, in each of which the student flies too and the teacher labels its flights (DAgger, Ross
+    et al. 2011)."""
     round_flights: Number = 48
     """Flights that each of them adds."""
     teacher_share: Share = 0.5
