@@ -113,8 +113,8 @@ class SpikingController:
         Returns:
             (n, 4) angular acceleration, body axes [rad/s²], and collective thrust per mass [m/s²].
         """
-        samples = (np.asarray(each, np.float64)[:, None] for each in (set_point, gyro, accel))
-        return self.sequence(*samples)[:, 0]
+        wanted, rate, force = (np.asarray(each, np.float64)[:, None] for each in (set_point, gyro, accel))
+        return self.sequence(wanted, rate, force)[:, 0]
 
     def sequence(self, set_point: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> Array:
         """T samples, (n, T, 4), (n, T, 3) and (n, T, 3): as T calls of `update`, (n, T, 4)."""
@@ -128,10 +128,10 @@ class SpikingController:
         wanted = held(np.concatenate([self._set_point[:, None], bounded(self.scaling, wanted)], 1))
         self._set_point = wanted[:, -1]
         wanted = wanted[:, 1:]
-        flat = [np.ascontiguousarray(each).reshape(n, -1) for each in (rate, force)]
+        gyro, accel = (np.ascontiguousarray(each).reshape(n, -1) for each in (rate, force))
         out = np.empty((n, SET_POINTS * steps))
         inputs = set_point_inputs(self.scaling, wanted).reshape(n, -1)
-        self.core.run(self._states, *flat, out, inputs)
+        self.core.run(self._states, gyro, accel, out, inputs)
         action = np.empty((n, steps, 4))
         bound = self.scaling.bound
         action[:, :, :3] = np.clip(out.reshape(n, steps, 3), -bound, bound)

@@ -6,22 +6,43 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..config.toml import merged
 from ..runs.console import Bar, executor_of, progress_bar
 from ..runs.console import output as console
-from .options import Criterion, Fields, Initial, LearningSeed, Preset, Search, Workers, fields_of, time_left
+from .options import (
+    Criterion,
+    Fields,
+    Initial,
+    LearningSeed,
+    Preset,
+    Search,
+    Task,
+    Workers,
+    fields_of,
+    time_left,
+)
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
+    from training.control.config import ControlConfig
+    from training.control.loop import ControlEpoch
 
 
 def train(
+    out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
     data: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Option(
             "--data", "--domain", help="Dataset to train on; again for another domain, to mix them."
         ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
+    ] = None,
+    task: Annotated[
+        Task,
+        typer.Option(
+            help="attitude; or control: an attitude controller, by imitation in flights of its own, with the "
+            "presets merged and separate."
+        ),
+    ] = "attitude",
     model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",
     preset: Preset = "paper",
     validation: Annotated[
@@ -44,6 +65,15 @@ def train(
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
     """
+    if task == "control":
+        if data or validation or init or model != "att-snn":
+            raise ValueError(
+                "--task control flies itself: leave out --data, --validation, --init and --model"
+            )
+        _train_controller(out, "merged" if preset == "paper" else preset, epochs, threads, set_, seed)
+        return
+    if not data:
+        raise ValueError("--data: at least one dataset to train on is required, as quadsim generate makes it")
     from training.loop import INTERRUPTED
     from training.loop import train as train_network
     from training.run_folder import Epoch
@@ -86,6 +116,38 @@ def train(
         helped = "it helped" if result.helped else "it did not help, keep the weights you had"
         before, after = (math.degrees(math.sqrt(mse)) for mse in (result.before, result.best.val_mse))
         console.print(f"RMSE before {before:.2f}°, after {after:.2f}°: {helped}", soft_wrap=True)
+    if result.reason == INTERRUPTED:
+        raise KeyboardInterrupt
+
+
+def _train_controller(
+    out: Path, preset: str, epochs: int | None, threads: int, set_: list[str] | None, seed: int
+) -> None:
+    from training.control.loop import train_controller
+    from training.loop import INTERRUPTED
+
+    choices = fields_of(set_, "preset", "seed", "threads", "out", "progress")
+    if epochs is not None:
+        choices = merged(choices, {"learning": {"epochs": epochs}})
+    with progress_bar("train controller", "epochs") as bar:
+
+        def progress(epoch: "ControlEpoch", config: "ControlConfig") -> None:
+            done, total = epoch.epoch + 1, config.learning.epochs
+            bar(done, total)
+            console.print(
+                f"epoch {done}: round {epoch.round}, loss {epoch.train_loss:.3f}, tracking error "
+                f"{epoch.tracking_deg:.2f}° (teacher {epoch.teacher_deg:.2f}°), {epoch.crashes} of "
+                f"{config.validation_flights} crashed, {time_left(epoch.seconds, done, total)} left",
+                highlight=False,
+            )
+
+        result = train_controller(out, preset, progress, seed=seed, threads=threads, **choices)
+    best = result.best
+    console.print(
+        f"{result.weights}: tracking error {best.tracking_deg:.2f}°, teacher {best.teacher_deg:.2f}°, at "
+        f"epoch {best.epoch + 1}; {result.reason}",
+        soft_wrap=True,
+    )
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
 

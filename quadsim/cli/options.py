@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
+Task = Literal["attitude", "control"]
 Criterion = Literal["contribution", "activity", "magnitude", "random"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 

@@ -26,34 +26,39 @@ Scale = Annotated[float, Between(1e-3, 1e4, "rad/s²")]
 KIND = "control"
 """Folder of the presets in `assets`."""
 LEARNING: dict[str, Any] = {
-    "encoding": 128,
-    "hidden": 96,
+    "encoding": 160,
+    "hidden": 192,
     "finest_exponent": -6,
     "after_spike": True,
     "inputs": {"gyro": 2.5, "accel": (1.0, 1.0, 4.0), "accel_offset": (0.0, 0.0, 9.81)},
     "initialisation": "solved",
     "parametrisation": "logits",
-    "optimiser_lr": 0.05,
+    "optimiser_lr": 0.08,
     "layer_steps": (1.0, 0.3, 0.1),
     "adam_beta2": 0.99,
     "decay": "cosine",
     "clip": 1.0,
-    "epochs": 40,
-    "batches": 500,
+    "epochs": 48,
+    "batches": 700,
     "batch_size": 16,
     "window_s": 1.5,
     "windows_per_stream": 12,
     "stop_early": False,
-    "huber_threshold": 1.0,
-    "rate_cost": 0.03,
+    "huber_threshold": 0.3,
+    "rate_cost": 0.01,
+    "rate_targets": (0.12, 0.15),
 }
 """How a controller's network is trained, where that differs from the default of a `TrainingRecipe`."""
 
 
 class Excitation(Strict):
-    """What is added to flights of the recipe, drawn for each flight and, in turn, for each part of it."""
+    """What is added to flights of the recipe, drawn for each flight and, in turn, for each part of it.
 
-    step_deg: Degrees = 25.0
+    All but the thrust of rotors and battery is scaled by a factor of the flight, the square of a uniform
+    number: half of the flights are calm.
+    """
+
+    step_deg: Degrees = 20.0
     """Largest step of the roll and the pitch set-point [deg]."""
     step_s: tuple[Seconds, Seconds] = (0.2, 0.8)
     """Its shortest and longest duration [s]."""
@@ -68,11 +73,11 @@ class Excitation(Strict):
     """Range of its frequencies [Hz]."""
     yaw_rate: Annotated[float, Between(0.0, 10.0, "rad/s")] = 1.0
     """Largest step of the yaw-rate set-point [rad/s]."""
-    still: Share = 0.5
+    still: Share = 0.6
     """Share of the parts of a flight without any of these."""
-    pulse: Annotated[float, Between(0.0, 100.0, "rad/s²")] = 20.0
+    pulse: Annotated[float, Between(0.0, 100.0, "rad/s²")] = 15.0
     """Largest pulse of angular acceleration about roll and pitch, a tenth of it about yaw [rad/s²]."""
-    noise: Annotated[float, Between(0.0, 100.0, "rad/s²")] = 4.0
+    noise: Annotated[float, Between(0.0, 100.0, "rad/s²")] = 3.0
     """Standard deviation of a slowly varying disturbance of the command, likewise [rad/s²]."""
     rotor_spread: Annotated[float, Between(0.0, 0.5)] = 0.06
     """Largest loss of thrust of a rotor, as a share: a constant torque, as of a displaced centre of mass."""
@@ -90,8 +95,10 @@ class ControlRecipe(Strict):
     excitation: Excitation = Excitation()
     """What is added to them."""
     estimator: str = ""
-    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights stay as they are.
-    Empty: the network reads the IMU itself and is trained end to end."""
+    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights do not change. Empty:
+    the network reads the IMU itself and is trained end to end."""
+    init: str = ""
+    """Weights of a controller of the same layers to continue from, by a shipped name or a file."""
     set_point: SetPointScaling = SetPointScaling()
     """Scaling and limits of the set-points, and the bound of the outputs."""
     output_scale: OutputScale = 32.0
@@ -100,14 +107,14 @@ class ControlRecipe(Strict):
     """Samples by which targets are the teacher's later ones, to make up for the delay of the network."""
     error_scale: tuple[Scale, Scale, Scale] = (10.0, 10.0, 2.0)
     """Errors about roll, pitch and yaw that weigh the same in the loss [rad/s²]."""
-    flights: Number = 96
+    flights: Number = 64
     """Flights by the teacher, which the first round learns from."""
     flight_s: Seconds = 16.0
     """Length of a flight [s]."""
-    rounds: Annotated[int, Between(0, 100)] = 4
-    """Further rounds, in each of which the student flies too and the teacher labels its flights (DAgger: Ross,
-    Gordon & Bagnell, AISTATS 2011)."""
-    round_flights: Number = 64
+    rounds: Annotated[int, Between(0, 100)] = 11
+    """Further rounds, in each of which the student flies too and the teacher labels its flights (DAgger, Ross
+    et al. 2011)."""
+    round_flights: Number = 48
     """Flights that each of them adds."""
     teacher_share: Share = 0.5
     """Share of the time at which the teacher flies in the first of them, to the power k in the k-th."""

@@ -173,11 +173,11 @@ def fly(
     if flights.wind:
         wind = wind_series(flights.wind, n, steps, rate_hz, [child(seed, AIR) for seed in seeds])
     vehicles = [_vehicle(flights, child(seed, BODY)) for seed in seeds]
-    added = config.excitation
+    added, size = config.excitation, np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
     pilot = Pilot(
         steps,
-        np.stack([set_point_excitation(added, steps, rate_hz, rng) for rng in draws]),
-        np.stack([torque_excitation(added, steps, rate_hz, rng) for rng in draws]),
+        size[:, None] * np.stack([set_point_excitation(added, steps, rate_hz, rng) for rng in draws]),
+        size[:, None] * np.stack([torque_excitation(added, steps, rate_hz, rng) for rng in draws]),
         student,
         np.stack([_turns(1.0 - teacher_share, steps, rate_hz, rng) for rng in draws]),
         config,
@@ -186,7 +186,7 @@ def fly(
     effect = np.stack([rotor_effect(added, len(flights.vehicle.rotors), rng) for rng in draws])
     pilot.attach(loop)
     tilts = np.stack([rng.uniform(-1.0, 1.0, 3) for rng in draws])
-    tilts = math.radians(added.start_tilt_deg) * tilts * [1.0, 1.0, 0.0] / math.sqrt(2.0)
+    tilts = math.radians(added.start_tilt_deg) * size * tilts * [1.0, 1.0, 0.0] / math.sqrt(2.0)
     heading = quat_from_euler(0.0, 0.0, target["yaw"][:, 0])
     start = {
         "position": target["position"][:, 0],
@@ -267,7 +267,8 @@ def set_point_excitation(added: Excitation, steps: int, rate_hz: float, rng: np.
             length *= 3
             part = slice(k, min(k + length, steps))
             time = np.arange(part.stop - part.start) / rate_hz
-            f0, f1 = np.exp(rng.uniform(*np.log(added.chirp_hz), 2))
+            low_hz, high_hz = map(math.log, added.chirp_hz)
+            f0, f1 = np.exp(rng.uniform(low_hz, high_hz, 2))
             phase = 2.0 * math.pi * (f0 * time + 0.5 * (f1 - f0) * time**2 * rate_hz / length)
             out[part, :2] = np.sin(phase)[:, None] * rng.uniform(-1.0, 1.0, 2) * math.radians(added.chirp_deg)
         elif kind > added.still:

@@ -1,4 +1,4 @@
-"""The training loop of a controller: the teacher's flights, epochs of windows, rounds of the student's flights.
+"""The training loop of a controller: flights by the teacher, epochs of windows, rounds of its own flights.
 
 A run's folder holds `config.json`, `round-*.npz` with the flights of each round, `log.csv` (a row per epoch),
 `checkpoint.pt`, `best.safetensors` and `curve.png`. A run that was stopped continues from its checkpoint and
@@ -7,6 +7,7 @@ ends with the same weights.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import logging
@@ -30,6 +31,7 @@ from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 from quadsim.seeding import child
 
+from ..init import initialise_from_weights
 from ..loop import INTERRUPTED
 from ..loss import attitude_loss
 from ..optim import learning_rate, new_optimiser
@@ -45,7 +47,9 @@ FLIGHTS, VALIDATION, INITIAL, WINDOWS = range(4)
 CRASH_DEG = 90.0
 """What a crashed validation flight counts as [deg]."""
 INITIAL_WINDOWS = 24
-"""Windows that the initial network is solved on."""
+"""Windows that the initial network is solved on, and"""
+INITIAL_S = 6.0
+"""their length [s]."""
 
 
 @dataclass(frozen=True)
@@ -140,11 +144,12 @@ def contents_of(config: ControlConfig) -> dict[str, str]:
     """Digests of what a run reads, so that a run on other files is refused."""
     flights = flight_config(load_recipe(config.recipe))
     digests = {"flights": flights.model_dump_json(), "code": code_digest("training.control.loop")}
-    if config.estimator:
-        tensors = load_network(config.estimator)[1]
-        digests["estimator"] = " ".join(
-            f"{name}:{int(value.sum())}" for name, value in sorted(tensors.items())
-        )
+    for name in ("estimator", "init"):
+        if path := getattr(config, name):
+            digest = hashlib.blake2b(digest_size=16)
+            for tensor, value in sorted(load_network(path)[1].items()):
+                digest.update(tensor.encode() + value.tobytes())
+            digests[name] = digest.hexdigest()
     return digests
 
 
@@ -185,10 +190,14 @@ class ControlTraining:
         torch.manual_seed(config.seed)
         self.model = new_model(config, self.estimator)
         seed = np.random.SeedSequence([config.seed, INITIAL])
-        window = next(windows(self.rounds[0], config, seed, INITIAL_WINDOWS))
+        length = {"window_s": min(INITIAL_S, config.flight_s)}
+        long = config.model_copy(update={"learning": config.learning.model_copy(update=length)})
+        window = next(windows(self.rounds[0], long, seed, INITIAL_WINDOWS))
         per_sample = config.learning.steps_per_sample
         target = np.repeat(window.target, per_sample, 1)
         initialise(self.model, self.estimator, self._inputs(window).numpy(), target, config.seed)
+        if config.init:
+            initialise_from_weights(self.model, config.init)
         self.frozen = Frozen(self.model, self.estimator)
         self.optimiser = new_optimiser(self.model, config.learning)
         self.history: list[ControlEpoch] = []

@@ -1,8 +1,9 @@
 """The network of a controller: on its own, or on the spikes of an attitude estimator that does not change.
 
-A controller on an estimator is one network for the chip. The estimator's neurons come first in both layers and
-have connections among themselves alone. The controller's encoding neurons read gyroscope and set-points, its
-hidden neurons these and the estimator's hidden spikes, and the outputs the controller's hidden neurons:
+A controller on an estimator is one network for the chip. The neurons of the estimator come first in both
+layers and have connections among themselves alone. The controller's encoding neurons read gyroscope and
+set-points, its hidden neurons these and the hidden spikes of the estimator. The outputs read the controller's
+hidden neurons:
 
     w_in = [E 0; c 0 c]    w_ff = [E 0; 0 c]    w_rec = [E 0; c c]    w_out = [0 c]
 
@@ -29,14 +30,16 @@ from .config import ControlConfig, read_estimator
 Array = NDArray[np.float64]
 TAUS = {
     "syn0": (0.5, 2.0),
-    "mem0": (2.0, 400.0),
+    "mem0": (1.0, 60.0),
     "syn1": (0.5, 100.0),
-    "mem1": (2.0, 400.0),
+    "mem1": (1.0, 100.0),
     "syn2": (0.5, 0.5),
-    "mem2": (3.0, 3.0),
+    "mem2": (1.5, 1.5),
     "syn_after": (1.0, 100.0),
 }
 """Ranges of the controller's time constants at first, log-uniform [steps]: the slowest hold an integral."""
+CODER_TAU = 0.6
+"""Of the membranes of hidden neurons whose currents are at first the estimate, turned and scaled."""
 FAN_IN = 25
 """Encoders, and neurons of the estimator, that each hidden neuron reads at first."""
 
@@ -48,6 +51,10 @@ class Estimator(NamedTuple):
     """Its encoding and hidden neurons; 0 without one."""
     values: dict[str, Array]
     """Its weights and time constants by name, in units of 1.0."""
+    readout: Array
+    """Output weights of roll and pitch, or of up's x and y, (2, hidden)."""
+    memory: float
+    """Time constant of its outputs."""
 
     def part(self, name: str) -> tuple[slice, ...]:
         """Where the values of a parameter stand within those of the whole network."""
@@ -61,7 +68,7 @@ class Estimator(NamedTuple):
 
 def no_estimator() -> Estimator:
     """For a network that reads the IMU itself."""
-    return Estimator((0, 0), {})
+    return Estimator((0, 0), {}, np.zeros((2, 0)), 0.0)
 
 
 def estimator_of(config: ControlConfig) -> Estimator:
@@ -72,7 +79,8 @@ def estimator_of(config: ControlConfig) -> Estimator:
     values = real_weights(network, tensors)._asdict()
     readout = ("w_out", "syn2", "mem2")
     used = {name: value for name, value in values.items() if value.size and name not in readout}
-    return Estimator((network.encoding, network.hidden), used)
+    sizes = network.encoding, network.hidden
+    return Estimator(sizes, used, values["w_out"][:2], float(values["mem2"][0]))
 
 
 def new_model(config: ControlConfig, estimator: Estimator) -> AttSNN:
@@ -125,10 +133,13 @@ class Frozen:
             getattr(self.model, name)[self.rows[name]] = value
 
 
-def initialise(model: AttSNN, estimator: Estimator, x: Array, target: Array, seed: int) -> None:
+def initialise(
+    model: AttSNN, estimator: Estimator, x: Array, target: NDArray[np.floating], seed: int
+) -> None:
     """Solve, not train: random features of the inputs and of the estimator's spikes, outputs by regression.
 
-    As `training.init.initialise_from_data`, with other time constants.
+    As `training.init.initialise_from_data`, with other time constants. On an estimator, the currents of half
+    of the hidden neurons are its estimate, filtered as its own outputs filter it.
 
     Args:
         model: To fill.
@@ -146,7 +157,7 @@ def initialise(model: AttSNN, estimator: Estimator, x: Array, target: Array, see
             values[name][tuple(slice(0, size) for size in value.shape)] = value
         else:
             model.set_taus(name, np.clip(value, 1 / 1024, 4095 / 4096), slice(0, len(value)))
-    inputs = np.flatnonzero(model.w_in_connected[-1].numpy())
+    inputs = np.flatnonzero(model.get_buffer("w_in_connected")[-1].numpy())
     rows, deviation = h0 - e0, np.maximum(x.reshape(-1, x.shape[-1]).std(0)[inputs], 1e-3)
     directions = rng.normal(size=(rows, inputs.size)) * (rng.random((rows, inputs.size)) < 0.3)
     every = np.arange(rows)
@@ -167,6 +178,11 @@ def initialise(model: AttSNN, estimator: Estimator, x: Array, target: Array, see
         for part in (np.arange(h0 - e0), np.arange(h0 - e0, features.shape[2])):
             chosen = rng.choice(part, min(FAN_IN, part.size), replace=False)
             row[chosen] = rng.normal(size=chosen.size)
+    coders = (h1 - e1) // 2 if e1 else 0
+    w[:coders, : h0 - e0] = 0.0
+    w[:coders, h0 - e0 :] = rng.normal(size=(coders, 2)) @ estimator.readout
+    for name, tau in (("syn1", estimator.memory), ("mem1", CODER_TAU)):
+        model.set_taus(name, np.full(coders, tau), slice(e1, e1 + coders))
     current = filtered(features @ w.T, model.tau("syn1").detach().numpy()[e1:])
     w *= drive_scale(current, (0.2, 1.0), rng)[:, None]
     values["w_ff"][e1:, e0:], values["w_rec"][e1:, :e1] = w[:, : h0 - e0], w[:, h0 - e0 :]
