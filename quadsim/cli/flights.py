@@ -230,7 +230,7 @@ def bench(
     from scenarios.bench.settings import FlightSettings, ScenarioChanges
     from scenarios.demo import SLOW
     from scenarios.report.publish import publish, publish_axes
-    from scenarios.report.terminal import axes_tables, breaking_table, closed_loop_table
+    from scenarios.report.terminal import axes_tables, breaking_table, closed_loop_table, controllers_table
 
     from ..flight.scenario import scenario_names
     from ..held_out import load_held_out, releases
@@ -291,6 +291,8 @@ def bench(
             console.print(line, soft_wrap=True)
     else:
         console.print(closed_loop_table(results))
+        if (controllers := controllers_table(results)) is not None:
+            console.print(controllers)
     if points:
         console.print(breaking_table(points))
     for line in filter(None, (note, shown_once(results)[1], f"{cost_of(results)}.")):

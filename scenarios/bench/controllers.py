@@ -1,8 +1,11 @@
 """Contenders: an estimator alone, or "ESTIMATOR @ CONTROLLER", which flies another attitude controller."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
+from estimators.control.controller import LOIHI, create_controller, is_controller
+from estimators.networks.weights_file import END, shipped_controllers
 from quadsim.config.toml import nearest
 from quadsim.control.own import MakeController
 from quadsim.own import is_own, load_own, own_file
@@ -38,7 +41,8 @@ def make_controller(name: str) -> MakeController | None:
     """What makes a controller; None for the cascade's own.
 
     Args:
-        name: "cascaded", or your own: "module:make", "path/file.py:make" or an entry point of the group
+        name: "cascaded"; a spiking controller's weights, by path or by the name under which they ship; or
+            your own: "module:make", "path/file.py:make" or an entry point of the group
             "quadsim.controllers", called as make(rate_hz, vehicle).
 
     Raises:
@@ -46,14 +50,18 @@ def make_controller(name: str) -> MakeController | None:
     """
     if name == CASCADED:
         return None
+    if is_controller(name):
+        return partial(create_controller, name)
     if not is_own(name, GROUP):
-        raise ValueError(
-            f'unknown controller "{name}"; {nearest(name, [CASCADED])}, or your own file.py:make'
-        )
+        known = nearest(name, [CASCADED, *shipped_controllers()])
+        raise ValueError(f'unknown controller "{name}"; {known}, or your own file.py:make')
     return load_own(name, GROUP)
 
 
 def controller_file(name: str) -> Path | None:
-    """The file that a contender's controller comes from; None where there is none."""
+    """The file that a contender's controller comes from; None where there is none of the user's."""
     controller = controller_of(name)
+    if is_controller(controller):
+        path = Path(controller.removesuffix(LOIHI))
+        return path if path.suffix == END else None
     return own_file(controller, GROUP) if is_own(controller, GROUP) else None

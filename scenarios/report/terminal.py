@@ -13,6 +13,7 @@ from estimators.loihi.chip import LIMITS, ChipCore
 
 from ..bench.axes import ALL, Effect, ranking
 from ..bench.breaking import BreakingPoint
+from ..bench.controllers import controller_of
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
 from ..bench.runner import Results, shown_once
@@ -70,6 +71,23 @@ def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
     table = _table(title, ["estimator"], columns, rows)
     table.caption = "Every scenario: report.html, results.csv"
     return table
+
+
+def controllers_table(results: Results) -> Table | None:
+    """Attitude tracking and motor effort by scenario of each contender; None where the cascade alone flew."""
+    if len({controller_of(name) for name in results.estimators}) == 1:
+        return None
+    found = {(row.scenario, row.estimator): row for row in results.rows}
+    rows = ([name, *(_tracked(found[key, name]) for key in results.scenarios)] for name in results.estimators)
+    title = "Attitude tracking RMS, ° (change of the rotor command, rad/s a sample); ✕ crashed flights"
+    return _table(title, ["estimator @ controller"], results.scenarios, rows)
+
+
+def _tracked(row: CellRow) -> Text:
+    if row.attitude_deg is None or row.jitter is None:
+        return Text("did not run", style="red")
+    crashed = f" ✕{row.crashes}" if row.crashes else ""
+    return Text(f"{row.attitude_deg:.2f} ({row.jitter:.1f}){crashed}", style="red" if row.crashes else "")
 
 
 def axes_tables(effects: Sequence[Effect]) -> list[Table]:
