@@ -1,4 +1,7 @@
-"""Att-SNN as C99 for a microcontroller: one header, one source, the emulator's numbers to the last bit."""
+"""Spiking networks as C99 for a microcontroller: one header, one source, the emulator's numbers to the last bit.
+
+Estimators and controllers are the same code; a controller on an estimator's spikes is one network and one state.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,28 @@ from numpy.typing import NDArray
 
 from quadsim.config.ranges import FORCE_MAX, RATE_MAX
 from quadsim.runs.files import write_whole
+from quadsim.vehicle import GRAVITY
 
+from ..control.controller import THRUST_MAX
 from ..loihi.neurons import DECAY_ONE, STATE_ONE
-from ..networks.encoder import INPUT_MAX, input_scaling
+from ..networks.encoder import INPUT_MAX, INPUT_ONE, input_scaling
 from ..networks.forward import MATRICES, TIME_CONSTANTS
 from ..networks.weights_file import EXPONENTS, NetworkConfig, Tensors, exponents, parameters
 
+Ints = NDArray[np.int64]
+
+ESTIMATOR, CONTROLLER = "att_snn", "snn_control"
+"""Names of the files, and what the names in them begin with."""
+ESTIMATES = {
+    "title": "Att-SNN, a spiking network that estimates $task from an IMU",
+    "read": "attitude",
+    "and_set_point": "",
+    "and_set_points": "",
+    "with_set_point": "",
+}
 WORDS = {
     "roll-pitch": {
+        **ESTIMATES,
         "name": "roll_pitch",
         "task": "roll and pitch",
         "what": "Roll and pitch [rad]",
@@ -29,6 +46,7 @@ WORDS = {
         "level": "",
     },
     "up": {
+        **ESTIMATES,
         "name": "up",
         "task": "the world's up",
         "what": "The world's up in body axes, not of length 1: roll is atan2(up[1], up[2]),\n"
@@ -38,38 +56,53 @@ WORDS = {
         "quantity": "a component of up less that of a level attitude, (0, 0, 1)",
         "level": " + (k == 2)",
     },
+    "angular-acceleration": {
+        "title": "A spiking network that controls the attitude of a quadrotor from set-points and an IMU",
+        "read": "action",
+        "and_set_point": " and set_point",
+        "and_set_points": ", and set-points",
+        "with_set_point": ", with level set-points",
+        "unit": "rad/s^2",
+        "UNIT": "RAD_PER_S2",
+        "quantity": "an angular acceleration in rad/s^2",
+    },
 }
 """What the templates call the outputs."""
-AFTER_SPIKE_ONLY = re.compile(r"#if AFTER_SPIKE\n(.*?)#endif\n", re.DOTALL)
-"""Parts of the templates for networks with after-spike currents."""
+SECTION = re.compile(r"#if (AFTER_SPIKE|ESTIMATES|CONTROLS)\n(.*?)#endif\n", re.DOTALL)
+"""Parts of the templates that not every network has."""
+BLOCK, BIASED = 16, 128
+"""Hidden neurons that the C code sums up together, and what is added to their weights."""
+BYTES = (0, 2, 1, 3)
+"""Neurons of four whose weights are a word, from the lowest byte on."""
+EDGE = 16
+"""Sources that are left out for a block are left out in multiples of this."""
 
 
 def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
-    """The two files by name: `att_snn.h` and `att_snn.c`.
+    """The two files by name: `att_snn.h` and `att_snn.c`, of a controller `snn_control.h` and `snn_control.c`.
 
     Args:
         config: How the network is run.
         tensors: Its weights, the chip's integers.
 
     Raises:
-        ValueError: Not an Att-SNN for the chip.
+        ValueError: Not a spiking network for the chip.
     """
     if config.model != "att-snn" or not config.quantised or config.recurrent_delay != 1:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
+    name = CONTROLLER if config.controls else ESTIMATOR
+    words = WORDS[config.outputs]
+    words = words | {"title": Template(words["title"]).safe_substitute(words)}
     offset, gain = input_scaling(config.inputs)
-    integers = {name: value.astype(np.int64) for name, value in tensors.items()}
-    halves = {name: integers[name] // 2 for name in MATRICES if name in integers}
-    by_source = {name: value.squeeze(1) if name == "w_after" else value.T for name, value in halves.items()}
-    decays = {name: DECAY_ONE - integers[name] for name in TIME_CONSTANTS if name in integers}
-    shifts = {exp: 7 + exponents(integers, name) for name, exp in EXPONENTS.items() if name in integers}
-    arrays = {name: _braces(value) for name, value in (by_source | decays | shifts).items()}
-    arrays |= {name: str(decays[name][0]) for name in ("syn2", "mem2")}
     values = {
+        "n": name,
+        "N": name.upper(),
+        **words,
         "encoding": config.encoding,
         "hidden": config.hidden,
         "parameters": parameters(tensors),
         "rate": f"{config.rate_hz:g}",
-        **WORDS[config.outputs],
+        "inputs": config.n_inputs,
         "outputs": config.n_outputs,
         "units": round(STATE_ONE / config.output_scale),
         "scale": repr(config.output_scale / STATE_ONE),
@@ -79,13 +112,17 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         "force_max": FORCE_MAX,
         "offset": _braces(offset),
         "gain": _braces(gain),
-        **arrays,
+        **_set_points(config),
+        **_integers(tensors),
     }
+    kept = {"AFTER_SPIKE": config.after_spike, "CONTROLS": config.controls, "ESTIMATES": not config.controls}
     folder = files("assets") / "c99"
-    texts = {name: (folder / name).read_text(encoding="utf-8") for name in ("att_snn.h", "att_snn.c")}
-    kept = r"\1" if config.after_spike else ""
+    texts = {end: (folder / f"network.{end}").read_text(encoding="utf-8") for end in ("h", "c")}
     return {
-        name: Template(AFTER_SPIKE_ONLY.sub(kept, text)).substitute(values) for name, text in texts.items()
+        f"{name}.{end}": Template(
+            SECTION.sub(lambda found: found[2] if kept[found[1]] else "", text)
+        ).substitute(values)
+        for end, text in texts.items()
     }
 
 
@@ -96,8 +133,79 @@ def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None
         write_whole(Path(folder) / name, text)
 
 
-def _braces(values: NDArray) -> str:
+def _set_points(config: NetworkConfig) -> dict[str, str | float]:
+    """What a controller does with its set-points and outputs; nothing of an estimator."""
+    scaling = config.set_point
+    if scaling is None:
+        return {}
+    limits = np.array([scaling.tilt_limit, scaling.tilt_limit, scaling.yaw_rate_limit])
+    return {
+        "tilt_limit": f"{scaling.tilt_limit:g}",
+        "yaw_rate_limit": f"{scaling.yaw_rate_limit:g}",
+        "set_point_max": _braces(limits),
+        "set_point_gain": _braces(INPUT_ONE / np.array([scaling.tilt, scaling.tilt, scaling.yaw_rate])),
+        "thrust_max": f"{THRUST_MAX:.1f}",
+        "gravity": repr(float(GRAVITY)),
+        "bound": repr(scaling.bound),
+    }
+
+
+def _integers(tensors: Tensors) -> dict[str, str]:
+    """Weights and decays as the C code reads them."""
+    integers = {name: value.astype(np.int64) for name, value in tensors.items()}
+    halves = {name: integers[name] // 2 for name in MATRICES if name in integers}
+    keep = {name: (DECAY_ONE - integers[name]) << 19 for name in TIME_CONSTANTS if name in integers}
+    units = {name: 1 << (7 + exponents(integers, name)) for name in EXPONENTS if name in integers}
+    found = {name: _braces(value) for name, value in keep.items()}
+    found |= {name: str(keep[name][0]) for name in ("syn2", "mem2")}
+    for name in ("ff", "rec"):
+        rows, ranges = _blocks(halves[f"w_{name}"])
+        found[f"w_{name}"], found[f"from_{name}"] = _braces(rows, hexadecimal=True), _braces(ranges)
+        found[f"unit_{name}"] = _braces(_padded(units[f"w_{name}"], BLOCK))
+    found["w_out"] = _braces(halves["w_out"].T)
+    found["w_in"] = _braces(_pairs(halves["w_in"]), hexadecimal=True)
+    if "w_after" in halves:
+        found["w_after"] = _braces(halves["w_after"][:, 0] * units["w_after"])
+    return found
+
+
+def _blocks(weights: Ints) -> tuple[Ints, Ints]:
+    """Weights onto the hidden layer by block of neurons and by source.
+
+    Args:
+        weights: Halves of mantissas, (neurons, sources).
+
+    Returns:
+        Words of four weights (rows, 4), and for each block its first source, the one after its last and its
+        first row, (blocks, 3).
+    """
+    sources = weights.shape[1]
+    rows, ranges = [np.zeros((0, BLOCK), np.int64)], []
+    for block in _padded(weights, BLOCK).reshape(-1, BLOCK, sources):
+        sending = np.flatnonzero(block.any(0))
+        first, end = (sending[0] // EDGE * EDGE, sending[-1] + 1) if sending.size else (0, 0)
+        end = min(-(-end // EDGE) * EDGE, sources)
+        ranges.append((first, end, sum(map(len, rows))))
+        rows.append(block[:, first:end].T + BIASED)
+    if not ranges[-1][2] and not len(rows[-1]):  # C has no arrays of length 0
+        rows.append(np.full((1, BLOCK), BIASED))
+    fours = np.concatenate(rows).reshape(-1, BLOCK // 4, 4)[..., BYTES]
+    return (fours << (8 * np.arange(4))).sum(-1), np.array(ranges)
+
+
+def _pairs(weights: Ints) -> Ints:
+    """Two numbers of 16 bits to a word, (rows, ceil(columns / 2))."""
+    twos = _padded(weights.T, 2).T.reshape(len(weights), -1, 2) & 0xFFFF
+    return twos[..., 0] | twos[..., 1] << 16
+
+
+def _padded(values: Ints, size: int) -> Ints:
+    """Rows of zeros added up to a multiple of `size`."""
+    return np.concatenate([values, np.zeros((-len(values) % size, *values.shape[1:]), np.int64)])
+
+
+def _braces(values: NDArray, hexadecimal: bool = False) -> str:
     """An initialiser; numbers as C and Python both read them."""
     if values.ndim > 1:
-        return "{\n" + ",\n".join(_braces(row) for row in values) + "}"
-    return "{" + ", ".join(repr(value) for value in values.tolist()) + "}"
+        return "{\n" + ",\n".join(_braces(row, hexadecimal) for row in values) + "}"
+    return "{" + ", ".join(f"0x{x:08x}" if hexadecimal else repr(x) for x in values.tolist()) + "}"

@@ -1,0 +1,149 @@
+"""Exported networks cross-compiled for Cortex-M and run by QEMU: outputs, instructions, flash and RAM."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.networks.weights_file import NetworkConfig
+
+Array = NDArray[np.float64]
+DATA = Path(__file__).parents[1] / "tests" / "data" / "cortex"
+TOOLS = ("arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm")
+"""In Debian's packages gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm."""
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
+MOST = 4096
+"""Samples that the program has memory for."""
+ICOUNT_SHIFT = 6
+"""An instruction takes 2^6 ns of the emulated clock."""
+TICK_NS = 40
+"""Of the system timer: the boards run at 25 MHz."""
+
+
+@dataclass(frozen=True)
+class Core:
+    """A processor and the board on which it is emulated."""
+
+    name: str
+    flags: tuple[str, ...]
+    """Of the compiler."""
+    machine: str
+    """Of QEMU."""
+
+
+THUMB = ("-mthumb", "-mfloat-abi=hard")
+CORES = (
+    Core("Cortex-M4F", ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", *THUMB), "mps2-an386"),
+    Core("Cortex-M7", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", *THUMB), "mps2-an500"),
+)
+
+
+@dataclass(frozen=True)
+class Size:
+    """What a network takes of a microcontroller [bytes]."""
+
+    flash: int
+    """Code and constants, without the compiler's own library."""
+    ram: int
+    """State of one copy."""
+    stack: int
+    """Most that one of its functions has on the stack, without those that it calls."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a program did."""
+
+    outputs: Array
+    """(T, outputs): of a controller the action, of an estimator what it writes."""
+    instructions: NDArray[np.int64]
+    """For each sample of scaling, network and output, (T, 3)."""
+
+
+def missing_tools() -> list[str]:
+    """Programs that are needed and not there."""
+    return [tool for tool in TOOLS if shutil.which(tool) is None]
+
+
+def build(folder: Path, source: Path, config: NetworkConfig, core: Core) -> tuple[Path, Size]:
+    """Compile an exported network.
+
+    Args:
+        folder: Where the program goes.
+        source: Folder of the export.
+        config: The network's.
+        core: What for.
+
+    Returns:
+        The program, and its size.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    name = "snn_control" if config.controls else "att_snn"
+    flags = [*core.flags, *STRICT, f"-I{source}"]
+    controller = ["-DCONTROLLER"] if config.controls else []
+    network, program = folder / "network.o", folder / "program.elf"
+    _run(["arm-none-eabi-gcc", *flags, "-fstack-usage", "-c", source / f"{name}.c", "-o", network])
+    link = ["-nostartfiles", "-specs=nosys.specs", f"-T{DATA / 'mps2.ld'}"]
+    _run(["arm-none-eabi-gcc", *flags, *controller, network, DATA / "driver.c", *link, "-o", program])
+    usage = [int(line.split("\t")[1]) for line in network.with_suffix(".su").read_text().splitlines()]
+    probe = folder / "state.c"
+    probe.write_text(f'#include "{name}.h"\n{name}_state state;\n', encoding="utf-8")
+    _run(["arm-none-eabi-gcc", *flags, "-c", probe, "-o", probe.with_suffix(".o")])
+    return program, Size(_sizes(network)["text"], _sizes(probe.with_suffix(".o"))["bss"], max(usage))
+
+
+def run(program: Path, core: Core, samples: Array, count: int | None = None) -> Run:
+    """Run a program on the emulated board; an instruction takes a fixed time there, which its timer measures.
+
+    Args:
+        program: By `build`.
+        core: What it was built for.
+        samples: (T, 6) body rate and specific force, of a controller (T, 10) with the set-point before them.
+        count: How many of the samples to run; None: all.
+    """
+    _samples(program.parent, samples, count)
+    _run([*_emulator(program, core), "-icount", f"shift={ICOUNT_SHIFT}"], program.parent)
+    outputs = np.fromfile(program.parent / "outputs.bin").reshape(MOST, -1)
+    ticks = np.fromfile(program.parent / "counts.bin", np.uint32).reshape(MOST, -1)
+    instructions = np.rint(ticks * (TICK_NS / 2**ICOUNT_SHIFT)).astype(np.int64)
+    used = slice(len(samples) if count is None else count)
+    return Run(outputs[used], instructions[used])
+
+
+def logged_instructions(program: Path, core: Core, samples: Array, count: int) -> int:
+    """Instructions of a whole run, from its start to its end, by QEMU's log of them."""
+    _samples(program.parent, samples, count)
+    command = [*_emulator(program, core), "-singlestep", "-d", "exec,nochain", "-D", "/dev/stdout"]
+    with subprocess.Popen(command, cwd=program.parent, stdout=subprocess.PIPE) as done:
+        assert done.stdout is not None
+        return sum(line.startswith(b"Trace") for line in done.stdout)
+
+
+def _samples(folder: Path, samples: Array, count: int | None) -> None:
+    if len(samples) > MOST:
+        raise ValueError(f"{len(samples)} samples, the program has memory for {MOST}")
+    content = [np.array([len(samples) if count is None else count]), np.asarray(samples).ravel()]
+    np.concatenate(content).astype(np.float64).tofile(folder / "samples.bin")
+
+
+def _emulator(program: Path, core: Core) -> list[str | Path]:
+    semihosting = ["-semihosting-config", "enable=on,target=native"]
+    return ["qemu-system-arm", "-M", core.machine, "-nographic", *semihosting, "-kernel", program]
+
+
+def _sizes(binary: Path) -> dict[str, int]:
+    names, values = _run(["arm-none-eabi-size", binary]).splitlines()
+    return {name: int(value) for name, value in zip(names.split()[:3], values.split()[:3], strict=True)}
+
+
+def _run(command: list[Any], folder: Path | None = None) -> str:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(map(str, command))}: {done.stderr}")
+    return done.stdout
