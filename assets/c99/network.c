@@ -12,6 +12,7 @@ enum {
     BLOCK = 16,           /* hidden neurons whose sums are in registers together */
     WORDS = BLOCK / 4,    /* of their weights from one source */
     ROUND = 256,          /* spikes that sums of 16 bits have room for */
+    ONE_ROUND = ENCODING <= ROUND && HIDDEN <= ROUND,
     PAIRS = (INPUTS + 1) / 2,
     INPUT_MAX = $input_max,
     BIAS_STEP_BITS = 4,
@@ -27,32 +28,30 @@ enum {
  * send nothing to a block, at the start and the end of the layer, are left out. */
 typedef struct {
     uint16_t first, end; /* sources */
-    uint32_t row;        /* that of the first source */
+    uint32_t row;        /* that of source 0, were it not left out */
 } sources;
 
 static const uint32_t W_FF[][WORDS] = $w_ff;
 static const sources FROM_FF[] = $from_ff;
 static const uint32_t W_REC[][WORDS] = $w_rec;
 static const sources FROM_REC[] = $from_rec;
-/* Of the weights into each hidden neuron: a half of a mantissa is so many units of state. Whole blocks. */
-static const uint8_t UNIT_FF[] = $unit_ff;
-static const uint8_t UNIT_REC[] = $unit_rec;
 static const int8_t W_OUT[HIDDEN][OUTPUTS] = $w_out;
-/* Two to a word, of the even input in its lower half. */
-static const uint32_t W_IN[ENCODING][PAIRS] = $w_in;
 
-/* What a step leaves of currents and potentials, of 2^31. */
-static const int32_t KEEP_U_ENCODING[ENCODING] = $syn0;
-static const int32_t KEEP_V_ENCODING[ENCODING] = $mem0;
-static const int32_t KEEP_U_HIDDEN[HIDDEN] = $syn1;
-static const int32_t KEEP_V_HIDDEN[HIDDEN] = $mem1;
-static const int32_t KEEP_U_OUTPUT = $syn2;
-static const int32_t KEEP_V_OUTPUT = $mem2;
+/* A step leaves keep / 2^31 of a current u, a potential v and an after-spike current a. */
+static const struct {
+    int32_t keep_u, keep_v;
+    uint32_t w[PAIRS]; /* of the inputs, two to a word, the even one in its lower half */
+} ENCODER[ENCODING] = $encoders;
+static const struct {
+    int32_t keep_u, keep_v;
 #if AFTER_SPIKE
-/* Of each hidden neuron's after-spike current, and what its own spike adds [units of state]. */
-static const int32_t KEEP_A_HIDDEN[HIDDEN] = $syn_after;
-static const int16_t W_AFTER[HIDDEN] = $w_after;
+    int32_t keep_a;
+    int16_t w_after; /* what its own spike adds to a [units of state] */
 #endif
+    uint8_t unit_ff, unit_rec; /* how many units of state its weights are in steps of */
+} NEURON[HIDDEN] = $neurons;
+static const int32_t OUTPUT_KEEP_U = $syn2;
+static const int32_t OUTPUT_KEEP_V = $mem2;
 
 static const double OFFSET[6] = $offset;
 static const double GAIN[6] = $gain;
@@ -84,6 +83,9 @@ static inline int32_t wrap(int32_t x, int bits) { return (int32_t)((uint32_t)x <
 /* x / 2^bits, rounded toward zero. */
 static inline int32_t shift(int32_t x, int bits) { return (x + (int32_t)((uint32_t)(x >> 31) >> (32 - bits))) >> bits; }
 
+/* Whether a potential is above the threshold or below what the chip can hold, in one comparison. */
+static inline int beyond(int32_t v) { return (uint32_t)v + STATE_MAX > (uint32_t)(THRESHOLD + STATE_MAX); }
+
 /* Add bytes 0 and 2 of a word, or 1 and 3, to two sums of 16 bits. */
 static inline uint32_t add_even(uint32_t sums, uint32_t word)
 {
@@ -113,60 +115,86 @@ static inline int32_t add_products(int32_t sum, uint32_t x, uint32_t y)
 #endif
 }
 
-/* Add to the sums of a block what the sources that spiked send it [units of state]. */
+/* Write two sums of 16 bits, less what was added to their weights, or add them to those of earlier rounds. */
+static inline void take_sums(int32_t sum[2], uint32_t sums, int32_t bias)
+{
+    sum[0] = (ONE_ROUND ? 0 : sum[0]) + (int32_t)(sums & 0xffff) - bias;
+    sum[1] = (ONE_ROUND ? 0 : sum[1]) + (int32_t)(sums >> 16) - bias;
+}
+
+/* Sum up the weights with which the sources that spiked reach a block. */
 static void gather(int32_t sum[BLOCK], const uint32_t (*weights)[WORDS], const sources *from, const uint16_t *spikes,
-                   int count, const uint8_t *unit)
+                   int count)
 {
     const uint16_t *last = spikes + count;
     while (spikes != last && *spikes < from->first)
         ++spikes;
     while (spikes != last && last[-1] >= from->end)
         --last;
-    weights += from->row;
+    if (!ONE_ROUND || spikes == last)
+        for (int i = 0; i < BLOCK; ++i)
+            sum[i] = 0;
     while (spikes != last) {
-        const uint16_t *const end = last - spikes > ROUND ? spikes + ROUND : last;
+        const uint16_t *const end = ONE_ROUND || last - spikes <= ROUND ? last : spikes + ROUND;
         const int32_t bias = 128 * (int32_t)(end - spikes);
         uint32_t even0 = 0, even1 = 0, even2 = 0, even3 = 0, odd0 = 0, odd1 = 0, odd2 = 0, odd3 = 0;
-        for (; spikes != end; ++spikes) {
-            const uint32_t *const row = weights[*spikes - from->first];
-            even0 = add_even(even0, row[0]);
-            odd0 = add_odd(odd0, row[0]);
-            even1 = add_even(even1, row[1]);
-            odd1 = add_odd(odd1, row[1]);
-            even2 = add_even(even2, row[2]);
-            odd2 = add_odd(odd2, row[2]);
-            even3 = add_even(even3, row[3]);
-            odd3 = add_odd(odd3, row[3]);
-        }
-        const uint32_t sums[BLOCK / 2] = {even0, odd0, even1, odd1, even2, odd2, even3, odd3};
-        for (int i = 0; i < BLOCK / 2; ++i) {
-            sum[2 * i] += ((int32_t)(sums[i] & 0xffff) - bias) * unit[2 * i];
-            sum[2 * i + 1] += ((int32_t)(sums[i] >> 16) - bias) * unit[2 * i + 1];
-        }
+        do {
+            const uint32_t *const row = weights[*spikes++];
+            const uint32_t word0 = row[0], word1 = row[1], word2 = row[2], word3 = row[3];
+            even0 = add_even(even0, word0);
+            odd0 = add_odd(odd0, word0);
+            even1 = add_even(even1, word1);
+            odd1 = add_odd(odd1, word1);
+            even2 = add_even(even2, word2);
+            odd2 = add_odd(odd2, word2);
+            even3 = add_even(even3, word3);
+            odd3 = add_odd(odd3, word3);
+        } while (spikes != end);
+        take_sums(sum, even0, bias);
+        take_sums(sum + 2, odd0, bias);
+        take_sums(sum + 4, even1, bias);
+        take_sums(sum + 6, odd1, bias);
+        take_sums(sum + 8, even2, bias);
+        take_sums(sum + 10, odd2, bias);
+        take_sums(sum + 12, even3, bias);
+        take_sums(sum + 14, odd3, bias);
     }
+}
+
+/* Size of a number as its bits, which are in the same order; a NaN has the largest. */
+static inline uint64_t size(double x)
+{
+    const union {
+        double value;
+        uint64_t bits;
+    } number = {x};
+    return number.bits & 0x7fffffffffffffff;
 }
 
 /* Nearest integer, ties to even, within the input's range. */
 static int32_t nearest(double x)
 {
-    if (x >= INPUT_MAX)
-        return INPUT_MAX;
-    if (x <= -INPUT_MAX)
-        return -INPUT_MAX;
-    int32_t down = (int32_t)x;
-    if ((double)down > x)
-        --down;
-    const double rest = x - (double)down;
-    return rest > 0.5 || (rest == 0.5 && (down & 1)) ? down + 1 : down;
+    const uint64_t bits = size(x);
+    const int exponent = (int)(bits >> 52) - 1023;
+    uint32_t whole = INPUT_MAX;
+    if (exponent < -1)
+        return 0;
+    if (exponent < 15) {
+        const uint32_t mantissa = ((uint32_t)(bits >> 32) & 0xfffff) | 0x100000, half = 0x80000000;
+        const uint32_t rest = mantissa << (12 + exponent);
+        whole = mantissa >> (20 - exponent);
+        if (rest > half || (rest == half && ((uint32_t)bits != 0 || (whole & 1))))
+            ++whole;
+        if (whole > INPUT_MAX)
+            whole = INPUT_MAX;
+    }
+    return x < 0.0 ? -(int32_t)whole : (int32_t)whole;
 }
 
 /* Whether a reading is one that an IMU can have measured; a NaN is not. */
 static int within(const double reading[3], double most)
 {
-    for (int k = 0; k < 3; ++k)
-        if (!(reading[k] >= -most && reading[k] <= most))
-            return 0;
-    return 1;
+    return size(reading[0]) <= size(most) && size(reading[1]) <= size(most) && size(reading[2]) <= size(most);
 }
 
 void ${n}_reset(${n}_state *state)
@@ -193,7 +221,7 @@ void ${n}_set_point(${n}_state *state, const double set_point[4])
 void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3])
 {
     const int rate = within(gyro, RATE_MAX);
-    const int force = within(accel, FORCE_MAX) && (accel[0] != 0.0 || accel[1] != 0.0 || accel[2] != 0.0);
+    const int force = within(accel, FORCE_MAX) && (size(accel[0]) | size(accel[1]) | size(accel[2]));
     if (rate)
         for (int k = 0; k < 3; ++k)
             state->input[k] = nearest((gyro[k] - OFFSET[k]) * GAIN[k]);
@@ -207,14 +235,14 @@ void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3])
 static void step_outputs(${n}_state *state)
 {
     int32_t arriving[OUTPUTS] = {0};
-    for (int k = 0; k < state->spikes_hidden; ++k)
+    for (int k = 0; k < state->hidden_spikes; ++k)
         for (int i = 0; i < OUTPUTS; ++i)
-            arriving[i] += W_OUT[state->s_hidden[k]][i];
+            arriving[i] += W_OUT[state->hidden_fired[k]][i];
     for (int i = 0; i < OUTPUTS; ++i) {
-        const int32_t u = wrap(decay(state->u_output[i], KEEP_U_OUTPUT) + wrap(arriving[i] * 128, 21), 23);
-        const int32_t v = decay(state->v_output[i], KEEP_V_OUTPUT) + u;
-        state->u_output[i] = u;
-        state->v_output[i] = v > OUTPUT_THRESHOLD ? 0 : v < -STATE_MAX ? -STATE_MAX : v;
+        const int32_t u = wrap(decay(state->output[i].u, OUTPUT_KEEP_U) + wrap(arriving[i] * 128, 21), 23);
+        const int32_t v = decay(state->output[i].v, OUTPUT_KEEP_V) + u;
+        state->output[i].u = u;
+        state->output[i].v = v > OUTPUT_THRESHOLD ? 0 : v < -STATE_MAX ? -STATE_MAX : v;
     }
 }
 
@@ -224,34 +252,36 @@ static void step_hidden(${n}_state *state)
     int count = 0;
     for (int start = 0; start < HIDDEN; start += BLOCK) {
         const int end = start + BLOCK < HIDDEN ? start + BLOCK : HIDDEN;
-        int32_t sum[BLOCK] = {0};
-        gather(sum, W_FF, &FROM_FF[start / BLOCK], state->s_encoding, state->spikes_encoding, &UNIT_FF[start]);
-        gather(sum, W_REC, &FROM_REC[start / BLOCK], state->s_hidden, state->spikes_hidden, &UNIT_REC[start]);
+        const sources *const from_ff = &FROM_FF[start / BLOCK], *const from_rec = &FROM_REC[start / BLOCK];
+        int32_t sum[2 * BLOCK];
+        gather(sum, W_FF + from_ff->row, from_ff, state->encoding_fired, state->encoding_spikes);
+        gather(sum + BLOCK, W_REC + from_rec->row, from_rec, state->hidden_fired, state->hidden_spikes);
         for (int i = start; i < end; ++i) {
-            const int32_t u = wrap(decay(state->u_hidden[i], KEEP_U_HIDDEN[i]) + wrap(sum[i - start], 21), 23);
-            int32_t v = decay(state->v_hidden[i], KEEP_V_HIDDEN[i]) + u;
-            state->u_hidden[i] = u;
+            const int32_t forward = sum[i - start] * NEURON[i].unit_ff;
+            const int32_t arriving = wrap(forward + sum[i - start + BLOCK] * NEURON[i].unit_rec, 21);
+            const int32_t u = wrap(decay(state->hidden[i].u, NEURON[i].keep_u) + arriving, 23);
+            int32_t v = decay(state->hidden[i].v, NEURON[i].keep_v) + u;
+            state->hidden[i].u = u;
 #if AFTER_SPIKE
-            int32_t a = state->a_hidden[i];
-            v += a;
-            a = decay(a, KEEP_A_HIDDEN[i]);
+            v += state->hidden[i].a;
+            state->hidden[i].a = decay(state->hidden[i].a, NEURON[i].keep_a);
 #endif
-            if (v > THRESHOLD) {
-                fired[count++] = (uint16_t)i;
-                v = 0;
+            if (beyond(v)) {
+                const int fires = v > THRESHOLD;
+                v = fires ? 0 : -STATE_MAX;
+                if (fires) {
+                    fired[count++] = (uint16_t)i;
 #if AFTER_SPIKE
-                a = wrap(a + W_AFTER[i], 23);
+                    state->hidden[i].a = wrap(state->hidden[i].a + NEURON[i].w_after, 23);
 #endif
+                }
             }
-            state->v_hidden[i] = v < -STATE_MAX ? -STATE_MAX : v;
-#if AFTER_SPIKE
-            state->a_hidden[i] = a;
-#endif
+            state->hidden[i].v = v;
         }
     }
-    state->spikes_hidden = (uint16_t)count;
+    state->hidden_spikes = (uint16_t)count;
     for (int k = 0; k < count; ++k)
-        state->s_hidden[k] = fired[k];
+        state->hidden_fired[k] = fired[k];
 }
 
 static void step_encoding(${n}_state *state)
@@ -261,21 +291,26 @@ static void step_encoding(${n}_state *state)
     for (int k = 0; k < INPUTS; ++k)
         input[k / 2] |= (uint32_t)(uint16_t)state->input[k] << 16 * (k % 2);
     for (int i = 0; i < ENCODING; ++i) {
-        int32_t drive = 0;
-        for (int k = 0; k < PAIRS; ++k)
-            drive = add_products(drive, W_IN[i][k], input[k]);
-        const int32_t u = wrap(decay(state->u_encoding[i], KEEP_U_ENCODING[i]) + shift(drive, 3), 23);
-        const int32_t mantissa = shift(u, BIAS_STEP_BITS);
-        const int32_t bias = mantissa > BIAS_MANT_MAX ? BIAS_MANT_MAX : mantissa < -BIAS_MANT_MAX ? -BIAS_MANT_MAX : mantissa;
-        int32_t v = decay(state->v_encoding[i], KEEP_V_ENCODING[i]) + bias * (1 << BIAS_STEP_BITS);
-        state->u_encoding[i] = u;
-        if (v > THRESHOLD) {
-            state->s_encoding[count++] = (uint16_t)i;
-            v = 0;
+        const uint32_t *const w = ENCODER[i].w;
+        int32_t drive = add_products(add_products(add_products(0, w[0], input[0]), w[1], input[1]), w[2], input[2]);
+#if CONTROLS
+        drive = add_products(add_products(drive, w[3], input[3]), w[4], input[4]);
+#endif
+        const int32_t u = wrap(decay(state->encoding[i].u, ENCODER[i].keep_u) + shift(drive, 3), 23);
+        int32_t bias = shift(u, BIAS_STEP_BITS);
+        if ((uint32_t)bias + BIAS_MANT_MAX > 2 * BIAS_MANT_MAX)
+            bias = bias < 0 ? -BIAS_MANT_MAX : BIAS_MANT_MAX;
+        int32_t v = decay(state->encoding[i].v, ENCODER[i].keep_v) + bias * (1 << BIAS_STEP_BITS);
+        state->encoding[i].u = u;
+        if (beyond(v)) {
+            const int fires = v > THRESHOLD;
+            v = fires ? 0 : -STATE_MAX;
+            if (fires)
+                state->encoding_fired[count++] = (uint16_t)i;
         }
-        state->v_encoding[i] = v < -STATE_MAX ? -STATE_MAX : v;
+        state->encoding[i].v = v;
     }
-    state->spikes_encoding = (uint16_t)count;
+    state->encoding_spikes = (uint16_t)count;
 }
 
 /* In a step every layer reads the spikes of the step before, so the last layer goes first. */
@@ -292,14 +327,14 @@ void ${n}_step(${n}_state *state)
 void ${n}_attitude(const ${n}_state *state, double $name[OUTPUTS])
 {
     for (int k = 0; k < OUTPUTS; ++k)
-        $name[k] = state->v_output[k] * SCALE$level;
+        $name[k] = state->output[k].v * SCALE$level;
 }
 #endif
 #if CONTROLS
 void ${n}_action(const ${n}_state *state, double action[4])
 {
     for (int k = 0; k < OUTPUTS; ++k)
-        action[k] = clipped(state->v_output[k] * SCALE, -BOUND, BOUND);
+        action[k] = clipped(state->output[k].v * SCALE, -BOUND, BOUND);
     action[3] = state->thrust;
 }
 #endif

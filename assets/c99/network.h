@@ -16,19 +16,22 @@
 
 typedef struct {
     int32_t input[${N}_INPUTS]; /* last good readings$and_set_points, scaled: 1024 is 1.0 */
-    int32_t u_encoding[${N}_ENCODING];
-    int32_t v_encoding[${N}_ENCODING];
-    int32_t u_hidden[${N}_HIDDEN];
-    int32_t v_hidden[${N}_HIDDEN];
+    struct {
+        int32_t u, v; /* current and potential */
+    } encoding[${N}_ENCODING];
+    struct {
+        int32_t u, v;
 #if AFTER_SPIKE
-    int32_t a_hidden[${N}_HIDDEN]; /* after-spike currents of the next step */
+        int32_t a; /* after-spike current of the next step */
 #endif
-    int32_t u_output[${N}_OUTPUTS];
-    int32_t v_output[${N}_OUTPUTS];
-    uint16_t spikes_encoding; /* how many neurons spiked in the last step, */
-    uint16_t spikes_hidden;
-    uint16_t s_encoding[${N}_ENCODING]; /* and which, in ascending order */
-    uint16_t s_hidden[${N}_HIDDEN];
+    } hidden[${N}_HIDDEN];
+    struct {
+        int32_t u, v;
+    } output[${N}_OUTPUTS];
+    uint16_t encoding_spikes; /* how many neurons spiked in the last step, */
+    uint16_t hidden_spikes;
+    uint16_t encoding_fired[${N}_ENCODING]; /* and which, in ascending order */
+    uint16_t hidden_fired[${N}_HIDDEN];
     uint32_t skipped; /* samples with a reading that was not used */
 #if CONTROLS
     double thrust; /* collective thrust per mass that is passed through [m/s^2] */

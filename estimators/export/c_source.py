@@ -74,8 +74,6 @@ BLOCK, BIASED = 16, 128
 """Hidden neurons that the C code sums up together, and what is added to their weights."""
 BYTES = (0, 2, 1, 3)
 """Neurons of four whose weights are a word, from the lowest byte on."""
-EDGE = 16
-"""Sources that are left out for a block are left out in multiples of this."""
 
 
 def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
@@ -156,17 +154,18 @@ def _integers(tensors: Tensors) -> dict[str, str]:
     halves = {name: integers[name] // 2 for name in MATRICES if name in integers}
     keep = {name: (DECAY_ONE - integers[name]) << 19 for name in TIME_CONSTANTS if name in integers}
     units = {name: 1 << (7 + exponents(integers, name)) for name in EXPONENTS if name in integers}
-    found = {name: _braces(value) for name, value in keep.items()}
-    found |= {name: str(keep[name][0]) for name in ("syn2", "mem2")}
+    found = {name: str(keep[name][0]) for name in ("syn2", "mem2")}
     for name in ("ff", "rec"):
         rows, ranges = _blocks(halves[f"w_{name}"])
         found[f"w_{name}"], found[f"from_{name}"] = _braces(rows, hexadecimal=True), _braces(ranges)
-        found[f"unit_{name}"] = _braces(_padded(units[f"w_{name}"], BLOCK))
     found["w_out"] = _braces(halves["w_out"].T)
-    found["w_in"] = _braces(_pairs(halves["w_in"]), hexadecimal=True)
+    own = (_pairs(halves["w_in"]), keep["syn0"], keep["mem0"])
+    encoders = (f"{{{u}, {v}, {_braces(w, hexadecimal=True)}}}" for w, u, v in zip(*own, strict=True))
+    hidden = [keep["syn1"], keep["mem1"]]
     if "w_after" in halves:
-        found["w_after"] = _braces(halves["w_after"][:, 0] * units["w_after"])
-    return found
+        hidden += [keep["syn_after"], halves["w_after"][:, 0] * units["w_after"]]
+    neurons = np.stack([*hidden, units["w_ff"], units["w_rec"]], 1)
+    return found | {"encoders": "{\n" + ",\n".join(encoders) + "}", "neurons": _braces(neurons)}
 
 
 def _blocks(weights: Ints) -> tuple[Ints, Ints]:
@@ -176,19 +175,18 @@ def _blocks(weights: Ints) -> tuple[Ints, Ints]:
         weights: Halves of mantissas, (neurons, sources).
 
     Returns:
-        Words of four weights (rows, 4), and for each block its first source, the one after its last and its
-        first row, (blocks, 3).
+        Words of four weights (rows, 4), and for each block its first source, the one after its last, and the
+        row of source 0 if no source were left out, (blocks, 3).
     """
-    sources = weights.shape[1]
-    rows, ranges = [np.zeros((0, BLOCK), np.int64)], []
+    sources, count = weights.shape[1], 0
+    rows, ranges = [], []
     for block in _padded(weights, BLOCK).reshape(-1, BLOCK, sources):
         sending = np.flatnonzero(block.any(0))
-        first, end = (sending[0] // EDGE * EDGE, sending[-1] + 1) if sending.size else (0, 0)
-        end = min(-(-end // EDGE) * EDGE, sources)
-        ranges.append((first, end, sum(map(len, rows))))
+        first, end = (sending[0], sending[-1] + 1) if sending.size else (0, 1)  # C has no empty arrays
+        first = min(first, count)  # no row stands before the table
+        ranges.append((first, end, count - first))
         rows.append(block[:, first:end].T + BIASED)
-    if not ranges[-1][2] and not len(rows[-1]):  # C has no arrays of length 0
-        rows.append(np.full((1, BLOCK), BIASED))
+        count += end - first
     fours = np.concatenate(rows).reshape(-1, BLOCK // 4, 4)[..., BYTES]
     return (fours << (8 * np.arange(4))).sum(-1), np.array(ranges)
 
