@@ -297,16 +297,6 @@ def test_what_is_refused_before_any_work_leaves_one_line_and_no_bar(quadsim):
     assert len(err.strip().splitlines()) == 1
 
 
-def test_the_estimator_of_the_readme_flies(quadsim, tmp_path, monkeypatch):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    block = next(each for each in readme.split("```python\n") if "class Level" in each).split("```")[0]
-    (tmp_path / "level.py").write_text(block)
-    monkeypatch.syspath_prepend(tmp_path)
-    code, out, err = quadsim("fly", "hover", "--estimator", "level:Level", "--duration", 0.5)
-    assert code == 0, err
-    assert "0 of 1 crashed" in out
-
-
 def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):
     code, out, err = quadsim("fly", "gyro-bias-step", "--estimator", "mahony", "--duration", 0.5)
     assert code == 0
