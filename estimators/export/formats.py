@@ -26,7 +26,9 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
     config, tensors = load_network(weights)
     if format not in HOLD[config.model]:
         known = "" if format in FORMATS else f'unknown format "{format}"; '
-        raise ValueError(f"{known}weights of {config.model} are exported as {' or '.join(HOLD[config.model])}")
+        raise ValueError(
+            f"{known}weights of {config.model} are exported as {' or '.join(HOLD[config.model])}"
+        )
     out = Path(out)
     if out.exists():
         raise ValueError(f"{out}: exists already, choose another name")

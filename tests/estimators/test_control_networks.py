@@ -49,7 +49,7 @@ def readings(n, steps, seed=1):
     rng = np.random.default_rng(seed)
     wanted = rng.normal(size=(n, steps, 4)) * [0.3, 0.3, 1.0, 2.0] + [0, 0, 0, GRAVITY]
     gyro, accel = rng.normal(size=(2, n, steps, 3))
-    return wanted, gyro, accel + [0, 0, GRAVITY]
+    return wanted, gyro, accel + np.array([0, 0, GRAVITY])
 
 
 @pytest.fixture
