@@ -26,6 +26,7 @@ VERBS = [
     "export",
     "compile",
     "design",
+    "identify",
     "demo",
     "inspect",
     "paper",
