@@ -15,6 +15,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from notebooks import NAMES, with_outputs
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -62,8 +63,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the README's results in place, and leave stamps out."""
-    del page, config, files
+    """Put the README's results and the outputs of notebooks in place, and leave stamps out."""
+    del config, files
+    folder, _, name = page.file.src_uri.removesuffix(".md").rpartition("/")
+    if folder == "tutorials" and name in NAMES:
+        markdown = with_outputs(name, markdown)
     return STAMP.sub("", markdown.replace("<!-- results -->", results()))
 
 
