@@ -35,7 +35,7 @@ def test_ppo_trains_is_judged_and_drawn(ppo, capsys, monkeypatch, tmp_path):
 
 
 def test_a_batch_flies_as_single_environments_do(ppo):
-    """Actions hold for ten samples; the step that ends an episode returns the next one's first observation."""
+    """Actions hold for ten samples. The step that ends an episode returns the next's first observation."""
     batch = ppo.Batch(3)
     batch.seed(5)
     seen = batch.reset()
