@@ -117,8 +117,8 @@ def toml_files() -> str:
     """Every key of every kind of file."""
     parts = [
         "# TOML files",
-        "Every key with its unit, range and default, from the models that check the files. An unknown key is an "
-        "error that names the nearest one.",
+        "Every key with its unit, range and default, from the models that check the files. An unknown key is "
+        "an error that names the nearest one.",
     ]
     seen: set[type[BaseModel]] = set()
     for kind, (model, about) in KINDS.items():
