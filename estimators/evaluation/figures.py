@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..appearance import looks
 from .comparison import BLOCK_S, SETTLED_DEG, TILTS_DEG, Evaluation
 
+Array = NDArray[np.float64]
 COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
@@ -67,8 +68,8 @@ def settling(evaluation: Evaluation) -> Figure:
     One panel an estimator, with a line for each tilt; behind them, in grey, those of all others.
     """
     names = _shown(name for name, _ in evaluation.settling)
-    columns = min(len(names), PANELS)
-    rows = -(-len(names) // columns)
+    columns = min(max(len(names), 1), PANELS)
+    rows = max(-(-len(names) // columns), 1)
     figure = Figure(figsize=(8.0, 1.0 + 1.6 * rows), layout="constrained")
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for (name, look), axes in zip(looks(names).items(), panels.flat, strict=False):
@@ -87,15 +88,18 @@ def settling(evaluation: Evaluation) -> Figure:
         axes.set_axis_off()
     for axes in panels.flat[max(len(names) - columns, 0) : len(names)]:
         axes.xaxis.set_tick_params(labelbottom=True)
-    panels.flat[0].legend(frameon=False, fontsize=8, handlelength=1.8, loc="upper right", borderaxespad=0.0)
+    if names:
+        panels.flat[0].legend(
+            frameon=False, fontsize=8, handlelength=1.8, loc="upper right", borderaxespad=0.0
+        )
     figure.supxlabel("time [s]", fontsize=10)
     figure.supylabel("inclination error [°]", fontsize=10)
     return figure
 
 
-def _blocks(curve: NDArray[np.float64]) -> NDArray[np.float64]:
+def _blocks(curve: Array) -> Array:
     """Middles of the blocks that a curve has a value for [s]."""
-    return (np.arange(curve.size) + 0.5) * BLOCK_S
+    return BLOCK_S * np.arange(0.5, curve.size)
 
 
 def _shown(names: Iterable[str]) -> list[str]:
