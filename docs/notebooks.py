@@ -20,6 +20,8 @@ from nbformat import NotebookNode
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 from PIL import Image
 
+from quadsim.runs.files import write_whole
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "tutorials"
 NAMES = ("data", "add", "estimator")
@@ -145,7 +147,7 @@ def main() -> None:
     """Make the named notebooks, or all."""
     for name in sys.argv[1:] or NAMES:
         path = FOLDER / f"{name}.ipynb"
-        nbformat.write(executed(notebook(name)), path)
+        write_whole(path, nbformat.writes(executed(notebook(name))) + "\n")
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size // 1024} kB")
 
 
