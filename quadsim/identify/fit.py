@@ -20,6 +20,8 @@ BIAS_SD = 0.2
 """Standard deviation of an accelerometer's bias before the fit [m/s²]."""
 SURE = 0.05
 """A constant is identified if its 95 % interval is within this share of it."""
+ROUNDS = 3
+"""Of the fit: the size of the errors of each of the six signals is known after the first alone."""
 LEAST = 1e-3
 """Smallest value of a constant that cannot be 0, as a share of the start."""
 TYPICAL = {"motor.rotor_drag": 1e-4, "motor.rolling_moment": 1e-6, "frame.drag_area": 1e-2}
@@ -87,7 +89,6 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
         raise ValueError(f"{start.name} has {len(start.rotors)} rotors, the flights {speeds[0].shape[1]}")
     names, missing = _wanted(flights, start)
     measured = [_measured(flight) for flight in flights]
-    weights = [1.0 / (1e-9 + np.diff(each, axis=0).std(axis=0)) for each in measured]
     scale = np.array([_scale(start, name) for name in names])
     first = np.array([constant(start, name) for name in names]) / scale
 
@@ -108,15 +109,16 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     x = np.concatenate([first, np.zeros(3 * len(flights))])
     least = [0.0 if name in DRAG else LEAST for name in names]
     low = np.concatenate([least, np.full(3 * len(flights), -np.inf)])
-    sigma = np.mean([1.0 / each for each in weights], axis=0)
-    for _ in range(3):  # the size of the errors of each of the six is not known before
+    sigma = np.mean([np.diff(each, axis=0).std(axis=0) for each in measured], axis=0) + 1e-9
+    jacobian = np.empty(0)
+    for _ in range(ROUNDS):
         found = least_squares(
             residuals, np.maximum(x, low), bounds=(low, np.inf), args=(sigma,), x_scale="jac"
         )
-        x = found.x
+        x, jacobian = found.x, found.jac
         apart = np.concatenate([a - b for a, b in zip(modelled(x), measured, strict=True)])
         sigma = np.maximum(apart.std(axis=0), 1e-9)
-    information = found.jac.T @ found.jac / _per_independent(flights[0])
+    information = jacobian.T @ jacobian / _per_independent(flights[0])
     covariance = np.linalg.pinv(information)
     half = norm.ppf(0.975) * np.sqrt(np.diag(covariance))[: len(names)] * scale
     constants = [
@@ -126,7 +128,7 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     constants += _lags(flights, start)
     known = {each.path: each.fitted for each in constants if each.identified}
     missing += [
-        f"{each.path}: {each.fitted:.3g} ± {each.half_width:.2g} {each.unit} is too wide, "
+        f"{each.path}: {each.fitted:.3g} ± {each.half_width:.2g} {each.unit} is not told well enough, "
         f"so it stays {each.start:.4g}"
         for each in constants
         if not each.identified

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -47,13 +46,10 @@ LAGS = ("motor.tau_up", "motor.tau_down")
 
 def constant(vehicle: Vehicle, path: str) -> float:
     """A constant by its path."""
-    return float(
-        reduce(
-            lambda part, key: part[int(key)] if key.isdigit() else getattr(part, key),
-            path.split("."),
-            vehicle,
-        )
-    )
+    part: Any = vehicle
+    for key in path.split("."):
+        part = part[int(key)] if key.isdigit() else getattr(part, key)
+    return float(part)
 
 
 def with_constants(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:

@@ -92,5 +92,4 @@ def _still(flight: Flight) -> NDArray[np.bool_]:
 
 
 def _part(flight: Flight, start_s: int, end_s: int) -> Flight:
-    part = slice(round(start_s * flight.rate_hz), round(end_s * flight.rate_hz))
-    return Flight(flight.rate_hz, *(x if x is None else x[part] for x in flight[1:]))
+    return flight.part(slice(round(start_s * flight.rate_hz), round(end_s * flight.rate_hz)))

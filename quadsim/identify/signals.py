@@ -37,6 +37,13 @@ class Flight(NamedTuple):
     air_vel: Array | None
     """Velocity against the air, body axes (T, 3) [m/s]."""
 
+    def part(self, cut: slice) -> Flight:
+        """Some of its samples."""
+        kept = {
+            name: None if x is None else x[cut] for name, x in self._asdict().items() if name != "rate_hz"
+        }
+        return self._replace(**kept)
+
 
 def flights_of(data: xr.Dataset) -> list[Flight]:
     """Signals of each flight of a dataset or of a log, as `read_log` returns it.
@@ -47,7 +54,8 @@ def flights_of(data: xr.Dataset) -> list[Flight]:
     found = []
     for k in range(data.sizes["flight"]):
         one = data.isel(flight=k)
-        held = {name: one[name].to_numpy().astype(float)[: int(one["valid_steps"])] for name in one.data_vars}
+        steps = int(one["valid_steps"])
+        held = {str(name): one[name].to_numpy().astype(float)[:steps] for name in one.data_vars}
         flight = Flight(
             float(data.attrs["rate_hz"]),
             held["gyro"],
@@ -101,4 +109,4 @@ def _whole(flight: Flight) -> Iterable[Flight]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]]))).reshape(-1, 2)
     start, end = max(edges.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
     if end - start >= SHORTEST_S * flight.rate_hz:
-        yield Flight(flight.rate_hz, *(x if x is None else x[start:end] for x in flight[1:]))
+        yield flight.part(slice(start, end))
