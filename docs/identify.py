@@ -99,7 +99,7 @@ def recording_rows(folder: Path, page: Page) -> Iterator[str]:
                 name, sensor, f"{noise[0]} → {noise[1]} {unit}/√Hz", f"{b.shaking.max():.2g} {unit}", line
             )
         if name == DRAWN:
-            page.save(draw_noise(*shaken, (still[0], still[1])), "identify-noise")
+            page.save(draw_noise(*shaken, (still[0], still[1])), "identify-noise.png")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     matplotlib.rcParams.update(STYLE)
     page = load_page("identify")
     found = {airframe: identified(airframe, given.data) for airframe in AIRFRAMES}
-    page.save(draw_fit(found["hummingbird"]), "identify-fit")
+    page.save(draw_fit(found["hummingbird"]), "identify-fit.png")
     least = min(result.explained.min() for result in found.values())
     page.write(
         {
