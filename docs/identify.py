@@ -15,7 +15,7 @@ from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import FlightConfig, flight_config, load_recipe
 from quadsim.identify import Flight, Identified, flights_of, identify, noise_in_flight
 from quadsim.identify.model import UNITS, constant, with_constants
-from quadsim.identify.noise import at_rest, in_the_air
+from quadsim.identify.noise import RESTING, at_rest, in_the_air
 from quadsim.identify.report import draw_fit, draw_noise
 from quadsim.vehicle import Vehicle, load_vehicle
 
@@ -87,9 +87,8 @@ def recording_rows(folder: Path, page: Page) -> Iterator[str]:
         rest, air = at_rest(flight), in_the_air(flight)
         if rest is None:
             raise SystemExit(f"{name}: no rest")
-        still, shaken = (
-            [noise_in_flight(each, 1000.0) for each in (part.gyro, part.accel)] for part in (rest, air)
-        )
+        still = [noise_in_flight(each, 1000.0, RESTING) for each in (rest.gyro, rest.accel)]
+        shaken = [noise_in_flight(each, 1000.0) for each in (air.gyro, air.accel)]
         for sensor, unit, a, b in zip(
             ("gyroscope", "accelerometer"), ("rad/s", "m/s²"), still, shaken, strict=True
         ):
@@ -99,7 +98,7 @@ def recording_rows(folder: Path, page: Page) -> Iterator[str]:
                 name, sensor, f"{noise[0]} → {noise[1]} {unit}/√Hz", f"{b.shaking.max():.2g} {unit}", line
             )
         if name == DRAWN:
-            page.save(draw_noise(*shaken, (still[0], still[1])), "identify-noise.png")
+            page.save(draw_noise(shaken[0], shaken[1], (still[0], still[1])), "identify-noise.png")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -91,20 +91,24 @@ def _read(file: Path, rate_hz: float, mount: str | None) -> "xr.Dataset":
 
 def _show_noise(flights: "list[Flight]", out: Path) -> None:
     """Table and picture of noise and vibration of the longest flight."""
-    from ..identify.noise import at_rest, in_the_air, noise_in_flight
+    from ..identify.noise import RESTING, at_rest, in_the_air, noise_in_flight
     from ..identify.report import draw_noise
 
     longest = max(flights, key=lambda flight: len(flight.gyro))
     air, rest = in_the_air(longest), at_rest(longest)
     sensors = [noise_in_flight(each, air.rate_hz) for each in (air.gyro, air.accel)]
     still = (
-        None if rest is None else [noise_in_flight(each, rest.rate_hz) for each in (rest.gyro, rest.accel)]
+        None
+        if rest is None
+        else [noise_in_flight(each, rest.rate_hz, RESTING) for each in (rest.gyro, rest.accel)]
     )
     table = Table("in flight", "unit", *AXES)
     for k, (name, unit) in enumerate((("gyroscope", "rad/s"), ("accelerometer", "m/s²"))):
         each = sensors[k]
         table.add_row(f"{name}, RMS above 25 Hz", unit, *(f"{value:.3g}" for value in each.shaking))
-        table.add_row(f"{name}, noise", f"{unit}/√Hz", *(f"{value:.3g}" for value in each.noise))
+        table.add_row(
+            f"{name}, density at 25 to 60 Hz", f"{unit}/√Hz", *(f"{value:.3g}" for value in each.noise)
+        )
         if still is not None:
             table.add_row(
                 f"{name}, noise at rest", f"{unit}/√Hz", *(f"{value:.3g}" for value in still[k].noise)

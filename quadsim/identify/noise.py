@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt, welch
 
 from .signals import Flight
@@ -14,6 +15,10 @@ Array = NDArray[np.float64]
 
 ABOVE_HZ = 25.0
 """Below it the vehicle itself moves."""
+FLYING, RESTING = (25.0, 60.0), (1.0, 20.0)
+"""Bands in which the density is taken [Hz]: below the low-pass of most sensors."""
+AROUND_HZ, STANDS_OUT = 20.0, 6.0
+"""A line has so many times the median density of the frequencies around it."""
 SEGMENT_S = 2.0
 """Length of the segments whose spectra are averaged [s]."""
 STILL_GYRO, STILL_ACCEL = 0.03, 0.3
@@ -32,38 +37,38 @@ class InFlight(NamedTuple):
     shaking: Array
     """Root mean square above 25 Hz (3,) [unit]."""
     noise: Array
-    """Density of what is even, the median above 25 Hz, as IMU files give it: two-sided (3,) [unit/√Hz]."""
+    """Median density in the band, as IMU files give it: two-sided (3,) [unit/√Hz]."""
     line_hz: float
-    """Frequency of the largest line; NaN where none stands out."""
+    """Frequency of the line that stands out most from what is around it; NaN where none does."""
     line: Array
     """Amplitude of that line (3,) [unit]."""
 
 
-def noise_in_flight(signal: Array, rate_hz: float) -> InFlight:
+def noise_in_flight(signal: Array, rate_hz: float, band: tuple[float, float] = FLYING) -> InFlight:
     """Noise and vibration of readings.
 
     Args:
         signal: Gyroscope or accelerometer (T, 3), nothing missing.
         rate_hz: Samples per second, above 100.
+        band: Where the density of the noise is taken [Hz]: `FLYING` or `RESTING`.
     """
     frequency, density = welch(signal, rate_hz, nperseg=round(SEGMENT_S * rate_hz), axis=0)
-    above = frequency > ABOVE_HZ
-    shaking = sosfiltfilt(butter(4, ABOVE_HZ, "highpass", fs=rate_hz, output="sos"), signal, axis=0).std(
-        axis=0
-    )
-    level = np.median(density[above], axis=0)
-    total = density.sum(axis=1)
-    peak = int(np.flatnonzero(above)[np.argmax(total[above])])
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    highpass = butter(4, ABOVE_HZ, "highpass", fs=rate_hz, output="sos")
+    total, step = density.sum(axis=1), float(frequency[1])
+    around = median_filter(total, 2 * round(AROUND_HZ / step) + 1, mode="nearest")
+    ratio = np.where(frequency > ABOVE_HZ, total / np.maximum(around, 1e-300), 0.0)
+    peak = int(ratio.argmax())
     near = slice(max(peak - 3, 0), peak + 4)
-    stands_out = total[peak] > 20.0 * level.sum()
-    power = np.maximum(density[near] - level, 0.0).sum(axis=0) * (frequency[1] - frequency[0])
+    power = density[near].sum(axis=0) * step
+    found = bool(ratio[peak] > STANDS_OUT)
     return InFlight(
         frequency,
         density,
-        shaking,
-        np.sqrt(0.5 * level),
-        float(frequency[peak]) if stands_out else float("nan"),
-        np.sqrt(2.0 * power) if stands_out else np.full(3, np.nan),
+        sosfiltfilt(highpass, signal, axis=0).std(axis=0),
+        np.sqrt(0.5 * np.median(density[inside], axis=0)),
+        float(frequency[peak]) if found else float("nan"),
+        np.sqrt(2.0 * power) if found else np.full(3, np.nan),
     )
 
 
