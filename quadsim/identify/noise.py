@@ -17,7 +17,7 @@ ABOVE_HZ = 25.0
 """Below it the vehicle itself moves."""
 FLYING, RESTING = (25.0, 60.0), (1.0, 20.0)
 """Bands in which the density is taken [Hz]: below the low-pass of most sensors."""
-AROUND_HZ, STANDS_OUT = 20.0, 6.0
+AROUND_HZ, STANDS_OUT = 90.0, 5.0
 """A line has so many times the median density of the frequencies around it."""
 SEGMENT_S = 2.0
 """Length of the segments whose spectra are averaged [s]."""
@@ -57,7 +57,8 @@ def noise_in_flight(signal: Array, rate_hz: float, band: tuple[float, float] = F
     highpass = butter(4, ABOVE_HZ, "highpass", fs=rate_hz, output="sos")
     total, step = density.sum(axis=1), float(frequency[1])
     around = median_filter(total, 2 * round(AROUND_HZ / step) + 1, mode="nearest")
-    ratio = np.where(frequency > ABOVE_HZ, total / np.maximum(around, 1e-300), 0.0)
+    inner = (frequency > ABOVE_HZ) & (frequency < 0.45 * rate_hz)
+    ratio = np.where(inner, total / np.maximum(around, 1e-300), 0.0)
     peak = int(ratio.argmax())
     near = slice(max(peak - 3, 0), peak + 4)
     power = density[near].sum(axis=0) * step
