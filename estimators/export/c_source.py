@@ -1,6 +1,6 @@
-"""Spiking networks as C99 for a microcontroller: one header, one source, the emulator's numbers to the last bit.
+"""Spiking networks as C99 for a microcontroller: header and source, the emulator's numbers to the last bit.
 
-Estimators and controllers are the same code; a controller on an estimator's spikes is one network and one state.
+Estimators and controllers are the same code; a controller on an estimator's spikes is one network, one state.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ BYTES = (0, 2, 1, 3)
 
 
 def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
-    """The two files by name: `att_snn.h` and `att_snn.c`, of a controller `snn_control.h` and `snn_control.c`.
+    """The two files by name: `att_snn.h` and `.c`, of a controller `snn_control.h` and `.c`.
 
     Args:
         config: How the network is run.

@@ -10,13 +10,16 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from estimators.control.controller import SpikingController
 from estimators.export.formats import export_weights
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.network import NetworkEstimator, OnLoihi, Recurrent, real_weights
 from estimators.networks.weights_file import (
     EXPONENTS,
     NetworkConfig,
+    SetPointScaling,
     expected_shapes,
+    exponents,
     load_network,
     save_network,
     shipped_network,
@@ -49,24 +52,36 @@ def readings(steps, seed=0):
     return gyro, accel
 
 
+def state_of(config):
+    """The layout of an exported network's state in memory."""
+    neuron = [("u", np.int32), ("v", np.int32)]
+    spikes = [("encoding_spikes", np.uint16), ("hidden_spikes", np.uint16)]
+    fired = [("encoding_fired", np.uint16, config.encoding), ("hidden_fired", np.uint16, config.hidden)]
+    layers = [
+        ("encoding", np.dtype(neuron), config.encoding),
+        ("hidden", np.dtype(neuron + [("a", np.int32)] * config.after_spike), config.hidden),
+        ("output", np.dtype(neuron), config.n_outputs),
+    ]
+    thrust = [("thrust", float)] * config.controls
+    fields = [("input", np.int32, config.n_inputs), *layers, *spikes, *fired, ("skipped", np.uint32), *thrust]
+    return np.dtype(fields, align=True)
+
+
 @pytest.fixture
 def compiled(tmp_path, request):
-    """Compile the export of a network, strictly: a function from samples (T, 6) to an array of states."""
+    """Compile the export of a network, strictly: a function from samples (T, ·) to an array of states."""
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
 
-    def build(weights, h0, h1, outputs, after_spike=False):
+    def build(weights, config):
         export_weights(weights, tmp_path / "c", "c99")
         driver = request.path.parents[1] / "data" / "loihi" / "driver.c"
+        name, outputs = ("snn_control", 4) if config.controls else ("att_snn", config.n_outputs)
         flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{tmp_path / 'c'}"]
-        sources = [str(tmp_path / "c" / "att_snn.c"), str(driver)]
+        flags += ["-DCONTROLLER"] * config.controls
+        sources = [str(tmp_path / "c" / f"{name}.c"), str(driver)]
         subprocess.run(["cc", *flags, *sources, "-o", str(tmp_path / "run")], check=True)
-        sizes = [("input", 6), ("u0", h0), ("v0", h0), ("u1", h1), ("v1", h1)]
-        sizes += [("a1", h1)] * after_spike + [("u2", outputs), ("v2", outputs)]
-        fields = [(name, np.int32, size) for name, size in sizes]
-        spikes = [("s0", np.uint8, h0), ("s1", np.uint8, h1)]
-        state = np.dtype([*fields, *spikes, ("skipped", np.uint32)], align=True)
-        layout = np.dtype([("state", state), ("attitude", float, outputs)])
+        layout = np.dtype([("state", state_of(config)), ("outputs", float, outputs)])
 
         def run(samples):
             done = subprocess.run(
@@ -79,6 +94,43 @@ def compiled(tmp_path, request):
     return build
 
 
+def fired(state, layer, size):
+    """Which neurons of a layer spiked, as the emulator has it."""
+    found = np.zeros(size, np.uint8)
+    found[state[f"{layer}_fired"][: state[f"{layer}_spikes"]]] = 1
+    return found
+
+
+def next_after_spike(ours, config, tensors):
+    """After-spike currents of the next step, which the C code already has; see estimators.loihi.neurons."""
+    hidden = slice(config.encoding, -config.n_outputs)
+    own = tensors["w_after"][:, 0].astype(int) << (6 + exponents(tensors, "w_after"))
+    left = np.fix(ours["a"][hidden] * (4096.0 - tensors["syn_after"]) / 4096.0)
+    return left + own * ours["spikes"][hidden]
+
+
+def assert_states_equal(theirs, ours, config, tensors, label):
+    """The C code's state is the emulator's."""
+    h0, h1, last = config.encoding, config.hidden, -config.n_outputs
+    encoder, u, v, spikes = (ours[name] for name in ("encoder", "u", "v", "spikes"))
+    pairs = {
+        "u0": (theirs["encoding"]["u"], ours["current"]),
+        "v0": (theirs["encoding"]["v"], v[:h0]),
+        "u1": (theirs["hidden"]["u"], u[h0:last]),
+        "v1": (theirs["hidden"]["v"], v[h0:last]),
+        "u2": (theirs["output"]["u"], u[last:]),
+        "v2": (theirs["output"]["v"], v[last:]),
+        "s0": (fired(theirs, "encoding", h0), spikes[:h0]),
+        "s1": (fired(theirs, "hidden", h1), spikes[h0:last]),
+        "input": (theirs["input"][:6], encoder["inputs"]),
+        "skipped": (theirs["skipped"], encoder["missing"]),
+    }
+    if config.after_spike:
+        pairs["a1"] = theirs["hidden"]["a"], next_after_spike(ours, config, tensors)
+    for name, (a, b) in pairs.items():
+        np.testing.assert_array_equal(a, b, err_msg=f"{name} at {label}")
+
+
 @pytest.mark.parametrize(
     ("seed", "outputs", "after_spike"),
     [(None, "", False), (0, "roll-pitch", False), (1, "roll-pitch", False), (1, "up", True)],
@@ -88,7 +140,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(
 ):
     if seed is None:
         config, tensors = shipped_network("att-snn")
-        weights, after_spike = "att-snn", config.after_spike
+        weights = "att-snn"
     else:
         scale = 1 / 256 if seed else 0.003
         config = NetworkConfig(
@@ -102,25 +154,43 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(
         )
         tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
         save_network(weights, config, tensors)
-    h0, h1, last = config.encoding, config.hidden, -config.n_outputs
     gyro, accel = readings(4000)
-    states = compiled(weights, h0, h1, config.n_outputs, after_spike)(np.concatenate([gyro, accel], 1))
+    states = compiled(weights, config)(np.concatenate([gyro, accel], 1))
     est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
-    state = est.states[0]
-    encoder, u, v, a, spikes = (state[name] for name in ("encoder", "u", "v", "a", "spikes"))
     for t, (theirs, attitude) in enumerate(states):
         out = est.update(gyro[t : t + 1], accel[t : t + 1])
-        expected = {"input": encoder["inputs"], "skipped": encoder["missing"]}
-        expected |= {"u0": state["current"], "u1": u[h0:last], "u2": u[last:]}
-        expected |= {"v0": v[:h0], "v1": v[h0:last], "v2": v[last:]}
-        expected |= {"s0": spikes[:h0], "s1": spikes[h0:last]}
-        expected |= {"a1": a[h0:last]} if after_spike else {}
-        for name, value in expected.items():
-            np.testing.assert_array_equal(theirs[name], value, err_msg=f"{name} at {t}")
+        assert_states_equal(theirs, est.states[0], config, tensors, t)
         ours = out[0] if est.up is None else est.up[0]
         np.testing.assert_array_equal(attitude, ours, err_msg=f"outputs at {t}")
-    assert states["state"]["s0"].mean() > 0.01
-    assert states["state"]["s1"].mean() > 0.01
+    assert states["state"]["encoding_spikes"].mean() > 0.01 * config.encoding
+    assert states["state"]["hidden_spikes"].mean() > 0.01 * config.hidden
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_controllers_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
+    config = NetworkConfig(
+        model="att-snn",
+        encoding=41,
+        hidden=35,
+        after_spike=bool(seed),
+        outputs="angular-acceleration",
+        output_scale=20.0,
+        set_point=SetPointScaling(bound=30.0),
+    )
+    tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
+    save_network(weights, config, tensors)
+    rng = np.random.default_rng(seed)
+    gyro, accel = readings(3000)
+    wanted = rng.normal([0.0, 0.0, 0.0, 9.81], [0.5, 0.5, 2.0, 3.0], (3000, 4))
+    wanted[50:60, 0], wanted[70:80, 3], wanted[100, 2], wanted[120, 3] = np.nan, np.nan, 1e9, -np.inf
+    states = compiled(weights, config)(np.concatenate([wanted, gyro, accel], 1))
+    controller = SpikingController(config, tensors, on_loihi=True)
+    controller.reset(1)
+    for t, (theirs, action) in enumerate(states):
+        out = controller.update(wanted[t : t + 1], gyro[t : t + 1], accel[t : t + 1])
+        assert_states_equal(theirs, controller.states[0], config, tensors, t)
+        np.testing.assert_array_equal(action, out[0], err_msg=f"action at {t}")
+    assert states["state"]["hidden_spikes"].mean() > 0.01 * config.hidden
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

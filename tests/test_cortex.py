@@ -1,0 +1,108 @@
+"""An exported network on an emulated microcontroller: the emulator's outputs, and what a step takes."""
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimators.control.controller import create_controller
+from estimators.export.formats import export_weights
+from estimators.networks.network import NetworkEstimator, OnLoihi
+from estimators.networks.weights_file import (
+    NetworkConfig,
+    SetPointScaling,
+    expected_shapes,
+    load_network,
+    save_network,
+    shipped_controllers,
+)
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+cortex = import_module("cortex")
+CORES, build, run = cortex.CORES, cortex.build, cortex.run
+pytestmark = pytest.mark.skipif(
+    bool(cortex.missing_tools()), reason=f"needs {', '.join(cortex.missing_tools())}"
+)
+STEPS = 400
+
+
+def samples(seed=0):
+    """Readings of a flight, some of them missing, and set-points before them (T, 10)."""
+    rng = np.random.default_rng(seed)
+    wanted = rng.normal([0.0, 0.0, 0.0, 9.81], [0.2, 0.2, 0.5, 1.0], (STEPS, 4))
+    gyro, accel = rng.normal(0.0, 1.0, (STEPS, 3)), rng.normal([0.0, 0.0, 9.81], 1.0, (STEPS, 3))
+    gyro[40], accel[50], wanted[60], gyro[70] = np.nan, 0.0, np.nan, 1e6
+    return np.concatenate([wanted, gyro, accel], 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("core", CORES, ids=lambda core: core.name)
+def test_an_estimator_has_the_emulators_outputs_and_a_step_fits_500_hz(tmp_path, core):
+    config, tensors = load_network("att-snn")
+    export_weights("att-snn", tmp_path / "c", "c99")
+    program, size = build(tmp_path / "build", tmp_path / "c", config, core)
+    readings = samples()[:, 4:]
+    done = run(program, core, readings)
+    est = NetworkEstimator(OnLoihi(config, tensors), config.rate_hz)
+    ours = np.array([(est.update(row[None, :3], row[None, 3:]), est.up[0])[1] for row in readings])
+    np.testing.assert_array_equal(done.outputs, ours)
+    assert done.instructions.sum(axis=1).max() < 100_000
+    assert size.flash < 256 * 1024
+    assert size.ram < 8 * 1024
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped_controllers())
+@pytest.mark.parametrize("core", CORES, ids=lambda core: core.name)
+def test_a_controller_has_the_emulators_outputs_and_a_step_fits_500_hz(tmp_path, core, name):
+    config, _ = load_network(name)
+    export_weights(name, tmp_path / "c", "c99")
+    program, _ = build(tmp_path / "build", tmp_path / "c", config, core)
+    rows = samples()
+    done = run(program, core, rows)
+    controller = create_controller(f"{name}-loihi", config.rate_hz)
+    controller.reset(1)
+    parts = np.split(rows[:, None], [4, 7], axis=2)
+    ours = np.array([controller.update(*each)[0] for each in zip(*parts, strict=True)])
+    np.testing.assert_array_equal(done.outputs, ours)
+    assert done.instructions.sum(axis=1).max() < 100_000
+
+
+@pytest.mark.slow
+def test_the_timer_counts_the_instructions_that_are_logged(tmp_path):
+    """By the difference of two runs of the whole program, which start and end alike."""
+    config, _ = load_network("att-snn")
+    export_weights("att-snn", tmp_path / "c", "c99")
+    program, _ = build(tmp_path / "build", tmp_path / "c", config, CORES[0])
+    rows = samples()[:, 4:]
+    timed = run(program, CORES[0], rows, 60).instructions[20:60].sum()
+    logged = cortex.logged_instructions(program, CORES[0], rows, 60) - cortex.logged_instructions(
+        program, CORES[0], rows, 20
+    )
+    assert timed == pytest.approx(logged, rel=0.02)
+
+
+@pytest.mark.slow
+def test_the_crazyflies_controller_compiles_against_the_firmwares_declarations(tmp_path):
+    example = Path(__file__).parents[1] / "examples" / "crazyflie"
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src" / "snn_controller.c").write_bytes((example / "src" / "snn_controller.c").read_bytes())
+    config = NetworkConfig(
+        model="att-snn",
+        encoding=8,
+        hidden=8,
+        outputs="angular-acceleration",
+        set_point=SetPointScaling(),
+    )
+    rng = np.random.default_rng(0)
+    shapes = expected_shapes(config).items()
+    drawn = {name: 2 * rng.integers(1, 60, shape).astype(np.int16) for name, shape in shapes}
+    save_network(tmp_path / "control.safetensors", config, drawn)
+    export_weights(tmp_path / "control.safetensors", tmp_path / "src" / "network", "c99")
+    flags = ["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", f"-I{example / 'stub_headers'}"]
+    for source in ("snn_controller.c", "network/snn_control.c"):
+        command = ["arm-none-eabi-gcc", *CORES[0].flags, *flags, "-c", tmp_path / "src" / source]
+        subprocess.run([*map(str, command), "-o", str(tmp_path / "object.o")], check=True)
