@@ -218,6 +218,8 @@ def read_stamp(path: Path) -> str | None:
     """The digest in a file's stamp, or None if it has none."""
     if path.suffix == ".md":
         found = LINE.search(path.read_text())
+    elif path.suffix == ".mp4":
+        found = STAMP.search(path.read_bytes().decode("latin-1"))
     else:
         with Image.open(path) as image:
             comment = image.info.get("Comment", image.info.get("comment", ""))

@@ -15,6 +15,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from notebooks import NAMES, with_outputs
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -62,8 +63,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the README's results in place, and leave stamps out."""
-    del page, config, files
+    """Put the README's results and the outputs of notebooks in place, and leave stamps out."""
+    del config, files
+    folder, _, name = page.file.src_uri.removesuffix(".md").rpartition("/")
+    if folder == "tutorials" and name in NAMES:
+        markdown = with_outputs(name, markdown)
     return STAMP.sub("", markdown.replace("<!-- results -->", results()))
 
 
@@ -113,8 +117,8 @@ def toml_files() -> str:
     """Every key of every kind of file."""
     parts = [
         "# TOML files",
-        "Every key with its unit, range and default, from the models that check the files. A key without a "
-        "default must be given. An unknown key is an error that names the nearest one.",
+        "Every key with its unit, range and default, from the models that check the files. An unknown key is "
+        "an error that names the nearest one.",
     ]
     seen: set[type[BaseModel]] = set()
     for kind, (model, about) in KINDS.items():
@@ -129,7 +133,7 @@ def tables(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[str]:
     seen.add(model)
     rows = [_row(key, field) for key, field in model.model_fields.items()]
     yield f"### {model.__name__}"
-    yield (model.__doc__ or "").strip().split("\n\n")[0]
+    yield _first_line(model)
     yield "\n".join(["| key | what it is | type and range | default |", "|---|---|---|---|", *rows])
     for field in model.model_fields.values():
         for inner in models_in(field.annotation):
@@ -137,10 +141,15 @@ def tables(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[str]:
 
 
 def _row(key: str, field: FieldInfo) -> str:
-    default = "" if field.is_required() else _default(field)
+    default = "*required*" if field.is_required() else _default(field)
     kind = range_of(Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation)
-    text = f"`{field.alias or key}`", _cell(field.description or ""), _cell(kind), default
+    about = field.description or next((_first_line(model) for model in models_in(field.annotation)), "")
+    text = f"`{field.alias or key}`", _cell(about), _cell(kind), default
     return f"| {' | '.join(text)} |"
+
+
+def _first_line(model: type[BaseModel]) -> str:
+    return (model.__doc__ or "").strip().split("\n\n")[0]
 
 
 def _default(field: FieldInfo) -> str:
@@ -168,7 +177,7 @@ def range_of(annotation: Any) -> str:
     if origin is tuple:
         several = inner[-1] is Ellipsis
         parts = list(dict.fromkeys(range_of(each) for each in inner if each is not Ellipsis))
-        return f"list of {parts[0]}" if several else f"{len(inner)} of {' and '.join(parts)}"
+        return f"list of {parts[0]}" if several else f"{len(inner)} × {' and '.join(parts)}"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
     names = {float: "number", int: "whole number", str: "text", bool: "true or false", dict: "table"}

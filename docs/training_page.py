@@ -18,7 +18,7 @@ from simulated import estimate_of, options, simulated
 
 from estimators import create, names
 from estimators.analysis.activity import record
-from estimators.appearance import look
+from estimators.appearance import End, label_ends, look
 from estimators.evaluation.comparison import made_of, silenced_twin, tilted_starts
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import attitude_error, inclination_error, up_in_body
@@ -36,6 +36,8 @@ LEFT_OUT = ("truth", "att-snn", *FILTERPY)
 """The truth has no error, att-snn is att-snn-loihi in floats, and filterpy's filters are ekf and slow."""
 DRAWS = 8
 STARTERS = ("att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "vqf", "mahony", "complementary")
+SHOWN_S = 5.0
+"""Time after a start that is drawn [s]."""
 LINEAR = "best linear filter"
 BANDS_HZ = (0.1, 1.0)
 BANDED = ("att-snn-loihi", "att-rnn", "mahony", "eskf", "vqf", "ekf-drag")
@@ -78,18 +80,32 @@ def many_starts(flights: Flights) -> Flights:
 
 def start_figure(estimators: dict[str, AttitudeEstimator], pieces: Flights) -> Figure:
     """The median inclination error over the starts against time."""
-    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
-    axes = figure.subplots()
     time = np.arange(1, pieces.gyro.shape[1] + 1) / pieces.rate_hz
-    for name in STARTERS:
-        error = np.median(inclination_error(estimate_of(estimators[name], pieces), pieces.truth), axis=0)
-        axes.plot(time, error, label=name, lw=2.4 if name in NETWORKS else 1.2, **look(name).line)
-    axes.axhline(2.0, color="black", linewidth=0.8, linestyle=":")
-    axes.set(
-        xlim=(0, 5), ylim=(0, 20), xlabel="time since the start [s]", ylabel="inclination error, median [°]"
+    return drawn_starts(
+        time,
+        {
+            name: np.median(inclination_error(estimate_of(estimators[name], pieces), pieces.truth), axis=0)
+            for name in STARTERS
+        },
     )
+
+
+def drawn_starts(time: NDArray[np.float64], errors: dict[str, NDArray[np.float64]]) -> Figure:
+    """Errors (T,) [deg] of estimators against time (T,) [s] in its first seconds; networks in bold."""
+    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
+    axes = figure.subplots()
+    axes.axhline(2.0, color="black", linewidth=0.8, linestyle=":")
+    axes.set(xlim=(0, SHOWN_S), ylim=(1, 22), yscale="log")
+    axes.set(xlabel="time since the start [s]", ylabel="inclination error, median [°]")
+    axes.set_yticks([1, 2, 3, 5, 10, 20], ["1", "2", "3", "5", "10", "20"])
+    axes.minorticks_off()
+    ends = []
+    for name, error in errors.items():
+        axes.plot(time, error, lw=2.6 if name in NETWORKS else 1.5, **look(name).line)
+        ends.append(End(float(error[time <= SHOWN_S][-1]), name, look(name).colour))
+    label_ends(axes, ends, size=10)
+    axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
     return figure
 
 

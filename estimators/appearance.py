@@ -5,9 +5,13 @@ dark background; tests/estimators/test_appearance.py has the measures. Estimator
 dash and in marker.
 """
 
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SOLID: tuple[float, ...] = ()
 DASHED, DASHDOT, DOTTED = (5.0, 2.0), (5.0, 1.5, 1.0, 1.5), (1.0, 1.5)
@@ -61,6 +65,44 @@ FIXED = {
     "att-snn-paper": Look(RED, DOTTED, "D"),
 }
 """Of the estimators and weights that ship."""
+
+
+class End(NamedTuple):
+    """The right end of a line, and what stands beside it."""
+
+    y: float
+    text: str
+    colour: str
+
+
+def label_ends(axes: "Axes", ends: Sequence[End], size: float = 9.0) -> None:
+    """Write names beside the right ends of lines in place of a legend; names keep their distance.
+
+    Args:
+        axes: With its limits and scales set.
+        ends: The lines' ends at the right limit of the axes.
+        size: Of the letters [pt].
+    """
+    gap = 1.3 * size / (72 * axes.get_window_extent().height / axes.figure.dpi)
+    at = axes.transData + axes.transAxes.inverted()
+    sorted_ends = sorted(
+        (end for end in ends if isfinite(end.y)), key=lambda end: at.transform((0.0, end.y))[1]
+    )
+    true = [float(at.transform((0.0, end.y))[1]) for end in sorted_ends]
+    places = [min(max(y, 0.0), 1.0) for y in true]
+    for _ in range(100 * len(places)):
+        close = [k for k in range(1, len(places)) if places[k] - places[k - 1] < 0.999 * gap]
+        for k in close:
+            push = 0.5 * (gap - places[k] + places[k - 1])
+            places[k - 1], places[k] = places[k - 1] - push, places[k] + push
+        if not close:
+            break
+    for end, y, place in zip(sorted_ends, true, places, strict=True):
+        axes.annotate(
+            end.text, (1.0, y), (1.03, place), xycoords="axes fraction", textcoords="axes fraction",
+            color=end.colour, fontsize=size, va="center", annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": end.colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0},
+        )  # fmt: skip
 
 
 def _left(hue: str) -> list[Look]:

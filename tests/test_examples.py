@@ -1,18 +1,56 @@
 """The examples, at a tiny size."""
 
+import csv
 import importlib.util
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
+from PIL import Image
 
 
-def test_ppo_trains_and_is_judged(capsys, monkeypatch):
+@pytest.fixture(scope="module")
+def ppo():
     pytest.importorskip("stable_baselines3")
     spec = importlib.util.spec_from_file_location("ppo", Path(__file__).parents[1] / "examples" / "ppo.py")
-    ppo = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(ppo)
-    monkeypatch.setattr(ppo, "EPISODES", 1)
-    ppo.main(4)
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
-    assert [row[0] for row in rows] == ["none", "loops", "0", "2048"]
-    assert float(rows[1][1]) > 2 * float(rows[0][1])
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_ppo_trains_is_judged_and_drawn(ppo, capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(ppo, "EPISODES", 2)
+    monkeypatch.setattr(ppo, "VEHICLES", 4)
+    monkeypatch.setattr(ppo, "DECISIONS", 64)
+    ppo.main(["--steps", "512", "--out", str(tmp_path)])
+    with (tmp_path / "ppo.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["who"] for row in rows] == [*ppo.BASELINES, "PPO, seed 0", "PPO, seed 0"]
+    assert [row["decisions"] for row in rows] == ["0", "0", "0", "512"]
+    assert float(rows[1]["return"]) > 2 * float(rows[0]["return"])
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows) + 1
+    with Image.open(tmp_path / "ppo.png") as image:
+        assert image.size == (880, 440)
+
+
+def test_a_batch_flies_as_single_environments_do(ppo):
+    """Actions hold for ten samples. The step that ends an episode returns the next's first observation."""
+    batch = ppo.Batch(3)
+    batch.seed(5)
+    seen = batch.reset()
+    single = gymnasium.make(
+        "quadsim/Quadrotor-v0", estimator="mahony", scenario=batch.env.unwrapped._flights._scenario
+    )
+    first, _ = single.reset(seed=6)
+    np.testing.assert_array_equal(seen[1], first)
+    action = np.random.default_rng(0).uniform(-0.01, 0.01, (3, 4))
+    done = np.zeros(3, bool)
+    while not done.any():
+        seen, earned, done, infos = batch.step(action)
+        taken = [single.step(action[1])[:4] for _ in range(ppo.REPEAT)]
+        np.testing.assert_allclose(earned[1], np.mean([reward for _, reward, *_ in taken]))
+    assert done.all()
+    np.testing.assert_array_equal(infos[1]["terminal_observation"], taken[-1][0])
+    assert infos[1]["TimeLimit.truncated"]
+    np.testing.assert_array_equal(seen[1], single.reset()[0])

@@ -117,6 +117,12 @@ def test_a_page_or_figure_without_its_stamp_is_out_of_date(pages, root):
     assert "docs/one.md, docs/img/one.png: out of date" in found(pages, root)[0]
 
 
+def test_a_video_has_its_stamp_among_its_metadata(pages, tmp_path):
+    path = tmp_path / "flight.mp4"
+    path.write_bytes(b"\x00\x01moov\xff" + b"made by: python docs/one.py; digest 0123abc" + b"\x00\xa9mdat")
+    assert pages.read_stamp(path) == "0123abc"
+
+
 def test_an_archived_page_is_listed_and_no_problem_as_long_as_it_says_so(pages, root):
     assert list(pages.archived(pages.load_pages(root))) == ["docs/old.md: archived: takes a night"]
     (root / "docs/old.md").write_text("# Old\n")

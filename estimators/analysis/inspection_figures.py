@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from quadsim.dataset.figures import STYLE
 
+from ..appearance import End, label_ends
 from .activity import Activity
 from .encoding_study import StimulusResponse, TuningCurves, preferred
 
@@ -91,27 +92,34 @@ def ablation_curve(
     fractions: Sequence[float], curves: Mapping[str, Array], tuned: Sequence[tuple[float, float]] = ()
 ) -> Figure:
     """Error against the share of neurons removed (the paper's Fig. 7), and after training on."""
-    figure = Figure(figsize=(6.4, 3.2), layout="constrained")
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    for (by, errors), colour, dash in zip(curves.items(), COLOURS, ("-", "--", "-.", ":"), strict=False):
+    ends = []
+    styles = zip(COLOURS, ("-", "--", "-.", ":"), "os^D", strict=True)
+    for (by, errors), (colour, dash, marker) in zip(curves.items(), styles, strict=False):
         axes.plot(
             100 * np.asarray(fractions),
             errors,
             color=colour,
             ls=dash,
-            marker=".",
-            label="at random" if by == "random" else f"by {by}",
+            marker=marker,
+            ms=5,
+            mec="white",
+            lw=1.8,
         )
+        ends.append(End(float(errors[-1]), "at random" if by == "random" else f"by {by}", colour))
     if tuned:
         x, y = np.transpose(tuned)
-        axes.plot(100 * x, y, "o-", color="#111111", label="trained on after each cut")
+        axes.plot(100 * x, y, "o-", color="#111111")
+        ends.append(End(float(y[-1]), "trained on\nafter each cut", "#111111"))
     whole = next(iter(curves.values()))[0]
     axes.axhline(1.02 * whole, color="#111111", lw=0.8, ls=":")
-    axes.annotate("2 % more", (60, 1.02 * whole), (0, 3), textcoords="offset points", fontsize=7, ha="right")
+    ends.append(End(1.02 * whole, "2 % more", "#111111"))
     axes.set(xlabel="neurons removed [%]", ylabel="mean absolute error [°]", yscale="log")
+    axes.set_xlim(0, 100 * max([*fractions, *(share for share, _ in tuned)]))
     axes.set_yticks([2, 3, 5, 10, 20], ["2", "3", "5", "10", "20"])
     axes.minorticks_off()
-    axes.legend(fontsize=8)
+    label_ends(axes, ends, size=10)
     return figure
 
 

@@ -6,13 +6,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
 
 from ..appearance import looks
 from .comparison import BLOCK_S, SETTLED_DEG, TILTS_DEG, Evaluation
 
+Array = NDArray[np.float64]
 COLOURS = {"unknown": "#c0563b", "known": "#33658a"}
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
+PANELS = 4
+"""Panels beside each other."""
 MOST_BANDS = 6
 """Lines that may have a band; more bands hide the lines."""
 
@@ -59,18 +63,43 @@ def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
 
 
 def settling(evaluation: Evaluation) -> Figure:
-    """Recovery after a start in an unknown tilt: inclination error of the median start, one panel a tilt."""
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    panels = figure.subplots(1, len(TILTS_DEG), sharey=True)
-    for axes, tilt in zip(panels, TILTS_DEG, strict=True):
-        names = _shown(name for name, start in evaluation.settling if start == tilt)
-        for name, look in looks(names).items():
+    """Recovery after a start in an unknown tilt: inclination error of the median start.
+
+    One panel an estimator, with a line for each tilt; behind them, in grey, those of all others.
+    """
+    names = _shown(name for name, _ in evaluation.settling)
+    columns = min(max(len(names), 1), PANELS)
+    rows = max(-(-len(names) // columns), 1)
+    figure = Figure(figsize=(8.0, 1.0 + 1.6 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for (name, look), axes in zip(looks(names).items(), panels.flat, strict=False):
+        for curve in evaluation.settling.values():
+            axes.plot(_blocks(curve), curve, color="#d8d8d8", lw=0.6)
+        for tilt, dash in zip(TILTS_DEG, ("-", "--"), strict=True):
             curve = evaluation.settling[name, tilt]
-            axes.plot((np.arange(curve.size) + 0.5) * BLOCK_S, curve, label=name, lw=1.2, **look.line)
+            axes.plot(_blocks(curve), curve, color=look.colour, ls=dash, lw=1.6, label=f"from {tilt:.0f}°")
         axes.axhline(SETTLED_DEG, color="black", linewidth=0.8, linestyle=":")
-        axes.set_title(f"started in a tilt of {tilt:.0f}°")
-        _finish(axes, "inclination error [°]", legend=tilt == TILTS_DEG[-1])
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(PLAIN)
+        axes.set_title(name, fontsize=8.5, fontweight="bold", loc="left", color=look.colour)
+        axes.grid(alpha=0.3)
+        axes.label_outer()
+    for axes in panels.flat[len(names) :]:
+        axes.set_axis_off()
+    for axes in panels.flat[max(len(names) - columns, 0) : len(names)]:
+        axes.xaxis.set_tick_params(labelbottom=True)
+    if names:
+        panels.flat[0].legend(
+            frameon=False, fontsize=8, handlelength=1.8, loc="upper right", borderaxespad=0.0
+        )
+    figure.supxlabel("time [s]", fontsize=10)
+    figure.supylabel("inclination error [°]", fontsize=10)
     return figure
+
+
+def _blocks(curve: Array) -> Array:
+    """Middles of the blocks that a curve has a value for [s]."""
+    return BLOCK_S * np.arange(0.5, curve.size)
 
 
 def _shown(names: Iterable[str]) -> list[str]:

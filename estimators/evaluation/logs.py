@@ -204,7 +204,7 @@ def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
 
 
 def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:
-    """True roll and pitch of a log against the estimates, and the error of inclination.
+    """True roll and pitch of a log with the best estimate, and a strip of error for each estimator.
 
     Args:
         scores: From `score_logs`.
@@ -214,23 +214,36 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
     time, truth = scores.time_s[log], scores.truth[log]
     part = slice(None) if within is None else slice(*np.searchsorted(time, within))
     shown = [name for name in scores.estimators if (log, name) in scores.estimates][:LISTED]
-    figure = Figure(figsize=(11, 7.5), layout="constrained")
-    roll, pitch, error = figure.subplots(3, 1, sharex=True)
-    for k, axes in enumerate((roll, pitch)):
-        axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.0, label="truth")
-        axes.set_ylabel(("roll, °", "pitch, °")[k])
-    for name, look in looks(shown).items():
-        estimate = scores.estimates[log, name]
-        for k, axes in enumerate((roll, pitch)):
-            axes.plot(time[part], np.degrees(estimate[part, k]), lw=1.0, label=name, **look.line)
-        off = np.where(scores.counted[log], inclination_error(estimate, truth), np.nan)
-        error.plot(time[part], off[part], lw=1.0, label=name, **look.line)
-    error.set(ylabel="inclination error, °\nwhere it counts", xlabel="time, s")
-    error.set_ylim(bottom=0)
-    figure.suptitle(f"{log}, raw readings: truth and the best of the estimators", fontsize="medium")
-    handles, labels = roll.get_legend_handles_labels()
-    figure.legend(handles, labels, ncols=len(labels), fontsize="small", loc="outside lower center")
-    for axes in (roll, pitch, error):
+    figure = Figure(figsize=(8.0, 3.6 + 0.75 * len(shown)), layout="constrained")
+    ratios = [2.0, 2.0, *np.ones(len(shown))]
+    panels = np.atleast_1d(figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios))
+    styles = looks(shown)
+    for k, axes in enumerate(panels[:2]):
+        axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.2, label="truth")
+        for name in shown[:1]:
+            best = np.degrees(scores.estimates[log, name][part, k])
+            axes.plot(time[part], best, color=styles[name].colour, lw=1.0, label=name)
+        axes.set_ylabel(("roll [°]", "pitch [°]")[k])
+    panels[0].legend(ncols=2, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+    errors = {
+        name: np.where(scores.counted[log], inclination_error(scores.estimates[log, name], truth), np.nan)[
+            part
+        ]
+        for name in shown
+    }
+    known = np.concatenate([[1.0], *(error[np.isfinite(error)] for error in errors.values())])
+    for axes, (name, error) in zip(panels[2:], errors.items(), strict=True):
+        axes.fill_between(time[part], error, color=styles[name].colour, alpha=0.25, linewidth=0)
+        axes.plot(time[part], error, color=styles[name].colour, lw=0.9)
+        axes.set_ylim(0.0, 1.3 * float(np.quantile(known, 0.999)))
+        axes.set_title(
+            name, fontsize=9, fontweight="bold", loc="left", color=styles[name].colour, y=0.68, x=0.01
+        )
+    if shown:
+        panels[2 + len(shown) // 2].set_ylabel("inclination error, where it counts [°]", y=1.0)
+    panels[-1].set_xlabel("time [s]")
+    panels[0].set_title(f"{log}, raw readings", fontsize=10, loc="left")
+    for axes in panels:
         axes.grid(alpha=0.3)
         axes.margins(x=0)
     return figure

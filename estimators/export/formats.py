@@ -7,6 +7,8 @@ from pathlib import Path
 from ..networks.weights_file import load_network
 
 FORMATS = ("nir", "c99", "onnx")
+HOLD = {"att-snn": ("nir", "c99"), "att-rnn": ("onnx",)}
+"""Formats that can hold a network of a model."""
 
 
 def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
@@ -21,12 +23,15 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
         FileNotFoundError: No such weights.
         ValueError: An unknown format, one that cannot hold this network, or `out` exists.
     """
-    if format not in FORMATS:
-        raise ValueError(f"format is {format!r}; weights are exported as {', '.join(FORMATS)}")
+    config, tensors = load_network(weights)
+    if format not in HOLD[config.model]:
+        known = "" if format in FORMATS else f'unknown format "{format}"; '
+        raise ValueError(
+            f"{known}weights of {config.model} are exported as {' or '.join(HOLD[config.model])}"
+        )
     out = Path(out)
     if out.exists():
         raise ValueError(f"{out}: exists already, choose another name")
-    config, tensors = load_network(weights)
     try:
         if format == "nir":
             from .nir_graph import write_nir as write

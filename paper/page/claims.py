@@ -305,8 +305,8 @@ def fig8(numbers: Numbers) -> Judged:
     It holds if slow attitude (below 0.2 Hz) is followed better without gyroscope than with θ_acc = 0, and
     fast attitude (above 1 Hz) the other way round; partly: one of them.
 
-    Gains are of aggressive test flights, without an interval. The flights that train have hardly any constant
-    velocity: there the network fails on untouched readings too.
+    Gains are of aggressive test flights, without an interval. The errors at a constant velocity are beside
+    them and judge nothing.
     """
     each = numbers["manipulate"]["networks"][SNN]
     no_gyro, no_accel = each["gyro removed"], each["accel removed"]

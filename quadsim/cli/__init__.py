@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from . import catalogue, data, flights, installation, logs, networks, studies
+from . import catalogue, data, flights, identification, installation, logs, networks, studies
 
 app = typer.Typer(
     name="quadsim",
@@ -31,6 +31,7 @@ app.add_typer(logs.app, name="logs")
 for verb in (
     data.generate,
     flights.design,
+    identification.identify,
     data.export,
     networks.train,
     networks.kfold,

@@ -1,6 +1,7 @@
 """The verb `list`: what ships, and the user's own scenarios."""
 
 import re
+from collections.abc import Iterable
 from enum import StrEnum
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -19,6 +20,7 @@ class Kind(StrEnum):
 
     SCENARIOS = "scenarios"
     ESTIMATORS = "estimators"
+    CONTROLLERS = "controllers"
     VEHICLES = "vehicles"
     IMUS = "imus"
     EXTERNALS = "externals"
@@ -31,6 +33,7 @@ class Kind(StrEnum):
 HOW = {
     Kind.SCENARIOS: "quadsim fly NAME; quadsim bench --scenario NAME",
     Kind.ESTIMATORS: "--estimator NAME; also weights, or your own: file.py:Class, module:Class",
+    Kind.CONTROLLERS: "--controller NAME; also weights, or your own: file.py:make, module:make",
     Kind.VEHICLES: "--vehicle NAME, or a TOML file",
     Kind.IMUS: "--imu NAME, or a TOML file",
     Kind.EXTERNALS: "quadsim bench --external NAME, or a TOML file",
@@ -40,6 +43,9 @@ HOW = {
     Kind.WEIGHTS: "--estimator NAME; quadsim inspect --weights NAME; quadsim export NAME",
 }
 """Where a name is used."""
+
+
+CASCADED = "Attitude and body rate in cascade, gains from phase margins."
 
 
 class Item(NamedTuple):
@@ -52,7 +58,9 @@ class Item(NamedTuple):
 
 
 def list_names(
-    kind: Annotated[Kind, typer.Argument(help="What to list.")],
+    kind: Annotated[
+        Kind, typer.Argument(metavar="KIND", help=f"What to list: {', '.join(Kind)}.", show_choices=False)
+    ],
 ) -> None:
     """List what ships by name, with a sentence on each: scenarios, estimators, vehicles and so on.
 
@@ -74,18 +82,23 @@ def items(kind: Kind) -> list[Item]:
             from estimators.registry import DESCRIPTIONS, names
 
             return [Item(name, DESCRIPTIONS[name]) for name in names()]
-        case Kind.WEIGHTS:
-            from estimators.networks.weights_file import shipped_names
+        case Kind.CONTROLLERS:
+            from estimators.networks.weights_file import shipped_controllers
 
-            cards = files("assets") / "weights"
-            return [
-                Item(name, card_summary((cards / f"{name}.md").read_text("utf-8")))
-                for name in shipped_names()
-            ]
+            return [Item("cascaded", CASCADED), *_weights(shipped_controllers())]
+        case Kind.WEIGHTS:
+            from estimators.networks.weights_file import shipped_controllers, shipped_names
+
+            return _weights([*shipped_names(), *shipped_controllers()])
     root = files("scenarios") if kind is Kind.SCENARIOS else files("assets") / kind
     shipped = [Item(name, summary(root / f"{name}.toml")) for name in preset_names(kind)]
     own = sorted(path for path in Path(kind).glob("*.toml") if not _ships(path, root))
     return shipped + [Item(path.stem, summary(path), path.as_posix()) for path in own]
+
+
+def _weights(names: Iterable[str]) -> list[Item]:
+    cards = files("assets") / "weights"
+    return [Item(name, card_summary((cards / f"{name}.md").read_text("utf-8"))) for name in names]
 
 
 def summary(file: Traversable) -> str:

@@ -105,7 +105,7 @@ def dataset_plot(
 
 def export(
     source: Annotated[
-        Path, typer.Argument(help="A dataset; or weights: a file of them, or att-snn or att-rnn, which ship.")
+        Path, typer.Argument(help="A dataset; or weights: a file, or a name of quadsim list weights.")
     ],
     out: Annotated[Path, typer.Option(help="What to write; it must not exist yet.")],
     format: Annotated[
@@ -121,10 +121,12 @@ def export(
     Example: quadsim export att-snn --format c99 --out firmware/att_snn
     """
     from estimators.export.formats import FORMATS, export_weights
+    from estimators.networks.weights_file import END, shipped_controllers, shipped_names
 
     from ..dataset.export import export as export_dataset
 
-    if format in FORMATS:
+    names_weights = source.suffix == END or str(source) in (*shipped_names(), *shipped_controllers())
+    if names_weights or format in FORMATS:
         export_weights(source, out, format)
     else:
         with progress_bar("export", "flights") as progress:

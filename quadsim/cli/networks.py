@@ -204,7 +204,13 @@ def kfold(
 
 
 def tune(
-    estimator: Annotated[str, typer.Option(help="A filter with parameters, for example mahony; or all.")],
+    estimator: Annotated[
+        str,
+        typer.Option(
+            help="A filter with parameters, for example mahony; your own, file.py:Class, which declares "
+            "them; or all."
+        ),
+    ],
     data: Annotated[list[Path], typer.Option(help="Dataset to tune on; give it again to mix several.")],
     out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it stay.")],
     particles: Annotated[int, typer.Option(min=2, help="Parameter sets tried at once.")] = 100,

@@ -74,8 +74,8 @@ TuningOption = Annotated[
     ),
 ]
 OWN_CONTROLLER = (
-    "cascaded, a spiking controller's weights, or your own file.py:make, called with sample rate and vehicle; "
-    "in place of the cascade's levels of attitude and body rate"
+    "cascaded, a spiking controller's weights, or your own file.py:make, called with sample rate and "
+    "vehicle; in place of the cascade's levels of attitude and body rate"
 )
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
 

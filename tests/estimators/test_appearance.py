@@ -12,10 +12,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from estimators import names
-from estimators.appearance import DASHES, FIXED, HUES, MARKERS, OWN, OWN_TOO, look, looks
+from estimators.appearance import DASHES, FIXED, HUES, MARKERS, OWN, OWN_TOO, End, label_ends, look, looks
 from estimators.networks.weights_file import shipped_names
 
 FAR = 10.0
@@ -190,3 +191,21 @@ def test_matplotlib_and_the_browser_draw_every_dash_and_marker():
         assert (line.get_color(), line.get_marker()) == (each.colour, each.marker)
         assert line.is_dashed() == bool(each.dash)
     assert len(set(DASHES)) == len(DASHES)
+
+
+@pytest.mark.parametrize("heights", [(1.0, 1.0, 1.0), (0.0, 0.02, 0.9), (5.0, 5.01, 5.02, 5.03, 5.04, 0.2)])
+def test_names_at_the_ends_of_lines_do_not_overlap_and_keep_their_order(heights):
+    axes = Figure(figsize=(6, 4)).subplots()
+    axes.set_ylim(0, 6)
+    label_ends(axes, [End(y, f"line {k}", "black") for k, y in enumerate(heights)])
+    found = sorted((text.get_position()[1], heights[int(text.get_text()[5:])]) for text in axes.texts)
+    places = [place for place, _ in found]
+    assert [height for _, height in found] == sorted(heights)
+    letters = 9 / (72 * axes.get_window_extent().height / axes.figure.dpi)
+    assert np.diff(places).min() > 1.2 * letters
+
+
+def test_a_line_without_a_finite_end_has_no_name():
+    axes = Figure().subplots()
+    label_ends(axes, [End(np.nan, "lost", "black"), End(0.5, "there", "black")])
+    assert [text.get_text() for text in axes.texts] == ["there"]

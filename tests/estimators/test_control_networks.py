@@ -48,7 +48,8 @@ def readings(n, steps, seed=1):
     """Set-points (n, T, 4), body rates and specific forces (n, T, 3)."""
     rng = np.random.default_rng(seed)
     wanted = rng.normal(size=(n, steps, 4)) * [0.3, 0.3, 1.0, 2.0] + [0, 0, 0, GRAVITY]
-    return wanted, rng.normal(size=(n, steps, 3)), rng.normal(size=(n, steps, 3)) + [0, 0, GRAVITY]
+    gyro, accel = rng.normal(size=(2, n, steps, 3))
+    return wanted, gyro, accel + np.array([0, 0, GRAVITY])
 
 
 @pytest.fixture

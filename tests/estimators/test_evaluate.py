@@ -146,6 +146,14 @@ def test_figures_are_drawn(evaluation, tmp_path):
         assert (tmp_path / f"{k}.png").stat().st_size > 5_000
 
 
+def test_each_estimator_has_a_panel_of_its_recovery(evaluation):
+    names = list(dict.fromkeys(name for name, _ in evaluation.settling if name != "truth"))
+    panels = [axes for axes in settling(evaluation).axes if axes.axison]
+    assert [axes.get_title(loc="left") for axes in panels] == names
+    coloured = [[line.get_label() for line in axes.get_lines()] for axes in panels]
+    assert all({"from 20°", "from 45°"} <= set(labels) for labels in coloured)
+
+
 def test_estimators_may_be_given_as_objects(flights):
     made = {"slow": create("madgwick", beta=0.001), "fast": create("madgwick", beta=0.5)}
     rows = evaluate(flights, made, initial=("known",), settle_s=2.0).rows

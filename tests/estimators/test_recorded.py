@@ -101,16 +101,20 @@ def test_the_models_that_imm_believes_along_a_log_are_recorded(log):
     assert np.isnan(believed.coverage(nowhere))
 
 
-def test_rows_and_pictures_are_written(log, tmp_path):
+def test_rows_are_written(log, tmp_path):
     scores = score_logs([log], ["mahony", "vqf"])
     scores.write_csv(tmp_path / "logs.csv")
     with (tmp_path / "logs.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 6
     assert float(rows[0]["inclination_rmse_deg"]) == scores.rows[0].inclination_rmse_deg
-    figure = draw_log(scores, "mine")
-    lines = {line.get_label() for line in figure.axes[0].get_lines()}
-    assert lines == {"truth", "mahony", "vqf"}
+
+
+def test_a_picture_of_a_log_has_the_best_estimate_and_an_error_of_each(log):
+    scores = score_logs([log], ["mahony", "vqf"])
+    roll, _, *strips = draw_log(scores, "mine").axes
+    assert [line.get_label() for line in roll.get_lines()] == ["truth", scores.estimators[0]]
+    assert [axes.get_title(loc="left") for axes in strips] == scores.estimators[:2]
 
 
 class Unused:

@@ -287,10 +287,10 @@ def test_onnx_runtime_estimates_as_the_network_here(tmp_path):
 
 def test_what_cannot_be_exported_is_refused(tmp_path):
     for weights, format, message in (
-        ("att-rnn", "c99", "C99 needs quantised weights of att-snn"),
-        ("att-rnn", "nir", "a NIR graph needs weights of att-snn"),
-        ("att-snn", "onnx", "ONNX needs weights of att-rnn"),
-        ("att-snn", "csv", "format is 'csv'; weights are exported as nir, c99, onnx"),
+        ("att-rnn", "c99", "weights of att-rnn are exported as onnx"),
+        ("att-rnn", "nir", "weights of att-rnn are exported as onnx"),
+        ("att-snn", "onnx", "weights of att-snn are exported as nir or c99"),
+        ("att-snn", "csv", 'unknown format "csv"; weights of att-snn are exported as nir or c99'),
     ):
         with pytest.raises(ValueError, match=message):
             export_weights(weights, tmp_path / "x", format)

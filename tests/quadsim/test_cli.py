@@ -2,7 +2,6 @@
 
 import sys
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from safetensors.numpy import save_file
 
 from estimators.networks.weights_file import shipped_network
 from quadsim.cli import app, main
+from quadsim.cli.catalogue import Kind
 from quadsim.cli.options import pair_of
 from quadsim.runs.record import load_record
 from scenarios.bench.axes import design
@@ -26,6 +26,7 @@ VERBS = [
     "export",
     "compile",
     "design",
+    "identify",
     "demo",
     "inspect",
     "paper",
@@ -64,6 +65,26 @@ def test_every_verb_explains_itself(quadsim, verb):
     assert code == 0
     assert "Usage: quadsim" in out
     assert len(out.splitlines()) > 8
+
+
+@pytest.mark.parametrize("verb", [*VERBS, "logs", "dataset"])
+def test_help_fits_eighty_columns_and_its_boxes_are_closed(quadsim, monkeypatch, verb):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = quadsim(verb, "--help")
+    for line in out.splitlines():
+        assert len(line) <= 80
+        if line[:1] in ("╭", "│", "╰"):
+            assert (len(line), line[-1]) == (80, {"╭": "╮", "│": "│", "╰": "╯"}[line[0]])
+
+
+def test_everything_that_ships_can_be_listed_with_a_sentence(quadsim):
+    for kind in Kind:
+        code, out, _ = quadsim("list", kind)
+        assert code == 0
+        rows = out.splitlines()[1:-1]
+        names = [row for row in rows if not row.startswith(" ")]
+        assert names
+        assert all(len(row.split()) >= 3 for row in names), kind
 
 
 def test_every_verb_has_help_of_its_own():
@@ -295,16 +316,6 @@ def test_what_is_refused_before_any_work_leaves_one_line_and_no_bar(quadsim):
     assert (code, out) == (2, "")
     assert err.strip().startswith("quadsim: nowhere")
     assert len(err.strip().splitlines()) == 1
-
-
-def test_the_estimator_of_the_readme_flies(quadsim, tmp_path, monkeypatch):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    block = next(each for each in readme.split("```python\n") if "class Level" in each).split("```")[0]
-    (tmp_path / "level.py").write_text(block)
-    monkeypatch.syspath_prepend(tmp_path)
-    code, out, err = quadsim("fly", "hover", "--estimator", "level:Level", "--duration", 0.5)
-    assert code == 0, err
-    assert "0 of 1 crashed" in out
 
 
 def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):

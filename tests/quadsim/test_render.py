@@ -102,7 +102,10 @@ def test_cover_shows_the_preferred_flight_or_says_why_not():
     picture, note = cover(cells)
     assert picture is not None
     assert (picture.caption, note) == ("step with truth, from 1.9 s to 4.2 s", "")
-    assert cover(cells[:1]) == (None, "no picture: none of step, figure-8, racing lasted long enough")
+    hover, _ = cover(cells[:1])
+    assert hover is not None
+    assert hover.caption == "hover with truth, from 0 s to 2.48 s"
+    assert cover([]) == (None, "The report shows no vehicle: no flight lasted 0.5 s.")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,125 @@
+"""Measure what the page on identification says: `python docs/identify.py [--recordings FOLDER]`."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from pages import Page, load_page, row
+from recordings import FOLDER
+from simulated import options
+
+from quadsim.dataset.figures import STYLE
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.recipe import FlightConfig, flight_config, load_recipe
+from quadsim.identify import Flight, Identified, flights_of, identify, noise_in_flight
+from quadsim.identify.model import UNITS, constant, with_constants
+from quadsim.identify.noise import RESTING, at_rest, in_the_air
+from quadsim.identify.report import draw_fit, draw_noise
+from quadsim.vehicle import Vehicle, load_vehicle
+
+AIRFRAMES = ("hummingbird", "px4-quad", "crazyflie")
+FLIGHTS, DURATION_S, SEED = 2, 60.0, 78
+"""Of each kind of flight of each airframe."""
+GUESSES = (0.75, 1.3)
+"""What each constant is multiplied by before the fit, at random."""
+LOGS = ("log10", "log15", "log16")
+DRAWN = "log15"
+
+
+def config_of(airframe: str, trajectory: str) -> FlightConfig:
+    """Still air and the ADIS16448, on the trajectory of a recipe."""
+    config = flight_config(load_recipe("hummingbird"))
+    changes = {
+        "vehicle": load_vehicle(airframe),
+        "trajectory": flight_config(load_recipe(trajectory)).trajectory,
+    }
+    return config.model_copy(update=changes)
+
+
+def guess(vehicle: Vehicle, seed: int) -> Vehicle:
+    """The vehicle with every constant wrong."""
+    rng = np.random.default_rng(seed)
+    return with_constants(
+        vehicle, {name: constant(vehicle, name) * float(rng.choice(GUESSES)) for name in UNITS}
+    )
+
+
+def identified(airframe: str, data: Path) -> Identified:
+    """The fit to aggressive and to fast flights."""
+    flights: list[Flight] = []
+    for k, trajectory in enumerate(("hummingbird", "cruise")):
+        path = data / f"identify-{airframe}-{trajectory}.zarr"
+        generate(config_of(airframe, trajectory), FLIGHTS, DURATION_S, path, seed=SEED + k)
+        flights += flights_of(open_dataset(path))
+    return identify(flights, guess(load_vehicle(airframe), SEED))
+
+
+def constant_rows(found: dict[str, Identified]) -> Iterator[str]:
+    """Error of each constant and its 95 % interval, for each airframe."""
+    for name in UNITS:
+        cells = []
+        for airframe, result in found.items():
+            each = next(one for one in result.constants if one.path == name)
+            true = constant(load_vehicle(airframe), name)
+            if not true:
+                cells.append(f"{each.fitted:.1g} (is 0)")
+            else:
+                used = "" if each.identified else ", not used"
+                cells.append(f"{each.fitted / true - 1:+.1%} (± {each.half_width / true:.1%}{used})")
+        yield row(f"`{name}`", *cells)
+
+
+def real(path: Path) -> Flight:
+    """A recording of the Crazyflie at 1 kHz: its IMU alone, for the motors' commands are no speeds."""
+    with np.load(path) as log:
+        grid = np.arange(log["t"][0], log["t"][-1], 1e-3)
+        columns = [np.interp(grid, log["t"], column) for name in ("gyro", "acc") for column in log[name].T]
+    signals = np.stack(columns, axis=1)
+    return Flight(1000.0, signals[:, :3], signals[:, 3:], None, None, None)
+
+
+def recording_rows(folder: Path, page: Page) -> Iterator[str]:
+    """Noise at rest, noise and vibration in flight, of each recording."""
+    for name in LOGS:
+        flight = real(folder / "crazyflie-imu" / f"{name}.npz")
+        rest, air = at_rest(flight), in_the_air(flight)
+        if rest is None:
+            raise SystemExit(f"{name}: no rest")
+        still = [noise_in_flight(each, 1000.0, RESTING) for each in (rest.gyro, rest.accel)]
+        shaken = [noise_in_flight(each, 1000.0) for each in (air.gyro, air.accel)]
+        for sensor, unit, a, b in zip(
+            ("gyroscope", "accelerometer"), ("rad/s", "m/s²"), still, shaken, strict=True
+        ):
+            line = f"{b.line.max():.2g} {unit} at {b.line_hz:.0f} Hz" if np.isfinite(b.line_hz) else "none"
+            noise = [f"{np.sqrt((each.noise**2).mean()):.2g}" for each in (a, b)]
+            yield row(
+                name, sensor, f"{noise[0]} → {noise[1]} {unit}/√Hz", f"{b.shaking.max():.2g} {unit}", line
+            )
+        if name == DRAWN:
+            page.save(draw_noise(shaken[0], shaken[1], (still[0], still[1])), "identify-noise.png")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure everything and write the page."""
+    given = options(__doc__, arguments, recordings=(FOLDER, "folder of crazyflie-imu/"))
+    matplotlib.rcParams.update(STYLE)
+    page = load_page("identify")
+    found = {airframe: identified(airframe, given.data) for airframe in AIRFRAMES}
+    page.save(draw_fit(found["hummingbird"]), "identify-fit.png")
+    least = min(result.explained.min() for result in found.values())
+    page.write(
+        {
+            "constants": list(constant_rows(found)),
+            "explained": f"{least:.1%}",
+            "flights": str(FLIGHTS),
+            "duration": f"{DURATION_S:g}",
+            "recordings": list(recording_rows(given.recordings, page)),
+            "drawn": DRAWN,
+        }
+    )
+
+
+if __name__ == "__main__":
+    main()

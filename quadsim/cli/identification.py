@@ -1,0 +1,123 @@
+"""`quadsim identify`: a vehicle's constants, and what the sensors add, from flights."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from ..runs.console import output
+from ..runs.files import save_figure
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..identify import Flight
+
+AXES = ("x", "y", "z")
+
+
+def identify(
+    files: Annotated[list[Path], typer.Argument(help="Datasets of flights, or logs that hold rotor speeds.")],
+    vehicle: Annotated[
+        str, typer.Option(help="Where to begin: a shipped vehicle or a TOML file with your mass and hubs.")
+    ] = "hummingbird",
+    out: Annotated[Path, typer.Option(help="Vehicle file to write; pictures get its name.")] = Path(
+        "mine.toml"
+    ),
+    rate: Annotated[
+        float, typer.Option(min=110, max=2000, help="Samples per second that logs are read at.")
+    ] = 500.0,
+    mount: Annotated[
+        str | None, typer.Option(help="Rotation from IMU to body axes: see quadsim logs -h.")
+    ] = None,
+) -> None:
+    """Fit thrust, drag, lag and inertia of a vehicle file to flights, and show vibration and noise.
+
+    Weigh the vehicle and measure where the rotors sit first: flights tell force per mass alone. Fly
+    aggressively, turn the heading, and fly fast for the drag. Rotor speeds are needed; attitude and position
+    for the drag.
+
+    A constant whose 95 % interval is wider than 5 % keeps its value, and is named.
+
+    Example: quadsim identify data/flights.zarr --vehicle hummingbird --out mine.toml
+    """
+    from ..identify import flights_of
+    from ..identify import identify as fit
+    from ..identify.report import draw_fit, write_vehicle
+    from ..vehicle import load_vehicle
+
+    start = load_vehicle(vehicle)
+    if out.suffix != ".toml":
+        raise ValueError(f"{out}: a vehicle file ends in .toml")
+    flights = [flight for file in files for flight in flights_of(_read(file, rate, mount))]
+    if not flights:
+        raise ValueError(f"{files[0]}: no 5 s without a missing sample")
+    _show_noise(flights, out)
+    if flights[0].rotor_vel is None and flights[0].rotor_vel_cmd is None:
+        output.print(
+            f"no rotor speeds in rad/s: noise and vibration alone, and no {out}", style="yellow", markup=False
+        )
+        return
+    found = fit(flights, start)
+    table = Table("constant", "unit", "start", "fitted", "± (95 %)", "used")
+    for each in found.constants:
+        used = "yes" if each.identified else "no"
+        width = f"{each.half_width / each.fitted:.1%}" if each.identified else f"{each.half_width:.2g}"
+        table.add_row(each.path, each.unit, f"{each.start:.4g}", f"{each.fitted:.4g}", width, used)
+    output.print(table)
+    for line in found.missing:
+        output.print(f"not identified: {line}", style="yellow", markup=False, soft_wrap=True)
+    write_vehicle(found, out, [str(file) for file in files])
+    picture = save_figure(out.with_suffix(".png"), draw_fit(found), dpi=120)
+    low = found.explained.min()
+    output.print(
+        f"{out}: for --vehicle {out}; the model explains {low:.1%} or more of each signal ({picture})",
+        soft_wrap=True,
+        highlight=False,
+    )
+
+
+def _read(file: Path, rate_hz: float, mount: str | None) -> "xr.Dataset":
+    """A dataset, or a log as one."""
+    if file.suffix == ".zarr":
+        from ..dataset.reading import open_dataset
+
+        return open_dataset(file)
+    from ..logs import read_log
+
+    return read_log(file, rate_hz, mount=mount)
+
+
+def _show_noise(flights: "list[Flight]", out: Path) -> None:
+    """Table and picture of noise and vibration of the longest flight."""
+    from ..identify.noise import RESTING, at_rest, in_the_air, noise_in_flight
+    from ..identify.report import draw_noise
+
+    longest = max(flights, key=lambda flight: len(flight.gyro))
+    air, rest = in_the_air(longest), at_rest(longest)
+    sensors = [noise_in_flight(each, air.rate_hz) for each in (air.gyro, air.accel)]
+    still = (
+        None
+        if rest is None
+        else [noise_in_flight(each, rest.rate_hz, RESTING) for each in (rest.gyro, rest.accel)]
+    )
+    table = Table("in flight", "unit", *AXES)
+    for k, (name, unit) in enumerate((("gyroscope", "rad/s"), ("accelerometer", "m/s²"))):
+        each = sensors[k]
+        table.add_row(f"{name}, RMS above 25 Hz", unit, *(f"{value:.3g}" for value in each.shaking))
+        table.add_row(
+            f"{name}, density at 25 to 60 Hz", f"{unit}/√Hz", *(f"{value:.3g}" for value in each.noise)
+        )
+        if still is not None:
+            table.add_row(
+                f"{name}, noise at rest", f"{unit}/√Hz", *(f"{value:.3g}" for value in still[k].noise)
+            )
+        if each.line_hz == each.line_hz:
+            table.add_row(
+                f"{name}, line at {each.line_hz:.0f} Hz", unit, *(f"{value:.3g}" for value in each.line)
+            )
+    output.print(table)
+    figure = draw_noise(sensors[0], sensors[1], None if still is None else (still[0], still[1]))
+    picture = save_figure(out.with_name(f"{out.stem}-noise.png"), figure, dpi=120)
+    output.print(f"{picture}: spectra of the readings", soft_wrap=True, highlight=False)

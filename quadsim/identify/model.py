@@ -1,0 +1,116 @@
+"""A vehicle's constants as a vector, and what the vehicle should have done with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
+from ..runs.compiled import njit
+from ..vehicle import Vehicle
+from .signals import Flight
+
+Array = NDArray[np.float64]
+
+UNITS = {
+    "motor.k_f": "N s²",
+    "motor.k_m": "m",
+    "motor.rotor_drag": "N s²/m",
+    "motor.rolling_moment": "N s²",
+    "motor.tau_up": "s",
+    "motor.tau_down": "s",
+    "inertia.0": "kg m²",
+    "inertia.1": "kg m²",
+    "inertia.2": "kg m²",
+    "frame.drag_area.0": "m²",
+    "frame.drag_area.1": "m²",
+    "frame.drag_area.2": "m²",
+}
+"""Constants that can be fitted, by their path in a vehicle file."""
+TURNING = ("motor.k_m", "inertia.0", "inertia.1", "inertia.2", "motor.rolling_moment")
+"""Those that show in the rotation alone."""
+DRAG = (
+    "motor.rotor_drag",
+    "motor.rolling_moment",
+    "frame.drag_area.0",
+    "frame.drag_area.1",
+    "frame.drag_area.2",
+)
+"""Those that need the velocity against the air."""
+LAGS = ("motor.tau_up", "motor.tau_down")
+"""Those that need commanded and actual rotor speeds."""
+
+
+def constant(vehicle: Vehicle, path: str) -> float:
+    """A constant by its path."""
+    part: Any = vehicle
+    for key in path.split("."):
+        part = part[int(key)] if key.isdigit() else getattr(part, key)
+    return float(part)
+
+
+def with_constants(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
+    """The vehicle with other constants, not validated."""
+    content = vehicle.model_dump()
+    for path, value in values.items():
+        *parents, last = path.split(".")
+        part: Any = content
+        for key in parents:
+            if isinstance(part[key], tuple):
+                part[key] = list(part[key])
+            part = part[key]
+        part[int(last) if last.isdigit() else last] = value
+    motor = vehicle.motor.model_copy(update=content["motor"])
+    frame = vehicle.frame.model_copy(update={"drag_area": tuple(content["frame"]["drag_area"])})
+    return vehicle.model_copy(
+        update={"motor": motor, "frame": frame, "inertia": tuple(content["inertia"]), "controller": None}
+    )
+
+
+def predicted(vehicle: Vehicle, flight: Flight, rotor_vel: Array) -> Array:
+    """Specific force [m/s²] and angular acceleration [rad/s²] by the model, (T, 6).
+
+    Args:
+        vehicle: Its constants.
+        flight: Body rate and velocity against the air; still air and a vehicle in one place where not known.
+        rotor_vel: (T, rotors) [rad/s].
+    """
+    air_vel = np.zeros_like(flight.gyro) if flight.air_vel is None else flight.air_vel
+    record = vehicle_records([vehicle], 1.0 / flight.rate_hz)[0]
+    out = np.empty((len(flight.gyro), 6))
+    _predict(record, rotor_vel, air_vel, flight.gyro, out)
+    return out
+
+
+def lagged(vehicle: Vehicle, flight: Flight, start: Sequence[float] | Array) -> Array:
+    """Rotor speeds that follow the commands from a start, (T, rotors) [rad/s]."""
+    assert flight.rotor_vel_cmd is not None
+    out = np.empty_like(flight.rotor_vel_cmd)
+    motor = vehicle.motor
+    out[0] = start
+    _follow(flight.rotor_vel_cmd, motor.tau_up, motor.tau_down, motor.omega_max, 1.0 / flight.rate_hz, out)
+    return out
+
+
+@njit(cache=True)
+def _predict(record, rotor_vel, air_vel, ang_vel, out):
+    for k in range(rotor_vel.shape[0]):
+        speed = rotor_vel[k]
+        v = (air_vel[k, 0], air_vel[k, 1], air_vel[k, 2])
+        w = (ang_vel[k, 0], ang_vel[k, 1], ang_vel[k, 2])
+        fx, fy, fz, mx, my, mz = aerodynamic_wrench(record, speed, speed * speed, v, w)
+        ax, ay, az = angular_acceleration(record.inertia, (mx, my, mz), w)
+        out[k, 0], out[k, 1], out[k, 2] = fx / record.mass, fy / record.mass, fz / record.mass
+        out[k, 3], out[k, 4], out[k, 5] = ax, ay, az
+
+
+@njit(cache=True)
+def _follow(commands, tau_up, tau_down, omega_max, dt, out):
+    for k in range(1, commands.shape[0]):
+        for i in range(commands.shape[1]):
+            ref = min(max(commands[k, i], 0.0), omega_max)
+            now = out[k - 1, i]
+            out[k, i] = lag(now, ref, tau_up if ref > now else tau_down, dt)[0]

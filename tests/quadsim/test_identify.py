@@ -1,0 +1,137 @@
+"""A vehicle's constants come back from its flights, and what flights do not tell is named."""
+
+import numpy as np
+import pytest
+
+from quadsim.cli import main
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.identify import Flight, flights_of, identify, noise_in_flight
+from quadsim.identify.model import UNITS, constant, lagged, predicted, with_constants
+from quadsim.identify.noise import at_rest, in_the_air
+from quadsim.vehicle import load_vehicle
+
+TRUE = load_vehicle("hummingbird")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """An aggressive and a fast flight."""
+    folder = tmp_path_factory.mktemp("identify")
+    config = flight_config(load_recipe("hummingbird"))
+    fast = config.model_copy(update={"trajectory": flight_config(load_recipe("cruise")).trajectory})
+    each = ((config, "a"), (fast, "b"))
+    return [generate(one, 1, 40.0, folder / f"{name}.zarr", seed=77, workers=1) for one, name in each]
+
+
+@pytest.fixture(scope="module")
+def flights(data):
+    return [flight for path in data for flight in flights_of(open_dataset(path))]
+
+
+def guess(factor):
+    return with_constants(TRUE, {name: constant(TRUE, name) * factor for name in UNITS})
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_constants_come_back_within_five_per_cent_from_noisy_flights(flights, factor):
+    found = identify(flights, guess(factor))
+    assert {each.path for each in found.constants} == set(UNITS)
+    for each in found.constants:
+        if each.identified:
+            assert each.fitted == pytest.approx(constant(TRUE, each.path), rel=0.05), each.path
+    unsure = {each.path for each in found.constants if not each.identified}
+    assert unsure <= {"frame.drag_area.0", "frame.drag_area.1", "frame.drag_area.2"}
+    assert found.explained.min() > 0.98
+
+
+def test_the_model_is_that_of_the_simulator(data):
+    """On true signals of a flight, specific force and angular acceleration are the simulator's own."""
+    one = open_dataset(data[0]).isel(flight=0)
+    (flight,) = flights_of(open_dataset(data[0]))
+    exact = flight._replace(gyro=one["ang_vel"].to_numpy().astype(float))
+    force = predicted(TRUE, exact, exact.rotor_vel)[:, :3]
+    np.testing.assert_allclose(force, one["specific_force"], atol=2e-4)
+
+
+def test_commanded_speeds_lag_as_in_the_simulator(flights):
+    speeds = lagged(TRUE, flights[0], flights[0].rotor_vel[0])
+    np.testing.assert_allclose(speeds, flights[0].rotor_vel, rtol=1e-4, atol=0.01)
+
+
+def test_what_hover_does_not_tell_keeps_its_value_and_is_named(tmp_path):
+    recipe = load_recipe("calm")
+    config = flight_config(recipe)
+    path = generate(config, 1, 12.0, tmp_path / "calm.zarr", seed=1, workers=1)
+    start = with_constants(config.vehicle, {"frame.drag_area.2": 0.5})
+    found = identify(flights_of(open_dataset(path)), start)
+    assert constant(found.vehicle, "frame.drag_area.2") == 0.5
+    assert any(line.startswith("frame.drag_area.2: ") for line in found.missing)
+
+
+def test_without_attitude_the_drag_is_not_fitted_and_without_speeds_nothing(flights):
+    blind = [flight._replace(air_vel=None) for flight in flights]
+    found = identify(blind, TRUE)
+    assert not any("drag" in each.path for each in found.constants)
+    assert "drag: it needs attitude and position or velocity" in found.missing
+    with pytest.raises(ValueError, match="no rotor speeds"):
+        identify([flight._replace(rotor_vel=None, rotor_vel_cmd=None) for flight in flights], TRUE)
+    with pytest.raises(ValueError, match="no flight has 5 s"):
+        identify([], TRUE)
+    with pytest.raises(ValueError, match="has 6 rotors, the flights 4"):
+        identify(flights, load_vehicle("hexarotor"))
+
+
+def test_noise_and_a_line_are_those_that_were_added():
+    rng = np.random.default_rng(0)
+    rate, density, line = 1000.0, 0.01, 0.5
+    time = np.arange(60_000) / rate
+    signal = rng.normal(0, density * np.sqrt(rate), (60_000, 3))
+    signal[:, 1] += line * np.sin(2 * np.pi * 181.0 * time)
+    found = noise_in_flight(signal, rate)
+    np.testing.assert_allclose(found.noise, density, rtol=0.1)
+    assert found.line_hz == pytest.approx(181.0, abs=0.5)
+    assert found.line[1] == pytest.approx(line, rel=0.1)
+
+
+def test_a_flight_is_parted_into_rest_and_air():
+    rng = np.random.default_rng(0)
+    shakes = np.repeat([1.0, 30.0], [2000, 2000])[:, None]
+    gyro, accel = rng.normal(0, 1e-3, (4000, 3)) * shakes, rng.normal(0, 0.02, (4000, 3)) * shakes
+    flight = Flight(200.0, gyro, accel, None, None, None)
+    assert len(at_rest(flight).gyro) == 2000
+    assert len(in_the_air(flight).gyro) == 2000
+    assert at_rest(flight.part(slice(2000, 4000))) is None
+
+
+def test_the_command_writes_a_vehicle_and_pictures(data, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.setattr("sys.argv", ["quadsim", "identify", *map(str, data), "--out", "mine.toml"])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 0
+    assert load_vehicle("mine.toml").motor.k_f == pytest.approx(TRUE.motor.k_f, rel=0.05)
+    assert (tmp_path / "mine.png").is_file()
+    assert (tmp_path / "mine-noise.png").is_file()
+    assert "motor.k_f" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere.zarr"], "nowhere.zarr"),
+        (["nowhere.zarr", "--out", "mine.txt"], "ends in .toml"),
+        (["nowhere.zarr", "--vehicle", "hummingbrd"], "hummingbird"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["quadsim", "identify", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    error = capsys.readouterr().err.strip()
+    assert stop.value.code == 2
+    assert said in error
+    assert len(error.splitlines()) == 1
