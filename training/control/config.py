@@ -97,6 +97,8 @@ class ControlRecipe(Strict):
     estimator: str = ""
     """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights do not change. Empty:
     the network reads the IMU itself and is trained end to end."""
+    end_to_end: bool = False
+    """Train the estimator's weights too, from where they are, with every connection: one merged network."""
     init: str = ""
     """Weights of a controller of the same layers to continue from, by a shipped name or a file."""
     set_point: SetPointScaling = SetPointScaling()

@@ -1,7 +1,9 @@
 """Flights to imitate: set-points and readings, and what the teacher would ask for at the true state.
 
-The teacher is the cascade's levels of attitude and body rate, which read the true attitude and body rate. Who
-flies is another matter: the teacher, the student, or now one and then the other (DAgger).
+The teacher is the cascade's levels of attitude and body rate, which read the true attitude and body rate. Its
+integral is replaced by its limit, the disturbance of the angular acceleration, averaged over
+`OBSERVED_S`: an integral would wind up on the errors of a student that flies. The teacher flies, the student, or
+now one and then the other (DAgger).
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.control.controller import SpikingController, bounded
-from quadsim.control.cascade import POSITION, follow_attitude
+from quadsim.control.cascade import MAX_TRIM, POSITION, follow_attitude
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.recipe import FlightConfig
 from quadsim.imu.spec import ImuSpec
@@ -33,6 +35,8 @@ MOTION, BODY, AIR, IMU, EXCITATION = range(5)
 """Children of a flight's seed."""
 MAX_TILT_DEG, MAX_DISTANCE, MAX_RATE = 80.0, 40.0, 30.0
 """Where a flight ends: tilt [deg], distance from the set-point [m], body rate [rad/s]."""
+OBSERVED_S = 0.4
+"""Time constant of the teacher's disturbance [s]."""
 PART_S = 0.5
 """Time after which another may fly [s]."""
 SIGNALS = ("gyro", "accel", "set_point", "target")
@@ -114,6 +118,9 @@ class Pilot:
         self.loop = loop
         self.teachers = loop.controller.records.copy()
         self.limits = self.teachers["max_ang_acc"].copy()
+        self.teachers["gains"]["rate_integral"] = self.teachers["gains"]["yaw_rate_integral"] = 0.0
+        self.asked = np.zeros_like(self.limits)
+        self.forget = 1.0 - math.exp(-1.0 / (loop.rate_hz * OBSERVED_S))
 
     def reset(self, n: int) -> None:
         """Start n vehicles."""
@@ -126,6 +133,7 @@ class Pilot:
             self.student.restart(ids)
         for name in ("trim", "has_last_axis"):
             self.teachers[name][ids] = 0
+        self.asked[ids] = 0.0
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
         """As of an `AttitudeController`; the truth is the loop's."""
@@ -133,6 +141,9 @@ class Pilot:
         wanted[:, :3] += self.excitation[:, self.k]
         wanted = bounded(self.config.set_point, wanted)
         truth = self.loop.records["measured"].copy()
+        trim = self.teachers["trim"]
+        trim += self.forget * (self.asked - self.loop.plant.ang_acc - trim)
+        trim[:] = np.clip(trim, -MAX_TRIM * self.limits, MAX_TRIM * self.limits)
         truth["gyro"], truth["roll_pitch"] = self.loop.plant.ang_vel, self.loop.plant.roll_pitch
         teach_all(POSITION, self.loop.records, truth, wanted, self.teachers)
         taught = np.clip(self.teachers["ang_acc_cmd"], -self.limits, self.limits)
@@ -143,6 +154,7 @@ class Pilot:
             own = self.student.update(wanted, gyro, accel, roll_pitch)
             action = np.where(self.by_student[:, self.k, None], own, action)
         action[:, :3] += self.disturbance[:, self.k]
+        self.asked = np.clip(action[:, :3], -self.limits, self.limits)
         self.k += 1
         self.wanted = wanted
         return action

@@ -38,7 +38,7 @@ from ..optim import learning_rate, new_optimiser
 from ..run_folder import claim, save_checkpoint, spiking_tensors
 from .config import ControlConfig, make_control_config
 from .flights import SIGNALS, ControlFlights, fly, joined
-from .model import Frozen, estimator_of, initialise, network_of, new_model
+from .model import Frozen, estimator_of, initialise, network_of, new_model, no_estimator
 
 log = logging.getLogger(__name__)
 
@@ -198,7 +198,7 @@ class ControlTraining:
         initialise(self.model, self.estimator, self._inputs(window).numpy(), target, config.seed)
         if config.init:
             initialise_from_weights(self.model, config.init)
-        self.frozen = Frozen(self.model, self.estimator)
+        self.frozen = Frozen(self.model, no_estimator() if config.end_to_end else self.estimator)
         self.optimiser = new_optimiser(self.model, config.learning)
         self.history: list[ControlEpoch] = []
         self._state = np.zeros(config.learning.batch_size, ENCODER)

@@ -97,7 +97,7 @@ def new_model(config: ControlConfig, estimator: Estimator) -> AttSNN:
         after_spike=learning.after_spike,
         parametrisation=learning.parametrisation,
     )
-    if e0:
+    if e0 and not config.end_to_end:
         allowed = {name: getattr(model, f"{name}_connected") for name in ("w_in", "w_ff", "w_rec", "w_out")}
         allowed["w_in"][:e0, READINGS:] = False
         allowed["w_in"][e0:, SET_POINTS:READINGS] = False  # the estimator alone reads the accelerometer
