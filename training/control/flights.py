@@ -2,7 +2,7 @@
 
 The teacher is the cascade's levels of attitude and body rate, which read the true attitude and body rate. Its
 integral is replaced by its limit, the disturbance of the angular acceleration, averaged over
-`OBSERVED_S`: an integral would wind up on the errors of a student that flies. The teacher flies, the student, or
+`OBSERVED_S`: an integral would wind up on a student's errors. The teacher flies, the student, or
 now one and then the other (DAgger).
 """
 

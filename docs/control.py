@@ -1,0 +1,217 @@
+"""Fly the spiking controllers beside the cascade: `python docs/control.py` writes control.md and its figure.
+
+A run that is cut short resumes, as `quadsim bench` does.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pages import load_page, row
+
+from estimators import create
+from estimators.control.controller import SpikingController, create_controller
+from estimators.loihi.chip import LIMITS
+from estimators.networks.decay_profiles import share_profiles
+from estimators.networks.network import OnLoihi, silenced
+from estimators.networks.weights_file import load_network
+from quadsim.control.own import AttitudeController, MakeController
+from quadsim.dataset.figures import STYLE
+from quadsim.flight.loop import FlightLoop
+from quadsim.flight.scenario import load_scenario, scenario_names
+from quadsim.imu.spec import load_imu
+from quadsim.rotation import roll_pitch_from_quat
+from quadsim.runs.console import progress_bar
+from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
+from scenarios.bench.flight_metrics import CellRow
+from scenarios.bench.margins import Cascade, Margins, margins
+from scenarios.bench.runner import Results, bench
+from scenarios.bench.settings import FlightSettings
+
+Array = NDArray[np.float64]
+OUT = Path(__file__).parents[1] / "reports" / "control"
+SEEDS = 20
+ESTIMATOR = "att-snn-hummingbird"
+"""Whose spikes the separate controller reads, and from which the merged one began."""
+WAYS = {"separate": "control-separate", "merged": "control-merged"}
+NAMES = {
+    "cascade on the truth": "truth",
+    "cascade on Att-SNN": ESTIMATOR,
+    **{f"spiking, {way}": f"{ESTIMATOR} @ {name}" for way, name in WAYS.items()},
+}
+BASE, *SPIKING = list(NAMES)[1:]
+NOMINAL = (
+    "hover",
+    "step",
+    "figure-8",
+    "wind-2",
+    "wind-5",
+    "wind-8",
+    "dryden-light",
+    "dryden-moderate",
+    "wind-gust",
+)
+AGGRESSIVE = ("step-large", "racing")
+STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
+COLOURS = ("#000000", "#7a7a7a", "#0072b2", "#d55e00")
+
+
+def cells(results: Results) -> dict[tuple[str, str], CellRow]:
+    """Each row by its scenario and title."""
+    titles = {name: title for title, name in NAMES.items()}
+    return {(each.scenario, titles[each.estimator]): each for each in results.rows}
+
+
+def shown(each: CellRow) -> str:
+    """Tracking error, and crashes."""
+    if each.attitude_deg is None:
+        return f"– ✕{each.crashes}"
+    return f"{each.attitude_deg:.2f}" + (f" ✕{each.crashes}" if each.crashes else "")
+
+
+def scenario_rows(found: dict[tuple[str, str], CellRow]) -> Iterator[str]:
+    """Tracking by scenario."""
+    for scenario in scenario_names():
+        yield row(scenario, *(shown(found[scenario, title]) for title in NAMES))
+
+
+def tracking(found: dict[tuple[str, str], CellRow], title: str, scenarios: Sequence[str]) -> Array:
+    """RMS tracking error in scenarios [°]; NaN where all crashed at once."""
+    return np.array([found[s, title].attitude_deg or np.nan for s in scenarios], dtype=float)
+
+
+def summary_rows(found: dict[tuple[str, str], CellRow]) -> Iterator[str]:
+    """What the figures of merit are for each controller."""
+    for title in NAMES:
+        ratio = tracking(found, title, NOMINAL) / tracking(found, BASE, NOMINAL)
+        hard = tracking(found, title, AGGRESSIVE)
+        extra = sum(
+            found[s, title].crashes or 0 for s in scenario_names() if not (found[s, BASE].crashes or 0)
+        )
+        jitter = np.mean([found[s, title].jitter or np.nan for s in NOMINAL])
+        yield row(
+            title,
+            f"{np.median(ratio):.2f} ({np.nanmin(ratio):.2f} to {np.nanmax(ratio):.2f})",
+            f"{np.nanmean(hard):.1f}",
+            extra,
+            sum(found[s, title].crashes or 0 for s in scenario_names()),
+            f"{jitter:.1f}",
+        )
+
+
+def makers() -> dict[str, tuple[MakeController | None, Any]]:
+    """Controller and estimator of each contender; None: the cascade's own, the truth."""
+    estimator = create("att-snn-loihi", weights=ESTIMATOR)
+    ways = {f"spiking, {way}": (partial(create_controller, name), estimator) for way, name in WAYS.items()}
+    return {"cascade on the truth": (None, None), "cascade on Att-SNN": (None, estimator), **ways}
+
+
+def margin_rows() -> Iterator[str]:
+    """Gain and delay at which the first of eight flights of the scenario `step` falls."""
+
+    def text(value: float | None, unit: str) -> str:
+        return "none" if value is None else f"{value:.2f}{unit}"
+
+    for title, (make, estimator) in makers().items():
+        found: Margins = margins(make or Cascade, load_scenario("step"), estimator)
+        late = "none" if found.delay_s is None else f"{1e3 * found.delay_s:.0f} ms"
+        yield row(title, text(found.gain_up, " ×"), text(found.gain_down, " ×"), late)
+
+
+def step_response(make: MakeController | None, estimator: Any) -> Array:
+    """Roll after a step of its set-point, (flights, T) [°]."""
+    vehicle: Vehicle = load_vehicle("hummingbird")
+    imu = load_imu("adis16448")
+    loop = FlightLoop(vehicle, STEP_FLIGHTS, imu=imu, seed=5, estimator=estimator, controller=make)
+    loop.reset(position=np.tile([0.0, 0.0, 50.0], (STEP_FLIGHTS, 1)))
+    rest, steps = 400, round(STEP_S * 200)
+    out = np.empty((STEP_FLIGHTS, steps))
+    command = np.zeros((STEP_FLIGHTS, 4))
+    command[:, 3] = GRAVITY
+    for k in range(rest + steps):
+        if k >= rest:
+            command[:, 0] = np.radians(STEP_DEG)
+            out[:, k - rest] = np.degrees(roll_pitch_from_quat(loop.plant.quat)[:, 0])
+        loop.step("attitude", command)
+    return out
+
+
+def draw_steps(responses: dict[str, Array]) -> Figure:
+    """Mean and range of the responses."""
+    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    axes = figure.subplots()
+    time = np.arange(round(STEP_S * 200)) / 200.0
+    axes.axhline(STEP_DEG, color="0.3", lw=0.8, ls=":")
+    for (title, response), colour in zip(responses.items(), COLOURS, strict=True):
+        axes.fill_between(time, response.min(axis=0), response.max(axis=0), color=colour, alpha=0.15, lw=0)
+        axes.plot(time, response.mean(axis=0), color=colour, label=title)
+    axes.set_xlabel("time after the step [s]")
+    axes.set_ylabel("roll [°]")
+    axes.legend(loc="lower right")
+    return figure
+
+
+def step_rows(responses: dict[str, Array]) -> Iterator[str]:
+    """Rise, overshoot and what is left."""
+    for title, response in responses.items():
+        mean = response.mean(axis=0)
+        rise = np.argmax(mean > 0.9 * STEP_DEG) / 200.0 if (mean > 0.9 * STEP_DEG).any() else np.nan
+        left = np.abs(mean[-40:] - STEP_DEG).mean()
+        yield row(title, f"{rise:.2f}", f"{max(mean.max() / STEP_DEG - 1.0, 0.0):.0%}", f"{left:.1f}")
+
+
+def chip_rows() -> Iterator[str]:
+    """Cores of the chip that each way takes, as trained and with few decay profiles."""
+    for way, name in WAYS.items():
+        config, tensors = load_network(name)
+        trained, shared = OnLoihi(config, tensors), OnLoihi(config, share_profiles(tensors))
+        bits = sum(each.used()["synaptic bits"] for each in shared.cores)
+        neurons = f"{config.encoding} + {config.hidden}"
+        memory = f"{bits / LIMITS['synaptic bits']:.2f}"
+        yield row(f"spiking, {way}", neurons, len(trained.cores), len(shared.cores), memory)
+
+
+def silenced_rows() -> Iterator[str]:
+    """Whether a controller flies with output weights of zero."""
+    for way, name in WAYS.items():
+        config, tensors = load_network(name)
+
+        def make(rate_hz: float, vehicle: Vehicle, config=config, tensors=tensors) -> AttitudeController:
+            return SpikingController(config, silenced(config, tensors))
+
+        response = step_response(make, None)
+        yield row(f"spiking, {way}", f"{np.abs(response[:, -1] - STEP_DEG).mean():.0f}")
+
+
+def main() -> None:
+    """Fly everything and write the page."""
+    matplotlib.rcParams.update(STYLE)
+    page = load_page("control")
+    OUT.mkdir(parents=True, exist_ok=True)
+    with progress_bar("controllers", "cells") as progress:
+        results = bench(scenario_names(), list(NAMES.values()), OUT, FlightSettings(SEEDS), progress=progress)
+    found = cells(results)
+    responses = {title: step_response(*made) for title, made in makers().items()}
+    page.save(draw_steps(responses), "control-steps.png")
+    page.write(
+        {
+            "scenarios": list(scenario_rows(found)),
+            "summary": list(summary_rows(found)),
+            "margins": list(margin_rows()),
+            "steps": list(step_rows(responses)),
+            "chip": list(chip_rows()),
+            "silenced": list(silenced_rows()),
+            "seeds": str(SEEDS),
+            "nominal": ", ".join(NOMINAL),
+            "aggressive": ", ".join(AGGRESSIVE),
+        }
+    )
+
+
+if __name__ == "__main__":
+    main()
