@@ -40,7 +40,7 @@ def train(
         Task,
         typer.Option(
             help="attitude; or control: an attitude controller, by imitation in flights of its own, with the "
-            "presets merged and separate."
+            "presets separate (the default) and merged."
         ),
     ] = "attitude",
     model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",
@@ -70,7 +70,7 @@ def train(
             raise ValueError(
                 "--task control flies itself: leave out --data, --validation, --init and --model"
             )
-        _train_controller(out, "merged" if preset == "paper" else preset, epochs, threads, set_, seed)
+        _train_controller(out, "separate" if preset == "paper" else preset, epochs, threads, set_, seed)
         return
     if not data:
         raise ValueError("--data: at least one dataset to train on is required, as quadsim generate makes it")

@@ -17,6 +17,7 @@ from training.control.model import Frozen, estimator_of, initialise, new_model
 from training.run_folder import spiking_tensors
 
 TINY = {
+    "estimator": "",
     "flights": 3,
     "flight_s": 1.0,
     "rounds": 1,
@@ -24,6 +25,8 @@ TINY = {
     "validation_flights": 2,
     "learning": {"encoding": 16, "hidden": 18, "epochs": 2, "batches": 3, "batch_size": 4, "window_s": 0.2},
 }
+READS = {"estimator": "att-snn-hummingbird"}
+"""A controller on an estimator's spikes."""
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +127,7 @@ def test_a_shift_takes_targets_from_later_samples(recipe):
 
 
 def test_an_estimator_in_front_keeps_its_weights_while_the_controller_learns(tmp_path):
-    config = make_control_config("separate", **TINY)
+    config = make_control_config(**TINY | READS)
     training = ControlTraining(config, tmp_path)
     training.one_epoch()
     network, tensors = training.exported({})
@@ -138,7 +141,7 @@ def test_an_estimator_in_front_keeps_its_weights_while_the_controller_learns(tmp
 
 
 def test_a_controller_on_an_estimator_has_connections_from_its_hidden_spikes_alone(tmp_path):
-    config = make_control_config("separate", **TINY)
+    config = make_control_config(**TINY | READS)
     tensors = ControlTraining(config, tmp_path).exported({})[1]
     assert not tensors["w_in"][:96, 6:].any()  # set-points do not reach the estimator
     assert not tensors["w_in"][96:, 3:6].any()  # nor the accelerometer the controller
@@ -150,7 +153,7 @@ def test_a_controller_on_an_estimator_has_connections_from_its_hidden_spikes_alo
 
 
 def test_gradients_of_an_estimator_in_front_are_zero(tmp_path):
-    config = make_control_config("separate", **TINY)
+    config = make_control_config(**TINY | READS)
     training = ControlTraining(config, tmp_path)
     window = next(windows(training.rounds[0], config, np.random.SeedSequence(0), 4))
     out, _ = training.model(training._inputs(window))

@@ -133,7 +133,7 @@ class ControlConfig(ControlRecipe):
     """Of the flights, the initial weights and the windows."""
     threads: Annotated[int, Between(1, 1024)] = 1
     """Threads that share a batch."""
-    preset: str = "merged"
+    preset: str = "separate"
     """Preset that the other values started from."""
 
     @model_validator(mode="after")
@@ -163,11 +163,11 @@ class ControlConfig(ControlRecipe):
         return epoch * (self.rounds + 1) // self.learning.epochs
 
 
-def make_control_config(preset: str | Path = "merged", **choices: Any) -> ControlConfig:
+def make_control_config(preset: str | Path = "separate", **choices: Any) -> ControlConfig:
     """A configuration from a preset and what differs from it.
 
     Args:
-        preset: Name of a shipped preset ("merged", "separate"), or a TOML file.
+        preset: Name of a shipped preset ("separate", "merged"), or a TOML file.
         choices: Fields of `ControlConfig`; of a table, only the keys that are given change.
 
     Raises:

@@ -103,7 +103,7 @@ class Window(NamedTuple):
 
 def train_controller(
     out: str | Path = "runs/control",
-    preset: str | Path = "merged",
+    preset: str | Path = "separate",
     progress: Progress | None = None,
     **choices: Any,
 ) -> ControlResult:
@@ -209,14 +209,18 @@ class ControlTraining:
         return [child(np.random.SeedSequence([self.config.seed, *key]), i) for i in range(n)]
 
     def _round(self, number: int) -> ControlFlights:
-        """Flights of a round, from its file where there is one: the student's, after the first."""
+        """Flights of a round, from its file where there is one: the student's, after the teacher's.
+
+        A controller to continue from flies at once.
+        """
         config, file = self.config, self.out / f"round-{number}.npz"
         if not file.is_file():
-            if number == 0:
-                flights = fly(config, self.recipe, self._seeds(FLIGHTS, 0, n=config.flights))
-            else:
-                seeds = self._seeds(FLIGHTS, number, n=config.round_flights)
-                flights = fly(config, self.recipe, seeds, self.student(), config.teacher_share**number)
+            seeds = self._seeds(FLIGHTS, number, n=config.flights if number == 0 else config.round_flights)
+            student, share = None, 1.0
+            if number or config.init:
+                begun = SpikingController(*load_network(config.init)) if number == 0 else self.student()
+                student, share = begun, config.teacher_share ** max(number, 1)
+            flights = fly(config, self.recipe, seeds, student, share)
             save_flights(file, flights)
         return read_flights(file)
 

@@ -1,0 +1,33 @@
+"""The controllers that ship fly gentle scenarios beside the cascade on the same estimator."""
+
+import pytest
+
+from estimators.networks.weights_file import shipped_controllers
+from quadsim.flight.scenario import load_scenario
+from scenarios.bench.cell import fly_cell
+from scenarios.bench.settings import FlightSettings
+
+ESTIMATOR = "att-snn-hummingbird"
+FACTOR = 1.5
+"""Of the cascade's tracking error, at most."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", shipped_controllers())
+@pytest.mark.parametrize("scenario", ["hover", "step", "wind-5"])
+def test_a_controller_flies_without_a_crash_and_tracks_as_the_cascade_does(scenario, controller):
+    settings = FlightSettings(4)
+    names = (ESTIMATOR, f"{ESTIMATOR} @ {controller}")
+    cascade, spiking = (fly_cell(scenario, load_scenario(scenario), name, settings) for name in names)
+    assert spiking.row.crashes == 0
+    assert spiking.row.attitude_deg < FACTOR * cascade.row.attitude_deg
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["dropouts", "saturation", "stuck", "clipping"])
+def test_bad_readings_leave_its_commands_finite(scenario):
+    """Missing, saturated and stuck samples: the flight's numbers stay finite, crash or not."""
+    name = f"{ESTIMATOR} @ {shipped_controllers()[0]}"
+    cell = fly_cell(scenario, load_scenario(scenario), name, FlightSettings(2))
+    assert not cell.reason
+    assert cell.row.jitter < 200.0
