@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from quadsim.runs.files import replace
 
-from ..networks.encoder import input_scaling
+from ..networks.encoder import INPUT_ONE, input_scaling
 from ..networks.forward import BIAS_EXP, THRESHOLD, Weights
 from ..networks.network import real_weights
 from ..networks.weights_file import NetworkConfig, Tensors, exponents
@@ -38,7 +38,9 @@ CONNECTIONS = {
 
 
 def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) -> nir.NIRGraph:
-    """The network between its scaled inputs (6) and its output potentials; scales are in its metadata.
+    """The network between its scaled inputs and its output potentials; scales are in its metadata.
+
+    Inputs are the readings (6), of a controller roll, pitch and yaw rate of the set-point after them (9).
 
     Args:
         config: How the network is run.
@@ -52,7 +54,7 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
         raise ValueError("a NIR graph needs weights of att-snn with a recurrent delay of 1")
     step = dt or 1.0 / (config.rate_hz * config.steps_per_sample)
     values = real_weights(config, tensors)
-    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([6])})}
+    nodes: dict[str, nir.NIRNode] = {"input": nir.Input({"input": np.array([config.n_inputs])})}
     edges = []
     for name, (source, target) in CONNECTIONS.items():
         if config.after_spike and target == "hidden":
@@ -118,6 +120,12 @@ def _integers(config: NetworkConfig, **values: NDArray) -> dict[str, NDArray]:
 def _about(config: NetworkConfig, dt: float) -> dict:
     offset, gain = input_scaling(config.inputs)
     integers = {"vth": 128, "bias_exp": BIAS_EXP} if config.quantised else {}
+    asked = config.set_point
+    scales = (
+        {}
+        if asked is None
+        else {"set_point_gain_1024": INPUT_ONE / np.array([asked.tilt, asked.tilt, asked.yaw_rate])}
+    )
     return {
         "dt": dt,
         "steps_per_sample": config.steps_per_sample,
@@ -125,5 +133,6 @@ def _about(config: NetworkConfig, dt: float) -> dict:
         "input_gain_1024": gain,
         "outputs": config.outputs,
         "output_scale": config.output_scale,
+        **scales,
         **integers,
     }

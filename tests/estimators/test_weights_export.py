@@ -22,6 +22,7 @@ from estimators.networks.weights_file import (
     exponents,
     load_network,
     save_network,
+    shipped_controllers,
     shipped_network,
 )
 from estimators.spiking import Weights, forward
@@ -230,6 +231,16 @@ def test_nir_graph_spikes_in_norse_as_it_does_here(tmp_path, monkeypatch):
         rates.append(float(hidden.mean()))
         np.testing.assert_array_equal(torch.stack(spikes, 1)[:, :-1], hidden[:, 1:])
     assert np.mean(rates) > 0.1
+
+
+@pytest.mark.parametrize("name", shipped_controllers())
+def test_nir_graph_of_a_controller_has_its_set_points_as_inputs(tmp_path, name):
+    nir = pytest.importorskip("nir")
+    _, tensors = shipped_network(name)
+    graph = nir.read(export_weights(name, tmp_path / "control.nir", "nir"))
+    np.testing.assert_array_equal(graph.nodes["input"].input_type["input"], [9])
+    np.testing.assert_array_equal(graph.nodes["w_in"].metadata["mantissa"], tensors["w_in"])
+    assert graph.metadata["set_point_gain_1024"].shape == (3,)
 
 
 def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
