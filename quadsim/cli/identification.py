@@ -50,16 +50,22 @@ def identify(
     start = load_vehicle(vehicle)
     if out.suffix != ".toml":
         raise ValueError(f"{out}: a vehicle file ends in .toml")
-    flights = [flight for file in files for flight in flights_of(_read(file, rate, mount))]
-    if not flights:
-        raise ValueError(f"{files[0]}: no 5 s without a missing sample")
+    found_in = {file: flights_of(_read(file, rate, mount)) for file in files}
+    for file, each in found_in.items():
+        if not each:
+            raise ValueError(f"{file}: no 5 s without a missing sample")
+    flights = [flight for each in found_in.values() for flight in each]
     _show_noise(flights, out)
-    if flights[0].rotor_vel is None and flights[0].rotor_vel_cmd is None:
+    turning = [flight for flight in flights if flight.has_rotors]
+    for file, each in found_in.items():
+        if turning and not any(flight.has_rotors for flight in each):
+            output.print(f"{file}: no rotor speeds in rad/s, left out", style="yellow", markup=False)
+    if not turning:
         output.print(
             f"no rotor speeds in rad/s: noise and vibration alone, and no {out}", style="yellow", markup=False
         )
         return
-    found = fit(flights, start)
+    found = fit(turning, start)
     table = Table("constant", "unit", "start", "fitted", "± (95 %)", "used")
     for each in found.constants:
         used = "yes" if each.identified else "no"

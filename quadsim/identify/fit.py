@@ -20,6 +20,8 @@ BIAS_SD = 0.2
 """Standard deviation of an accelerometer's bias before the fit [m/s²]."""
 SURE = 0.05
 """A constant is identified if its 95 % interval is within this share of it."""
+DEGENERATE = 1e-9
+"""Smallest eigenvalue of the normalised information, over the largest, of what the flights tell at all."""
 ROUNDS = 3
 """Of the fit: the size of the errors of each of the six signals is known after the first alone."""
 LEAST = 1e-3
@@ -84,6 +86,10 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     """
     if not flights:
         raise ValueError("no flight has 5 s without a missing sample")
+    if len(rates := {flight.rate_hz for flight in flights}) > 1:
+        raise ValueError(
+            f"flights at {' and '.join(f'{rate:g} Hz' for rate in sorted(rates))}; one rate is required"
+        )
     speeds = [_speeds(flight, start) for flight in flights]
     if any(each.shape[1] != len(start.rotors) for each in speeds):
         raise ValueError(f"{start.name} has {len(start.rotors)} rotors, the flights {speeds[0].shape[1]}")
@@ -103,24 +109,22 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
 
     def residuals(x: Array, sigma: Array) -> Array:
         apart = [(a - b) / sigma for a, b in zip(modelled(x), measured, strict=True)]
-        prior = x[len(names) :] / BIAS_SD * np.sqrt(_per_independent(flights[0]))
+        prior = x[len(names) :] / BIAS_SD * np.sqrt(_per_independent(flights[0]))  # against as many samples
         return np.concatenate([*(each.ravel() for each in apart), prior])
 
     x = np.concatenate([first, np.zeros(3 * len(flights))])
     least = [0.0 if name in DRAG else LEAST for name in names]
     low = np.concatenate([least, np.full(3 * len(flights), -np.inf)])
     sigma = np.mean([np.diff(each, axis=0).std(axis=0) for each in measured], axis=0) + 1e-9
-    jacobian = np.empty(0)
+    jacobian = found_residuals = np.empty(0)
     for _ in range(ROUNDS):
         found = least_squares(
             residuals, np.maximum(x, low), bounds=(low, np.inf), args=(sigma,), x_scale="jac"
         )
-        x, jacobian = found.x, found.jac
+        x, jacobian, found_residuals = found.x, found.jac, found.fun
         apart = np.concatenate([a - b for a, b in zip(modelled(x), measured, strict=True)])
         sigma = np.maximum(apart.std(axis=0), 1e-9)
-    information = jacobian.T @ jacobian / _per_independent(flights[0])
-    covariance = np.linalg.pinv(information)
-    half = norm.ppf(0.975) * np.sqrt(np.diag(covariance))[: len(names)] * scale
+    half = _half_widths(jacobian, found_residuals, round(6 * flights[0].rate_hz))[: len(names)] * scale
     constants = [
         Constant(name, UNITS[name], constant(start, name), float(value), float(width))
         for name, value, width in zip(names, x[: len(names)] * scale, half, strict=True)
@@ -128,8 +132,7 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     constants += _lags(flights, start)
     known = {each.path: each.fitted for each in constants if each.identified}
     missing += [
-        f"{each.path}: {each.fitted:.3g} ± {each.half_width:.2g} {each.unit} is not told well enough, "
-        f"so it stays {each.start:.4g}"
+        f"{each.path}: {_told(each)}, so it stays {each.start:.4g}"
         for each in constants
         if not each.identified
     ]
@@ -179,6 +182,36 @@ def _per_independent(flight: Flight) -> float:
     return flight.rate_hz / (2.0 * BAND_HZ)
 
 
+def _told(each: Constant) -> str:
+    if np.isinf(each.half_width):
+        return "these flights do not tell it"
+    return f"{each.fitted:.3g} ± {each.half_width:.2g} {each.unit} is not told well enough"
+
+
+def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
+    """Half of the 95 % interval of each parameter; infinite where nothing tells it, alone or from others.
+
+    Errors of neighbouring samples may be correlated: the covariance is the sandwich of sums over blocks
+    (Liang & Zeger 1986).
+
+    Args:
+        jacobian: Of the residuals, (N, parameters).
+        residuals: At the solution (N,).
+        rows: Of a block.
+    """
+    length = np.linalg.norm(jacobian, axis=0)
+    unit = jacobian / np.where(length > 0.0, length, 1.0)
+    values, vectors = np.linalg.eigh(unit.T @ unit)
+    told = values > DEGENERATE * values.max()
+    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
+    starts = np.arange(0, len(residuals), rows)
+    scores = np.add.reduceat(unit * residuals[:, None], starts, axis=0)
+    variance = np.diag(inverse @ (scores.T @ scores) @ inverse)
+    half = norm.ppf(0.975) * np.sqrt(variance) / np.where(length > 0.0, length, 1.0)
+    blind = (length == 0.0) | (np.abs(vectors[:, ~told]) > 1e-3).any(axis=1)
+    return np.where(blind, np.inf, half)
+
+
 def _lags(flights: Sequence[Flight], start: Vehicle) -> list[Constant]:
     """Time constants of the rotors, from commanded and actual speeds."""
     both = [flight for flight in flights if flight.rotor_vel is not None and flight.rotor_vel_cmd is not None]
@@ -191,8 +224,8 @@ def _lags(flights: Sequence[Flight], start: Vehicle) -> list[Constant]:
         return np.concatenate([(lagged(vehicle, f, f.rotor_vel[0]) - f.rotor_vel).ravel() for f in both])  # pyright: ignore
 
     found = least_squares(residuals, np.ones(2), bounds=(1e-2, 1e2))
-    variance = np.mean(found.fun**2)
-    half = norm.ppf(0.975) * np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * variance) * begin
+    second = round(both[0].rate_hz) * both[0].gyro.shape[1]
+    half = _half_widths(found.jac, found.fun, second) * begin
     return [
         Constant(name, UNITS[name], float(old), float(new), float(width))
         for name, old, new, width in zip(LAGS, begin, found.x * begin, half, strict=True)

@@ -37,6 +37,11 @@ class Flight(NamedTuple):
     air_vel: Array | None
     """Velocity against the air, body axes (T, 3) [m/s]."""
 
+    @property
+    def has_rotors(self) -> bool:
+        """Whether rotor speeds are known, measured or commanded."""
+        return self.rotor_vel is not None or self.rotor_vel_cmd is not None
+
     def part(self, cut: slice) -> Flight:
         """Some of its samples."""
         kept = {

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from quadsim.cli import main
+from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import flight_config, load_recipe
@@ -70,6 +71,25 @@ def test_what_hover_does_not_tell_keeps_its_value_and_is_named(tmp_path):
     assert any(line.startswith("frame.drag_area.2: ") for line in found.missing)
 
 
+def test_what_nothing_excites_is_not_identified(flights):
+    """Commands that are met: no lag shows."""
+    met = [
+        flight._replace(rotor_vel_cmd=flight.rotor_vel.mean(0) + 0 * flight.rotor_vel) for flight in flights
+    ]
+    met = [flight._replace(rotor_vel=flight.rotor_vel_cmd) for flight in met]
+    found = identify(met, TRUE)
+    assert {"motor.tau_up", "motor.tau_down"} <= {
+        each.path for each in found.constants if not each.identified
+    }
+    assert any(line.startswith("motor.tau_up: these flights do not tell it") for line in found.missing)
+    assert found.vehicle.motor.tau_up == TRUE.motor.tau_up
+
+
+def test_flights_of_two_rates_are_refused(flights):
+    with pytest.raises(ValueError, match="200 Hz and 400 Hz; one rate"):
+        identify([flights[0], flights[1]._replace(rate_hz=400.0)], TRUE)
+
+
 def test_without_attitude_the_drag_is_not_fitted_and_without_speeds_nothing(flights):
     blind = [flight._replace(air_vel=None) for flight in flights]
     found = identify(blind, TRUE)
@@ -116,6 +136,26 @@ def test_the_command_writes_a_vehicle_and_pictures(data, tmp_path, monkeypatch, 
     assert (tmp_path / "mine.png").is_file()
     assert (tmp_path / "mine-noise.png").is_file()
     assert "motor.k_f" in capsys.readouterr().out
+
+
+def test_a_log_without_rotor_speeds_shows_noise_alone_and_one_beside_others_is_left_out(
+    data, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    export(data[0], "log", "csv")
+
+    def run(*files):
+        monkeypatch.setattr("sys.argv", ["quadsim", "identify", "--rate", "200", *map(str, files)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        assert stop.value.code == 0
+        return capsys.readouterr().out
+
+    assert "no rotor speeds in rad/s: noise and vibration alone" in run("log/flight_000")
+    assert not (tmp_path / "mine.toml").exists()
+    assert "log/flight_000: no rotor speeds in rad/s, left out" in run("log/flight_000", *data)
+    assert (tmp_path / "mine.toml").is_file()
 
 
 @pytest.mark.parametrize(
