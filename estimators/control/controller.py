@@ -11,11 +11,13 @@ one that is NaN keeps its last value, and so does a missing reading. An angular 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadsim.runs.block import fields, zero_blocks
+from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY, Vehicle
 
 from ..networks.encoder import INPUT_MAX, INPUT_ONE
@@ -26,9 +28,9 @@ from ..networks.weights_file import (
     NetworkConfig,
     SetPointScaling,
     Tensors,
-    load_network,
     shipped_controllers,
 )
+from .weights import Reads, load_controller
 
 Array = NDArray[np.float64]
 
@@ -36,6 +38,8 @@ LOIHI = "-loihi"
 """End of the name of a controller that runs in the chip's integers."""
 THRUST_MAX = 100.0
 """Largest collective thrust per mass that passes through [m/s²]."""
+LEVEL = np.array([0.0, 0.0, 0.0, GRAVITY])
+"""Set-point before the first."""
 
 
 def create_controller(
@@ -55,13 +59,10 @@ def create_controller(
     """
     name = str(path_or_name)
     path = name.removesuffix(LOIHI)
-    config, tensors = load_network(path)
-    if not config.controls:
-        ships = ", ".join(shipped_controllers()) or "none"
-        raise ValueError(f"{path}: an attitude estimator, not a controller; controllers that ship: {ships}")
+    config, tensors, reads = load_controller(path)
     if not np.isclose(rate_hz, config.rate_hz):
         raise ValueError(f"{path}: the weights are for {config.rate_hz:g} Hz, not for {rate_hz:g} Hz")
-    return SpikingController(config, tensors, on_loihi=name.endswith(LOIHI))
+    return SpikingController(config, tensors, name.endswith(LOIHI), reads)
 
 
 def is_controller(name: str) -> bool:
@@ -77,29 +78,31 @@ class SpikingController:
         config: How the network is run.
         tensors: Its weights.
         on_loihi: Whether it runs in the emulated chip's integers, with the same outputs.
+        reads: The accelerometer, or an estimate of roll and pitch in its place.
 
     Raises:
         ValueError: The network is no controller, or not for the chip.
     """
 
-    def __init__(self, config: NetworkConfig, tensors: Tensors, on_loihi: bool = False) -> None:
+    def __init__(
+        self, config: NetworkConfig, tensors: Tensors, on_loihi: bool = False, reads: Reads = "imu"
+    ) -> None:
         if config.set_point is None:
             raise ValueError("these weights are an attitude estimator's, a controller needs a controller's")
         self.core = OnLoihi(config, tensors) if on_loihi else Spiking(config, tensors)
-        self.scaling, self.rate_hz = config.set_point, config.rate_hz
+        self.scaling, self.rate_hz, self.reads = config.set_point, config.rate_hz, reads
         self.reset(1)
 
     def reset(self, n: int) -> None:
         """Start n vehicles: at rest, with level set-points."""
         self._states = zero_blocks(n, self.core.state)
-        self._set_point = np.zeros((n, 1 + SET_POINTS))
-        self._set_point[:, SET_POINTS] = GRAVITY
+        self._set_point = np.tile(LEVEL, (n, 1))
 
     def restart(self, ids: ArrayLike) -> None:
         """Start some of the vehicles again."""
         rows = np.arange(len(self._states))[np.asarray(ids, dtype=np.intp)]
         self._states[rows] = zero_blocks(rows.size, self.core.state)
-        self._set_point[rows] = (0.0, 0.0, 0.0, GRAVITY)
+        self._set_point[rows] = LEVEL
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array | None = None) -> Array:
         """What to ask of the rotors now.
@@ -108,16 +111,24 @@ class SpikingController:
             set_point: (n, 4) roll, pitch [rad], yaw rate [rad/s] and collective thrust per mass [m/s²].
             gyro: (n, 3) measured body rate [rad/s].
             accel: (n, 3) measured specific force [m/s²].
-            roll_pitch: Not used: the network estimates the attitude itself, or its first part does.
+            roll_pitch: (n, 2) estimated roll and pitch [rad], for a network that reads an attitude; others
+                estimate it themselves.
 
         Returns:
             (n, 4) angular acceleration, body axes [rad/s²], and collective thrust per mass [m/s²].
         """
+        if self.reads == "attitude":
+            if roll_pitch is None:
+                raise ValueError("this controller reads an attitude: roll_pitch is required")
+            accel = gravity_of(roll_pitch)
         wanted, rate, force = (np.asarray(each, np.float64)[:, None] for each in (set_point, gyro, accel))
         return self.sequence(wanted, rate, force)[:, 0]
 
     def sequence(self, set_point: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> Array:
-        """T samples, (n, T, 4), (n, T, 3) and (n, T, 3): as T calls of `update`, (n, T, 4)."""
+        """T samples, (n, T, 4), (n, T, 3) and (n, T, 3): as T calls of `update`, (n, T, 4).
+
+        A controller that reads an attitude has `gravity_of` it for `accel`.
+        """
         wanted, rate, force = (np.asarray(each, np.float64) for each in (set_point, gyro, accel))
         n, steps = len(self._states), rate.shape[1] if rate.ndim == 3 else 0
         if (wanted.shape, rate.shape, force.shape) != ((n, steps, 4), (n, steps, 3), (n, steps, 3)):
@@ -125,17 +136,12 @@ class SpikingController:
                 f"set-point {wanted.shape}, gyro {rate.shape} and accel {force.shape}, should be "
                 f"({n}, T, 4), ({n}, T, 3) and ({n}, T, 3)"
             )
-        wanted = held(np.concatenate([self._set_point[:, None], bounded(self.scaling, wanted)], 1))
-        self._set_point = wanted[:, -1]
-        wanted = wanted[:, 1:]
-        gyro, accel = (np.ascontiguousarray(each).reshape(n, -1) for each in (rate, force))
+        found = follow(self.scaling, wanted, self._set_point)
         out = np.empty((n, SET_POINTS * steps))
-        inputs = set_point_inputs(self.scaling, wanted).reshape(n, -1)
-        self.core.run(self._states, gyro, accel, out, inputs)
-        action = np.empty((n, steps, 4))
-        bound = self.scaling.bound
-        action[:, :, :3] = np.clip(out.reshape(n, steps, 3), -bound, bound)
-        action[:, :, 3] = wanted[:, :, 3]
+        signals = (np.ascontiguousarray(each).reshape(n, 3 * steps) for each in (rate, force))
+        self.core.run(self._states, *signals, out, found.inputs.reshape(n, 3 * steps))
+        action = found.followed
+        _answer(out, self.scaling.bound, action)
         return action
 
     @property
@@ -149,21 +155,72 @@ class SpikingController:
         return self.states["encoder"]["missing"].copy()
 
 
-def bounded(scaling: SetPointScaling, set_point: Array) -> Array:
-    """Set-points (..., 4) within their limits; what is not a number stays so."""
-    tilt, yaw_rate = scaling.tilt_limit, scaling.yaw_rate_limit
-    return np.clip(set_point, (-tilt, -tilt, -yaw_rate, 0.0), (tilt, tilt, yaw_rate, THRUST_MAX))
+def gravity_of(roll_pitch: ArrayLike) -> Array:
+    """Specific force at rest at an attitude: roll and pitch (..., 2) [rad], (..., 3) [m/s²]."""
+    angles = np.asarray(roll_pitch, np.float64)
+    out = np.empty((*angles.shape[:-1], 3))
+    _gravity(np.ascontiguousarray(angles).reshape(-1, 2), out.reshape(-1, 3))
+    return out
 
 
-def held(values: Array) -> Array:
-    """Values (n, T, k) where each NaN has the value before it; the first row has none."""
-    if np.isfinite(values).all():
-        return values
-    found = np.where(np.isnan(values), 0, np.arange(values.shape[1])[:, None])
-    return np.take_along_axis(values, np.maximum.accumulate(found, axis=1), axis=1)
+class SetPoints(NamedTuple):
+    """Set-points as a network has them."""
+
+    followed: Array
+    """(n, T, 4), within their limits and without NaN, units as in `SpikingController.update`."""
+    inputs: Array
+    """(n, T, 3): roll, pitch and yaw rate as integers, in steps of 1/1024."""
 
 
-def set_point_inputs(scaling: SetPointScaling, set_point: Array) -> Array:
-    """Set-points (..., 4), bounded and without NaN, as integer inputs (..., 3) in steps of 1/1024."""
-    per_unit = INPUT_ONE / np.array([scaling.tilt, scaling.tilt, scaling.yaw_rate])
-    return np.clip(np.rint(set_point[..., :SET_POINTS] * per_unit), -INPUT_MAX, INPUT_MAX)
+def follow(scaling: SetPointScaling, set_point: Array, last: Array | None = None) -> SetPoints:
+    """Clip set-points (n, T, 4) to their limits; one that is NaN keeps its value before.
+
+    Args:
+        scaling: Limits and ranges.
+        set_point: Units as in `SpikingController.update`.
+        last: (n, 4) what they were before, changed to what they are at the end; None: level.
+    """
+    n, steps = set_point.shape[:2]
+    last = np.tile(LEVEL, (n, 1)) if last is None else last
+    found = SetPoints(np.empty((n, steps, 4)), np.empty((n, steps, SET_POINTS)))
+    _follow(set_point, limits_of(scaling), last, found.followed, found.inputs)
+    return found
+
+
+def limits_of(scaling: SetPointScaling) -> Array:
+    """Limits, and integers for each radian or rad/s, of roll, pitch and yaw rate, (2, 3)."""
+    ranges = np.array([scaling.tilt, scaling.tilt, scaling.yaw_rate])
+    return np.array([[scaling.tilt_limit, scaling.tilt_limit, scaling.yaw_rate_limit], INPUT_ONE / ranges])
+
+
+@njit(cache=True)
+def _follow(set_points, limits, last, followed, inputs):
+    for n in range(set_points.shape[0]):
+        for t in range(set_points.shape[1]):
+            for k in range(4):
+                value = set_points[n, t, k]
+                low, high = (-limits[0, k], limits[0, k]) if k < SET_POINTS else (0.0, THRUST_MAX)
+                if not np.isnan(value):
+                    last[n, k] = min(max(value, low), high)
+                followed[n, t, k] = last[n, k]
+            for k in range(SET_POINTS):
+                value = np.rint(last[n, k] * limits[1, k])
+                inputs[n, t, k] = min(max(value, -INPUT_MAX), INPUT_MAX)
+
+
+@njit(cache=True)
+def _answer(out, bound, followed):
+    """Write outputs (n, 3 T), within the bound, in place of what is followed but the thrust, (n, T, 4)."""
+    for n in range(followed.shape[0]):
+        for t in range(followed.shape[1]):
+            for k in range(3):
+                followed[n, t, k] = min(max(out[n, 3 * t + k], -bound), bound)
+
+
+@njit(cache=True)
+def _gravity(roll_pitch, out):
+    for n in range(out.shape[0]):
+        roll, pitch = roll_pitch[n, 0], roll_pitch[n, 1]
+        out[n, 0] = -GRAVITY * np.sin(pitch)
+        out[n, 1] = GRAVITY * np.sin(roll) * np.cos(pitch)
+        out[n, 2] = GRAVITY * np.cos(roll) * np.cos(pitch)

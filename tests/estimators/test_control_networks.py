@@ -9,7 +9,7 @@ from estimators import create, names
 from estimators.analysis.activity import record
 from estimators.analysis.energy import host_costs
 from estimators.control import SpikingController, create_controller
-from estimators.control.controller import THRUST_MAX, bounded, held, set_point_inputs
+from estimators.control.controller import THRUST_MAX, follow
 from estimators.networks.network import OnLoihi, silenced
 from estimators.networks.weights_file import (
     NetworkConfig,
@@ -107,7 +107,7 @@ def test_the_emulated_chip_gives_the_same_outputs(file):
 def test_activity_on_the_chip_ends_with_the_outputs_of_the_controller(file):
     wanted, gyro, accel = readings(2, 40)
     core = OnLoihi(CONFIG, random_tensors())
-    inputs = set_point_inputs(CONFIG.set_point, bounded(CONFIG.set_point, wanted))
+    inputs = follow(CONFIG.set_point, wanted).inputs
     activity = record(core, gyro, accel, inputs)
     plain = create_controller(file)
     plain.reset(2)
@@ -184,8 +184,9 @@ def test_a_restarted_vehicle_begins_anew_and_the_others_go_on(file):
 
 
 def test_held_values_are_the_last_that_are_numbers():
-    values = np.array([[[1.0], [np.nan], [np.nan], [3.0], [np.nan]]])
-    assert held(values).ravel().tolist() == [1.0, 1.0, 1.0, 3.0, 3.0]
+    wanted = np.zeros((1, 5, 4))
+    wanted[0, :, 1] = [0.1, np.nan, np.nan, 0.3, np.nan]
+    assert follow(CONFIG.set_point, wanted).followed[0, :, 1].tolist() == [0.1, 0.1, 0.1, 0.3, 0.3]
 
 
 def test_a_silenced_controller_asks_for_no_angular_acceleration():

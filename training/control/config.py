@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, model_validator
 
+from estimators.control.weights import Reads
 from estimators.networks.weights_file import (
     InputScaling,
     NetworkConfig,
@@ -94,6 +95,9 @@ class ControlRecipe(Strict):
     """Flights: a shipped recipe or a TOML file. Its vehicle and IMU are the controller's."""
     excitation: Excitation = Excitation()
     """What is added to them."""
+    reads: Reads = "imu"
+    """What the network has beside the set-points: gyroscope and accelerometer, or gyroscope and an attitude,
+    in training the true one."""
     estimator: str = ""
     """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights do not change. Empty:
     the network reads the IMU itself and is trained end to end."""
@@ -150,6 +154,8 @@ class ControlConfig(ControlRecipe):
                 "learning: a controller is trained quantised, without symmetric, pruning_target and "
                 "reinitialise_until"
             )
+        if self.reads == "attitude" and self.estimator:
+            raise ValueError("reads: attitude, and an estimator; give one of them")
         if learning.epochs < self.rounds + 1:
             raise ValueError(
                 f"learning.epochs: {learning.epochs}, should be at least the rounds, {self.rounds} + 1"

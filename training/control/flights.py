@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.control.controller import SpikingController, bounded
+from estimators.control.controller import SpikingController, follow, gravity_of
 from quadsim.control.cascade import MAX_TRIM, POSITION, follow_attitude
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.recipe import FlightConfig
@@ -49,7 +49,7 @@ class ControlFlights:
     gyro: Float32
     """Measured body rate (n, T, 3) [rad/s]."""
     accel: Float32
-    """Measured specific force (n, T, 3) [m/s²]."""
+    """Measured specific force, or that of the attitude that is read, (n, T, 3) [m/s²]."""
     set_point: Float32
     """Roll, pitch [rad], yaw rate [rad/s] and thrust per mass [m/s²], (n, T, 4)."""
     target: Float32
@@ -139,7 +139,7 @@ class Pilot:
         """As of an `AttitudeController`; the truth is the loop's."""
         wanted = set_point.copy()
         wanted[:, :3] += self.excitation[:, self.k]
-        wanted = bounded(self.config.set_point, wanted)
+        wanted = follow(self.config.set_point, wanted[:, None]).followed[:, 0]
         truth = self.loop.records["measured"].copy()
         trim = self.teachers["trim"]
         trim += self.forget * (self.asked - self.loop.plant.ang_acc - trim)
@@ -147,7 +147,8 @@ class Pilot:
         truth["gyro"], truth["roll_pitch"] = self.loop.plant.ang_vel, self.loop.plant.roll_pitch
         teach_all(POSITION, self.loop.records, truth, wanted, self.teachers)
         taught = np.clip(self.teachers["ang_acc_cmd"], -self.limits, self.limits)
-        for name, values in zip(SIGNALS, (gyro, accel, wanted, taught), strict=True):
+        read = gravity_of(roll_pitch) if self.config.reads == "attitude" else accel
+        for name, values in zip(SIGNALS, (gyro, read, wanted, taught), strict=True):
             self.log[name][:, self.k] = values
         action = np.concatenate([taught, set_point[:, 3:]], 1)
         if self.student is not None:

@@ -22,9 +22,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimators.control.controller import SpikingController, set_point_inputs
+from estimators.control.controller import SpikingController, follow
+from estimators.control.weights import ControllerWeights, load_controller, save_controller
 from estimators.networks.encoder import ENCODER, INPUT_ONE, scaled_inputs
-from estimators.networks.weights_file import NetworkConfig, Tensors, load_network, save_network
+from estimators.networks.weights_file import load_network
 from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.runs.files import save_figure, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest
@@ -218,7 +219,7 @@ class ControlTraining:
             seeds = self._seeds(FLIGHTS, number, n=config.flights if number == 0 else config.round_flights)
             student, share = None, 1.0
             if number or config.init:
-                begun = SpikingController(*load_network(config.init)) if number == 0 else self.student()
+                begun = self.student() if number else _controller(load_controller(config.init))
                 student, share = begun, config.teacher_share ** max(number, 1)
             flights = fly(config, self.recipe, seeds, student, share)
             save_flights(file, flights)
@@ -228,21 +229,22 @@ class ControlTraining:
         seeds = self._seeds(VALIDATION, n=self.config.validation_flights)
         return fly(self.config, self.recipe, seeds, student)
 
-    def exported(self, note: dict[str, Any]) -> tuple[NetworkConfig, Tensors]:
+    def exported(self, note: dict[str, Any]) -> ControllerWeights:
         """The slow weights as a controller runs them."""
         with self.optimiser.evaluated():
             tensors = spiking_tensors(self.model, self.config.learning)
-        return network_of(self.config, self.model, self.rate_hz, note), tensors
+        network = network_of(self.config, self.model, self.rate_hz, note)
+        return ControllerWeights(network, tensors, self.config.reads)
 
     def student(self) -> SpikingController:
         """The network so far as a controller."""
-        return SpikingController(*self.exported({}))
+        return _controller(self.exported({}))
 
     def _inputs(self, window: Window, state: NDArray[np.void] | None = None) -> torch.Tensor:
         """Scaled inputs of each network step, (n, steps, 9)."""
         learning = self.config.learning
         readings = scaled_inputs(learning.inputs, window.gyro, window.accel, state)
-        wanted = set_point_inputs(self.config.set_point, window.set_point.astype(np.float64)) / INPUT_ONE
+        wanted = follow(self.config.set_point, window.set_point.astype(np.float64)).inputs / INPUT_ONE
         x = np.concatenate([readings, wanted], 2)
         return torch.from_numpy(np.repeat(x, learning.steps_per_sample, 1))
 
@@ -315,7 +317,7 @@ class ControlTraining:
             "teacher_deg": round(epoch.teacher_deg, 4),
             "crashes": epoch.crashes,
         }
-        save_network(out / "best.safetensors", *self.exported(note))
+        save_controller(out / "best.safetensors", self.exported(note))
 
     def checkpoint(self) -> dict[str, Any]:
         """What `restore` needs to continue."""
@@ -331,6 +333,10 @@ class ControlTraining:
         self.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.history = [ControlEpoch(**row) for row in state["history"]]
+
+
+def _controller(weights: ControllerWeights) -> SpikingController:
+    return SpikingController(weights.config, weights.tensors, reads=weights.reads)
 
 
 def imitation_error(student: SpikingController, flights: ControlFlights, config: ControlConfig) -> float:
