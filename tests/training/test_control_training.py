@@ -7,11 +7,21 @@ import torch
 from estimators.control import create_controller
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import load_network
+from quadsim.control.cascade import SET_POINT
 from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.rotation import quat_from_euler
 from quadsim.seeding import child
+from quadsim.vehicle import GRAVITY
 from training.control import loop
 from training.control.config import Excitation, make_control_config
-from training.control.flights import fly, joined, set_point_excitation, thrust_axis_error
+from training.control.flights import (
+    fly,
+    joined,
+    set_point_excitation,
+    thrust_axis,
+    thrust_axis_error,
+    with_motion,
+)
 from training.control.loop import ControlTraining, read_flights, save_flights, train_controller, windows
 from training.control.model import Frozen, estimator_of, initialise, new_model
 from training.run_folder import spiking_tensors
@@ -72,10 +82,20 @@ def hover():
 
 def test_excitation_is_within_its_limits():
     added = Excitation(step_deg=20.0, chirp_deg=10.0, yaw_rate=1.0, still=0.0)
-    out = set_point_excitation(added, 4000, 200.0, np.random.default_rng(0))
+    jumps, chirps = set_point_excitation(added, 4000, 200.0, np.random.default_rng(0))
+    out = jumps + chirps
+    assert np.abs(np.degrees(chirps)).max() <= 10.0
     assert np.abs(np.degrees(out[:, :2])).max() <= 20.0
     assert np.abs(out[:, 2]).max() <= 1.0
     assert (out != 0).any(1).mean() > 0.9
+
+
+def test_a_chirp_is_fed_forward_as_motion_of_the_trajectory_is():
+    targets, yaw = np.zeros(1, SET_POINT), np.array([0.7])
+    added = np.array([[0.02, -0.05, 0.0]])
+    turned = with_motion(targets, added, yaw)["acceleration"][0] + [0.0, 0.0, GRAVITY]
+    wanted = thrust_axis(quat_from_euler(added[:, 0], added[:, 1], yaw))[0]
+    assert turned / np.linalg.norm(turned) == pytest.approx(wanted, abs=1e-4)
 
 
 def test_the_angle_between_thrust_axes_of_equal_attitudes_is_zero():
@@ -130,7 +150,7 @@ def test_an_estimator_in_front_keeps_its_weights_while_the_controller_learns(tmp
     config = make_control_config(**TINY | READS)
     training = ControlTraining(config, tmp_path)
     training.one_epoch()
-    network, tensors = training.exported({})
+    network, tensors, _ = training.exported({})
     own, given = load_network("att-snn-hummingbird")
     ours, theirs = real_weights(network, tensors), real_weights(own, given)
     for name in ("syn0", "mem0", "syn1", "mem1", "syn_after", "w_after"):

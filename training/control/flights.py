@@ -1,9 +1,10 @@
 """Flights to imitate: set-points and readings, and what the teacher would ask for at the true state.
 
 The teacher is the cascade's levels of attitude and body rate, which read the true attitude and body rate. Its
-integral is replaced by its limit, the disturbance of the angular acceleration, averaged over
-`OBSERVED_S`: an integral would wind up on a student's errors. The teacher flies, the student, or
-now one and then the other (DAgger).
+integral leaks, for it would wind up on a student's errors: towards the disturbance of the angular
+acceleration, its limit in the long run. It feeds forward how its set-point turns, by the trajectory and by
+the chirps that are added; jumps it does not. The teacher flies, the student, or now one and then the
+other (DAgger).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,7 @@ from quadsim.rotation import quat_from_euler, quat_from_rotvec, quat_multiply
 from quadsim.runs.compiled import njit
 from quadsim.seeding import child
 from quadsim.trajectory.reference import reference
-from quadsim.vehicle import Vehicle, randomise
+from quadsim.vehicle import GRAVITY, Vehicle, randomise
 from quadsim.wind import wind_series
 
 from .config import ControlConfig, Excitation
@@ -37,6 +39,8 @@ MAX_TILT_DEG, MAX_DISTANCE, MAX_RATE = 80.0, 40.0, 30.0
 """Where a flight ends: tilt [deg], distance from the set-point [m], body rate [rad/s]."""
 OBSERVED_S = 0.4
 """Time constant of the teacher's disturbance [s]."""
+LEAK_S = 0.5
+"""Time constant of the leak of its integral [s]."""
 PART_S = 0.5
 """Time after which another may fly [s]."""
 SIGNALS = ("gyro", "accel", "set_point", "target")
@@ -78,10 +82,25 @@ def joined(parts: Sequence[ControlFlights]) -> ControlFlights:
 
 
 @njit(cache=True)
-def teach_all(level, loops, measured, set_points, teachers):
-    """`follow_attitude` for records (n,) of loops, of measured truth and of teachers, set-points (n, 4)."""
-    for i in range(loops.shape[0]):
-        follow_attitude(level, loops[i].set_point, measured[i], set_points[i], teachers[i])
+def teach_all(targets, measured, set_points, teachers):
+    """`follow_attitude` for records (n,) of targets, of measured truth and of teachers, set-points (n, 4)."""
+    for i in range(targets.shape[0]):
+        follow_attitude(POSITION, targets[i], measured[i], set_points[i], teachers[i])
+
+
+def with_motion(targets: NDArray[np.void], added: Array, yaw: Array) -> NDArray[np.void]:
+    """Targets (n,) whose thrust axis turns by what is added to roll and pitch, too.
+
+    Args:
+        targets: Records of `quadsim.control.cascade.SET_POINT`.
+        added: Roll and pitch, small, in the first two columns, (n, k) [rad].
+        yaw: Headings that they are added at, (n,) [rad].
+    """
+    out, (sine, cosine) = targets.copy(), (np.sin(yaw), np.cos(yaw))
+    forward, left = GRAVITY * added[:, 1], -GRAVITY * added[:, 0]
+    out["acceleration"][:, 0] += cosine * forward - sine * left
+    out["acceleration"][:, 1] += sine * forward + cosine * left
+    return out
 
 
 class Pilot:
@@ -89,7 +108,7 @@ class Pilot:
 
     Args:
         steps: Samples to record.
-        excitation: Added to the set-points of roll, pitch and yaw rate, (n, steps, 3).
+        jumps, chirps: Added to the set-points of roll, pitch and yaw rate, (n, steps, 3).
         disturbance: Added to the angular acceleration that is asked for, (n, steps, 3) [rad/s²].
         student: A controller; None: the teacher flies alone.
         by_student: Samples at which the student flies, (n, steps).
@@ -99,14 +118,15 @@ class Pilot:
     def __init__(
         self,
         steps: int,
-        excitation: Array,
+        jumps: Array,
+        chirps: Array,
         disturbance: Array,
         student: SpikingController | None,
         by_student: NDArray[np.bool_],
         config: ControlConfig,
     ) -> None:
-        n = len(excitation)
-        self.excitation, self.disturbance = excitation, disturbance
+        n = len(jumps)
+        self.excitation, self.chirps, self.disturbance = jumps + chirps, chirps, disturbance
         self.student, self.by_student, self.config = student, by_student, config
         self.k = 0
         self.log = {
@@ -118,9 +138,9 @@ class Pilot:
         self.loop = loop
         self.teachers = loop.controller.records.copy()
         self.limits = self.teachers["max_ang_acc"].copy()
-        self.teachers["gains"]["rate_integral"] = self.teachers["gains"]["yaw_rate_integral"] = 0.0
-        self.asked = np.zeros_like(self.limits)
+        self.asked, self.disturbed = np.zeros_like(self.limits), np.zeros_like(self.limits)
         self.forget = 1.0 - math.exp(-1.0 / (loop.rate_hz * OBSERVED_S))
+        self.leak = 1.0 - math.exp(-1.0 / (loop.rate_hz * LEAK_S))
 
     def reset(self, n: int) -> None:
         """Start n vehicles."""
@@ -133,7 +153,7 @@ class Pilot:
             self.student.restart(ids)
         for name in ("trim", "has_last_axis"):
             self.teachers[name][ids] = 0
-        self.asked[ids] = 0.0
+        self.asked[ids] = self.disturbed[ids] = 0.0
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
         """As of an `AttitudeController`; the truth is the loop's."""
@@ -141,11 +161,12 @@ class Pilot:
         wanted[:, :3] += self.excitation[:, self.k]
         wanted = follow(self.config.set_point, wanted[:, None]).followed[:, 0]
         truth = self.loop.records["measured"].copy()
-        trim = self.teachers["trim"]
-        trim += self.forget * (self.asked - self.loop.plant.ang_acc - trim)
-        trim[:] = np.clip(trim, -MAX_TRIM * self.limits, MAX_TRIM * self.limits)
+        trim, most = self.teachers["trim"], MAX_TRIM * self.limits
+        self.disturbed += self.forget * (self.asked - self.loop.plant.ang_acc - self.disturbed)
+        trim += self.leak * (np.clip(self.disturbed, -most, most) - trim)
         truth["gyro"], truth["roll_pitch"] = self.loop.plant.ang_vel, self.loop.plant.roll_pitch
-        teach_all(POSITION, self.loop.records, truth, wanted, self.teachers)
+        turning = with_motion(self.loop.records["set_point"], self.chirps[:, self.k], self.loop.plant.yaw)
+        teach_all(turning, truth, wanted, self.teachers)
         taught = np.clip(self.teachers["ang_acc_cmd"], -self.limits, self.limits)
         read = gravity_of(roll_pitch) if self.config.reads == "attitude" else accel
         for name, values in zip(SIGNALS, (gyro, read, wanted, taught), strict=True):
@@ -187,9 +208,11 @@ def fly(
         wind = wind_series(flights.wind, n, steps, rate_hz, [child(seed, AIR) for seed in seeds])
     vehicles = [_vehicle(flights, child(seed, BODY)) for seed in seeds]
     added, size = config.excitation, np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
+    added_motion = [set_point_excitation(added, steps, rate_hz, rng) for rng in draws]
     pilot = Pilot(
         steps,
-        size[:, None] * np.stack([set_point_excitation(added, steps, rate_hz, rng) for rng in draws]),
+        size[:, None] * np.stack([each.jumps for each in added_motion]),
+        size[:, None] * np.stack([each.chirps for each in added_motion]),
         size[:, None] * np.stack([torque_excitation(added, steps, rate_hz, rng) for rng in draws]),
         student,
         np.stack([_turns(1.0 - teacher_share, steps, rate_hz, rng) for rng in draws]),
@@ -268,9 +291,20 @@ def thrust_axis(quat: Array) -> Array:
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
-def set_point_excitation(added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Steps and chirps of roll and pitch [rad], steps of the yaw rate [rad/s], (steps, 3)."""
-    out, k = np.zeros((steps, 3)), 0
+class SetPointExcitation(NamedTuple):
+    """What is added to a flight's set-points of roll, pitch [rad] and yaw rate [rad/s]."""
+
+    jumps: Array
+    """Steps, (T, 3)."""
+    chirps: Array
+    """Sines of rising or falling frequency that swell and fade, (T, 3)."""
+
+
+def set_point_excitation(
+    added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator
+) -> SetPointExcitation:
+    """Steps and chirps of roll and pitch, steps of the yaw rate, for a flight of some samples."""
+    out, k = SetPointExcitation(np.zeros((steps, 3)), np.zeros((steps, 3))), 0
     (low, high), tilt = added.step_s, math.radians(added.step_deg)
     while k < steps:
         kind = rng.random()
@@ -283,9 +317,10 @@ def set_point_excitation(added: Excitation, steps: int, rate_hz: float, rng: np.
             low_hz, high_hz = map(math.log, added.chirp_hz)
             f0, f1 = np.exp(rng.uniform(low_hz, high_hz, 2))
             phase = 2.0 * math.pi * (f0 * time + 0.5 * (f1 - f0) * time**2 * rate_hz / length)
-            out[part, :2] = np.sin(phase)[:, None] * rng.uniform(-1.0, 1.0, 2) * math.radians(added.chirp_deg)
+            wave = np.sin(phase) * np.sin(math.pi * rate_hz / length * time)
+            out.chirps[part, :2] = wave[:, None] * rng.uniform(-1.0, 1.0, 2) * math.radians(added.chirp_deg)
         elif kind > added.still:
-            out[part] = rng.uniform(-1.0, 1.0, 3) * [tilt, tilt, added.yaw_rate]
+            out.jumps[part] = rng.uniform(-1.0, 1.0, 3) * [tilt, tilt, added.yaw_rate]
         k += length
     return out
 

@@ -1,0 +1,294 @@
+"""Fine-tune a spiking attitude controller with PPO from stable-baselines3.
+
+    python examples/ppo_controller.py [--controller control-attitude] [--updates 40] [--out reports/ppo-controller]
+
+The controller that imitation has trained flies vehicles of another mass, inertia and motor lag than its own,
+and with weak rotors, after steps of roll and pitch. The agent is its output layer: the observation is what
+arrives there, the spikes of each hidden neuron after the filter of the output neurons; the mean of an action is
+the output layer's weights times it, the angular acceleration that is asked for. Hidden layer and encoding
+stay as they are. PPO explores, and the weights move; rounded to the chip's, they are a controller again.
+
+Writes `tuned.safetensors`, to fly with `quadsim bench --controller`, and `ppo.csv`: RMS angle between the
+commanded and the true thrust axis in episodes that no training saw, flown on the emulated chip.
+
+Needs stable-baselines3: pip install 'quadsim[rl]'.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv
+
+from estimators.control.controller import SpikingController
+from estimators.control.weights import ControllerWeights, load_controller, save_controller
+from estimators.networks.network import real_weights
+from quadsim.flight.loop import FlightLoop
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.rotation import quat_from_euler
+from quadsim.runs.files import write_csv
+from quadsim.seeding import child
+from quadsim.vehicle import GRAVITY, randomise
+
+Array = NDArray[np.float64]
+RATE_HZ = 200.0
+VEHICLES = 16  # that learn at once
+STEPS = 400  # samples of an episode, and of each vehicle between two updates of the policy
+HOLD = 120  # samples for which a set-point holds, at most
+TILT = 20.0  # its largest roll and pitch [deg]
+INERTIA = 2.0  # moment of inertia over the one that the controller was trained for
+WEAK = 0.15  # largest loss of thrust of a rotor, as a share
+EPISODES = 64  # to judge a controller by
+JUDGED = 1000  # their seed; those of the training begin at 0
+LEARNING_RATE = 1e-4
+SPREAD = 0.01  # standard deviation of the weights that it tries
+WORST = np.radians(60.0)  # what a larger error counts as
+
+
+class Relay:
+    """An attitude controller that gives the loop what it was told."""
+
+    def reset(self, n: int) -> None:
+        """Start n vehicles."""
+        self.action = np.zeros((n, 4))
+
+    def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
+        """See `AttitudeController`."""
+        return self.action
+
+
+class Flights:
+    """n vehicles that follow steps of roll and pitch, and draw new ones when they begin again.
+
+    Args:
+        n: Number of vehicles.
+        seed: Of the first flights; later ones have the numbers that follow.
+    """
+
+    def __init__(self, n: int, seed: int) -> None:
+        self.n, self.seed = n, seed
+        self.recipe = flight_config(load_recipe("control"))
+
+    def begin(self) -> None:
+        """Draw vehicles and set-points, and start."""
+        root = np.random.SeedSequence(self.seed)
+        self.seed += 1
+        rng = np.random.default_rng(child(root, 0))
+        nominal = self.recipe.vehicle
+        heavy = nominal.model_copy(update={"inertia": tuple(INERTIA * each for each in nominal.inertia)})
+        vehicles = [randomise(heavy, self.recipe.randomisation, rng) for _ in range(self.n)]
+        self.relay = Relay()
+        self.loop = FlightLoop(
+            vehicles,
+            self.n,
+            imu=self.recipe.imu,
+            seed=[child(root, 1, k) for k in range(self.n)],
+            nominal=self.recipe.vehicle,
+            controller=lambda rate_hz, vehicle: self.relay,
+        )
+        self.loop.reset(position=np.tile([0.0, 0.0, 100.0], (self.n, 1)))
+        rotors = len(self.recipe.vehicle.rotors)
+        self.loop.plant.rotor_effect[:] = 1.0 - WEAK * rng.uniform(size=(self.n, rotors))
+        holds = np.cumsum(rng.integers(HOLD // 4, HOLD, (self.n, STEPS)), axis=1)
+        steps = np.radians(TILT) * rng.uniform(-1.0, 1.0, (self.n, STEPS, 2))
+        which = [np.searchsorted(each, np.arange(STEPS + 1), side="right") for each in holds]
+        self.wanted = np.stack([steps[k, each] for k, each in enumerate(which)])
+        self.k = 0
+
+    @property
+    def readings(self) -> tuple[Array, Array, Array, Array]:
+        """Set-point (n, 4), gyro (n, 3), accel (n, 3) and roll and pitch (n, 2), as of a controller."""
+        set_point = np.zeros((self.n, 4))
+        set_point[:, :2], set_point[:, 3] = self.wanted[:, self.k], GRAVITY
+        return set_point, self.loop.gyro, self.loop.readings.accel, self.loop.attitude
+
+    def fly(self, ang_acc: Array) -> Array:
+        """Fly a sample with angular accelerations (n, 3) [rad/s²]; the errors that follow, (n,) [rad]."""
+        self.relay.action = np.concatenate([ang_acc, np.full((self.n, 1), GRAVITY)], axis=1)
+        command = np.zeros((self.n, 4))
+        command[:, :2], command[:, 2] = self.wanted[:, self.k], self.loop.plant.yaw
+        command[:, 3] = GRAVITY
+        self.loop.step("attitude", command)
+        plant, wanted = self.loop.plant, self.wanted[:, self.k]
+        axes = [_up(quat_from_euler(wanted[:, 0], wanted[:, 1], plant.yaw)), _up(plant.quat)]
+        self.k += 1
+        return np.minimum(np.arccos(np.clip(np.sum(axes[0] * axes[1], axis=1), -1.0, 1.0)), WORST)
+
+
+def _up(quat: Array) -> Array:
+    w, x, y, z = quat.T
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+
+
+class Filtered:
+    """The hidden layer of a controller for n vehicles, and its spikes as they arrive at the output layer."""
+
+    def __init__(self, weights: ControllerWeights, n: int) -> None:
+        self.controller = SpikingController(weights.config, weights.tensors, reads=weights.reads)
+        self.controller.reset(n)
+        real = real_weights(weights.config, weights.tensors)
+        self.keep = float(real.syn2[0]), float(real.mem2[0])
+        self.current, self.potential, self.spikes = (np.zeros((n, weights.config.hidden)) for _ in range(3))
+
+    def update(self, readings: tuple[Array, Array, Array, Array]) -> NDArray[np.float32]:
+        """Filtered spikes (n, hidden) after one more sample: those of the step before arrive now."""
+        self.current = self.keep[0] * self.current + self.spikes
+        self.potential = self.keep[1] * self.potential + self.current
+        self.controller.update(*readings)
+        listed = self.controller.states["s1"]
+        self.spikes = np.zeros_like(self.spikes)
+        for row, each in zip(self.spikes, listed, strict=True):
+            row[each[1 : 1 + each[0]]] = 1.0
+        return self.potential.astype(np.float32)
+
+
+class Agents(VecEnv):
+    """The flights as stable-baselines3 takes them; all episodes end together.
+
+    Args:
+        weights: Controller whose hidden layer is observed.
+        n: Number of vehicles.
+        seed: Of the first episodes.
+        size: What an observation is divided by, (hidden,).
+    """
+
+    def __init__(self, weights: ControllerWeights, n: int, seed: int, size: Array) -> None:
+        self.weights, self.flights, self.size = weights, Flights(n, seed), size.astype(np.float32)
+        bound = weights.config.set_point.bound / weights.config.output_scale
+        observation = gymnasium.spaces.Box(-np.inf, np.inf, size.shape, np.float32)
+        super().__init__(n, observation, gymnasium.spaces.Box(-bound, bound, (3,), np.float32))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin all episodes."""
+        self.flights.begin()
+        self.hidden = Filtered(self.weights, self.num_envs)
+        return self._observed()
+
+    def _observed(self) -> NDArray[np.float32]:
+        return self.hidden.update(self.flights.readings) / self.size
+
+    def step_async(self, actions: Array) -> None:
+        """Take the actions of the next step."""
+        self.actions = actions
+
+    def step_wait(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Fly a sample; it earns less by the square of the error over ten degrees."""
+        error = self.flights.fly(self.actions * self.weights.config.output_scale)
+        earned, observation = -((np.degrees(error) / 10.0) ** 2), self._observed()
+        over = self.flights.k == STEPS
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if over:
+            infos = [{"terminal_observation": each, "TimeLimit.truncated": True} for each in observation]
+            observation = self.reset()
+        return observation, earned, np.full(self.num_envs, over), infos
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the batch, once for each vehicle."""
+        return [getattr(self, attr_name, None)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the vehicles share one loop."""
+        raise NotImplementedError("vehicles of a batch have no attributes of their own")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refused: the vehicles share one loop."""
+        raise NotImplementedError("vehicles of a batch have no methods of their own")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """No vehicle has a wrapper of its own."""
+        return [False] * len(list(self._get_indices(indices)))
+
+
+def judge(weights: ControllerWeights) -> float:
+    """RMS angle between commanded and true thrust axis on the emulated chip [deg]."""
+    flights = Flights(EPISODES, JUDGED)
+    flights.begin()
+    controller = SpikingController(weights.config, weights.tensors, on_loihi=True, reads=weights.reads)
+    controller.reset(EPISODES)
+    squares = [flights.fly(controller.update(*flights.readings)[:, :3]) ** 2 for _ in range(STEPS)]
+    return float(np.degrees(np.sqrt(np.mean(squares))))
+
+
+def observed_size(weights: ControllerWeights) -> Array:
+    """Root mean square of what arrives at the output layer while the controller flies, (hidden,)."""
+    flights, squares = Flights(VEHICLES, 0), []
+    flights.begin()
+    hidden = Filtered(weights, VEHICLES)
+    output = real_weights(weights.config, weights.tensors).w_out * weights.config.output_scale
+    for _ in range(STEPS):
+        arrived = hidden.update(flights.readings)
+        flights.fly(arrived @ output.T)
+        squares.append(np.mean(arrived**2, axis=0))
+    return np.sqrt(np.mean(squares, axis=0)) + 1e-3
+
+
+def agent(weights: ControllerWeights, seed: int) -> PPO:
+    """PPO whose policy is the controller's output layer, from the weights that it has."""
+    size = observed_size(weights)
+    model = PPO(
+        "MlpPolicy",
+        Agents(weights, VEHICLES, seed + 1, size),
+        n_steps=STEPS,
+        batch_size=800,
+        n_epochs=8,
+        gamma=0.98,
+        learning_rate=LEARNING_RATE,
+        target_kl=0.05,
+        seed=seed,
+        policy_kwargs={"net_arch": {"pi": [], "vf": [64, 64]}, "log_std_init": float(np.log(SPREAD))},
+        use_sde=True,  # noise of the weights, which holds, not of the actions: a sample of 5 ms turns nothing
+        device="cpu",
+    )
+    output = model.policy.action_net
+    with torch.no_grad():
+        output.weight[:] = torch.from_numpy(real_weights(weights.config, weights.tensors).w_out * size)
+        output.bias.zero_()
+    output.bias.requires_grad_(False)  # the chip's output neurons have none
+    model.policy.log_std.requires_grad_(False)
+    return model
+
+
+def with_output(weights: ControllerWeights, output: Array) -> ControllerWeights:
+    """The controller with other output weights (3, hidden), rounded to the chip's."""
+    mantissas = np.clip(2 * np.rint(128 * output), -256, 254).astype(np.int16)
+    return weights._replace(tensors=weights.tensors | {"w_out": mantissas})
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fine-tune, print the tracking error after every fifth update, and write the controller."""
+    parser = argparse.ArgumentParser(description="Fine-tune a spiking controller with PPO.")
+    parser.add_argument("--controller", default="control-attitude", help="name or weights to begin from")
+    parser.add_argument("--updates", type=int, default=40, help="of the policy")
+    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    parser.add_argument("--out", type=Path, default=Path("reports/ppo-controller"), help="folder to write")
+    given = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    weights = load_controller(given.controller)
+    if weights.reads != "attitude" or weights.config.steps_per_sample != 1:
+        parser.error(f"{given.controller}: give a controller that reads an attitude, a step for each sample")
+    model, best, rows = agent(weights, given.seed), weights, []
+    print("updates, tracking error [°]")
+    for update in range(0, given.updates + 1, 5):
+        if update:
+            model.learn(5 * VEHICLES * STEPS, reset_num_timesteps=False)
+        layer = model.policy.action_net.weight.detach().numpy() / model.env.size
+        tuned = with_output(weights, layer) if update else weights
+        rows.append({"updates": update, "tracking_deg": judge(tuned)})
+        print(f"{update:7} {rows[-1]['tracking_deg']:7.3f}", flush=True)
+    given.out.mkdir(parents=True, exist_ok=True)
+    save_controller(given.out / "tuned.safetensors", tuned)
+    write_csv(given.out / "ppo.csv", rows)
+    print(given.out / "tuned.safetensors")
+
+
+if __name__ == "__main__":
+    main()
