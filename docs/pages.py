@@ -51,6 +51,8 @@ class Entry(Strict):
     """Scripts; all that they import from the project counts too."""
     files: tuple[str, ...] = ()
     """Weights, assets, templates and data, or patterns of them."""
+    ignored: tuple[str, ...] = ()
+    """Modules that are imported but give no number of this page, or patterns of them."""
     archived: str | None = None
     """Why the files cannot be remade today; then those without a stamp are no failure."""
     made_at: str = ""
@@ -82,7 +84,8 @@ class Page:
             ValueError: A pattern of `pages.toml` that fits no file.
         """
         code = closure(self._found(self.entry.code), self.root)
-        files = sorted({*code, *self._found(self.entry.files)} - {self.root / each for each in self.ignored})
+        ignored = {self.root / each for each in self.ignored} | {*self._found(self.entry.ignored)}
+        files = sorted({*code, *self._found(self.entry.files)} - ignored)
         return {path.relative_to(self.root).as_posix(): file_digest(path)[:LENGTH] for path in files}
 
     @cached_property
