@@ -3,19 +3,21 @@
 A run that is cut short resumes, as `quadsim bench` does.
 """
 
+import csv
+import sys
 from collections.abc import Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import load_page, row
+from pages import ROOT, load_page, row
 
 from estimators import create
 from estimators.control.controller import SpikingController, create_controller
+from estimators.control.weights import load_controller
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import OnLoihi, silenced
@@ -23,28 +25,40 @@ from estimators.networks.weights_file import load_network
 from quadsim.control.own import AttitudeController, MakeController
 from quadsim.dataset.figures import STYLE
 from quadsim.flight.loop import FlightLoop
-from quadsim.flight.scenario import load_scenario, scenario_names
+from quadsim.flight.scenario import changed, load_scenario, scenario_names
 from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
+from scenarios.bench.cell import fly_cell
+from scenarios.bench.controllers import CASCADED, controller_of
 from scenarios.bench.flight_metrics import CellRow
 from scenarios.bench.margins import Cascade, Margins, margins
 from scenarios.bench.runner import Results, bench
 from scenarios.bench.settings import FlightSettings
 
+sys.path.insert(0, str(ROOT / "examples"))
+import ppo_controller
+
 Array = NDArray[np.float64]
-OUT = Path(__file__).parents[1] / "reports" / "control"
+OUT = ROOT / "reports" / "control"
 SEEDS = 20
 ESTIMATOR = "att-snn-hummingbird"
 """Whose spikes the separate controller reads, and from which the merged one began."""
-WAYS = {"separate": "control-separate", "merged": "control-merged"}
+WAYS = {"attitude": "control-attitude", "separate": "control-separate", "merged": "control-merged"}
+ATTITUDE = WAYS["attitude"]
+SAME = "scenarios.bench.margins:Cascade"
+"""The cascade's levels as a controller of set-points: it knows no trajectory to feed forward."""
 NAMES = {
-    "cascade on the truth": "truth",
-    "cascade on Att-SNN": ESTIMATOR,
-    **{f"spiking, {way}": f"{ESTIMATOR} @ {name}" for way, name in WAYS.items()},
+    "cascade, truth": "truth",
+    "cascade without trajectory, truth": f"truth @ {SAME}",
+    "spiking, attitude, truth": f"truth @ {ATTITUDE}",
+    "cascade, Att-SNN": ESTIMATOR,
+    **{f"spiking, {way}, Att-SNN": f"{ESTIMATOR} @ {name}" for way, name in WAYS.items()},
 }
-TEACHER, BASE, *_ = NAMES
+TEACHER, _, _, BASE, *_ = NAMES
+ELSEWHERE = ("px4-quad", "crazyflie")
+"""Airframes that no controller was trained on."""
 NOMINAL = (
     "hover",
     "step",
@@ -58,7 +72,7 @@ NOMINAL = (
 )
 AGGRESSIVE = ("step-large", "racing")
 STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
-COLOURS = ("#000000", "#7a7a7a", "#0072b2", "#d55e00")
+COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2", "#d55e00")
 
 
 def cells(results: Results) -> dict[tuple[str, str], CellRow]:
@@ -85,29 +99,61 @@ def tracking(found: dict[tuple[str, str], CellRow], title: str, scenarios: Seque
     return np.array([found[s, title].attitude_deg or np.nan for s in scenarios], dtype=float)
 
 
+def base_of(title: str) -> str:
+    """The cascade on the same attitude."""
+    return TEACHER if NAMES[title].startswith("truth") else BASE
+
+
 def summary_rows(found: dict[tuple[str, str], CellRow]) -> Iterator[str]:
     """What the figures of merit are for each controller."""
     for title in NAMES:
+        base = base_of(title)
         ratios = [
-            tracking(found, title, NOMINAL) / tracking(found, other, NOMINAL) for other in (BASE, TEACHER)
+            tracking(found, title, NOMINAL) / tracking(found, other, NOMINAL) for other in (base, TEACHER)
         ]
-        crashes = {name: [found[s, name].crashes or 0 for s in scenario_names()] for name in (title, BASE)}
+        crashes = {name: [found[s, name].crashes or 0 for s in scenario_names()] for name in (title, base)}
         jitter = np.mean([found[s, title].jitter or np.nan for s in NOMINAL])
         yield row(
             title,
             *(f"{np.median(each):.2f} ({np.nanmin(each):.2f} to {np.nanmax(each):.2f})" for each in ratios),
             f"{np.nanmean(tracking(found, title, AGGRESSIVE)):.1f}",
             sum(crashes[title]),
-            sum(max(ours - theirs, 0) for ours, theirs in zip(crashes[title], crashes[BASE], strict=True)),
+            sum(max(ours - theirs, 0) for ours, theirs in zip(crashes[title], crashes[base], strict=True)),
             f"{jitter:.1f}",
         )
 
 
+def elsewhere_rows() -> Iterator[str]:
+    """Tracking on the truth with airframes of another size, and crashes."""
+    titles = [title for title in NAMES if base_of(title) == TEACHER]
+    for vehicle in ELSEWHERE:
+        for name in ("hover", "step", "figure-8", "dryden-moderate"):
+            scenario = changed(load_scenario(name), {"vehicle": vehicle})
+            cells = [fly_cell(name, scenario, NAMES[title], FlightSettings(SEEDS)) for title in titles]
+            yield row(f"{vehicle}, {name}", *(shown(cell.row) for cell in cells))
+
+
+def tuned_rows() -> Iterator[str]:
+    """What PPO does to the output layer, by `examples/ppo_controller.py`."""
+    ppo_controller.main(["--out", str(OUT / "ppo")])
+    with (OUT / "ppo" / "ppo.csv").open() as file:
+        for each in csv.DictReader(file):
+            yield row(each["updates"], *(f"{float(each[key]):.2f}" for key in ("heavy_deg", "known_deg")))
+
+
 def makers() -> dict[str, tuple[MakeController | None, Any]]:
-    """Controller and estimator of each contender; None: the cascade's own, the truth."""
+    """Controller and estimator of each contender; None: the cascade's own, the truth.
+
+    Without a trajectory to follow, the cascade that knows none is the cascade.
+    """
     estimator = create("att-snn-loihi", weights=ESTIMATOR)
-    ways = {f"spiking, {way}": (partial(create_controller, name), estimator) for way, name in WAYS.items()}
-    return {"cascade on the truth": (None, None), "cascade on Att-SNN": (None, estimator), **ways}
+    found: dict[str, tuple[MakeController | None, Any]] = {}
+    for title, name in NAMES.items():
+        controller = controller_of(name)
+        if controller != SAME:
+            own = None if controller == CASCADED else partial(create_controller, controller)
+            found[title] = (own, estimator if base_of(title) == BASE else None)
+    return found
 
 
 def margin_rows() -> Iterator[str]:
@@ -166,22 +212,39 @@ def step_rows(responses: dict[str, Array]) -> Iterator[str]:
 
 def chip_rows() -> Iterator[str]:
     """Cores of the chip that each way takes, as trained and with few decay profiles."""
+    estimator = _cores(ESTIMATOR)
+    yield row(f"`{ESTIMATOR}`", *_texts(*estimator))
     for way, name in WAYS.items():
-        config, tensors = load_network(name)
-        trained, shared = OnLoihi(config, tensors), OnLoihi(config, share_profiles(tensors))
-        bits = sum(each.used()["synaptic bits"] for each in shared.cores)
-        neurons = f"{config.encoding} + {config.hidden}"
-        memory = f"{bits / LIMITS['synaptic bits']:.2f}"
-        yield row(f"spiking, {way}", neurons, len(trained.cores), len(shared.cores), memory)
+        found = _cores(name)
+        yield row(f"spiking, {way}", *_texts(*found))
+        if name == ATTITUDE:
+            both = (first + second for first, second in zip(estimator[1:], found[1:], strict=True))
+            neurons = f"{estimator[0]} and {found[0]}"
+            yield row(f"`{ESTIMATOR}` and spiking, {way}", *_texts(neurons, *both))
+
+
+def _texts(neurons: str, trained: float, shared: float, memory: float) -> tuple[str, ...]:
+    return neurons, f"{trained:.0f}", f"{shared:.0f}", f"{memory:.2f}"
+
+
+def _cores(name: str) -> tuple[str, int, int, float]:
+    """Neurons, cores as trained and with few profiles, and synaptic memory over that of a core."""
+    config, tensors = load_network(name)
+    trained, shared = OnLoihi(config, tensors), OnLoihi(config, share_profiles(tensors))
+    bits = sum(each.used()["synaptic bits"] for each in shared.cores)
+    neurons = f"{config.encoding} + {config.hidden}"
+    return neurons, len(trained.cores), len(shared.cores), bits / LIMITS["synaptic bits"]
 
 
 def silenced_rows() -> Iterator[str]:
     """Whether a controller flies with output weights of zero."""
     for way, name in WAYS.items():
-        config, tensors = load_network(name)
+        config, tensors, reads = load_controller(name)
 
-        def make(rate_hz: float, vehicle: Vehicle, config=config, tensors=tensors) -> AttitudeController:
-            return SpikingController(config, silenced(config, tensors))
+        def make(
+            rate_hz: float, vehicle: Vehicle, config=config, tensors=tensors, reads=reads
+        ) -> AttitudeController:
+            return SpikingController(config, silenced(config, tensors), reads=reads)
 
         response = step_response(make, None)
         yield row(f"spiking, {way}", f"{np.abs(response[:, -1] - STEP_DEG).mean():.0f}")
@@ -205,6 +268,10 @@ def main() -> None:
             "steps": list(step_rows(responses)),
             "chip": list(chip_rows()),
             "silenced": list(silenced_rows()),
+            "tuned": list(tuned_rows()),
+            "elsewhere": list(elsewhere_rows()),
+            "columns": row("scenario", *NAMES),
+            "ruler": row(*["---"] * (1 + len(NAMES))),
             "seeds": str(SEEDS),
             "flights": str(SEEDS * len(scenario_names())),
             "nominal": ", ".join(NOMINAL),

@@ -49,7 +49,12 @@ void ${n}_set_point(${n}_state *state, const double set_point[4]);
 #endif
 /* Scale one reading, body rate [rad/s] and specific force [m/s^2], body x forward, y left, z up. A reading that
  * is not finite or beyond 4000 deg/s or 32 g, or a force of exactly zero, leaves the last good one and is counted
- * in `skipped`. */
+ * in `skipped`.
+#if READS_ATTITUDE
+ * This network reads an attitude: for accel give it $gravity m/s^2 times the world's up in body axes,
+ * (-sin(pitch), sin(roll) cos(pitch), cos(roll) cos(pitch)), of any estimate.
+#endif
+ */
 void ${n}_encode(${n}_state *state, const double gyro[3], const double accel[3]);
 
 /* Run the network for one sample. */

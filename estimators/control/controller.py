@@ -138,8 +138,8 @@ class SpikingController:
             )
         found = follow(self.scaling, wanted, self._set_point)
         out = np.empty((n, SET_POINTS * steps))
-        signals = (np.ascontiguousarray(each).reshape(n, 3 * steps) for each in (rate, force))
-        self.core.run(self._states, *signals, out, found.inputs.reshape(n, 3 * steps))
+        rate, force = (np.ascontiguousarray(each).reshape(n, 3 * steps) for each in (rate, force))
+        self.core.run(self._states, rate, force, out, found.inputs.reshape(n, 3 * steps))
         action = found.followed
         _answer(out, self.scaling.bound, action)
         return action

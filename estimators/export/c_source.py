@@ -18,6 +18,7 @@ from quadsim.runs.files import write_whole
 from quadsim.vehicle import GRAVITY
 
 from ..control.controller import THRUST_MAX
+from ..control.weights import Reads
 from ..loihi.neurons import DECAY_ONE, STATE_ONE
 from ..networks.encoder import INPUT_MAX, INPUT_ONE, input_scaling
 from ..networks.forward import MATRICES, TIME_CONSTANTS
@@ -57,7 +58,7 @@ WORDS = {
         "level": " + (k == 2)",
     },
     "angular-acceleration": {
-        "title": "A spiking network that controls the attitude of a quadrotor from set-points and an IMU",
+        "title": "A spiking network that controls the attitude of a quadrotor from set-points and $sensors",
         "read": "action",
         "and_set_point": " and set_point",
         "and_set_points": ", and set-points",
@@ -68,7 +69,9 @@ WORDS = {
     },
 }
 """What the templates call the outputs."""
-SECTION = re.compile(r"#if (AFTER_SPIKE|ESTIMATES|CONTROLS)\n(.*?)#endif\n", re.DOTALL)
+SENSORS = {"imu": "an IMU", "attitude": "a gyroscope and an estimate of roll and pitch"}
+"""What a controller reads."""
+SECTION = re.compile(r"#if (AFTER_SPIKE|ESTIMATES|CONTROLS|READS_ATTITUDE)\n(.*?)#endif\n", re.DOTALL)
 """Parts of the templates that not every network has."""
 BLOCK, BIASED = 16, 128
 """Hidden neurons that the C code sums up together, and what is added to their weights."""
@@ -76,12 +79,13 @@ BYTES = (0, 2, 1, 3)
 """Neurons of four whose weights are a word, from the lowest byte on."""
 
 
-def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
+def c_files(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> dict[str, str]:
     """The two files by name: `att_snn.h` and `.c`, of a controller `snn_control.h` and `.c`.
 
     Args:
         config: How the network is run.
         tensors: Its weights, the chip's integers.
+        reads: What a controller has beside the set-points.
 
     Raises:
         ValueError: Not a spiking network for the chip.
@@ -90,7 +94,7 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
     name = CONTROLLER if config.controls else ESTIMATOR
     words = WORDS[config.outputs]
-    words = words | {"title": Template(words["title"]).safe_substitute(words)}
+    words = words | {"title": Template(words["title"]).substitute(words, sensors=SENSORS[reads])}
     offset, gain = input_scaling(config.inputs)
     values = {
         "n": name,
@@ -113,7 +117,12 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
         **_set_points(config),
         **_integers(tensors),
     }
-    kept = {"AFTER_SPIKE": config.after_spike, "CONTROLS": config.controls, "ESTIMATES": not config.controls}
+    kept = {
+        "AFTER_SPIKE": config.after_spike,
+        "CONTROLS": config.controls,
+        "ESTIMATES": not config.controls,
+        "READS_ATTITUDE": reads == "attitude",
+    }
     folder = files("assets") / "c99"
     texts = {end: (folder / f"network.{end}").read_text(encoding="utf-8") for end in ("h", "c")}
     return {
@@ -124,9 +133,9 @@ def c_files(config: NetworkConfig, tensors: Tensors) -> dict[str, str]:
     }
 
 
-def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> None:
     """Write both files into a folder, which is made where it is missing."""
-    texts = c_files(config, tensors)
+    texts = c_files(config, tensors, reads)
     for name, text in texts.items():
         write_whole(Path(folder) / name, text)
 

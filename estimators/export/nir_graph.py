@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from quadsim.runs.files import replace
 
+from ..control.weights import Reads
 from ..networks.encoder import INPUT_ONE, input_scaling
 from ..networks.forward import BIAS_EXP, THRESHOLD, Weights
 from ..networks.network import real_weights
@@ -37,7 +38,9 @@ CONNECTIONS = {
 }
 
 
-def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) -> nir.NIRGraph:
+def nir_graph(
+    config: NetworkConfig, tensors: Tensors, dt: float | None = None, reads: Reads = "imu"
+) -> nir.NIRGraph:
     """The network between its scaled inputs and its output potentials; scales are in its metadata.
 
     Inputs are the readings (6), of a controller roll, pitch and yaw rate of the set-point after them (9).
@@ -46,6 +49,7 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
         config: How the network is run.
         tensors: Its weights.
         dt: Step to write the time constants for [s]; None: the network's own.
+        reads: What a controller has beside the set-points; an attitude takes the place of the accelerometer.
 
     Raises:
         ValueError: Not an Att-SNN in the chip's time convention.
@@ -73,12 +77,12 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, dt: float | None = None) 
         edges += [("synapse", "hidden"), *pairwise(loop)]
     nodes["finish"] = nir.Output({"output": np.array([config.n_outputs])})
     edges.append(("output", "finish"))
-    return nir.NIRGraph(nodes=nodes, edges=edges, metadata=_about(config, step))
+    return nir.NIRGraph(nodes=nodes, edges=edges, metadata=_about(config, step, reads))
 
 
-def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> None:
     """Write the graph as an HDF5 file that `nir.read` reads."""
-    graph = nir_graph(config, tensors)
+    graph = nir_graph(config, tensors, reads=reads)
     replace(path, lambda part: nir.write(str(part), graph))
 
 
@@ -117,14 +121,17 @@ def _integers(config: NetworkConfig, **values: NDArray) -> dict[str, NDArray]:
     return values if config.quantised else {}
 
 
-def _about(config: NetworkConfig, dt: float) -> dict:
+def _about(config: NetworkConfig, dt: float, reads: Reads) -> dict:
     offset, gain = input_scaling(config.inputs)
     integers = {"vth": 128, "bias_exp": BIAS_EXP} if config.quantised else {}
     asked = config.set_point
     scales = (
         {}
         if asked is None
-        else {"set_point_gain_1024": INPUT_ONE / np.array([asked.tilt, asked.tilt, asked.yaw_rate])}
+        else {
+            "set_point_gain_1024": INPUT_ONE / np.array([asked.tilt, asked.tilt, asked.yaw_rate]),
+            "reads": reads,
+        }
     )
     return {
         "dt": dt,

@@ -1,7 +1,7 @@
-"""The verdict of a benchmark in words: the best estimator, and how the others compare."""
+"""The verdict of a benchmark in words: the best estimator, or controller, and how the others compare."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from quadsim.flight.scenario import Scenario
 
+from .controllers import controller_of, estimator_of
 from .flight_metrics import CellRow
 from .pairs import ALL, PairRow
 
@@ -16,6 +17,19 @@ TRUTH = "truth"
 """The estimator that returns the true attitude: the reference, not a candidate."""
 MOST_LINES = 4
 """Lines below the headline."""
+
+
+class Measure(NamedTuple):
+    """What ranks."""
+
+    key: str
+    """Of a `CellRow` [deg]."""
+    name: str
+
+
+ERROR = Measure("error_deg", "error")
+TRACKING = Measure("attitude_deg", "tracking error")
+"""Between controllers: an estimate's error says nothing of them."""
 
 
 class Standing(NamedTuple):
@@ -40,7 +54,7 @@ class Total(NamedTuple):
 
     flights: int
     crashes: int
-    error: float  #: mean over scenarios of the estimation error [deg]; infinite where none was measured
+    error: float  #: mean over scenarios of what ranks [deg]; infinite where none was measured
     attitude: float  #: mean over scenarios of the attitude tracking [deg]
     failed: int  #: cells that did not run
 
@@ -56,7 +70,7 @@ def verdict(
     pairs: Sequence[PairRow] = (),
     scenarios: Mapping[str, Scenario] | None = None,
 ) -> Verdict:
-    """Rank the estimators of a benchmark; describe the best, then `focus` if it ran.
+    """Rank the estimators, or controllers, of a benchmark; describe the best, then `focus` if it ran.
 
     Args:
         rows: A row of each cell.
@@ -64,10 +78,13 @@ def verdict(
         pairs: Paired differences, which decide what does not differ significantly from the best.
         scenarios: What was flown, by name; a line says on what condition the verdict holds.
     """
-    totals = totals_of(rows)
-    ranked = sorted((name for name in totals if name != TRUTH), key=lambda name: totals[name].rank)
-    references = [name for name in totals if name == TRUTH]
-    standings = [_standing(name, totals[name], rows) for name in [*ranked, *references]]
+    totals, measure = totals_of(rows), measure_of(rows)
+    by_rank = sorted(totals, key=lambda name: totals[name].rank)
+    references = references_of(totals)
+    ranked = [name for name in by_rank if name not in references]
+    last = [name for name in by_rank if name in references]
+    standings = [_standing(name, totals[name], rows, measure) for name in ranked]
+    standings += [_standing(name, totals[name], rows, measure, reference=True) for name in last]
     simulated = [name for name in ranked if totals[name].flights]
     if not simulated:
         only = "Only the truth ran." if TRUTH in totals and totals[TRUTH].flights else "No estimator ran."
@@ -76,41 +93,56 @@ def verdict(
     tied = [
         name
         for name in simulated[1:]
-        if totals[name].crashes == best.crashes and _is_tied(simulated[0], name, pairs)
+        if totals[name].crashes == best.crashes and _is_tied(simulated[0], name, pairs, measure)
     ]
     doubt = ""
     if tied:
         doubt = (
-            f"The error of {simulated[0]} is not significantly different from that of {_listed(tied)} "
-            "(paired 95 % CI includes 0)."
+            f"The {measure.name} of {simulated[0]} is not significantly different from that of "
+            f"{_listed(tied)} (paired 95 % CI includes 0)."
         )
     if tied:
-        headline = _tie([simulated[0], *tied], totals)
+        headline = _tie([simulated[0], *tied], totals, measure)
     elif len(ranked) == 1:
-        headline = _alone(ranked[0], best)
+        headline = _alone(ranked[0], best, measure)
     else:
         least = min(round(totals[name].error, 3) for name in simulated)
-        headline = _headline(simulated[0], best, least)
-    lines = [conditions(scenarios or {}), _by_worst(simulated, rows), doubt]
+        headline = _headline(simulated[0], best, least, measure)
+    lines = [conditions(scenarios or {}), _by_worst(simulated, rows, measure), doubt]
     if focus in simulated[1:]:
-        lines.append(_sentence(focus, totals[focus], truth))
+        lines.append(_sentence(focus, totals[focus], truth, measure))
     if truth and truth.attitude > 0 and len(list(filter(None, lines))) < MOST_LINES:
         ratio = best.attitude / truth.attitude
         whose = f"The attitude tracking error of {simulated[0]}" if tied else "Its attitude tracking error"
-        lines.insert(3, f"{whose} is {ratio:.2f} × that with the true attitude.")
+        lines.insert(3, f"{whose} is {ratio:.2f} × that {_reference(measure)}.")
     return Verdict(headline, list(filter(None, lines)), standings, doubt)
 
 
 def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
     """Every estimator over all its scenarios, in the order of the rows."""
-    names = dict.fromkeys(row.estimator for row in rows)
-    return {name: total([row for row in rows if row.estimator == name]) for name in names}
+    names, measure = dict.fromkeys(row.estimator for row in rows), measure_of(rows)
+    return {name: total([row for row in rows if row.estimator == name], measure) for name in names}
 
 
-def worst_row(rows: Sequence[CellRow], estimator: str) -> CellRow | None:
+def references_of(names: Iterable[str]) -> set[str]:
+    """Contenders that are no candidates: those on the true attitude, which no vehicle has.
+
+    Where all are, what compares is the controllers, and the cascade is the reference.
+    """
+    names = set(names)
+    on_truth = {name for name in names if estimator_of(name) == TRUTH}
+    return names & {TRUTH} if on_truth == names else on_truth
+
+
+def measure_of(rows: Sequence[CellRow]) -> Measure:
+    """What ranks: with several controllers the tracking error, else the error of the estimate."""
+    return TRACKING if len({controller_of(row.estimator) for row in rows}) > 1 else ERROR
+
+
+def worst_row(rows: Sequence[CellRow], estimator: str, measure: Measure = ERROR) -> CellRow | None:
     """The scenario with an estimator's most crashes, or else its largest error; None where it did not fly."""
     own = [row for row in rows if row.estimator == estimator and row.flights]
-    return max(own, key=_loss, default=None)
+    return max(own, key=lambda row: _loss(row, measure), default=None)
 
 
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
@@ -147,12 +179,12 @@ def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
     return Verdict("Recorded flights", [], [])
 
 
-def total(rows: Sequence[CellRow]) -> Total:
+def total(rows: Sequence[CellRow], measure: Measure = ERROR) -> Total:
     """Add up an estimator's rows."""
     simulated = [row for row in rows if not row.reason]
     error, attitude = (
         float(np.mean([v for row in simulated if (v := getattr(row, key)) is not None] or [without]))
-        for key, without in (("error_deg", np.inf), ("attitude_deg", 0.0))
+        for key, without in ((measure.key, np.inf), ("attitude_deg", 0.0))
     )
     flights, crashes = (sum(getattr(row, key) or 0 for row in simulated) for key in ("flights", "crashes"))
     return Total(flights, crashes, error, attitude, len(rows) - len(simulated))
@@ -163,59 +195,74 @@ def shown(error_deg: float) -> str:
     return f"{error_deg:.2f}°" if np.isfinite(error_deg) else "not measured"
 
 
-def _alone(name: str, own: Total) -> str:
+def _reference(measure: Measure) -> str:
+    return "of the cascade on the true attitude" if measure == TRACKING else "with the true attitude"
+
+
+def _alone(name: str, own: Total, measure: Measure) -> str:
     """What happened, where there is nothing to compare with."""
     if own.flights == 1:
-        return f"{name} {'crashed' if own.crashes else 'did not crash'}: error {shown(own.error)}."
+        return f"{name} {'crashed' if own.crashes else 'did not crash'}: {measure.name} {shown(own.error)}."
     crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
-    return f"{name}: {crashes} {own.flights} flights, error {shown(own.error)}."
+    return f"{name}: {crashes} {own.flights} flights, {measure.name} {shown(own.error)}."
 
 
-def _headline(name: str, best: Total, least: float) -> str:
+def _headline(name: str, best: Total, least: float, measure: Measure) -> str:
     """The best estimator; `least` is the smallest error of any, which may be of one that crashed."""
     if best.crashes:
         crashes = f"in {best.crashes} of {best.flights} flights"
-        return f"Fly {name}: it crashed least, {crashes}, with an error of {shown(best.error)}."
+        return f"Fly {name}: it crashed least, {crashes}, with {_an(measure.name)} of {shown(best.error)}."
     flights = f"{best.flights} flight{'s' if best.flights > 1 else ''}"
     of_those = "" if round(best.error, 3) <= least else " of those without one"
-    return f"Fly {name}: no crash in {flights}, and the smallest error{of_those}, {shown(best.error)}."
+    return (
+        f"Fly {name}: no crash in {flights}, and the smallest {measure.name}{of_those}, {shown(best.error)}."
+    )
 
 
-def _tie(names: Sequence[str], totals: Mapping[str, Total]) -> str:
+def _tie(names: Sequence[str], totals: Mapping[str, Total], measure: Measure) -> str:
     """The headline where errors do not tell the best, the first of `names`, from the others."""
     best, errors = totals[names[0]], [totals[name].error for name in names]
     others = names[1] if len(names) == 2 else f"one of {len(names) - 1} others"
     crashes = f"{best.crashes} of {best.flights} flights crashed" if best.crashes else "no crash"
     return (
-        f"Fly {names[0]} or {others}: {crashes} with each, and errors of {shown(min(errors))} to "
+        f"Fly {names[0]} or {others}: {crashes} with each, and {measure.name}s of {shown(min(errors))} to "
         f"{shown(max(errors))} that do not differ significantly."
     )
 
 
-def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow]) -> str:
+def _an(noun: str) -> str:
+    return f"an {noun}" if noun[0] in "aeiou" else f"a {noun}"
+
+
+def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow], measure: Measure) -> str:
     """What the worst scenario of each says, in place of the mean; empty with a single scenario."""
-    worst = {name: each for name in simulated if (each := worst_row(rows, name))}
+    worst = {name: each for name in simulated if (each := worst_row(rows, name, measure))}
     if len({row.scenario for row in rows}) < 2 or not worst:
         return ""
-    first, best = simulated[0], min(worst, key=lambda name: _loss(worst[name]))
+    first, best = simulated[0], min(worst, key=lambda name: _loss(worst[name], measure))
     if len(worst) == 1:
-        return f"Its worst scenario is {described(worst[first])}."
+        return f"Its worst scenario is {described(worst[first], measure)}."
     if best == first:
-        return f"{first} is also the best by its worst scenario, {described(worst[first])}."
+        return f"{first} is also the best by its worst scenario, {described(worst[first], measure)}."
     return (
-        f"By the worst scenario {best} is the best: {described(worst[best])}; of {first} it is "
-        f"{described(worst[first])}."
+        f"By the worst scenario {best} is the best: {described(worst[best], measure)}; of {first} it is "
+        f"{described(worst[first], measure)}."
     )
 
 
-def described(row: CellRow) -> str:
+def described(row: CellRow, measure: Measure = ERROR) -> str:
     """A scenario with its crashes and error: "storm, 2 of 10 crashed, 3.10°"."""
     crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
-    return f"{row.scenario}, {crashes}{shown(np.inf if row.error_deg is None else row.error_deg)}"
+    return f"{row.scenario}, {crashes}{shown(_value(row, measure))}"
 
 
-def _loss(row: CellRow) -> tuple[float, float]:
-    return row.crash_rate or 0.0, np.inf if row.error_deg is None else round(row.error_deg, 3)
+def _loss(row: CellRow, measure: Measure) -> tuple[float, float]:
+    return row.crash_rate or 0.0, round(_value(row, measure), 3)
+
+
+def _value(row: CellRow, measure: Measure) -> float:
+    value = getattr(row, measure.key)
+    return np.inf if value is None else value
 
 
 def _drag(scenario: Scenario) -> str:
@@ -241,35 +288,43 @@ def _listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def _is_tied(best: str, other: str, pairs: Sequence[PairRow]) -> bool:
+def _is_tied(best: str, other: str, pairs: Sequence[PairRow], measure: Measure) -> bool:
     """Whether two estimators' errors over all scenarios are not significantly different."""
     return any(
         row.is_tied
         for row in pairs
-        if (row.scenario, row.metric) == (ALL, "error_deg") and {row.estimator, row.versus} == {best, other}
+        if (row.scenario, row.metric) == (ALL, measure.key) and {row.estimator, row.versus} == {best, other}
     )
 
 
-def _sentence(name: str, each: Total, truth: Total | None) -> str:
+def _sentence(name: str, each: Total, truth: Total | None, measure: Measure) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
-    text = f"{name}: {crashes} in {each.flights} flights, error {shown(each.error)}"
+    text = f"{name}: {crashes} in {each.flights} flights, {measure.name} {shown(each.error)}"
     if truth and truth.attitude > 0:
         ratio = each.attitude / truth.attitude
-        text += f", attitude tracking error {ratio:.2f} × that with the true attitude"
+        what = "" if measure == TRACKING else "attitude tracking error "
+        text += f", {what}{ratio:.2f} × that {_reference(measure)}"
     return text + "."
 
 
-def _standing(name: str, each: Total, rows: Sequence[CellRow]) -> Standing:
+def _standing(
+    name: str, each: Total, rows: Sequence[CellRow], measure: Measure, reference: bool = False
+) -> Standing:
     own = [row for row in rows if row.estimator == name and row.crashes]
     crashed = [f"{row.scenario} ({row.crashes} of {row.flights})" for row in own]
     if not each.flights:
         return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
-    text += " · the reference" if name == TRUTH else f" · error {shown(each.error)}"
-    worst = worst_row(rows, name)
+    if reference:
+        text += (
+            " · the reference" if name == TRUTH else f" · {measure.name} {shown(each.error)}, on the truth"
+        )
+    else:
+        text += f" · {measure.name} {shown(each.error)}"
+    worst = worst_row(rows, name, measure)
     several = len({row.scenario for row in rows}) > 1
-    if several and worst and worst.error_deg is not None and not crashed and name != TRUTH:
-        text += f" · at worst {worst.error_deg:.2f}° in {worst.scenario}"
+    if several and worst and getattr(worst, measure.key) is not None and not crashed and not reference:
+        text += f" · at worst {shown(_value(worst, measure))} in {worst.scenario}"
     if each.failed:
         text += f" · {each.failed} scenario{'s' if each.failed > 1 else ''} did not run"
     return Standing(name, "crashes" if crashed or each.failed else "flies", text)

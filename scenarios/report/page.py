@@ -21,13 +21,13 @@ from quadsim.vehicle import load_vehicle
 
 from ..bench.breaking import DISTURBANCES, BreakingPoint
 from ..bench.cell import Cell
-from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow
+from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow, Metric
 from ..bench.pairs import ALL, PAIRED, PairRow
 from ..bench.runner import Results, identical, shown_once
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.settings import FlightSettings
 from ..bench.signals import SHARED
-from ..bench.verdict import TRUTH, offline_verdict, totals_of, verdict
+from ..bench.verdict import ERROR, TRUTH, measure_of, offline_verdict, totals_of, verdict
 from .flight_picture import Picture
 from .provenance import provenance
 from .template import render
@@ -112,7 +112,9 @@ def write_report(
         "same": same,
         "warnings": results.warnings,
         "rows": sorted(rows, key=lambda row: place[row.scenario, row.estimator]),
-        "metrics": METRICS if rows else (),
+        "metrics": _metrics(rows),
+        "contender": "Estimator" if measure_of(rows) == ERROR else "Estimator @ controller",
+        "measure": measure_of(rows).name,
         "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
         "ranked": ranked,
         "totals": totals_of(rows),
@@ -239,6 +241,12 @@ def _with_signals(series: FlightSeries, signals: bool) -> FlightSeries:
     return replace(series, channels=series.channels | own, signals={})
 
 
+def _metrics(rows: Sequence[CellRow]) -> list[Metric]:
+    """The columns, that which ranks first; none without flights."""
+    first = measure_of(rows).key
+    return sorted(METRICS, key=lambda metric: metric.key != first) if rows else []
+
+
 def _payload(
     closed_loop: ClosedLoopSection,
     rows: Sequence[CellRow],
@@ -256,7 +264,7 @@ def _payload(
         "ranked": list(ranked),
         "scenarios": list(results.scenarios),
         "shown": order[:SHOWN],
-        "metrics": [vars(metric) for metric in METRICS],
+        "metrics": [vars(metric) for metric in _metrics(rows)],
         "edges": {"low": low, "high": high, "bins": ERROR_BINS},
     }
     if results.cells:

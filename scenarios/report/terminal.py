@@ -17,7 +17,7 @@ from ..bench.controllers import controller_of
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
 from ..bench.runner import Results, shown_once
-from ..bench.verdict import TRUTH, shown, totals_of, verdict, worst_row
+from ..bench.verdict import ERROR, measure_of, references_of, shown, totals_of, verdict, worst_row
 
 MOST_COLUMNS = 6
 """Scenarios that have a column of their own."""
@@ -52,22 +52,20 @@ def _by_scenario(results: Results, ranked: Sequence[str]) -> Table:
 
 
 def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
-    totals = totals_of(results.rows)
-    rows = []
+    totals, measure = totals_of(results.rows), measure_of(results.rows)
+    references, rows = references_of(totals), []
     for rank, name in enumerate(ranked, 1):
-        whole, worst = totals[name], worst_row(results.rows, name)
-        place = "–" if name == TRUTH else str(rank)
+        whole, worst = totals[name], worst_row(results.rows, name, measure)
+        place = "–" if name in references else str(rank)
         if worst is None:
             rows.append((name, place, Text("did not run", style="red"), "", "", ""))
             continue
         crashes = Text(f"{whole.crashes}/{whole.flights}", style="red" if whole.crashes else "")
-        rows.append(
-            (name, place, shown(whole.error).removesuffix("°"), crashes, worst.scenario, _entry(worst))
-        )
+        there = _entry(worst) if measure == ERROR else _tracked(worst)
+        rows.append((name, place, shown(whole.error).removesuffix("°"), crashes, worst.scenario, there))
     columns = ["rank", "mean", "crashes", "worst scenario", "there"]
-    title = (
-        f"In closed loop, {len(results.scenarios)} scenarios: error of roll and pitch, °; ✕ crashed flights"
-    )
+    what = "error of roll and pitch, °" if measure == ERROR else "attitude tracking RMS, °"
+    title = f"In closed loop, {len(results.scenarios)} scenarios: {what}; ✕ crashed flights"
     table = _table(title, ["estimator"], columns, rows)
     table.caption = "Every scenario: report.html, results.csv"
     return table
@@ -75,10 +73,12 @@ def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
 
 def controllers_table(results: Results) -> Table | None:
     """Attitude tracking and motor effort by scenario of each contender; None where the cascade alone flew."""
+    results = shown_once(results)[0]
     if len({controller_of(name) for name in results.estimators}) == 1:
         return None
     found = {(row.scenario, row.estimator): row for row in results.rows}
-    rows = ([name, *(_tracked(found[key, name]) for key in results.scenarios)] for name in results.estimators)
+    ranked = [standing.estimator for standing in verdict(results.rows).standings]
+    rows = ([name, *(_tracked(found[key, name]) for key in results.scenarios)] for name in ranked)
     title = "Attitude tracking RMS, ° (change of the rotor command, rad/s a sample); ✕ crashed flights"
     return _table(title, ["estimator @ controller"], results.scenarios, rows)
 

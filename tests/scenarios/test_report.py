@@ -106,6 +106,31 @@ def test_fewest_crashes_win_then_the_smallest_error():
     assert without_x.headline == "Fly z: no crash in 10 flights, and the smallest error, 1.00°."
 
 
+def tracked(scenario, name, attitude, error=0.0):
+    return replace(row(scenario, name, error=error), attitude_deg=attitude)
+
+
+def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate():
+    rows = [
+        tracked("a", "truth", 1.0),
+        tracked("a", "truth @ c", 1.5),
+        tracked("a", "x", 3.0, error=0.5),
+        tracked("a", "x @ c", 2.0, error=0.9),
+    ]
+    result = verdict(rows)
+    assert result.headline == "Fly x @ c: no crash in 10 flights, and the smallest tracking error, 2.00°."
+    assert [each.estimator for each in result.standings] == ["x @ c", "x", "truth", "truth @ c"]
+    assert result.standings[-1].text == "no crash in 10 flights · tracking error 1.50°, on the truth"
+    assert "Its attitude tracking error is 2.00 × that of the cascade on the true attitude." in result.lines
+
+
+def test_on_the_truth_alone_controllers_are_compared_with_the_cascade():
+    rows = [tracked("a", "truth", 1.0), tracked("a", "truth @ c", 1.5), tracked("a", "truth @ d", 1.2)]
+    result = verdict(rows)
+    assert result.headline.startswith("Fly truth @ d: no crash in 10 flights")
+    assert [each.estimator for each in result.standings] == ["truth @ d", "truth @ c", "truth"]
+
+
 def test_one_estimator_is_described_and_not_compared():
     rows = [row("a", "truth", error=0.0), row("a", "x", 2, 1.0), row("b", "x", error=2.0)]
     result = verdict(rows)

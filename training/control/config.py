@@ -173,7 +173,7 @@ def make_control_config(preset: str | Path = "separate", **choices: Any) -> Cont
     """A configuration from a preset and what differs from it.
 
     Args:
-        preset: Name of a shipped preset ("separate", "merged"), or a TOML file.
+        preset: Name of a shipped preset ("separate", "merged", "attitude"), or a TOML file.
         choices: Fields of `ControlConfig`; of a table, only the keys that are given change.
 
     Raises:

@@ -1,10 +1,10 @@
 """Flights to imitate: set-points and readings, and what the teacher would ask for at the true state.
 
 The teacher is the cascade's levels of attitude and body rate, which read the true attitude and body rate. Its
-integral leaks, for it would wind up on a student's errors: towards the disturbance of the angular
-acceleration, its limit in the long run. It feeds forward how its set-point turns, by the trajectory and by
-the chirps that are added; jumps it does not. The teacher flies, the student, or now one and then the
-other (DAgger).
+integral is replaced by its limit, the disturbance of the angular acceleration, averaged over
+`OBSERVED_S`: an integral would wind up on a student's errors. How its set-point turns it feeds forward: by
+the trajectory and by the chirps that are added, not by jumps. The teacher flies, the student, or now one and
+then the other (DAgger).
 """
 
 from __future__ import annotations
@@ -39,8 +39,6 @@ MAX_TILT_DEG, MAX_DISTANCE, MAX_RATE = 80.0, 40.0, 30.0
 """Where a flight ends: tilt [deg], distance from the set-point [m], body rate [rad/s]."""
 OBSERVED_S = 0.4
 """Time constant of the teacher's disturbance [s]."""
-LEAK_S = 0.5
-"""Time constant of the leak of its integral [s]."""
 PART_S = 0.5
 """Time after which another may fly [s]."""
 SIGNALS = ("gyro", "accel", "set_point", "target")
@@ -138,9 +136,9 @@ class Pilot:
         self.loop = loop
         self.teachers = loop.controller.records.copy()
         self.limits = self.teachers["max_ang_acc"].copy()
-        self.asked, self.disturbed = np.zeros_like(self.limits), np.zeros_like(self.limits)
+        self.teachers["gains"]["rate_integral"] = self.teachers["gains"]["yaw_rate_integral"] = 0.0
+        self.asked = np.zeros_like(self.limits)
         self.forget = 1.0 - math.exp(-1.0 / (loop.rate_hz * OBSERVED_S))
-        self.leak = 1.0 - math.exp(-1.0 / (loop.rate_hz * LEAK_S))
 
     def reset(self, n: int) -> None:
         """Start n vehicles."""
@@ -153,7 +151,7 @@ class Pilot:
             self.student.restart(ids)
         for name in ("trim", "has_last_axis"):
             self.teachers[name][ids] = 0
-        self.asked[ids] = self.disturbed[ids] = 0.0
+        self.asked[ids] = 0.0
 
     def update(self, set_point: Array, gyro: Array, accel: Array, roll_pitch: Array) -> Array:
         """As of an `AttitudeController`; the truth is the loop's."""
@@ -161,9 +159,9 @@ class Pilot:
         wanted[:, :3] += self.excitation[:, self.k]
         wanted = follow(self.config.set_point, wanted[:, None]).followed[:, 0]
         truth = self.loop.records["measured"].copy()
-        trim, most = self.teachers["trim"], MAX_TRIM * self.limits
-        self.disturbed += self.forget * (self.asked - self.loop.plant.ang_acc - self.disturbed)
-        trim += self.leak * (np.clip(self.disturbed, -most, most) - trim)
+        trim = self.teachers["trim"]
+        trim += self.forget * (self.asked - self.loop.plant.ang_acc - trim)
+        trim[:] = np.clip(trim, -MAX_TRIM * self.limits, MAX_TRIM * self.limits)
         truth["gyro"], truth["roll_pitch"] = self.loop.plant.ang_vel, self.loop.plant.roll_pitch
         turning = with_motion(self.loop.records["set_point"], self.chirps[:, self.k], self.loop.plant.yaw)
         teach_all(turning, truth, wanted, self.teachers)

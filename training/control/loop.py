@@ -112,7 +112,7 @@ def train_controller(
 
     Args:
         out: Folder of the run.
-        preset: "merged", "separate" or a TOML file.
+        preset: "separate", "merged", "attitude" or a TOML file.
         progress: Called after every epoch.
         choices: Fields of `ControlConfig` that differ from the preset.
 

@@ -111,7 +111,7 @@ function insideNote(s) {
   if (data.shared[state.scenario] && !windy(data.shared[state.scenario].flight)) texts.push("There is no wind.");
   if (s.roll_sigma) texts.push("The band around roll and pitch is ± σ, by the filter's own covariance.");
   if (s.gyro_x) return [texts.join(" ")];
-  const command = `quadsim fly ${state.scenario} --estimator ${state.inside}`;
+  const command = `quadsim fly ${state.scenario} --estimator ${state.inside.replace(" @ ", " --controller ")}`;
   return [texts.join(" "), " Readings, bias and rotor commands of this flight are not in this page; ", node("code", {}, command), " shows them."];
 }
 function insidePanels(s) {

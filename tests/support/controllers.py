@@ -1,0 +1,35 @@
+"""A small spiking controller with random weights, and signals for it."""
+
+import numpy as np
+
+from estimators.networks.weights_file import NetworkConfig, SetPointScaling, expected_shapes
+from quadsim.vehicle import GRAVITY
+
+CONFIG = NetworkConfig(
+    model="att-snn",
+    encoding=10,
+    hidden=12,
+    after_spike=True,
+    outputs="angular-acceleration",
+    output_scale=20.0,
+    set_point=SetPointScaling(bound=30.0),
+)
+
+
+def random_tensors(config=CONFIG, seed=0):
+    """Weights on the chip's grid, large enough that every layer spikes."""
+    rng = np.random.default_rng(seed)
+    tensors = {}
+    for name, shape in expected_shapes(config).items():
+        low, high = (-60, 60) if name.startswith("w_") else (100, 3000)
+        drawn = rng.integers(low, high, shape)
+        tensors[name] = (2 * drawn if name.startswith("w_") else drawn).astype(np.int16)
+    return tensors
+
+
+def readings(n, steps, seed=1):
+    """Set-points (n, T, 4), body rates and specific forces (n, T, 3)."""
+    rng = np.random.default_rng(seed)
+    wanted = rng.normal(size=(n, steps, 4)) * [0.3, 0.3, 1.0, 2.0] + [0, 0, 0, GRAVITY]
+    gyro, accel = rng.normal(size=(2, n, steps, 3))
+    return wanted, gyro, accel + np.array([0, 0, GRAVITY])
