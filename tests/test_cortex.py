@@ -4,11 +4,13 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from estimators.control.controller import create_controller
+from estimators.control.weights import ControllerWeights, Reads, save_controller
 from estimators.export.formats import export_weights
 from estimators.networks.network import NetworkEstimator, OnLoihi
 from estimators.networks.weights_file import (
@@ -16,7 +18,6 @@ from estimators.networks.weights_file import (
     SetPointScaling,
     expected_shapes,
     load_network,
-    save_network,
     shipped_controllers,
 )
 
@@ -65,8 +66,7 @@ def test_a_controller_has_the_emulators_outputs_and_a_step_fits_500_hz(tmp_path,
     done = run(program, core, rows)
     controller = create_controller(f"{name}-loihi", config.rate_hz)
     controller.reset(1)
-    parts = np.split(rows[:, None], [4, 7], axis=2)
-    ours = np.array([controller.update(*each)[0] for each in zip(*parts, strict=True)])
+    ours = controller.sequence(*np.split(rows[None], [4, 7], axis=2))[0]
     np.testing.assert_array_equal(done.outputs, ours)
     assert done.instructions.sum(axis=1).max() < 100_000
 
@@ -86,7 +86,8 @@ def test_the_timer_counts_the_instructions_that_are_logged(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_crazyflies_controller_compiles_against_the_firmwares_declarations(tmp_path):
+@pytest.mark.parametrize("reads", get_args(Reads))
+def test_the_crazyflies_controller_compiles_against_the_firmwares_declarations(tmp_path, reads):
     example = Path(__file__).parents[1] / "examples" / "crazyflie"
     (tmp_path / "src").mkdir()
     (tmp_path / "src" / "snn_controller.c").write_bytes((example / "src" / "snn_controller.c").read_bytes())
@@ -100,7 +101,7 @@ def test_the_crazyflies_controller_compiles_against_the_firmwares_declarations(t
     rng = np.random.default_rng(0)
     shapes = expected_shapes(config).items()
     drawn = {name: 2 * rng.integers(1, 60, shape).astype(np.int16) for name, shape in shapes}
-    save_network(tmp_path / "control.safetensors", config, drawn)
+    save_controller(tmp_path / "control.safetensors", ControllerWeights(config, drawn, reads))
     export_weights(tmp_path / "control.safetensors", tmp_path / "src" / "network", "c99")
     flags = ["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", f"-I{example / 'stub_headers'}"]
     for source in ("snn_controller.c", "network/snn_control.c"):

@@ -11,6 +11,9 @@
 #define ${N}_ENCODING $encoding
 #define ${N}_HIDDEN $hidden
 #define ${N}_OUTPUTS $outputs
+#if CONTROLS
+#define ${N}_READS_ATTITUDE $reads_attitude
+#endif
 /* The potential of an output divided by this is $quantity. */
 #define ${N}_UNITS_PER_$UNIT $units
 

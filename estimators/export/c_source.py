@@ -58,7 +58,7 @@ WORDS = {
         "level": " + (k == 2)",
     },
     "angular-acceleration": {
-        "title": "A spiking network that controls the attitude of a quadrotor from set-points and $sensors",
+        "title": "A spiking network that controls the attitude of a quadrotor from $sensors",
         "read": "action",
         "and_set_point": " and set_point",
         "and_set_points": ", and set-points",
@@ -69,8 +69,11 @@ WORDS = {
     },
 }
 """What the templates call the outputs."""
-SENSORS = {"imu": "an IMU", "attitude": "a gyroscope and an estimate of roll and pitch"}
-"""What a controller reads."""
+SENSORS = {
+    "imu": "set-points and an IMU",
+    "attitude": "set-points, a gyroscope and an estimate of roll and pitch",
+}
+"""Inputs of a controller."""
 SECTION = re.compile(r"#if (AFTER_SPIKE|ESTIMATES|CONTROLS|READS_ATTITUDE)\n(.*?)#endif\n", re.DOTALL)
 """Parts of the templates that not every network has."""
 BLOCK, BIASED = 16, 128
@@ -108,6 +111,7 @@ def c_files(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> di
         "outputs": config.n_outputs,
         "units": round(STATE_ONE / config.output_scale),
         "scale": repr(config.output_scale / STATE_ONE),
+        "reads_attitude": int(reads == "attitude"),
         "steps": config.steps_per_sample,
         "input_max": INPUT_MAX,
         "rate_max": RATE_MAX,

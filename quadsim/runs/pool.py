@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
@@ -13,6 +14,10 @@ from typing import TypeVar
 
 CLUSTER_LOST = "the cluster was lost; finished work stays: give the same command again"
 WORKER_DIED = "a worker process died (out of memory, or killed); finished work stays: rerun to go on"
+UNGUARDED = (
+    "worker processes read the script that starts them: put its calls under if __name__ == '__main__':, or "
+    "work with one process"
+)
 POLL_S = 1.0
 """Time between two calls of `tick`."""
 
@@ -99,6 +104,8 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     Args:
         workers: How many. Each has one thread for linear algebra: they share the cores among themselves.
     """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(UNGUARDED)
     before = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = "1"
     # No threads or locks are inherited half way.

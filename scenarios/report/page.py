@@ -68,7 +68,7 @@ def write_report(
     closed_loop: ClosedLoopSection | None = None,
     offline: OfflineSection | None = None,
     *,
-    title: str = "Which attitude estimator to fly",
+    title: str = "",
     csv: Sequence[str] = (),
     footer: str = "",
     focus: str = "att-snn-loihi",
@@ -80,7 +80,7 @@ def write_report(
         path: HTML file to write.
         closed_loop: Results of a benchmark.
         offline: Results on recorded flights.
-        title: Heading.
+        title: Heading; empty: the question that the report answers.
         csv: Files beside the report to link to.
         footer: How it was made.
         focus: The estimator that the verdict describes besides the best, if it ran.
@@ -105,15 +105,17 @@ def write_report(
     names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
     flights = PageFlights.of(results, order)
+    controllers = measure_of(rows) != ERROR
+    question = f"Which {'estimator and controller' if controllers else 'attitude estimator'} to fly"
     context = {
-        "title": title,
+        "title": title or question,
         "kicker": "closed loop" if rows else "recorded flights",
         "verdict": judged,
         "same": same,
         "warnings": results.warnings,
         "rows": sorted(rows, key=lambda row: place[row.scenario, row.estimator]),
         "metrics": _metrics(rows),
-        "contender": "Estimator" if measure_of(rows) == ERROR else "Estimator @ controller",
+        "contender": "Estimator @ controller" if controllers else "Estimator",
         "measure": measure_of(rows).name,
         "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
         "ranked": ranked,

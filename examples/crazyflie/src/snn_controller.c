@@ -1,4 +1,5 @@
 /* An exported spiking network as the out-of-tree controller of a Crazyflie: see README.md. */
+#include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
 
@@ -33,7 +34,25 @@ void controllerOutOfTreeInit(void) { snn_control_reset(&network); }
 
 bool controllerOutOfTreeTest(void) { return true; }
 
-static void run_network(const setpoint_t *setpoint, const sensorData_t *sensors)
+/* Specific force that the network reads: of the accelerometer, or at rest at the attitude that is estimated. */
+static void specific_force(const sensorData_t *sensors, const state_t *state, double accel[3])
+{
+#if SNN_CONTROL_READS_ATTITUDE
+    const float roll = state->attitude.roll * RADIANS;
+    const float pitch = -state->attitude.pitch * RADIANS; /* the firmware's is positive nose up */
+    (void)sensors;
+    accel[0] = -GRAVITY * sinf(pitch);
+    accel[1] = GRAVITY * sinf(roll) * cosf(pitch);
+    accel[2] = GRAVITY * cosf(roll) * cosf(pitch);
+#else
+    (void)state;
+    accel[0] = sensors->acc.x * GRAVITY;
+    accel[1] = sensors->acc.y * GRAVITY;
+    accel[2] = sensors->acc.z * GRAVITY;
+#endif
+}
+
+static void run_network(const setpoint_t *setpoint, const sensorData_t *sensors, const state_t *state)
 {
     const double wanted[4] = {
         setpoint->attitude.roll * RADIANS,
@@ -42,7 +61,8 @@ static void run_network(const setpoint_t *setpoint, const sensorData_t *sensors)
         setpoint->thrust / UINT16_MAX * MOST_THRUST / MASS,
     };
     const double gyro[3] = {sensors->gyro.x * RADIANS, sensors->gyro.y * RADIANS, sensors->gyro.z * RADIANS};
-    const double accel[3] = {sensors->acc.x * GRAVITY, sensors->acc.y * GRAVITY, sensors->acc.z * GRAVITY};
+    double accel[3];
+    specific_force(sensors, state, accel);
     snn_control_set_point(&network, wanted);
     snn_control_encode(&network, gyro, accel);
     snn_control_step(&network);
@@ -52,9 +72,8 @@ static void run_network(const setpoint_t *setpoint, const sensorData_t *sensors)
 void controllerOutOfTree(control_t *control, const setpoint_t *setpoint, const sensorData_t *sensors,
                          const state_t *state, const stabilizerStep_t step)
 {
-    (void)state; /* the network has its own estimate */
     if (RATE_DO_EXECUTE(NETWORK_HZ, step))
-        run_network(setpoint, sensors);
+        run_network(setpoint, sensors, state);
     const bool off = setpoint->thrust < 1.0f;
     control->controlMode = controlModeForceTorque;
     control->thrustSi = off ? 0.0f : (float)action[3] * MASS;
