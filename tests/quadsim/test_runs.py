@@ -336,9 +336,8 @@ def test_a_run_that_was_refused_leaves_no_record(tmp_path):
 
 
 def test_a_script_whose_calls_its_workers_repeat_is_told_so_in_a_line(tmp_path):
-    (tmp_path / "script.py").write_text(
-        "from quadsim.runs.pool import run_jobs\nprint(dict(run_jobs(abs, {1: (-1,), 2: (-2,)}, workers=2)))\n"
-    )
+    call = "dict(run_jobs(abs, {1: (-1,), 2: (-2,)}, workers=2))"
+    (tmp_path / "script.py").write_text(f"from quadsim.runs.pool import run_jobs\n{call}\n")
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     command = [sys.executable, str(tmp_path / "script.py")]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
