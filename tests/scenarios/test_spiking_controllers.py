@@ -12,15 +12,28 @@ FACTOR = 1.5
 """Of the cascade's tracking error, at most."""
 
 
+def tracking(scenario, controller, estimator):
+    """Of the cascade and of a controller, on the same estimator [deg]."""
+    settings = FlightSettings(4)
+    names = (estimator, f"{estimator} @ {controller}")
+    cascade, spiking = (fly_cell(scenario, load_scenario(scenario), name, settings) for name in names)
+    assert spiking.row.crashes == 0
+    return cascade.row.attitude_deg, spiking.row.attitude_deg
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", shipped_controllers())
 @pytest.mark.parametrize("scenario", ["hover", "step", "wind-5"])
 def test_a_controller_flies_without_a_crash_and_tracks_as_the_cascade_does(scenario, controller):
-    settings = FlightSettings(4)
-    names = (ESTIMATOR, f"{ESTIMATOR} @ {controller}")
-    cascade, spiking = (fly_cell(scenario, load_scenario(scenario), name, settings) for name in names)
-    assert spiking.row.crashes == 0
-    assert spiking.row.attitude_deg < FACTOR * cascade.row.attitude_deg
+    cascade, spiking = tracking(scenario, controller, ESTIMATOR)
+    assert spiking < FACTOR * cascade
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["hover", "step", "wind-8", "dryden-moderate"])
+def test_on_the_true_attitude_a_controller_tracks_within_a_third_of_the_cascade(scenario):
+    cascade, spiking = tracking(scenario, "control-attitude", "truth")
+    assert spiking < 1.3 * cascade
 
 
 @pytest.mark.slow
