@@ -41,7 +41,6 @@ from quadsim.seeding import child
 from quadsim.vehicle import GRAVITY, randomise
 
 Array = NDArray[np.float64]
-RATE_HZ = 200.0
 VEHICLES = 64  # that learn at once
 STEPS = 400  # samples of an episode, and of each vehicle between two updates of the policy
 HOLD = 120  # samples for which a set-point holds, at most
@@ -291,7 +290,7 @@ def with_output(weights: ControllerWeights, output: Array) -> ControllerWeights:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Fine-tune, print the tracking error after every fifth update, and write the controller."""
+    """Fine-tune, print the tracking error now and then, and write the controller."""
     parser = argparse.ArgumentParser(description="Fine-tune a spiking controller with PPO.")
     parser.add_argument("--controller", default="control-attitude", help="name or weights to begin from")
     parser.add_argument("--updates", type=int, default=60, help="of the policy")
@@ -299,14 +298,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("reports/ppo-controller"), help="folder to write")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    weights = load_controller(given.controller)
-    if weights.reads != "attitude" or weights.config.steps_per_sample != 1:
-        parser.error(f"{given.controller}: give a controller that reads an attitude, a step for each sample")
+    try:
+        weights = load_controller(given.controller)
+    except (ValueError, OSError) as error:
+        parser.error(str(error))
+    config = weights.config
+    if weights.reads != "attitude" or (config.steps_per_sample, config.rate_hz) != (1, 200.0):
+        parser.error(
+            f"{given.controller}: give one that reads an attitude, at 200 Hz, a step for each sample"
+        )
+    if given.updates < 0:
+        parser.error(f"--updates {given.updates}: should not be negative")
     model, tuned, rows = agent(weights, given.seed), weights, []
     print("updates, tracking error [°]: inertia doubled, inertia as known")
-    for update in range(0, given.updates + 1, EVERY):
-        if update:
-            model.learn(EVERY * VEHICLES * STEPS, reset_num_timesteps=False)
+    done = 0
+    for update in [*range(0, given.updates, EVERY), given.updates]:
+        if update > done:
+            model.learn((update - done) * VEHICLES * STEPS, reset_num_timesteps=False)
+            done = update
             tuned = with_output(weights, model.policy.action_net.weight.detach().numpy() / model.env.size)
         rows.append({"updates": update, "heavy_deg": judge(tuned), "known_deg": judge(tuned, 1.0)})
         print(f"{update:7} {rows[-1]['heavy_deg']:7.2f} {rows[-1]['known_deg']:7.2f}", flush=True)

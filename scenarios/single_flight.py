@@ -16,7 +16,7 @@ from quadsim.runs.files import write_csv
 
 from .bench.cell import fly, make_cell
 from .bench.controllers import controller_of, estimator_of, make_controller
-from .bench.runner import NO_CHANGES, Results
+from .bench.runner import NO_CHANGES, Results, check_controllers
 from .bench.series import decimation
 from .bench.settings import FlightSettings, ScenarioChanges
 from .bench.signals import SignalLog
@@ -71,6 +71,7 @@ def fly_scenario(
     rate_hz = settings.rate_hz
     parts = {"vehicle": scenario.vehicle, "imu": scenario.imu}
     made = estimators.create(estimator_of(estimator), rate_hz, tuning=settings.tuning, **parts)
+    check_controllers([estimator], rate_hz)
     controller = make_controller(controller_of(estimator))
     mission = Mission(scenario, made, settings.seeds, rate_hz, controller=controller)
     signals = SignalLog(mission, decimation(rate_hz))

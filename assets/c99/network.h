@@ -6,6 +6,10 @@
 
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define ${N}_RATE_HZ $rate
 #define ${N}_INPUTS $inputs
 #define ${N}_ENCODING $encoding
@@ -70,6 +74,10 @@ void ${n}_attitude(const ${n}_state *state, double $name[${N}_OUTPUTS]);
 #if CONTROLS
 /* Angular acceleration, body axes, within +-$bound rad/s^2, and the thrust that was asked for. */
 void ${n}_action(const ${n}_state *state, double action[4]);
+#endif
+
+#ifdef __cplusplus
+}
 #endif
 
 #endif

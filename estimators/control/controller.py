@@ -120,7 +120,10 @@ class SpikingController:
         if self.reads == "attitude":
             if roll_pitch is None:
                 raise ValueError("this controller reads an attitude: roll_pitch is required")
-            accel = gravity_of(roll_pitch)
+            known = np.asarray(roll_pitch, np.float64)
+            if known.shape != (len(self._states), 2):
+                raise ValueError(f"roll_pitch: shape {known.shape}, should be ({len(self._states)}, 2)")
+            accel = gravity_of(known)
         wanted, rate, force = (np.asarray(each, np.float64)[:, None] for each in (set_point, gyro, accel))
         return self.sequence(wanted, rate, force)[:, 0]
 
@@ -158,6 +161,8 @@ class SpikingController:
 def gravity_of(roll_pitch: ArrayLike) -> Array:
     """Specific force at rest at an attitude: roll and pitch (..., 2) [rad], (..., 3) [m/s²]."""
     angles = np.asarray(roll_pitch, np.float64)
+    if angles.shape[-1:] != (2,):
+        raise ValueError(f"roll_pitch: shape {angles.shape}, should be (..., 2)")
     out = np.empty((*angles.shape[:-1], 3))
     _gravity(np.ascontiguousarray(angles).reshape(-1, 2), out.reshape(-1, 3))
     return out

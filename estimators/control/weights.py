@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from importlib.resources import as_file, files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal, NamedTuple
 
 from pydantic import ValidationError
@@ -50,10 +51,12 @@ def save_controller(path: str | Path, weights: ControllerWeights) -> None:
     Raises:
         ValueError: Tensors that do not fit the configuration.
     """
-    save_network(path, weights.config, weights.tensors)
     if weights.reads == "imu":
+        save_network(path, weights.config, weights.tensors)
         return
-    content = Path(path).read_bytes()
+    with TemporaryDirectory() as folder:
+        save_network(plain := Path(folder) / f"plain{END}", weights.config, weights.tensors)
+        content = plain.read_bytes()
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])
     header["__metadata__"][KEY] = ControllerInputs(reads=weights.reads).model_dump_json()

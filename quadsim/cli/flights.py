@@ -132,7 +132,9 @@ def fly(
         raise ValueError(f"{scenario} did not run with {estimator}: {row.reason}")
     warn_of(done.results)
     error = "no error to report" if row.error_deg is None else f"error {row.error_deg:.2f}°"
-    console.print(f"{done.report}: {row.crashes} of {row.flights} crashed, {error}", soft_wrap=True)
+    console.print(
+        f"{done.report}: {row.crashes} of {row.flights} crashed, {error}", soft_wrap=True, markup=False
+    )
 
 
 def bench(
@@ -228,6 +230,7 @@ def bench(
     from scenarios.bench.runner import bench as run_bench
     from scenarios.bench.runner import shown_once
     from scenarios.bench.settings import FlightSettings, ScenarioChanges
+    from scenarios.bench.verdict import on_truth
     from scenarios.demo import SLOW
     from scenarios.report.publish import publish, publish_axes
     from scenarios.report.terminal import axes_tables, breaking_table, closed_loop_table, controllers_table
@@ -247,8 +250,10 @@ def bench(
         )
     if held_out and (axes or scenario or seed):
         raise ValueError("--held-out has its own scenarios and seed: leave --axes, --scenario and --seed out")
-    if (axes or held_out) and set(names) == {"truth"}:
-        raise ValueError("--axes and --held-out compare estimators: give one besides truth")
+    if (axes or held_out) and (len(controller or []) > 1 or all(map(on_truth, names))):
+        raise ValueError(
+            "--axes and --held-out compare estimators: give one besides truth, and one controller at most"
+        )
     changes = ScenarioChanges(duration, vehicle, imu, external, engine)
     combinations, flown = [], scenario or scenario_names()
     if axes:
@@ -288,7 +293,7 @@ def bench(
     if combinations:
         console.print(*axes_tables(axes_of.effects(combinations, results)))
         for line in axes_of.advice(combinations, results):
-            console.print(line, soft_wrap=True)
+            console.print(line, soft_wrap=True, markup=False)
     else:
         console.print(closed_loop_table(results))
         if (controllers := controllers_table(results)) is not None:
@@ -296,10 +301,10 @@ def bench(
     if points:
         console.print(breaking_table(points))
     for line in filter(None, (note, shown_once(results)[1], f"{cost_of(results)}.")):
-        console.print(line, soft_wrap=True)
+        console.print(line, soft_wrap=True, markup=False)
     if not combinations:  # whose point are vehicles and IMUs that nobody tuned for
         warn_of(results)
-    console.print(headline(page, results, combinations), soft_wrap=True)
+    console.print(headline(page, results, combinations), soft_wrap=True, markup=False)
     if failed:
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
 
@@ -320,7 +325,7 @@ def report(
         reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
         points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
         page = publish(folder, results, points, out)[0]
-    console.print(headline(page, results, combinations), soft_wrap=True)
+    console.print(headline(page, results, combinations), soft_wrap=True, markup=False)
 
 
 def demo(
@@ -339,4 +344,4 @@ def demo(
     console.print(closed_loop_table(done.results))
     if done.note:
         console.print(done.note, soft_wrap=True)
-    console.print(headline(done.report, done.results), soft_wrap=True)
+    console.print(headline(done.report, done.results), soft_wrap=True, markup=False)

@@ -29,7 +29,7 @@ from .statistics import (
     probability_of_improvement,
     stratified_interval,
 )
-from .verdict import TRUTH
+from .verdict import on_truth
 
 CELLS = 72
 """Combinations of the designed fraction: whole multiples of three levels and of four."""
@@ -235,14 +235,14 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
 
 def counted(flights: Sequence[FlightRow]) -> list[FlightRow]:
     """The flights that the truth did not crash on."""
-    lost = {(f.scenario, f.seed) for f in flights if f.estimator == TRUTH and f.cause}
+    lost = {(f.scenario, f.seed) for f in flights if on_truth(f.estimator) and f.cause}
     return [flight for flight in flights if (flight.scenario, flight.seed) not in lost]
 
 
 def ranking(effects: Sequence[Effect]) -> list[str]:
     """Estimators over all flights: fewest crashes first, then the smallest error; the truth last."""
     whole = [each for each in effects if each.axis == ALL]
-    return [each.estimator for each in sorted(whole, key=lambda e: (e.estimator == TRUTH, *_cost(e)))]
+    return [each.estimator for each in sorted(whole, key=lambda e: (on_truth(e.estimator), *_cost(e)))]
 
 
 def profiles(results: Results, thresholds: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -311,7 +311,7 @@ def advice(combinations: Sequence[Combination], results: Results, seed: int = 0)
     """`choices` as sentences, and the estimator with the smallest loss at its worst level."""
     lines = [f"{each.condition}: {each.text}" for each in choices(combinations, results, seed)]
     found = effects(combinations, results, seed)
-    names = {each.estimator for each in found} - {TRUTH}
+    names = {each.estimator for each in found if not on_truth(each.estimator)}
     worst = {name: each for name in sorted(names) if (each := worst_level(found, name))}
     safest = min(worst, key=lambda name: _cost(worst[name]), default=None)
     if safest is not None:
@@ -343,7 +343,7 @@ def _best(combinations: Sequence[Combination], results: Results, seed: int) -> t
     for flight in counted([flight for flight in results.flights if flight.scenario in names]):
         of.setdefault(flight.estimator, []).append(flight)
     most = max(map(len, of.values()), default=0)
-    left_out = {TRUTH, *identical(results)}
+    left_out = {*filter(on_truth, of), *identical(results)}
     candidates = {name: own for name, own in of.items() if name not in left_out and len(own) == most}
     if not candidates:
         return None, "no estimator flew."

@@ -10,6 +10,7 @@ from itertools import product
 from pathlib import Path
 
 import estimators
+from estimators.control.controller import create_controller, is_controller
 from estimators.registry import tuning_misfit
 from estimators.tuned import load_tuning
 from quadsim.external import load_external
@@ -244,11 +245,23 @@ def _load(
     for name in dict.fromkeys(map(estimator_of, names)):
         if name not in estimators.names():
             estimators.create(name, settings.rate_hz)  # raises: the valid ones, or what is wrong with weights
-    for name in dict.fromkeys(map(controller_of, names)):
-        make_controller(name)
+    check_controllers(names, settings.rate_hz)
     if not loaded or not names:
         raise ValueError(f"nothing to fly: give at least one {'estimator' if loaded else 'scenario'}")
     return loaded
+
+
+def check_controllers(names: Sequence[str], rate_hz: float) -> None:
+    """Whether the controllers of contenders can be made.
+
+    Raises:
+        FileNotFoundError: No such weights.
+        ValueError: No such controller, or weights of something else or another rate.
+    """
+    for name in dict.fromkeys(map(controller_of, names)):
+        make_controller(name)
+        if is_controller(name):
+            create_controller(name, rate_hz)
 
 
 def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, code: str) -> str:

@@ -59,9 +59,9 @@ class Total(NamedTuple):
     failed: int  #: cells that did not run
 
     @property
-    def rank(self) -> tuple[bool, float, float]:
-        """What to sort by: fewest crashes first, then the smallest error in thousandths of a degree."""
-        return (not self.flights, self.crashes / max(self.flights, 1), round(self.error, 3))
+    def rank(self) -> tuple[int, float, float]:
+        """What to sort by: scenarios not run, share of crashes, error in thousandths of a degree."""
+        return (self.failed, self.crashes / max(self.flights, 1), round(self.error, 3))
 
 
 def verdict(
@@ -87,12 +87,13 @@ def verdict(
     standings += [_standing(name, totals[name], rows, measure, reference=True) for name in last]
     simulated = [name for name in ranked if totals[name].flights]
     if not simulated:
-        only = "Only the truth ran." if TRUTH in totals and totals[TRUTH].flights else "No estimator ran."
-        return Verdict(only, [], standings)
+        ran = any(totals[name].flights for name in references)
+        return Verdict("Only the truth ran." if ran else "No estimator ran.", [], standings)
     best, truth = totals[simulated[0]], totals.get(TRUTH)
+    whole = [name for name in simulated if totals[name].failed == best.failed]
     tied = [
         name
-        for name in simulated[1:]
+        for name in whole[1:]
         if totals[name].crashes == best.crashes and _is_tied(simulated[0], name, pairs, measure)
     ]
     doubt = ""
@@ -106,9 +107,9 @@ def verdict(
     elif len(ranked) == 1:
         headline = _alone(ranked[0], best, measure)
     else:
-        least = min(round(totals[name].error, 3) for name in simulated)
+        least = min(round(totals[name].error, 3) for name in whole)
         headline = _headline(simulated[0], best, least, measure)
-    lines = [conditions(scenarios or {}), _by_worst(simulated, rows, measure), doubt]
+    lines = [conditions(scenarios or {}), _by_worst(whole, rows, measure), doubt]
     if focus in simulated[1:]:
         lines.append(_sentence(focus, totals[focus], truth, measure))
     if truth and truth.attitude > 0 and len(list(filter(None, lines))) < MOST_LINES:
@@ -130,8 +131,13 @@ def references_of(names: Iterable[str]) -> set[str]:
     Where all are, what compares is the controllers, and the cascade is the reference.
     """
     names = set(names)
-    on_truth = {name for name in names if estimator_of(name) == TRUTH}
-    return names & {TRUTH} if on_truth == names else on_truth
+    those = set(filter(on_truth, names))
+    return names & {TRUTH} if those == names else those
+
+
+def on_truth(name: str) -> bool:
+    """Whether a contender flies on the true attitude."""
+    return estimator_of(name) == TRUTH
 
 
 def measure_of(rows: Sequence[CellRow]) -> Measure:

@@ -25,7 +25,7 @@ from ..bench.axes import (
     worst_level,
 )
 from ..bench.runner import Results, shown_once
-from ..bench.verdict import TRUTH
+from ..bench.verdict import on_truth
 from .page import script
 from .provenance import provenance
 from .template import render
@@ -71,7 +71,7 @@ def write_axes_report(
             advice=[line.split(": ", 1) for line in advice(combinations, results)],
             same=shown_once(results)[1],
             standings=[_standing(effects, name) for name in ranked],
-            axes=_axes(effects, [name for name in ranked if name != TRUTH]),
+            axes=_axes(effects, [name for name in ranked if not on_truth(name)]),
             combinations=table(combinations),
             count=len(combinations),
             csv=list(csv),
@@ -87,8 +87,8 @@ def write_axes_report(
 def _standing(effects: Sequence[Effect], name: str) -> dict[str, object]:
     """A row of the standings: an estimator over all flights, and its worst level."""
     whole = next(each for each in effects if each.axis == ALL and each.estimator == name)
-    worst = None if name == TRUTH else worst_level(effects, name)
-    return {"all": whole, "worst": "the reference" if name == TRUTH else described(worst)}
+    worst = None if on_truth(name) else worst_level(effects, name)
+    return {"all": whole, "worst": "the reference" if on_truth(name) else described(worst)}
 
 
 def _axes(effects: Sequence[Effect], names: Sequence[str]) -> list[dict[str, object]]:
@@ -114,14 +114,14 @@ def _axes(effects: Sequence[Effect], names: Sequence[str]) -> list[dict[str, obj
 
 def _payload(results: Results, effects: Sequence[Effect], ranked: Sequence[str]) -> str:
     shares = profiles(results, THRESHOLDS)
-    shown = [each for each in effects if each.axis != ALL and each.estimator != TRUTH]
+    shown = [each for each in effects if each.axis != ALL and not on_truth(each.estimator)]
     data = {
         "estimators": [name for name in results.estimators if name in ranked],
-        "ranked": [name for name in ranked if name != TRUTH],
+        "ranked": [name for name in ranked if not on_truth(name)],
         "looks": {name: look._asdict() for name, look in looks(results.estimators).items()},
         "scenarios": [],
         "thresholds": THRESHOLDS.round(4).tolist(),
-        "profiles": {name: each.round(4).tolist() for name, each in shares.items() if name != TRUTH},
+        "profiles": {name: each.round(4).tolist() for name, each in shares.items() if not on_truth(name)},
         "effects": [
             [each.axis, each.level, each.estimator, each.error_deg, each.low, each.high, each.crashes]
             for each in shown

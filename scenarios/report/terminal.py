@@ -13,7 +13,7 @@ from estimators.loihi.chip import LIMITS, ChipCore
 
 from ..bench.axes import ALL, Effect, ranking
 from ..bench.breaking import BreakingPoint
-from ..bench.controllers import controller_of
+from ..bench.controllers import CASCADED, controller_of
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
 from ..bench.runner import Results, shown_once
@@ -29,7 +29,7 @@ def _table(
     """A table with headings of columns that are aligned to the left, then of those to the right."""
     table = Table(*left, *(Column(heading, justify="right") for heading in right), title=title)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(Text(each) if isinstance(each, str) else each for each in row))
     return table
 
 
@@ -72,9 +72,13 @@ def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
 
 
 def controllers_table(results: Results) -> Table | None:
-    """Attitude tracking and motor effort by scenario of each contender; None where the cascade alone flew."""
+    """Attitude tracking and motor effort by scenario of each contender; None where the cascade alone flew.
+
+    None too with more than `MOST_COLUMNS` scenarios, of which there is a table already.
+    """
     results = shown_once(results)[0]
-    if len({controller_of(name) for name in results.estimators}) == 1:
+    flown = {controller_of(name) for name in results.estimators}
+    if flown <= {CASCADED} or (len(flown) > 1 and len(results.scenarios) > MOST_COLUMNS):
         return None
     found = {(row.scenario, row.estimator): row for row in results.rows}
     ranked = [standing.estimator for standing in verdict(results.rows).standings]

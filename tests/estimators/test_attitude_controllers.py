@@ -98,3 +98,11 @@ def test_exports_say_that_it_reads_an_attitude(file, tmp_path):
         "attitude",
         b"attitude",
     )
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (2, 2), (2,)])
+def test_an_attitude_of_another_shape_is_refused(file, shape):
+    with pytest.raises(ValueError, match=r"roll_pitch: shape .*, should be \(1, 2\)"):
+        create_controller(file).update(np.zeros((1, 4)), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(shape))
+    with pytest.raises(ValueError, match="roll_pitch: shape"):
+        gravity_of(np.zeros((4, 3)))

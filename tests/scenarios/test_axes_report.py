@@ -110,7 +110,7 @@ def test_a_folder_has_the_tables_of_its_last_run_alone(results, tmp_path):
 
 
 def test_the_terminal_has_the_truth_last(results):
-    assert list(axes_tables(effects(COMBINATIONS, results))[0].columns[0].cells)[-1] == "truth"
+    assert str(list(axes_tables(effects(COMBINATIONS, results))[0].columns[0].cells)[-1]) == "truth"
 
 
 def test_nothing_flown_is_refused(tmp_path):

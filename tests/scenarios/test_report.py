@@ -131,6 +131,19 @@ def test_on_the_truth_alone_controllers_are_compared_with_the_cascade():
     assert [each.estimator for each in result.standings] == ["truth @ d", "truth @ c", "truth"]
 
 
+def test_who_did_not_run_everywhere_is_not_recommended():
+    rows = [
+        row("a", "x", error=3.0),
+        row("b", "x", error=3.0),
+        row("a", "y", error=1.0),
+        row("b", "y", reason="no"),
+    ]
+    result = verdict(rows)
+    assert result.headline == "Fly x: no crash in 20 flights, and the smallest error, 3.00°."
+    assert result.standings[-1].estimator == "y"
+    assert "x is also the best" not in " ".join(result.lines)
+
+
 def test_one_estimator_is_described_and_not_compared():
     rows = [row("a", "truth", error=0.0), row("a", "x", 2, 1.0), row("b", "x", error=2.0)]
     result = verdict(rows)

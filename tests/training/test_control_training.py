@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from estimators.control import create_controller
+from estimators.control.weights import load_controller
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import load_network
 from quadsim.control.cascade import SET_POINT
@@ -283,3 +284,17 @@ def test_what_does_not_change_is_restored_after_a_constraint():
     frozen.restore()
     assert not model.w_rec[:96].any()
     assert (model.w_rec[96:] == 1.0).all()
+
+
+def test_a_controller_of_other_inputs_is_not_continued(tmp_path):
+    first = train_controller(tmp_path / "a", **TINY)
+    with pytest.raises(ValueError, match="has other reads than this training"):
+        train_controller(tmp_path / "b", **TINY, reads="attitude", init=str(first.weights))
+
+
+def test_an_attitude_controller_is_trained_and_flies_on_its_attitude(recipe, tmp_path):
+    result = train_controller(tmp_path, **TINY, reads="attitude")
+    assert load_controller(result.weights).reads == "attitude"
+    config = make_control_config(**TINY, reads="attitude")
+    flights = fly(config, recipe, seeds(2), create_controller(result.weights))
+    assert np.linalg.norm(flights.accel, axis=-1) == pytest.approx(GRAVITY, rel=1e-5)

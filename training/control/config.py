@@ -156,6 +156,8 @@ class ControlConfig(ControlRecipe):
             )
         if self.reads == "attitude" and self.estimator:
             raise ValueError("reads: attitude, and an estimator; give one of them")
+        if self.end_to_end and not self.estimator:
+            raise ValueError("end_to_end: without an estimator every network is; leave it out")
         if learning.epochs < self.rounds + 1:
             raise ValueError(
                 f"learning.epochs: {learning.epochs}, should be at least the rounds, {self.rounds} + 1"

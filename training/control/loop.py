@@ -148,10 +148,27 @@ def contents_of(config: ControlConfig) -> dict[str, str]:
     for name in ("estimator", "init"):
         if path := getattr(config, name):
             digest = hashlib.blake2b(digest_size=16)
-            for tensor, value in sorted(load_network(path)[1].items()):
+            network, tensors = load_network(path)
+            digest.update(network.model_dump_json(exclude={"training"}).encode())
+            for tensor, value in sorted(tensors.items()):
                 digest.update(tensor.encode() + value.tobytes())
             digests[name] = digest.hexdigest()
     return digests
+
+
+def check_init(config: ControlConfig) -> None:
+    """Refuse to continue from a controller of other inputs or outputs.
+
+    Raises:
+        ValueError: It reads something else, or scales differ.
+    """
+    network, _, reads = load_controller(config.init)
+    given = {"reads": reads, "inputs": network.inputs, "set_point": network.set_point}
+    given["output_scale"] = network.output_scale
+    own = {"reads": config.reads, "inputs": config.learning.inputs, "set_point": config.set_point}
+    own["output_scale"] = config.output_scale
+    if different := [name for name, value in given.items() if value != own[name]]:
+        raise ValueError(f"init: {config.init} has other {', '.join(different)} than this training")
 
 
 def rank(epoch: ControlEpoch) -> float:
@@ -198,6 +215,7 @@ class ControlTraining:
         target = np.repeat(window.target, per_sample, 1)
         initialise(self.model, self.estimator, self._inputs(window).numpy(), target, config.seed)
         if config.init:
+            check_init(config)
             initialise_from_weights(self.model, config.init)
         self.frozen = Frozen(self.model, no_estimator() if config.end_to_end else self.estimator)
         self.optimiser = new_optimiser(self.model, config.learning)
