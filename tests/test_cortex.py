@@ -21,7 +21,7 @@ from estimators.networks.weights_file import (
     shipped_controllers,
 )
 
-sys.path.append(str(Path(__file__).parents[1] / "docs"))  # last: docs/control.py is not the package control
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
 cortex = import_module("cortex")
 CORES, build, run = cortex.CORES, cortex.build, cortex.run
 pytestmark = pytest.mark.skipif(

@@ -1,4 +1,4 @@
-"""Fly the spiking controllers beside the cascade: `python docs/control.py` writes control.md and its figure.
+"""Fly the spiking controllers beside the cascade: `python docs/control_page.py` writes control.md and its figure.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
@@ -17,7 +17,7 @@ from pages import ROOT, load_page, row
 
 from estimators import create
 from estimators.control.controller import SpikingController, create_controller
-from estimators.control.weights import load_controller
+from estimators.control.weights import load_controller, save_controller
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import OnLoihi, silenced
@@ -72,6 +72,7 @@ NOMINAL = (
 )
 AGGRESSIVE = ("step-large", "racing")
 STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
+PROFILES = (32, 16)
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2", "#d55e00")
 
 
@@ -227,6 +228,21 @@ def _texts(neurons: str, trained: float, shared: float, memory: float) -> tuple[
     return neurons, f"{trained:.0f}", f"{shared:.0f}", f"{memory:.2f}"
 
 
+def profile_rows() -> Iterator[str]:
+    """What few decay profiles cost the controller that reads an attitude, on the truth."""
+    weights = load_controller(ATTITUDE)
+    names = {"as trained": f"truth @ {ATTITUDE}"}
+    for profiles in PROFILES:
+        file = OUT / f"profiles-{profiles}.safetensors"
+        save_controller(file, weights._replace(tensors=share_profiles(weights.tensors, profiles)))
+        names[str(profiles)] = f"truth @ {file}"
+    found = bench(NOMINAL, ["truth", *names.values()], OUT / "profiles", FlightSettings(SEEDS))
+    tracked = {(each.scenario, each.estimator): each.attitude_deg or np.nan for each in found.rows}
+    for title, name in names.items():
+        ratios = [tracked[each, name] / tracked[each, "truth"] for each in NOMINAL]
+        yield row(title, f"{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})")
+
+
 def _cores(name: str) -> tuple[str, int, int, float]:
     """Neurons, cores as trained and with few profiles, and synaptic memory over that of a core."""
     config, tensors = load_network(name)
@@ -267,6 +283,7 @@ def main() -> None:
             "margins": list(margin_rows()),
             "steps": list(step_rows(responses)),
             "chip": list(chip_rows()),
+            "profiles": list(profile_rows()),
             "silenced": list(silenced_rows()),
             "tuned": list(tuned_rows()),
             "elsewhere": list(elsewhere_rows()),
