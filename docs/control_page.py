@@ -1,4 +1,4 @@
-"""Fly the spiking controllers beside the cascade: `python docs/control_page.py` writes control.md and a figure.
+"""Fly the spiking controllers beside the cascade: `python docs/control_page.py` writes control.md.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..config.toml import merged
+from ..config.toml import merged, preset_names
 from ..runs.console import Bar, executor_of, progress_bar
 from ..runs.console import output as console
 from .options import (
@@ -72,6 +72,8 @@ def train(
             )
         _train_controller(out, "separate" if preset == "paper" else preset, epochs, threads, set_, seed)
         return
+    if preset in preset_names("control"):
+        raise ValueError(f"--preset {preset} is one of controllers: add --task control")
     if not data:
         raise ValueError("--data: at least one dataset to train on is required, as quadsim generate makes it")
     from training.loop import INTERRUPTED
@@ -137,7 +139,7 @@ def _train_controller(
             console.print(
                 f"epoch {done}: round {epoch.round}, loss {epoch.train_loss:.3f}, tracking error "
                 f"{epoch.tracking_deg:.2f}° (teacher {epoch.teacher_deg:.2f}°), {epoch.crashes} of "
-                f"{config.validation_flights} crashed, {time_left(epoch.seconds, done, total)} left",
+                f"{config.validation_flights} crashed, as 90°, {time_left(epoch.seconds, done, total)} left",
                 highlight=False,
             )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from quadsim.flight.scenario import Scenario
 
-from .controllers import controller_of, estimator_of
+from .controllers import CASCADED, controller_of, estimator_of
 from .flight_metrics import CellRow
 from .pairs import ALL, PairRow
 
@@ -89,7 +89,7 @@ def verdict(
     if not simulated:
         ran = any(totals[name].flights for name in references)
         return Verdict("Only the truth ran." if ran else "No estimator ran.", [], standings)
-    best, truth = totals[simulated[0]], totals.get(TRUTH)
+    first, best, truth = said(simulated[0], measure), totals[simulated[0]], totals.get(TRUTH)
     whole = [name for name in simulated if totals[name].failed == best.failed]
     tied = [
         name
@@ -99,8 +99,8 @@ def verdict(
     doubt = ""
     if tied:
         doubt = (
-            f"The {measure.name} of {simulated[0]} is not significantly different from that of "
-            f"{_listed(tied)} (paired 95 % CI includes 0)."
+            f"The {measure.name} of {first} is not significantly different from that of "
+            f"{_listed([said(name, measure) for name in tied])} (paired 95 % CI includes 0)."
         )
     if tied:
         headline = _tie([simulated[0], *tied], totals, measure)
@@ -112,9 +112,9 @@ def verdict(
     lines = [conditions(scenarios or {}), _by_worst(whole, rows, measure), doubt]
     if focus in simulated[1:]:
         lines.append(_sentence(focus, totals[focus], truth, measure))
-    if truth and truth.attitude > 0 and len(list(filter(None, lines))) < MOST_LINES:
+    if truth and simulated[0] != TRUTH and truth.attitude > 0 and len(list(filter(None, lines))) < MOST_LINES:
         ratio = best.attitude / truth.attitude
-        whose = f"The attitude tracking error of {simulated[0]}" if tied else "Its attitude tracking error"
+        whose = f"The attitude tracking error of {first}" if tied else "Its attitude tracking error"
         lines.insert(3, f"{whose} is {ratio:.2f} × that {_reference(measure)}.")
     return Verdict(headline, list(filter(None, lines)), standings, doubt)
 
@@ -128,11 +128,11 @@ def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
 def references_of(names: Iterable[str]) -> set[str]:
     """Contenders that are no candidates: those on the true attitude, which no vehicle has.
 
-    Where all are, what compares is the controllers, and the cascade is the reference.
+    Where several controllers are and nothing else, these are what is compared.
     """
     names = set(names)
     those = set(filter(on_truth, names))
-    return names & {TRUTH} if those == names else those
+    return set() if those == names and those != {TRUTH} else those
 
 
 def on_truth(name: str) -> bool:
@@ -141,8 +141,19 @@ def on_truth(name: str) -> bool:
 
 
 def measure_of(rows: Sequence[CellRow]) -> Measure:
-    """What ranks: with several controllers the tracking error, else the error of the estimate."""
-    return TRACKING if len({controller_of(row.estimator) for row in rows}) > 1 else ERROR
+    """What ranks: between controllers, and of one alone, the tracking error, else that of the estimate."""
+    names = {row.estimator for row in rows}
+    controllers = {controller_of(name) for name in names}
+    alone = len({estimator_of(name) for name in names}) == 1 and controllers != {CASCADED}
+    return TRACKING if len(controllers) > 1 or alone else ERROR
+
+
+def said(name: str, measure: Measure) -> str:
+    """A contender in words: between controllers "the cascade on mahony"."""
+    if measure == ERROR:
+        return name
+    controller = controller_of(name)
+    return f"{'the cascade' if controller == CASCADED else controller} on {estimator_of(name)}"
 
 
 def worst_row(rows: Sequence[CellRow], estimator: str, measure: Measure = ERROR) -> CellRow | None:
@@ -207,6 +218,7 @@ def _reference(measure: Measure) -> str:
 
 def _alone(name: str, own: Total, measure: Measure) -> str:
     """What happened, where there is nothing to compare with."""
+    name = said(name, measure)
     if own.flights == 1:
         return f"{name} {'crashed' if own.crashes else 'did not crash'}: {measure.name} {shown(own.error)}."
     crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
@@ -215,6 +227,7 @@ def _alone(name: str, own: Total, measure: Measure) -> str:
 
 def _headline(name: str, best: Total, least: float, measure: Measure) -> str:
     """The best estimator; `least` is the smallest error of any, which may be of one that crashed."""
+    name = said(name, measure)
     if best.crashes:
         crashes = f"in {best.crashes} of {best.flights} flights"
         return f"Fly {name}: it crashed least, {crashes}, with {_an(measure.name)} of {shown(best.error)}."
@@ -228,6 +241,7 @@ def _headline(name: str, best: Total, least: float, measure: Measure) -> str:
 def _tie(names: Sequence[str], totals: Mapping[str, Total], measure: Measure) -> str:
     """The headline where errors do not tell the best, the first of `names`, from the others."""
     best, errors = totals[names[0]], [totals[name].error for name in names]
+    names = [said(name, measure) for name in names]
     others = names[1] if len(names) == 2 else f"one of {len(names) - 1} others"
     crashes = f"{best.crashes} of {best.flights} flights crashed" if best.crashes else "no crash"
     return (
@@ -246,13 +260,15 @@ def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow], measure: Measur
     if len({row.scenario for row in rows}) < 2 or not worst:
         return ""
     first, best = simulated[0], min(worst, key=lambda name: _loss(worst[name], measure))
+    own = said(first, measure)
     if len(worst) == 1:
         return f"Its worst scenario is {described(worst[first], measure)}."
     if best == first:
-        return f"{first} is also the best by its worst scenario, {described(worst[first], measure)}."
+        best_too = f"{own.replace('the cascade', 'The cascade')} is also the best by its worst scenario"
+        return f"{best_too}, {described(worst[first], measure)}."
     return (
-        f"By the worst scenario {best} is the best: {described(worst[best], measure)}; of {first} it is "
-        f"{described(worst[first], measure)}."
+        f"By the worst scenario {said(best, measure)} is the best: {described(worst[best], measure)}; of "
+        f"{own} it is {described(worst[first], measure)}."
     )
 
 
@@ -305,7 +321,7 @@ def _is_tied(best: str, other: str, pairs: Sequence[PairRow], measure: Measure) 
 
 def _sentence(name: str, each: Total, truth: Total | None, measure: Measure) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
-    text = f"{name}: {crashes} in {each.flights} flights, {measure.name} {shown(each.error)}"
+    text = f"{said(name, measure)}: {crashes} in {each.flights} flights, {measure.name} {shown(each.error)}"
     if truth and truth.attitude > 0:
         ratio = each.attitude / truth.attitude
         what = "" if measure == TRACKING else "attitude tracking error "
@@ -321,16 +337,17 @@ def _standing(
     if not each.flights:
         return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
-    if reference:
-        text += (
-            " · the reference" if name == TRUTH else f" · {measure.name} {shown(each.error)}, on the truth"
-        )
+    if reference and name == TRUTH:
+        text += " · the reference"
     else:
-        text += f" · {measure.name} {shown(each.error)}"
+        text += f" · {measure.name} {shown(each.error)}" + (", on the truth" if reference else "")
     worst = worst_row(rows, name, measure)
     several = len({row.scenario for row in rows}) > 1
     if several and worst and getattr(worst, measure.key) is not None and not crashed and not reference:
         text += f" · at worst {shown(_value(worst, measure))} in {worst.scenario}"
+    changes = [row.jitter for row in rows if row.estimator == name and row.jitter]
+    if measure == TRACKING and changes:
+        text += f" · command jitter {np.mean(changes):.1f} rad/s"
     if each.failed:
         text += f" · {each.failed} scenario{'s' if each.failed > 1 else ''} did not run"
     return Standing(name, "crashes" if crashed or each.failed else "flies", text)

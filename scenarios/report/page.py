@@ -122,7 +122,7 @@ def write_report(
         "totals": totals_of(rows),
         "lookup": {(row.scenario, row.estimator): row for row in rows},
         "pairs": bool(closed_loop.pairs),
-        "paired": [metric for metric in METRICS if metric.key in PAIRED],
+        "paired": [metric for metric in _metrics(rows) if metric.key in PAIRED],
         "breaking": _breaking(closed_loop.points),
         "offline": _offline_table(offline.rows),
         "offline_caption": offline.caption,

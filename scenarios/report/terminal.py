@@ -78,7 +78,8 @@ def controllers_table(results: Results) -> Table | None:
     """
     results = shown_once(results)[0]
     flown = {controller_of(name) for name in results.estimators}
-    if flown <= {CASCADED} or (len(flown) > 1 and len(results.scenarios) > MOST_COLUMNS):
+    again = measure_of(results.rows) != ERROR and len(results.scenarios) > MOST_COLUMNS
+    if flown <= {CASCADED} or again:
         return None
     found = {(row.scenario, row.estimator): row for row in results.rows}
     ranked = [standing.estimator for standing in verdict(results.rows).standings]

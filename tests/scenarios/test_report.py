@@ -107,7 +107,7 @@ def test_fewest_crashes_win_then_the_smallest_error():
 
 
 def tracked(scenario, name, attitude, error=0.0):
-    return replace(row(scenario, name, error=error), attitude_deg=attitude)
+    return replace(row(scenario, name, error=error), attitude_deg=attitude, jitter=5.0)
 
 
 def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate():
@@ -118,17 +118,25 @@ def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate
         tracked("a", "x @ c", 2.0, error=0.9),
     ]
     result = verdict(rows)
-    assert result.headline == "Fly x @ c: no crash in 10 flights, and the smallest tracking error, 2.00°."
+    assert result.headline == "Fly c on x: no crash in 10 flights, and the smallest tracking error, 2.00°."
     assert [each.estimator for each in result.standings] == ["x @ c", "x", "truth", "truth @ c"]
-    assert result.standings[-1].text == "no crash in 10 flights · tracking error 1.50°, on the truth"
+    assert result.standings[-1].text == (
+        "no crash in 10 flights · tracking error 1.50°, on the truth · command jitter 5.0 rad/s"
+    )
     assert "Its attitude tracking error is 2.00 × that of the cascade on the true attitude." in result.lines
 
 
-def test_on_the_truth_alone_controllers_are_compared_with_the_cascade():
+def test_on_the_truth_alone_all_controllers_are_compared_and_the_cascade_may_win():
     rows = [tracked("a", "truth", 1.0), tracked("a", "truth @ c", 1.5), tracked("a", "truth @ d", 1.2)]
     result = verdict(rows)
-    assert result.headline.startswith("Fly truth @ d: no crash in 10 flights")
-    assert [each.estimator for each in result.standings] == ["truth @ d", "truth @ c", "truth"]
+    assert result.headline.startswith("Fly the cascade on truth: no crash in 10 flights")
+    assert [each.estimator for each in result.standings] == ["truth", "truth @ d", "truth @ c"]
+
+
+def test_of_a_controller_alone_the_tracking_error_counts():
+    assert verdict([tracked("a", "truth @ c", 1.5)]).headline.endswith("tracking error 1.50°.")
+    both = [tracked("a", "x @ c", 1.5, error=0.2), tracked("a", "y @ c", 1.5, error=0.1)]
+    assert verdict(both).standings[0].estimator == "y @ c"  # two estimators are compared as such
 
 
 def test_who_did_not_run_everywhere_is_not_recommended():

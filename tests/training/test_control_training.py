@@ -288,7 +288,7 @@ def test_what_does_not_change_is_restored_after_a_constraint():
 
 def test_a_controller_of_other_inputs_is_not_continued(tmp_path):
     first = train_controller(tmp_path / "a", **TINY)
-    with pytest.raises(ValueError, match="has other reads than this training"):
+    with pytest.raises(ValueError, match="has other reads, inputs than this training"):
         train_controller(tmp_path / "b", **TINY, reads="attitude", init=str(first.weights))
 
 

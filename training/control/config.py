@@ -50,6 +50,8 @@ LEARNING: dict[str, Any] = {
     "rate_targets": (0.12, 0.15),
 }
 """How a controller's network is trained, where that differs from the default of a `TrainingRecipe`."""
+ATTITUDE_INPUTS = {"gyro": 2.5, "accel": (0.981, 0.981, 9.81), "accel_offset": (0.0, 0.0, 0.0)}
+"""Of one that reads an attitude."""
 
 
 class Excitation(Strict):
@@ -183,7 +185,9 @@ def make_control_config(preset: str | Path = "separate", **choices: Any) -> Cont
         ValueError: One line: an unknown preset or field, or a value out of range.
     """
     values = load_toml(preset, KIND, ControlRecipe).model_dump(exclude_unset=True)
-    changed = merged(merged({"learning": LEARNING}, values), choices)
+    reads_attitude = choices.get("reads", values.get("reads")) == "attitude"
+    learning = LEARNING | ({"inputs": ATTITUDE_INPUTS} if reads_attitude else {})
+    changed = merged(merged({"learning": learning}, values), choices)
     if estimator := changed.get("estimator"):
         network = read_estimator(estimator)[0]
         learning = changed["learning"] | {name: getattr(network, name) for name in ("after_spike", "inputs")}
