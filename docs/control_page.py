@@ -73,6 +73,7 @@ NOMINAL = (
 AGGRESSIVE = ("step-large", "racing")
 STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
 PROFILES = (32, 16)
+TUNED_ON = ("heavy", "known")
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2", "#d55e00")
 
 
@@ -139,7 +140,8 @@ def tuned_rows() -> Iterator[str]:
     ppo_controller.main(["--out", str(OUT / "ppo")])
     with (OUT / "ppo" / "ppo.csv").open() as file:
         for each in csv.DictReader(file):
-            yield row(each["updates"], *(f"{float(each[key]):.2f}" for key in ("heavy_deg", "known_deg")))
+            found = (f"{float(each[f'{of}_deg']):.2f} ({float(each[f'{of}_change']):.0f})" for of in TUNED_ON)
+            yield row(each["updates"], *found)
 
 
 def makers() -> dict[str, tuple[MakeController | None, Any]]:

@@ -11,8 +11,8 @@ state-dependent exploration): at 200 samples a second, noise of single actions t
 chip's, the weights are a controller again.
 
 Writes `tuned.safetensors`, to fly with `quadsim bench --controller`, and `ppo.csv`: the RMS angle between the
-commanded and the true thrust axis in episodes that no training saw, flown on the emulated chip, and the same
-for the vehicles that the controller knows.
+commanded and the true thrust axis and the RMS change of the rotor command in episodes that no training saw,
+flown on the emulated chip, and the same for the vehicles that the controller knows.
 
 Needs stable-baselines3: pip install 'quadsim[rl]'.
 """
@@ -52,8 +52,9 @@ EPISODES = 64  # to judge a controller by
 JUDGED = 2000  # their seed; those of the training begin at 0
 GAMMA = 0.98
 LEARNING_RATE = 1e-3
-STEP = 0.3  # of the output weights, over that of the critic's
-SPREAD = 0.02  # standard deviation of the weights that it tries
+STEP = 0.1  # of the output weights, over that of the critic
+CHANGE = 60.0  # of the rotor command in a sample that costs as much as 10° [rad/s]
+SPREAD = 0.01  # standard deviation of the weights that it tries
 WORST = np.radians(60.0)  # what a larger error counts as
 
 
@@ -115,8 +116,14 @@ class Flights:
         set_point[:, :2], set_point[:, 3] = self.wanted[:, self.k], GRAVITY
         return set_point, self.loop.gyro, self.loop.readings.accel, self.loop.attitude
 
-    def fly(self, ang_acc: Array) -> Array:
-        """Fly a sample with angular accelerations (n, 3) [rad/s²]; the errors that follow, (n,) [rad]."""
+    def fly(self, ang_acc: Array) -> tuple[Array, Array]:
+        """Fly a sample with angular accelerations (n, 3) [rad/s²].
+
+        Returns:
+            The angle between the thrust axes wanted and true, (n,) [rad], and the RMS change of the rotor
+            command, (n,) [rad/s].
+        """
+        before = self.loop.controller.rotor_vel_cmd.copy()
         self.relay.action = np.concatenate([ang_acc, np.full((self.n, 1), GRAVITY)], axis=1)
         command = np.zeros((self.n, 4))
         command[:, :2], command[:, 2] = self.wanted[:, self.k], self.loop.plant.yaw
@@ -125,7 +132,9 @@ class Flights:
         plant, wanted = self.loop.plant, self.wanted[:, self.k]
         axes = [_up(quat_from_euler(wanted[:, 0], wanted[:, 1], plant.yaw)), _up(plant.quat)]
         self.k += 1
-        return np.minimum(np.arccos(np.clip(np.sum(axes[0] * axes[1], axis=1), -1.0, 1.0)), WORST)
+        change = np.sqrt(np.mean((self.loop.controller.rotor_vel_cmd - before) ** 2, axis=1))
+        error = np.minimum(np.arccos(np.clip(np.sum(axes[0] * axes[1], axis=1), -1.0, 1.0)), WORST)
+        return error, change
 
 
 def _up(quat: Array) -> Array:
@@ -185,9 +194,10 @@ class Agents(VecEnv):
         self.actions = actions
 
     def step_wait(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Fly a sample. It costs the square of the error; returns are of the size of 1, for the critic."""
-        error = self.flights.fly(self.actions * self.weights.config.output_scale)
-        earned, observation = (GAMMA - 1.0) * (np.degrees(error) / 10.0) ** 2, self._observed()
+        """Fly a sample. Error and change of command cost; returns are of the size of 1, for the critic."""
+        error, change = self.flights.fly(self.actions * self.weights.config.output_scale)
+        cost = (np.degrees(error) / 10.0) ** 2 + (change / CHANGE) ** 2
+        earned, observation = (GAMMA - 1.0) * cost, self._observed()
         over = self.flights.k == STEPS
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if over:
@@ -215,14 +225,15 @@ class Agents(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
 
-def judge(weights: ControllerWeights, inertia: float = INERTIA) -> float:
-    """RMS angle between commanded and true thrust axis on the emulated chip [deg]."""
+def judge(weights: ControllerWeights, inertia: float = INERTIA) -> tuple[float, float]:
+    """On the emulated chip: RMS tracking error [deg], and RMS change of the rotor command [rad/s]."""
     flights = Flights(EPISODES, JUDGED, inertia)
     flights.begin()
     controller = SpikingController(weights.config, weights.tensors, on_loihi=True, reads=weights.reads)
     controller.reset(EPISODES)
-    squares = [flights.fly(controller.update(*flights.readings)[:, :3]) ** 2 for _ in range(STEPS)]
-    return float(np.degrees(np.sqrt(np.mean(squares))))
+    flown = [flights.fly(controller.update(*flights.readings)[:, :3]) for _ in range(STEPS)]
+    error, change = np.sqrt(np.mean(np.square(flown), axis=(0, 2)))
+    return float(np.degrees(error)), float(change)
 
 
 class Output(nn.Module):
@@ -310,15 +321,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.updates < 0:
         parser.error(f"--updates {given.updates}: should not be negative")
     model, tuned, rows = agent(weights, given.seed), weights, []
-    print("updates, tracking error [°]: inertia doubled, inertia as known")
+    print("updates, tracking error [°] and change of the command [rad/s]: inertia doubled, as known")
     done = 0
     for update in [*range(0, given.updates, EVERY), given.updates]:
         if update > done:
             model.learn((update - done) * VEHICLES * STEPS, reset_num_timesteps=False)
             done = update
             tuned = with_output(weights, model.policy.action_net.weight.detach().numpy() / model.env.size)
-        rows.append({"updates": update, "heavy_deg": judge(tuned), "known_deg": judge(tuned, 1.0)})
-        print(f"{update:7} {rows[-1]['heavy_deg']:7.2f} {rows[-1]['known_deg']:7.2f}", flush=True)
+        (heavy, change), (known, known_change) = judge(tuned), judge(tuned, 1.0)
+        rows.append(
+            {"updates": update, "heavy_deg": heavy, "heavy_change": change}
+            | {"known_deg": known, "known_change": known_change}
+        )
+        print(f"{update:7} {heavy:7.2f} {change:6.1f} {known:7.2f} {known_change:6.1f}", flush=True)
     given.out.mkdir(parents=True, exist_ok=True)
     save_controller(given.out / "tuned.safetensors", tuned)
     write_csv(given.out / "ppo.csv", rows)
