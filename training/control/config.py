@@ -107,6 +107,9 @@ class ControlRecipe(Strict):
     """Train the estimator's weights too, from where they are, with every connection: one merged network."""
     init: str = ""
     """Weights of a controller of the same layers to continue from, by a shipped name or a file."""
+    decay_profiles: Annotated[int, Between(0, 32)] = 0
+    """Decays that the neurons of `init` share, in profiles of the chip, which has 32 for a core, before the
+    training, which keeps them. 0: as they are, free."""
     set_point: SetPointScaling = SetPointScaling()
     """Scaling and limits of the set-points, and the bound of the outputs."""
     output_scale: OutputScale = 32.0
@@ -158,6 +161,10 @@ class ControlConfig(ControlRecipe):
             )
         if self.reads == "attitude" and self.estimator:
             raise ValueError("reads: attitude, and an estimator; give one of them")
+        if self.decay_profiles and not (self.init and learning.fixed_taus):
+            raise ValueError(
+                "decay_profiles: give init, whose decays are shared, and learning.fixed_taus = true"
+            )
         if self.end_to_end and not self.estimator:
             raise ValueError("end_to_end: without an estimator every network is; leave it out")
         if learning.epochs < self.rounds + 1:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from estimators.control.controller import SpikingController, follow
 from estimators.control.weights import ControllerWeights, load_controller, save_controller
+from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.encoder import ENCODER, INPUT_ONE, scaled_inputs
 from estimators.networks.weights_file import load_network
 from quadsim.flight.recipe import flight_config, load_recipe
@@ -216,13 +217,23 @@ class ControlTraining:
         initialise(self.model, self.estimator, self._inputs(window).numpy(), target, config.seed)
         if config.init:
             check_init(config)
-            initialise_from_weights(self.model, config.init)
+            initialise_from_weights(self.model, self._begun())
         self.frozen = Frozen(self.model, no_estimator() if config.end_to_end else self.estimator)
         self.optimiser = new_optimiser(self.model, config.learning)
         self.history: list[ControlEpoch] = []
         self._state = np.zeros(config.learning.batch_size, ENCODER)
         self._scale = torch.tensor(config.error_scale, dtype=torch.float32)
         self.teacher_deg = _tracking(self._fly_validation(None))
+
+    def _begun(self) -> str | Path:
+        """Weights to continue from, with shared decays where the recipe asks for them."""
+        if not self.config.decay_profiles:
+            return self.config.init
+        weights = load_controller(self.config.init)
+        shared = share_profiles(weights.tensors, self.config.decay_profiles)
+        file = self.out / "begun.safetensors"
+        save_controller(file, weights._replace(tensors=shared))
+        return file
 
     def _seeds(self, *key: int, n: int) -> list[np.random.SeedSequence]:
         return [child(np.random.SeedSequence([self.config.seed, *key]), i) for i in range(n)]
