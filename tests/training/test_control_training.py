@@ -298,3 +298,19 @@ def test_an_attitude_controller_is_trained_and_flies_on_its_attitude(recipe, tmp
     config = make_control_config(**TINY, reads="attitude")
     flights = fly(config, recipe, seeds(2), create_controller(result.weights))
     assert np.linalg.norm(flights.accel, axis=-1) == pytest.approx(GRAVITY, rel=1e-5)
+
+
+def test_decays_are_shared_before_a_training_and_stay_so(tmp_path):
+    first = train_controller(tmp_path / "a", **TINY, reads="attitude")
+    more = {"init": str(first.weights), "decay_profiles": 6}
+    learning = TINY["learning"] | {"fixed_taus": True}
+    second = train_controller(tmp_path / "b", **TINY | {"learning": learning}, reads="attitude", **more)
+    before, tensors = (
+        load_controller(tmp_path / "b" / f"{n}.safetensors").tensors for n in ("begun", "best")
+    )
+    names = ("syn1", "mem1")
+    assert all(np.array_equal(before[name], tensors[name]) for name in (*names, "mem0", "syn_after"))
+    assert len(np.unique(np.stack([tensors[name] for name in names], 1), axis=0)) <= 6
+    assert second.weights.is_file()
+    with pytest.raises(ValueError, match="decay_profiles: give init"):
+        make_control_config(**TINY, decay_profiles=6)
