@@ -40,7 +40,7 @@ def train(
         Task,
         typer.Option(
             help="attitude; or control: an attitude controller, by imitation in flights of its own, with the "
-            "presets separate (the default), merged and attitude."
+            "presets of quadsim list control; separate is the default."
         ),
     ] = "attitude",
     model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",

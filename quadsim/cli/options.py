@@ -41,7 +41,7 @@ Preset = Annotated[
     str,
     typer.Option(
         help="paper: its recipe; best: that of the shipped networks, for any IMU; hummingbird: one airframe; "
-        "tune: logs; or a TOML file. Of --task control: separate, merged, attitude, or a TOML file."
+        "tune: logs; or a TOML file. Of --task control: see quadsim list control."
     ),
 ]
 Fields = Annotated[
