@@ -45,18 +45,20 @@ OUT = ROOT / "reports" / "control"
 SEEDS = 20
 ESTIMATOR = "att-snn-hummingbird"
 """Whose spikes the separate controller reads, and from which the merged one began."""
-WAYS = {"attitude": "control-attitude", "separate": "control-separate", "merged": "control-merged"}
-ATTITUDE = WAYS["attitude"]
+ATTITUDE, PROFILED = "control-attitude", "control-attitude-16"
+"""Controllers that read an attitude; the second has 16 decay profiles, as many as leave a core for Att-SNN."""
+ON_ATTITUDE = {"attitude": ATTITUDE, "attitude, 16 profiles": PROFILED}
+WAYS = ON_ATTITUDE | {"separate": "control-separate", "merged": "control-merged"}
 SAME = "scenarios.bench.margins:Cascade"
 """The cascade's levels as a controller of set-points: it knows no trajectory to feed forward."""
+TEACHER, BASE = "cascade, truth", "cascade, Att-SNN"
 NAMES = {
-    "cascade, truth": "truth",
+    TEACHER: "truth",
     "cascade without trajectory, truth": f"truth @ {SAME}",
-    "spiking, attitude, truth": f"truth @ {ATTITUDE}",
-    "cascade, Att-SNN": ESTIMATOR,
+    **{f"spiking, {way}, truth": f"truth @ {name}" for way, name in ON_ATTITUDE.items()},
+    BASE: ESTIMATOR,
     **{f"spiking, {way}, Att-SNN": f"{ESTIMATOR} @ {name}" for way, name in WAYS.items()},
 }
-TEACHER, _, _, BASE, *_ = NAMES
 ELSEWHERE = ("px4-quad", "crazyflie")
 """Airframes that no controller was trained on."""
 NOMINAL = (
@@ -73,6 +75,8 @@ NOMINAL = (
 AGGRESSIVE = ("step-large", "racing")
 STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
 PROFILES = (32, 16)
+BOTH = (ESTIMATOR, PROFILED)
+"""Estimator and controller that share a core."""
 TUNED_ON = ("heavy", "known")
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2", "#d55e00")
 
@@ -215,19 +219,16 @@ def step_rows(responses: dict[str, Array]) -> Iterator[str]:
 
 def chip_rows() -> Iterator[str]:
     """Cores of the chip that each way takes, as trained and with few decay profiles."""
-    estimator = _cores(ESTIMATOR)
-    yield row(f"`{ESTIMATOR}`", *_texts(*estimator))
-    for way, name in WAYS.items():
-        found = _cores(name)
-        yield row(f"spiking, {way}", *_texts(*found))
-        if name == ATTITUDE:
-            both = (first + second for first, second in zip(estimator[1:], found[1:], strict=True))
-            neurons = f"{estimator[0]} and {found[0]}"
-            yield row(f"`{ESTIMATOR}` and spiking, {way}", *_texts(neurons, *both))
-
-
-def _texts(neurons: str, trained: float, shared: float, memory: float) -> tuple[str, ...]:
-    return neurons, f"{trained:.0f}", f"{shared:.0f}", f"{memory:.2f}"
+    contenders = {f"`{ESTIMATOR}`": ESTIMATOR} | {f"spiking, {way}": name for way, name in WAYS.items()}
+    for title, name in contenders.items():
+        yield row(title, *_cores(name))
+    parts = [OnLoihi(config, share_profiles(tensors, 16)) for config, tensors in map(load_network, BOTH)]
+    used = [core.used() for part in parts for core in part.cores]
+    whole = {name: sum(each[name] for each in used) for name in LIMITS}
+    cores = 1 if all(whole[name] <= LIMITS[name] for name in LIMITS) else len(used)
+    memory = f"{whole['synaptic bits'] / LIMITS['synaptic bits']:.2f}"
+    sizes = " and ".join(_cores(name)[0] for name in BOTH)
+    yield row(f"`{ESTIMATOR}` and spiking, attitude, of 16 profiles each", sizes, "", cores, memory)
 
 
 def profile_rows() -> Iterator[str]:
@@ -237,7 +238,8 @@ def profile_rows() -> Iterator[str]:
     for profiles in PROFILES:
         file = OUT / f"profiles-{profiles}.safetensors"
         save_controller(file, weights._replace(tensors=share_profiles(weights.tensors, profiles)))
-        names[str(profiles)] = f"truth @ {file}"
+        names[f"{profiles}, shared after the training"] = f"truth @ {file}"
+    names["16, trained on (`control-attitude-16`)"] = f"truth @ {PROFILED}"
     found = bench(NOMINAL, ["truth", *names.values()], OUT / "profiles", FlightSettings(SEEDS))
     tracked = {(each.scenario, each.estimator): each.attitude_deg or np.nan for each in found.rows}
     for title, name in names.items():
@@ -245,13 +247,13 @@ def profile_rows() -> Iterator[str]:
         yield row(title, f"{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})")
 
 
-def _cores(name: str) -> tuple[str, int, int, float]:
+def _cores(name: str) -> tuple[str, int, int, str]:
     """Neurons, cores as trained and with few profiles, and synaptic memory over that of a core."""
     config, tensors = load_network(name)
     trained, shared = OnLoihi(config, tensors), OnLoihi(config, share_profiles(tensors))
     bits = sum(each.used()["synaptic bits"] for each in shared.cores)
-    neurons = f"{config.encoding} + {config.hidden}"
-    return neurons, len(trained.cores), len(shared.cores), bits / LIMITS["synaptic bits"]
+    neurons, memory = f"{config.encoding} + {config.hidden}", f"{bits / LIMITS['synaptic bits']:.2f}"
+    return neurons, len(trained.cores), len(shared.cores), memory
 
 
 def silenced_rows() -> Iterator[str]:
@@ -277,7 +279,8 @@ def main() -> None:
         results = bench(scenario_names(), list(NAMES.values()), OUT, FlightSettings(SEEDS), progress=progress)
     found = cells(results)
     responses = {title: step_response(*made) for title, made in makers().items()}
-    page.save(draw_steps(responses), "control-steps.png")
+    drawn = {title: each for title, each in responses.items() if "16" not in title}
+    page.save(draw_steps(drawn), "control-steps.png")
     page.write(
         {
             "scenarios": list(scenario_rows(found)),
