@@ -46,7 +46,7 @@ SEEDS = 20
 ESTIMATOR = "att-snn-hummingbird"
 """Whose spikes the separate controller reads, and from which the merged one began."""
 ATTITUDE, PROFILED = "control-attitude", "control-attitude-16"
-"""Controllers that read an attitude; the second has 16 decay profiles, as many as leave a core for Att-SNN."""
+"""Controllers that read an attitude; the second has 16 decay profiles: Att-SNN fits beside it."""
 ON_ATTITUDE = {"attitude": ATTITUDE, "attitude, 16 profiles": PROFILED}
 WAYS = ON_ATTITUDE | {"separate": "control-separate", "merged": "control-merged"}
 SAME = "scenarios.bench.margins:Cascade"
