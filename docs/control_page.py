@@ -21,7 +21,7 @@ from estimators.control.weights import load_controller, save_controller
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import OnLoihi, silenced
-from estimators.networks.weights_file import load_network
+from estimators.networks.weights_file import load_network, save_network
 from quadsim.control.own import AttitudeController, MakeController
 from quadsim.dataset.figures import STYLE
 from quadsim.flight.loop import FlightLoop
@@ -232,19 +232,26 @@ def chip_rows() -> Iterator[str]:
 
 
 def profile_rows() -> Iterator[str]:
-    """What few decay profiles cost the controller that reads an attitude, on the truth."""
-    weights = load_controller(ATTITUDE)
+    """What few decay profiles cost the controller that reads an attitude, and the pair that fits one core."""
+    weights, (config, tensors) = load_controller(ATTITUDE), load_network(ESTIMATOR)
     names = {"as trained": f"truth @ {ATTITUDE}"}
     for profiles in PROFILES:
         file = OUT / f"profiles-{profiles}.safetensors"
         save_controller(file, weights._replace(tensors=share_profiles(weights.tensors, profiles)))
         names[f"{profiles}, shared after the training"] = f"truth @ {file}"
     names["16, trained on (`control-attitude-16`)"] = f"truth @ {PROFILED}"
-    found = bench(NOMINAL, ["truth", *names.values()], OUT / "profiles", FlightSettings(SEEDS))
+    save_network(file := OUT / "estimator-16.safetensors", config, share_profiles(tensors, 16))
+    names["the same, on Att-SNN with 16, shared after the training: one core"] = f"{file} @ {PROFILED}"
+    found = bench(NOMINAL, ["truth", ESTIMATOR, *names.values()], OUT / "profiles", FlightSettings(SEEDS))
     tracked = {(each.scenario, each.estimator): each.attitude_deg or np.nan for each in found.rows}
+    crashed = dict.fromkeys(found.estimators, 0)
+    for each in found.rows:
+        crashed[each.estimator] += each.crashes or 0
     for title, name in names.items():
-        ratios = [tracked[each, name] / tracked[each, "truth"] for each in NOMINAL]
-        yield row(title, f"{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})")
+        base = "truth" if name.startswith("truth") else ESTIMATOR
+        ratios = [tracked[each, name] / tracked[each, base] for each in NOMINAL]
+        ratio = f"{np.median(ratios):.2f} ({np.nanmin(ratios):.2f} to {np.nanmax(ratios):.2f})"
+        yield row(title, ratio, crashed[name], crashed[base])
 
 
 def _cores(name: str) -> tuple[str, int, int, str]:
