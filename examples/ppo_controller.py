@@ -2,7 +2,7 @@
 
     python examples/ppo_controller.py [--updates 60] [--out reports/ppo-controller]
 
-The controller that imitation has trained flies vehicles of twice the moment of inertia that it knows, spread
+The controller, trained by imitation, flies vehicles with twice the moment of inertia of its training, spread
 in mass and motor lag and with weak rotors, after steps of roll and pitch. The agent is its output layer: the
 observation is what arrives there, the spikes of each hidden neuron after the filter of the output neurons;
 the mean of an action is the output layer's weights times it, the angular acceleration that is asked for.
@@ -59,7 +59,7 @@ WORST = np.radians(60.0)  # what a larger error counts as
 
 
 class Relay:
-    """An attitude controller that gives the loop what it was told."""
+    """An attitude controller that returns the action of the agent."""
 
     def reset(self, n: int) -> None:
         """Start n vehicles."""
