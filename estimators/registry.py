@@ -23,7 +23,7 @@ from .filters.eskf import ESKF
 from .filters.imm import IMM, InteractingModels
 from .filters.madgwick import MADGWICK
 from .filters.mahony import MAHONY
-from .networks.weights_file import shipped_names
+from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
 from .truth import Truth
 from .tuned import tuned_for
 
@@ -185,6 +185,24 @@ def tuning_misfit(
     others = [f"the {tuned.vehicle}" * bool(tuned.vehicle and tuned.vehicle != airframe.name)]
     others += [f"the IMU {tuned.imu}" * bool(tuned.imu and load_imu(tuned.imu) != sensor)]
     return " and ".join(filter(None, others))
+
+
+def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
+    """In words, the airframes that a network was trained on, where that which flies is none of them.
+
+    Empty where it is, or where the weights do not say; a name may be a controller's, too.
+
+    Args:
+        name: Of an estimator or a controller, as `create` and `create_controller` take it.
+        vehicle: The simulated vehicle, as in `create`.
+    """
+    network = name.removesuffix("-loihi")
+    if network not in (*shipped_names(), *shipped_controllers()) and not network.endswith(END):
+        return ""
+    trained, (airframe, _) = load_network(network)[0].training.get("vehicles"), loaded(vehicle, None)
+    if not isinstance(trained, list) or not trained or airframe is None or airframe.name in trained:
+        return ""
+    return ", ".join(f"the {each}" for each in trained)
 
 
 def tuned_elsewhere(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from estimators.evaluation.flights import vehicle_of
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.weights_file import LEVEL_UP, load_network
 from quadsim.dataset.reading import open_dataset
@@ -40,6 +42,8 @@ class TrainingFlights:
     """World's up."""
     rate_hz: float
     """Samples per second."""
+    vehicles: tuple[str, ...] = ()
+    """Names of the airframes that flew, where they are known."""
 
     def __len__(self) -> int:
         """Number of flights."""
@@ -60,7 +64,8 @@ class TrainingFlights:
     def select(self, ids: Sequence[int] | NDArray[np.int64]) -> TrainingFlights:
         """Some of the flights."""
         index = np.asarray(ids, dtype=np.int64)
-        return TrainingFlights(*(getattr(self, name)[index] for name in SIGNALS), rate_hz=self.rate_hz)
+        signals = (getattr(self, name)[index] for name in SIGNALS)
+        return TrainingFlights(*signals, rate_hz=self.rate_hz, vehicles=self.vehicles)
 
 
 def load_training_flights(paths: Sequence[str | Path]) -> TrainingFlights:
@@ -78,7 +83,8 @@ def load_training_flights(paths: Sequence[str | Path]) -> TrainingFlights:
         raise ValueError(f"datasets of different rates: {sorted(rates)} Hz")
     steps = min(part.gyro.shape[1] for part in parts)
     joined = (np.concatenate([getattr(part, name)[:, :steps] for part in parts]) for name in SIGNALS)
-    return TrainingFlights(*joined, rate_hz=rates.pop())
+    vehicles = sorted({vehicle for part in parts for vehicle in part.vehicles})
+    return TrainingFlights(*joined, rate_hz=rates.pop(), vehicles=tuple(vehicles))
 
 
 def _read(path: Path) -> TrainingFlights:
@@ -90,7 +96,11 @@ def _read(path: Path) -> TrainingFlights:
     quat = data["quat"].to_numpy().astype(np.float64)
     up = quat_rotate_inverse(quat, np.broadcast_to([0.0, 0.0, 1.0], (*quat.shape[:-1], 3)))
     measured = (data[name].to_numpy().astype(np.float32) for name in SIGNALS[:-1])
-    return TrainingFlights(*measured, up=up.astype(np.float32), rate_hz=float(data.attrs["rate_hz"]))
+    by_hand = json.loads(data.attrs.get("config", "{}")).get("hand_held") is not None
+    vehicle = None if by_hand else vehicle_of(data)
+    vehicles = () if vehicle is None else (vehicle.name,)
+    rate_hz = float(data.attrs["rate_hz"])
+    return TrainingFlights(*measured, up=up.astype(np.float32), rate_hz=rate_hz, vehicles=vehicles)
 
 
 def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, TrainingFlights]:

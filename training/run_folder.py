@@ -145,7 +145,7 @@ def save_best(
     `note` is what the file says of the training, besides its configuration, code and number of flights.
     """
     code = {"config": json.loads(config.model_dump_json()), "commit": commit()}
-    note = code | {"training_flights": len(flights)} | note
+    note = code | {"training_flights": len(flights), "vehicles": list(flights.vehicles)} | note
     network, tensors = exported(model, config, flights.rate_hz, note)
     if config.prunes:
         network, tensors = connected(network, tensors)

@@ -102,7 +102,7 @@ def headline(path: Path, results: Results, combinations: Sequence[Combination] =
     if combinations:
         return f"{path}: {axes.headline(axes.choices(combinations, results))}"
     results = shown_once(results)[0]
-    judged = verdict(results.rows, "", paired_differences(results.flights), results.scenarios)
+    judged = verdict(results, "", paired_differences(results.flights))
     return "\n".join([f"{path}: {judged.headline}", *judged.lines])
 
 

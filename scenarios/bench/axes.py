@@ -21,15 +21,15 @@ from scipy.stats import qmc
 from quadsim.flight.scenario import Scenario, changed, load_scenario
 
 from .flight_metrics import FlightRow, wilson
+from .ranking import Flight, Flown, Place, by_contender, listed, ranked, winners
 from .runner import Results, identical
 from .statistics import (
-    crash_test,
     interquartile_mean,
     performance_profile,
     probability_of_improvement,
     stratified_interval,
 )
-from .verdict import on_truth
+from .verdict import on_truth, recommended
 
 CELLS = 72
 """Combinations of the designed fraction: whole multiples of three levels and of four."""
@@ -98,6 +98,10 @@ class Effect:
     high: float | None
     failed: int
     """Combinations at which it did not fly."""
+    lost: float
+    """Share of the planned flights that crashed or did not run."""
+    unranked: str
+    """Why it is not ranked, to follow its name in a sentence; empty if it is."""
 
     @property
     def crash_rate(self) -> float:
@@ -195,8 +199,8 @@ def with_levels(base: Scenario, levels: Mapping[str, str]) -> Scenario:
 def effects(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[Effect]:
     """Every estimator at every level of every axis, scenarios among them, and over all.
 
-    The flights that the truth crashes on count for nobody: no estimator could have flown them. Estimators
-    that flew exactly as another have no rows.
+    Flights that crash with the true attitude are excluded for every estimator. Estimators that flew exactly
+    as another have no rows.
 
     Args:
         combinations: The design.
@@ -204,16 +208,18 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
         seed: Of the bootstrap.
     """
     flown: dict[tuple[str, str], list[FlightRow]] = {}
-    for flight in counted(results.flights):
+    for flight in counted(results):
         flown.setdefault((flight.scenario, flight.estimator), []).append(flight)
     failed = {(cell.scenario, cell.estimator) for cell in results.cells if cell.reason}
-    same = identical(results)
+    same, unranked = identical(results), results.unranked
     estimators = [name for name in results.estimators if name not in same]
+    survivable = truth_survives(results)
     by_axis = {axis: list(levels) for axis, levels in AXES.items()}
     by_axis["scenario"] = list(dict.fromkeys(each.scenario for each in combinations))
     rows = []
     for axis, level in [(ALL, ALL), *((axis, level) for axis, levels in by_axis.items() for level in levels)]:
         names = [each.name for each in combinations if axis == ALL or _level(each, axis) == level]
+        planned = sum(scenario in names for scenario, _ in survivable)
         for estimator in estimators:
             cells = [flown.get((name, estimator), []) for name in names]
             flights = [flight for cell in cells for flight in cell]
@@ -228,21 +234,28 @@ def effects(combinations: Sequence[Combination], results: Results, seed: int = 0
                 Effect(
                     axis, level, estimator, len(flights), crashes, *wilson(crashes, len(flights)),
                     middle, low, high, sum((name, estimator) in failed for name in names),
+                    1.0 - (len(flights) - crashes) / planned if planned else 0.0, unranked.get(estimator, ""),
                 )
             )  # fmt: skip
     return rows
 
 
-def counted(flights: Sequence[FlightRow]) -> list[FlightRow]:
-    """The flights that the truth did not crash on."""
-    lost = {(f.scenario, f.seed) for f in flights if on_truth(f.estimator) and f.cause}
-    return [flight for flight in flights if (flight.scenario, flight.seed) not in lost]
+def truth_survives(results: Results) -> list[Flight]:
+    """The planned flights that do not crash with the true attitude."""
+    lost = {(f.scenario, f.seed) for f in results.flights if on_truth(f.estimator) and f.cause}
+    return [flight for flight in results.planned if flight not in lost]
+
+
+def counted(results: Results) -> list[FlightRow]:
+    """The flights that do not crash with the true attitude."""
+    kept = {*truth_survives(results)}
+    return [flight for flight in results.flights if (flight.scenario, flight.seed) in kept]
 
 
 def ranking(effects: Sequence[Effect]) -> list[str]:
-    """Estimators over all flights: fewest crashes first, then the smallest error; the truth last."""
+    """Estimators from best to worst: by the share of flights survived, then the error; unranked ones last."""
     whole = [each for each in effects if each.axis == ALL]
-    return [each.estimator for each in sorted(whole, key=lambda e: (on_truth(e.estimator), *_cost(e)))]
+    return [each.estimator for each in sorted(whole, key=lambda each: (bool(each.unranked), *_cost(each)))]
 
 
 def profiles(results: Results, thresholds: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -250,7 +263,7 @@ def profiles(results: Results, thresholds: NDArray[np.float64]) -> dict[str, NDA
 
     Flights that crashed, and those that the estimator cannot fly, are of the flights but below no threshold.
     """
-    flights = counted(results.flights)
+    flights = counted(results)
     same, flown = identical(results), len({(flight.scenario, flight.seed) for flight in flights})
     found = {}
     for name in (each for each in results.estimators if each not in same):
@@ -265,7 +278,7 @@ class Choice(NamedTuple):
 
     condition: str
     where: str  #: the condition in the headline
-    estimator: str | None  #: None where none flew
+    best: list[Place]  #: the best and those that are not significantly worse; empty where none flew
     text: str
 
 
@@ -280,11 +293,11 @@ CONDITIONS = {
 
 
 def choices(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[Choice]:
-    """What to fly on each condition: the airframe known, and not.
+    """What to fly on each condition: the airframe's drag known, wrong, and not known.
 
-    An estimator is better with fewer crashes, then with the smaller interquartile mean of its errors. Those
-    that neither the crashes (McNemar's test) nor the errors (probability of improvement) tell from the best
-    are named beside it.
+    Ranked by the flights survived, then by the interquartile mean of the errors. Named beside the best are
+    those that survived as many flights and of which the chance that a flight with the best has the smaller
+    error (probability of improvement) does not exceed one half significantly.
     """
     parts = {
         condition: [each for each in combinations if each.levels["drag"] in levels]
@@ -298,21 +311,28 @@ def choices(combinations: Sequence[Combination], results: Results, seed: int = 0
 
 def headline(found: Sequence[Choice]) -> str:
     """The choices in one sentence."""
-    chosen = [each for each in found if each.estimator]
-    names = list(dict.fromkeys(each.estimator for each in chosen))
+    chosen = [each for each in found if each.best]
+    names = list(dict.fromkeys(_named(each) for each in chosen))
     if not names:
         return "No estimator flew."
-    if len(names) == 1:
+    if len(names) == 1 and len(chosen) == len(CONDITIONS):
         return f"Fly {names[0]}, whether the airframe's drag is known or not."
-    return f"Fly {', '.join(f'{each.estimator} {each.where}' for each in chosen)}."
+    return f"Fly {', '.join(f'{_named(each)} {each.where}' for each in chosen)}."
+
+
+def _named(choice: Choice) -> str:
+    """The estimators of a choice, with their crashes."""
+    first, names = choice.best[0], listed([place.name for place in choice.best], "or")
+    crashed = "" if first.whole else f" ({first.flights - first.survived} of {first.flights} crashed)"
+    return names + crashed
 
 
 def advice(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[str]:
     """`choices` as sentences, and the estimator with the smallest loss at its worst level."""
     lines = [f"{each.condition}: {each.text}" for each in choices(combinations, results, seed)]
     found = effects(combinations, results, seed)
-    names = {each.estimator for each in found if not on_truth(each.estimator)}
-    worst = {name: each for name in sorted(names) if (each := worst_level(found, name))}
+    able = {each.estimator for each in found if each.axis == ALL and not each.unranked and not each.failed}
+    worst = {name: each for name in sorted(able) if (each := worst_level(found, name))}
     safest = min(worst, key=lambda name: _cost(worst[name]), default=None)
     if safest is not None:
         lines.append(f"Smallest loss at its worst level: {safest}, {described(worst[safest])}.")
@@ -326,7 +346,7 @@ def worst_level(found: Sequence[Effect], estimator: str) -> Effect | None:
 
 
 def _cost(effect: Effect) -> tuple[float, float]:
-    return effect.crash_rate, effect.error_deg or 0.0
+    return effect.lost, np.inf if effect.error_deg is None else effect.error_deg
 
 
 def described(effect: Effect | None) -> str:
@@ -337,36 +357,32 @@ def described(effect: Effect | None) -> str:
     return f"{effect.axis} = {effect.level}, {effect.crashes} of {effect.flights} crashed{error}"
 
 
-def _best(combinations: Sequence[Combination], results: Results, seed: int) -> tuple[str | None, str]:
-    names = {each.name for each in combinations}
-    of: dict[str, list[FlightRow]] = {}
-    for flight in counted([flight for flight in results.flights if flight.scenario in names]):
-        of.setdefault(flight.estimator, []).append(flight)
-    most = max(map(len, of.values()), default=0)
-    left_out = {*filter(on_truth, of), *identical(results)}
-    candidates = {name: own for name, own in of.items() if name not in left_out and len(own) == most}
-    if not candidates:
-        return None, "no estimator flew."
+def _best(combinations: Sequence[Combination], results: Results, seed: int) -> tuple[list[Place], str]:
+    names, left_out = {each.name for each in combinations}, {*results.unranked, *identical(results)}
+    planned = [flight for flight in truth_survives(results) if flight[0] in names]
+    flown = {
+        name: rows
+        for name, rows in by_contender(counted(results)).items()
+        if name not in left_out and any(flight in rows for flight in planned)
+    }
+    if not flown:
+        return [], "no estimator flew."
+    places = ranked(flown, planned, average=_middle)
 
-    def rank(name: str) -> tuple[int, float]:
-        own = candidates[name]
-        known = _errors(own)
-        return sum(bool(f.cause) for f in own), float(interquartile_mean(known)) if known.size else np.inf
+    def worse(first: str, other: str) -> bool:
+        own, others = _strata(flown[first], planned), _strata(flown[other], planned)
+        return probability_of_improvement(own, others, seed)[1] > 0.5
 
-    ordered = sorted(candidates, key=rank)
-    best = ordered[0]
-    crashes, error = rank(best)
-    strata = {name: _strata(candidates[name]) for name in ordered}
-    tied = []
-    for other in ordered[1:]:
-        low, high = probability_of_improvement(strata[best], strata[other], seed)[1:]
-        crashed = [np.array([bool(f.cause) for f in candidates[name]]) for name in (best, other)]
-        if low <= 0.5 <= high and crash_test(crashed[0], crashed[1]) > 0.05:
-            tied.append(other)
-    found = effects(combinations, results, seed)
-    text = f"fly {best}, {crashes} of {most} flights crashed, error {error:.2f}°; worst at "
-    text += described(worst_level(found, best))
-    return best, text + (f". These flights cannot tell it from {', '.join(tied)}." if tied else ".")
+    best = winners(places, worse)
+    text = recommended(best, places)
+    if not best[0].fit:
+        return [], text
+    worst = worst_level(effects(combinations, results, seed), best[0].name)
+    return best, f"{text} The worst level of {best[0].name} is {described(worst)}."
+
+
+def _middle(errors: Mapping[Flight, float]) -> float:
+    return float(interquartile_mean(np.array(list(errors.values()))))
 
 
 def _errors(flights: Sequence[FlightRow]) -> NDArray[np.float64]:
@@ -374,12 +390,13 @@ def _errors(flights: Sequence[FlightRow]) -> NDArray[np.float64]:
     return np.array([f.error_deg for f in flights if not f.cause and f.error_deg is not None], float)
 
 
-def _strata(flights: Sequence[FlightRow]) -> list[NDArray[np.float64]]:
-    """Errors by scenario, infinite of crashed flights."""
+def _strata(flown: Flown, planned: Sequence[Flight]) -> list[NDArray[np.float64]]:
+    """Errors by scenario, infinite where a flight crashed or did not run."""
     found: dict[str, list[float]] = {}
-    for flight in flights:
-        error = np.inf if flight.cause or flight.error_deg is None else flight.error_deg
-        found.setdefault(flight.scenario, []).append(error)
+    for flight in planned:
+        row = flown.get(flight)
+        error = None if row is None or row.cause else row.error_deg
+        found.setdefault(flight[0], []).append(np.inf if error is None else error)
     return [np.array(each) for each in found.values()]
 
 

@@ -12,8 +12,10 @@ from pydantic import TypeAdapter
 
 import estimators
 from estimators.custom import own_source
+from estimators.metrics import RANGE, flaw_of
 from estimators.registry import is_weights
 from estimators.tuned import load_tuning
+from quadsim.estimator import receives_truth
 from quadsim.flight.mission import CAUSES, Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.runs.files import read_json
@@ -36,7 +38,7 @@ from .settings import FlightSettings
 from .signals import SignalLog
 
 BOUNDLESS = 1e100
-"""What no number of a flight reaches that means something, in any unit."""
+"""Upper bound for plausible values, in any unit; anything larger is treated as divergence."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,10 @@ class Cell:
     """Counts of the errors, as in `flight_metrics.error_histogram`."""
     series: FlightSeries | None
     """The first seed in time."""
+    receives_truth: bool = False
+    """Whether the estimator was fed the true attitude: a reference, which is not ranked."""
+    flaw: str = ""
+    """Why its estimates must not be ranked, as `estimators.metrics.flaw_of` says; empty if they may."""
     cpu_s: float = field(default=0.0, compare=False)
     """Processor time that it took [s]."""
 
@@ -144,13 +150,15 @@ def make_cell(
     """The cell of a simulated mission, with the signals of its first flight if they were logged.
 
     Raises:
-        ValueError: If numbers of the flight grew beyond all bounds.
+        ValueError: If an estimate is no angle, or numbers of the flight diverged.
     """
-    valid = log[np.arange(mission.steps) < end[:, None]]
-    if not np.isfinite(valid["estimate"]).all():
-        raise ValueError(f"{estimator} estimated a roll or pitch that is no finite number")
+    before = np.arange(mission.steps) < end[:, None]
+    valid = log[before]
+    flaw = flaw_of(log["estimate"], np.where(before[..., None], log["euler"][..., :2], np.nan))
+    if not (np.abs(valid["estimate"]) <= RANGE).all():
+        raise ValueError(f"{estimator} {flaw}")
     if not (np.abs(valid.view(np.float64)) < BOUNDLESS).all():
-        raise ValueError("numbers of the flight grew beyond all bounds; is one of the scenario too large?")
+        raise ValueError("the flight diverged; is a number of the scenario too large?")
     metrics = vars(flight_metrics(log, end, mission.rate_hz, mission.vehicle))
     flights = [
         FlightRow(
@@ -165,7 +173,9 @@ def make_cell(
     ]
     found = signals and dict(zip(signals.names, signals.rows.T, strict=True))
     series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz, found)
-    return Cell(name, estimator, fingerprint, "", flights, error_histogram(log, end).tolist(), series)
+    histogram = error_histogram(log, end).tolist()
+    reference = receives_truth(mission.loop.estimator)
+    return Cell(name, estimator, fingerprint, "", flights, histogram, series, reference, flaw)
 
 
 def fly(

@@ -15,6 +15,8 @@ CASCADED = "cascaded"
 GROUP = "quadsim.controllers"
 """Group of the entry points by which an installed package offers controllers."""
 MARK = " @ "
+TRUTH = "truth"
+"""The estimator that returns the true attitude."""
 
 
 def contenders(estimators: Sequence[str], controllers: Sequence[str]) -> list[str]:

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 from .runner import Results
-from .verdict import TRUTH
 
 
 class Cost(NamedTuple):
@@ -12,7 +11,7 @@ class Cost(NamedTuple):
     flights: int
     flight_s: float  #: time in the air, over all flights [s]
     cpu_s: float  #: processor time [s]; 0 where it was not measured
-    slowest: str  #: the estimator, of all but the truth, with the largest share of it; empty without any
+    slowest: str  #: the estimator, of all but references, with the largest share of it; empty without any
     share: float  #: that share
 
     def __str__(self) -> str:
@@ -31,7 +30,7 @@ def cost_of(results: Results) -> Cost:
     for cell in results.cells:
         spent[cell.estimator] += cell.cpu_s
     total, flights = sum(spent.values()), results.flights
-    others = [name for name in spent if name != TRUTH]
+    others = [name for name in spent if name not in results.references]
     slowest = max(others, key=lambda name: spent[name], default="") if total else ""
     share = spent[slowest] / total if slowest else 0.0
     return Cost(len(flights), sum(flight.flown_s for flight in flights), total, slowest, share)

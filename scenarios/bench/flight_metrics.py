@@ -52,6 +52,8 @@ def log_dtype(rotors: int) -> np.dtype[np.void]:
 
 
 Value = TypeVar("Value")
+OF_ALL = ("worst_tilt_deg", "converge_s", "recover_s")
+"""Metrics to which a crashed flight counts too."""
 
 
 @dataclass(frozen=True)
@@ -115,14 +117,17 @@ class Metric:
 
 METRICS = tuple(Metric(*row) for row in (
     ("error_deg", "Estimation error", "deg", 2,
-     "Mean absolute error of roll and pitch, pooled, in flight; the mean over flights."),
+     "Mean absolute error of roll and pitch, pooled; the mean over flights without a crash."),
     ("inclination_deg", "Inclination error", "deg", 2,
-     "RMS of the angle between the true and the estimated direction of gravity; the mean over flights."),
+     "RMS of the angle between the true and the estimated direction of gravity; the mean over flights "
+     "without a crash."),
     ("crash_rate", "Crash rate", "", 2,
      "Share of flights that tilted over, hit the ground or went out of bounds; 95 % Wilson interval."),
     ("attitude_deg", "Attitude tracking", "deg", 2,
-     "RMS of the angle between the true thrust axis and the wanted one; the mean over flights."),
-    ("position_m", "Position tracking", "m", 3, "RMS distance from the set-point; the mean over flights."),
+     "RMS of the angle between the true thrust axis and the commanded one; the mean over flights without "
+     "a crash."),
+    ("position_m", "Position tracking", "m", 3,
+     "RMS distance from the set-point; the mean over flights without a crash."),
     ("worst_tilt_deg", "Largest tilt", "deg", 1, "Largest tilt of any flight."),
     ("converge_s", "Time to converge", "s", 2,
      f"When the inclination error first is below {CONVERGED_DEG:g}° and stays so for {CONVERGED_S:g} s; "
@@ -131,9 +136,9 @@ METRICS = tuple(Metric(*row) for row in (
      f"The longest time it took to come back, once more than {OUT_OF_BOUNDS_M:g} m from the set-point, "
      "0 if never there; the median over flights, empty if most crash or stay away."),
     ("power_w", "Rotor power", "W", 1,
-     "Mean mechanical power of the rotors, Σ k_m k_f ω³; the mean over flights."),
+     "Mean mechanical power of the rotors, Σ k_m k_f ω³; the mean over flights without a crash."),
     ("jitter", "Command jitter", "rad/s", 2,
-     "RMS change of the rotor commands from one sample to the next; the mean over flights."),
+     "RMS change of the rotor commands from one sample to the next; the mean over flights without a crash."),
 ))  # fmt: skip
 
 
@@ -237,9 +242,12 @@ def wilson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
 
 
 def summarise(scenario: str, estimator: str, reason: str, flights: Sequence[FlightRow]) -> CellRow:
-    """One row for the flights of a scenario with an estimator."""
+    """One row for the flights of a scenario with an estimator; means are over flights that did not crash."""
+    complete = [flight for flight in flights if not flight.cause]
     figures = {
-        each.name: _one_figure(each.name, [getattr(flight, each.name) for flight in flights])
+        each.name: _one_figure(
+            each.name, [getattr(f, each.name) for f in (flights if each.name in OF_ALL else complete)]
+        )
         for each in fields(FlightMetrics)
     }
     if not flights:

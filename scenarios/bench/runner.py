@@ -11,7 +11,7 @@ from pathlib import Path
 
 import estimators
 from estimators.control.controller import create_controller, is_controller
-from estimators.registry import tuning_misfit
+from estimators.registry import training_misfit, tuning_misfit
 from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, load_scenario
@@ -33,10 +33,9 @@ from .cell import (
     tuning_of,
     weights_digest,
 )
-from .controllers import controller_of, estimator_of, make_controller
+from .controllers import CASCADED, controller_of, estimator_of, make_controller
 from .flight_metrics import CellRow, FlightRow
 from .settings import FlightSettings, ScenarioChanges
-from .verdict import TRUTH
 
 log = logging.getLogger(__name__)
 
@@ -59,8 +58,44 @@ class Results:
         return [cell.row for cell in self.cells]
 
     @property
+    def references(self) -> set[str]:
+        """Contenders that were fed the true attitude, which no vehicle has.
+
+        Where only such ones flew, with other controllers than the cascade, there are none: controllers are
+        compared.
+        """
+        found = {cell.estimator for cell in self.cells if cell.receives_truth}
+        compared = found == set(self.estimators) and {*map(controller_of, found)} != {CASCADED}
+        return set() if compared else found
+
+    @property
+    def unranked(self) -> dict[str, str]:
+        """Contenders that are not ranked, and why, to follow their name in a sentence."""
+        flaws = {cell.estimator: cell.flaw for cell in self.cells if cell.flaw}
+        return {name: "received the true attitude" for name in sorted(self.references)} | flaws
+
+    @property
+    def planned(self) -> list[tuple[str, int]]:
+        """Scenario and seed of every flight that each contender was to fly."""
+        return [(name, seed) for name in self.scenarios for seed in range(self.settings.seeds)]
+
+    @property
     def warnings(self) -> list[str]:
-        """Parameters that were tuned for another vehicle or IMU than those simulated."""
+        """Estimators and controllers that were tuned or trained for others than the vehicles and IMUs flown."""
+        return [*self._tuned_elsewhere, *self._trained_elsewhere]
+
+    @property
+    def _trained_elsewhere(self) -> list[str]:
+        parts = [each for name in self.estimators for each in (estimator_of(name), controller_of(name))]
+        found: dict[str, dict[str, None]] = {}
+        for vehicle, part in product(dict.fromkeys(s.vehicle for s in self.scenarios.values()), parts):
+            if trained := training_misfit(part, vehicle):
+                text = f"on {trained}, not on the {Path(vehicle).stem}, which was simulated"
+                found.setdefault(text, {})[part] = None
+        return [f"Trained {text}: {', '.join(who)}." for text, who in found.items()]
+
+    @property
+    def _tuned_elsewhere(self) -> list[str]:
         tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
         simulated_with = dict.fromkeys((s.vehicle, s.imu) for s in self.scenarios.values())
         for (vehicle, imu), name in product(simulated_with, self.estimators):
@@ -146,11 +181,12 @@ def bench(
 def identical(results: Results) -> dict[str, str]:
     """Estimators whose flights equal those of one before them to the last digit, and which one.
 
-    The truth stands for no estimator.
+    A reference stands for no estimator.
     """
-    flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators if name != TRUTH}
+    references = results.references
+    flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators if name not in references}
     for flight in results.flights:
-        if flight.estimator != TRUTH:
+        if flight.estimator not in references:
             flown[flight.estimator].append(replace(flight, estimator=""))
     first: dict[tuple[FlightRow, ...], str] = {}
     found = {}

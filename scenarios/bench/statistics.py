@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, trim_mean
+from scipy.stats import trim_mean
 
 Array = NDArray[np.float64]
 RESAMPLES = 1000
@@ -73,14 +73,3 @@ def probability_of_improvement(
         draws.append(better[rows[:, :, None], columns[:, None, :]].mean(axis=(1, 2)))
     low, high = np.quantile(np.mean(draws, axis=0), [0.025, 0.975])
     return float(np.mean(whole)), float(low), float(high)
-
-
-def crash_test(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Chance that crashes of two estimators on the same flights differ as much by luck: McNemar's exact test.
-
-    Args:
-        first: Which flights crashed with the first, (n,).
-        second: The same with the second.
-    """
-    alone, other = int(np.sum(first & ~second)), int(np.sum(second & ~first))
-    return float(binomtest(alone, alone + other).pvalue) if alone + other else 1.0

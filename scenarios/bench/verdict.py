@@ -1,4 +1,4 @@
-"""The verdict of a benchmark in words: the best estimator, or controller, and how the others compare."""
+"""The verdict of a benchmark in words: which estimator or controller to fly there, and how others compare."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -9,14 +9,12 @@ import numpy as np
 
 from quadsim.flight.scenario import Scenario
 
-from .controllers import CASCADED, controller_of, estimator_of
+from .controllers import CASCADED, TRUTH, controller_of, estimator_of
 from .flight_metrics import CellRow
 from .pairs import ALL, PairRow
-
-TRUTH = "truth"
-"""The estimator that returns the true attitude: the reference, not a candidate."""
-MOST_LINES = 4
-"""Lines below the headline."""
+from .ranking import Place, by_contender, listed, ranked, winners
+from .recommendation import recommendation
+from .runner import Results
 
 
 class Measure(NamedTuple):
@@ -33,7 +31,7 @@ TRACKING = Measure("attitude_deg", "tracking error")
 
 
 class Standing(NamedTuple):
-    """One estimator of the ranking."""
+    """One contender of the ranking."""
 
     estimator: str
     grade: str  #: "flies" or "crashes"
@@ -45,104 +43,91 @@ class Verdict(NamedTuple):
 
     headline: str
     lines: list[str]
-    standings: list[Standing]  #: from best to worst
-    doubt: str = ""  #: estimators that do not differ significantly from the best; empty: none
+    standings: list[Standing]  #: from best to worst, then those that are not ranked
 
 
 class Total(NamedTuple):
-    """An estimator over all its scenarios."""
+    """A contender over all its scenarios."""
 
     flights: int
     crashes: int
-    error: float  #: mean over scenarios of what ranks [deg]; infinite where none was measured
-    attitude: float  #: mean over scenarios of the attitude tracking [deg]
+    estimate: float  #: mean over scenarios of the estimate's error [deg]; infinite where none was measured
+    attitude: float  #: the same of the attitude tracking
+    error: float  #: that of both which ranks
     failed: int  #: cells that did not run
 
-    @property
-    def rank(self) -> tuple[int, float, float]:
-        """What to sort by: scenarios not run, share of crashes, error in thousandths of a degree."""
-        return (self.failed, self.crashes / max(self.flights, 1), round(self.error, 3))
 
-
-def verdict(
-    rows: Sequence[CellRow],
-    focus: str = "",
-    pairs: Sequence[PairRow] = (),
-    scenarios: Mapping[str, Scenario] | None = None,
-) -> Verdict:
-    """Rank the estimators, or controllers, of a benchmark; describe the best, then `focus` if it ran.
+def verdict(results: Results, focus: str = "", pairs: Sequence[PairRow] = ()) -> Verdict:
+    """Rank the contenders of a benchmark; say which to fly in its scenarios, then describe `focus` if it ran.
 
     Args:
-        rows: A row of each cell.
-        focus: An estimator that is described besides the best.
-        pairs: Paired differences, which decide what does not differ significantly from the best.
-        scenarios: What was flown, by name; a line says on what condition the verdict holds.
+        results: Of `bench`.
+        focus: A contender that is described besides the best.
+        pairs: Paired differences, which decide what is not significantly worse than the best.
     """
-    totals, measure = totals_of(rows), measure_of(rows)
-    by_rank = sorted(totals, key=lambda name: totals[name].rank)
-    references = references_of(totals)
-    ranked = [name for name in by_rank if name not in references]
-    last = [name for name in by_rank if name in references]
-    standings = [_standing(name, totals[name], rows, measure) for name in ranked]
-    standings += [_standing(name, totals[name], rows, measure, reference=True) for name in last]
-    simulated = [name for name in ranked if totals[name].flights]
-    if not simulated:
-        ran = any(totals[name].flights for name in references)
-        return Verdict("Only the truth ran." if ran else "No estimator ran.", [], standings)
-    first, best, truth = said(simulated[0], measure), totals[simulated[0]], totals.get(TRUTH)
-    whole = [name for name in simulated if totals[name].failed == best.failed]
-    tied = [
-        name
-        for name in whole[1:]
-        if totals[name].crashes == best.crashes and _is_tied(simulated[0], name, pairs, measure)
+    rows, measure = results.rows, measure_of(results.estimators)
+    totals, unranked = totals_of(rows), results.unranked
+    lost = lost_scenarios(results)
+    places = places_of(results, lost)
+    order = [place.name for place in places]
+    others = [name for name in results.estimators if name not in order and name not in unranked]
+    standings = [
+        _standing(name, totals[name], rows, measure, unranked.get(name, ""))
+        for name in [*order, *others, *unranked]
     ]
-    doubt = ""
-    if tied:
-        doubt = (
-            f"The {measure.name} of {first} is not significantly different from that of "
-            f"{_listed([said(name, measure) for name in tied])} (paired 95 % CI includes 0)."
+    if not places:
+        return Verdict(_nobody(totals, results.references), [], standings)
+    best, compared = places[0], [*order, *others]
+    headline = (
+        _alone(best.name, totals[best.name], measure)
+        if len(compared) == 1
+        else _headline(places, results, lost, pairs, measure)
+    )
+    kept = [row for row in rows if row.scenario not in lost]
+    whole = [place.name for place in places if not totals[place.name].failed]
+    truth = totals.get(TRUTH)
+    lines = [_elsewhere(results.scenarios), _by_worst(whole, kept, measure)]
+    if truth and best.whole and 0 < truth.attitude < np.inf:
+        ratio = totals[best.name].attitude / truth.attitude
+        lines.append(
+            f"The attitude tracking error of {said(best.name, measure)} is {ratio:.2f} × that "
+            f"{_reference(measure)}."
         )
-    if tied:
-        headline = _tie([simulated[0], *tied], totals, measure)
-    elif len(ranked) == 1:
-        headline = _alone(ranked[0], best, measure)
-    else:
-        least = min(round(totals[name].error, 3) for name in whole)
-        headline = _headline(simulated[0], best, least, measure)
-    lines = [conditions(scenarios or {}), _by_worst(whole, rows, measure), doubt]
-    if focus in simulated[1:]:
+    if focus in order[1:]:
         lines.append(_sentence(focus, totals[focus], truth, measure))
-    if truth and simulated[0] != TRUTH and truth.attitude > 0 and len(list(filter(None, lines))) < MOST_LINES:
-        ratio = best.attitude / truth.attitude
-        whose = f"The attitude tracking error of {first}" if tied else "Its attitude tracking error"
-        lines.insert(3, f"{whose} is {ratio:.2f} × that {_reference(measure)}.")
-    return Verdict(headline, list(filter(None, lines)), standings, doubt)
+    return Verdict(headline, list(filter(None, lines)), standings)
+
+
+def places_of(results: Results, lost: Iterable[str] = ()) -> list[Place]:
+    """The contenders that are ranked and flew, from best to worst, without the scenarios that all lost."""
+    unranked = results.unranked
+    flown = {name: rows for name, rows in by_contender(results.flights).items() if name not in unranked}
+    planned = [(scenario, seed) for scenario, seed in results.planned if scenario not in lost]
+    return ranked(flown, planned or results.planned, measure_of(results.estimators).key)
+
+
+def lost_scenarios(results: Results) -> list[str]:
+    """Scenarios in which no flight of a ranked contender survived."""
+    unranked = results.unranked
+    safe = {f.scenario for f in results.flights if not f.cause and f.estimator not in unranked}
+    return [name for name in results.scenarios if name not in safe]
 
 
 def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
-    """Every estimator over all its scenarios, in the order of the rows."""
-    names, measure = dict.fromkeys(row.estimator for row in rows), measure_of(rows)
+    """Every contender over all its scenarios, in the order of the rows."""
+    names = dict.fromkeys(row.estimator for row in rows)
+    measure = measure_of(names)
     return {name: total([row for row in rows if row.estimator == name], measure) for name in names}
 
 
-def references_of(names: Iterable[str]) -> set[str]:
-    """Contenders that are no candidates: those on the true attitude, which no vehicle has.
-
-    Where several controllers are and nothing else, these are what is compared.
-    """
-    names = set(names)
-    those = set(filter(on_truth, names))
-    return set() if those == names and those != {TRUTH} else those
-
-
 def on_truth(name: str) -> bool:
-    """Whether a contender flies on the true attitude."""
+    """Whether a contender flies on the attitude of the shipped estimator that returns the truth."""
     return estimator_of(name) == TRUTH
 
 
-def measure_of(rows: Sequence[CellRow]) -> Measure:
+def measure_of(names: Iterable[str]) -> Measure:
     """What ranks: between controllers, and of one alone, the tracking error, else that of the estimate."""
-    names = {row.estimator for row in rows}
+    names = list(names)
     controllers = {controller_of(name) for name in names}
     alone = len({estimator_of(name) for name in names}) == 1 and controllers != {CASCADED}
     return TRACKING if len(controllers) > 1 or alone else ERROR
@@ -176,10 +161,7 @@ def conditions(scenarios: Mapping[str, Scenario]) -> str:
         aspect: Counter(of(scenario) for scenario in scenarios.values()).most_common()
         for aspect, of in aspects.items()
     }
-    said = [f"{aspect} {_levels(levels)}" for aspect, levels in found.items()]
-    varied = all(len(levels) > 1 for levels in found.values())
-    hint = "" if varied else " quadsim bench --axes varies these."
-    return f"Conditions: {'; '.join(said)}.{hint}"
+    return f"Conditions: {'; '.join(f'{aspect} {_levels(levels)}' for aspect, levels in found.items())}."
 
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
@@ -199,17 +181,28 @@ def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
 def total(rows: Sequence[CellRow], measure: Measure = ERROR) -> Total:
     """Add up an estimator's rows."""
     simulated = [row for row in rows if not row.reason]
-    error, attitude = (
-        float(np.mean([v for row in simulated if (v := getattr(row, key)) is not None] or [without]))
-        for key, without in ((measure.key, np.inf), ("attitude_deg", 0.0))
-    )
+    known = {
+        each.key: [v for row in simulated if (v := getattr(row, each.key)) is not None]
+        for each in (ERROR, TRACKING)
+    }
+    means = {key: float(np.mean(values or [np.inf])) for key, values in known.items()}
     flights, crashes = (sum(getattr(row, key) or 0 for row in simulated) for key in ("flights", "crashes"))
-    return Total(flights, crashes, error, attitude, len(rows) - len(simulated))
+    estimate, attitude = means[ERROR.key], means[TRACKING.key]
+    return Total(flights, crashes, estimate, attitude, means[measure.key], len(rows) - len(simulated))
 
 
 def shown(error_deg: float) -> str:
     """An error in words; an infinite one is none at all."""
     return f"{error_deg:.2f}°" if np.isfinite(error_deg) else "not measured"
+
+
+def _nobody(totals: Mapping[str, Total], references: Iterable[str]) -> str:
+    """The headline where nothing that is ranked flew."""
+    if any(totals[name].flights for name in references):
+        return "Nothing is compared: only estimators that receive the true attitude ran."
+    return (
+        "No estimator ran." if not any(each.flights for each in totals.values()) else "No estimator is fit."
+    )
 
 
 def _reference(measure: Measure) -> str:
@@ -220,38 +213,78 @@ def _alone(name: str, own: Total, measure: Measure) -> str:
     """What happened, where there is nothing to compare with."""
     name = said(name, measure)
     if own.flights == 1:
-        return f"{name} {'crashed' if own.crashes else 'did not crash'}: {measure.name} {shown(own.error)}."
+        if own.crashes:
+            return f"{name} crashed."
+        return f"{name} did not crash: {measure.name} {shown(own.error)}."
     crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
-    return f"{name}: {crashes} {own.flights} flights, {measure.name} {shown(own.error)}."
+    of_those = " in the others" if own.crashes else ""
+    error = "" if own.crashes == own.flights else f", {measure.name} {shown(own.error)}{of_those}"
+    return f"{name}: {crashes} {own.flights} flights{error}."
 
 
-def _headline(name: str, best: Total, least: float, measure: Measure) -> str:
-    """The best estimator; `least` is the smallest error of any, which may be of one that crashed."""
-    name = said(name, measure)
-    if best.crashes:
-        crashes = f"in {best.crashes} of {best.flights} flights"
-        return f"Fly {name}: it crashed least, {crashes}, with {_an(measure.name)} of {shown(best.error)}."
-    flights = f"{best.flights} flight{'s' if best.flights > 1 else ''}"
-    of_those = "" if round(best.error, 3) <= least else " of those without one"
-    return (
-        f"Fly {name}: no crash in {flights}, and the smallest {measure.name}{of_those}, {shown(best.error)}."
-    )
+def _headline(
+    places: Sequence[Place],
+    results: Results,
+    lost: Sequence[str],
+    pairs: Sequence[PairRow],
+    measure: Measure,
+) -> str:
+    """What to fly in these scenarios, and why."""
+    left = [name for name in results.scenarios if name not in lost]
+    if not left:
+        return f"No estimator survives {_where(lost, 'any of these')}."
+    best = winners(places, lambda first, other: _worse(first, other, pairs, measure))
+    text = recommended(best, places, measure)
+    where = _where(left, "these")
+    if lost:
+        return f"No estimator survives {_where(lost, 'any of')}; in {where} {text}"
+    return f"In {where} {text}"
 
 
-def _tie(names: Sequence[str], totals: Mapping[str, Total], measure: Measure) -> str:
-    """The headline where errors do not tell the best, the first of `names`, from the others."""
-    best, errors = totals[names[0]], [totals[name].error for name in names]
-    names = [said(name, measure) for name in names]
-    others = names[1] if len(names) == 2 else f"one of {len(names) - 1} others"
-    crashes = f"{best.crashes} of {best.flights} flights crashed" if best.crashes else "no crash"
-    return (
-        f"Fly {names[0]} or {others}: {crashes} with each, and {measure.name}s of {shown(min(errors))} to "
-        f"{shown(max(errors))} that do not differ significantly."
-    )
+def _where(names: Sequence[str], which: str) -> str:
+    return listed(names) if len(names) < 4 else f"{which} {len(names)} scenarios"
 
 
-def _an(noun: str) -> str:
-    return f"an {noun}" if noun[0] in "aeiou" else f"a {noun}"
+def recommended(best: Sequence[Place], places: Sequence[Place], measure: Measure = ERROR) -> str:
+    """What to fly and why, as the end of a sentence.
+
+    Args:
+        best: The best, and those that are not significantly worse, as `ranking.winners` gives them.
+        places: All that were compared, from best to worst.
+        measure: What ranked.
+    """
+    first, names = best[0], listed([said(place.name, measure) for place in best], "or")
+    flights, error = f"{first.flights} flight{'s' if first.flights > 1 else ''}", shown(first.error)
+    if not first.fit:
+        return f"no estimator is fit to fly: {names} {first.lost}, the others in more."
+    if len(best) > 1:
+        errors = [place.error for place in best]
+        crashes = f"none of them crashed in {flights}" if first.whole else f"each {first.lost}"
+        span = f"{shown(min(errors))} to {shown(max(errors))}"
+        return f"fly {names}; {crashes}, and the differences in {measure.name} ({span}) are not significant."
+    if not first.whole:
+        own = f"its {measure.name} is {error} in the others"
+        return f"fly {names}, though it {first.lost}; no other survived more, and {own}."
+    alike = sum(place.whole for place in places)
+    if alike == 1 and len(places) > 1:
+        return f"fly {names}, the only one without a crash in {flights}; its {measure.name} is {error}."
+    of_those = "" if alike == len(places) else f" of the {alike} without one"
+    return f"fly {names}, with no crash in {flights} and the smallest {measure.name}{of_those}, {error}."
+
+
+def _worse(first: str, other: str, pairs: Sequence[PairRow], measure: Measure) -> bool:
+    """Whether the error of `other` over all scenarios is significantly larger, or there is no test of it."""
+    for row in pairs:
+        if (row.scenario, row.metric) == (ALL, measure.key) and {row.estimator, row.versus} == {first, other}:
+            if row.low is None or row.high is None:
+                return True
+            return row.high < 0.0 if row.estimator == first else row.low > 0.0
+    return True
+
+
+def _elsewhere(scenarios: Mapping[str, Scenario]) -> str:
+    """On what conditions the verdict holds, and what to fly on others."""
+    return f"{conditions(scenarios)} {recommendation().elsewhere}" if scenarios else ""
 
 
 def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow], measure: Measure) -> str:
@@ -306,23 +339,10 @@ def _levels(levels: Sequence[tuple[str, int]]) -> str:
     return ", ".join(f"{level} in {times} scenario{'s' if times > 1 else ''}" for level, times in levels)
 
 
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
-def _is_tied(best: str, other: str, pairs: Sequence[PairRow], measure: Measure) -> bool:
-    """Whether two estimators' errors over all scenarios are not significantly different."""
-    return any(
-        row.is_tied
-        for row in pairs
-        if (row.scenario, row.metric) == (ALL, measure.key) and {row.estimator, row.versus} == {best, other}
-    )
-
-
 def _sentence(name: str, each: Total, truth: Total | None, measure: Measure) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
     text = f"{said(name, measure)}: {crashes} in {each.flights} flights, {measure.name} {shown(each.error)}"
-    if truth and truth.attitude > 0:
+    if truth and 0 < truth.attitude < np.inf and each.attitude < np.inf:
         ratio = each.attitude / truth.attitude
         what = "" if measure == TRACKING else "attitude tracking error "
         text += f", {what}{ratio:.2f} × that {_reference(measure)}"
@@ -330,24 +350,23 @@ def _sentence(name: str, each: Total, truth: Total | None, measure: Measure) -> 
 
 
 def _standing(
-    name: str, each: Total, rows: Sequence[CellRow], measure: Measure, reference: bool = False
+    name: str, each: Total, rows: Sequence[CellRow], measure: Measure, why_unranked: str
 ) -> Standing:
     own = [row for row in rows if row.estimator == name and row.crashes]
     crashed = [f"{row.scenario} ({row.crashes} of {row.flights})" for row in own]
     if not each.flights:
         return Standing(name, "crashes", "did not run")
     text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
-    if reference and name == TRUTH:
-        text += " · the reference"
-    else:
-        text += f" · {measure.name} {shown(each.error)}" + (", on the truth" if reference else "")
+    text += f" · {measure.name} {shown(each.error)}"
     worst = worst_row(rows, name, measure)
     several = len({row.scenario for row in rows}) > 1
-    if several and worst and getattr(worst, measure.key) is not None and not crashed and not reference:
+    if several and worst and getattr(worst, measure.key) is not None and not crashed and not why_unranked:
         text += f" · at worst {shown(_value(worst, measure))} in {worst.scenario}"
     changes = [row.jitter for row in rows if row.estimator == name and row.jitter]
     if measure == TRACKING and changes:
         text += f" · command jitter {np.mean(changes):.1f} rad/s"
     if each.failed:
         text += f" · {each.failed} scenario{'s' if each.failed > 1 else ''} did not run"
-    return Standing(name, "crashes" if crashed or each.failed else "flies", text)
+    if why_unranked:
+        text += f" · not ranked: it {why_unranked}"
+    return Standing(name, "crashes" if crashed or each.failed or why_unranked else "flies", text)

@@ -9,14 +9,13 @@ from matplotlib.figure import Figure
 from estimators.appearance import looks
 
 from ..bench.axes import ALL, Effect
-from ..bench.verdict import on_truth
 
 COLUMNS = 2
 
 
 def axes_figure(effects: Sequence[Effect]) -> Figure:
     """Interquartile mean errors with 95 % intervals at each level; open markers: some flights crashed."""
-    shown = [each for each in effects if not on_truth(each.estimator) and each.axis != ALL]
+    shown = [each for each in effects if not each.unranked and each.axis != ALL]
     axes = list(dict.fromkeys(each.axis for each in shown))
     appearance = looks(each.estimator for each in shown)
     rows = -(-len(axes) // COLUMNS)

@@ -25,7 +25,6 @@ from ..bench.axes import (
     worst_level,
 )
 from ..bench.runner import Results, shown_once
-from ..bench.verdict import on_truth
 from .page import script
 from .provenance import provenance
 from .template import render
@@ -71,7 +70,7 @@ def write_axes_report(
             advice=[line.split(": ", 1) for line in advice(combinations, results)],
             same=shown_once(results)[1],
             standings=[_standing(effects, name) for name in ranked],
-            axes=_axes(effects, [name for name in ranked if not on_truth(name)]),
+            axes=_axes(effects, [name for name in ranked if name not in results.unranked]),
             combinations=table(combinations),
             count=len(combinations),
             csv=list(csv),
@@ -87,8 +86,8 @@ def write_axes_report(
 def _standing(effects: Sequence[Effect], name: str) -> dict[str, object]:
     """A row of the standings: an estimator over all flights, and its worst level."""
     whole = next(each for each in effects if each.axis == ALL and each.estimator == name)
-    worst = None if on_truth(name) else worst_level(effects, name)
-    return {"all": whole, "worst": "the reference" if on_truth(name) else described(worst)}
+    worst = described(worst_level(effects, name))
+    return {"all": whole, "worst": f"not ranked: it {whole.unranked}" if whole.unranked else worst}
 
 
 def _axes(effects: Sequence[Effect], names: Sequence[str]) -> list[dict[str, object]]:
@@ -113,15 +112,15 @@ def _axes(effects: Sequence[Effect], names: Sequence[str]) -> list[dict[str, obj
 
 
 def _payload(results: Results, effects: Sequence[Effect], ranked: Sequence[str]) -> str:
-    shares = profiles(results, THRESHOLDS)
-    shown = [each for each in effects if each.axis != ALL and not on_truth(each.estimator)]
+    shares, drawn = profiles(results, THRESHOLDS), [name for name in ranked if name not in results.unranked]
+    shown = [each for each in effects if each.axis != ALL and not each.unranked]
     data = {
         "estimators": [name for name in results.estimators if name in ranked],
-        "ranked": [name for name in ranked if not on_truth(name)],
+        "ranked": drawn,
         "looks": {name: look._asdict() for name, look in looks(results.estimators).items()},
         "scenarios": [],
         "thresholds": THRESHOLDS.round(4).tolist(),
-        "profiles": {name: each.round(4).tolist() for name, each in shares.items() if not on_truth(name)},
+        "profiles": {name: each.round(4).tolist() for name, each in shares.items() if name in drawn},
         "effects": [
             [each.axis, each.level, each.estimator, each.error_deg, each.low, each.high, each.crashes]
             for each in shown

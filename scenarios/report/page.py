@@ -21,13 +21,14 @@ from quadsim.vehicle import load_vehicle
 
 from ..bench.breaking import DISTURBANCES, BreakingPoint
 from ..bench.cell import Cell
+from ..bench.controllers import TRUTH
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow, Metric
 from ..bench.pairs import ALL, PAIRED, PairRow
 from ..bench.runner import Results, identical, shown_once
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.settings import FlightSettings
 from ..bench.signals import SHARED
-from ..bench.verdict import ERROR, TRUTH, measure_of, offline_verdict, totals_of, verdict
+from ..bench.verdict import ERROR, measure_of, offline_verdict, totals_of, verdict
 from .flight_picture import Picture
 from .provenance import provenance
 from .template import render
@@ -96,16 +97,15 @@ def write_report(
     closed_loop, focus, same = _once(closed_loop, focus)
     results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
     rows = results.rows
-    judged = (
-        verdict(rows, focus, closed_loop.pairs, results.scenarios) if rows else offline_verdict(offline.rows)
-    )
+    judged = verdict(results, focus, closed_loop.pairs) if rows else offline_verdict(offline.rows)
     ranked = [standing.estimator for standing in judged.standings]
     place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
     recorded = [str(row.get("estimator")) for row in offline.rows]
     names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
     flights = PageFlights.of(results, order)
-    controllers = measure_of(rows) != ERROR
+    measure = measure_of(results.estimators)
+    controllers = measure != ERROR
     question = f"Which {'estimator and controller' if controllers else 'attitude estimator'} to fly"
     context = {
         "title": title or question,
@@ -114,15 +114,15 @@ def write_report(
         "same": same,
         "warnings": results.warnings,
         "rows": sorted(rows, key=lambda row: place[row.scenario, row.estimator]),
-        "metrics": _metrics(rows),
+        "metrics": _metrics(results),
         "contender": "Estimator @ controller" if controllers else "Estimator",
-        "measure": measure_of(rows).name,
+        "measure": measure.name,
         "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
         "ranked": ranked,
         "totals": totals_of(rows),
         "lookup": {(row.scenario, row.estimator): row for row in rows},
         "pairs": bool(closed_loop.pairs),
-        "paired": [metric for metric in _metrics(rows) if metric.key in PAIRED],
+        "paired": [metric for metric in _metrics(results) if metric.key in PAIRED],
         "breaking": _breaking(closed_loop.points),
         "offline": _offline_table(offline.rows),
         "offline_caption": offline.caption,
@@ -243,10 +243,10 @@ def _with_signals(series: FlightSeries, signals: bool) -> FlightSeries:
     return replace(series, channels=series.channels | own, signals={})
 
 
-def _metrics(rows: Sequence[CellRow]) -> list[Metric]:
+def _metrics(results: Results) -> list[Metric]:
     """The columns, that which ranks first; none without flights."""
-    first = measure_of(rows).key
-    return sorted(METRICS, key=lambda metric: metric.key != first) if rows else []
+    first = measure_of(results.estimators).key
+    return sorted(METRICS, key=lambda metric: metric.key != first) if results.cells else []
 
 
 def _payload(
@@ -266,7 +266,7 @@ def _payload(
         "ranked": list(ranked),
         "scenarios": list(results.scenarios),
         "shown": order[:SHOWN],
-        "metrics": [vars(metric) for metric in _metrics(rows)],
+        "metrics": [vars(metric) for metric in _metrics(results)],
         "edges": {"low": low, "high": high, "bins": ERROR_BINS},
     }
     if results.cells:
@@ -280,7 +280,7 @@ def _payload(
             "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
             "pairs": _pairs(closed_loop.pairs),
             "all": ALL,
-            "best": next((name for name in ranked if name != TRUTH), None),
+            "best": next((name for name in ranked if name not in results.unranked), None),
             "series_seed": 0,
             "hubs": vehicle.hubs.tolist(),
             "prop_radius": vehicle.frame.prop_radius,

@@ -17,7 +17,7 @@ from ..bench.controllers import CASCADED, controller_of
 from ..bench.flight_metrics import CellRow
 from ..bench.offline import OfflineRow
 from ..bench.runner import Results, shown_once
-from ..bench.verdict import ERROR, measure_of, references_of, shown, totals_of, verdict, worst_row
+from ..bench.verdict import ERROR, measure_of, totals_of, verdict, worst_row
 
 MOST_COLUMNS = 6
 """Scenarios that have a column of their own."""
@@ -40,32 +40,35 @@ def closed_loop_table(results: Results) -> Table:
     the mean over them and the worst one.
     """
     results = shown_once(results)[0]
-    ranked = [standing.estimator for standing in verdict(results.rows).standings]
+    ranked = [standing.estimator for standing in verdict(results).standings]
     return (_over_scenarios if len(results.scenarios) > MOST_COLUMNS else _by_scenario)(results, ranked)
 
 
 def _by_scenario(results: Results, ranked: Sequence[str]) -> Table:
     found = {(row.scenario, row.estimator): row for row in results.rows}
     rows = ([name, *(_entry(found[scenario, name]) for scenario in results.scenarios)] for name in ranked)
-    title = "In closed loop: error of roll and pitch, °; ✕ crashed flights"
+    title = "In closed loop: error of roll and pitch | of attitude tracking, °; ✕ crashed flights"
     return _table(title, ["estimator"], results.scenarios, rows)
 
 
 def _over_scenarios(results: Results, ranked: Sequence[str]) -> Table:
-    totals, measure = totals_of(results.rows), measure_of(results.rows)
-    references, rows = references_of(totals), []
+    totals, measure = totals_of(results.rows), measure_of(results.estimators)
+    unranked, rows = results.unranked, []
     for rank, name in enumerate(ranked, 1):
         whole, worst = totals[name], worst_row(results.rows, name, measure)
-        place = "–" if name in references else str(rank)
+        place = "–" if name in unranked else str(rank)
         if worst is None:
-            rows.append((name, place, Text("did not run", style="red"), "", "", ""))
+            rows.append((name, place, Text("did not run", style="red"), "", "", "", ""))
             continue
         crashes = Text(f"{whole.crashes}/{whole.flights}", style="red" if whole.crashes else "")
         there = _entry(worst) if measure == ERROR else _tracked(worst)
-        rows.append((name, place, shown(whole.error).removesuffix("°"), crashes, worst.scenario, there))
-    columns = ["rank", "mean", "crashes", "worst scenario", "there"]
-    what = "error of roll and pitch, °" if measure == ERROR else "attitude tracking RMS, °"
-    title = f"In closed loop, {len(results.scenarios)} scenarios: {what}; ✕ crashed flights"
+        means = (_number(value) for value in (whole.estimate, whole.attitude))
+        rows.append((name, place, *means, crashes, worst.scenario, there))
+    columns = ["rank", "error", "tracking", "crashes", "worst scenario", "there"]
+    title = (
+        f"In closed loop, {len(results.scenarios)} scenarios: mean error of roll and pitch, and of attitude "
+        "tracking, °, without crashed flights (✕)"
+    )
     table = _table(title, ["estimator"], columns, rows)
     table.caption = "Every scenario: report.html, results.csv"
     return table
@@ -78,21 +81,27 @@ def controllers_table(results: Results) -> Table | None:
     """
     results = shown_once(results)[0]
     flown = {controller_of(name) for name in results.estimators}
-    again = measure_of(results.rows) != ERROR and len(results.scenarios) > MOST_COLUMNS
+    again = measure_of(results.estimators) != ERROR and len(results.scenarios) > MOST_COLUMNS
     if flown <= {CASCADED} or again:
         return None
     found = {(row.scenario, row.estimator): row for row in results.rows}
-    ranked = [standing.estimator for standing in verdict(results.rows).standings]
+    ranked = [standing.estimator for standing in verdict(results).standings]
     rows = ([name, *(_tracked(found[key, name]) for key in results.scenarios)] for name in ranked)
     title = "Attitude tracking RMS, ° (change of the rotor command, rad/s a sample); ✕ crashed flights"
     return _table(title, ["estimator @ controller"], results.scenarios, rows)
 
 
 def _tracked(row: CellRow) -> Text:
-    if row.attitude_deg is None or row.jitter is None:
+    if row.reason:
         return Text("did not run", style="red")
     crashed = f" ✕{row.crashes}" if row.crashes else ""
-    return Text(f"{row.attitude_deg:.2f} ({row.jitter:.1f}){crashed}", style="red" if row.crashes else "")
+    jitter = "" if row.jitter is None else f" ({row.jitter:.1f})"
+    return Text(f"{_number(row.attitude_deg)}{jitter}{crashed}", style="red" if row.crashes else "")
+
+
+def _number(value: float | None) -> str:
+    """Two decimals; a dash for what was not measured."""
+    return "–" if value is None or math.isinf(value) else f"{value:.2f}"
 
 
 def axes_tables(effects: Sequence[Effect]) -> list[Table]:
@@ -242,7 +251,7 @@ def stages_table(stages: Sequence[Pruned]) -> Table:
 def _entry(row: CellRow) -> Text:
     if row.reason:
         return Text("did not run", style="red")
-    text = Text("–" if row.error_deg is None else f"{row.error_deg:.2f}")
+    text = Text(" | ".join(_number(value) for value in (row.error_deg, row.attitude_deg)))
     if row.crashes:
         text.append(f" ✕ {row.crashes}/{row.flights}", style="red")
     return text

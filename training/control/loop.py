@@ -341,6 +341,7 @@ class ControlTraining:
             "epoch": epoch.epoch + 1,
             "updates": epoch.updates,
             "flights": sum(map(len, self.rounds)),
+            "vehicles": [self.recipe.vehicle.name],
             "estimator_neurons": [e0, e1],
             "tracking_deg": round(epoch.tracking_deg, 4),
             "teacher_deg": round(epoch.teacher_deg, 4),
