@@ -287,7 +287,7 @@ CONDITIONS = {
     "With drag that is half or twice what is known": (
         "where it is half or twice that", ("half of what is known", "twice what is known"),
     ),
-    "On an airframe that nobody has described": ("where nobody has described the airframe", ("not known",)),
+    "On an airframe whose drag is not known": ("where it is not known", ("not known",)),
 }  # fmt: skip
 """For each condition its words in the headline, and its levels of drag."""
 
@@ -314,7 +314,7 @@ def headline(found: Sequence[Choice]) -> str:
     chosen = [each for each in found if each.best]
     names = list(dict.fromkeys(_named(each) for each in chosen))
     if not names:
-        return "No estimator flew."
+        return "No estimator is fit to fly on these conditions."
     if len(names) == 1 and len(chosen) == len(CONDITIONS):
         return f"Fly {names[0]}, whether the airframe's drag is known or not."
     return f"Fly {', '.join(f'{_named(each)} {each.where}' for each in chosen)}."
@@ -323,7 +323,7 @@ def headline(found: Sequence[Choice]) -> str:
 def _named(choice: Choice) -> str:
     """The estimators of a choice, with their crashes."""
     first, names = choice.best[0], listed([place.name for place in choice.best], "or")
-    crashed = "" if first.whole else f" ({first.flights - first.survived} of {first.flights} crashed)"
+    crashed = "" if first.whole else f" ({first.lost})"
     return names + crashed
 
 

@@ -81,7 +81,7 @@ class Results:
 
     @property
     def warnings(self) -> list[str]:
-        """Estimators and controllers that were tuned or trained for others than the vehicles and IMUs flown."""
+        """Estimators and controllers that were tuned or trained for another vehicle or IMU than flew."""
         return [*self._tuned_elsewhere, *self._trained_elsewhere]
 
     @property

@@ -241,6 +241,10 @@ def _headline(
     return f"In {where} {text}"
 
 
+def _flights(count: int) -> str:
+    return f"{count} flight{'s' if count != 1 else ''}"
+
+
 def _where(names: Sequence[str], which: str) -> str:
     return listed(names) if len(names) < 4 else f"{which} {len(names)} scenarios"
 
@@ -254,7 +258,7 @@ def recommended(best: Sequence[Place], places: Sequence[Place], measure: Measure
         measure: What ranked.
     """
     first, names = best[0], listed([said(place.name, measure) for place in best], "or")
-    flights, error = f"{first.flights} flight{'s' if first.flights > 1 else ''}", shown(first.error)
+    flights, error = _flights(first.flights), shown(first.error)
     if not first.fit:
         return f"no estimator is fit to fly: {names} {first.lost}, the others in more."
     if len(best) > 1:
@@ -341,7 +345,7 @@ def _levels(levels: Sequence[tuple[str, int]]) -> str:
 
 def _sentence(name: str, each: Total, truth: Total | None, measure: Measure) -> str:
     crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
-    text = f"{said(name, measure)}: {crashes} in {each.flights} flights, {measure.name} {shown(each.error)}"
+    text = f"{said(name, measure)}: {crashes} in {_flights(each.flights)}, {measure.name} {shown(each.error)}"
     if truth and 0 < truth.attitude < np.inf and each.attitude < np.inf:
         ratio = each.attitude / truth.attitude
         what = "" if measure == TRACKING else "attitude tracking error "
@@ -356,7 +360,7 @@ def _standing(
     crashed = [f"{row.scenario} ({row.crashes} of {row.flights})" for row in own]
     if not each.flights:
         return Standing(name, "crashes", "did not run")
-    text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {each.flights} flights"
+    text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {_flights(each.flights)}"
     text += f" · {measure.name} {shown(each.error)}"
     worst = worst_row(rows, name, measure)
     several = len({row.scenario for row in rows}) > 1

@@ -7,8 +7,19 @@ from itertools import combinations as pairs_of
 import numpy as np
 import pytest
 
-from quadsim.flight.scenario import load_scenario
-from scenarios.bench.axes import ALL, AXES, Combination, advice, design, effects, scenario_of, table
+from quadsim.flight.scenario import Scenario, load_scenario
+from scenarios.bench.axes import (
+    ALL,
+    AXES,
+    Combination,
+    advice,
+    choices,
+    design,
+    effects,
+    headline,
+    scenario_of,
+    table,
+)
 from scenarios.bench.cell import Cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.runner import Results, bench, identical
@@ -35,8 +46,9 @@ def made(errors, combos, failed=()):
                 )
                 for seed, error in enumerate([] if reason else errors[combination.name, name])
             ]
-            cells.append(Cell(combination.name, name, "", reason, rows, [], None))
-    return Results({}, names, FlightSettings(), cells)
+            cells.append(Cell(combination.name, name, "", reason, rows, [], None, name == "truth"))
+    scenarios = {each.name: Scenario(description="") for each in combos}
+    return Results(scenarios, names, FlightSettings(max(map(len, errors.values()))), cells)
 
 
 def test_every_level_is_flown_equally_often_and_beside_every_other():
@@ -107,11 +119,12 @@ def test_advice_has_a_sentence_for_each_condition_and_says_when_it_cannot_choose
         errors[combination.name, "vqf"] = list(rng.normal(2.0, 0.1, 20))
     results = made(errors, combos, failed={("axes-3", "ekf-drag")})
     known, wrong, unknown, safest = advice(combos, results)
-    assert "drag known: fly ekf-drag, 0 of 20 flights crashed, error 0.98°" in known
-    assert "cannot tell" not in known
+    assert "drag known: fly ekf-drag, with no crash in 20 flights and the smallest error, 0.98°." in known
     for line in (wrong, unknown):
-        assert "fly imm" in line or "fly vqf" in line
-        assert "cannot tell it from" in line
+        assert (
+            "fly imm or vqf; none of them crashed" in line or "fly vqf or imm; none of them crashed" in line
+        )
+        assert "are not significant" in line
     assert "ekf-drag" not in unknown
     assert "ekf-drag" not in safest
 
@@ -119,7 +132,22 @@ def test_advice_has_a_sentence_for_each_condition_and_says_when_it_cannot_choose
 def test_a_crash_weighs_more_than_any_error():
     combos = [replace_level(0, "drag", "known")]
     errors = {("axes-0", "imm"): [9.0] * 12, ("axes-0", "vqf"): [0.1] * 4 + [None] * 8}
-    assert "fly imm, 0 of 12" in advice(combos, made(errors, combos))[0]
+    assert (
+        "fly imm, the only one without a crash in 12 flights; its error is 9.00°."
+        in (advice(combos, made(errors, combos))[0])
+    )
+
+
+def test_no_estimator_that_crashes_in_most_flights_is_recommended_on_any_condition():
+    combos = [replace_level(k, "drag", level) for k, level in enumerate(AXES["drag"])]
+    errors = {(each.name, name): [None] * 4 for each in combos for name in ("imm", "vqf")}
+    assert (
+        headline(choices(combos, made(errors, combos))) == "No estimator is fit to fly on these conditions."
+    )
+    errors["axes-0", "imm"] = [1.0, 1.0, None, 1.0]
+    assert headline(choices(combos, made(errors, combos))) == (
+        "Fly imm (crashed in 1 of 4 flights) where the airframe's drag is known."
+    )
 
 
 def test_a_designed_benchmark_flies_and_an_unknown_vehicle_is_not_flown_with_ekf_drag(tmp_path):

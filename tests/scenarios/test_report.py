@@ -12,17 +12,16 @@ import estimators
 from estimators.appearance import look
 from quadsim.flight.faults import GyroBiasStep
 from quadsim.flight.mission import Mission
-from quadsim.flight.scenario import Scenario, Start
+from quadsim.flight.scenario import Scenario
 from quadsim.wind import Constant
 from scenarios.bench.breaking import BreakingPoint
 from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
-from scenarios.bench.flight_metrics import CellRow, FlightMetrics, FlightRow
+from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.pairs import paired_differences
 from scenarios.bench.runner import Results
 from scenarios.bench.series import decimation, unpack_series
 from scenarios.bench.settings import FlightSettings
 from scenarios.bench.signals import SHARED, SignalLog
-from scenarios.bench.verdict import offline_verdict, verdict
 from scenarios.report.flight_picture import Picture
 from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
 
@@ -35,13 +34,6 @@ OFFLINE = [
 
 def metrics(**known):
     return dict.fromkeys(each.name for each in fields(FlightMetrics)) | known
-
-
-def row(scenario, estimator, crashes=0, error=1.0, flights=10, reason=""):
-    if reason:
-        return CellRow(scenario, estimator, reason, *[None] * 5, **metrics())
-    numbers = metrics(error_deg=error, attitude_deg=None if error is None else 2 * error)
-    return CellRow(scenario, estimator, "", flights, crashes, crashes / flights, 0.0, 1.0, **numbers)
 
 
 def flight(seed, scenario, estimator, cause="", error=1.0):
@@ -84,176 +76,6 @@ def report(results, tmp_path_factory):
     pairs = paired_differences(results.flights)
     section = ClosedLoopSection(results, pairs, points, picture)
     return write_report(path, section, OfflineSection(OFFLINE), csv=["results.csv"], focus="ekf")
-
-
-# --- the verdict ----------------------------------------------------------------------------------
-
-
-def test_fewest_crashes_win_then_the_smallest_error():
-    rows = [
-        row("a", "truth", error=0.0),
-        row("a", "x", 1, 0.1),
-        row("a", "y", error=2.0),
-        row("a", "z", error=1.0),
-    ]
-    result = verdict(rows)
-    assert [s.estimator for s in result.standings] == ["z", "y", "x", "truth"]
-    assert (
-        result.headline
-        == "Fly z: no crash in 10 flights, and the smallest error of those without one, 1.00°."
-    )
-    without_x = verdict([each for each in rows if each.estimator != "x"])
-    assert without_x.headline == "Fly z: no crash in 10 flights, and the smallest error, 1.00°."
-
-
-def tracked(scenario, name, attitude, error=0.0):
-    return replace(row(scenario, name, error=error), attitude_deg=attitude, jitter=5.0)
-
-
-def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate():
-    rows = [
-        tracked("a", "truth", 1.0),
-        tracked("a", "truth @ c", 1.5),
-        tracked("a", "x", 3.0, error=0.5),
-        tracked("a", "x @ c", 2.0, error=0.9),
-    ]
-    result = verdict(rows)
-    assert result.headline == "Fly c on x: no crash in 10 flights, and the smallest tracking error, 2.00°."
-    assert [each.estimator for each in result.standings] == ["x @ c", "x", "truth", "truth @ c"]
-    assert result.standings[-1].text == (
-        "no crash in 10 flights · tracking error 1.50°, on the truth · command jitter 5.0 rad/s"
-    )
-    assert "Its attitude tracking error is 2.00 × that of the cascade on the true attitude." in result.lines
-
-
-def test_on_the_truth_alone_all_controllers_are_compared_and_the_cascade_may_win():
-    rows = [tracked("a", "truth", 1.0), tracked("a", "truth @ c", 1.5), tracked("a", "truth @ d", 1.2)]
-    result = verdict(rows)
-    assert result.headline.startswith("Fly the cascade on truth: no crash in 10 flights")
-    assert [each.estimator for each in result.standings] == ["truth", "truth @ d", "truth @ c"]
-
-
-def test_of_a_controller_alone_the_tracking_error_counts():
-    assert verdict([tracked("a", "truth @ c", 1.5)]).headline.endswith("tracking error 1.50°.")
-    both = [tracked("a", "x @ c", 1.5, error=0.2), tracked("a", "y @ c", 1.5, error=0.1)]
-    assert verdict(both).standings[0].estimator == "y @ c"  # two estimators are compared as such
-
-
-def test_who_did_not_run_everywhere_is_not_recommended():
-    rows = [
-        row("a", "x", error=3.0),
-        row("b", "x", error=3.0),
-        row("a", "y", error=1.0),
-        row("b", "y", reason="no"),
-    ]
-    result = verdict(rows)
-    assert result.headline == "Fly x: no crash in 20 flights, and the smallest error, 3.00°."
-    assert result.standings[-1].estimator == "y"
-    assert "x is also the best" not in " ".join(result.lines)
-
-
-def test_one_estimator_is_described_and_not_compared():
-    rows = [row("a", "truth", error=0.0), row("a", "x", 2, 1.0), row("b", "x", error=2.0)]
-    result = verdict(rows)
-    assert result.headline == "x: crashed in 2 of 20 flights, error 1.50°."
-    assert "Its worst scenario is a, 2 of 10 crashed, 1.00°." in result.lines
-    assert verdict(rows[2:]).headline == "x: no crash in 10 flights, error 2.00°."
-    assert verdict(rows[2:]).lines == []
-
-
-def test_an_error_that_nobody_measured_is_none():
-    rows = [row("a", "x", 10, None), row("a", "y", 10, 9.0), row("a", "z", error=1.0)]
-    result = verdict(rows)
-    assert [each.estimator for each in result.standings] == ["z", "y", "x"]
-    assert result.standings[-1].text == "crashed in a (10 of 10) · error not measured"
-
-
-def test_where_all_crash_the_verdict_says_so():
-    result = verdict([row("a", "x", 3), row("b", "x", 1), row("a", "y", 9), row("b", "y", 9)])
-    assert result.headline == "Fly x: it crashed least, in 4 of 20 flights, with an error of 1.00°."
-    assert result.standings[0] == ("x", "crashes", "crashed in a (3 of 10), b (1 of 10) · error 1.00°")
-
-
-def test_verdict_names_estimators_that_do_not_differ_significantly_from_the_best():
-    rows = [row("a", name, error=error) for name, error in (("x", 1.0), ("y", 1.1), ("z", 1.1), ("w", 1.2))]
-    offset = {"x": 1.0, "y": 1.1, "z": 1.1, "w": 1.2}
-    noise = {"x": (0, 0, 0, 0), "y": (0.3, -0.3, 0.3, -0.3), "z": (0.01, -0.01, 0, 0), "w": (0.4, -0.4, 0, 0)}
-    flights = [
-        flight(seed, "a", name, error=offset[name] + noise[name][seed])
-        for name in offset
-        for seed in range(4)
-    ]
-    result = verdict(rows, pairs=paired_differences(flights))
-    assert result.doubt == (
-        "The error of x is not significantly different from that of y and w (paired 95 % CI includes 0)."
-    )
-    assert result.lines == [result.doubt]
-    assert result.headline == (
-        "Fly x or one of 2 others: no crash with each, and errors of 1.00° to 1.20° that do not differ "
-        "significantly."
-    )
-    assert verdict(rows).doubt == ""
-    assert verdict(rows).headline.startswith("Fly x: no crash")
-
-
-def test_verdict_ranks_by_the_worst_scenario_too():
-    rows = [row("a", "x", error=0.5), row("b", "x", error=4.0)]
-    rows += [row("a", "y", error=2.5), row("b", "y", error=3.0)]
-    result = verdict(rows)
-    assert result.headline.startswith("Fly x: no crash in 20 flights, and the smallest error, 2.25°")
-    assert result.lines == ["By the worst scenario y is the best: b, 3.00°; of x it is b, 4.00°."]
-    assert result.standings[1].text == "no crash in 20 flights · error 2.75° · at worst 3.00° in b"
-    rows[1] = row("b", "x", error=2.0)
-    assert verdict(rows).lines == ["x is also the best by its worst scenario, b, 2.00°."]
-    rows[3] = row("b", "y", crashes=2, error=0.1)
-    assert verdict(rows).lines == ["x is also the best by its worst scenario, b, 2.00°."]
-
-
-def test_verdict_says_on_what_condition_it_holds():
-    given = Scenario(description="", start=Start(known_attitude=True))
-    others = {
-        "b": given.model_copy(update={"drag_factor": 2.0}),
-        "c": given.model_copy(update={"start": Start(), "vehicle_known": False}),
-    }
-    rows = [row(name, "x") for name in "abc"]
-    assert verdict(rows[:1], scenarios={"a": given}).lines == [
-        "Conditions: airframe hummingbird; its drag known; IMU adis16448; initial attitude given. "
-        "quadsim bench --axes varies these."
-    ]
-    found = verdict(rows, scenarios={"a": given} | others).lines[0]
-    assert (
-        "its drag known in 1 scenario, 2 times what is known in 1 scenario, not known in 1 scenario" in found
-    )
-    assert "initial attitude given in 2 scenarios, not given in 1 scenario." in found
-
-
-def test_a_verdict_has_at_most_four_lines():
-    scenarios = {name: Scenario(description="") for name in "ab"}
-    rows = [
-        row(s, name, error=error) for s in "ab" for name, error in (("truth", 0.5), ("x", 1.0), ("y", 1.1))
-    ]
-    noisy = {"x": (0, 0.3, 0, 0.3), "y": (0.3, 0, 0.3, 0)}
-    flights = [flight(k, s, n, error=1 + noisy[n][k]) for s in "ab" for n in noisy for k in range(4)]
-    assert len(verdict(rows, "y", paired_differences(flights), scenarios).lines) == 4
-
-
-def test_verdict_speaks_of_the_estimator_in_focus_and_compares_with_the_truth():
-    rows = [row("a", "truth", error=0.5), row("a", "x", error=1.0), row("a", "y", crashes=1, error=2.0)]
-    lines = verdict(rows, focus="y").lines
-    assert lines == [
-        "Its attitude tracking error is 2.00 × that with the true attitude.",
-        "y: 1 crash in 10 flights, error 2.00°, attitude tracking error 4.00 × that with the true attitude.",
-    ]
-
-
-def test_estimators_that_did_not_run_come_last_and_are_told():
-    result = verdict([row("a", "x", reason="no weights"), row("a", "y", crashes=10)])
-    assert [s.text for s in result.standings] == ["crashed in a (10 of 10) · error 1.00°", "did not run"]
-    assert verdict([row("a", "x", reason="no weights")]).headline == "No estimator ran."
-
-
-def test_recorded_flights_have_a_verdict_of_their_own():
-    assert offline_verdict(OFFLINE).headline == "Smallest error on recorded flights: mahony, 2.50°."
 
 
 # --- the file -------------------------------------------------------------------------------------

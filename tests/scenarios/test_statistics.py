@@ -5,7 +5,6 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from scenarios.bench.statistics import (
-    crash_test,
     interquartile_mean,
     performance_profile,
     probability_of_improvement,
@@ -49,11 +48,3 @@ def test_the_probability_of_improvement_is_the_mann_whitney_statistic():
     same, *_ = probability_of_improvement([x, y], [x, y])
     assert same == pytest.approx(0.5)
     assert probability_of_improvement([np.array([1.0, np.inf])], [np.array([2.0, np.inf])])[0] == 0.625
-
-
-def test_crashes_are_compared_on_the_flights_that_only_one_of_the_two_lost():
-    none, few, many = (np.arange(100) < count for count in (0, 2, 8))
-    assert crash_test(none, none) == 1.0
-    assert crash_test(none, few) == pytest.approx(0.5)
-    assert crash_test(none, many) == pytest.approx(2 * 0.5**8)
-    assert crash_test(many, many) == 1.0
