@@ -36,6 +36,7 @@ from scenarios.bench.flight_metrics import (
 from scenarios.bench.runner import bench, load_results
 from scenarios.bench.series import unpack_series
 from scenarios.bench.settings import FlightSettings, ScenarioChanges
+from scenarios.bench.verdict import places_of, verdict
 from scenarios.report.terminal import closed_loop_table
 from scenarios.single_flight import fly_scenario
 
@@ -282,7 +283,7 @@ def test_a_dying_worker_ends_no_other_job(deadly):
 def test_numbers_beyond_all_bounds_are_a_row_with_its_reason(tmp_path, monkeypatch):
     monkeypatch.setattr(cell_module, "BOUNDLESS", 1.0)
     (hover,) = small(tmp_path, scenarios=["hover"], names=["mahony"]).rows
-    assert "beyond all bounds" in hover.reason
+    assert "the flight diverged" in hover.reason
 
 
 def test_cells_of_two_runs_are_no_results(tmp_path):
@@ -492,3 +493,58 @@ def test_a_changed_module_of_the_user_is_flown_anew(tmp_path, monkeypatch):
     assert small(tmp_path / "out", scenarios=["hover"], names=[name]).cells[0].fingerprint == before
     source.write_text(source.read_text().replace("0.0)", "0.1)"))
     assert small(tmp_path / "out", scenarios=["hover"], names=[name]).cells[0].fingerprint != before
+
+
+HOSTILE = '''
+import numpy as np
+
+class Never:
+    """The parent of estimators that must not win."""
+    def __init__(self, rate_hz):
+        self.rate_hz, self.calls = rate_hz, 0
+    def reset(self, n=1, roll_pitch=None):
+        self.n, self.calls = n, 0
+    def restart(self, ids, roll_pitch=None):
+        pass
+    def update(self, gyro, accel):
+        self.calls += 1
+        return np.full((self.n, 2), self.value if self.calls > 5 else 0.0)
+
+class NaN(Never): value = np.nan
+class Huge(Never): value = 1e20
+class Constant(Never): value = 0.0
+class Tilted(Never): value = 0.9
+class Peek(Never):
+    def reset(self, n=1, roll_pitch=None):
+        self.truth = np.zeros((n, 2))
+    def observe(self, quat):
+        w, x, y, z = quat.T
+        self.truth = np.stack([2 * (w * x + y * z), 2 * (w * y - x * z)], -1)
+    def update(self, gyro, accel):
+        return self.truth
+class Raises(Never):
+    def update(self, gyro, accel):
+        if self.calls > 5:
+            raise RuntimeError("no idea")
+        return super().update(gyro, accel)
+    value = 0.0
+'''
+
+
+def test_no_hostile_estimator_wins_a_flown_benchmark(tmp_path):
+    (tmp_path / "est.py").write_text(HOSTILE)
+    own = {
+        name: f"{tmp_path / 'est.py'}:{name}"
+        for name in ("NaN", "Huge", "Constant", "Tilted", "Peek", "Raises")
+    }
+    results = small(tmp_path / "out", scenarios=["hover"], names=["mahony", *own.values()], duration_s=3.0)
+    reasons = {name: results.rows[1 + k].reason for k, name in enumerate(own)}
+    assert "not a finite number" in reasons["NaN"]
+    assert "angles beyond ±100 rad" in reasons["Huge"]
+    assert reasons["Raises"] == "RuntimeError: no idea"
+    assert results.unranked == {
+        own["Peek"]: "received the true attitude",
+        own["Constant"]: "returned the same roll and pitch at every sample",
+    }
+    assert verdict(results).headline.startswith("In hover fly mahony")
+    assert {each.estimator for each in places_of(results)} == {"mahony", own["Tilted"]}
