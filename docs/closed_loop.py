@@ -33,12 +33,13 @@ from quadsim.vehicle import GRAVITY, load_vehicle
 from scenarios.bench import estimator_delay as loops
 from scenarios.bench.breaking import DISTURBANCES, BreakingPoint, breaking_points
 from scenarios.bench.cell import fly as fly_mission
+from scenarios.bench.controllers import TRUTH
 from scenarios.bench.flight_metrics import flight_metrics
 from scenarios.bench.linear_bound import least_error
 from scenarios.bench.pairs import ALL, paired_differences
 from scenarios.bench.runner import Results, bench, suite_digest
 from scenarios.bench.settings import FlightSettings, ScenarioChanges
-from scenarios.bench.verdict import TRUTH, conditions, total, verdict
+from scenarios.bench.verdict import shown, total, verdict
 from scenarios.demo import SLOW
 from scenarios.report.publish import publish
 
@@ -94,7 +95,7 @@ def suite_text(results: Results, minutes: float) -> str:
 
 def heat_map(results: Results) -> Figure:
     """Mean error of every estimator in every scenario, best estimators first; crashes in bold."""
-    names = [s.estimator for s in verdict(results.rows).standings if s.estimator != TRUTH]
+    names = [s.estimator for s in verdict(results).standings if s.estimator not in results.unranked]
     scenarios = list(results.scenarios)
     rows = {(cell.estimator, cell.scenario): cell for cell in results.rows}
     error = np.array([[rows[e, s].error_deg or np.nan for e in names] for s in scenarios], dtype=float)
@@ -129,7 +130,7 @@ def standing_rows(results: Results, without: Results, files: Mapping[str, str]) 
         without: Of the suite with silenced networks.
         files: Networks to the files of their silenced weights.
     """
-    standings = [s.estimator for s in verdict(results.rows).standings]
+    standings = [s.estimator for s in verdict(results).standings]
     best = standings[0]
     pairs = {
         (cell.estimator, cell.versus): cell
@@ -145,8 +146,8 @@ def standing_rows(results: Results, without: Results, files: Mapping[str, str]) 
             middle, half = sign * pair.difference, (_float(pair.high) - _float(pair.low)) / 2
             difference = f"{middle:+.2f} ± {half:.2f}"
         crashed = f"{sums.crashes} of {sums.flights}"
-        silent = silenced_text(without, files.get(name))
-        rows.append(row(name, crashed, f"{sums.error:.2f}", silent, difference, f"{sums.attitude:.2f}"))
+        silent, error = silenced_text(without, files.get(name)), shown(sums.error).removesuffix("°")
+        rows.append(row(name, crashed, error, silent, difference, f"{sums.attitude:.2f}"))
     return rows
 
 
@@ -273,7 +274,7 @@ def silenced_text(results: Results, path: str | None) -> str:
     if path is None:
         return "–"
     sums = total([cell for cell in results.rows if cell.estimator == path])
-    return f"{sums.error:.2f}, ✕ {sums.crashes}"
+    return f"{shown(sums.error)}, ✕ {sums.crashes}"
 
 
 def main() -> None:
@@ -295,8 +296,8 @@ def main() -> None:
         loop = loop_rows(page)
     page.write(
         {
-            "verdict": verdict(results.rows).headline,
-            "conditions": fill(conditions(results.scenarios), 125),
+            "verdict": verdict(results).headline,
+            "conditions": fill(verdict(results).lines[0], 125),
             "suite": suite_text(results, minutes),
             "seeds": str(SEEDS),
             "breaking_seeds": str(BREAKING_SEEDS),

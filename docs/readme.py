@@ -14,6 +14,7 @@ from estimators.evaluation.flights import Flights, load_flights
 from estimators.evaluation.logs import RAW
 from estimators.metrics import attitude_error
 from quadsim.estimator import AttitudeEstimator
+from scenarios.bench.recommendation import recommendation
 
 BLOCK = "errors, by docs/readme.py"
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
@@ -93,6 +94,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ROOT / "README.md",
         BLOCK,
         [
+            f"**{recommendation().sentence}** This is the result of the held-out suite of closed-loop flights:",
+            "four airframes, four IMUs, wind, starts at rest and in motion ([verdict](docs/verdict.md)). Errors",
+            "on recorded flights, outside the loop:",
+            "",
             *HEAD,
             *(row(name, *cells) for name, cells in rows.items()),
             "",

@@ -4,6 +4,7 @@ A run that is cut short resumes, as `quadsim bench` does.
 """
 
 from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 
 import matplotlib
@@ -21,11 +22,16 @@ from scenarios.bench.axes import (
     Combination,
     Effect,
     advice,
+    choices,
     design,
     effects,
+    headline,
+    ranking,
     scenario_of,
+    worst_level,
 )
 from scenarios.bench.held_out import suite
+from scenarios.bench.recommendation import Recommendation, save_recommendation
 from scenarios.bench.runner import Results, bench, identical
 from scenarios.bench.settings import FlightSettings
 from scenarios.demo import SLOW
@@ -44,12 +50,12 @@ def fly(name: str, scenarios: dict[str, Scenario], seeds: int, seed: int) -> Res
 
 
 def standing_rows(found: Sequence[Effect]) -> list[str]:
-    """Estimators over all flights, fewest crashes first."""
-    whole = sorted((e for e in found if e.axis == ALL), key=lambda e: (e.crash_rate, e.error_deg or 0.0))
+    """Estimators over all flights, from best to worst."""
+    whole = {e.estimator: e for e in found if e.axis == ALL}
     rows = []
-    for each in whole:
-        own = [e for e in found if e.estimator == each.estimator and e.axis != ALL and e.flights]
-        worst = max(own, key=lambda e: (e.crash_rate, e.error_deg or 0.0))
+    for name in ranking(found):
+        each, worst = whole[name], worst_level(found, name)
+        assert worst is not None
         low, high = 100 * each.crash_low, 100 * each.crash_high
         rows.append(
             row(
@@ -75,7 +81,7 @@ def level_rows(found: Sequence[Effect], axis: str) -> list[str]:
     """A table of one axis, with its heading: estimators against levels."""
     levels = list(dict.fromkeys(e.level for e in found if e.axis == axis))
     of = {(e.estimator, e.level): e for e in found if e.axis == axis}
-    names = list(dict.fromkeys(e.estimator for e in found if e.axis == axis and e.estimator != "truth"))
+    names = list(dict.fromkeys(e.estimator for e in found if e.axis == axis and not e.unranked))
     lines = [row(axis, *levels), "|---" * (len(levels) + 1) + "|"]
     for name in names:
         cells = []
@@ -117,6 +123,11 @@ def main() -> None:
     combinations = design()
     looked_at = fly("axes", {each.name: scenario_of(each) for each in combinations}, FLIGHTS, 0)
     found = effects(combinations, looked_at)
+    sentence = headline(choices(new, unseen), new)
+    command, today = "quadsim bench --held-out", date.today().isoformat()
+    save_recommendation(
+        Recommendation(release=held_out.release, command=command, date=today, sentence=sentence)
+    )
     with matplotlib.rc_context(STYLE):
         page.save(axes_figure(found), "verdict-axes.png", dpi=110, colours=128)
     same = ", ".join(f"`{name}` flew exactly as `{other}`" for name, other in identical(unseen).items())
@@ -127,6 +138,7 @@ def main() -> None:
             "scenarios": str(held_out.scenarios),
             "flights": str(held_out.flights),
             "ranges": ranges(held_out),
+            "recommendation": sentence,
             "advice": lines_of(new, unseen),
             "standings": standing_rows(effects(new, unseen)),
             "same": f"{same}; it is shown once." if same else "",

@@ -131,9 +131,11 @@ def fly(
     if row.reason:
         raise ValueError(f"{scenario} did not run with {estimator}: {row.reason}")
     warn_of(done.results)
-    error = "no error to report" if row.error_deg is None else f"error {row.error_deg:.2f}°"
+    errors = "no flight without a crash to measure"
+    if row.error_deg is not None and row.attitude_deg is not None:
+        errors = f"error {row.error_deg:.2f}°, attitude tracking error {row.attitude_deg:.2f}°"
     console.print(
-        f"{done.report}: {row.crashes} of {row.flights} crashed, {error}", soft_wrap=True, markup=False
+        f"{done.report}: {row.crashes} of {row.flights} crashed, {errors}", soft_wrap=True, markup=False
     )
 
 

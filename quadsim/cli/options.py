@@ -95,14 +95,13 @@ def warn_of(results: Results) -> None:
 def headline(path: Path, results: Results, combinations: Sequence[Combination] = ()) -> str:
     """Path of the report, and its verdict; of a design what to fly on which condition."""
     from scenarios.bench import axes
-    from scenarios.bench.pairs import paired_differences
     from scenarios.bench.runner import shown_once
     from scenarios.bench.verdict import verdict
 
     if combinations:
-        return f"{path}: {axes.headline(axes.choices(combinations, results))}"
+        return f"{path}: {axes.headline(axes.choices(combinations, results), combinations)}"
     results = shown_once(results)[0]
-    judged = verdict(results, "", paired_differences(results.flights))
+    judged = verdict(results)
     return "\n".join([f"{path}: {judged.headline}", *judged.lines])
 
 

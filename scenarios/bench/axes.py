@@ -22,6 +22,7 @@ from quadsim.flight.scenario import Scenario, changed, load_scenario
 
 from .flight_metrics import FlightRow, wilson
 from .ranking import Flight, Flown, Place, by_contender, listed, ranked, winners
+from .recommendation import recommendation
 from .runner import Results, identical
 from .statistics import (
     interquartile_mean,
@@ -110,6 +111,8 @@ class Effect:
 
 
 ALL = "all"
+HELD_OUT = "held-out-"
+"""What the names of the held-out suite's scenarios begin with."""
 
 
 def table(combinations: Sequence[Combination]) -> list[dict[str, str]]:
@@ -309,15 +312,21 @@ def choices(combinations: Sequence[Combination], results: Results, seed: int = 0
     ]
 
 
-def headline(found: Sequence[Choice]) -> str:
-    """The choices in one sentence."""
+def headline(found: Sequence[Choice], combinations: Sequence[Combination]) -> str:
+    """The choices in one sentence, which says on which flights unless these are of the held-out suite."""
+    fly = "Fly" if is_held_out(combinations) else f"On these {len(combinations)} combinations fly"
     chosen = [each for each in found if each.best]
     names = list(dict.fromkeys(_named(each) for each in chosen))
     if not names:
         return "No estimator is fit to fly on these conditions."
     if len(names) == 1 and len(chosen) == len(CONDITIONS):
-        return f"Fly {names[0]}, whether the airframe's drag is known or not."
-    return f"Fly {', '.join(f'{_named(each)} {each.where}' for each in chosen)}."
+        return f"{fly} {names[0]}, whether the airframe's drag is known or not."
+    return f"{fly} {', '.join(f'{_named(each)} {each.where}' for each in chosen)}."
+
+
+def is_held_out(combinations: Sequence[Combination]) -> bool:
+    """Whether these are the flights of the held-out suite, which make the recommendation."""
+    return all(each.name.startswith(HELD_OUT) for each in combinations)
 
 
 def _named(choice: Choice) -> str:
@@ -328,7 +337,7 @@ def _named(choice: Choice) -> str:
 
 
 def advice(combinations: Sequence[Combination], results: Results, seed: int = 0) -> list[str]:
-    """`choices` as sentences, and the estimator with the smallest loss at its worst level."""
+    """`choices` as sentences, the smallest loss at a worst level, and what to fly elsewhere."""
     lines = [f"{each.condition}: {each.text}" for each in choices(combinations, results, seed)]
     found = effects(combinations, results, seed)
     able = {each.estimator for each in found if each.axis == ALL and not each.unranked and not each.failed}
@@ -336,6 +345,8 @@ def advice(combinations: Sequence[Combination], results: Results, seed: int = 0)
     safest = min(worst, key=lambda name: _cost(worst[name]), default=None)
     if safest is not None:
         lines.append(f"Smallest loss at its worst level: {safest}, {described(worst[safest])}.")
+    if not is_held_out(combinations):
+        lines.append(f"Elsewhere: {recommendation().elsewhere}")
     return lines
 
 

@@ -156,7 +156,7 @@ def make_cell(
     valid = log[before]
     flaw = flaw_of(log["estimate"], np.where(before[..., None], log["euler"][..., :2], np.nan))
     if not (np.abs(valid["estimate"]) <= RANGE).all():
-        raise ValueError(f"{estimator} {flaw}")
+        raise ValueError(f"the estimator {flaw}")
     if not (np.abs(valid.view(np.float64)) < BOUNDLESS).all():
         raise ValueError("the flight diverged; is a number of the scenario too large?")
     metrics = vars(flight_metrics(log, end, mission.rate_hz, mission.vehicle))

@@ -9,7 +9,7 @@ import numpy as np
 from quadsim.flight.scenario import Scenario, changed
 from quadsim.held_out import HeldOut
 
-from .axes import AXES, Combination, with_levels
+from .axes import AXES, HELD_OUT, Combination, with_levels
 
 KINDS = ("hover", "figure of eight", "random manoeuvres")
 DURATION_S = 20.0
@@ -19,7 +19,9 @@ HEIGHT_M = 12.0
 def suite(held_out: HeldOut) -> dict[str, tuple[Combination, Scenario]]:
     """The scenarios by name, with their level of each axis; their kind of flight stands as the scenario."""
     width = len(str(held_out.scenarios - 1))
-    drawn = (_draw(f"held-out-{k:0{width}}", held_out, [held_out.seed, k]) for k in range(held_out.scenarios))
+    drawn = (
+        _draw(f"{HELD_OUT}{k:0{width}}", held_out, [held_out.seed, k]) for k in range(held_out.scenarios)
+    )
     return {combination.name: (combination, scenario) for combination, scenario in drawn}
 
 

@@ -11,7 +11,7 @@ from quadsim.flight.scenario import Scenario
 
 from .controllers import CASCADED, TRUTH, controller_of, estimator_of
 from .flight_metrics import CellRow
-from .pairs import ALL, PairRow
+from .pairs import ALL, PairRow, paired_differences
 from .ranking import Place, by_contender, listed, ranked, winners
 from .recommendation import recommendation
 from .runner import Results
@@ -57,13 +57,14 @@ class Total(NamedTuple):
     failed: int  #: cells that did not run
 
 
-def verdict(results: Results, focus: str = "", pairs: Sequence[PairRow] = ()) -> Verdict:
+def verdict(results: Results, focus: str = "") -> Verdict:
     """Rank the contenders of a benchmark; say which to fly in its scenarios, then describe `focus` if it ran.
+
+    Paired differences on the same seeds decide which errors are not significantly larger than the best.
 
     Args:
         results: Of `bench`.
         focus: A contender that is described besides the best.
-        pairs: Paired differences, which decide what is not significantly worse than the best.
     """
     rows, measure = results.rows, measure_of(results.estimators)
     totals, unranked = totals_of(rows), results.unranked
@@ -81,7 +82,7 @@ def verdict(results: Results, focus: str = "", pairs: Sequence[PairRow] = ()) ->
     headline = (
         _alone(best.name, totals[best.name], measure)
         if len(compared) == 1
-        else _headline(places, results, lost, pairs, measure)
+        else _headline(places, results, lost, measure)
     )
     kept = [row for row in rows if row.scenario not in lost]
     whole = [place.name for place in places if not totals[place.name].failed]
@@ -226,13 +227,14 @@ def _headline(
     places: Sequence[Place],
     results: Results,
     lost: Sequence[str],
-    pairs: Sequence[PairRow],
     measure: Measure,
 ) -> str:
     """What to fly in these scenarios, and why."""
     left = [name for name in results.scenarios if name not in lost]
     if not left:
         return f"No estimator survives {_where(lost, 'any of these')}."
+    compared = {place.name for place in places}
+    pairs = paired_differences([flight for flight in results.flights if flight.estimator in compared])
     best = winners(places, lambda first, other: _worse(first, other, pairs, measure))
     text = recommended(best, places, measure)
     where = _where(left, "these")

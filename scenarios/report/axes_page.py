@@ -66,7 +66,7 @@ def write_axes_report(
             "report/axes.html",
             title=title,
             kicker=f"closed loop, {len(combinations)} combinations of conditions",
-            headline=headline(choices(combinations, results)),
+            headline=headline(choices(combinations, results), combinations),
             advice=[line.split(": ", 1) for line in advice(combinations, results)],
             same=shown_once(results)[1],
             standings=[_standing(effects, name) for name in ranked],

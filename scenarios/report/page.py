@@ -97,7 +97,7 @@ def write_report(
     closed_loop, focus, same = _once(closed_loop, focus)
     results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
     rows = results.rows
-    judged = verdict(results, focus, closed_loop.pairs) if rows else offline_verdict(offline.rows)
+    judged = verdict(results, focus) if rows else offline_verdict(offline.rows)
     ranked = [standing.estimator for standing in judged.standings]
     place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
     recorded = [str(row.get("estimator")) for row in offline.rows]

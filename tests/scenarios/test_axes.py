@@ -22,6 +22,7 @@ from scenarios.bench.axes import (
 )
 from scenarios.bench.cell import Cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
+from scenarios.bench.recommendation import recommendation
 from scenarios.bench.runner import Results, bench, identical
 from scenarios.bench.settings import FlightSettings, ScenarioChanges
 
@@ -118,7 +119,7 @@ def test_advice_has_a_sentence_for_each_condition_and_says_when_it_cannot_choose
         errors[combination.name, "imm"] = list(rng.normal(2.0, 0.1, 20))
         errors[combination.name, "vqf"] = list(rng.normal(2.0, 0.1, 20))
     results = made(errors, combos, failed={("axes-3", "ekf-drag")})
-    known, wrong, unknown, safest = advice(combos, results)
+    known, wrong, unknown, safest, elsewhere = advice(combos, results)
     assert "drag known: fly ekf-drag, with no crash in 20 flights and the smallest error, 0.98°." in known
     for line in (wrong, unknown):
         assert (
@@ -127,6 +128,7 @@ def test_advice_has_a_sentence_for_each_condition_and_says_when_it_cannot_choose
         assert "are not significant" in line
     assert "ekf-drag" not in unknown
     assert "ekf-drag" not in safest
+    assert elsewhere.endswith(recommendation().sentence)
 
 
 def test_a_crash_weighs_more_than_any_error():
@@ -142,11 +144,12 @@ def test_no_estimator_that_crashes_in_most_flights_is_recommended_on_any_conditi
     combos = [replace_level(k, "drag", level) for k, level in enumerate(AXES["drag"])]
     errors = {(each.name, name): [None] * 4 for each in combos for name in ("imm", "vqf")}
     assert (
-        headline(choices(combos, made(errors, combos))) == "No estimator is fit to fly on these conditions."
+        headline(choices(combos, made(errors, combos)), combos)
+        == "No estimator is fit to fly on these conditions."
     )
     errors["axes-0", "imm"] = [1.0, 1.0, None, 1.0]
-    assert headline(choices(combos, made(errors, combos))) == (
-        "Fly imm (crashed in 1 of 4 flights) where the airframe's drag is known."
+    assert headline(choices(combos, made(errors, combos)), combos) == (
+        "On these 4 combinations fly imm (crashed in 1 of 4 flights) where the airframe's drag is known."
     )
 
 

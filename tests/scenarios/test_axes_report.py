@@ -76,8 +76,8 @@ def test_a_profile_counts_flights_that_crashed_or_could_not_be_flown_as_below_no
 
 
 def test_the_headline_names_one_estimator_for_each_condition(results):
-    assert headline_of(choices(COMBINATIONS, results)) == (
-        "Fly ekf-drag where the airframe's drag is known, ekf-drag where it is half or twice that, imm where "
+    assert headline_of(choices(COMBINATIONS, results), COMBINATIONS) == (
+        "On these 12 combinations fly ekf-drag where the airframe's drag is known, ekf-drag where it is half or twice that, imm where "
         "it is not known."
     )
     alone = replace(
@@ -86,7 +86,7 @@ def test_the_headline_names_one_estimator_for_each_condition(results):
         cells=[each for each in results.cells if each.estimator in ("truth", "imm")],
     )
     assert headline("r.html", alone, COMBINATIONS) == (
-        "r.html: Fly imm, whether the airframe's drag is known or not."
+        "r.html: On these 12 combinations fly imm, whether the airframe's drag is known or not."
     )
 
 
@@ -143,7 +143,9 @@ def page(request, browser, report):
 
 def test_every_axis_has_a_table_and_a_chart(page):
     assert (
-        page.locator("#verdict h2").inner_text().startswith("Fly ekf-drag where the airframe's drag is known")
+        page.locator("#verdict h2")
+        .inner_text()
+        .startswith("On these 12 combinations fly ekf-drag where the airframe's drag is known")
     )
     assert page.locator("section .beside").count() == len(AXES) + 1
     for k, levels in enumerate([*LEVELS.values(), ["hover"]]):

@@ -547,4 +547,4 @@ def test_no_hostile_estimator_wins_a_flown_benchmark(tmp_path):
         own["Constant"]: "returned the same roll and pitch at every sample",
     }
     assert verdict(results).headline.startswith("In hover fly mahony")
-    assert {each.estimator for each in places_of(results)} == {"mahony", own["Tilted"]}
+    assert {each.name for each in places_of(results)} == {"mahony", own["Tilted"]}

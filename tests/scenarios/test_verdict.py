@@ -7,7 +7,6 @@ import numpy as np
 from quadsim.flight.scenario import Scenario, Start
 from scenarios.bench.cell import Cell, failed_cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
-from scenarios.bench.pairs import paired_differences
 from scenarios.bench.ranking import by_contender, ranked, winners
 from scenarios.bench.recommendation import FILE, Recommendation, recommendation, save_recommendation
 from scenarios.bench.runner import Results
@@ -49,7 +48,7 @@ def benchmark(outcomes, references=("truth",), flaws=None, scenarios=None):
 
 
 def judged(results, focus=""):
-    return verdict(results, focus, paired_differences(results.flights))
+    return verdict(results, focus)
 
 
 def order(results):
