@@ -94,9 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ROOT / "README.md",
         BLOCK,
         [
-            f"**{recommendation().sentence}** This is the result of the held-out suite of closed-loop flights:",
-            "four airframes, four IMUs, wind, starts at rest and in motion ([verdict](docs/verdict.md)). Errors",
-            "on recorded flights, outside the loop:",
+            f"**{recommendation().sentence}** This is the result of the held-out suite of flights in closed",
+            "loop: four airframes, four IMUs, wind, starts at rest and in motion",
+            "([verdict](docs/verdict.md)). The errors on recorded flights, outside the loop, are:",
             "",
             *HEAD,
             *(row(name, *cells) for name, cells in rows.items()),

@@ -199,7 +199,10 @@ def training_misfit(name: str, vehicle: str | Path | Vehicle) -> str:
     network = name.removesuffix("-loihi")
     if network not in (*shipped_names(), *shipped_controllers()) and not network.endswith(END):
         return ""
-    trained, (airframe, _) = load_network(network)[0].training.get("vehicles"), loaded(vehicle, None)
+    try:
+        trained, (airframe, _) = load_network(network)[0].training.get("vehicles"), loaded(vehicle, None)
+    except (OSError, ValueError):  # it cannot fly, which its flight reports
+        return ""
     if not isinstance(trained, list) or not trained or airframe is None or airframe.name in trained:
         return ""
     return ", ".join(f"the {each}" for each in trained)
