@@ -363,8 +363,10 @@ def test_a_table_of_many_scenarios_has_ranks_means_and_the_worst_scenario(tmp_pa
     mahony = [row for row in many.rows if row.estimator == "mahony"]
     mean = np.mean([row.error_deg for row in mahony if row.error_deg is not None])
     assert cells[0] == ["mahony", "truth"]
-    assert [cells[1], cells[2][0], cells[3]] == [["1", "–"], f"{mean:.2f}", ["2/14", "2/14"]]
-    assert cells[4] == ["crashing", "crashing"]
+    assert [cells[1], cells[2][0], cells[4]] == [["1", "–"], f"{mean:.2f}", ["2/14", "2/14"]]
+    tracking = np.mean([row.attitude_deg for row in mahony if row.attitude_deg is not None])
+    assert cells[3][0] == f"{tracking:.2f}"
+    assert cells[5] == ["crashing", "crashing"]
     console = Console(width=80, file=StringIO())
     console.print(table)
     assert "…" not in console.file.getvalue()
