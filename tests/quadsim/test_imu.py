@@ -405,6 +405,17 @@ def test_vibration_grows_with_the_square_of_the_speed_and_falls_behind_the_low_p
     assert damped == pytest.approx(vibrating(400.0, 1000.0).std() / np.sqrt(2.0), rel=1e-2)
 
 
+def test_vibration_of_all_rotors_has_its_root_mean_square_on_every_axis_of_both_sensors():
+    gyro, accel = (0.03, 0.02, 0.01), (1.0, 2.0, 3.0)
+    spec = ImuSpec(vibration=RotorVibration(rotor_vel=400.0, gyro=gyro, accel=accel))
+    still, speeds = np.zeros((1, 20_000, 3)), np.full((1, 20_000, 4), [380.0, 400.0, 420.0, 440.0])
+    readings = simulate_imu(spec, still, still, 1000.0, seed=0, rotor_vel=speeds)
+    mean_square = np.sum((speeds[0, 0] / 400.0) ** 4) / 2.0  # of a unit amplitude
+    for reading, amplitude in zip(readings, (gyro, accel), strict=True):
+        rms = np.sqrt(np.mean(reading[0] ** 2, axis=0))
+        assert rms == pytest.approx(np.array(amplitude) * np.sqrt(mean_square), rel=2e-3)
+
+
 def test_dropped_samples_repeat_the_reading_before():
     spec, motion = ImuSpec(dropped=0.2), flight(2, 5000)
     gyro, accel = simulate_imu(spec, motion["ang_vel"], motion["specific_force"], RATE, seed=0)

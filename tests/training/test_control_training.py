@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from estimators.control import create_controller
+from estimators.control.controller import SpikingController
 from estimators.control.weights import load_controller
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import load_network
@@ -184,6 +185,24 @@ def test_gradients_of_an_estimator_in_front_are_zero(tmp_path):
     assert gradient is not None
     assert not gradient[:96].any()
     assert gradient[96:].any()
+
+
+def test_an_update_with_two_steps_a_sample_descends_the_error_of_what_the_chip_asks_for(tmp_path):
+    learning = TINY["learning"] | {"steps_per_sample": 2, "huber_threshold": 0.0, "rate_cost": 0.0}
+    training = ControlTraining(make_control_config(**TINY | {"learning": learning}), tmp_path)
+    window = next(windows(training.rounds[0], training.config, np.random.SeedSequence(0), 4))
+    weights = training.exported({})
+    assert weights.config.steps_per_sample == 2
+    chip = SpikingController(weights.config, weights.tensors, on_loihi=True)
+    chip.reset(4)
+    action = chip.sequence(window.set_point, window.gyro, window.accel)[..., :3]
+    out = training.model(training._inputs(window))[0].detach()
+    assert out.shape == (4, 80, 3)
+    np.testing.assert_array_equal(out[:, 1::2], action)
+    assert action.std() > 0.1
+    error = (action - window.target) / np.array(training.config.error_scale)
+    assert training._update(window)[0] == pytest.approx(1.5 * np.mean(error**2), rel=1e-5)
+    assert 0 < training.one_epoch().imitation < np.inf
 
 
 def test_a_linear_teacher_is_imitated_in_seconds():
