@@ -552,6 +552,10 @@ def test_stopping_rules_of_the_paper():
     assert finished(falling) is None
     assert finished([*falling, *[0.6] * 50]) == "the lowest validation loss is 50 epochs old"
     assert "20-epoch average" in str(finished([*falling, *[0.9] * 20]))
+    assert finished([1.0] * 50) is None
+    assert finished([1.0] * 51) == "the lowest validation loss is 50 epochs old"
+    assert finished([1.0] * 20 + [1.09] * 20) is None
+    assert "20-epoch average" in str(finished([1.0] * 20 + [1.11] * 20))
 
 
 def test_rough_sensors_are_drawn_within_their_limits():
