@@ -73,6 +73,25 @@ def test_frame_drag_grows_with_the_airspeed_and_opposes_it(engine, area):
     assert vehicle.mass * state.specific_force == pytest.approx(-0.5 * 1.225 * speed * air * area)
 
 
+def test_each_hub_drags_and_rolls_by_its_own_air_velocity():
+    """H-force −c |ω| V⊥ and moments r × F − c_r |ω| V⊥ beside thrust, with I ω̇ + ω × I ω = M."""
+    motor = LINEAR.motor.model_copy(update={"rolling_moment": 1e-4})  # large enough to show
+    vehicle = LINEAR.model_copy(update={"motor": motor})
+    velocity, ang_vel = np.array([3.0, -5.0, 2.0]), np.array([4.0, 7.0, -6.0])
+    speed = np.array([300.0, 450.0, 520.0, 610.0])
+    state = Plant(vehicle).reset(velocity=velocity, ang_vel=ang_vel, rotor_vel=speed)
+    hubs = np.array([rotor.position for rotor in vehicle.rotors])
+    across = (velocity + np.cross(ang_vel, hubs)) * [1.0, 1.0, 0.0] * speed[:, None]
+    thrust, *torque = vehicle.allocation @ speed**2
+    force = -motor.rotor_drag * across
+    moment = torque + np.sum(np.cross(hubs, force) - motor.rolling_moment * across, axis=0)
+    expected = force.sum(axis=0) + np.array([0.0, 0.0, thrust])
+    np.testing.assert_allclose(state.specific_force[0] * vehicle.mass, expected)
+    inertia = np.array(vehicle.inertia)
+    turned = inertia * state.ang_acc[0] + np.cross(ang_vel, inertia * ang_vel)
+    np.testing.assert_allclose(turned, moment, atol=1e-12)
+
+
 @pytest.mark.parametrize("rate_hz", [50, 200, 1000])
 def test_rotor_reaches_63_percent_after_one_time_constant_at_any_rate(rate_hz):
     plant = Plant(HUMMINGBIRD, 2, rate_hz=rate_hz)

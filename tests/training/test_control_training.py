@@ -276,6 +276,7 @@ def test_another_runs_folder_is_refused(tmp_path):
     [
         ({"estimator": "att-rnn"}, "att-rnn is no Att-SNN"),
         ({"learning": {"quantised": False}}, "is trained quantised"),
+        ({"learning": {"steps_per_sample": 2}}, "2, but the estimator runs a step for each sample"),
         ({"rounds": 60}, "should be at least the rounds"),
         ({"flight_s": 1.0}, "should be at most flight_s"),
         ({"flghts": 3}, 'did you mean "flights"'),
@@ -309,6 +310,9 @@ def test_a_controller_of_other_inputs_is_not_continued(tmp_path):
     first = train_controller(tmp_path / "a", **TINY)
     with pytest.raises(ValueError, match="has other reads, inputs than this training"):
         train_controller(tmp_path / "b", **TINY, reads="attitude", init=str(first.weights))
+    faster = TINY | {"learning": TINY["learning"] | {"steps_per_sample": 2}}
+    with pytest.raises(ValueError, match="has other steps_per_sample than this training"):
+        train_controller(tmp_path / "c", **faster, init=str(first.weights))
 
 
 def test_an_attitude_controller_is_trained_and_flies_on_its_attitude(recipe, tmp_path):
