@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from estimators import create, run
-from estimators.evaluation.comparison import BLOCK_S, evaluate, silenced_twin, tilted_starts
+from estimators.evaluation.comparison import evaluate, silenced_twin, tilted_starts
 from estimators.evaluation.figures import error_over_time, settling, violins
 from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
+from estimators.truth import Truth
 from quadsim.rotation import roll_pitch_from_quat
 from scenarios.report.terminal import evaluation_notes
 
@@ -100,14 +101,29 @@ def test_recovery_starts_in_the_tilt_it_says(flights, tilt):
     assert tilted_starts(load_flights([flights]), 120.0, 1000) is None
 
 
-def test_recovery_time_is_where_the_curve_stays_below(evaluation):
-    row = next(row for row in evaluation.rows if row.estimator == "eskf")
-    curve = evaluation.settling["eskf", 20.0]
-    if np.isfinite(row.settle_20_s):
-        assert (curve[round(row.settle_20_s / BLOCK_S) :] < 2.0).all()
-    else:
-        assert curve[-1] >= 2.0
-    assert curve[0] > 2.0
+class _Recovering(Truth):
+    """Level for some seconds from a start, and right from then on."""
+
+    def __init__(self, seconds):
+        super().__init__(200.0)
+        self.late = round(seconds * self.rate_hz)
+
+    def reset(self, n=1, roll_pitch=None, quat=None):
+        super().reset(n, roll_pitch, quat)
+        self.samples = 0
+
+    def update(self, gyro, accel, **sensors):
+        self.samples += 1
+        return super().update(gyro, accel) * (self.samples > self.late)
+
+
+@pytest.mark.parametrize(
+    ("level_s", "settled_s"), [(0.0, 0.0), (0.02, 0.0), (0.5, 0.5), (0.6, 1.0), (9.0, np.nan)]
+)
+def test_recovery_time_is_the_end_of_the_last_block_that_is_not_below_2_degrees(flights, level_s, settled_s):
+    """Blocks of 0.5 s: 0.02 s of a tilt of 20° average to 0.8°, 0.1 s in the second block to more than 2°."""
+    done = evaluate(flights, {"recovering": _Recovering(level_s)}, initial=("unknown",), settle_s=2.0)
+    np.testing.assert_equal(done.rows[0].settle_20_s, settled_s)
 
 
 def test_a_silenced_network_estimates_level(flights):

@@ -98,6 +98,19 @@ def test_complementary_equals_ahrs(flights):
     np.testing.assert_allclose(out[0], reference.W[1:, :2], atol=1e-9)
 
 
+@pytest.mark.parametrize(("rate", "slow"), [(0.09, True), (0.11, False)])
+def test_the_adaptive_weight_grows_with_the_difference_while_the_vehicle_hardly_turns(rate, slow):
+    accel = quat_rotate_inverse(quat_from_euler(0.5, -0.3, 0.0), [0.0, 0.0, 9.81])
+    est = create("complementary-adaptive", 200.0, gamma=0.98, k_a=0.05)
+    out = run(est, np.tile([rate, 0.0, 0.0], (1, 5, 1)), np.tile(accel, (1, 5, 1)), roll_pitch=[0.0, 0.0])
+    angles = np.zeros(2)
+    for found in out[0]:
+        angles = angles + np.array([rate, 0.0]) / 200.0
+        difference = np.array([0.5, -0.3]) - angles
+        angles = angles + (0.02 + slow * 0.05 * np.abs(difference)) * difference
+        np.testing.assert_allclose(found, angles, atol=1e-12)
+
+
 def test_ekf_equals_filterpy(flights):
     gyro, accel, _ = arrays(flights, 2, 400)
     ours, theirs = create("ekf"), create("ekf-filterpy")

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadsim.config.toml import preset_names
-from quadsim.control.cascade import LEVELS, MEASURED, Controller, control
+from quadsim.control.cascade import IDLE, LEVELS, MEASURED, Controller, actuate, control
 from quadsim.control.gains import loop_margins
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.simulate import AttitudeError, FlightConfig, simulate_flights
@@ -95,6 +95,38 @@ def test_rotor_commands_stay_within_the_rotors(numbers, level):
     control(LEVELS.index(level), set_points[0], np.zeros(1, MEASURED)[0], controller.records[0])
     out = controller.rotor_vel_cmd
     assert np.all((out >= 0) & (out <= HUMMINGBIRD.motor.omega_max))
+
+
+def allocated(vehicle, action):
+    """Thrust and torques (4,) of the rotors for angular accelerations and a thrust per mass; rotor speeds."""
+    controller = Controller(vehicle, 1)
+    actuate(np.zeros(1, MEASURED)[0], controller.records[0], np.array(action))
+    speed = controller.rotor_vel_cmd[0]
+    return vehicle.allocation @ speed**2, speed
+
+
+@pytest.mark.parametrize("name", ["hummingbird", "hexarotor"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rotors_that_saturate_give_up_yaw_first_and_then_thrust(name, sign):
+    vehicle = load_vehicle(name)
+    inertia, fastest = np.array(vehicle.inertia), vehicle.motor.omega_max
+    roll_pitch = np.array([20.0, -30.0])
+    torque = inertia[:2] * roll_pitch
+
+    wrench, speed = allocated(vehicle, [*roll_pitch, sign * 1.0, GRAVITY])
+    wanted = [vehicle.mass * GRAVITY, *torque, sign * inertia[2]]
+    np.testing.assert_allclose(wrench, wanted, rtol=1e-9)  # everything fits
+
+    wrench, speed = allocated(vehicle, [*roll_pitch, sign * 1e6, GRAVITY])
+    np.testing.assert_allclose(wrench[:3], wanted[:3], rtol=1e-9)  # all but yaw
+    assert sign * wrench[3] > inertia[2]
+    assert min(fastest - speed.max(), speed.min() - IDLE * fastest) == pytest.approx(0.0, abs=1e-6)
+
+    for thrust, limit in ((1e3, fastest), (0.0, IDLE * fastest)):
+        wrench, speed = allocated(vehicle, [*roll_pitch, sign * 1e6, thrust])
+        np.testing.assert_allclose(wrench[1:3], torque, rtol=1e-9)  # thrust too
+        assert np.abs(speed - limit).min() == pytest.approx(0.0, abs=1e-6)
+        assert abs(wrench[0] - vehicle.mass * thrust) > 0.1 * vehicle.mass * GRAVITY
 
 
 def test_recorded_flights_reach_45_degrees_with_the_papers_spread():

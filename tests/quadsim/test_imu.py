@@ -367,6 +367,18 @@ def test_mounting_turns_the_readings_into_sensor_axes():
     assert accel[0, 0] == pytest.approx([4.0, -2.0, 6.0])
 
 
+def test_a_turned_sensor_reads_what_one_along_the_body_reads_of_the_turned_motion():
+    angles = (20.0, -40.0, 110.0)
+    along = EVERYTHING.without("mounting_deg", "lever_arm", "vibration", "resolution")
+    turned = along.model_copy(update={"mounting_deg": angles})
+    motion, quat = flight(3, 50), quat_from_euler(*np.radians(angles))
+    rate, force = motion["ang_vel"], motion["specific_force"]
+    readings = simulate_imu(turned, rate, force, RATE, seed=5)
+    in_sensor_axes = (quat_rotate_inverse(quat, each) for each in (rate, force))
+    expected = simulate_imu(along, *in_sensor_axes, RATE, seed=5)
+    np.testing.assert_allclose(readings, expected, atol=1e-12)
+
+
 def test_gyro_error_by_force_is_proportional_and_has_its_spread():
     spec = ImuSpec(g_sensitivity=1e-3)
     forces = np.broadcast_to(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]), (500, 2, 3))
@@ -403,6 +415,24 @@ def test_vibration_grows_with_the_square_of_the_speed_and_falls_behind_the_low_p
     assert np.sqrt(2.0) * vibrating(800.0, 1000.0).std() == pytest.approx(2.0, rel=1e-2)
     damped = vibrating(400.0, 1000.0, low_pass_hz=200.0 / np.pi).std()  # the corner is at the rotor's speed
     assert damped == pytest.approx(vibrating(400.0, 1000.0).std() / np.sqrt(2.0), rel=1e-2)
+
+
+def test_vibration_of_all_rotors_has_its_root_mean_square_on_every_axis_of_both_sensors():
+    gyro, accel = (0.03, 0.02, 0.01), (1.0, 2.0, 3.0)
+    spec = ImuSpec(vibration=RotorVibration(rotor_vel=400.0, gyro=gyro, accel=accel))
+    still, speeds = np.zeros((1, 20_000, 3)), np.full((1, 20_000, 4), [380.0, 400.0, 420.0, 440.0])
+    readings = simulate_imu(spec, still, still, 1000.0, seed=0, rotor_vel=speeds)
+    mean_square = np.sum((speeds[0, 0] / 400.0) ** 4) / 2.0  # of a unit amplitude
+    for reading, amplitude in zip(readings, (gyro, accel), strict=True):
+        rms = np.sqrt(np.mean(reading[0] ** 2, axis=0))
+        assert rms == pytest.approx(np.array(amplitude) * np.sqrt(mean_square), rel=2e-3)
+
+
+def test_rotors_of_one_speed_shake_with_phases_of_their_own():
+    spec = ImuSpec(vibration=RotorVibration(rotor_vel=400.0, accel=(1.0, 1.0, 1.0)))
+    still, speeds = np.zeros((3000, 2, 3)), np.full((3000, 2, 4), 400.0)
+    _, accel = simulate_imu(spec, still, still, 1000.0, seed=0, rotor_vel=speeds)
+    assert np.mean(accel[:, 0] ** 2) == pytest.approx(4 * 0.5, rel=0.05)  # 16 * 0.5 if they shook as one
 
 
 def test_dropped_samples_repeat_the_reading_before():

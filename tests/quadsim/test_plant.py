@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from quadsim.plant import Plant
-from quadsim.rotation import matrix_from_quat, quat_from_euler
+from quadsim.rotation import matrix_from_quat, quat_from_euler, quat_rotate_inverse
 from quadsim.vehicle import GRAVITY, load_vehicle
 
 HUMMINGBIRD = load_vehicle("hummingbird")
@@ -56,6 +56,40 @@ def test_terminal_velocity_balances_weight_and_drag():
     expected = np.sqrt(2 * HUMMINGBIRD.mass * GRAVITY / (1.225 * area))
     assert state.velocity[0, 2] == pytest.approx(-expected, rel=1e-6)
     assert state.specific_force[0, 2] == pytest.approx(GRAVITY, rel=1e-6)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "mujoco"])
+@pytest.mark.parametrize("area", [(0.02, 0.02, 0.02), (0.01, 0.02, 0.05)])
+def test_frame_drag_grows_with_the_airspeed_and_opposes_it(engine, area):
+    """−½ ρ C_d A |v| v per body axis: with one area for all axes, antiparallel to the airspeed."""
+    vehicle = VACUUM.model_copy(update={"frame": VACUUM.frame.model_copy(update={"drag_area": area})})
+    plant, rng = Plant(vehicle, 8, engine=engine), np.random.default_rng(0)
+    plant.reset(velocity=rng.normal(0, 8, (8, 3)), quat=rng.normal(size=(8, 4)), rotor_vel=0.0)
+    wind = rng.normal(0, 4, (8, 3))
+    for _ in range(3):
+        state = plant.step(np.zeros((8, 4)), wind)
+    air = quat_rotate_inverse(state.quat, state.velocity - wind)
+    speed = np.linalg.norm(air, axis=1, keepdims=True)
+    assert vehicle.mass * state.specific_force == pytest.approx(-0.5 * 1.225 * speed * air * area)
+
+
+def test_each_hub_drags_and_rolls_by_its_own_air_velocity():
+    """H-force −c |ω| V⊥ and moments r × F − c_r |ω| V⊥ beside thrust, with I ω̇ + ω × I ω = M."""
+    motor = LINEAR.motor.model_copy(update={"rolling_moment": 1e-4})  # large enough to show
+    vehicle = LINEAR.model_copy(update={"motor": motor})
+    velocity, ang_vel = np.array([3.0, -5.0, 2.0]), np.array([4.0, 7.0, -6.0])
+    speed = np.array([300.0, 450.0, 520.0, 610.0])
+    state = Plant(vehicle).reset(velocity=velocity, ang_vel=ang_vel, rotor_vel=speed)
+    hubs = np.array([rotor.position for rotor in vehicle.rotors])
+    across = (velocity + np.cross(ang_vel, hubs)) * [1.0, 1.0, 0.0] * speed[:, None]
+    thrust, *torque = vehicle.allocation @ speed**2
+    force = -motor.rotor_drag * across
+    moment = torque + np.sum(np.cross(hubs, force) - motor.rolling_moment * across, axis=0)
+    expected = force.sum(axis=0) + np.array([0.0, 0.0, thrust])
+    np.testing.assert_allclose(state.specific_force[0] * vehicle.mass, expected)
+    inertia = np.array(vehicle.inertia)
+    turned = inertia * state.ang_acc[0] + np.cross(ang_vel, inertia * ang_vel)
+    np.testing.assert_allclose(turned, moment, atol=1e-12)
 
 
 @pytest.mark.parametrize("rate_hz", [50, 200, 1000])

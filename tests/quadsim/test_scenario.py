@@ -296,10 +296,14 @@ def test_dropouts_come_at_their_rate_and_last_their_time():
 
 
 def test_vibration_has_its_amplitude_and_a_phase_of_its_own():
-    out = corrupted({"kind": "vibration", "frequency_hz": 7.3, "accel": 2.0}, 1000, n=2, value=0.0)
-    wave = out[..., 3:] - np.arange(1000.0)[:, None, None]
-    np.testing.assert_allclose(np.sqrt((wave**2).mean(axis=0)), np.sqrt(2.0), rtol=0.02)
-    assert np.abs(wave[0, 0] - wave[0, 1]).max() > 1e-3
+    shaking = {"kind": "vibration", "frequency_hz": 7.3, "accel": 2.0, "gyro_deg": 90.0, "at_s": 1.0}
+    wave = corrupted(shaking, 1100, n=2, value=0.0) - np.arange(1100.0)[:, None, None]
+    assert not wave[:100].any()
+    amplitude = np.repeat([np.pi / 2, 2.0], 3)
+    np.testing.assert_allclose(
+        np.sqrt((wave[100:] ** 2).mean(axis=0)), np.tile(amplitude / np.sqrt(2), (2, 1)), rtol=0.02
+    )
+    assert np.abs(wave[100, 0] - wave[100, 1]).max() > 1e-3
 
 
 def test_controller_holds_its_rate_while_samples_are_missing():

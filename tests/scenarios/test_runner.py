@@ -108,6 +108,28 @@ def test_known_offsets_give_their_own_size():
     assert error_histogram(log, end).sum() == 2 * 2 * 400
 
 
+def test_every_metric_is_of_its_own_signal():
+    log, end = steady_log()
+    log["tracking"][:, ::2] = np.radians(10.0)
+    log["tilt"][:, 7] = np.radians(40.0)
+    log["command_change"] = np.resize([3.0, 4.0], 400)
+    log["estimate"][:, ::2] = np.radians([3.0, 0.0])
+    metrics = flight_metrics(log, end, 200.0, load_vehicle("hummingbird"))
+    np.testing.assert_allclose(metrics.attitude_deg, 10.0 / np.sqrt(2.0))
+    np.testing.assert_allclose(metrics.worst_tilt_deg, 40.0)
+    np.testing.assert_allclose(metrics.jitter, np.sqrt((3.0**2 + 4.0**2) / 2.0))
+    np.testing.assert_allclose(metrics.inclination_deg, 3.0 / np.sqrt(2.0))
+    np.testing.assert_allclose(metrics.error_deg, 0.75)
+
+
+def test_errors_are_counted_in_twenty_parts_of_each_decade_from_a_thousandth_of_a_degree():
+    log, end = steady_log(1, 10)
+    log["estimate"][0, :4] = np.radians([3.0, -1.2])
+    counts = error_histogram(log, end)
+    found = {int(part): int(counts[part]) for part in np.flatnonzero(counts)}
+    assert found == {0: 12, int(20 * np.log10(1.2e3)): 4, int(20 * np.log10(3e3)): 4}
+
+
 def test_nothing_after_a_crash_counts():
     log, end = steady_log()
     log[0, 100:] = np.nan

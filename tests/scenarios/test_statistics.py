@@ -48,3 +48,14 @@ def test_the_probability_of_improvement_is_the_mann_whitney_statistic():
     same, *_ = probability_of_improvement([x, y], [x, y])
     assert same == pytest.approx(0.5)
     assert probability_of_improvement([np.array([1.0, np.inf])], [np.array([2.0, np.inf])])[0] == 0.625
+
+
+def test_the_interval_of_an_improvement_is_as_wide_as_its_standard_error_says():
+    """Of the Mann-Whitney statistic: variances of each flight's share of wins (DeLong et al. 1988)."""
+    rng = np.random.default_rng(2)
+    x, y = rng.normal(0, 1, 60), rng.normal(0.5, 1, 40)
+    wins = x[:, None] < y
+    error = np.sqrt(wins.mean(1).var(ddof=1) / 60 + wins.mean(0).var(ddof=1) / 40)
+    found, low, high = probability_of_improvement([x], [y])
+    assert (high - low) / (2 * 1.96) == pytest.approx(error, rel=0.1)
+    assert (low + high) / 2 == pytest.approx(found, abs=0.2 * error)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from estimators.control import create_controller
+from estimators.control.controller import SpikingController
 from estimators.control.weights import load_controller
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import load_network
@@ -186,6 +187,24 @@ def test_gradients_of_an_estimator_in_front_are_zero(tmp_path):
     assert gradient[96:].any()
 
 
+def test_an_update_with_two_steps_a_sample_descends_the_error_of_what_the_chip_asks_for(tmp_path):
+    learning = TINY["learning"] | {"steps_per_sample": 2, "huber_threshold": 0.0, "rate_cost": 0.0}
+    training = ControlTraining(make_control_config(**TINY | {"learning": learning}), tmp_path)
+    window = next(windows(training.rounds[0], training.config, np.random.SeedSequence(0), 4))
+    weights = training.exported({})
+    assert weights.config.steps_per_sample == 2
+    chip = SpikingController(weights.config, weights.tensors, on_loihi=True)
+    chip.reset(4)
+    action = chip.sequence(window.set_point, window.gyro, window.accel)[..., :3]
+    out = training.model(training._inputs(window))[0].detach()
+    assert out.shape == (4, 80, 3)
+    np.testing.assert_array_equal(out[:, 1::2], action)
+    assert action.std() > 0.1
+    error = (action - window.target) / np.array(training.config.error_scale)
+    assert training._update(window)[0] == pytest.approx(1.5 * np.mean(error**2), rel=1e-5)
+    assert 0 < training.one_epoch().imitation < np.inf
+
+
 def test_a_linear_teacher_is_imitated_in_seconds():
     """Rate damping, a = -8 gyro: the loss falls below a fifth of the variance of the answer."""
     torch.manual_seed(0)
@@ -257,6 +276,7 @@ def test_another_runs_folder_is_refused(tmp_path):
     [
         ({"estimator": "att-rnn"}, "att-rnn is no Att-SNN"),
         ({"learning": {"quantised": False}}, "is trained quantised"),
+        ({"learning": {"steps_per_sample": 2}}, "2, but the estimator runs a step for each sample"),
         ({"rounds": 60}, "should be at least the rounds"),
         ({"flight_s": 1.0}, "should be at most flight_s"),
         ({"flghts": 3}, 'did you mean "flights"'),
@@ -290,6 +310,9 @@ def test_a_controller_of_other_inputs_is_not_continued(tmp_path):
     first = train_controller(tmp_path / "a", **TINY)
     with pytest.raises(ValueError, match="has other reads, inputs than this training"):
         train_controller(tmp_path / "b", **TINY, reads="attitude", init=str(first.weights))
+    faster = TINY | {"learning": TINY["learning"] | {"steps_per_sample": 2}}
+    with pytest.raises(ValueError, match="has other steps_per_sample than this training"):
+        train_controller(tmp_path / "c", **faster, init=str(first.weights))
 
 
 def test_an_attitude_controller_is_trained_and_flies_on_its_attitude(recipe, tmp_path):

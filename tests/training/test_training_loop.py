@@ -2,6 +2,7 @@ import csv
 import errno
 import json
 import os
+from copy import deepcopy
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,18 +11,24 @@ import pytest
 import torch
 
 from estimators.metrics import up_in_body
-from estimators.networks.network import create_network
+from estimators.networks.network import NetworkEstimator, OnLoihi, create_network
 from estimators.networks.symmetry import is_symmetric
 from estimators.networks.weights_file import EXPONENTS, load_network, parameters
 from quadsim.cli.options import fields_of
 from quadsim.config.toml import load_toml, preset_names
 from quadsim.dataset.generation import generate
+from quadsim.flight.mission import Mission
 from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.scenario import load_scenario
+from quadsim.imu import simulate_imu
+from quadsim.imu.spec import ImuSpec
+from quadsim.seeding import vehicle_seeds
 from training import loop
 from training.augment import Augmentation, augment
 from training.backends.fused import Fused
+from training.backends.plain import Plain
 from training.config import Preset, TrainConfig, make_config
-from training.data import load_training_flights, network_inputs, split, windows
+from training.data import flights_of, load_training_flights, network_inputs, split, windows
 from training.init import (
     DEAD,
     initialise_from_data,
@@ -31,9 +38,9 @@ from training.init import (
     reinitialise_dead_neurons,
 )
 from training.loop import train
-from training.loss import finished
+from training.loss import finished, total_cost
 from training.models import CURRENT_MAX, AttSNN, prune_connections
-from training.run_folder import commit
+from training.run_folder import commit, exported
 
 TINY = {
     "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
@@ -405,6 +412,25 @@ def test_windows_of_a_stream_are_successive(dataset):
     np.testing.assert_array_equal(batches[7].accel, again[7].accel)
 
 
+def test_streams_of_a_batch_differ_and_do_not_depend_on_how_many_others_there_are(dataset):
+    flights = load_training_flights([dataset])
+    few, more = (
+        list(
+            windows(
+                flights, make_config(data="x", batches=6, batch_size=size, windows_per_stream=4), 100, (0, 1)
+            )
+        )
+        for size in (8, 12)  # one stream in each of eight cohorts; two in four of them, one in the others
+    )
+    for batch in more:
+        assert len(np.unique(batch.accel[:, 0], axis=0)) == 12
+    resets = np.array([batch.reset for batch in few])
+    assert len(np.unique(resets, axis=1).T) > 4
+    for one, other in zip(few, more, strict=True):
+        for alone, among in zip(one, other, strict=True):
+            np.testing.assert_array_equal(alone[4:], among[8:])
+
+
 def test_a_stream_lasts_from_one_window_to_the_most(dataset):
     flights = load_training_flights([dataset])
     config = make_config(data="x", batches=300, batch_size=8, windows_per_stream=4)
@@ -478,6 +504,37 @@ def test_an_imu_off_the_centre_on_a_turntable_feels_the_centripetal_force():
     np.testing.assert_allclose(accel, accel[:, :1] * np.ones((1, 50, 1)))
 
 
+def test_an_imu_off_the_centre_feels_what_the_simulators_imu_feels():
+    """Spins about z and x tell the arm; then any rate that grows evenly, ω̇ × r + ω × (ω × r)."""
+    quiet = Augmentation(gyro_noise=0, accel_noise=0, accel_bias=0, lever_arm_max=0.1)
+
+    def felt(rate):
+        rates = np.broadcast_to(rate, (6, 20, 3))
+        return augment(rates, 0 * rates, 0 * rates, quiet, 200.0, np.random.default_rng(1))[1]
+
+    about_z, about_x = (felt(spin)[:, 0] / -(4.0**2) for spin in ([0.0, 0.0, 4.0], [4.0, 0.0, 0.0]))
+    arms = np.column_stack([about_z[:, :2], about_x[:, 2]])
+    assert arms.any(1).sum() >= 2
+    turn = np.array([30.0, -20.0, 50.0])
+    rate = np.array([1.0, 2.0, -3.0]) + turn * np.arange(20)[:, None] / 200.0
+    for arm, accel in zip(arms, felt(rate), strict=True):
+        spec, ang_acc = ImuSpec(lever_arm=tuple(arm)), np.broadcast_to(turn, (1, 20, 3))
+        _, expected = simulate_imu(spec, rate[None], 0 * rate[None], 200.0, seed=0, ang_acc=ang_acc)
+        np.testing.assert_allclose(accel[1:], expected[0, 1:], atol=1e-12)
+
+
+def test_vibration_has_its_size_in_the_accelerometer_and_a_hundredth_in_the_gyroscope():
+    """Two tones a sin + b cos, a and b uniform within ± size / 2: a root mean square of size / √6."""
+    zero = np.zeros((2000, 100, 3), np.float32)
+    shaken = Augmentation(
+        vibration=(6.0, 6.0), vibration_share=1.0, gyro_noise=0, accel_noise=0, accel_bias=0
+    )
+    gyro, accel, _ = augment(zero, zero, zero, shaken, 200.0, np.random.default_rng(0))
+    for signal, size in ((accel, 6.0), (gyro, 0.06)):
+        rms = np.sqrt(np.mean(signal.astype(float) ** 2, axis=(0, 1)))
+        np.testing.assert_allclose(rms, size / np.sqrt(6), rtol=0.05)
+
+
 def test_lost_samples_are_missing_in_both_sensors_at_their_share():
     zero = np.zeros((400, 500, 3), np.float32)
     lossy = Augmentation(drop_share=0.5, drop_max=0.2)
@@ -495,6 +552,10 @@ def test_stopping_rules_of_the_paper():
     assert finished(falling) is None
     assert finished([*falling, *[0.6] * 50]) == "the lowest validation loss is 50 epochs old"
     assert "20-epoch average" in str(finished([*falling, *[0.9] * 20]))
+    assert finished([1.0] * 50) is None
+    assert finished([1.0] * 51) == "the lowest validation loss is 50 epochs old"
+    assert finished([1.0] * 20 + [1.09] * 20) is None
+    assert "20-epoch average" in str(finished([1.0] * 20 + [1.11] * 20))
 
 
 def test_rough_sensors_are_drawn_within_their_limits():
@@ -755,3 +816,75 @@ def test_windows_grow_over_the_epochs_and_a_run_resumes_across_a_change(dataset,
         ValueError, match=r"later_windows: shares \[0.5, 0.2\], each should be above the one before"
     ):
         make_config(data="x.zarr", later_windows=((0.5, 1.0), (0.2, 2.0)))
+
+
+# --- several network steps for each sample ----------------------------------------------------------
+
+
+STEPS = {"outputs": "roll-pitch", "symmetric": False, "clip": 0.0, "rate_cost": 0.5}
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def with_steps(request, dataset):
+    """A run of some network steps for each sample, in float64, and its first batches."""
+    config = make_config(data=str(dataset), **TINY | STEPS | {"steps_per_sample": request.param})
+    flights, validation, _ = flights_of(config)
+    training = loop.Training(config, flights, validation)
+    training.model.double()
+    return training, list(windows(flights, config, 100, (0, 1)))
+
+
+def chip_of(training):
+    """The network so far on the emulated chip."""
+    return NetworkEstimator(OnLoihi(*exported(training.model, training.config, 200.0, {})), 200.0)
+
+
+def test_the_trainers_forward_pass_is_the_chips_after_the_last_step_of_each_sample(with_steps):
+    training, batches = with_steps
+    steps, chip, state = training.config.steps_per_sample, chip_of(training), training._input_state
+    chip.reset(len(batches[0].gyro))
+    continued = 0
+    for batch in batches:
+        chip.restart(np.flatnonzero(batch.reset))
+        state[batch.reset] = 0.0
+        outputs = training.model(network_inputs(training.config, batch, state), batch.reset)[0]
+        assert outputs.shape[1] == steps * batch.gyro.shape[1]
+        estimate = chip.sequence(batch.gyro, batch.accel)
+        np.testing.assert_array_equal(outputs.detach()[:, steps - 1 :: steps], estimate)
+        assert estimate.std() > 0.01
+        continued += np.sum(~batch.reset)
+    assert continued > 0
+
+
+def test_an_update_descends_the_error_of_the_chips_estimates(with_steps):
+    """Its loss is theirs, and its gradient that of PyTorch's autograd through the plain network."""
+    training, (batch, *_) = with_steps
+    config, steps = training.config, training.config.steps_per_sample
+    target, plain = torch.from_numpy(batch.roll_pitch), deepcopy(training.model)
+    plain.backend = Plain()
+    every, rates = plain(network_inputs(config, batch))
+    total_cost(every[:, steps - 1 :: steps], target, rates, config).backward()
+    chip = chip_of(training)
+    chip.reset(len(batch.gyro))
+    error = np.mean((chip.sequence(batch.gyro, batch.accel) - batch.roll_pitch) ** 2)
+    assert training._update(batch)[0] == pytest.approx(error, rel=1e-12)
+    for (name, mine), theirs in zip(training.model.named_parameters(), plain.parameters(), strict=True):
+        scale = float(theirs.grad.abs().max())
+        assert scale > 0, name
+        np.testing.assert_allclose(mine.grad / scale, theirs.grad / scale, rtol=0, atol=1e-10, err_msg=name)
+
+
+def test_a_run_with_two_steps_a_sample_is_validated_as_it_flies(dataset, tmp_path):
+    result = train(data=dataset, out=tmp_path / "run", **TINY | STEPS | {"steps_per_sample": 2})
+    assert load_network(result.weights)[0].steps_per_sample == 2
+    _, flights, _ = flights_of(make_config(data=str(dataset), **TINY))
+    chip = create_network("att-snn-loihi", weights=result.weights)
+    chip.reset(len(flights))
+    error = chip.sequence(flights.gyro, flights.accel) - flights.roll_pitch
+    assert result.best.val_mse == pytest.approx(np.mean(error**2), rel=1e-9)
+    mission = Mission(load_scenario("hover"), create_network("att-snn-loihi", weights=result.weights), 2)
+    mission.begin(vehicle_seeds(0, 2))
+    for _ in range(100):
+        mission.step()
+    assert mission.loop.attitude.any()
+    assert not mission.cause.any()

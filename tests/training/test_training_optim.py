@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from training.loss import attitude_loss
+from training.config import make_config
+from training.loss import attitude_loss, total_cost
 from training.optim import Lookahead, resized_state
 
 
@@ -92,3 +93,10 @@ def test_the_loss_is_quadratic_up_to_the_threshold_and_linear_beyond():
     loss.backward()
     pulls = error.grad.norm(dim=-1)[0] * 3
     torch.testing.assert_close(pulls, torch.tensor([0.05, 0.1, 0.0], dtype=torch.float64))
+
+
+def test_spikes_cost_what_exceeds_their_target_and_fewer_earn_nothing():
+    config = make_config(data="x", rate_cost=3.0, rate_targets=(0.1, 0.2))
+    right = torch.zeros(1, 4, 2)
+    for rates, excess in (([0.05, 0.1], 0.0), ([0.15, 0.1], 0.05), ([0.15, 0.4], 0.25)):
+        assert total_cost(right, right, torch.tensor(rates), config).item() == pytest.approx(3.0 * excess)

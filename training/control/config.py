@@ -161,6 +161,11 @@ class ControlConfig(ControlRecipe):
             )
         if self.reads == "attitude" and self.estimator:
             raise ValueError("reads: attitude, and an estimator; give one of them")
+        if self.estimator and learning.steps_per_sample != 1:
+            raise ValueError(
+                f"learning.steps_per_sample: {learning.steps_per_sample}, but the estimator runs a step for "
+                "each sample"
+            )
         if self.decay_profiles and not (self.init and learning.fixed_taus):
             raise ValueError(
                 "decay_profiles: give init, whose decays are shared, and learning.fixed_taus = true"

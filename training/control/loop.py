@@ -165,9 +165,9 @@ def check_init(config: ControlConfig) -> None:
     """
     network, _, reads = load_controller(config.init)
     given = {"reads": reads, "inputs": network.inputs, "set_point": network.set_point}
-    given["output_scale"] = network.output_scale
+    given |= {"output_scale": network.output_scale, "steps_per_sample": network.steps_per_sample}
     own = {"reads": config.reads, "inputs": config.learning.inputs, "set_point": config.set_point}
-    own["output_scale"] = config.output_scale
+    own |= {"output_scale": config.output_scale, "steps_per_sample": config.learning.steps_per_sample}
     if different := [name for name, value in given.items() if value != own[name]]:
         raise ValueError(f"init: {config.init} has other {', '.join(different)} than this training")
 
