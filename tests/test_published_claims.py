@@ -9,11 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimators.networks.network import silenced
+from estimators.evaluation.flights import load_flights
 from estimators.networks.weights_file import load_network
 
 DOCS = Path(__file__).parents[1] / "docs"
-SCRIPTS = ("loihi", "deploy", "cortex", "simulated", "pages", "speed", "training_page", "learnt", "foreign")
+SCRIPTS = (
+    *("loihi", "deploy", "speed", "training_page", "control_page"),
+    *("cortex", "simulated", "pages", "learnt", "foreign", "ppo_controller"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +92,52 @@ def test_the_page_of_the_chip_refuses_states_that_are_not_lavas(loihi, monkeypat
     monkeypatch.setattr(loihi.np, "load", changed)
     with pytest.raises(ValueError, match="a_single_bias.*should be at most 0"):
         loihi.golden_rows()
+
+
+def test_the_page_of_microcontrollers_refuses_outputs_that_are_not_the_emulators(script, flight, monkeypatch):
+    deploy = script("deploy")
+    gyro, accel = flight.gyro[0, :50], flight.accel[0, :50]
+    ours = deploy.emulated("att-snn", gyro, accel)
+    found = iter((ours, np.nextafter(ours, 2.0)))
+    monkeypatch.setattr(deploy, "networks", lambda: ["att-snn"])
+    monkeypatch.setattr(deploy, "samples", lambda data: (gyro, accel))
+    monkeypatch.setattr(
+        deploy,
+        "measured",
+        lambda *given: (deploy.Size(1, 1, 1), deploy.Run(next(found), np.ones((50, 3), np.int64))),
+    )
+    rows = deploy.rows(Path())
+    assert next(rows).endswith("| 0 of 150 |")
+    with pytest.raises(ValueError, match="att-snn on Cortex-M7: outputs that differ.*: 150, should be at most 0"):
+        next(rows)
+
+
+def test_the_page_of_speed_measures_how_far_the_engines_are_apart(script, monkeypatch):
+    speed = script("speed")
+    assert 0.0 < speed.engine_difference(0.5, 2) < 1e-12
+    monkeypatch.setattr(speed, "AGREEMENT", 1e-20)
+    with pytest.raises(ValueError, match="difference of the engines"):
+        speed.engine_difference(0.5, 2)
+
+
+def test_the_page_of_training_compares_floats_with_the_chip(script, make_flights, monkeypatch):
+    pytest.importorskip("rotorpy")
+    page = script("training_page")
+    flights = load_flights([make_flights(flights=1, seconds=2.0)])
+    assert page.cost_of_rounding(flights) < 1.0
+    monkeypatch.setattr(page, "create", lambda name: page.without_rounding("att-snn"))
+    assert page.cost_of_rounding(flights) == 0.0
+    made = iter((page.without_rounding("att-snn-paper"), page.without_rounding("att-snn")))
+    monkeypatch.setattr(page, "create", lambda name: next(made))
+    with pytest.raises(ValueError, match="estimates that differ from those of att-snn-loihi"):
+        page.cost_of_rounding(flights)
+
+
+def test_the_page_of_controllers_refuses_a_crash_that_it_denies(script):
+    pytest.importorskip("stable_baselines3")
+    page = script("control_page")
+    rows = {("lever-arm", title): SimpleNamespace(crashes=0) for title in page.NAMES}
+    assert page.without_crash(rows, "lever-arm", page.NEVER_DISPLACED) == "`lever-arm`"
+    rows["lever-arm", "spiking, merged, Att-SNN"].crashes = 1
+    with pytest.raises(ValueError, match="spiking, merged, Att-SNN: crashes in lever-arm: 1"):
+        page.without_crash(rows, "lever-arm", page.NEVER_DISPLACED)
