@@ -13,7 +13,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, load_page, row
+from pages import ROOT, confirmed, load_page, row
 
 from estimators import create
 from estimators.control.controller import SpikingController, create_controller
@@ -59,6 +59,12 @@ NAMES = {
     BASE: ESTIMATOR,
     **{f"spiking, {way}, Att-SNN": f"{ESTIMATOR} @ {name}" for way, name in WAYS.items()},
 }
+NEVER_DISPLACED = (
+    *(f"spiking, {way}, truth" for way in ON_ATTITUDE),
+    "spiking, separate, Att-SNN",
+    "spiking, merged, Att-SNN",
+)
+"""Controllers of which the page says that none crashes with its accelerometer off the centre of mass."""
 ELSEWHERE = ("px4-quad", "crazyflie")
 """Airframes that no controller was trained on."""
 NOMINAL = (
@@ -98,6 +104,13 @@ def scenario_rows(found: dict[tuple[str, str], CellRow]) -> Iterator[str]:
     """Tracking by scenario."""
     for scenario in scenario_names():
         yield row(scenario, *(shown(found[scenario, title]) for title in NAMES))
+
+
+def without_crash(found: dict[tuple[str, str], CellRow], scenario: str, titles: Sequence[str]) -> str:
+    """The scenario, which the page says that these controllers do not crash in."""
+    for title in titles:
+        confirmed(f"{title}: crashes in {scenario}", found[scenario, title].crashes or 0)
+    return f"`{scenario}`"
 
 
 def tracking(found: dict[tuple[str, str], CellRow], title: str, scenarios: Sequence[str]) -> Array:
@@ -301,6 +314,7 @@ def main() -> None:
             "elsewhere": list(elsewhere_rows()),
             "columns": row("scenario", *NAMES),
             "ruler": row(*["---"] * (1 + len(NAMES))),
+            "displaced": without_crash(found, "lever-arm", NEVER_DISPLACED),
             "seeds": str(SEEDS),
             "flights": str(SEEDS * len(scenario_names())),
             "nominal": ", ".join(NOMINAL),

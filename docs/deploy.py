@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from cortex import CORES, Core, Run, Size, build, missing_tools, run
 from numpy.typing import NDArray
-from pages import load_page, row
+from pages import confirmed, load_page, row
 from simulated import options, simulated
 
 from estimators.control.controller import create_controller
@@ -82,7 +82,8 @@ def rows(data: Path) -> Iterator[str]:
         ours = emulated(name, gyro, accel)
         for core in CORES:
             size, done = measured(name, core, gyro, accel)
-            wrong = int((done.outputs != ours).sum())
+            claim = f"{name} on {core.name}: outputs that differ from the emulator's"
+            wrong = confirmed(claim, int((done.outputs != ours).sum()))
             total = done.instructions.sum(axis=1)
             share = np.median(total) * RATE_HZ / CLOCK_HZ
             flash, ram = f"{size.flash / 1024:.1f}", f"{(size.ram + size.stack) / 1024:.1f}"

@@ -199,6 +199,17 @@ def row(*cells: object) -> str:
     return "| " + " | ".join(map(str, cells)) + " |"
 
 
+def confirmed(claim: str, value: float, most: float = 0) -> float:
+    """A number that a page publishes, which the page claims to be `most` or less.
+
+    Raises:
+        ValueError: It is larger, or not a number.
+    """
+    if not value <= most:
+        raise ValueError(f"{claim}: {value:g}, should be at most {most:g}")
+    return value
+
+
 def _text(part: str | Sequence[str]) -> str:
     return part if isinstance(part, str) else "\n".join(part)
 

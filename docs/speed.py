@@ -11,10 +11,35 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from pages import ROOT, load_page, row
+import numpy as np
+from pages import ROOT, confirmed, load_page, row
 from simulated import options
 
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.simulate import simulate_flights
+from quadsim.seeding import vehicle_seeds
+
 PEERS = ("crazyflow", "rotorpy", "norse", "snntorch")
+
+
+AGREEMENT = 1e-12
+"""Largest difference of the engines in flight, absolute below 1 and relative above."""
+
+
+def engine_difference(seconds: float = 20.0, n: int = 8) -> float:
+    """Largest difference between MuJoCo and the compiled engine in n flights of the Hummingbird."""
+    config = flight_config(load_recipe("hummingbird"))
+    theirs, ours = (
+        simulate_flights(
+            config.model_copy(update={"engine": engine}), vehicle_seeds(0, n), round(seconds * 200.0)
+        )
+        for engine in ("mujoco", "compiled")
+    )
+    found = [
+        np.abs(ours[name] - theirs[name]) / np.maximum(1.0, np.abs(theirs[name]))
+        for name in ("position", "velocity", "quat", "ang_vel", "gyro", "accel")
+    ]
+    return confirmed("difference of the engines", float(max(each.max() for each in found)), AGREEMENT)
 
 
 def table(bench: str, *arguments: str | Path, out: str = "--out") -> list[str]:
@@ -36,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     page, rounds = load_page("speed"), str(given.rounds)
     page.write(
         {
+            "engines": f"{engine_difference():.0e}",
             "steps": table("bench_simulation", "--rounds", rounds),
             "start": table("bench_simulation", "--rounds", "1", out="--cold-start"),
             "estimators": table("bench_filters"),

@@ -112,7 +112,7 @@ def export(
         str,
         typer.Option(
             help="Of a dataset: netcdf, parquet, csv (EuRoC folders) or rosbag2. "
-            "Of weights: nir, c99 (header and source) or onnx (att-rnn)."
+            "Of weights: nir (runs in Norse and snnTorch), c99 (header and source) or onnx (att-rnn)."
         ),
     ],
 ) -> None:

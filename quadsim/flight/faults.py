@@ -36,6 +36,20 @@ Array = NDArray[np.float64]
 BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
 
 
+class OnAxes(Strict):
+    """A fault of the sensors' readings on some of their axes; the others stay as they are."""
+
+    axes: Literal["x", "y", "z", "xy", "xz", "yz", "xyz"] = "xyz"
+    """Axes of the body that it acts on."""
+
+
+class OnSensor(OnAxes):
+    """A fault of one sensor of the IMU or of both."""
+
+    sensor: Literal["both", "gyro", "accel"] = "both"
+    """Sensor that it acts on."""
+
+
 class GyroBiasStep(Strict):
     """The gyroscope's bias jumps."""
 
@@ -56,7 +70,7 @@ class AccelBiasStep(Strict):
     """When [s]."""
 
 
-class Vibration(Strict):
+class Vibration(OnAxes):
     """A vibration of the whole sensor, its phases drawn for each seed; above half the rate it aliases."""
 
     kind: Literal["vibration"]
@@ -70,7 +84,7 @@ class Vibration(Strict):
     """From when on [s]."""
 
 
-class Dropout(Strict):
+class Dropout(OnSensor):
     """Samples are lost: each with a probability, for a time of its own length. The estimator gets NaN."""
 
     kind: Literal["dropout"]
@@ -82,7 +96,7 @@ class Dropout(Strict):
     """From when on [s]."""
 
 
-class Stuck(Strict):
+class Stuck(OnSensor):
     """The sensor repeats its last sample for a while."""
 
     kind: Literal["stuck"]
@@ -94,7 +108,7 @@ class Stuck(Strict):
     """Again after so long [s]; left out, once."""
 
 
-class Saturation(Strict):
+class Saturation(OnAxes):
     """The measuring range is smaller than the motion."""
 
     kind: Literal["saturation"]
@@ -126,7 +140,7 @@ class LeverArm(Strict):
     """Where, on top of the IMU's own, from the centre of mass in body axes [m]."""
 
 
-class Delay(Strict):
+class Delay(OnSensor):
     """Samples are delayed."""
 
     kind: Literal["delay"]
@@ -203,7 +217,9 @@ def sensor_faults(
     """
     seeds = vehicle_seeds(seed, n)
     chain = [
-        _corruption(fault, rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
+        _on_part(
+            fault, _corruption(fault, rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
+        )
         for index, fault in enumerate(faults)
         if isinstance(fault, SensorFault)
     ]
@@ -236,7 +252,7 @@ def fault_spans(faults: Sequence[SensorFault | VehicleFault], duration_s: float)
     """When the faults of a flight are there, in their order; one that comes again has as many spans."""
     spans = []
     for fault in faults:
-        label, start = fault.kind.replace("-", " "), getattr(fault, "at_s", 0.0)
+        label, start = _label(fault), getattr(fault, "at_s", 0.0)
         match fault:
             case PayloadDrop():
                 found = [FaultSpan("payload", 0.0, fault.at_s)]
@@ -248,6 +264,12 @@ def fault_spans(faults: Sequence[SensorFault | VehicleFault], duration_s: float)
         ends = [min(each.end_s, duration_s) for each in found]
         spans += [e._replace(end_s=end) for e, end in zip(found, ends, strict=True) if e.start_s < end]
     return spans
+
+
+def _label(fault: SensorFault | VehicleFault) -> str:
+    sensor, axes = getattr(fault, "sensor", "both"), getattr(fault, "axes", "xyz")
+    parts = [part for part, whole in ((sensor, "both"), (axes, "xyz")) if part != whole]
+    return " ".join([fault.kind.replace("-", " "), *parts])
 
 
 class VehicleFaults:
@@ -299,6 +321,22 @@ class VehicleFaults:
                 else:
                     faded = np.clip((time - fault.at_s) / fault.fade_s, 0.0, 1.0)
                     effect *= 1.0 - (1.0 - fault.effect) * faded[:, None]
+
+
+def _on_part(fault: SensorFault, corrupt: Corrupt) -> Corrupt:
+    """The same on the sensor and the axes of the fault alone."""
+    sensor = getattr(fault, "sensor", "both")
+    others = np.array([axis not in getattr(fault, "axes", "xyz") for axis in "xyz"])
+    gyro, accel = (others | (sensor not in ("both", name)) for name in ("gyro", "accel"))
+    if not (gyro.any() or accel.any()):
+        return corrupt
+
+    def corrupt_part(readings: Readings, k: NDArray[np.int64]) -> None:
+        before = readings.gyro[:, gyro], readings.accel[:, accel]
+        corrupt(readings, k)
+        readings.gyro[:, gyro], readings.accel[:, accel] = before
+
+    return corrupt_part
 
 
 def _corruption(fault: SensorFault, rate_hz: float, random: list[np.random.Generator]) -> Corrupt:

@@ -286,6 +286,70 @@ def test_saturation_clips():
     np.testing.assert_array_equal(out[:, 0, 0], [1, 2, 3, 4, 5, 6])
 
 
+ON_IMU = (
+    {"kind": "stuck", "at_s": 0.02, "length_s": 1.0},
+    {"kind": "dropout", "probability": 1.0},
+    {"kind": "delay", "delay_s": 0.02},
+)
+ON_AXES = (
+    *ON_IMU,
+    {"kind": "vibration", "frequency_hz": 7.3, "accel": 2.0, "gyro_deg": 90.0},
+    {"kind": "saturation", "accel": 3.0, "gyro_deg": 100.0},
+)
+
+
+def changed_by(fault: dict) -> np.ndarray:
+    """Which of the six readings a fault ever changes; those it changes are as those of the whole IMU."""
+    out = corrupted(fault, 8)[:, 0]
+    whole = corrupted({key: value for key, value in fault.items() if key not in ("sensor", "axes")}, 8)[:, 0]
+    readings = np.arange(1.0, 9.0)[:, None]
+    changed = (out != readings).any(axis=0)
+    np.testing.assert_array_equal(out[:, changed], whole[:, changed])
+    assert (whole != readings).any(axis=0).all()
+    return changed
+
+
+@pytest.mark.parametrize("fault", ON_IMU, ids=lambda fault: fault["kind"])
+def test_a_fault_of_one_sensor_leaves_the_other_alive(fault):
+    np.testing.assert_array_equal(changed_by(fault | {"sensor": "gyro"}), [1, 1, 1, 0, 0, 0])
+    np.testing.assert_array_equal(changed_by(fault | {"sensor": "accel"}), [0, 0, 0, 1, 1, 1])
+    np.testing.assert_array_equal(changed_by(fault | {"sensor": "gyro", "axes": "z"}), [0, 0, 1, 0, 0, 0])
+
+
+@pytest.mark.parametrize("fault", ON_AXES, ids=lambda fault: fault["kind"])
+def test_a_fault_of_some_axes_leaves_the_others_alive(fault):
+    np.testing.assert_array_equal(changed_by(fault | {"axes": "xz"}), [1, 0, 1, 1, 0, 1])
+    np.testing.assert_array_equal(changed_by(fault), np.ones(6))
+
+
+def test_faults_of_two_sensors_do_not_disturb_each_other():
+    faults = (
+        {"kind": "stuck", "at_s": 0.0, "length_s": 1.0, "sensor": "gyro"},
+        {"kind": "delay", "delay_s": 0.01, "sensor": "accel"},
+    )
+    corrupt = sensor_faults(with_faults(*faults).faults, 1, 100.0, 0)
+    for k in range(5):
+        readings = Readings(np.full((1, 3), 1.0 + k), np.full((1, 3), 1.0 + k))
+        corrupt(readings, np.array([k]))
+        np.testing.assert_array_equal(readings.gyro, np.full((1, 3), 1.0))
+        np.testing.assert_array_equal(readings.accel, np.full((1, 3), max(k, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ('kind = "stuck"\nsensor = "gyroscope"', r"mine\.toml: faults\[0\]\.sensor = .gyroscope.: should be 'both', 'gyro' or 'accel'"),
+        ('kind = "stuck"\naxes = "zx"', r"mine\.toml: faults\[0\]\.axes = .zx.: should be 'x', .* or 'xyz'"),
+        ('kind = "stuck"\naxes = ""', r"mine\.toml: faults\[0\]\.axes = ..: should be"),
+        ('kind = "saturation"\naccel = 3.0\nsensor = "gyro"', r"mine\.toml: unknown key .faults\[0\]\.sensor"),
+        ('kind = "rotor-loss"\naxes = "x"', r"mine\.toml: unknown key .faults\[0\]\.axes"),
+    ],
+)
+def test_a_sensor_or_axis_that_there_is_not_is_named(keys, message):
+    with pytest.raises(ValueError, match=message):
+        build(f"[[faults]]\n{keys}\n")
+
+
 def test_dropouts_come_at_their_rate_and_last_their_time():
     fault = {"kind": "dropout", "probability": 0.1, "length_s": 0.03}
     lost = np.isnan(corrupted(fault, 2000, n=4)).all(axis=2)

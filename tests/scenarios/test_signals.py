@@ -108,6 +108,8 @@ def test_spans_of_faults_end_with_the_flight():
         ("payload", 0.0, 3.0),
     ]
     assert fault_spans([STEP], 0.5) == []
+    gyro = stuck.model_copy(update={"sensor": "gyro", "axes": "xy", "every_s": None})
+    assert [each.label for each in fault_spans([gyro], 9.2)] == ["stuck gyro xy"]
 
 
 @pytest.mark.parametrize("name", ["ekf", "eskf"])
