@@ -1,7 +1,7 @@
 """How wrong an attitude estimate is. One set of functions for every table and figure.
 
-An estimate that is no finite number where the truth is known is 180° wrong. Where the truth is not known,
-NaN, there is no error, and nothing is counted.
+An estimate that is not a finite number, or beyond ±`RANGE`, where the truth is known is 180° wrong. Where the
+truth is not known, NaN, there is no error, and nothing is counted.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+RANGE = 100.0
+"""Largest roll or pitch that counts as an angle [rad]: filters that do not wrap may count several turns, but
+differences of much larger numbers modulo 2π are rounding errors."""
+MOTION = 1e-6
+"""Largest change of the truth at which a flight counts as motionless [rad]."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class Summary:
 def absolute_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
     """Absolute error of roll and of pitch [deg], shape (..., 2), from angles in radians; at most 180."""
     estimate, truth = _pair(estimate, truth)
-    difference = np.where(_number(estimate)[..., None], estimate, truth + np.pi) - truth
+    difference = np.where(_angles(estimate)[..., None], estimate, truth + np.pi) - truth
     return np.degrees(np.abs(difference - 2.0 * np.pi * np.round(difference / (2.0 * np.pi))))
 
 
@@ -72,9 +78,9 @@ def inclination_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
         truth: The same, true; NaN gives NaN.
     """
     estimate, truth = _pair(estimate, truth)
-    number = _number(estimate)[..., None]
+    sound = _angles(estimate)[..., None]
     b = up_in_body(truth)
-    a = np.where(number, up_in_body(np.where(number, estimate, 0.0)), -b)
+    a = np.where(sound, up_in_body(np.where(sound, estimate, 0.0)), -b)
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
@@ -84,15 +90,39 @@ def inclination_rmse(estimate: ArrayLike, truth: ArrayLike) -> Summary:
 
 
 def share_without_number(estimate: ArrayLike, truth: ArrayLike) -> float:
-    """Share of the samples with a known truth where the estimate is no finite number, 0…1; 0 without any.
+    """Share of the samples with a known truth that count as 180° wrong, 0…1; 0 without any.
 
     Args:
         estimate: Roll and pitch (..., 2) [rad].
         truth: The same, true; NaN where it is not known.
     """
     estimate, truth = _pair(estimate, truth)
-    known = _number(truth)
-    return float(np.mean(~_number(estimate)[known])) if known.any() else 0.0
+    known = _angles(truth)
+    return float(np.mean(~_angles(estimate)[known])) if known.any() else 0.0
+
+
+def flaw_of(estimate: ArrayLike, truth: ArrayLike) -> str:
+    """Why an estimator must not be ranked by its estimates, to follow its name in a sentence; "" if it may.
+
+    It may not if a roll or pitch is not a finite number or is beyond ±`RANGE`, or if the estimates are
+    constant in every flight in which the truth moves.
+
+    Args:
+        estimate: Roll and pitch (n, T, 2) or (T, 2) [rad].
+        truth: The same, true; samples of NaN are not counted.
+    """
+    estimate, truth = (each.reshape(-1, *each.shape[-2:]) for each in _pair(estimate, truth))
+    known = _angles(truth)
+    counted = estimate[known]
+    finite = np.isfinite(counted).all(axis=-1)
+    if not finite.all():
+        return f"returned roll or pitch that is not a finite number in {_percent(~finite)} of the samples"
+    if not (within := _angles(counted)).all():
+        return f"returned angles beyond ±{RANGE:g} rad in {_percent(~within)} of the samples"
+    moves = [each for each, there in enumerate(known) if _span(truth[each, there]) > MOTION]
+    if moves and all(_span(estimate[each, known[each]]) == 0.0 for each in moves):
+        return "returned the same roll and pitch at every sample"
+    return ""
 
 
 def up_in_body(roll_pitch: ArrayLike) -> Array:
@@ -102,8 +132,19 @@ def up_in_body(roll_pitch: ArrayLike) -> Array:
     return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=-1)
 
 
-def _number(angles: Array) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(angles).all(axis=-1))
+def _angles(values: Array) -> NDArray[np.bool_]:
+    """Samples whose roll and pitch are both finite and within ±`RANGE`, (...)."""
+    return np.asarray((np.abs(values) <= RANGE).all(axis=-1))
+
+
+def _percent(which: NDArray[np.bool_]) -> str:
+    share = 100.0 * float(np.mean(which))
+    return "less than 0.1 %" if share < 0.1 else f"{share:.1f} %"
+
+
+def _span(angles: Array) -> float:
+    """Largest change of roll or pitch over samples (k, 2) [rad]; 0 without any."""
+    return float(np.ptp(angles, axis=0).max()) if len(angles) else 0.0
 
 
 def _pair(estimate: ArrayLike, truth: ArrayLike) -> tuple[Array, Array]:

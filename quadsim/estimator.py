@@ -62,12 +62,18 @@ def accepted_sensors(update: Callable[..., object]) -> tuple[str, ...]:
     return tuple(name for name in OTHERS if name in names)
 
 
+def receives_truth(estimator: object) -> bool:
+    """Whether an estimator is fed the true attitude: a reference, which no table ranks."""
+    return callable(getattr(estimator, "observe", None))
+
+
 class AttitudeEstimator(Protocol):
     """Roll and pitch from a 6-axis IMU, for n vehicles at once, one sample at a time.
 
     Optional members, looked up by name where they are used:
 
     - `observe(quat)`: an estimator that is fed the truth; called with quat_WB (n, 4) just before `update`.
+      It is a reference: tables mark it and do not rank it.
     - `sequence(gyro, accel, **sensors)`: (n, T, 3) twice -> (n, T, 2), the same numbers as T calls of
       `update`, faster.
     - `restart(ids, roll_pitch=None)`: `reset` for some of the vehicles, the others continue.

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from estimators.metrics import (
+    RANGE,
     Summary,
     absolute_error,
     attitude_error,
+    flaw_of,
     inclination_error,
     inclination_rmse,
     share_without_number,
@@ -62,6 +64,80 @@ def test_an_estimate_that_is_no_number_is_180_degrees_wrong():
     np.testing.assert_allclose(inclination_error(estimate, truth)[0, :3], [0.0, 0.0, 180.0], atol=1e-6)
     assert np.isnan(inclination_error(estimate, truth)[0, 3])
     assert share_without_number(estimate, truth) == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("size", [101.0, 1e16, 3e16, 1e18, 1e20, 1e300, -1e20])
+def test_an_estimate_beyond_the_range_of_angles_is_180_degrees_wrong(size):
+    truth = np.radians([[[10.0, -20.0]] * 4])
+    estimate = np.full_like(truth, size)
+    np.testing.assert_allclose(absolute_error(estimate, truth), 180.0)
+    np.testing.assert_allclose(inclination_error(estimate, truth), 180.0)
+    assert share_without_number(estimate, truth) == 1.0
+
+
+def test_a_filter_that_counts_turns_is_scored_modulo_a_turn():
+    turns = 2.0 * np.pi * np.arange(-15, 16)[:, None] * np.ones(2)
+    assert np.abs(turns).max() < RANGE
+    np.testing.assert_allclose(absolute_error(turns, np.zeros_like(turns)), 0.0, atol=1e-10)
+
+
+def moving(n=2, samples=100):
+    """True roll and pitch of vehicles that swing, (n, samples, 2) [rad]."""
+    time = np.arange(samples) / 200.0
+    return np.stack(
+        [np.stack([0.3 * np.sin(3.0 * time + i), 0.2 * np.cos(2.0 * time)], axis=-1) for i in range(n)]
+    )
+
+
+def spoiled(value, part):
+    estimate = moving() + 0.01
+    estimate[part] = value
+    return estimate
+
+
+@pytest.mark.parametrize(
+    ("estimate", "flaw"),
+    [
+        (spoiled(0.0, (0, slice(3), 0)), ""),
+        (spoiled(0.1, 0), ""),
+        (
+            spoiled(np.nan, (0, slice(24), 1)),
+            "returned roll or pitch that is not a finite number in 12.0 % of the samples",
+        ),
+        (
+            spoiled(np.inf, (0, 0, 0)),
+            "returned roll or pitch that is not a finite number in 0.5 % of the samples",
+        ),
+        (spoiled(1e20, (1, slice(6), 0)), "returned angles beyond ±100 rad in 3.0 % of the samples"),
+        (spoiled(np.array([0.1, 0.0]), slice(None)), "returned the same roll and pitch at every sample"),
+    ],
+)
+def test_flaws_of_estimates_are_named(estimate, flaw):
+    assert flaw_of(estimate, moving()) == flaw
+    assert flaw_of(estimate.reshape(-1, 2), moving().reshape(-1, 2)) == flaw
+
+
+def test_a_flaw_in_few_samples_is_not_rounded_to_none():
+    estimate = np.zeros((2000, 2))
+    estimate[7] = np.nan
+    assert "in less than 0.1 % of the samples" in flaw_of(estimate, moving(1, 2000)[0])
+
+
+def test_a_constant_is_a_flaw_only_where_the_truth_moves():
+    still = np.zeros((2, 100, 2))
+    assert flaw_of(still, still) == ""
+    assert flaw_of(still[:, :1], moving()[:, :1]) == ""
+    assert flaw_of(np.stack([still[0], moving()[1]]), moving()) == ""
+    assert flaw_of(np.stack([still[0], still[1] + 0.1]), moving())
+
+
+def test_samples_without_truth_show_no_flaw():
+    truth, estimate = moving(), moving() + 0.01
+    truth[:, :50], estimate[:, :50] = np.nan, np.nan
+    assert flaw_of(estimate, truth) == ""
+    estimate[:, 50:] = 0.0
+    assert flaw_of(estimate, truth) == "returned the same roll and pitch at every sample"
+    assert flaw_of(estimate, np.full_like(truth, np.nan)) == ""
 
 
 def test_bootstrap_interval_covers_the_mean_and_shrinks_with_more_sequences():
