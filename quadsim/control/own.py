@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..own import named_errors
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
 from .cascade import ATTITUDE, ROTOR, actuate, attitude_set_point
@@ -54,7 +55,7 @@ def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeCont
         controller = make(rate_hz, vehicle)
     except ValueError:
         raise
-    except Exception as error:  # whatever a user's function does
+    except (Exception, SystemExit) as error:  # whatever a user's function does
         kind = type(error).__name__
         raise ValueError(f"controller {name} is made with (rate_hz, vehicle): {kind}: {error}") from error
     if missing := [each for each in ("reset", "update") if not callable(getattr(controller, each, None))]:
@@ -86,12 +87,14 @@ class InnerLoop:
         """
         self._accel[ids] = 0.0
         if len(ids) == len(self.records):
-            self.controller.reset(len(ids))
+            with named_errors(f"controller {self.name}: reset"):
+                self.controller.reset(len(ids))
             return
         restart = getattr(self.controller, "restart", None)
         if restart is None:
             raise ValueError(f"controller {self.name} has no restart(ids): it starts all vehicles or none")
-        restart(ids)
+        with named_errors(f"controller {self.name}: restart"):
+            restart(ids.copy())
 
     def steer(self, level: int, accel: Array) -> int:
         """Write rotor speeds for the commands in the records; the level at which they stand there.
@@ -112,7 +115,7 @@ class InnerLoop:
         given = (self.set_point, measured["gyro"], self._accel, measured["roll_pitch"])
         try:
             action = np.asarray(self.controller.update(*(np.array(each) for each in given)), np.float64)
-        except Exception as error:  # whatever a user's class does
+        except (Exception, SystemExit) as error:  # whatever a user's class does
             raise ValueError(
                 f"controller {self.name}: update ends with {type(error).__name__}: {error}"
             ) from error
