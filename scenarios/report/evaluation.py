@@ -52,7 +52,7 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flig
     output.print(evaluation_table(done.rows, caption))
     for note in notes:
         output.print(note, soft_wrap=True)
-    rated = [row for row in done.rows if row.initial == "unknown" and row.estimator != "truth"]
+    rated = [row for row in done.rows if row.initial == "unknown" and not row.unranked]
     last = f"{page}"
     if rated:
         best = min(rated, key=lambda row: row.behind_deg)
