@@ -114,7 +114,8 @@ class InnerLoop:
         self._accel = np.where(np.isfinite(accel), accel, self._accel)
         given = (self.set_point, measured["gyro"], self._accel, measured["roll_pitch"])
         try:
-            action = np.asarray(self.controller.update(*(np.array(each) for each in given)), np.float64)
+            returned = self.controller.update(*(np.array(each) for each in given))
+            action = np.asarray(returned)
         except (Exception, SystemExit) as error:  # whatever a user's class does
             raise ValueError(
                 f"controller {self.name}: update ends with {type(error).__name__}: {error}"
@@ -124,9 +125,12 @@ class InnerLoop:
                 f"controller {self.name}: update returns an array of shape {action.shape}; angular "
                 f"acceleration [rad/s²] and thrust per mass [m/s²], {self.set_point.shape}, are required"
             )
+        if action.dtype.kind not in "fiu" or isinstance(returned, np.ma.MaskedArray):
+            kind = "masked" if isinstance(returned, np.ma.MaskedArray) else action.dtype
+            raise ValueError(f"controller {self.name}: update returns a {kind} array, not real numbers")
         if not np.isfinite(action).all():
             raise ValueError(f"controller {self.name}: update returns numbers that are not finite")
-        actuate_all(self.records, action)
+        actuate_all(self.records, action.astype(np.float64, copy=False))
         return ROTOR
 
 
