@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from quadsim.estimator import AttitudeEstimator
+from quadsim.estimator import AttitudeEstimator, receives_truth, roll_pitch_of
 from quadsim.own import is_own, load_own, own_file
 from quadsim.vehicle import GRAVITY
 
@@ -55,7 +55,7 @@ def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) ->
     made, given = load_own(name, GROUP), dict(values or {})
     try:
         est = made(rate_hz, **given)
-    except Exception as error:  # whatever a user's class does
+    except (Exception, SystemExit) as error:  # whatever a user's class does
         kind = "" if isinstance(error, TypeError) else f"{type(error).__name__}: "
         arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in given)])
         raise ValueError(f"{name} is made with {arguments}: {kind}{error}") from error
@@ -74,17 +74,16 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
     try:
         est.reset(n=2, roll_pitch=None)
-        result = np.asarray(est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1))), np.float64)
-    except Exception as error:  # whatever a user's class does
+        if (observe := getattr(est, "observe", None)) is not None and receives_truth(est):
+            observe(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
+        result = est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1)))
+        result = np.asanyarray(result)
+    except (Exception, SystemExit) as error:  # whatever a user's class does
         raise ValueError(
             f"{name}: reset(n=2, roll_pitch=None) and update(gyro, accel), each (2, 3), end with "
             f"{type(error).__name__}: {error}"
         ) from error
-    if result.shape != (2, 2):
-        raise ValueError(
-            f"{name}: update returns an array of shape {result.shape} for two vehicles; roll and pitch, "
-            "(2, 2) [rad], are required"
-        )
+    roll_pitch_of(result, (2, 2), name)
     return est
 
 

@@ -114,10 +114,10 @@ def flaw_of(estimate: ArrayLike, truth: ArrayLike) -> str:
     estimate, truth = (each.reshape(-1, *each.shape[-2:]) for each in _pair(estimate, truth))
     known = _angles(truth)
     counted = estimate[known]
-    finite = np.isfinite(counted).all(axis=-1)
+    finite, within = np.asarray(np.isfinite(counted).all(axis=-1)), _angles(counted)
     if not finite.all():
         return f"returned roll or pitch that is not a finite number in {_percent(~finite)} of the samples"
-    if not (within := _angles(counted)).all():
+    if not within.all():
         return f"returned angles beyond ±{RANGE:g} rad in {_percent(~within)} of the samples"
     moves = [each for each, there in enumerate(known) if _span(truth[each, there]) > MOTION]
     if moves and all(_span(estimate[each, known[each]]) == 0.0 for each in moves):

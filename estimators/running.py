@@ -2,19 +2,33 @@
 
 import logging
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadsim.estimator import AttitudeEstimator, OtherSensors, Readings, accepted_sensors
+from quadsim.estimator import (
+    AttitudeEstimator,
+    OtherSensors,
+    Readings,
+    accepted_sensors,
+    receives_truth,
+    roll_pitch_of,
+)
+from quadsim.own import named_errors
 from quadsim.vehicle import Vehicle
 
 from .filters.algorithm import paired, start
 from .registry import COMPILED, airframe_constants, create, parameter_matrix, parameter_sets
 
 Array = NDArray[np.float64]
+START = 400
+"""Samples on which a user's `sequence` is compared with `update`."""
+SAME = 1e-4
+"""Largest difference between the two [rad]: less than the last digit of the tables, 0.01°, and more than
+rounding in single precision."""
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +43,8 @@ def run(
 ) -> Array:
     """Reset an estimator and run it over n sequences; the same numbers as `update` in a loop.
 
+    What the estimator is given are copies; it cannot change the arguments.
+
     Args:
         est: The estimator.
         gyro: Body rate (n, T, 3) [rad/s]; NaN where a sample is missing.
@@ -41,9 +57,13 @@ def run(
         Roll and pitch (n, T, 2) [rad].
 
     Raises:
-        ValueError: For shapes that do not fit, or an estimator that observes the truth and is given none.
+        ValueError: For shapes that do not fit, an estimator that observes the truth and is given none, and
+            one of the user's that fails, does not return real numbers (n, 2), or whose `sequence` differs
+            from its `update`.
     """
+    first = streamed_start(est, gyro, accel, roll_pitch, **sensors)
     out = run_quietly(est, gyro, accel, roll_pitch, quat, **sensors)
+    require_same(est, out, first)
     skipped = missing_samples(est)
     if skipped > 0:
         logger.warning(
@@ -63,31 +83,94 @@ def run_quietly(
     quat: ArrayLike | None = None,
     **sensors: Unpack[OtherSensors],
 ) -> Array:
-    """`run`, for a caller that reports `missing_samples` itself."""
+    """`run`, for a caller that reports `missing_samples` and checks a user's `sequence` itself."""
     readings = _sequences(gyro, accel, **sensors)
-    try:
-        return _run(est, readings, roll_pitch, quat)
-    except Exception as error:  # whatever a user's class does
-        if isinstance(error, ValueError) or type(est).__module__.startswith("estimators."):
-            raise
-        raise ValueError(f"{type(est).__name__} ends with {type(error).__name__}: {error}") from error
+    sequence = None if receives_truth(est) else getattr(est, "sequence", None)
+    with _named(est):
+        if sequence is None:
+            return _stream(est, readings, roll_pitch, quat)
+        _reset(est, len(readings.gyro), roll_pitch)
+        give = readings.give if _ships(est) else readings.give_copies
+        returned = give(sequence, accepted_sensors(sequence))
+        return roll_pitch_of(returned, (*readings.gyro.shape[:2], 2), type(est).__name__, "sequence")
 
 
-def _run(
+def streamed_start(
+    est: AttitudeEstimator,
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    roll_pitch: ArrayLike | None = None,
+    **sensors: Unpack[OtherSensors],
+) -> Array | None:
+    """Estimates of the first `START` samples by `update`, for `require_same`; arguments as of `run`.
+
+    Returns:
+        Roll and pitch (n, START or T, 2) [rad]; None for an estimator that `run` streams anyway, or that
+        ships, whose two ways are equal by test.
+    """
+    if _ships(est) or receives_truth(est) or getattr(est, "sequence", None) is None:
+        return None
+    readings = _sequences(gyro, accel, **sensors).map(lambda each: each[:, :START])
+    with _named(est):
+        return _stream(est, readings, roll_pitch, None)
+
+
+def require_same(est: AttitudeEstimator, estimate: Array, first: Array | None) -> None:
+    """Refuse an estimator whose `sequence` does not give what its `update`, which flies, gives.
+
+    Args:
+        est: The estimator.
+        estimate: Roll and pitch by `sequence` (n, T, 2) [rad].
+        first: From `streamed_start`.
+
+    Raises:
+        ValueError: They differ by more than `SAME`.
+    """
+    if first is None:
+        return
+    if difference := differ(estimate[:, : first.shape[1]], first, SAME):
+        raise ValueError(
+            f"{type(est).__name__}: sequence does not give the estimates of update, which flies: within the "
+            f"first {first.shape[1]} samples {difference}"
+        )
+
+
+def differ(a: Array, b: Array, most: float) -> str:
+    """By how much two estimates [rad] differ, in words; empty if by no more than `most` anywhere."""
+    difference = np.abs(a - b)
+    largest = np.degrees(np.max(difference, initial=0.0, where=np.isfinite(difference)))
+    alike = np.array_equal(np.isfinite(a), np.isfinite(b))
+    return "" if largest <= np.degrees(most) and alike else f"they differ by up to {largest:.3g}°"
+
+
+def _stream(
     est: AttitudeEstimator, readings: Readings, roll_pitch: ArrayLike | None, quat: ArrayLike | None
 ) -> Array:
     n, steps = readings.gyro.shape[:2]
-    est.reset(n, roll_pitch=roll_pitch)
-    observe, sequence = getattr(est, "observe", None), getattr(est, "sequence", None)
+    observe = getattr(est, "observe", None) if receives_truth(est) else None
     truth = None if observe is None else _truth(quat, (n, steps, 4))
-    if sequence is not None and truth is None:
-        return readings.give(sequence, accepted_sensors(sequence))
-    out, accepted = np.empty((n, steps, 2)), accepted_sensors(est.update)
+    _reset(est, n, roll_pitch)
+    out, accepted, name = np.empty((n, steps, 2)), accepted_sensors(est.update), type(est).__name__
     for t in range(steps):
         if observe is not None and truth is not None:
-            observe(truth[:, t])
-        out[:, t] = readings.map(lambda each, t=t: each[:, t].copy()).give(est.update, accepted)
+            observe(truth[:, t].copy())
+        returned = readings.map(lambda each, t=t: each[:, t]).give_copies(est.update, accepted)
+        out[:, t] = roll_pitch_of(returned, (n, 2), name)
     return out
+
+
+def _reset(est: AttitudeEstimator, n: int, roll_pitch: ArrayLike | None) -> None:
+    est.reset(n, roll_pitch=None if roll_pitch is None else np.array(roll_pitch, np.float64))
+
+
+def _ships(est: AttitudeEstimator) -> bool:
+    """Whether an estimator is one of this package."""
+    return type(est).__module__.startswith("estimators.")
+
+
+def _named(est: AttitudeEstimator) -> AbstractContextManager[None]:
+    """Names an estimator of the user's in whatever it raises."""
+    return nullcontext() if _ships(est) else named_errors(type(est).__name__)
 
 
 def missing_samples(est: AttitudeEstimator) -> int:

@@ -19,10 +19,17 @@ from .config.ranges import SAMPLE_RATE
 from .config.toml import nearest
 from .control.cascade import ATTITUDE, LEVELS, POSITION, RATE, ROTOR, VELOCITY, Level
 from .control.own import MakeController
-from .estimator import AttitudeEstimator, OtherSensors, Readings, accepted_sensors
+from .estimator import (
+    AttitudeEstimator,
+    OtherSensors,
+    Readings,
+    accepted_sensors,
+    receives_truth,
+    roll_pitch_of,
+)
 from .flight.mission import CAUSES, FLYING, Mission
 from .flight.scenario import Scenario, changed, load_scenario
-from .own import load_own
+from .own import load_own, named_errors
 from .render import Image, Scene, View, Window
 from .runs.compiled import njit
 from .vehicle import GRAVITY
@@ -332,7 +339,7 @@ class Episodes:
         if not isinstance(n, int) or not 1 <= n <= MOST:
             raise ValueError(f"num_envs = {n!r}: a whole number from 1 to {MOST} is allowed")
         self._live, self._frame = render_mode == "human", max(round(rate_hz / FPS), 1)
-        self._scenario = self._flown = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        self._scenario = self._flown = scenario_for(scenario)
         self._made, self._controller = estimator, controller_for(controller)
         if self._controller is not None and LEVELS.index(level) > ATTITUDE:
             raise ValueError(f'level "{level}" is below the attitude controller: leave controller out')
@@ -368,11 +375,7 @@ class Episodes:
         given = dict(options or {})
         for key in given.keys() - OPTIONS:
             raise ValueError(f'reset has no option "{key}"; {nearest(str(key), OPTIONS)}')
-        scenario = given.get("scenario", self._scenario)
-        if not isinstance(scenario, Scenario):
-            if not isinstance(scenario, str | Path):
-                raise ValueError(f"scenario = {scenario!r}: should be a name, a file or a Scenario")
-            scenario = load_scenario(scenario)
+        scenario = scenario_for(given.get("scenario", self._scenario))
         if "wind" in given:
             wind = np.asarray(given["wind"], dtype=np.float64)
             if wind.shape != (3,):
@@ -483,6 +486,19 @@ class Episodes:
         )
 
 
+def scenario_for(scenario: object) -> Scenario:
+    """An environment's scenario, given as a name, a file or a `Scenario`.
+
+    Raises:
+        ValueError: It is none of these, or there is no such file.
+    """
+    if isinstance(scenario, Scenario):
+        return scenario
+    if not isinstance(scenario, str | Path):
+        raise ValueError(f"scenario = {scenario!r}: should be a name, a file or a Scenario")
+    return load_scenario(scenario)
+
+
 def made_for(estimator: Made, scenario: Scenario, rate_hz: float) -> AttitudeEstimator | None:
     """An environment's own estimator.
 
@@ -534,19 +550,15 @@ def _own_copy(
 ) -> AttitudeEstimator:
     """What a function makes, or a copy of an estimator."""
     if isinstance(estimator, type | FunctionType | MethodType | partial):
-        try:
+        with named_errors(f"{_name_of(estimator)} is called with one argument, rate_hz, and"):
             return estimator(rate_hz)
-        except TypeError as error:
-            raise ValueError(
-                f"{_name_of(estimator)} is called with one argument, rate_hz: {error}"
-            ) from error
     if not hasattr(estimator, "update"):
         raise ValueError(
             f"estimator = {estimator!r}: should be a name, an estimator, or a function that makes one"
         )
     try:
         return copy.deepcopy(cast(AttitudeEstimator, estimator))
-    except Exception as error:  # whatever a user's class does
+    except (Exception, SystemExit) as error:  # whatever a user's class does
         raise ValueError(
             f"{_name_of(estimator)} cannot be copied, and environments do not share an estimator: give "
             f"a function that makes one, lambda rate_hz: ... ({error})"
@@ -564,7 +576,8 @@ class OnePerVehicle:
         self.rate_hz = estimator.rate_hz
         self._pattern, self._each = estimator, [copy.deepcopy(estimator)]
         self._accepted = accepted_sensors(estimator.update)
-        if getattr(estimator, "observe", None) is not None:
+        self._name = _name_of(estimator)
+        if receives_truth(estimator):
             self.observe = self._observe
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None) -> None:
@@ -583,13 +596,12 @@ class OnePerVehicle:
         readings = Readings(gyro, accel, **sensors)
         alone = [readings.map(lambda each, i=i: each[i : i + 1]) for i in range(len(self._each))]
         pairs = zip(self._each, alone, strict=True)
-        return np.concatenate([its.give(each.update, self._accepted) for each, its in pairs])
+        found = [its.give(each.update, self._accepted) for each, its in pairs]
+        return np.concatenate([roll_pitch_of(each, (1, 2), self._name) for each in found])
 
     def _observe(self, quat: Array) -> None:
         for i, each in enumerate(self._each):
-            observe = getattr(each, "observe", None)
-            if observe is not None:
-                observe(quat[i : i + 1])
+            each.observe(quat[i : i + 1])  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _first(rows: dict[str, NDArray[Any]]) -> dict[str, Any]:

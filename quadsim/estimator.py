@@ -38,6 +38,11 @@ class Readings(NamedTuple):
         """Call an `update` or a `sequence` with the sensors beside the IMU that it accepts."""
         return update(self.gyro, self.accel, **{name: getattr(self, name) for name in accepted})
 
+    def give_copies(self, update: Callable[..., Array], accepted: Iterable[str]) -> Array:
+        """`give` copies, which a user's code may keep or change."""
+        others = {name: None if (each := getattr(self, name)) is None else each.copy() for name in accepted}
+        return update(self.gyro.copy(), self.accel.copy(), **others)
+
 
 OTHERS = Readings._fields[2:]
 """Sensors beside the IMU."""
@@ -60,6 +65,30 @@ def accepted_sensors(update: Callable[..., object]) -> tuple[str, ...]:
         return OTHERS
     names = {each.name for each in parameters}
     return tuple(name for name in OTHERS if name in names)
+
+
+def roll_pitch_of(returned: object, shape: tuple[int, ...], name: str, call: str = "update") -> Array:
+    """What an estimator returned, as roll and pitch [rad] in double precision.
+
+    Args:
+        returned: An array, or what makes one.
+        shape: The shape that it must have, (n, 2) or (n, T, 2).
+        name: Of the estimator, for the message.
+        call: What returned it.
+
+    Raises:
+        ValueError: It has another shape, is masked, or does not hold real numbers.
+    """
+    if type(returned) is np.ndarray and returned.shape == shape and returned.dtype == np.float64:
+        return returned
+    array = np.asarray(returned)
+    kind = "masked" if isinstance(returned, np.ma.MaskedArray) else str(array.dtype)
+    if kind == "masked" or array.dtype.kind not in "fiu" or array.shape != shape:
+        raise ValueError(
+            f"{name}: {call} returns a {kind} array of shape {array.shape}; roll and pitch [rad], real "
+            f"numbers of shape {shape}, are required"
+        )
+    return array.astype(np.float64)
 
 
 def receives_truth(estimator: object) -> bool:

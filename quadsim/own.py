@@ -96,6 +96,20 @@ def _from_file(path: Path) -> Any:
 
 
 @contextmanager
+def named_errors(what: str) -> Iterator[None]:
+    """Turn whatever a user's code raises into a ValueError that says what failed, `SystemExit` too.
+
+    A ValueError stays as it is, and so does Ctrl-C.
+    """
+    try:
+        yield
+    except ValueError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise ValueError(f"{what} ends with {type(error).__name__}: {error}") from error
+
+
+@contextmanager
 def _importable(folder: Path) -> Iterator[None]:
     """Let modules of a folder be imported, after all others."""
     sys.path.append(str(folder))

@@ -108,7 +108,9 @@ def test_the_page_of_microcontrollers_refuses_outputs_that_are_not_the_emulators
     )
     rows = deploy.rows(Path())
     assert next(rows).endswith("| 0 of 150 |")
-    with pytest.raises(ValueError, match="att-snn on Cortex-M7: outputs that differ.*: 150, should be at most 0"):
+    with pytest.raises(
+        ValueError, match="att-snn on Cortex-M7: outputs that differ.*: 150, should be at most 0"
+    ):
         next(rows)
 
 

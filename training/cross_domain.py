@@ -34,6 +34,8 @@ class Score:
     """Standard deviation of the flights' errors."""
     epoch: int
     """The best one, counted from 1."""
+    flaw: str = ""
+    """What is wrong with its estimates, as of `estimators.metrics.flaw_of`; empty if nothing."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class TableEntry:
     folds: int
     mean_deg: float
     sd_deg: float
+    flawed: int = 0
+    """Folds whose network's estimates have a flaw; they count, with 180° where there is no angle."""
 
 
 def table(scores: Sequence[Score]) -> list[TableEntry]:
@@ -53,9 +57,25 @@ def table(scores: Sequence[Score]) -> list[TableEntry]:
     keys = dict.fromkeys((s.model, s.trained_on, s.tested_on) for s in scores)
     cells = []
     for key in keys:
-        errors = [s.error_deg for s in scores if (s.model, s.trained_on, s.tested_on) == key]
-        cells.append(TableEntry(*key, len(errors), float(np.mean(errors)), float(np.std(errors, ddof=1))))
+        of_folds = [s for s in scores if (s.model, s.trained_on, s.tested_on) == key]
+        errors, flawed = [s.error_deg for s in of_folds], sum(bool(s.flaw) for s in of_folds)
+        mean, sd = float(np.mean(errors)), float(np.std(errors, ddof=1))
+        cells.append(TableEntry(*key, len(errors), mean, sd, flawed))
     return cells
+
+
+def best(cells: Sequence[TableEntry]) -> TableEntry:
+    """The smallest error on unseen flights, of those without a flawed fold.
+
+    Raises:
+        ValueError: Every model has one in every domain.
+    """
+    own = [cell for cell in cells if cell.tested_on == TEST]
+    sound = [cell for cell in own if not cell.flawed]
+    if not sound:
+        folds = ", ".join(f"{c.model} on {c.trained_on}: {c.flawed} of {c.folds}" for c in own)
+        raise ValueError(f"no network can be ranked; folds with a flaw: {folds} (see kfold.csv)")
+    return min(sound, key=lambda cell: cell.mean_deg)
 
 
 def terminal_table(cells: Sequence[TableEntry]) -> Table:
@@ -63,7 +83,9 @@ def terminal_table(cells: Sequence[TableEntry]) -> Table:
     tested = list(dict.fromkeys(cell.tested_on for cell in cells))
     rows = {(cell.model, cell.trained_on): {} for cell in cells}
     for cell in cells:
-        rows[cell.model, cell.trained_on][cell.tested_on] = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}"
+        flawed = f" ({cell.flawed} flawed)" if cell.flawed else ""
+        error = f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}{flawed}"
+        rows[cell.model, cell.trained_on][cell.tested_on] = error
     title = f"Mean absolute error of roll and pitch, mean ± SD over {cells[0].folds} folds, °"
     own = {TRAIN: "its training flights", TEST: "its unseen flights"}
     headings = (Column(own.get(name, f"all of {name}"), justify="right") for name in tested)

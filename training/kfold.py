@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from estimators.metrics import attitude_error
+from estimators.metrics import attitude_error, flaw_of
 from estimators.networks.network import create_network
 from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
 from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
@@ -20,7 +20,7 @@ from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 from .config import TrainConfig, make_config
 from .cross_domain import TEST, TRAIN, Score, plot, table
 from .data import flights_of, load_training_flights
-from .loop import INTERRUPTED, run
+from .loop import DIVERGED, INTERRUPTED, run
 from .run_folder import claim, contents_of
 
 Progress = Callable[[int, int, str], None]
@@ -115,9 +115,14 @@ def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[Score
     for name, flights in {TRAIN: train, TEST: test, **others}.items():
         network = create_network(model, flights.rate_hz, result.weights)
         network.reset(len(flights))
-        error = attitude_error(network.sequence(flights.gyro, flights.accel), flights.roll_pitch)
+        estimate = network.sequence(flights.gyro, flights.accel)
+        error, flaw = attitude_error(estimate, flights.roll_pitch), flaw_of(estimate, flights.roll_pitch)
+        if result.reason.startswith(DIVERGED):
+            flaw = result.reason
         size, epoch = len(flights), result.best.epoch + 1
-        scores.append(Score(model, job.domain, job.config.fold, name, size, error.mean, error.sd, epoch))
+        scores.append(
+            Score(model, job.domain, job.config.fold, name, size, error.mean, error.sd, epoch, flaw)
+        )
     write_json(job.out / "scores.json", [asdict(score) for score in scores])
     return scores
 

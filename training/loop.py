@@ -36,6 +36,8 @@ PRUNE_EVERY = 60
 """Updates between two prunings; an epoch's last update prunes too."""
 SETTLED_S = 5.0
 """Time after an unknown initial attitude that `val_settled_deg` leaves out [s]."""
+DIVERGED = "training diverged"
+"""Beginning of the reason of a run that ended at a loss or weights that are not finite."""
 INTERRUPTED = "interrupted"
 """Reason of a run that Ctrl-C ended; the same command continues it."""
 
@@ -129,7 +131,7 @@ def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str
         return INTERRUPTED
     except FloatingPointError as error:
         log.error("%s: training stopped, the best weights so far stay", error)
-        return str(error)
+        return f"{DIVERGED}: {error}"
     return f"all {config.epochs} epochs done"
 
 
@@ -249,7 +251,8 @@ class Training:
     def rank(self, epoch: Epoch) -> tuple[int, float]:
         """The best epoch has the least: parameters above the pruning target, then validation loss."""
         target = self.config.pruning_target
-        return (max(epoch.parameters, target) if self.config.prunes else 0, epoch.val_mse)
+        loss = epoch.val_mse if math.isfinite(epoch.val_mse) else math.inf
+        return (max(epoch.parameters, target) if self.config.prunes else 0, loss)
 
     def save_best(self, out: Path, epoch: Epoch) -> None:
         """Write the slow weights as the run's best."""

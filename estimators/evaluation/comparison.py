@@ -1,8 +1,8 @@
 """Offline comparison of estimators on recorded flights, from an unknown and from a known initial attitude."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from quadsim.estimator import AttitudeEstimator
+from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.imu.spec import ImuSpec
 from quadsim.runs.files import write_csv
 from quadsim.vehicle import Vehicle
@@ -19,6 +19,7 @@ from ..metrics import (
     Summary,
     absolute_error,
     attitude_error,
+    flaw_of,
     inclination_error,
     inclination_rmse,
     share_without_number,
@@ -26,7 +27,7 @@ from ..metrics import (
 from ..networks.network import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
 from ..networks.weights_file import load_network, shipped_names
 from ..registry import FILTERPY, NETWORKS, create, is_weights
-from ..running import missing_samples, run_quietly
+from ..running import missing_samples, require_same, run_quietly, streamed_start
 from .flights import Flights, Initial, load_flights, vehicle_of
 
 Array = NDArray[np.float64]
@@ -77,18 +78,27 @@ class EvaluationRow:
     missing: int
     """Samples of these that were missing or refused in part or whole, and bridged."""
     without_number: float
-    """Share of estimates that are no finite number, each counted as an error of 180°."""
+    """Share of estimates that are no finite number or no angle, each counted as an error of 180°."""
+    reference: bool = False
+    """Whether it receives the true attitude."""
+    flaw: str = ""
+    """What is wrong with its estimates, or why it has none; empty if nothing."""
+
+    @property
+    def unranked(self) -> str:
+        """Why it is not ranked; empty if it is."""
+        return "reference" if self.reference and np.isfinite(self.mean_deg) else self.flaw
 
     @property
     def tied(self) -> bool:
         """Whether it is not significantly different from the best (the paired interval includes 0)."""
-        return self.behind_low_deg <= 0.0
+        return not self.unranked and self.behind_low_deg <= 0.0
 
     @property
     def behind(self) -> str:
         """The paired difference from the best estimator with its interval, as tables show it."""
-        if self.estimator == "truth":
-            return "–"
+        if self.unranked:
+            return "reference" if self.unranked == "reference" else "not ranked"
         if self.behind_low_deg == self.behind_high_deg == 0.0:
             return "the best"
         text = f"{self.behind_deg:.2f} ({self.behind_low_deg:.2f}–{self.behind_high_deg:.2f})"
@@ -135,7 +145,8 @@ def evaluate(
     With a known start the estimator is given the attitude at the first sample and scored from the second on;
     networks are never given it and have no such row. A network, known by its name or the path of its weights,
     has beside its error that of the same network with output weights of zero. An estimator is compared with
-    the best one flight by flight.
+    the best one flight by flight. One that receives the truth, fails, or whose estimates have a flaw, is
+    listed and is not ranked.
 
     Args:
         dataset: Flights with gyro, accel, quat and the attribute rate_hz.
@@ -147,7 +158,7 @@ def evaluate(
         progress: Called before every run.
 
     Raises:
-        ValueError: For a dataset that is not one, or an unknown estimator.
+        ValueError: For a dataset that is not one, an unknown estimator, or where every estimator fails.
     """
     progress = progress or (lambda *_: None)
     flights = load_flights([dataset])
@@ -164,51 +175,97 @@ def evaluate(
     runs, done = sum(len(TILTS_DEG) + len(each) for each in starts.values()), 0
     for name, est in made.items():
         flown = flights.first(slow_flights) if slow_flights and name in FILTERPY else flights
-        _run(est, flown.map(lambda each: each[:, :2]))  # compiles
-        times = []
-        for tilt in TILTS_DEG:
-            progress(done, runs, name)
-            done += 1
-            result.settling[name, tilt] = _settling(est, tilted_starts(flown, tilt, steps, seed))
-            times.append(_time_below(result.settling[name, tilt]))
-        without = silenced_twin(name, rate_hz)
-        for start in starts[name]:
-            progress(done, runs, name)
-            done += 1
-            chosen = flown.known() if start == "known" else flown
-            begin = time.perf_counter()
-            estimate = _run(est, chosen)
-            runtime = (time.perf_counter() - begin) / chosen.truth[..., 0].size * 1e9
-            error = attitude_error(estimate, chosen.truth)
-            low, high = error.mean_interval(seed=seed)
-            silent = np.nan if without is None else attitude_error(_run(without, chosen), chosen.truth).mean
-            result.sequences[name, start] = error.sequences
-            result.over_time[name, start] = _blocks(estimate, chosen.truth, result.time_s.size)
-            measured.append(
-                {
-                    "estimator": name,
-                    "initial": start,
-                    "median_deg": error.median,
-                    "mean_deg": error.mean,
-                    "sd_deg": error.sd,
-                    "mean_low_deg": low,
-                    "mean_high_deg": high,
-                    "silenced_deg": silent,
-                    "inclination_rmse_deg": inclination_rmse(estimate, chosen.truth).mean,
-                    "settle_20_s": times[0],
-                    "settle_45_s": times[1],
-                    "runtime_ns": runtime,
-                    "flights": len(chosen.gyro),
-                    "missing": missing_samples(est),
-                    "without_number": share_without_number(estimate, chosen.truth),
-                }
-            )
+        steps_done = iter(range(done, runs))
+        done += len(TILTS_DEG) + len(starts[name])
+
+        def advance(name: str = name, steps_done: Iterator[int] = steps_done) -> None:
+            progress(next(steps_done), runs, name)
+
+        try:
+            measured += _measured(name, est, flown, starts[name], steps, seed, result, advance)
+        except ValueError as error:
+            measured += [_failed(name, start, receives_truth(est), error) for start in starts[name]]
     progress(runs, runs, "")
+    if measured and not result.sequences:
+        flaws = dict.fromkeys(f"{each['estimator']} {each['flaw']}" for each in measured)
+        raise ValueError(f"no estimator ran: {'; '.join(flaws)}")
+    ranked = {
+        (each["estimator"], each["initial"]): result.sequences[each["estimator"], each["initial"]]
+        for each in measured
+        if not (each["reference"] or each["flaw"])
+    }
     for each in measured:
-        behind, low, high = _behind(result.sequences, each["estimator"], each["initial"], seed)
+        own = result.sequences.get((each["estimator"], each["initial"]))
+        behind, low, high = _behind(own, ranked, each["initial"], seed)
         row = EvaluationRow(**each, behind_deg=behind, behind_low_deg=low, behind_high_deg=high)
         result.rows.append(row)
     return result
+
+
+def _measured(
+    name: str,
+    est: AttitudeEstimator,
+    flown: Flights,
+    starts: Sequence[Initial],
+    steps: int,
+    seed: int,
+    result: Evaluation,
+    advance: Callable[[], None],
+) -> list[dict[str, Any]]:
+    """Fields of one estimator's rows; what figures are drawn from goes to the result."""
+    _run(est, flown.map(lambda each: each[:, :2]))  # compiles
+    curves = []
+    for tilt in TILTS_DEG:
+        advance()
+        curves.append(_settling(est, tilted_starts(flown, tilt, steps, seed)))
+    without = silenced_twin(name, result.rate_hz)
+    rows, errors, over_time = [], {}, {}
+    for start in starts:
+        advance()
+        chosen = flown.known() if start == "known" else flown
+        first = streamed_start(est, chosen.gyro, chosen.accel, chosen.start, **chosen.readings.others)
+        begin = time.perf_counter()
+        estimate = _run(est, chosen)
+        runtime = (time.perf_counter() - begin) / chosen.truth[..., 0].size * 1e9
+        require_same(est, estimate, first)
+        error = attitude_error(estimate, chosen.truth)
+        low, high = error.mean_interval(seed=seed)
+        silent = np.nan if without is None else attitude_error(_run(without, chosen), chosen.truth).mean
+        errors[name, start] = error.sequences
+        over_time[name, start] = _blocks(estimate, chosen.truth, result.time_s.size)
+        rows.append(
+            {
+                "estimator": name,
+                "initial": start,
+                "median_deg": error.median,
+                "mean_deg": error.mean,
+                "sd_deg": error.sd,
+                "mean_low_deg": low,
+                "mean_high_deg": high,
+                "silenced_deg": silent,
+                "inclination_rmse_deg": inclination_rmse(estimate, chosen.truth).mean,
+                "settle_20_s": _time_below(curves[0]),
+                "settle_45_s": _time_below(curves[1]),
+                "runtime_ns": runtime,
+                "flights": len(chosen.gyro),
+                "missing": missing_samples(est),
+                "without_number": share_without_number(estimate, chosen.truth),
+                "reference": receives_truth(est),
+                "flaw": flaw_of(estimate, chosen.truth),
+            }
+        )
+    result.settling |= {(name, tilt): curve for tilt, curve in zip(TILTS_DEG, curves, strict=True)}
+    result.sequences |= errors
+    result.over_time |= over_time
+    return rows
+
+
+def _failed(name: str, start: str, reference: bool, error: ValueError) -> dict[str, Any]:
+    """Fields of the row of an estimator that did not run."""
+    known: dict[str, Any] = {"estimator": name, "initial": start, "reference": reference}
+    known |= {"flights": 0, "missing": 0, "flaw": f"did not run: {error}"}
+    behind = {"behind_deg", "behind_low_deg", "behind_high_deg"}
+    return known | {f.name: np.nan for f in fields(EvaluationRow) if f.name not in known.keys() | behind}
 
 
 def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) -> Flights | None:
@@ -295,14 +352,14 @@ def _blocks(estimate: Array, truth: Array, blocks: int) -> Array:
 
 
 def _behind(
-    sequences: Mapping[tuple[str, str], Array], name: str, start: str, seed: int
+    own: Array | None, ranked: Mapping[tuple[str, str], Array], start: str, seed: int
 ) -> tuple[float, float, float]:
     """Difference from the best estimator of the same start on the flights of both, with its interval."""
-    own = sequences[name, start]
-    rivals = {other: error for (other, at), error in sequences.items() if at == start and other != "truth"}
-    most = max((error.size for error in rivals.values()), default=0)
-    whole = [other for other, error in rivals.items() if error.size == most]
-    best = min(whole, key=lambda other: rivals[other].mean(), default=name)
-    common = min(own.size, sequences[best, start].size)
-    behind = Summary(own[:common] - sequences[best, start][:common])
+    rivals = [error for (_, at), error in ranked.items() if at == start]
+    if own is None or not rivals:
+        return np.nan, np.nan, np.nan
+    most = max(error.size for error in rivals)
+    best = min((error for error in rivals if error.size == most), key=lambda error: error.mean())
+    common = min(own.size, best.size)
+    behind = Summary(own[:common] - best[:common])
     return behind.mean, *behind.mean_interval(seed=seed)

@@ -23,7 +23,7 @@ MOST_BANDS = 6
 
 def violins(evaluation: Evaluation) -> Figure:
     """Distribution over sequences of the mean absolute error, one violin an estimator and start."""
-    names = _shown(row.estimator for row in evaluation.rows)
+    names = _shown(evaluation, (name for name, _ in evaluation.sequences))
     starts = list(dict.fromkeys(row.initial for row in evaluation.rows))
     figure = Figure(figsize=(1.5 + 0.9 * len(names), 4.2), layout="constrained")
     axes = figure.subplots()
@@ -31,6 +31,8 @@ def violins(evaluation: Evaluation) -> Figure:
     for k, start in enumerate(starts):
         there = [place for place, name in enumerate(names) if (name, start) in evaluation.sequences]
         places = np.array(there) + (k - 0.5 * (len(starts) - 1)) * width
+        if not there:
+            continue
         data = [evaluation.sequences[names[place], start] for place in there]
         parts = axes.violinplot(data, positions=places, widths=0.9 * width, showmedians=True)
         for body in parts["bodies"]:  # type: ignore[union-attr]  # matplotlib's stub names one collection
@@ -51,7 +53,7 @@ def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
     """Absolute error of roll and pitch over time: the median flight, and the middle half if lines are few."""
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    names = _shown(name for name, start in evaluation.over_time if start == initial)
+    names = _shown(evaluation, (name for name, start in evaluation.over_time if start == initial))
     for name, look in looks(names).items():
         error = evaluation.over_time[name, initial]
         low, middle, high = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
@@ -67,7 +69,7 @@ def settling(evaluation: Evaluation) -> Figure:
 
     One panel an estimator, with a line for each tilt; behind them, in grey, those of all others.
     """
-    names = _shown(name for name, _ in evaluation.settling)
+    names = _shown(evaluation, (name for name, _ in evaluation.settling))
     columns = min(max(len(names), 1), PANELS)
     rows = max(-(-len(names) // columns), 1)
     figure = Figure(figsize=(8.0, 1.0 + 1.6 * rows), layout="constrained")
@@ -102,9 +104,10 @@ def _blocks(curve: Array) -> Array:
     return BLOCK_S * np.arange(0.5, curve.size)
 
 
-def _shown(names: Iterable[str]) -> list[str]:
-    """Each name once, without the truth, whose error of nothing has no place on a logarithmic axis."""
-    return [name for name in dict.fromkeys(names) if name != "truth"]
+def _shown(evaluation: Evaluation, names: Iterable[str]) -> list[str]:
+    """Each name once, without references, whose error of nothing has no place on a logarithmic axis."""
+    references = {row.estimator for row in evaluation.rows if row.reference}
+    return [name for name in dict.fromkeys(names) if name not in references]
 
 
 def _finish(axes: Axes, label: str, legend: bool = True) -> None:

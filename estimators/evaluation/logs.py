@@ -13,12 +13,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from quadsim.estimator import AttitudeEstimator
+from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
 from quadsim.runs.files import write_csv
 
 from ..appearance import looks
-from ..metrics import absolute_error, inclination_error, share_without_number
+from ..metrics import absolute_error, flaw_of, inclination_error, share_without_number
 from ..registry import FILTERPY, names, needs_vehicle
 from ..running import run
 from .beliefs import Beliefs, beliefs
@@ -55,9 +55,13 @@ class LogRow:
     scored_s: float
     """Length of what is scored [s]."""
     without_number: float
-    """Share of the estimates scored that are no finite number, each counted as an error of 180°."""
+    """Share of the estimates scored that are no finite number or no angle, each counted as 180°."""
     silenced_deg: float = float("nan")
     """Of a network: inclination RMSE with its output weights at zero; NaN for other estimators."""
+    reference: bool = False
+    """Whether it receives the true attitude."""
+    flaw: str = ""
+    """What is wrong with its estimates, or why it has none; empty if nothing."""
 
 
 @dataclass
@@ -93,9 +97,16 @@ class LogScores:
 
     @property
     def estimators(self) -> list[str]:
-        """Estimators, the smallest raw error first."""
-        found = list(dict.fromkeys(row.estimator for row in self.rows))
-        return sorted(found, key=lambda name: np.nan_to_num(self.mean(name, RAW), nan=np.inf))
+        """Estimators, the smallest raw error first; those that are not ranked come last."""
+        found, unranked = list(dict.fromkeys(row.estimator for row in self.rows)), self.unranked
+        error = {name: np.nan_to_num(self.mean(name, RAW), nan=np.inf) for name in found}
+        return sorted(found, key=lambda name: (name in unranked, error[name]))
+
+    @property
+    def unranked(self) -> dict[str, str]:
+        """Estimators that are not ranked, and why: a reference, or the first flaw found on any log."""
+        flaws = {row.estimator: row.flaw for row in reversed(self.rows) if row.flaw and row.bias == RAW}
+        return flaws | {row.estimator: "receives the true attitude" for row in self.rows if row.reference}
 
 
 def score_logs(
@@ -117,7 +128,7 @@ def score_logs(
 
     Raises:
         ValueError: Unknown estimators, two logs of one name, or a log of which nothing can be scored; before
-            anything is run.
+            anything is run. Where every estimator fails on every log.
     """
     progress = progress or (lambda *_: None)
     titles = [str(log.attrs["source"]) for log in logs]
@@ -143,11 +154,19 @@ def score_logs(
         for name, est in made.items():
             progress(done, len(logs) * len(made), name)
             for which, offset in ((RAW, np.zeros(3)), (KNOWN, bias)):
+                nothing = LogRow(title, name, which, float("nan"), float("nan"), 0.0, 0.0)
+                nothing = replace(nothing, reference=receives_truth(est))
                 if not np.isfinite(offset).all():
-                    scores.rows.append(LogRow(title, name, which, float("nan"), float("nan"), 0.0, 0.0))
+                    scores.rows.append(nothing)
                     continue
-                estimate = run(est, gyro - offset, accel, quat=quat, **others)
+                try:
+                    estimate = run(est, gyro - offset, accel, quat=quat, **others)
+                except ValueError as error:
+                    scores.rows.append(replace(nothing, flaw=f"did not run: {error}"))
+                    continue
                 row = _row(title, name, which, estimate[0], truth[0], counted, rate)
+                flaw = flaw_of(estimate[0][counted], truth[0][counted])
+                row = replace(row, reference=receives_truth(est), flaw=flaw)
                 if which == RAW and (twin := silenced_twin(name, rate)) is not None:
                     without = _row(title, name, which, run(twin, gyro, accel)[0], truth[0], counted, rate)
                     row = replace(row, silenced_deg=without.inclination_rmse_deg)
@@ -157,6 +176,9 @@ def score_logs(
                     if (believed := beliefs(est, gyro, accel, **others)) is not None:
                         scores.beliefs[title, name] = believed
             done += 1
+    if not scores.estimates:
+        failed = [f"{name} {flaw}" for name, flaw in scores.unranked.items()]
+        raise ValueError(f"no estimator ran: {'; '.join(failed)}")
     return scores
 
 

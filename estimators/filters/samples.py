@@ -195,7 +195,7 @@ def sample_of(midpoint, state, dt, gyro, accel, i, t):
 @njit
 def square_of_error(roll, pitch, true_roll, true_pitch):
     """Squared error of roll and of pitch [rad²], π² each if the estimate is no number; 0 without truth."""
-    d_roll, d_pitch = wrap_core(roll - true_roll), pitch - true_pitch
+    d_roll, d_pitch = wrap_core(roll - true_roll), wrap_core(pitch - true_pitch)
     total = d_roll * d_roll + d_pitch * d_pitch
     known = true_roll == true_roll and true_pitch == true_pitch
     return (total if total <= WORST else WORST) if known else 0.0

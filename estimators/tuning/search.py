@@ -8,6 +8,7 @@ the cube, which is scored at the nearest point inside.
 
 import itertools
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,15 +21,25 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from quadsim.config.toml import preset_names
+from quadsim.estimator import receives_truth
 from quadsim.held_out import unreserved
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.runs.files import drop_parts, write_whole
 
-from ..evaluation.flights import Flights, Initial, load_flights, vehicle_of
+from ..custom import is_custom
+from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
 from ..filters.algorithm import start
 from ..filters.samples import LANES
-from ..metrics import absolute_error
-from ..registry import COMPILED, FILTERPY, airframe_constants, names, parameter_matrix, parameters
+from ..metrics import absolute_error, flaw_of
+from ..registry import (
+    COMPILED,
+    FILTERPY,
+    airframe_constants,
+    create,
+    names,
+    parameter_matrix,
+    parameters,
+)
 from ..running import run_batch
 from ..tuned import Tuned, load_tuning, to_toml
 
@@ -85,7 +96,7 @@ class SearchResult:
 
 
 def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flights, workers: int = 1) -> Array:
-    """Cost of p parameter sets [rad²], shape (p,).
+    """Cost of p parameter sets [rad²], shape (p,); infinite for a set whose estimates have a flaw.
 
     Args:
         name: Estimator.
@@ -114,9 +125,16 @@ def _error_of_sets(name: str, matrix: Array, flights: Flights) -> Array:
 
 def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k: int) -> Array:
     one = {key: np.atleast_1d(column)[k : k + 1] for key, column in sets.items()}
-    estimate = run_batch(name, one, flights.gyro, flights.accel, flights.rate_hz, flights.start)[0]
+    estimate = _estimate(name, one, flights)
+    if flaw_of(estimate, flights.truth):
+        return np.array([np.inf])
     error = np.radians(absolute_error(estimate, flights.truth))
     return np.nanmean(error**2, axis=(1, 2)).mean(keepdims=True)
+
+
+def _estimate(name: str, one: Mapping[str, ArrayLike], flights: Flights) -> Array:
+    """Estimates of one parameter set, (n, T, 2) [rad]."""
+    return run_batch(name, one, flights.gyro, flights.accel, flights.rate_hz, flights.start)[0]
 
 
 def swarm(
@@ -212,13 +230,16 @@ def tune(
         progress: Called after every iteration.
 
     Raises:
-        ValueError: For an estimator without parameters to search, a dataset that is not one, or a seed of a
-            held-out suite.
+        ValueError: For an estimator without parameters to search, that receives the truth, or that no
+            parameters give estimates without a flaw; a dataset that is not one, or a seed of a held-out
+            suite.
     """
     unreserved(search.seed)
     searched = [key for key, each in parameters(name).items() if each.searched]
     if not searched:
         raise ValueError(f"{name} has no parameters to tune")
+    if is_custom(name) and receives_truth(create(name, float(datasets[0].attrs.get("rate_hz", 200.0)))):
+        raise ValueError(f"{name} receives the true attitude: there is nothing to tune")
     data = upright(load_flights(datasets, selection.count).pieces(selection.pieces))
     airframe = airframe_constants(name, vehicle_of(datasets[0]))
     constants = airframe | imu_constants(name, datasets[0])
@@ -235,6 +256,10 @@ def tune(
         search,
         progress,
     )
+    if not math.isfinite(best.cost):
+        estimate = _estimate(name, {key: each[:1] for key, each in values(best.position[None]).items()}, data)
+        flaw = flaw_of(estimate, data.truth)
+        raise ValueError(f"no parameters of {name} give estimates that can be scored: it {flaw}")
     return Tuned(
         command=command,
         **flown_on(datasets),
@@ -283,14 +308,11 @@ def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
 
 
 def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
-    """Parameters known of the IMU rather than searched, from the dataset's configuration."""
-    if name != "ekf-drag" or "config" not in dataset.attrs:
+    """Parameters known of the IMU rather than searched; none where the dataset does not say which it is."""
+    imu = imu_of(dataset)
+    if name != "ekf-drag" or imu is None:
         return {}
-    imu = json.loads(dataset.attrs["config"])["imu"]
-    return {
-        "bias_sigma": float(imu["gyro"]["turn_on"]),
-        "accel_bias_sigma": float(imu["accel"]["turn_on"]),
-    }
+    return {"bias_sigma": imu.gyro.turn_on, "accel_bias_sigma": imu.accel.turn_on}
 
 
 def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:

@@ -175,7 +175,8 @@ def kfold(
 
     Example: quadsim kfold --domain data/train.zarr --domain data/train-px4.zarr --out runs/kfold
     """
-    from training.cross_domain import TEST, table, terminal_table
+    from training.cross_domain import best as best_of
+    from training.cross_domain import table, terminal_table
     from training.kfold import FOLDED
     from training.kfold import kfold as run_folds
 
@@ -197,7 +198,11 @@ def kfold(
         )
     cells = table(scores)
     console.print(terminal_table(cells))
-    best = min((cell for cell in cells if cell.tested_on == TEST), key=lambda cell: cell.mean_deg)
+    for score in scores:
+        if score.flaw:
+            where = f"fold {score.fold} of {score.model} on {score.trained_on}, tested on {score.tested_on}"
+            console.print(f"{where}: {score.flaw}", soft_wrap=True, markup=False)
+    best = best_of(cells)
     console.print(
         f"{out / 'table1.csv'}: {best.model} on unseen flights of {best.trained_on}: "
         f"{best.mean_deg:.2f} ± {best.sd_deg:.2f}° over {best.folds} folds",

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..own import named_errors
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
 from .cascade import ATTITUDE, ROTOR, actuate, attitude_set_point
@@ -54,7 +55,7 @@ def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeCont
         controller = make(rate_hz, vehicle)
     except ValueError:
         raise
-    except Exception as error:  # whatever a user's function does
+    except (Exception, SystemExit) as error:  # whatever a user's function does
         kind = type(error).__name__
         raise ValueError(f"controller {name} is made with (rate_hz, vehicle): {kind}: {error}") from error
     if missing := [each for each in ("reset", "update") if not callable(getattr(controller, each, None))]:
@@ -86,12 +87,14 @@ class InnerLoop:
         """
         self._accel[ids] = 0.0
         if len(ids) == len(self.records):
-            self.controller.reset(len(ids))
+            with named_errors(f"controller {self.name}: reset"):
+                self.controller.reset(len(ids))
             return
         restart = getattr(self.controller, "restart", None)
         if restart is None:
             raise ValueError(f"controller {self.name} has no restart(ids): it starts all vehicles or none")
-        restart(ids)
+        with named_errors(f"controller {self.name}: restart"):
+            restart(ids.copy())
 
     def steer(self, level: int, accel: Array) -> int:
         """Write rotor speeds for the commands in the records; the level at which they stand there.
@@ -111,8 +114,9 @@ class InnerLoop:
         self._accel = np.where(np.isfinite(accel), accel, self._accel)
         given = (self.set_point, measured["gyro"], self._accel, measured["roll_pitch"])
         try:
-            action = np.asarray(self.controller.update(*(np.array(each) for each in given)), np.float64)
-        except Exception as error:  # whatever a user's class does
+            returned = self.controller.update(*(np.array(each) for each in given))
+            action = np.asarray(returned)
+        except (Exception, SystemExit) as error:  # whatever a user's class does
             raise ValueError(
                 f"controller {self.name}: update ends with {type(error).__name__}: {error}"
             ) from error
@@ -121,9 +125,12 @@ class InnerLoop:
                 f"controller {self.name}: update returns an array of shape {action.shape}; angular "
                 f"acceleration [rad/s²] and thrust per mass [m/s²], {self.set_point.shape}, are required"
             )
+        if action.dtype.kind not in "fiu" or isinstance(returned, np.ma.MaskedArray):
+            kind = "masked" if isinstance(returned, np.ma.MaskedArray) else action.dtype
+            raise ValueError(f"controller {self.name}: update returns a {kind} array, not real numbers")
         if not np.isfinite(action).all():
             raise ValueError(f"controller {self.name}: update returns numbers that are not finite")
-        actuate_all(self.records, action)
+        actuate_all(self.records, action.astype(np.float64, copy=False))
         return ROTOR
 
 

@@ -22,11 +22,12 @@ from ..control.cascade import (
     controller_dtype,
 )
 from ..control.own import InnerLoop, MakeController, made
-from ..estimator import AttitudeEstimator, Readings, accepted_sensors
+from ..estimator import AttitudeEstimator, Readings, accepted_sensors, receives_truth, roll_pitch_of
 from ..external import ExternalSensor
 from ..imu.kernel import ACCEL, GYRO, IMU, measure
 from ..imu.spec import ImuSpec
 from ..imu.stream import ImuStream
+from ..own import named_errors
 from ..plant import Plant, fly, update_truth
 from ..rotation import euler_from_quat, quat_from_rotvec, quat_multiply
 from ..rotors import vehicle_dtype
@@ -68,6 +69,8 @@ def loop_dtype(rotors: int) -> np.dtype:
 
 class FlightLoop:
     """n closed loops, one sample at a time.
+
+    The estimator, `corrupt` and the controller get copies: what they change in place moves no vehicle.
 
     After `reset` and after every `step`, `readings` (n, ·), `gyro` (n, 3) among them, and `attitude` (n, 2),
     the estimated roll and pitch, belong to the state in `plant`. `measured_state` (n,) holds what the
@@ -122,16 +125,16 @@ class FlightLoop:
         self.estimator, self._last_rate = estimator, np.zeros((n, 3))
         self.external = external
         self.corrupt = corrupt
-        self._observe = getattr(estimator, "observe", None)
+        self._observe = getattr(estimator, "observe", None) if receives_truth(estimator) else None
+        self._name, self._shape = type(estimator).__name__, (n, 2)
         self._accepted = () if estimator is None else accepted_sensors(estimator.update)
         self.attitude = self.true_attitude = self.plant.roll_pitch
         self.yaw, self.measured_state = self.plant.yaw, records["measured"]
         self.k, self.rate = self.measured_state["k"], self.measured_state["gyro"]
-        rotor_vel = self.plant.rotor_vel.view()
-        rotor_vel.flags.writeable = False  # the plant's state
-        self._sample = Readings(self.plant.ang_vel, self.plant.specific_force, rotor_vel)
+        inertial = (self.plant.ang_vel, self.plant.specific_force)
         if self.imu is not None:
-            self._sample = Readings(self.imu.gyro, self.imu.accel, rotor_vel)
+            inertial = (self.imu.gyro, self.imu.accel)
+        self._sample = Readings(*map(_read_only, (*inertial, self.plant.rotor_vel)))
         self.readings = self._sample
 
     @property
@@ -188,12 +191,14 @@ class FlightLoop:
                 off = quat_multiply(quat_from_rotvec(attitude_error), self.plant.quat[ids])
                 given = euler_from_quat(off)[:, :2]
         if len(ids) == self.n:
-            self.estimator.reset(self.n, roll_pitch=given)
+            with named_errors(f"{self._name}: reset"):
+                self.estimator.reset(self.n, roll_pitch=given)
             return
         restart = getattr(self.estimator, "restart", None)
         if restart is None:
             raise ValueError("this estimator has no restart(ids, roll_pitch): it starts all or none")
-        restart(ids, roll_pitch=given)
+        with named_errors(f"{self._name}: restart"):
+            restart(ids.copy(), roll_pitch=given)
 
     def step(self, level: Level, command: Command, wind: Array | None = None) -> None:
         """Advance by one sample: control from the present estimate, move, sense.
@@ -234,24 +239,41 @@ class FlightLoop:
         return LEVELS.index(level)
 
     def estimate(self) -> None:
-        """External sensor, sensor faults and estimate, from the last sample of the IMU."""
+        """External sensor, sensor faults and estimate, from the last sample of the IMU.
+
+        Raises:
+            ValueError: If the estimator fails, or does not return real numbers (n, 2).
+        """
         measured = self.measured_state
         if self.external is not None:
             self.external.measure(measured)
         if self.corrupt is not None:
             self.readings = self._sample.map(np.copy)
-            self.corrupt(self.readings, self.k)
+            self.corrupt(self.readings, self.k.copy())
             self._last_rate = np.where(np.isfinite(self.gyro), self.gyro, self._last_rate)
             self.rate[:] = self._last_rate
         if self.estimator is not None:
-            if self._observe is not None:
-                self._observe(self.plant.quat)
-            self.attitude = self.readings.give(self.estimator.update, self._accepted)
+            try:
+                if self._observe is not None:
+                    self._observe(self.plant.quat.copy())
+                returned = self.readings.give_copies(self.estimator.update, self._accepted)
+                self.attitude = roll_pitch_of(returned, self._shape, self._name)
+            except ValueError:
+                raise
+            except (Exception, SystemExit) as error:  # whatever a user's class does
+                raise ValueError(f"{self._name}: update ends with {type(error).__name__}: {error}") from error
             measured["roll_pitch"] = self.attitude
 
     def next_noise(self) -> int:
         """Place of the IMU's next sample in `noise`; it counts as taken."""
         return 0 if self.imu is None else self.imu.next_samples()
+
+
+def _read_only(state: Array) -> Array:
+    """A view of the plant's or the IMU's state that cannot change it."""
+    view = state.view()
+    view.flags.writeable = False
+    return view
 
 
 @njit(cache=True)

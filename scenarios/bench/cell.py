@@ -124,7 +124,7 @@ def fly_cell(
         log, end = fly(mission, settings.seed, after_step=signals)
         cell = make_cell(name, estimator, fingerprint, mission, log, end, signals)
         return replace(cell, cpu_s=round(time.thread_time() - began, 3))
-    except Exception as error:  # whatever an estimator does, the other cells continue
+    except (Exception, SystemExit) as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
         return failed_cell(name, estimator, fingerprint, f"{kind}{error}")
 

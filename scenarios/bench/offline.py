@@ -9,9 +9,13 @@ import numpy as np
 import estimators
 from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.flights import imu_of, other_sensors, vehicle_of
-from estimators.metrics import attitude_error, inclination_rmse, share_without_number
+from estimators.metrics import attitude_error, flaw_of, inclination_rmse, share_without_number
 from quadsim.dataset.reading import open_dataset
+from quadsim.estimator import receives_truth
 from quadsim.rotation import roll_pitch_from_quat
+
+UNRANKED = "not ranked"
+"""Column that says why an estimator is not ranked, "reference" or its flaw; empty if it is ranked."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,15 @@ class OfflineRow:
     inclination_rmse_deg: float | None = None
     note: str | None = None
     """Why it failed."""
+    reference: bool = False
+    """Whether it receives the true attitude."""
+    flaw: str = ""
+    """What is wrong with its estimates, as of `estimators.metrics.flaw_of`; empty if nothing."""
+
+    @property
+    def unranked(self) -> str:
+        """Why it is not ranked; empty if it is."""
+        return "reference" if self.reference else self.flaw
 
 
 def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow]:
@@ -57,11 +70,18 @@ def offline_errors(dataset: str | Path, names: Sequence[str]) -> list[OfflineRow
             silenced = twin and attitude_error(estimators.run(twin, gyro, accel), counted).mean
             share = share_without_number(estimate, counted)
             errors = error.median, error.mean, error.sd, share, silenced, inclination
-            rows.append(OfflineRow(name, start, *errors))
+            flaw = flaw_of(estimate, counted)
+            rows.append(OfflineRow(name, start, *errors, reference=receives_truth(estimator), flaw=flaw))
     return rows
 
 
 def table_of(rows: Sequence[OfflineRow]) -> list[dict[str, object]]:
-    """The rows by column; without the column of notes if there are none."""
-    noted = any(row.note for row in rows)
-    return [{key: value for key, value in vars(row).items() if noted or key != "note"} for row in rows]
+    """The rows by column; without the columns of notes, and of what is not ranked, if they would be empty."""
+    noted, unranked = any(row.note for row in rows), any(row.unranked for row in rows)
+    left_out = {"reference", "flaw"} | ({"note"} if not noted else set())
+    table: list[dict[str, object]] = []
+    for row in rows:
+        table.append({key: value for key, value in vars(row).items() if key not in left_out})
+        if unranked:
+            table[-1][UNRANKED] = row.unranked
+    return table

@@ -11,6 +11,7 @@ from quadsim.flight.scenario import Scenario
 
 from .controllers import CASCADED, TRUTH, controller_of, estimator_of
 from .flight_metrics import CellRow
+from .offline import UNRANKED
 from .pairs import ALL, PairRow, paired_differences
 from .ranking import Place, by_contender, listed, ranked, winners
 from .recommendation import recommendation
@@ -167,12 +168,12 @@ def conditions(scenarios: Mapping[str, Scenario]) -> str:
 
 def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
     """The verdict on recorded flights alone: the smallest error from an unknown initial attitude."""
+    rows = [row for row in rows if not row.get(UNRANKED)]
     rows = [row for row in rows if row.get("start") != "known"] or rows
     for key in ("mean_deg", "median_deg"):
         rated = {
             str(row["estimator"]): value for row in rows if isinstance(value := row.get(key), int | float)
         }
-        rated.pop(TRUTH, None)
         if rated:
             best = min(rated, key=lambda name: rated[name])
             return Verdict(f"Smallest error on recorded flights: {best}, {rated[best]:.2f}°.", [], [])

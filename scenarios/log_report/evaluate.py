@@ -66,9 +66,10 @@ def evaluate_logs(
         table.add_row(name, *("–" if math.isnan(error) else f"{error:.2f}" for error in errors))
     output.print(table)
     for row in scores.rows:
-        if row.without_number > 0.0 and row.bias == RAW:
-            share = f"{100.0 * row.without_number:.1f} % of the estimates of {row.estimator}"
-            output.print(f"{row.log}: {share} are no number; each counts as 180°", soft_wrap=True)
+        if row.flaw and row.bias == RAW:
+            counted = "; each of these counts as 180°" if row.without_number > 0.0 else ""
+            text = f"{row.log}: {row.estimator} {row.flaw}{counted}: it is not ranked"
+            output.print(text, soft_wrap=True, markup=False)
     for log, bias in scores.gyro_bias.items():
         shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
         known = f"gyro bias ({shown}) °/s" if np.isfinite(bias).all() else "gyro bias unknown"

@@ -24,10 +24,14 @@ class LogVerdict(NamedTuple):
 
 def log_verdict(scores: LogScores) -> LogVerdict:
     """Which estimator had the smallest error, how a level guess compares, and what limits the finding."""
-    logs, names = list(scores.truth), [name for name in scores.estimators if name != LEVEL]
+    unranked = scores.unranked
+    logs, names = list(scores.truth), [n for n in scores.estimators if n != LEVEL and n not in unranked]
     error = {name: scores.mean(name, RAW) for name in scores.estimators}
     seconds = sum(int(scores.counted[log].sum()) / _rate(scores, log) for log in logs)
     data = f"{len(logs)} log{'s' if len(logs) > 1 else ''}, {seconds:.0f} s scored"
+    notes = [f"{name} {reason.rstrip('.')}: it is not ranked." for name, reason in unranked.items()]
+    if not names:
+        return LogVerdict("No estimator is ranked.", notes)
     best, level = names[0], error[LEVEL]
     headline = f"Smallest error: {best}, {error[best]:.2f}° inclination RMSE."
     if error[best] > CLEAR * level:
@@ -38,7 +42,7 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     lines += [*_by_log(scores, logs, names, best), *_bias(scores, names, error), *_believed(scores)]
     if len(logs) == 1:
         lines.append("One log shows what happened on it, not which estimator is best on the next.")
-    return LogVerdict(headline, lines)
+    return LogVerdict(headline, lines + notes)
 
 
 def _rate(scores: LogScores, log: str) -> float:

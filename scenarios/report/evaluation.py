@@ -52,9 +52,11 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flig
     output.print(evaluation_table(done.rows, caption))
     for note in notes:
         output.print(note, soft_wrap=True)
-    rated = [row for row in done.rows if row.initial == "unknown" and row.estimator != "truth"]
+    rated = [row for row in done.rows if row.initial == "unknown" and not row.unranked]
     last = f"{page}"
-    if rated:
+    if not rated:
+        last += ": no estimator with an unknown start is ranked"
+    else:
         best = min(rated, key=lambda row: row.behind_deg)
         tied = [r.estimator for r in rated if r.tied and r is not best and r.flights == best.flights]
         last += f": the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"

@@ -15,7 +15,7 @@ from ..bench.axes import ALL, Effect, ranking
 from ..bench.breaking import BreakingPoint
 from ..bench.controllers import CASCADED, controller_of
 from ..bench.flight_metrics import CellRow
-from ..bench.offline import OfflineRow
+from ..bench.offline import UNRANKED, OfflineRow
 from ..bench.runner import Results, shown_once
 from ..bench.verdict import ERROR, measure_of, totals_of, verdict, worst_row
 
@@ -148,6 +148,9 @@ def evaluation_table(rows: Sequence[EvaluationRow], title: str) -> Table:
     for heading in ("estimator", "start", *headings):
         table.add_column(heading, justify="right" if heading in headings else "left", overflow="fold")
     for row in rows:
+        if math.isnan(row.mean_deg):
+            table.add_row(row.estimator, row.initial, *["–"] * 4, row.behind, *["–"] * 3)
+            continue
         settling = ["never" if math.isnan(s) else f"{s:.1f}" for s in (row.settle_20_s, row.settle_45_s)]
         mean = f"{row.mean_deg:.2f} ({row.mean_low_deg:.2f}–{row.mean_high_deg:.2f})"
         errors = f"{row.median_deg:.2f}", mean, f"{row.sd_deg:.2f}", row.silenced, row.behind
@@ -156,24 +159,36 @@ def evaluation_table(rows: Sequence[EvaluationRow], title: str) -> Table:
 
 
 def evaluation_columns(rows: Sequence[EvaluationRow]) -> list[dict[str, object]]:
-    """The rows as a page shows them."""
-    return [
+    """The rows as a page shows them; what is not known is None."""
+    shown: list[dict[str, object]] = [
         {
             "estimator": row.estimator,
             "start": row.initial,
-            "median_deg": row.median_deg,
-            "mean_deg": row.mean_deg,
-            "95 % interval": f"{row.mean_low_deg:.2f}–{row.mean_high_deg:.2f}",
-            "sd_deg": row.sd_deg,
-            "silenced_deg": None if math.isnan(row.silenced_deg) else row.silenced_deg,
+            "median_deg": _known(row.median_deg),
+            "mean_deg": _known(row.mean_deg),
+            "95 % interval": _interval(row.mean_low_deg, row.mean_high_deg),
+            "sd_deg": _known(row.sd_deg),
+            "silenced_deg": _known(row.silenced_deg),
             "behind the best": row.behind,
-            "inclination_rmse_deg": row.inclination_rmse_deg,
-            "20° to 2° [s]": None if math.isnan(row.settle_20_s) else row.settle_20_s,
-            "45° to 2° [s]": None if math.isnan(row.settle_45_s) else row.settle_45_s,
-            "runtime_us": row.runtime_ns / 1e3,
+            "inclination_rmse_deg": _known(row.inclination_rmse_deg),
+            "20° to 2° [s]": _known(row.settle_20_s),
+            "45° to 2° [s]": _known(row.settle_45_s),
+            "runtime_us": _known(row.runtime_ns / 1e3),
         }
         for row in rows
     ]
+    if any(row.unranked for row in rows):
+        for columns, row in zip(shown, rows, strict=True):
+            columns[UNRANKED] = row.unranked
+    return shown
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _interval(low: float, high: float) -> str:
+    return "–" if math.isnan(low) else f"{low:.2f}–{high:.2f}"
 
 
 EVALUATION_METHOD = (
@@ -182,7 +197,8 @@ EVALUATION_METHOD = (
     "with output weights of zero. Behind the best: the paired difference of each flight from the best "
     "estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
     "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never. "
-    "Networks are never given the initial attitude: they have no row with a known start."
+    "Networks are never given the initial attitude: they have no row with a known start. A reference "
+    "receives the true attitude and is not ranked, nor is an estimator that failed or has a flaw."
 )
 
 
@@ -190,7 +206,7 @@ def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
     """What the table does not say by itself."""
     notes = []
     most = max(row.flights for row in rows)
-    fewer = {row.estimator: row.flights for row in rows if row.flights < most}
+    fewer = {row.estimator: row.flights for row in rows if 0 < row.flights < most}
     if fewer:
         flights = ", ".join(f"{name} on the first {count}" for name, count in fewer.items())
         notes.append(f"Slow ones were run on fewer flights: {flights}; --slow-flights changes that.")
@@ -200,12 +216,18 @@ def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
             f"{missing} samples were missing or beyond any sensor's range; estimators went on from their "
             "predictions there."
         )
+    flaws: dict[tuple[str, str], list[str]] = {}
     for row in rows:
-        if row.without_number > 0.0:
-            notes.append(
-                f"{row.estimator}, {row.initial} start: {100.0 * row.without_number:.1f} % of its estimates "
-                "are no number; each counts as 180°."
-            )
+        if row.flaw:
+            flaws.setdefault((row.estimator, row.flaw), []).append(row.initial)
+    for (name, flaw), starts in flaws.items():
+        counted = " Each of these counts as 180°." * any(
+            r.without_number > 0.0 for r in rows if r.flaw == flaw
+        )
+        notes.append(f"{name} is not ranked ({' and '.join(starts)} start): it {flaw.rstrip('.')}.{counted}")
+    if references := dict.fromkeys(row.estimator for row in rows if row.unranked == "reference"):
+        verb = "receives" if len(references) == 1 else "receive"
+        notes.append(f"{', '.join(references)} {verb} the true attitude: a reference, not ranked.")
     return notes
 
 

@@ -1,6 +1,9 @@
 """The offline comparison: its table, its curves and its figures."""
 
 import csv
+import re
+import sys
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -12,7 +15,8 @@ from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.truth import Truth
 from quadsim.rotation import roll_pitch_from_quat
-from scenarios.report.terminal import evaluation_notes
+from scenarios.bench.verdict import offline_verdict
+from scenarios.report.terminal import evaluation_columns, evaluation_notes, evaluation_table
 
 
 class _Failing:
@@ -83,7 +87,191 @@ def test_an_estimator_that_fails_half_way_does_not_win(flights):
     assert mahony.without_number == 0.0
     assert failing.mean_deg > 80.0 > mahony.mean_deg
     notes = " ".join(evaluation_notes(done.rows))
-    assert "failing, unknown start: 50.0 % of its estimates are no number" in notes
+    assert (
+        "failing is not ranked (unknown start): it returned roll or pitch that is not a finite number"
+        in notes
+    )
+    assert (failing.behind, mahony.behind) == ("not ranked", "the best")
+
+
+class Plain:
+    """Integrates the gyroscope; what a test changes of it is in its subclass."""
+
+    rate_hz = 200.0
+
+    def __init__(self, rate_hz=200.0):
+        """Make it."""
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+        self.angle = np.zeros((n, 2)) if roll_pitch is None else np.array(roll_pitch)
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        self.angle = self.angle + gyro[:, :2] / self.rate_hz
+        return self.angle
+
+
+class Huge(Plain):
+    """Angles that any wrap at double precision makes 0."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return np.full((len(gyro), 2), 1e20)
+
+
+class Constant(Plain):
+    """Level."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return np.zeros((len(gyro), 2))
+
+
+class Peek(Plain):
+    """The truth, under another name."""
+
+    def observe(self, quat):
+        """Take the truth."""
+        self.truth = roll_pitch_from_quat(quat)
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return self.truth
+
+
+class Exits(Plain):
+    """Ends the process."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        sys.exit(0)
+
+
+class Raises(Plain):
+    """Fails."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        raise KeyError("x")
+
+
+class Column(Plain):
+    """One angle of each vehicle, which would broadcast."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return gyro[:, :1]
+
+
+class Complex(Plain):
+    """Complex angles."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return super().update(gyro, accel) + 0j
+
+
+class Masked(Plain):
+    """Masked angles."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return np.ma.masked_array(super().update(gyro, accel), True)
+
+
+class Faster(Plain):
+    """Has a `sequence` that estimates something else than its `update`."""
+
+    def sequence(self, gyro, accel):
+        """Take a sequence."""
+        return np.stack([0.5 * np.arctan2(accel[..., 1], accel[..., 2]), -accel[..., 0] / 9.81], axis=-1)
+
+
+class Same(Plain):
+    """Has a `sequence` that equals its `update`."""
+
+    def sequence(self, gyro, accel):
+        """Take a sequence."""
+        return self.angle[:, None] + np.cumsum(gyro[..., :2], axis=1) / self.rate_hz
+
+
+@pytest.mark.parametrize("made", [Huge, Constant, Peek, Exits, Raises, Column, Complex, Masked, Faster])
+def test_what_cannot_be_ranked_is_listed_and_is_not_the_best(flights, made):
+    part = flights.isel(time=slice(1000))
+    done = evaluate(part, {"bad": made(), "mahony": create("mahony")}, settle_s=1.0)
+    rows = {(row.estimator, row.initial): row for row in done.rows}
+    for start in ("unknown", "known"):
+        assert rows["bad", start].unranked
+        assert rows["bad", start].behind in ("reference", "not ranked")
+        assert not rows["bad", start].tied
+        assert rows["mahony", start].behind == "the best"
+        assert rows["mahony", start].behind_deg == 0.0
+    notes = evaluation_notes(done.rows)
+    assert any(note.startswith("bad ") for note in notes)
+    for draw in (violins, error_over_time, settling):
+        draw(done)
+    evaluation_table(done.rows, "t")
+    shown = evaluation_columns(done.rows)
+    assert offline_verdict(shown).headline.startswith("Smallest error on recorded flights: mahony")
+    assert all(each["mean_deg"] is None or each["mean_deg"] >= 0.0 for each in shown)
+    with (
+        pytest.raises(ValueError, match="no estimator ran: bad did not run")
+        if np.isnan(rows["bad", "unknown"].mean_deg)
+        else nullcontext()
+    ):
+        evaluate(part, {"bad": made()}, settle_s=1.0)
+
+
+@pytest.mark.parametrize(
+    ("made", "flaw"),
+    [
+        (Huge, "returned angles beyond ±100 rad in 100.0 % of the samples"),
+        (Constant, "returned the same roll and pitch at every sample"),
+        (Exits, "did not run: Exits ends with SystemExit: 0"),
+        (Raises, "did not run: Raises ends with KeyError: 'x'"),
+        (Column, r"did not run: Column: update returns a float64 array of shape \(4, 1\); .* shape \(4, 2\)"),
+        (Complex, r"did not run: Complex: update returns a complex128 array of shape \(4, 2\)"),
+        (Masked, "did not run: Masked: update returns a masked array"),
+        (Faster, "did not run: Faster: sequence does not give the estimates of update, which flies"),
+    ],
+)
+def test_the_reason_is_named(flights, made, flaw):
+    done = evaluate(flights.isel(time=slice(1000)), {"bad": made(), "mahony": create("mahony")}, settle_s=1.0)
+    assert re.match(flaw, done.rows[0].flaw)
+
+
+def test_a_sequence_that_equals_update_is_scored(flights):
+    part = flights.isel(time=slice(1000))
+    same, plain = evaluate(part, {"same": Same(), "plain": Plain()}, initial=("unknown",), settle_s=1.0).rows
+    assert not same.unranked
+    assert same.mean_deg == pytest.approx(plain.mean_deg)
+
+
+def test_an_interrupt_stays_one(flights):
+    class Interrupted(Plain):
+        def update(self, gyro, accel):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(flights, {"bad": Interrupted(), "mahony": create("mahony")})
+
+
+def test_an_estimator_that_changes_what_it_is_given_changes_nothing_else(flights):
+    class Writes(Same):
+        def reset(self, n=1, roll_pitch=None):
+            super().reset(n, roll_pitch)
+            if roll_pitch is not None:
+                roll_pitch[:] = 9.0
+
+        def sequence(self, gyro, accel):
+            out = super().sequence(gyro, accel)
+            gyro[:] = accel[:] = 0.0
+            return out
+
+    alone = evaluate(flights, {"mahony": create("mahony")}).rows
+    after = evaluate(flights, {"writes": Writes(), "mahony": create("mahony")}).rows
+    assert [row.mean_deg for row in alone] == [row.mean_deg for row in after if row.estimator == "mahony"]
 
 
 def test_error_over_time_averages_to_the_sequence_error(evaluation):

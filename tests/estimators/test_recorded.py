@@ -22,6 +22,8 @@ from quadsim.logs import read_log
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 from quadsim.rotation import quat_from_euler, quat_rotate_inverse, roll_pitch_from_quat
+from scenarios.log_report.page import write_log_report
+from scenarios.log_report.verdict import log_verdict
 
 BIAS = np.array([0.06, -0.02, 0.01])
 
@@ -99,6 +101,56 @@ def test_the_models_that_imm_believes_along_a_log_are_recorded(log):
     np.testing.assert_array_equal(believed.roll_pitch[0], estimate)
     nowhere = np.full((1, len(log["time"]), 2), np.nan)
     assert np.isnan(believed.coverage(nowhere))
+
+
+class Given:
+    """An estimator that returns what it is made with, or raises it, or is fed the truth."""
+
+    rate_hz = 200.0
+
+    def __init__(self, value):
+        self.value = value
+        if value is None:
+            self.observe = self._observe
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+
+    def _observe(self, quat):
+        self.truth = roll_pitch_from_quat(quat)
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        if isinstance(self.value, BaseException):
+            raise self.value
+        return self.truth if self.value is None else np.full((len(gyro), 2), self.value)
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        (1e20, "returned angles beyond ±100 rad in 100.0 % of the samples"),
+        (0.0, "returned the same roll and pitch at every sample"),
+        (np.nan, "returned roll or pitch that is not a finite number in 100.0 % of the samples"),
+        (None, "receives the true attitude"),
+        (SystemExit(0), "did not run: Given ends with SystemExit: 0"),
+        (KeyError("x"), "did not run: Given ends with KeyError: 'x'"),
+    ],
+)
+def test_what_cannot_be_ranked_is_listed_with_its_reason_and_is_not_the_best(log, tmp_path, value, reason):
+    scores = score_logs([log], {"bad": Given(value), "mahony": create("mahony")})
+    assert scores.unranked == {"bad": reason}
+    assert scores.estimators[-1] == "bad"
+    verdict = log_verdict(scores)
+    assert "mahony" in verdict.headline
+    assert verdict.lines[-1] == f"bad {reason}: it is not ranked."
+    assert write_log_report(tmp_path / "r.html", [log], scores).is_file()
+    draw_log(scores, "mine")
+    if isinstance(value, BaseException):
+        with pytest.raises(ValueError, match="no estimator ran: bad did not run"):
+            score_logs([log], {"bad": Given(value)})
+    else:
+        assert log_verdict(score_logs([log], {"bad": Given(value)})).headline == "No estimator is ranked."
 
 
 def test_rows_are_written(log, tmp_path):

@@ -1,6 +1,8 @@
 """The searches, the cost they lower, and the files they end in."""
 
+import json
 import math
+from textwrap import dedent
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from estimators.tuning.search import (
     FlightSelection,
     SearchSettings,
     evolution,
+    imu_constants,
     mean_squared_error,
     swarm,
     tunable,
@@ -91,6 +94,13 @@ def test_an_estimate_that_is_no_number_costs_as_much_as_180_degrees():
         assert square_of_error(roll, pitch, 0.1, 0.2) == pytest.approx(2.0 * math.pi**2)
         assert square_of_error(roll, pitch, math.nan, math.nan) == 0.0
     assert square_of_error(0.3, 0.2, 0.1, 0.2) == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("angles", [(1e20, 0.1), (0.1, 1e20), (3.1, 6.2), (-3.1, -6.2), (0.1, 3.5)])
+def test_the_compiled_cost_counts_angles_as_the_metrics_do(angles):
+    truth = np.array([-3.0, 0.2])
+    squares = np.radians(absolute_error(np.array(angles), truth)) ** 2
+    assert square_of_error(*angles, *truth) == pytest.approx(squares.sum())
 
 
 @pytest.mark.parametrize("name", list(COMPILED))
@@ -244,3 +254,78 @@ def test_estimators_without_parameters_and_broken_datasets_are_named(flights):
         tune("mahony", [flights.drop_vars("quat")])
     with pytest.raises(ValueError, match="must agree in length and sample rate"):
         tune("mahony", [flights, flights.isel(time=slice(100))])
+
+
+OWN = dedent(
+    """
+    import numpy as np
+    from estimators import Parameter
+
+    class Mine:
+        parameters = {"gain": Parameter(0.02, 0.001, 0.5)}
+
+        def __init__(self, rate_hz, gain=0.02):
+            self.rate_hz, self.gain = rate_hz, gain
+
+        def reset(self, n=1, roll_pitch=None):
+            self.angle = np.zeros((n, 2))
+
+        def update(self, gyro, accel):
+            x, y, z = accel.T
+            tilt = np.column_stack([np.arctan2(y, z), np.arctan2(-x, z)])
+            self.angle = (1 - self.gain) * (self.angle + gyro[:, :2] / self.rate_hz) + self.gain * tilt
+            return self.spoiled(self.angle)
+
+        def spoiled(self, angle):
+            return angle
+
+    class Sometimes(Mine):
+        def spoiled(self, angle):
+            return np.full_like(angle, 1e20) if self.gain < 0.02 else 0 * angle if self.gain < 0.1 else angle
+
+    class Never(Mine):
+        def spoiled(self, angle):
+            return angle * np.nan
+
+    class Peeks(Mine):
+        def observe(self, quat):
+            pass
+    """
+)
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(OWN)
+
+
+@pytest.mark.parametrize("method", ["swarm", "evolution"])
+def test_parameters_whose_estimates_have_a_flaw_do_not_win(flights, own, method):
+    part = flights.isel(time=slice(400))
+    found = tune("own.py:Sometimes", [part], SearchSettings(method, 6, 2, seed=1))
+    assert found.values["gain"] >= 0.1
+    assert found.rmse_deg < 90.0
+
+
+@pytest.mark.parametrize("method", ["swarm", "evolution"])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (
+            "Never",
+            "no parameters of own.py:Never give estimates that can be scored: it returned roll or",
+        ),
+        ("Peeks", "own.py:Peeks receives the true attitude: there is nothing to tune"),
+    ],
+)
+def test_an_estimator_that_no_parameters_make_sound_is_refused(flights, own, name, text, method):
+    with pytest.raises(ValueError, match=text):
+        tune(f"own.py:{name}", [flights.isel(time=slice(400))], SearchSettings(method, 4, 2))
+
+
+def test_a_dataset_that_does_not_say_its_imu_tunes_ekf_drag_with_the_defaults(flights):
+    config = json.loads(flights.attrs["config"])
+    del config["imu"]
+    assert imu_constants("ekf-drag", flights.assign_attrs(config=json.dumps(config))) == {}
+    assert imu_constants("ekf-drag", flights)

@@ -180,6 +180,8 @@ def test_observation_never_leaves_its_space():
         ({"render_mode": "ansi"}, "unknown render_mode"),
         ({"estimator": "mahoni"}, 'did you mean "mahony"'),
         ({"estimator": "no.module:Filter"}, "No module named"),
+        ({"scenario": None}, "scenario = None: should be a name, a file or a Scenario"),
+        ({"scenario": 3.0}, r"scenario = 3.0: should be a name"),
         ({"estimator": 3}, "estimator = 3: should be a name"),
         ({"duration_s": 0.0}, "duration_s = 0.0: should be"),
         ({"duration_s": np.inf}, "duration_s = inf: should be"),
@@ -325,7 +327,7 @@ class Failing(Still):
     ("made", "said"),
     [
         (WithoutKnownStart, "unexpected keyword argument 'roll_pitch'"),
-        (Three, r"shape \(2, 3\) for two vehicles; roll and pitch, \(2, 2\)"),
+        (Three, r"float64 array of shape \(2, 3\); roll and pitch \[rad\], real numbers of shape \(2, 2\)"),
         (NoRate, "with one argument, rate_hz"),
         (Failing, "end with KeyError: 'gain'"),
     ],
@@ -335,6 +337,99 @@ def test_what_is_no_estimator_is_said_before_the_first_flight(made, said):
         gymnasium.make(ID, estimator=made)
     with pytest.raises(ValueError, match=f"test_env:{made.__name__}.*{said}"):
         estimators.create(f"test_env:{made.__name__}")
+
+
+class Exits(Still):
+    """It ends the process, in the loop alone."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        if self.updates > 3:
+            raise SystemExit(0)
+        return super().update(gyro, accel)
+
+
+class LaterWrong(Still):
+    """It returns one column from the fourth sample on."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        found = super().update(gyro, accel)
+        return found if self.updates < 4 else found[:, :1]
+
+
+class LaterComplex(LaterWrong):
+    """It returns complex numbers from the fourth sample on."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        found = Still.update(self, gyro, accel)
+        return found if self.updates < 4 else found + 0j
+
+
+class ExitsAtReset(Still):
+    """It ends the process when it is reset in the loop."""
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+        super().reset(n)
+        if self.updates:
+            raise SystemExit(0)
+
+
+@pytest.mark.parametrize("n", [None, 2])
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (Exits, "update ends with SystemExit: 0"),
+        (LaterWrong, r"update returns a float64 array of shape \((1|2), 1\)"),
+        (LaterComplex, "update returns a complex128 array"),
+        (ExitsAtReset, "reset ends with SystemExit: 0"),
+    ],
+)
+def test_what_an_estimator_does_in_flight_is_said_in_one_line(n, made, said):
+    env = gymnasium.make(ID, estimator=made).unwrapped if n is None else None
+    env = env or gymnasium.make_vec(ID, num_envs=n, estimator=made)
+    action = np.zeros(env.action_space.shape, np.float32)
+    with pytest.raises(ValueError, match=said):  # noqa: PT012  (any of them may be the one)
+        env.reset(seed=0)
+        for _ in range(6):
+            env.step(action)
+
+
+class Vandal(Still):
+    """It changes every array that it is given."""
+
+    def reset(self, n=1, roll_pitch=None):
+        """Start."""
+        super().reset(n)
+        if roll_pitch is not None:
+            roll_pitch[:] = 1.0
+
+    def observe(self, quat):
+        """Take the truth."""
+        quat[:] = (1.0, 0.0, 0.0, 0.0)
+
+    def update(self, gyro, accel, *, rotor_vel=None):
+        """Take a sample."""
+        gyro[:], accel[:] = 5.0, -5.0
+        if rotor_vel is not None:
+            rotor_vel[:] = 0.0
+        return super().update(gyro, accel)
+
+
+@pytest.mark.parametrize("scenario", [SHORT, load_scenario("hover")])
+def test_nothing_that_an_estimator_or_an_agent_changes_in_place_moves_the_vehicle(scenario):
+    envs = [gymnasium.make(ID, estimator=each, scenario=scenario).unwrapped for each in (Still, Vandal)]
+    for env in envs:
+        env.reset(seed=0)
+    for _ in range(15):
+        (quiet, *_, calm), (loud, *_, wild) = (env.step(np.full(4, 0.1)) for env in envs)
+        np.testing.assert_array_equal(quiet, loud)
+        for key in ("position", "velocity", "attitude", "rotor_vel"):
+            np.testing.assert_array_equal(calm[key], wild[key])
+            wild[key][:] = 7.0
+        loud[:] = 7.0
 
 
 def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():

@@ -247,5 +247,49 @@ def test_the_estimator_is_given_the_rotor_speeds_of_the_sample():
     for _ in range(5):
         loop.step("position", np.repeat(HOVER + 1.0, 2, axis=0))
         np.testing.assert_array_equal(loop.estimator.rotor_vel, loop.plant.rotor_vel)
-    with pytest.raises(ValueError, match="read-only"):
-        loop.estimator.rotor_vel[:] = 0.0
+    loop.estimator.rotor_vel[:] = 0.0
+    assert (loop.plant.rotor_vel > 0.0).all()
+
+
+class Writes(Listening):
+    """It changes every array that it is given."""
+
+    def observe(self, quat):
+        """Take the truth."""
+        quat[:] = (1.0, 0.0, 0.0, 0.0)
+
+    def update(self, gyro, accel, *, rotor_vel=None):
+        """Take a sample."""
+        gyro[:], accel[:], rotor_vel[:] = 5.0, -5.0, 0.0
+        return np.zeros((self.n, 2))
+
+
+@pytest.mark.parametrize("imu", [None, load_imu("adis16448")])
+@pytest.mark.parametrize("faults", [False, True])
+def test_an_estimator_and_faults_that_change_arrays_in_place_change_nothing_but_the_readings(imu, faults):
+    def reset_count(readings, k):
+        k[:] = 99
+
+    corrupt = reset_count if faults else None
+    calm, wild = (
+        FlightLoop(HUMMINGBIRD, 2, imu=imu, estimator=each, corrupt=corrupt if each else None)
+        for each in (Listening(), Writes())
+    )
+    for loop in (calm, wild):
+        loop.reset(position=(0, 0, 2.0))
+    for _ in range(10):
+        for loop in (calm, wild):
+            loop.step("position", np.repeat(HOVER + 1.0, 2, axis=0))
+        for field in ("position", "ang_vel", "specific_force", "rotor_vel", "quat"):
+            np.testing.assert_array_equal(getattr(calm.plant, field), getattr(wild.plant, field))
+        np.testing.assert_array_equal(calm.gyro, wild.gyro)
+        np.testing.assert_array_equal(calm.readings.accel, wild.readings.accel)
+    assert wild.k.tolist() == [10, 10]
+
+
+def test_readings_of_a_perfect_imu_are_views_that_cannot_move_the_vehicle():
+    loop = FlightLoop(HUMMINGBIRD)
+    loop.reset(position=(0, 0, 2.0))
+    for reading in loop.readings[:3]:
+        with pytest.raises(ValueError, match="read-only"):
+            reading[:] = 1.0

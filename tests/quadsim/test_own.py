@@ -112,3 +112,16 @@ def test_a_class_that_fails_later_is_named(file):
     estimator = estimators.create("mine.py:Fails")
     with pytest.raises(ValueError, match=r"^Fails ends with RuntimeError: no more"):
         estimators.run(estimator, np.ones((1, 5, 3)), np.ones((1, 5, 3)))
+
+
+def test_a_class_that_is_fed_the_truth_is_given_it_before_its_first_update(file):
+    source = "\n\nclass Peek(Mine):\n    def observe(self, quat):\n        self.truth = quat[:, 1:3]\n"
+    file.write_text(SOURCE + source + "\n    def update(self, gyro, accel):\n        return self.truth\n")
+    assert estimators.create("mine.py:Peek").truth.shape == (2, 2)
+
+
+@pytest.mark.parametrize("where", ["__init__(self, rate_hz, gain=0.02)", "update(self, gyro, accel)"])
+def test_a_class_that_ends_the_process_is_said_in_one_line(file, where):
+    file.write_text(SOURCE + f"\n\nclass Exits(Mine):\n    def {where}:\n        raise SystemExit(0)\n")
+    with pytest.raises(ValueError, match=r"mine.py:Exits.* SystemExit: 0"):
+        estimators.create("mine.py:Exits")

@@ -88,7 +88,7 @@ class Bad:
         pass
 
     def update(self, set_point, gyro, accel, roll_pitch):
-        if isinstance(self.action, Exception):
+        if isinstance(self.action, BaseException):
             raise self.action
         return self.action
 
@@ -98,7 +98,10 @@ class Bad:
     [
         (np.zeros(3), r"shape \(3,\)"),
         (np.full((2, 4), np.nan), "not finite"),
+        (np.zeros((2, 4), complex), "complex128 array, not real numbers"),
+        (np.ma.masked_array(np.zeros((2, 4)), True), "masked array"),
         (KeyError("x"), "KeyError"),
+        (SystemExit(0), "SystemExit: 0"),
     ],
 )
 def test_a_controller_that_fails_is_named(action, text):

@@ -17,6 +17,7 @@ from quadsim.wind import Constant
 from scenarios.bench.breaking import BreakingPoint
 from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
+from scenarios.bench.offline import UNRANKED
 from scenarios.bench.pairs import paired_differences
 from scenarios.bench.runner import Results
 from scenarios.bench.series import decimation, unpack_series
@@ -26,7 +27,7 @@ from scenarios.report.flight_picture import Picture
 from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
 
 OFFLINE = [
-    {"estimator": "truth", "start": "known", "mean_deg": 0.0},
+    {"estimator": "truth", "start": "known", "mean_deg": 0.0, UNRANKED: "reference"},
     {"estimator": "mahony", "start": "known", "mean_deg": 2.5},
     {"estimator": "ekf", "start": "known", "note": "no weights <here>"},
 ]

@@ -326,7 +326,8 @@ def test_cells_are_flown_anew_when_the_code_has_changed(tmp_path, monkeypatch):
     assert len(again) == 4
 
 
-def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
+@pytest.mark.parametrize("error", [ZeroDivisionError("no idea"), SystemExit("no idea")])
+def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch, error):
     class Broken:
         rate_hz = 200.0
 
@@ -334,7 +335,7 @@ def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
             pass
 
         def update(self, gyro, accel):
-            raise ZeroDivisionError("no idea")
+            raise error
 
     create = estimators.create
     monkeypatch.setattr(
@@ -344,7 +345,7 @@ def test_cell_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
     )
     results = small(tmp_path)
     reasons = [row.reason for row in results.rows]
-    assert reasons == ["", "ZeroDivisionError: no idea"] * 2
+    assert reasons == ["", f"Broken: update ends with {type(error).__name__}: no idea"] * 2
     assert load_results(tmp_path) == results
     with (tmp_path / "results.csv").open() as file:
         assert [row["reason"] for row in csv.DictReader(file)] == reasons

@@ -7,6 +7,7 @@ import numpy as np
 from quadsim.flight.scenario import Scenario, Start
 from scenarios.bench.cell import Cell, failed_cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
+from scenarios.bench.offline import UNRANKED
 from scenarios.bench.ranking import by_contender, ranked, winners
 from scenarios.bench.recommendation import FILE, Recommendation, recommendation, save_recommendation
 from scenarios.bench.runner import Results
@@ -327,7 +328,7 @@ def test_the_recommendation_is_read_back_as_it_was_written(monkeypatch, tmp_path
 
 def test_recorded_flights_have_a_verdict_of_their_own():
     rows = [
-        {"estimator": "truth", "start": "known", "mean_deg": 0.0},
+        {"estimator": "truth", "start": "known", "mean_deg": 0.0, UNRANKED: "reference"},
         {"estimator": "mahony", "start": "known", "mean_deg": 2.5},
     ]
     assert offline_verdict(rows).headline == "Smallest error on recorded flights: mahony, 2.50°."

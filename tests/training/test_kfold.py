@@ -1,21 +1,26 @@
 """K-fold and cross-domain training at a tiny size."""
 
 import csv
+import io
 import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from estimators.networks.network import NetworkEstimator
 from quadsim.cli import main
 from quadsim.cli.options import time_left
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import flight_config, load_recipe
 from training import kfold as kfold_module
 from training.config import make_config
-from training.cross_domain import TEST, TRAIN, Score, table
+from training.cross_domain import TEST, TRAIN, Score, best, table, terminal_table
 from training.data import flights_of, fold_split, load_training_flights
 from training.kfold import kfold
+from training.loop import DIVERGED
 from training.loop import run as run_training
 
 TINY = {
@@ -48,6 +53,38 @@ def test_table_holds_mean_and_deviation_over_the_folds():
     scores = [Score("att-snn", "a", fold, TEST, 7, 2.0 + fold, 0.5, 1) for fold in range(3)]
     (cell,) = table(scores)
     assert (cell.folds, cell.mean_deg, cell.sd_deg) == (3, 3.0, 1.0)
+
+
+def test_a_model_with_a_flawed_fold_is_not_the_best_and_the_table_says_so():
+    scores = [
+        Score("att-snn", "a", fold, TEST, 7, 2.0, 0.5, 1, "diverged" * (fold == 1)) for fold in range(3)
+    ]
+    scores += [Score("att-rnn", "a", fold, TEST, 7, 3.0, 0.5, 1) for fold in range(3)]
+    cells = table(scores)
+    assert [cell.flawed for cell in cells] == [1, 0]
+    assert best(cells).model == "att-rnn"
+    shown = Console(width=200, file=io.StringIO())
+    shown.print(terminal_table(cells))
+    assert "2.00 ± 0.00 (1 flawed)" in shown.file.getvalue()
+    with pytest.raises(ValueError, match="att-snn on a: 1 of 3"):
+        best(cells[:1])
+
+
+def test_a_fold_that_diverges_or_estimates_nothing_is_named(domains, tmp_path, monkeypatch):
+    def diverging(config, out, progress):
+        return replace(run_training(config, out, progress), reason=f"{DIVERGED}: the loss is nan")
+
+    monkeypatch.setattr(kfold_module, "run", diverging)
+    choices = TINY | {"epochs": 1, "folds": 2}
+    scores = kfold(domains[:1], tmp_path / "a", workers=1, **choices)
+    assert {score.flaw for score in scores} == {"training diverged: the loss is nan"}
+    assert kfold(domains[:1], tmp_path / "a", workers=1, **choices) == scores  # read back
+    monkeypatch.setattr(kfold_module, "run", run_training)
+    monkeypatch.setattr(
+        NetworkEstimator, "sequence", lambda self, gyro, accel: np.zeros((*gyro.shape[:2], 2))
+    )
+    scores = kfold(domains[:1], tmp_path / "b", workers=1, **choices)
+    assert {score.flaw for score in scores} == {"returned the same roll and pitch at every sample"}
 
 
 def test_every_fold_of_every_domain_is_trained_scored_and_kept(domains, tmp_path, monkeypatch):

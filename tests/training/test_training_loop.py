@@ -647,7 +647,7 @@ def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tm
         monkeypatch.setattr(loop.AttSNN, "constrain", spoil)
 
     result = train(data=dataset, out=tmp_path / "run", progress=after_one, **TINY | {"batches": 1})
-    assert result.reason == "the weights are not finite after epoch 1"
+    assert result.reason == "training diverged: the weights are not finite after epoch 1"
     assert (result.best.epoch, len(rows)) == (0, 1)
     load_network(result.weights)
 
