@@ -3,6 +3,7 @@
 import importlib
 import shutil
 import subprocess
+
 import numpy as np
 import pytest
 import torch
@@ -212,7 +213,7 @@ def norse_in_doubles(graph):
 
 
 def snntorch_network(graph):
-    """snnTorch as it comes; its spikes are float32."""
+    """SnnTorch as it comes; its spikes are float32."""
     reader = pytest.importorskip("snntorch.import_nir", reason="snnTorch is not installed")
     return reader.import_from_nir(graph), lambda state: state["06_hidden_prev_output"]
 

@@ -338,10 +338,16 @@ def test_faults_of_two_sensors_do_not_disturb_each_other():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ('kind = "stuck"\nsensor = "gyroscope"', r"mine\.toml: faults\[0\]\.sensor = .gyroscope.: should be 'both', 'gyro' or 'accel'"),
+        (
+            'kind = "stuck"\nsensor = "gyroscope"',
+            r"mine\.toml: faults\[0\]\.sensor = .gyroscope.: should be 'both', 'gyro' or 'accel'",
+        ),
         ('kind = "stuck"\naxes = "zx"', r"mine\.toml: faults\[0\]\.axes = .zx.: should be 'x', .* or 'xyz'"),
         ('kind = "stuck"\naxes = ""', r"mine\.toml: faults\[0\]\.axes = ..: should be"),
-        ('kind = "saturation"\naccel = 3.0\nsensor = "gyro"', r"mine\.toml: unknown key .faults\[0\]\.sensor"),
+        (
+            'kind = "saturation"\naccel = 3.0\nsensor = "gyro"',
+            r"mine\.toml: unknown key .faults\[0\]\.sensor",
+        ),
         ('kind = "rotor-loss"\naxes = "x"', r"mine\.toml: unknown key .faults\[0\]\.axes"),
     ],
 )
