@@ -1,8 +1,9 @@
 """Att-SNN as a graph of the Neuromorphic Intermediate Representation (NIR, Pedersen et al. 2024).
 
 The importers of Norse 1.1 and snnTorch 1.0 both read `Linear` and `CubaLIF` nodes, but neither leaky
-integrators (LI, CubaLI) nor `Scale`, so the graph has the former alone. A leaky integrator is two linear nodes
-in a loop, x[t] = I[t] + τ x[t−1]. A `CubaLIF` is a differential equation, whose Euler steps of `STEP` are
+integrators (LI, CubaLI) nor `Scale`, so the graph has the former alone. A leaky integrator is two linear
+nodes in a loop, x[t] = I[t] + τ x[t−1]. A `CubaLIF` is a differential equation, whose Euler steps of `STEP`
+are
 
     u[t] = (1 − STEP/tau_syn) u[t−1] + I[t],    v[t] = (1 − STEP/tau_mem) v[t−1] + u[t]
 
