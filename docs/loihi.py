@@ -37,7 +37,7 @@ from quadsim.dataset.figures import STYLE
 from quadsim.rotation import roll_pitch_of_up
 
 ROUNDING_DEG = 1e-2
-"""Largest difference of an attitude in ONNX Runtime: in float32 a reading may be rounded the other way [°]."""
+"""Largest difference in ONNX Runtime: in float32 a reading may be rounded the other way [°]."""
 ROUNDED_SPIKES = 1e-3
 """Share of the spikes that may differ in another tool, which computes in float32."""
 PROFILES = (128, 64, 48, 32, 24)
@@ -217,7 +217,8 @@ def nir_rows(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]
                 spikes.append(spikes_of(state))
         wrong = torch.stack(spikes, 1)[:, :-1] != floats[:, 1:]
         confirmed(f"{tool}: share of spikes that differ", float(wrong.double().mean()), ROUNDED_SPIKES)
-        result = f"{int(wrong.sum())} differ (without the chip's rounding, which changes {rounding:.1%} of the spikes)"
+        without = f"without the chip's rounding, which changes {rounding:.1%} of the spikes"
+        result = f"{int(wrong.sum())} differ ({without})"
         rows.append(row("NIR", tool, f"{wrong.numel()} hidden spikes", result))
     return rows
 

@@ -36,7 +36,7 @@ def engine_difference(seconds: float = 20.0, n: int = 8) -> float:
         for engine in ("mujoco", "compiled")
     )
     found = [
-        np.abs(ours[name] - theirs[name]) / np.maximum(1.0, np.abs(theirs[name]))
+        np.abs(np.subtract(ours[name], theirs[name])) / np.maximum(1.0, np.abs(theirs[name]))
         for name in ("position", "velocity", "quat", "ang_vel", "gyro", "accel")
     ]
     return confirmed("difference of the engines", float(max(each.max() for each in found)), AGREEMENT)

@@ -63,7 +63,7 @@ def without_rounding(name: str) -> NetworkEstimator:
 
 
 def cost_of_rounding(flights: Flights) -> float:
-    """What rounding its states changes of the error of `att-snn` [°], which in floats has the chip's numbers."""
+    """What rounding the states of `att-snn` changes of its error [°]; in floats it has the chip's numbers."""
     chip, floats, real = (
         estimate_of(est, flights)
         for est in (create("att-snn-loihi"), create("att-snn"), without_rounding("att-snn"))

@@ -59,14 +59,14 @@ def test_the_exports_on_the_page_of_the_chip_are_the_networks(loihi, flight):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_the_page_of_the_chip_refuses_c_code_of_another_network(loihi, flight, monkeypatch, tmp_path):
     emulated = loihi.emulated
-    monkeypatch.setattr(loihi, "emulated", lambda *given: emulated(*given) + [0.0, 0.0, 1e-12])
+    monkeypatch.setattr(loihi, "emulated", lambda *given: np.add(emulated(*given), [0.0, 0.0, 1e-12]))
     with pytest.raises(ValueError, match=r"C99.*: \d+, should be at most 0"):
         loihi.export_rows(flight)
 
 
 def test_the_page_of_the_chip_refuses_an_onnx_graph_of_another_network(loihi, flight, monkeypatch, tmp_path):
     sequence = loihi.roll_pitch_of_up
-    monkeypatch.setattr(loihi, "roll_pitch_of_up", lambda up: sequence(up + [0.0, 0.0, 1.0]))
+    monkeypatch.setattr(loihi, "roll_pitch_of_up", lambda up: sequence(np.add(up, [0.0, 0.0, 1.0])))
     with pytest.raises(ValueError, match=r"ONNX"):
         loihi.onnx_row(tmp_path, flight.gyro, flight.accel)
 
@@ -90,7 +90,7 @@ def test_the_page_of_the_chip_refuses_states_that_are_not_lavas(loihi, monkeypat
         return found
 
     monkeypatch.setattr(loihi.np, "load", changed)
-    with pytest.raises(ValueError, match="a_single_bias.*should be at most 0"):
+    with pytest.raises(ValueError, match=r"a_single_bias.*should be at most 0"):
         loihi.golden_rows()
 
 
@@ -108,9 +108,7 @@ def test_the_page_of_microcontrollers_refuses_outputs_that_are_not_the_emulators
     )
     rows = deploy.rows(Path())
     assert next(rows).endswith("| 0 of 150 |")
-    with pytest.raises(
-        ValueError, match="att-snn on Cortex-M7: outputs that differ.*: 150, should be at most 0"
-    ):
+    with pytest.raises(ValueError, match=r"att-snn on Cortex-M7: outputs.*: 150, should be at most 0"):
         next(rows)
 
 

@@ -19,7 +19,8 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
     Args:
         weights: A weights file, or the name of weights that ship, such as "att-snn".
         out: The file (nir, onnx) or folder (c99) to write; must not exist.
-        format: "nir" (spiking, HDF5; runs in Norse and snnTorch), "c99" (spiking, header and source) or "onnx" (att-rnn).
+        format: "nir" (spiking, HDF5; runs in Norse and snnTorch), "c99" (spiking, header and source) or
+            "onnx" (att-rnn).
 
     Raises:
         FileNotFoundError: No such weights.

@@ -1,17 +1,19 @@
 """Att-SNN as a graph of the Neuromorphic Intermediate Representation (NIR, Pedersen et al. 2024).
 
-The nodes are `Linear` and `CubaLIF` alone, for these are what the importers of Norse 1.1 and snnTorch 1.0 both
-read: neither knows leaky integrators (LI, CubaLI) or `Scale`. A leaky integrator is therefore two linear nodes
-in a loop, x[t] = I[t] + τ x[t−1]. A `CubaLIF` is a differential equation, of which Euler steps of `STEP` are
+The importers of Norse 1.1 and snnTorch 1.0 both read `Linear` and `CubaLIF` nodes, but neither leaky
+integrators (LI, CubaLI) nor `Scale`, so the graph has the former alone. A leaky integrator is two linear
+nodes in a loop, x[t] = I[t] + τ x[t−1]. A `CubaLIF` is a differential equation, whose Euler steps of `STEP`
+are
 
     u[t] = (1 − STEP/tau_syn) u[t−1] + I[t],    v[t] = (1 − STEP/tau_mem) v[t−1] + u[t]
 
-with gains (`w_in`, `r`) that undo the STEP/tau on the inputs. The encoding layer is that. A hidden neuron has up
-to two currents, `current` and `after`, which are integrators in front of a `CubaLIF` whose own u is its input.
+with gains (`w_in`, `r`) that undo the STEP/tau on the inputs. The encoding layer is a `CubaLIF`. A hidden
+neuron has up to two currents, `current` and `after`: these are integrators in front of a `CubaLIF` whose own
+u is its input.
 
 Both tools deliver along a chain within a step and around a loop after one, so the hidden layer is one step
-ahead of the chip's, and the outputs two. The tool that snnTorch is built on takes the nodes in the order of
-their names, which is why a number stands before each.
+ahead of the chip's, and the outputs two. snnTorch's importer takes the nodes in the order of their names, and
+nodes out of order would add steps to a loop: therefore a number stands before each name.
 
 The integers of the chip stand in the metadata of each node.
 """

@@ -44,6 +44,23 @@ def test_events_are_spikes_times_the_weights_that_they_meet(network, activity):
     assert synapses(network.cores, neurons).sum() == stored
 
 
+def test_the_modelled_energy_is_that_of_davies_2018(network, activity):
+    """Synaptic operation 23.6 pJ, neuron update 81 and 52, spike within a tile 1.7, hop 3 or 4."""
+    counted = counts(network, activity)
+    by_hand = {
+        "synaptic event": 23.6 * counted["synaptic event"],
+        "active neuron update": 81.0 * counted["active neuron update"],
+        "inactive neuron update": 52.0 * counted["inactive neuron update"],
+        "spike within a tile": 1.7 * counted["spike within a tile"],
+        "hop between tiles": (3.0 + 4.0) / 2 * counted["hop between tiles"],
+    }
+    found = {line.operation: 1e3 * line.nanojoules for line in costs(counted)}
+    assert found == pytest.approx(by_hand)
+    assert found["synaptic event"] > 0.1 * sum(by_hand.values())
+    apart = dict.fromkeys(by_hand, 1.0)  # the shipped networks need no hop
+    assert [1e3 * line.nanojoules for line in costs(apart)] == pytest.approx([23.6, 81.0, 52.0, 1.7, 3.5])
+
+
 def test_shares_are_what_a_wrong_coefficient_does_to_the_sum(network, activity, monkeypatch):
     counted = counts(network, activity)
     before = costs(counted)
