@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,6 +17,7 @@ from safetensors.numpy import save
 from quadsim.config.ranges import Between, ForceVector, SampleRate
 from quadsim.config.toml import Strict, describe
 from quadsim.runs.files import write_whole
+from quadsim.runs.fingerprint import ASSETS
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
@@ -251,14 +251,12 @@ def shipped_controllers() -> list[str]:
 
 
 def _shipped() -> list[str]:
-    found = (files("assets") / "weights").iterdir()
-    return sorted(each.name.removesuffix(END) for each in found if each.name.endswith(END))
+    return sorted(each.stem for each in (ASSETS / "weights").glob(f"*{END}"))
 
 
 def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
     """Weights that ship with the package, by one of `shipped_names()` or `shipped_controllers()`."""
-    with as_file(files("assets") / "weights" / f"{model}.safetensors") as path:
-        return load_network(path)
+    return load_network(ASSETS / "weights" / f"{model}{END}")
 
 
 def _check_format(path: Path, metadata: Mapping[str, str]) -> None:

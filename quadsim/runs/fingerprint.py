@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
 ROOT = Path(__file__).parents[2]
+ASSETS = ROOT / "assets"
+"""Folder of the presets and weights that ship; never one of that name in the working directory."""
 LIBRARIES = ("mujoco", "numba", "numpy", "torch")
 """Their versions may change results in the last bits."""
 
