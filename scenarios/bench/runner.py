@@ -16,7 +16,7 @@ from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, load_scenario
 from quadsim.imu.spec import load_imu
-from quadsim.own import own_file
+from quadsim.own import own_files
 from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
 from quadsim.runs.fingerprint import ROOT, code_digest, file_digest, fingerprint
 from quadsim.runs.spread import spread
@@ -211,8 +211,8 @@ def _files_of(scenario: Scenario) -> list[str | Path]:
     found: list[str | Path] = [
         part.path for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"
     ]
-    if scenario.trajectory.kind == "function" and (own := own_file(scenario.trajectory.function)):
-        found.append(own)
+    if scenario.trajectory.kind == "function":
+        found += own_files(scenario.trajectory.function)
     return found
 
 
