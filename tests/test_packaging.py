@@ -143,13 +143,11 @@ def test_an_editable_installation_is_found_before_empty_folders_of_the_user(prog
     fill_with_shadows(tmp_path, regular=False)
     for name in PACKAGES:  # each imported first
         program = f"import {name}; print({name}.__file__)"
-        assert run([programs / "python", "-c", program], tmp_path).strip() == str(
-            ROOT / name / "__init__.py"
-        )
+        assert run([programs / "python", "-c", program], tmp_path).strip() == str(ROOT / name / "__init__.py")
 
 
 def test_shipped_files_are_found_although_a_package_of_the_user_was_imported_first(tmp_path):
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets" / "__init__.py").write_text("")
-    program = "import assets; from quadsim.vehicle import load_vehicle; print(load_vehicle('hummingbird').mass)"
+    program = "import assets, quadsim.vehicle as v; print(v.load_vehicle('hummingbird').mass)"
     assert run([sys.executable, "-c", program], tmp_path, PYTHONPATH=f"{tmp_path}:{ROOT}").strip() == "0.716"

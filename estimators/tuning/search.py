@@ -22,7 +22,7 @@ from scipy.optimize import OptimizeResult, differential_evolution
 from quadsim.config.toml import preset_names
 from quadsim.held_out import unreserved
 from quadsim.imu.spec import ImuSpec, load_imu
-from quadsim.runs.files import drop_parts, write_whole
+from quadsim.runs.files import alone, drop_parts, write_whole
 
 from ..evaluation.flights import Flights, Initial, load_flights, vehicle_of
 from ..filters.algorithm import start
@@ -304,13 +304,14 @@ def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
         tuned: Its parameters.
         comment: Text for the top of a new file; an old one keeps its own.
     """
-    drop_parts(path)
-    tables = load_tuning(path) if path.exists() else {}
-    if path.exists():
-        top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
-        comment = "\n".join(line[1:].removeprefix(" ") for line in top) or comment
-    tables |= {name: tuned}
+    found = {name: tuned}
     if name == "ekf":
         shared = tuned.model_copy(update={"command": f"the values of ekf: {tuned.command}"})
-        tables |= dict.fromkeys(FILTERPY, shared)
-    write_whole(path, to_toml(tables, comment))
+        found |= dict.fromkeys(FILTERPY, shared)
+    with alone(path, wait_s=10.0):  # a process that tunes another filter may write its own
+        drop_parts(path)
+        tables = load_tuning(path) if path.exists() else {}
+        if path.exists():
+            top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
+            comment = "\n".join(line[1:].removeprefix(" ") for line in top) or comment
+        write_whole(path, to_toml(tables | found, comment))

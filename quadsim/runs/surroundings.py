@@ -1,4 +1,4 @@
-"""What of the surroundings would stop an import, hide a package, or let compiled code be older than its source.
+"""What would stop an import, hide a package, or let compiled code be older than its source.
 
 Numba keeps compiled functions in files, and compiles one again when its own source file has changed, but not
 when that of a function that it calls, or of a constant, has. So the cache is in a folder whose name is a
@@ -47,7 +47,7 @@ def settle() -> None:
 
 
 class Neighbours:
-    """Finds the packages that are beside this one, ahead of folders of their names in the working directory."""
+    """Finds the packages beside this one before folders of their names in the working directory."""
 
     @staticmethod
     def find_spec(

@@ -74,7 +74,7 @@ def file_name(name: str) -> str:
 
 
 def weights_digest(estimator: str) -> str:
-    """Digest of the weights and of all files of the user's that a contender stands for; empty without such."""
+    """Digest of the weights and the files of the user's that a contender stands for; empty without any."""
     name = estimator_of(estimator)
     sources = [name] if is_weights(name) else own_sources(name)
     return "".join(map(digest_if_there, [*sources, *controller_files(estimator)]))

@@ -73,7 +73,7 @@ GAIN = "from {} import GAIN\nclass Mine:\n    gain = GAIN\n"
 
 @pytest.fixture
 def user(tmp_path, monkeypatch):
-    """A working directory of a user's, on Python's path as the command line puts it, and what writes files."""
+    """Writes files into a working directory that is on Python's path, as the command line puts it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path, ""])
     before = set(sys.modules)
@@ -95,7 +95,11 @@ def user(tmp_path, monkeypatch):
         ("code/est.py:Mine", {"code/est.py": GAIN.format("lib_x.gains"), "lib_x/gains.py": "GAIN = 1"}),
         (
             "code/est.py:Mine",
-            {"code/est.py": GAIN.format("a_x"), "code/a_x.py": "from b_x import GAIN", "code/b_x.py": "GAIN = 1"},
+            {
+                "code/est.py": GAIN.format("a_x"),
+                "code/a_x.py": "from b_x import GAIN",
+                "code/b_x.py": "GAIN = 1",
+            },
         ),
         (
             "pkg_x.est:Mine",
@@ -110,8 +114,8 @@ def user(tmp_path, monkeypatch):
                 "pkg_x/gains.py": "GAIN = 1",
             },
         ),
-        ("space_x.est:Mine", {"space_x/est.py": GAIN.format("space_x.gains"), "space_x/gains.py": "GAIN = 1"}),
-        ("space_x.est:Mine", {"space_x/est.py": GAIN.format(".gains"), "space_x/gains.py": "GAIN = 1"}),
+        ("space_x.est:Mine", {"space_x/est.py": GAIN.format("space_x.a"), "space_x/a.py": "GAIN = 1"}),
+        ("space_x.est:Mine", {"space_x/est.py": GAIN.format(".a"), "space_x/a.py": "GAIN = 1"}),
     ],
 )
 def test_a_file_that_the_users_code_imports_belongs_to_it_and_is_loaded_anew(user, tmp_path, name, files):
@@ -127,7 +131,8 @@ def test_a_file_that_the_users_code_imports_belongs_to_it_and_is_loaded_anew(use
 def test_files_of_the_product_and_of_other_packages_are_not_the_users(user, tmp_path):
     package = own_files("pydantic.main:BaseModel")
     assert {file.parts[file.parts.index("site-packages") + 1] for file in package} == {"pydantic"}
-    user({"est.py": "import json, numpy, estimators\nfrom quadsim.own import load_own", "json.py": "", "bad.py": "("})
+    imports = "import json, numpy, estimators\nfrom quadsim.own import load_own"
+    user({"est.py": imports, "json.py": "", "bad.py": "("})
     assert own_files("est.py:Mine") == [tmp_path / "est.py", tmp_path / "json.py"]
     assert own_files("bad.py:Mine") == [tmp_path / "bad.py"]
 
