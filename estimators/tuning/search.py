@@ -21,10 +21,10 @@ from scipy.optimize import OptimizeResult, differential_evolution
 
 from quadsim.config.toml import preset_names
 from quadsim.held_out import unreserved
-from quadsim.imu.spec import ImuSpec, load_imu
+from quadsim.imu.spec import load_imu
 from quadsim.runs.files import alone, drop_parts, write_whole
 
-from ..evaluation.flights import Flights, Initial, load_flights, vehicle_of
+from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
 from ..filters.algorithm import start
 from ..filters.samples import LANES
 from ..metrics import absolute_error
@@ -274,7 +274,7 @@ def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
     """Fields `vehicle` and `imu` of `Tuned`; empty where datasets differ, or the IMU is none that ships."""
     configs = [json.loads(each.attrs.get("config", "{}")) for each in datasets]
     vehicles = {(config.get("vehicle") or {}).get("name", "") for config in configs}
-    imus = [ImuSpec.model_validate_json(json.dumps(config["imu"])) for config in configs if "imu" in config]
+    imus = [imu for each in datasets if (imu := imu_of(each)) is not None]
     shipped = [name for name in preset_names("imus") if imus and all(load_imu(name) == each for each in imus)]
     return {
         "vehicle": vehicles.pop() if len(vehicles) == 1 else "",
@@ -284,13 +284,8 @@ def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
 
 def imu_constants(name: str, dataset: xr.Dataset) -> dict[str, float]:
     """Parameters known of the IMU rather than searched, from the dataset's configuration."""
-    if name != "ekf-drag" or "config" not in dataset.attrs:
-        return {}
-    imu = json.loads(dataset.attrs["config"])["imu"]
-    return {
-        "bias_sigma": float(imu["gyro"]["turn_on"]),
-        "accel_bias_sigma": float(imu["accel"]["turn_on"]),
-    }
+    imu = imu_of(dataset) if name == "ekf-drag" else None
+    return {"bias_sigma": imu.gyro.turn_on, "accel_bias_sigma": imu.accel.turn_on} if imu else {}
 
 
 def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
