@@ -23,7 +23,6 @@ import tomllib
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -37,7 +36,7 @@ from ulog_file import write_ulog
 import estimators
 from estimators.networks.weights_file import load_network
 from estimators.tuned import load_tuning
-from quadsim.config.toml import preset_names
+from quadsim.config.toml import preset_names, shipped_folder
 from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import dataset_info, open_dataset
@@ -49,6 +48,7 @@ from quadsim.flight.simulate import FlightConfig
 from quadsim.imu.spec import load_imu
 from quadsim.logs import read_log_and_report
 from quadsim.runs.console import output
+from quadsim.runs.fingerprint import ASSETS
 from quadsim.seeding import vehicle_seeds
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.runner import bench, load_results
@@ -111,7 +111,7 @@ def make_samples(folder: Path) -> None:
     changes = ScenarioChanges(duration_s=0.5)
     bench(["hover"], ["truth", "mahony"], folder / "bench", FlightSettings(), changes, workers=1)
     for name in ("att-snn", "att-rnn"):
-        source = files("assets") / "weights" / f"{name}.safetensors"
+        source = ASSETS / "weights" / f"{name}.safetensors"
         (folder / f"{name}.safetensors").write_bytes(source.read_bytes())
 
 
@@ -214,7 +214,7 @@ def toml(samples: Path, work: Path, draw: random.Random) -> None:
     """A preset of any kind."""
     kind = draw.choice(("vehicles", "imus", "externals", "scenarios", "recipes", "tuning"))
     name = draw.choice(preset_names(kind))
-    source = (files("scenarios") if kind == "scenarios" else files("assets") / kind) / f"{name}.toml"
+    source = shipped_folder(kind) / f"{name}.toml"
     path = work / f"{name}.toml"
     path.write_bytes(mutated_text(source.read_text(encoding="utf-8"), draw, tomllib.loads, tomli_w.dumps))
     base = Scenario(description="", duration_s=1.0)

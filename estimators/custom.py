@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from quadsim.estimator import AttitudeEstimator, receives_truth, roll_pitch_of
-from quadsim.own import is_own, load_own, own_file
+from quadsim.own import is_own, load_own, own_files
 from quadsim.vehicle import GRAVITY
 
 from .filters.algorithm import Parameter
@@ -87,6 +87,6 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
     return est
 
 
-def own_source(name: str) -> Path | None:
-    """File that a user's estimator comes from; None for other names, and where there is none."""
-    return own_file(name, GROUP) if is_custom(name) else None
+def own_sources(name: str) -> list[Path]:
+    """Files of the user's that an estimator of theirs comes from; none for other names."""
+    return own_files(name, GROUP) if is_custom(name) else []

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.resources import files
 from typing import Any
 
 from quadsim.config.toml import nearest
-from quadsim.runs.fingerprint import content_digest
+from quadsim.runs.fingerprint import ASSETS, content_digest
 
 from .settings import Budget, PaperSettings
 from .stages import Stage
@@ -162,7 +161,7 @@ def _scores(s: PaperSettings) -> list[Stage]:
         "att-snn, ours": ["att-snn-loihi", OURS],
     }
     for label, model in SHIPPED.items():
-        weights = files("assets") / "weights" / f"{model.removesuffix('-loihi')}.safetensors"
+        weights = ASSETS / "weights" / f"{model.removesuffix('-loihi')}.safetensors"
         made[label] = [model, "", content_digest(weights.read_bytes())[:8]]  # new ones are scored again
     looped = {label: made[label] for label in ("att-snn", "att-snn, chip", "att-snn, ours")}
     in_loop = ["complementary", "mahony", "ekf"]

@@ -1,7 +1,6 @@
 """MuJoCo as the engine of the plant: it moves the vehicles, with contact where the ground can be touched."""
 
 import logging
-from importlib import resources
 
 import mujoco
 import numpy as np
@@ -9,6 +8,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from .runs.compiled import njit
+from .runs.fingerprint import ASSETS
 from .vehicle import GRAVITY, Vehicle
 
 # the engine would otherwise write a file into the working directory for every vehicle that diverges
@@ -21,7 +21,7 @@ BODY = 1
 def mjcf(vehicle: Vehicle, timestep: float, integrator: str = "RK4", contact: bool = False) -> str:
     """The MuJoCo model of one vehicle as XML."""
     return (
-        (resources.files("assets") / "quadrotor.xml")
+        (ASSETS / "quadrotor.xml")
         .read_text(encoding="utf-8")
         .format(
             name=vehicle.name,

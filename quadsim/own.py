@@ -3,7 +3,8 @@
 import importlib
 import importlib.util
 import sys
-from collections.abc import Iterator
+import sysconfig
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -11,7 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from .config.toml import nearest
-from .runs.fingerprint import content_digest
+from .runs.fingerprint import closure, content_digest, is_of_product, package_root
+
+OWN = "quadsim_own_"
+"""Beginning of the name of a module that was loaded from a file."""
+INSTALLED = {"site-packages", "dist-packages"}
+STANDARD = Path(sysconfig.get_path("stdlib"))
+_imported: dict[str, str] = {}
+"""Modules of users by name: digest of all their files when they were imported."""
+_neighbours: set[Path] = set()
+"""Files that modules loaded from a file imported."""
 
 
 def is_own(name: str, group: str = "") -> bool:
@@ -35,7 +45,7 @@ def load_own(name: str, group: str = "") -> Any:
     if not module or not attribute:
         raise ValueError(f"{name}: should be package.module:Name or path/file.py:Name")
     try:
-        found = _from_file(Path(module)) if module.endswith(".py") else importlib.import_module(module)
+        found = _from_file(Path(module)) if module.endswith(".py") else _from_path(module)
         for part in attribute.split("."):
             found = getattr(found, part)
     except FileNotFoundError as error:
@@ -64,6 +74,16 @@ def own_file(name: str, group: str = "") -> Path | None:
     return Path(spec.origin) if spec is not None and spec.origin not in (None, "built-in", "frozen") else None
 
 
+def own_files(name: str, group: str = "") -> list[Path]:
+    """The file that an object of a user's comes from and those that it imports, without running them, sorted.
+
+    Imports are followed to modules beside the file, in its package and in folders on Python's path, but not
+    to what is installed, Python's own, or the product's.
+    """
+    file = own_file(name, group)
+    return _with_imports(file.absolute()) if file else []
+
+
 def absolute(name: str) -> str:
     """The name with its file's whole path, so that it means the same in every directory."""
     module, colon, attribute = name.rpartition(":")
@@ -77,11 +97,15 @@ def entry_points_of(group: str) -> dict[str, EntryPoint]:
 
 
 def _from_file(path: Path) -> Any:
-    """The module of a file, which may import its neighbours; loaded once for each content."""
+    """The module of a file, which may import its neighbours; loaded once for each content of them all."""
     path = path.absolute()
-    name = f"quadsim_own_{content_digest(str(path) + path.read_text('utf-8', 'replace'))[:16]}"
+    path.stat()  # raises where there is none
+    files = _with_imports(path)
+    name = f"{OWN}{content_digest(str(path) + _digest(files))[:16]}"
     if name in sys.modules:
         return sys.modules[name]
+    _neighbours.update(files)
+    _forget(_neighbours)
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise ImportError(f"cannot be imported: {path}")
@@ -93,6 +117,43 @@ def _from_file(path: Path) -> Any:
         del sys.modules[name]
         raise
     return module
+
+
+def _from_path(module: str) -> Any:
+    """A module on Python's path; imported again where it, or a file that it imports, has changed since."""
+    files = own_files(f"{module}:")
+    digest = _digest(files)
+    if _imported.setdefault(module, digest) != digest:
+        _forget(files)
+        _imported[module] = digest
+    return importlib.import_module(module)
+
+
+def _with_imports(file: Path) -> list[Path]:
+    """A file, the packages around it, and what they import of the user's; sorted."""
+    inside = file.relative_to(package_root(file)).parts
+    package = package_root(file) / inside[0]
+    around = [file.parents[up] / "__init__.py" for up in range(len(inside) - 1)]
+
+    def is_users(path: Path) -> bool:
+        installed = INSTALLED & set(path.parts) or path.is_relative_to(STANDARD)
+        return path.is_relative_to(package) or not (installed or is_of_product(path))
+
+    roots = filter(is_users, (Path(folder).absolute() for folder in sys.path))
+    return sorted(closure([file, *around], *roots, follow=is_users))
+
+
+def _digest(files: Iterable[Path]) -> str:
+    return content_digest("".join(content_digest(file.read_bytes()) for file in files))
+
+
+def _forget(files: Iterable[Path]) -> None:
+    """Let modules of these files be imported again; what has them keeps them."""
+    paths = set(map(str, files))
+    for name, module in list(sys.modules.items()):
+        if not name.startswith(OWN) and getattr(module, "__file__", None) in paths:
+            del sys.modules[name]
+    importlib.invalidate_caches()
 
 
 @contextmanager
@@ -111,9 +172,14 @@ def named_errors(what: str) -> Iterator[None]:
 
 @contextmanager
 def _importable(folder: Path) -> Iterator[None]:
-    """Let modules of a folder be imported, after all others."""
+    """Let modules of a folder be imported, after all others, and from their source.
+
+    Python takes a compiled file for that of a source of the same size and second.
+    """
+    write_none, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     sys.path.append(str(folder))
     try:
         yield
     finally:
         sys.path.remove(str(folder))
+        sys.dont_write_bytecode = write_none

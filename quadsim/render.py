@@ -14,7 +14,6 @@ import threading
 import time as clock
 import warnings
 from contextlib import closing
-from importlib import resources
 from typing import NamedTuple, Protocol
 
 import mujoco
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .rotation import quat_from_rotvec, quat_multiply
+from .runs.fingerprint import ASSETS
 from .vehicle import Vehicle
 
 log = logging.getLogger(__name__)
@@ -288,7 +288,7 @@ def still(
 
 def scene_model(vehicle: Vehicle, copies: int, width: int, height: int, samples: int) -> mujoco.MjModel:
     """The scene with quadrotors that can be placed anywhere (mocap bodies); samples: for each pixel."""
-    spec = mujoco.MjSpec.from_string((resources.files("assets") / "scene.xml").read_text(encoding="utf-8"))
+    spec = mujoco.MjSpec.from_string((ASSETS / "scene.xml").read_text(encoding="utf-8"))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.quality.offsamples = samples
     for index in range(copies):

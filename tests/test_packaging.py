@@ -1,8 +1,10 @@
-"""A source archive makes a wheel that holds everything, and runs from any folder."""
+"""A source archive makes a wheel that holds everything; an installation runs from any folder."""
 
 import os
 import subprocess
 import sys
+import sysconfig
+import venv
 import zipfile
 from pathlib import Path
 
@@ -10,9 +12,23 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper", "assets")
+SHADOW = "raise ImportError('a folder of the user hides a package')"
 SCENARIO = """description = "Hover, one second."
 duration_s = 1.0
 """
+
+
+def fill_with_shadows(work, regular):
+    """Give a working directory folders that are called as the packages; regular ones cannot be imported."""
+    for name in PACKAGES:
+        (work / name).mkdir(parents=True, exist_ok=True)
+        if regular and name != "quadsim":  # Python itself decides which of those it begins with
+            (work / name / "__init__.py").write_text(SHADOW)
+    vehicle = (ROOT / "assets" / "vehicles" / "hummingbird.toml").read_text()
+    (work / "assets" / "vehicles").mkdir(exist_ok=True)
+    heavy = vehicle.replace("mass = 0.716", "mass = 0.9")
+    assert heavy != vehicle
+    (work / "assets" / "vehicles" / "hummingbird.toml").write_text(heavy)
 
 
 def run(command, folder, **variables):
@@ -53,10 +69,10 @@ def test_every_file_of_the_packages_is_in_the_wheel(wheel):
 
 
 @pytest.mark.slow
-def test_an_installed_wheel_flies_beside_a_scenarios_folder_of_the_users(wheel, tmp_path):
+def test_an_installed_wheel_flies_beside_folders_of_the_user_with_its_packages_names(wheel, tmp_path):
     site, work = tmp_path / "site", tmp_path / "work"
     zipfile.ZipFile(wheel).extractall(site)
-    (work / "scenarios").mkdir(parents=True)
+    fill_with_shadows(work, regular=True)
     (work / "scenarios" / "mine.toml").write_text(SCENARIO)
     program = "import quadsim, sys; from quadsim.cli import main; print(quadsim.__file__); main()"
     for flags in ([], ["-P"]):  # with the folder itself on Python's path, and without
@@ -77,3 +93,61 @@ def test_an_installed_wheel_flies_beside_a_scenarios_folder_of_the_users(wheel, 
                 f"{scenario}-{flags}",
             ]
             assert "0 of 1 crashed" in run(fly, work, PYTHONPATH=str(site))
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory):
+    """The programs of a virtual environment with an editable installation."""
+    folder = tmp_path_factory.mktemp("editable")
+    venv.create(folder / "venv", with_pip=False, symlinks=True)
+    (site,) = folder.glob("venv/lib/python*/site-packages")
+    build = f"import setuptools.build_meta as m; m.build_editable({str(folder)!r})"
+    run([sys.executable, "-c", build], ROOT)
+    (made,) = folder.glob("quadsim-*.whl")
+    zipfile.ZipFile(made).extractall(site)
+    (site / "others.pth").write_text(sysconfig.get_path("purelib"))  # whose own .pth files are not read
+    program = folder / "venv" / "bin" / "quadsim"  # as pip makes it
+    program.write_text(
+        f"#!{program.parent}/python\nfrom quadsim.cli import main\nif __name__ == '__main__':\n    main()\n"
+    )
+    program.chmod(0o755)
+    return program.parent
+
+
+MASS = """
+import gymnasium, quadsim, scenarios.report, training.backends, paper.page
+env = gymnasium.make("quadsim/Quadrotor-v0", estimator="mahony", scenario="hover")
+env.reset(seed=0)
+print(quadsim.vehicle.load_vehicle("hummingbird").mass, scenarios.__file__)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("regular", [False, True], ids=["namespace", "regular"])
+def test_folders_of_the_user_hide_no_package_of_an_editable_installation(programs, tmp_path, regular):
+    fill_with_shadows(tmp_path, regular)
+    bench = ["--scenario", "hover", "--estimator", "mahony", "--estimator", "truth", "--seeds", "1"]
+    for program in ([programs / "quadsim"], [programs / "python", "-m", "quadsim.cli"]):
+        out = f"out-{len(program)}"
+        done = run([*program, "bench", *bench, "--duration", "0.2", "--workers", "2", "--out", out], tmp_path)
+        assert "mahony" in done
+        assert "did not run" not in done
+    assert run([programs / "python", "-c", MASS], tmp_path).split() == [
+        "0.716",
+        str(ROOT / "scenarios" / "__init__.py"),
+    ]
+
+
+@pytest.mark.slow
+def test_an_editable_installation_is_found_before_empty_folders_of_the_user(programs, tmp_path):
+    fill_with_shadows(tmp_path, regular=False)
+    for name in PACKAGES:  # each imported first
+        program = f"import {name}; print({name}.__file__)"
+        assert run([programs / "python", "-c", program], tmp_path).strip() == str(ROOT / name / "__init__.py")
+
+
+def test_shipped_files_are_found_although_a_package_of_the_user_was_imported_first(tmp_path):
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "__init__.py").write_text("")
+    program = "import assets, quadsim.vehicle as v; print(v.load_vehicle('hummingbird').mass)"
+    assert run([sys.executable, "-c", program], tmp_path, PYTHONPATH=f"{tmp_path}:{ROOT}").strip() == "0.716"

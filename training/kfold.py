@@ -14,7 +14,7 @@ from typing import Any
 
 from estimators.metrics import attitude_error, flaw_of
 from estimators.networks.network import create_network
-from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
+from quadsim.runs.files import alone, drop_parts, read_json, write_csv, write_json
 from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 
 from .config import TrainConfig, make_config
@@ -75,8 +75,19 @@ def kfold(
         ChildProcessError: Worker processes keep dying.
     """
     out = Path(out)
-    drop_parts(out)
     jobs = _jobs(domains, out, models, preset, folds, choices)
+    with alone(out):
+        return _train_and_score(jobs, out, workers, executor, progress)
+
+
+def _train_and_score(
+    jobs: Sequence[Job],
+    out: Path,
+    workers: int | None,
+    executor: Executor | None,
+    progress: Progress | None,
+) -> list[Score]:
+    drop_parts(out)
     for job in jobs:  # report a mistake in any of them before the first is trained
         claim(job.out, job.config)
 

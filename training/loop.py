@@ -21,6 +21,7 @@ from torch import Tensor
 from estimators.metrics import absolute_error, inclination_error
 from estimators.networks.encoder import ENCODER
 from estimators.networks.network import NetworkEstimator, Recurrent, Spiking
+from quadsim.runs.files import alone
 
 from .config import TrainConfig, make_config
 from .data import Batch, TrainingFlights, flights_of, network_inputs, sample_windows, target_of, windows
@@ -89,6 +90,11 @@ def train(
 
 def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Result:
     """As `train`, from a complete configuration."""
+    with alone(out):
+        return _run(config, out, progress)
+
+
+def _run(config: TrainConfig, out: Path, progress: Progress | None) -> Result:
     flights, validation, _ = flights_of(config)
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads)  # the result must not depend on the machine's number of cores

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib.resources import as_file, files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal, NamedTuple
@@ -13,6 +12,7 @@ from safetensors import safe_open
 
 from quadsim.config.toml import Strict, describe
 from quadsim.runs.files import write_whole
+from quadsim.runs.fingerprint import ASSETS
 
 from ..networks.weights_file import (
     END,
@@ -76,10 +76,9 @@ def load_controller(path: str | Path) -> ControllerWeights:
     if not config.controls:
         ships = ", ".join(shipped_controllers()) or "none"
         raise ValueError(f"{path}: an attitude estimator, not a controller; controllers that ship: {ships}")
-    if str(path) in shipped_controllers():
-        with as_file(files("assets") / "weights" / f"{path}{END}") as file:
-            return ControllerWeights(config, tensors, _reads(file))
-    return ControllerWeights(config, tensors, _reads(Path(path)))
+    ships = str(path) in shipped_controllers()
+    file = ASSETS / "weights" / f"{path}{END}" if ships else Path(path)
+    return ControllerWeights(config, tensors, _reads(file))
 
 
 def _reads(file: Path) -> Reads:

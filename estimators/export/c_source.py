@@ -6,7 +6,6 @@ Estimators and controllers are the same code; a controller on an estimator's spi
 from __future__ import annotations
 
 import re
-from importlib.resources import files
 from pathlib import Path
 from string import Template
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from quadsim.config.ranges import FORCE_MAX, RATE_MAX
 from quadsim.runs.files import write_whole
+from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import GRAVITY
 
 from ..control.controller import THRUST_MAX
@@ -127,7 +127,7 @@ def c_files(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> di
         "ESTIMATES": not config.controls,
         "READS_ATTITUDE": reads == "attitude",
     }
-    folder = files("assets") / "c99"
+    folder = ASSETS / "c99"
     texts = {end: (folder / f"network.{end}").read_text(encoding="utf-8") for end in ("h", "c")}
     return {
         f"{name}.{end}": Template(

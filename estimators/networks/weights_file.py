@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,6 +17,7 @@ from safetensors.numpy import save
 from quadsim.config.ranges import Between, ForceVector, SampleRate
 from quadsim.config.toml import Strict, describe
 from quadsim.runs.files import write_whole
+from quadsim.runs.fingerprint import ASSETS
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
@@ -176,7 +176,8 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     Raises:
         ValueError: Tensors that do not fit the configuration.
     """
-    _check(Path(path), config, dict(tensors))
+    _check_declared(Path(path), config, {name: (v.shape, str(v.dtype)) for name, v in tensors.items()})
+    _check_values(Path(path), config, tensors)
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
     unused = None if config.controls else {"set_point"}
     metadata = {"format": FORMAT, "config": config.model_dump_json(exclude=unused)}
@@ -210,11 +211,10 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+            slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+            declared = {name: (tuple(s.get_shape()), _dtype(s.get_dtype())) for name, s in slices.items()}
     except SafetensorError as error:
         raise ValueError(f"{path}: not a safetensors file ({error})") from error
-    except Exception as error:  # of a type that NumPy does not have, such as bfloat16
-        raise ValueError(f"{path}: its tensors cannot be read: {error}") from error
     if "config" not in metadata:
         raise ValueError(f"{path}: no network configuration in the metadata")
     _check_format(path, metadata)
@@ -223,7 +223,10 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
     except ValidationError as error:
         wrong = describe(error, NetworkConfig)
         raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error
-    _check(path, config, tensors)
+    _check_declared(path, config, declared)  # before a number is read: a small file may declare gigabytes
+    with safe_open(path, framework="numpy") as file:
+        tensors = {name: file.get_tensor(name) for name in declared}
+    _check_values(path, config, tensors)
     return config, tensors
 
 
@@ -251,14 +254,12 @@ def shipped_controllers() -> list[str]:
 
 
 def _shipped() -> list[str]:
-    found = (files("assets") / "weights").iterdir()
-    return sorted(each.name.removesuffix(END) for each in found if each.name.endswith(END))
+    return sorted(each.stem for each in (ASSETS / "weights").glob(f"*{END}"))
 
 
 def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
     """Weights that ship with the package, by one of `shipped_names()` or `shipped_controllers()`."""
-    with as_file(files("assets") / "weights" / f"{model}.safetensors") as path:
-        return load_network(path)
+    return load_network(ASSETS / "weights" / f"{model}{END}")
 
 
 def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
@@ -274,26 +275,41 @@ def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
         raise ValueError(f"{path}: weights of format {found!r}, this version of quadsim reads {FORMAT!r}")
 
 
-def _check(path: Path, config: NetworkConfig, tensors: Tensors) -> None:
+def _dtype(name: str) -> str:
+    """NumPy's name of a type of numbers, of those that networks have; else the file's."""
+    return {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}.get(name, name)
+
+
+def _check_declared(
+    path: Path, config: NetworkConfig, declared: Mapping[str, tuple[tuple[int, ...], str]]
+) -> None:
+    """Compare shapes and types of tensors with those of the network, without their numbers."""
     wanted = expected_shapes(config)
-    whole = config.model == "att-snn" and config.quantised
+    whole = _is_whole(config)
     fine = [exponent for name, exponent in EXPONENTS.items() if whole and name in wanted]
-    wanted |= {name: (config.hidden,) for name in fine if name in tensors}
-    if missing := sorted(set(wanted) - set(tensors)):
+    wanted |= {name: (config.hidden,) for name in fine if name in declared}
+    if missing := sorted(set(wanted) - set(declared)):
         raise ValueError(f"{path}: tensor {missing[0]} is missing")
-    if extra := sorted(set(tensors) - set(wanted)):
+    if extra := sorted(set(declared) - set(wanted)):
         raise ValueError(f"{path}: unknown tensor {extra[0]}, {config.model} has {', '.join(wanted)}")
-    for name, shape in wanted.items():
-        value = tensors[name]
-        if value.shape != shape:
-            raise ValueError(f"{path}: tensor {name} has shape {value.shape}, should be {shape}")
-        if whole != (value.dtype == np.int16) or (not whole and value.dtype.kind != "f"):
-            raise ValueError(
-                f"{path}: tensor {name} is {value.dtype}, should be {'int16' if whole else 'float'}"
-            )
+    for name, expected in wanted.items():
+        shape, dtype = declared[name]
+        if shape != expected:
+            raise ValueError(f"{path}: tensor {name} has shape {shape}, should be {expected}")
+        if dtype not in (["int16"] if whole else ["float16", "float32", "float64"]):
+            raise ValueError(f"{path}: tensor {name} is {dtype}, should be {'int16' if whole else 'float'}")
+
+
+def _is_whole(config: NetworkConfig) -> bool:
+    """Whether its tensors are whole numbers in the chip's ranges."""
+    return config.model == "att-snn" and config.quantised
+
+
+def _check_values(path: Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
+    for name, value in tensors.items():
         if not np.all(np.isfinite(value)):
             raise ValueError(f"{path}: tensor {name} has values that are not finite")
-        if whole:
+        if _is_whole(config):
             _check_chip(path, name, value)
 
 

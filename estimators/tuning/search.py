@@ -23,8 +23,8 @@ from scipy.optimize import OptimizeResult, differential_evolution
 from quadsim.config.toml import preset_names
 from quadsim.estimator import receives_truth
 from quadsim.held_out import unreserved
-from quadsim.imu.spec import ImuSpec, load_imu
-from quadsim.runs.files import drop_parts, write_whole
+from quadsim.imu.spec import load_imu
+from quadsim.runs.files import alone, drop_parts, write_whole
 
 from ..custom import is_custom
 from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
@@ -299,7 +299,7 @@ def flown_on(datasets: Sequence[xr.Dataset]) -> dict[str, str]:
     """Fields `vehicle` and `imu` of `Tuned`; empty where datasets differ, or the IMU is none that ships."""
     configs = [json.loads(each.attrs.get("config", "{}")) for each in datasets]
     vehicles = {(config.get("vehicle") or {}).get("name", "") for config in configs}
-    imus = [ImuSpec.model_validate_json(json.dumps(config["imu"])) for config in configs if "imu" in config]
+    imus = [imu for each in datasets if (imu := imu_of(each)) is not None]
     shipped = [name for name in preset_names("imus") if imus and all(load_imu(name) == each for each in imus)]
     return {
         "vehicle": vehicles.pop() if len(vehicles) == 1 else "",
@@ -326,13 +326,14 @@ def write_tuning(path: Path, name: str, tuned: Tuned, comment: str) -> None:
         tuned: Its parameters.
         comment: Text for the top of a new file; an old one keeps its own.
     """
-    drop_parts(path)
-    tables = load_tuning(path) if path.exists() else {}
-    if path.exists():
-        top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
-        comment = "\n".join(line[1:].removeprefix(" ") for line in top) or comment
-    tables |= {name: tuned}
+    found = {name: tuned}
     if name == "ekf":
         shared = tuned.model_copy(update={"command": f"the values of ekf: {tuned.command}"})
-        tables |= dict.fromkeys(FILTERPY, shared)
-    write_whole(path, to_toml(tables, comment))
+        found |= dict.fromkeys(FILTERPY, shared)
+    with alone(path, wait_s=10.0):  # a process that tunes another filter may write its own
+        drop_parts(path)
+        tables = load_tuning(path) if path.exists() else {}
+        if path.exists():
+            top = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
+            comment = "\n".join(line[1:].removeprefix(" ") for line in top) or comment
+        write_whole(path, to_toml(tables | found, comment))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,7 +103,7 @@ def write_pages(
 
 def sections() -> dict[str, tuple[str, str]]:
     """Heading and text of every part of `sections.md` by its name."""
-    text = (files("paper.page") / "sections.md").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("sections.md").read_text(encoding="utf-8")
     parts = {}
     for part in text.split("=== ")[1:]:
         head, body = part.split("\n", 1)

@@ -1,7 +1,7 @@
 """What the paper says, from `quoted.toml`."""
 
 import tomllib
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 TITLE = (
@@ -11,7 +11,7 @@ TITLE = (
 CODE = (
     "[tudelft/neuromorphic_attitude_estimation](https://github.com/tudelft/neuromorphic_attitude_estimation)"
 )
-_ALL: dict[str, Any] = tomllib.loads((files("paper.page") / "quoted.toml").read_text(encoding="utf-8"))
+_ALL: dict[str, Any] = tomllib.loads(Path(__file__).with_name("quoted.toml").read_text(encoding="utf-8"))
 
 FOLDS: dict[str, tuple[list[float], list[float]]] = {
     row["fold"]: (row["train"], row["test"]) for row in _ALL["table1"]

@@ -3,16 +3,15 @@
 import re
 from collections.abc import Iterable
 from enum import StrEnum
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
 from rich.table import Table
 
-from ..config.toml import preset_names, read_toml
+from ..config.toml import preset_names, read_toml, shipped_folder
 from ..runs.console import output as console
+from ..runs.fingerprint import ASSETS
 
 
 class Kind(StrEnum):
@@ -92,18 +91,18 @@ def items(kind: Kind) -> list[Item]:
             from estimators.networks.weights_file import shipped_controllers, shipped_names
 
             return _weights([*shipped_names(), *shipped_controllers()])
-    root = files("scenarios") if kind is Kind.SCENARIOS else files("assets") / kind
+    root = shipped_folder(kind)
     shipped = [Item(name, summary(root / f"{name}.toml")) for name in preset_names(kind)]
     own = sorted(path for path in Path(kind).glob("*.toml") if not _ships(path, root))
     return shipped + [Item(path.stem, summary(path), path.as_posix()) for path in own]
 
 
 def _weights(names: Iterable[str]) -> list[Item]:
-    cards = files("assets") / "weights"
+    cards = ASSETS / "weights"
     return [Item(name, card_summary((cards / f"{name}.md").read_text("utf-8"))) for name in names]
 
 
-def summary(file: Traversable) -> str:
+def summary(file: Path) -> str:
     """What a TOML file says of itself: its description or source, else the comment on top."""
     try:
         text = file.read_text(encoding="utf-8")
@@ -127,6 +126,6 @@ def first_sentence(text: str) -> str:
     return re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0]
 
 
-def _ships(path: Path, root: Traversable) -> bool:
+def _ships(path: Path, root: Path) -> bool:
     """Whether a file is one of the presets themselves, seen from the repository's root."""
-    return isinstance(root, Path) and path.resolve().parent == root.resolve()
+    return path.resolve().parent == root.resolve()

@@ -83,7 +83,11 @@ def dataset_info_verb(path: Annotated[Path, typer.Argument(help="A dataset.")]) 
 
 @dataset_app.command("verify")
 def dataset_verify(path: Annotated[Path, typer.Argument(help="A dataset.")]) -> None:
-    """Recompute the checksums and look for numbers that are not finite."""
+    """Compare every file with its digest and every number with its checksum; find non-finite numbers.
+
+    Opening a dataset compares names, dimensions, shapes and units, and the numbers with their checksums only
+    when the size or the time stamp of a file has changed.
+    """
     from ..dataset.reading import verify
 
     with progress_bar("verify", "flights") as progress:

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
+from ..runs.files import alone
 from ..runs.record import recorded
 from .options import (
     OWN_CONTROLLER,
@@ -115,16 +116,17 @@ def fly(
     parts = (scenario, estimator, *(each for each in (vehicle, imu, tuning) if each is not None))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
-        done = fly_scenario(
-            scenario,
-            estimator,
-            folder,
-            FlightSettings(seeds, seed, rate, tuning),
-            ScenarioChanges(duration, vehicle, imu, engine=engine),
-            flight=flight,
-            video=video,
-            view=view,
-        )
+        with alone(folder):
+            done = fly_scenario(
+                scenario,
+                estimator,
+                folder,
+                FlightSettings(seeds, seed, rate, tuning),
+                ScenarioChanges(duration, vehicle, imu, engine=engine),
+                flight=flight,
+                video=video,
+                view=view,
+            )
     except RuntimeError as error:  # no OpenGL for the video, no screen for the view
         raise ValueError(str(error)) from error
     row = done.results.rows[0]
@@ -274,24 +276,25 @@ def bench(
     if not estimator:
         slow = ", ".join(SLOW)
         console.print(f"Without {slow}, slower than all others together; --estimator NAME chooses.")
-    with recorded(out), executor_of(cluster) as executor:
-        with progress_bar("fly", "cells") as progress:
-            results = run_bench(
-                flown, names, out, settings, changes,
-                workers=workers, executor=executor, progress=progress,
-            )  # fmt: skip
-        if searched:
-            with progress_bar("break", "points") as progress:
-                points = breaking_points(
-                    searched, names, out, settings, changes,
+    with alone(out):
+        with recorded(out), executor_of(cluster) as executor:
+            with progress_bar("fly", "cells") as progress:
+                results = run_bench(
+                    flown, names, out, settings, changes,
                     workers=workers, executor=executor, progress=progress,
                 )  # fmt: skip
-    failed = all(cell.reason for cell in results.cells)
-    page, note = (
-        (publish_axes(out, results, combinations), "")
-        if combinations and not failed
-        else publish(out, results, points)
-    )
+            if searched:
+                with progress_bar("break", "points") as progress:
+                    points = breaking_points(
+                        searched, names, out, settings, changes,
+                        workers=workers, executor=executor, progress=progress,
+                    )  # fmt: skip
+        failed = all(cell.reason for cell in results.cells)
+        page, note = (
+            (publish_axes(out, results, combinations), "")
+            if combinations and not failed
+            else publish(out, results, points)
+        )
     if combinations:
         console.print(*axes_tables(axes_of.effects(combinations, results)))
         for line in axes_of.advice(combinations, results):
@@ -341,7 +344,8 @@ def demo(
     from scenarios.demo import demo as run_demo
     from scenarios.report.terminal import closed_loop_table, offline_table
 
-    done = run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers, stage=progress_bar)
+    with alone(out):
+        done = run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers, stage=progress_bar)
     console.print(offline_table(done.offline))
     console.print(closed_loop_table(done.results))
     if done.note:

@@ -9,6 +9,7 @@ import typer
 from ..config.toml import merged, preset_names
 from ..runs.console import Bar, executor_of, progress_bar
 from ..runs.console import output as console
+from ..runs.files import alone
 from .options import (
     Criterion,
     Fields,
@@ -326,33 +327,35 @@ def inspect(
     core = OnLoihi(config, tensors)
     console.print(cores_table(core.cores))
     last = f"{name}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
-    if profiles is not None:
-        weights = out / f"profiles-{profiles}.safetensors"
-        out.mkdir(parents=True, exist_ok=True)
-        save_network(weights, config, tensors)
-        last = f"{weights}: {last}"
-    if data:
-        flights = load_flights([open_dataset(path) for path in data])
-        with progress_bar("inspect", "parts") as bar:
-            inspection = look_inside(name, config, tensors, flights, bar)
-        console.print(plain_table(inspection.summary()))
-        last = f"{write_page(out, inspection)}: {last}, error {inspection.responses['intact'].error_deg:.2f}°"
-    if prune is not None and data and train_data:
-        from training.pruning import prune as prune_network
+    with alone(out):
+        if profiles is not None:
+            weights = out / f"profiles-{profiles}.safetensors"
+            out.mkdir(parents=True, exist_ok=True)
+            save_network(weights, config, tensors)
+            last = f"{weights}: {last}"
+        if data:
+            flights = load_flights([open_dataset(path) for path in data])
+            with progress_bar("inspect", "parts") as bar:
+                inspection = look_inside(name, config, tensors, flights, bar)
+            console.print(plain_table(inspection.summary()))
+            error_deg = inspection.responses["intact"].error_deg
+            last = f"{write_page(out, inspection)}: {last}, error {error_deg:.2f}°"
+        if prune is not None and data and train_data:
+            from training.pruning import prune as prune_network
 
-        with progress_bar("prune", "epochs") as bar:
-            done = prune_network(
-                tuple(map(str, train_data)),
-                tuple(map(str, data)),
-                out / "prune",
-                prune,
-                stages,
-                criterion,
-                weights,
-                lambda epoch, run: bar(epoch.epoch + 1, run.epochs, f"{epoch.val_error_deg:.2f}°"),
-                epochs=epochs,
-                seed=seed,
-            )
-        console.print(stages_table(done))
-        last = f"{done[-1].weights}: {100 * done[-1].removed:.0f} % removed, {done[-1].tuned_deg:.2f}°"
+            with progress_bar("prune", "epochs") as bar:
+                done = prune_network(
+                    tuple(map(str, train_data)),
+                    tuple(map(str, data)),
+                    out / "prune",
+                    prune,
+                    stages,
+                    criterion,
+                    weights,
+                    lambda epoch, run: bar(epoch.epoch + 1, run.epochs, f"{epoch.val_error_deg:.2f}°"),
+                    epochs=epochs,
+                    seed=seed,
+                )
+            console.print(stages_table(done))
+            last = f"{done[-1].weights}: {100 * done[-1].removed:.0f} % removed, {done[-1].tuned_deg:.2f}°"
     console.print(last, soft_wrap=True)

@@ -7,6 +7,7 @@ import typer
 
 from ..runs.console import output as console
 from ..runs.console import progress_bar
+from ..runs.files import alone
 from .logs import Mount
 from .options import Seed, Workers
 
@@ -78,7 +79,8 @@ def evaluate(
 
         from scenarios.log_report.evaluate import evaluate_logs
 
-        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that no sensor has, which are refused
+        # of numbers that no sensor has, which are refused
+        with alone(out), np.errstate(over="ignore", invalid="ignore"):
             evaluate_logs(logs, contenders, out, within_deg=within, mount=mount, force=force)
         return
     if mount is not None:
@@ -86,7 +88,8 @@ def evaluate(
     assert data is not None
     from scenarios.report.evaluation import evaluate_dataset
 
-    evaluate_dataset(data, contenders, out, slow_flights=slow_flights, seed=seed)
+    with alone(out):
+        evaluate_dataset(data, contenders, out, slow_flights=slow_flights, seed=seed)
 
 
 def paper(
@@ -116,7 +119,7 @@ def paper(
     from paper.run import paper as make_paper
     from scenarios.report.terminal import plain_table
 
-    with progress_bar("paper", "s of work") as bar:
+    with alone(out), progress_bar("paper", "s of work") as bar:
         done = make_paper(out, only, preset, seed, workers, bar)
     rows = [(each.claim, each.verdict) for each in done.judged if each.verdict != "not judged"]
     if rows:

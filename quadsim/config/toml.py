@@ -9,13 +9,13 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
+
+from ..runs.fingerprint import ASSETS, ROOT
 
 
 class Strict(BaseModel):
@@ -34,7 +34,7 @@ DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\
 
 def preset_names(folder: str) -> list[str]:
     """Names of the presets that ship in a folder ("vehicles", "imus", "scenarios"), sorted."""
-    return sorted(item.name.removesuffix(".toml") for item in _toml_files(folder))
+    return sorted(item.stem for item in shipped_folder(folder).glob("*.toml"))
 
 
 def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
@@ -49,9 +49,8 @@ def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
         ValueError: One line with the file, the key, its value and what is allowed.
     """
     file = _find(source, folder)
-    label = str(source) if isinstance(file, Path) else f"{folder}/{source}"
-    text = read_text(file, label) if isinstance(file, Path) else file.read_text(encoding="utf-8")
-    return parse(read_toml(text, label), model, label)
+    label = f"{folder}/{source}" if _is_preset(source) else str(source)
+    return parse(read_toml(read_text(file, label), label), model, label)
 
 
 def read_toml(text: str, label: str) -> dict[str, Any]:
@@ -195,12 +194,12 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     return (f'did you mean "{close[0]}"? ' if close else "") + f"valid: {', '.join(names) or 'none'}"
 
 
-def _toml_files(folder: str) -> list[Traversable]:
-    root = files("scenarios") if folder == "scenarios" else files("assets") / folder
-    return [item for item in root.iterdir() if item.name.endswith(".toml")] if root.is_dir() else []
+def shipped_folder(folder: str) -> Path:
+    """Where the presets of a kind are: beside this package, whatever the working directory holds."""
+    return ROOT / "scenarios" if folder == "scenarios" else ASSETS / folder
 
 
-def _find(source: str | Path, folder: str) -> Traversable:
+def _find(source: str | Path, folder: str) -> Path:
     """File of a preset name or of a path."""
     path = Path(source).expanduser()
     if not _is_preset(source):
@@ -208,9 +207,8 @@ def _find(source: str | Path, folder: str) -> Traversable:
             return path
         reason = "is a directory, not a TOML file" if path.is_dir() else "no such file"
         raise ValueError(f"{source}: {reason}; presets: {', '.join(preset_names(folder)) or 'none'}")
-    for item in _toml_files(folder):
-        if item.name == f"{source}.toml":
-            return item
+    if source in preset_names(folder):
+        return shipped_folder(folder) / f"{source}.toml"
     kind = folder.removesuffix("s")
     raise ValueError(
         f'unknown {kind} "{source}"; {nearest(str(source), preset_names(folder))}, or a path to a .toml'

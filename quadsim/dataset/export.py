@@ -1,7 +1,7 @@
 """Datasets in the formats of other tools: NetCDF, Parquet, EuRoC (ASL) folders of CSV, and ROS 2 bags.
 
 Only the samples before a flight's end are exported, except to NetCDF, which holds the whole dataset. Time
-counts from the start of each flight.
+counts from the start of each flight. What no log of a recorded dataset holds is NaN.
 """
 
 import importlib
@@ -152,8 +152,10 @@ def _yaml(sensor_type: str, comment: str, sensor_to_body: Array) -> str:
     )
 
 
-def _imu_yaml(imu: ImuSpec, rate_hz: float) -> str:
+def _imu_yaml(imu: ImuSpec | None, rate_hz: float) -> str:
     sensor_to_body = np.eye(4)
+    if imu is None:
+        return _yaml("imu", "IMU of unknown noise", sensor_to_body) + f"rate_hz: {rate_hz:g}\n"
     sensor_to_body[:3, :3] = matrix_from_quat(quat_from_euler(*np.radians(imu.mounting_deg)))
     sensor_to_body[:3, 3] = imu.lever_arm
     return _yaml("imu", "simulated IMU", sensor_to_body) + (
@@ -181,8 +183,9 @@ def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
         for name in names
     }
     absent = np.array([-1.0, *[0.0] * 8])  # by convention: the message holds no orientation
-    gyro_noise, accel_noise = (
-        np.diag([sensor.noise**2 * rate_hz] * 3).ravel() for sensor in (imu.gyro, imu.accel)
+    gyro_noise, accel_noise = (  # zeros where it is unknown, by convention
+        np.diag([sensor.noise**2 * rate_hz] * 3).ravel() if sensor else np.zeros(9)
+        for sensor in (imu and imu.gyro, imu and imu.accel)
     )
     for flight, one in _flights(dataset, progress):
         gyro, accel, position, quat = (
@@ -217,16 +220,22 @@ def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
 
 def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.Dataset]]:
     """Each flight's samples before its end, loaded; reports progress when the caller asks for the next."""
+    unknown = json.loads(dataset.attrs["config"]).get("unknown", ())
     total = dataset.sizes["flight"]
     for flight in range(total):
         one = dataset.isel(flight=flight)
-        yield flight, one.isel(time=slice(int(one["valid_steps"]))).load()
+        one = one.isel(time=slice(int(one["valid_steps"]))).load()
+        yield flight, one.assign({name: xr.full_like(one[name], np.nan) for name in unknown})
         progress(flight + 1, total)
 
 
-def _imu_of(dataset: xr.Dataset) -> ImuSpec:
+def _imu_of(dataset: xr.Dataset) -> ImuSpec | None:
+    """The IMU that was simulated; None where the dataset does not say, or it was recorded."""
+    config = json.loads(dataset.attrs["config"])
+    if "imu" not in config or "logs" in config:
+        return None
     try:
-        return ImuSpec.model_validate(json.loads(dataset.attrs["config"])["imu"])
+        return ImuSpec.model_validate(config["imu"])
     except ValidationError as error:
         raise ValueError(
             f"the IMU of this dataset is from another version: {describe(error, ImuSpec)}"

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 def open_dataset(path: str | Path) -> xr.Dataset:
     """Open a dataset; its arrays are read when they are used.
 
+    Opening always compares the names, dimensions, shapes and units of all arrays with those that quadsim
+    writes. It compares every number with its checksum the first time, and again when the size or the time
+    stamp of a file has changed. `verify` compares every file with its digest, whatever its time stamp.
+
     Args:
         path: A dataset that `generate` wrote.
 
@@ -28,11 +32,9 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         Variables over (flight, time, axis | quat_axis | rotor) in SI units, and coordinates per flight, of
         which `valid_steps` and `end_reason` tell how it went: samples from `valid_steps` on repeat the last.
 
-    Every number is compared with its checksum the first time, and again when a file has changed since.
-
     Raises:
         FileNotFoundError: There is nothing at the path.
-        ValueError: Not a dataset, unfinished, damaged or from a newer version.
+        ValueError: Not a dataset, unfinished, damaged, in other units or from a newer version.
     """
     import xarray as xr  # takes half a second
 
@@ -55,16 +57,20 @@ def _checked_attributes(path: Path) -> Attributes:
 
 
 def verify(path: str | Path, progress: Progress | None = None) -> int:
-    """Read every number of a dataset, recompute the checksums and look for numbers that are not finite.
+    """Read every file of a dataset and compare it with its digest, and every number with its checksum.
+
+    Older datasets have checksums of their numbers, but no digests of their files.
 
     Returns:
         How many flights were verified.
 
     Raises:
-        ValueError: The damaged flights, each with the first thing wrong with it.
+        ValueError: The damaged flights, each with the first thing wrong with it; or what else is wrong, as on
+            opening; or the names of other files that are not as they were written.
     """
     path = Path(path).expanduser()
-    total = read_attributes(path).flights
+    attributes = read_attributes(path)
+    total = attributes.flights
     damage = {}
     with dataset_store.damage_in_words(path):
         for flight, fault in dataset_store.faults(path):
@@ -75,6 +81,10 @@ def verify(path: str | Path, progress: Progress | None = None) -> int:
     if damage:
         faults = ", ".join(f"flight {flight} ({fault})" for flight, fault in damage.items())
         raise ValueError(f"{path}: {len(damage)} of {total} flights are damaged: {faults}")
+    with dataset_store.damage_in_words(path):
+        dataset_store.refuse_mislabelled(path, attributes)
+        if changed := dataset_store.changed_files(path):
+            raise ValueError(f"{path} is damaged: not as they were written: {', '.join(changed)}")
     return total
 
 

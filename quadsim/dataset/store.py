@@ -7,7 +7,8 @@ A dataset `x.zarr` is written beside its final place, in `x.zarr.partial`:
     data/                the Zarr store, renamed to `x.zarr` when every flight is whole
 
 The chunks depend on the plan alone, never on the number of workers, so that the finished files are the same
-byte for byte however they came to be.
+byte for byte however they came to be. The finished store has the digests of its files in
+`checksum/files.json`, where no reader of Zarr looks for arrays.
 """
 
 import hashlib
@@ -17,7 +18,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numcodecs.blosc
 import numpy as np
@@ -33,13 +34,14 @@ from ..config.ranges import Between, SampleRate
 from ..config.toml import Strict
 from ..flight.simulate import FlightConfig, simulate_flights
 from ..imu.spec import ImuSpec
-from ..runs.files import PART, write_whole
-from ..runs.fingerprint import fingerprint
+from ..runs.files import PART, read_json, write_json, write_whole
+from ..runs.fingerprint import content_digest, fingerprint
 from ..vehicle import MIN_ROTORS
 
 FORMAT: Literal["quadsim flights"] = "quadsim flights"
 FORMAT_VERSION = 1
 CODEC = Blosc(cname="lz4", clevel=1, shuffle=Blosc.BITSHUFFLE, typesize=4)  # writes what
+DIGESTS = "checksum/files.json"
 COMPRESSION = BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle", typesize=4)  # declares to readers
 
 
@@ -73,6 +75,12 @@ LABELS = {"axis": ["x", "y", "z"], "quat_axis": ["w", "x", "y", "z"], "rotor": [
 
 
 PER_FLIGHT = ("valid_steps", "end_reason", "checksum", "stored_bytes")
+COORDINATES = (
+    {"flight": "flight", "time": "time"} | {dim: dim for dim in LABELS} | dict.fromkeys(PER_FLIGHT, "flight")
+)
+"""Dimension of each coordinate."""
+UNITS = {name: variable.units for name, variable in VARIABLES.items()} | {"time": "s", "stored_bytes": "byte"}
+"""Units of the arrays that have one."""
 
 
 Seed = Annotated[int, Between(0, 2**63 - 1)]
@@ -146,11 +154,19 @@ class Record(NamedTuple):
     end_reason: str
     checksum: str
     stored_bytes: int
+    digest: str
+    """SHA-256 over the bytes of its chunks, in the order of `VARIABLES`."""
 
 
 def partial_folder(out: Path) -> Path:
     """Where a dataset grows until it is whole."""
     return out.with_name(out.name + ".partial")
+
+
+def _other_files() -> list[str]:
+    """Files of a store besides the chunks of flights, and that of their digests."""
+    metadata = [f"{name}/zarr.json" for name in (*VARIABLES, *COORDINATES)]
+    return ["zarr.json", *metadata, *(f"{name}/c/0" for name in COORDINATES)]
 
 
 def chunk_file(store: Path, variable: str, flight: int) -> Path:
@@ -235,6 +251,9 @@ def finish(folder: Path, plan: Plan | RecordedPlan, out: Path) -> None:
     _write_coordinates(store, plan, [records[flight] for flight in range(plan.flights)])
     for stray in store.glob(f"*/.*{PART}*"):  # a chunk that a killed worker left half written
         stray.unlink()
+    others = {name: content_digest((store / name).read_bytes()) for name in _other_files()}
+    digests = [records[flight].digest for flight in range(plan.flights)]
+    write_json(store / DIGESTS, {"flights": digests, "others": others})
     if out.exists():
         out.rename(folder / "replaced")
     store.rename(out)
@@ -312,26 +331,7 @@ def refuse_damaged(path: Path, attributes: Attributes) -> None:
     Raises:
         ValueError: Something differs, or cannot be read.
     """
-    group = zarr.open_group(path, mode="r", zarr_format=3)
-    rotors = _array(group, "rotor").shape[0]
-    for name, variable in VARIABLES.items():
-        width = rotors if variable.dim == "rotor" else len(LABELS[variable.dim])
-        shape = (attributes.flights, attributes.steps, width)
-        array = _array(group, name)
-        if array.shape != shape or array.dtype != np.float32:
-            raise ValueError(f"{path} is damaged: {name} is not {shape} numbers of 32 bits")
-    valid, time = (np.asarray(_array(group, name)[:]) for name in ("valid_steps", "time"))
-    if valid.dtype.kind not in "iu" or not ((valid >= 0) & (valid <= attributes.steps)).all():
-        raise ValueError(f"{path} is damaged: valid_steps is not from 0 to {attributes.steps}")
-    times = np.arange(attributes.steps) / attributes.rate_hz
-    if not (
-        time.shape == times.shape
-        and np.allclose(time, times, rtol=1e-6, atol=1e-9)
-        and np.isclose(attributes.duration_s, attributes.steps / attributes.rate_hz)
-    ):
-        raise ValueError(f"{path} is damaged: rate_hz, duration_s and time do not belong together")
-    if not isinstance(json.loads(attributes.config), dict):
-        raise ValueError(f"{path} is damaged: its configuration is no table")
+    refuse_mislabelled(path, attributes)
     files = sorted(file for file in path.rglob("*") if file.is_file())
     stamps = [(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
     known = Path(user_cache_dir("quadsim")) / "verified" / fingerprint(str(path.absolute()), stamps)
@@ -345,6 +345,62 @@ def refuse_damaged(path: Path, attributes: Attributes) -> None:
             )
     with suppress(OSError):  # without a cache it is verified again the next time
         write_whole(known, "")
+
+
+def refuse_mislabelled(path: Path, attributes: Attributes) -> None:
+    """Compare names, dimensions, shapes and units with what quadsim writes, and time with the attributes.
+
+    Raises:
+        ValueError: The first that differs, what was found and what is expected.
+    """
+    root = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+    gathered = root["consolidated_metadata"]["metadata"]
+    rotors = gathered["rotor"]["shape"][0]
+    widths = {dim: rotors if dim == "rotor" else len(names) for dim, names in LABELS.items()}
+    lengths = {"flight": attributes.flights, "time": attributes.steps, **widths}
+    dims = {name: ["flight", "time", variable.dim] for name, variable in VARIABLES.items()}
+    dims |= {name: [dim] for name, dim in COORDINATES.items()}
+    for name, expected in dims.items():
+        for found in (gathered[name], json.loads((path / name / "zarr.json").read_text(encoding="utf-8"))):
+            unit, shape = found["attributes"].get("units"), [lengths[dim] for dim in expected]
+            if unit != UNITS.get(name):
+                raise ValueError(f"{path}: {name} is in {unit}, should be in {UNITS.get(name)}")
+            if found["dimension_names"] != expected:
+                dims_found = ", ".join(map(str, found["dimension_names"]))
+                raise ValueError(f"{path}: {name} is over {dims_found}, should be over {', '.join(expected)}")
+            if found["shape"] != shape:
+                raise ValueError(
+                    f"{path} is damaged: {name} has the shape {found['shape']}, should be {shape}"
+                )
+            if name in VARIABLES and found["data_type"] != "float32":
+                raise ValueError(f"{path} is damaged: {name} is {found['data_type']}, should be float32")
+    group = zarr.open_group(path, mode="r", zarr_format=3)
+    valid, time = (np.asarray(_array(group, name)[:]) for name in ("valid_steps", "time"))
+    if valid.dtype.kind not in "iu" or not ((valid >= 0) & (valid <= attributes.steps)).all():
+        raise ValueError(f"{path} is damaged: valid_steps is not from 0 to {attributes.steps}")
+    times = np.arange(attributes.steps) / attributes.rate_hz
+    if not (
+        time.shape == times.shape
+        and np.allclose(time, times, rtol=1e-6, atol=1e-9)
+        and np.isclose(attributes.duration_s, attributes.steps / attributes.rate_hz)
+    ):
+        raise ValueError(f"{path} is damaged: rate_hz, duration_s and time do not belong together")
+    if not isinstance(json.loads(attributes.config), dict):
+        raise ValueError(f"{path} is damaged: its configuration is no table")
+
+
+def changed_files(path: Path) -> list[str]:
+    """Files, except the chunks of flights, that differ from their digests; none in an older dataset."""
+    written = _digests(path).get("others", {})
+    return [name for name, digest in written.items() if content_digest((path / name).read_bytes()) != digest]
+
+
+def _digests(path: Path) -> dict[str, Any]:
+    """Digests of the files of a dataset; empty in an older one."""
+    try:
+        return read_json(path / DIGESTS)
+    except FileNotFoundError:
+        return {}
 
 
 def per_flight(path: Path, name: str) -> NDArray[np.generic]:
@@ -362,8 +418,12 @@ def faults(path: Path) -> Iterator[tuple[int, str]]:
     group = zarr.open_group(path, mode="r", zarr_format=3)
     sizes, checksums = (np.asarray(_array(group, name)[:]) for name in ("stored_bytes", "checksum"))
     shapes = {name: _array(group, name).shape[1:] for name in VARIABLES}
+    digests = _digests(path).get("flights")
     for flight, (size, stored) in enumerate(zip(sizes, checksums, strict=True)):
-        yield flight, fault(path, flight, shapes, int(size), str(stored))
+        found = fault(path, flight, shapes, int(size), str(stored))
+        if not found and digests and chunks_digest(path, flight) != digests[flight]:
+            found = "a file is not as it was written"
+        yield flight, found
 
 
 def fault(path: Path, flight: int, shapes: Mapping[str, tuple[int, ...]], size: int, stored: str) -> str:
@@ -391,6 +451,11 @@ def checksum(values: Mapping[str, NDArray[np.float32]]) -> str:
     return digest.hexdigest()
 
 
+def chunks_digest(store: Path, flight: int) -> str:
+    """SHA-256 over the bytes of the chunks of a flight, variable after variable."""
+    return content_digest(b"".join(chunk_file(store, name, flight).read_bytes() for name in VARIABLES))
+
+
 def stored_bytes(store: Path, flight: int) -> int:
     """Size of the chunks of a flight on the disk; FileNotFoundError if one is missing."""
     return sum(chunk_file(store, name, flight).stat().st_size for name in VARIABLES)
@@ -415,7 +480,9 @@ def write_flight(
     numcodecs.blosc.use_threads = False  # several threads would order the blocks of a chunk by chance
     for name, array in values.items():  # as Zarr would, without its event loop: a tenth of the time
         write_whole(chunk_file(folder / "data", name, flight), CODEC.encode(array))
-    record = Record(valid_steps, end_reason, checksum(values), stored_bytes(folder / "data", flight))
+    store = folder / "data"
+    size, digest = stored_bytes(store, flight), chunks_digest(store, flight)
+    record = Record(valid_steps, end_reason, checksum(values), size, digest)
     write_whole(folder / "flights" / f"{flight:05d}.json", json.dumps(record._asdict()).encode())
 
 

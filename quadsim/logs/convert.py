@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..dataset import store as dataset_store
 from ..dataset.store import LABELS, VARIABLES, Recorded, RecordedPlan, partial_folder
+from ..runs.files import alone
 from .recording import Array
 
 READ = {"gyro": "gyro", "accel": "accel", "ang_vel": "gyro", "specific_force": "accel", "quat": "quat"}
@@ -32,6 +33,11 @@ def convert(logs: Sequence[xr.Dataset], out: str | Path, piece_s: float = 20.0) 
         ValueError: No piece without a gap and with a known attitude, or `out` exists.
     """
     out = Path(out).expanduser().absolute()
+    with alone(out):
+        return _convert(logs, out, piece_s)
+
+
+def _convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float) -> Path:
     if out.exists():
         raise ValueError(f"{out} exists already: move it, or choose another --out")
     rates = {float(log.attrs["rate_hz"]) for log in logs}

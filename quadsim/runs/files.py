@@ -116,25 +116,44 @@ def save_figure(path: str | Path, figure: "Figure", **options: Any) -> Path:
 
 
 @contextmanager
-def alone(path: Path) -> Iterator[None]:
-    """Hold what grows at a path for this process; given up when the process ends, however it does.
+def alone(path: Path, wait_s: float = 0.0) -> Iterator[None]:
+    """Hold the file or folder that is written at a path for this process, which may hold it more than once.
+
+    The lock is a file beside it; of a folder in one that cannot be written, inside it. It is given up when
+    the process ends, however it does.
+
+    Args:
+        path: The file or folder, there or not.
+        wait_s: Time to wait for another process [s].
 
     Raises:
         ValueError: Another process holds it.
     """
-    _make_folder(path.parent)
-    lock = FileLock(path.with_name(f".{path.name}.lock"), timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise ValueError(
-            f"{path} is being written by another process: wait for it, or choose another"
-        ) from None
+    whole = path.expanduser().resolve()
+    _make_folder(whole.parent)
+    lock = _acquired(path, whole, wait_s)
     try:
         yield
     finally:
-        Path(lock.lock_file).unlink(missing_ok=True)
+        if lock.lock_counter == 1:
+            Path(lock.lock_file).unlink(missing_ok=True)
         lock.release()
+
+
+def _acquired(path: Path, whole: Path, wait_s: float) -> FileLock:
+    beside, inside = (
+        FileLock(folder / f".{whole.name}.lock", is_singleton=True) for folder in (whole.parent, whole)
+    )
+    for lock in (beside, inside):
+        try:
+            lock.acquire(timeout=wait_s)
+            return lock
+        except Timeout:
+            break
+        except OSError:
+            if lock is inside or not whole.is_dir():
+                raise
+    raise ValueError(f"{path} is being written by another process: wait for it, or choose another")
 
 
 def _make_folder(folder: Path) -> None:

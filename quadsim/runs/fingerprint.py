@@ -2,8 +2,9 @@
 
 import ast
 import hashlib
+import importlib.util
 import json
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Any, NamedTuple
 
 PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
 ROOT = Path(__file__).parents[2]
+ASSETS = ROOT / "assets"
+"""Folder of the presets and weights that ship; never one of that name in the working directory."""
 LIBRARIES = ("mujoco", "numba", "numpy", "torch")
 """Their versions may change results in the last bits."""
 
@@ -32,7 +35,7 @@ def code_digest(*names: str) -> str:
     Args:
         names: Modules, with which all that they import of the product counts; of a package, every module.
     """
-    files = closure([file for name in names for file in _sources(name)], ROOT, PACKAGES)
+    files = closure([file for name in names for file in _sources(name)], ROOT, follow=is_of_product)
     found = {file.relative_to(ROOT).as_posix(): file_digest(file) for file in files}
     return fingerprint(found, {name: version(name) for name in LIBRARIES})
 
@@ -64,13 +67,23 @@ def read_source(source: str) -> Source:
     return Source(content_digest(_shape(tree)), frozenset(_imports(tree)))
 
 
-def closure(scripts: Iterable[Path], root: Path, packages: Collection[str] | None = None) -> set[Path]:
-    """The scripts and every module of the product that they import, at whatever depth and in any function.
+def is_of_product(path: Path) -> bool:
+    """Whether a file is of one of the product's packages."""
+    return any(path.is_relative_to(ROOT / package) for package in PACKAGES)
+
+
+def closure(
+    scripts: Iterable[Path], *roots: Path, follow: Callable[[Path], bool] = lambda path: True
+) -> set[Path]:
+    """The scripts and every file that their import statements load, at whatever depth and in any function.
+
+    Modules are looked for beside the file that imports them, where its own package is, and in the roots. A
+    name in more than one of these places counts with all its files.
 
     Args:
-        scripts: Where to begin.
-        root: The folder that packages are in.
-        packages: Which of them are followed; all, if left out. Modules beside a script are followed too.
+        scripts: Where to begin, whole paths.
+        roots: Other folders that modules and packages are in.
+        follow: Which of the imported files count.
     """
     found: set[Path] = set()
     waiting = list(scripts)
@@ -78,8 +91,13 @@ def closure(scripts: Iterable[Path], root: Path, packages: Collection[str] | Non
         path = waiting.pop()
         if path not in found:
             found.add(path)
-            waiting += _imported(path, root, packages)
+            waiting += filter(follow, _imported(path, roots))
     return found
+
+
+def package_root(path: Path) -> Path:
+    """The folder that the outermost package around a file is in; without a package the file's own folder."""
+    return next(folder for folder in path.parents if not (folder / "__init__.py").is_file())
 
 
 def _sources(name: str) -> list[Path]:
@@ -97,23 +115,30 @@ def _imports(tree: ast.Module) -> Iterator[tuple[int, tuple[str, ...]]]:
             yield from ((node.level, (*module, alias.name)) for alias in node.names)
 
 
-def _imported(path: Path, root: Path, packages: Collection[str] | None) -> set[Path]:
-    """Files of the product that a file's import statements load."""
-    names: set[str] = set()
-    for level, parts in read_source(path.read_text("utf-8")).imports:
-        package = path.relative_to(root).with_suffix("").parts[:-level] if level else ()
-        names.add(".".join([*package, *parts]))
-    ours = {name for name in names if packages is None or name.split(".")[0] in packages}
-    return {file for name in ours for file in _files_of(name, root)} | {
-        file for name in names for file in _files_of(name, path.parent)
-    }
+def _imported(path: Path, roots: Iterable[Path]) -> set[Path]:
+    """Files that a file's import statements load; none of what is not Python, which fails when it is run."""
+    try:
+        imports = read_source(importlib.util.decode_source(path.read_bytes())).imports
+    except (OSError, ValueError, SyntaxError, RecursionError):
+        return set()
+    root = package_root(path)
+    files: set[Path] = set()
+    for level, parts in imports:
+        module = [part for name in parts for part in name.split(".")]
+        if level == 0:
+            files.update(*(_files_of(module, place) for place in {path.parent, root, *roots}))
+        elif level <= len(path.parents):
+            folder = path.parents[level - 1]
+            inside = folder.relative_to(root).parts if folder.is_relative_to(root) else ()
+            files.update(_files_of([*inside, *module], root if inside else folder))
+    return files
 
 
-def _files_of(module: str, place: Path) -> list[Path]:
+def _files_of(module: list[str], place: Path) -> list[Path]:
     """The file of a module below a folder, and the `__init__.py` of each package around it."""
-    parts = module.split(".")
-    packages = [place.joinpath(*parts[:k], "__init__.py") for k in range(1, len(parts) + 1)]
-    return [path for path in (*packages, place.joinpath(*parts).with_suffix(".py")) if path.is_file()]
+    packages = [place.joinpath(*module[:k], "__init__.py") for k in range(1, len(module) + 1)]
+    files = [*packages, place.joinpath(*module).with_suffix(".py")] if module else []
+    return [path for path in files if path.is_file()]
 
 
 def _shape(node: object) -> str:

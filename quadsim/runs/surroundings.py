@@ -1,4 +1,4 @@
-"""What of the surroundings would stop an import, or let compiled code be older than its source.
+"""What would stop an import, hide a package, or let compiled code be older than its source.
 
 Numba keeps compiled functions in files, and compiles one again when its own source file has changed, but not
 when that of a function that it calls, or of a constant, has. So the cache is in a folder whose name is a
@@ -13,8 +13,10 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
+from types import ModuleType
 
 from platformdirs import user_cache_dir
 
@@ -40,6 +42,19 @@ def settle() -> None:
         log.warning("MUJOCO_GL=%s is ignored: %s are allowed", asked, ", ".join(OPENGL))
         del os.environ["MUJOCO_GL"]
     _choose_cache(FOLDER + compiled_digest(ROOT))
+    if Neighbours not in sys.meta_path:
+        sys.meta_path.insert(0, Neighbours)
+
+
+class Neighbours:
+    """Finds the packages beside this one before folders of their names in the working directory."""
+
+    @staticmethod
+    def find_spec(
+        name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """As `importlib.abc.MetaPathFinder.find_spec`; None for every other name."""
+        return PathFinder.find_spec(name, [str(ROOT)], target) if name in (*PACKAGES, "assets") else None
 
 
 def compiled_digest(root: Path) -> str:

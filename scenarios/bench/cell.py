@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 import estimators
-from estimators.custom import own_source
+from estimators.custom import own_sources
 from estimators.metrics import RANGE, flaw_of
 from estimators.registry import is_weights
 from estimators.tuned import load_tuning
@@ -22,7 +22,7 @@ from quadsim.runs.files import read_json
 from quadsim.runs.fingerprint import content_digest
 from quadsim.seeding import vehicle_seeds
 
-from .controllers import controller_file, controller_of, estimator_of, make_controller
+from .controllers import controller_files, controller_of, estimator_of, make_controller
 from .flight_metrics import (
     CellRow,
     FlightRow,
@@ -80,10 +80,10 @@ def file_name(name: str) -> str:
 
 
 def weights_digest(estimator: str) -> str:
-    """Digest of the weights and the user's modules that a contender's name means; empty without such."""
+    """Digest of the weights and the files of the user's that a contender stands for; empty without any."""
     name = estimator_of(estimator)
-    sources = name if is_weights(name) else own_source(name), controller_file(estimator)
-    return "".join(digest_if_there(source) for source in sources if source)
+    sources = [name] if is_weights(name) else own_sources(name)
+    return "".join(map(digest_if_there, [*sources, *controller_files(estimator)]))
 
 
 def digest_if_there(path: str | Path) -> str:

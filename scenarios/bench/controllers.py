@@ -8,7 +8,7 @@ from estimators.control.controller import LOIHI, create_controller, is_controlle
 from estimators.networks.weights_file import END, shipped_controllers
 from quadsim.config.toml import nearest
 from quadsim.control.own import MakeController
-from quadsim.own import is_own, load_own, own_file
+from quadsim.own import is_own, load_own, own_files
 
 CASCADED = "cascaded"
 """The cascade's own levels of attitude and body rate."""
@@ -60,10 +60,10 @@ def make_controller(name: str) -> MakeController | None:
     return load_own(name, GROUP)
 
 
-def controller_file(name: str) -> Path | None:
-    """The file that a contender's controller comes from; None where there is none of the user's."""
+def controller_files(name: str) -> list[Path]:
+    """The files of the user's that a contender's controller comes from."""
     controller = controller_of(name)
     if is_controller(controller):
         path = Path(controller.removesuffix(LOIHI))
-        return path if path.suffix == END else None
-    return own_file(controller, GROUP) if is_own(controller, GROUP) else None
+        return [path] if path.suffix == END else []
+    return own_files(controller, GROUP) if is_own(controller, GROUP) else []

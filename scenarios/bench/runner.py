@@ -16,8 +16,8 @@ from estimators.tuned import load_tuning
 from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, load_scenario
 from quadsim.imu.spec import load_imu
-from quadsim.own import own_file
-from quadsim.runs.files import drop_parts, read_json, write_csv, write_json
+from quadsim.own import own_files
+from quadsim.runs.files import alone, drop_parts, read_json, write_csv, write_json
 from quadsim.runs.fingerprint import ROOT, code_digest, file_digest, fingerprint
 from quadsim.runs.spread import spread
 from quadsim.vehicle import load_vehicle
@@ -142,40 +142,41 @@ def bench(
         progress: Called with the cells done and their total at the start and after each cell.
 
     Raises:
-        ValueError: For a bad argument or scenario file.
+        ValueError: For a bad argument or scenario file, or a folder that another process writes.
         OSError: If the results cannot be written.
     """
     loaded, names = _load(scenarios, names, settings, changes), list(dict.fromkeys(names))
     out = Path(out).expanduser()
-    out.mkdir(parents=True, exist_ok=True)
-    drop_parts(out)
-    code = suite_digest()
-    pairs = [(s, e) for s in loaded for e in names]
-    prints = {(s, e): _fingerprint(loaded[s], e, settings, code) for s, e in pairs}
-    stored = {pair: load_cell(cell_path(out, *pair)) for pair in pairs}
-    cells = {pair: cell for pair, cell in stored.items() if cell and cell.fingerprint == prints[pair]}
-    missing = [pair for pair in pairs if pair not in cells]
-    if progress:
-        progress(len(cells), len(pairs))
-    jobs = [(s, loaded[s], e, settings, prints[s, e]) for s, e in missing]
-    said: set[tuple[str, str]] = set()
-    for i, cell in spread(fly_cell, jobs, workers, executor):
-        if isinstance(cell, BaseException):  # the worker itself died
-            cell = failed_cell(*missing[i], prints[missing[i]], f"{type(cell).__name__}: {cell}")
-        cells[missing[i]] = cell
-        if cell.reason:
-            if (cell.estimator, cell.reason) not in said:
-                log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
-            said.add((cell.estimator, cell.reason))  # other scenarios with the same reason are not listed
-        else:
-            write_json(cell_path(out, cell.scenario, cell.estimator), asdict(cell))
+    with alone(out):
+        out.mkdir(parents=True, exist_ok=True)
+        drop_parts(out)
+        code = suite_digest()
+        pairs = [(s, e) for s in loaded for e in names]
+        prints = {(s, e): _fingerprint(loaded[s], e, settings, code) for s, e in pairs}
+        stored = {pair: load_cell(cell_path(out, *pair)) for pair in pairs}
+        cells = {pair: cell for pair, cell in stored.items() if cell and cell.fingerprint == prints[pair]}
+        missing = [pair for pair in pairs if pair not in cells]
         if progress:
             progress(len(cells), len(pairs))
-    results = Results(loaded, names, settings, [cells[pair] for pair in pairs])
-    write_csv(out / "results.csv", results.rows)
-    write_csv(out / "flights.csv", results.flights)
-    _save_index(out, results)
-    return results
+        jobs = [(s, loaded[s], e, settings, prints[s, e]) for s, e in missing]
+        said: set[tuple[str, str]] = set()
+        for i, cell in spread(fly_cell, jobs, workers, executor):
+            if isinstance(cell, BaseException):  # the worker itself died
+                cell = failed_cell(*missing[i], prints[missing[i]], f"{type(cell).__name__}: {cell}")
+            cells[missing[i]] = cell
+            if cell.reason:
+                if (cell.estimator, cell.reason) not in said:
+                    log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
+                said.add((cell.estimator, cell.reason))  # other scenarios with the same reason are not listed
+            else:
+                write_json(cell_path(out, cell.scenario, cell.estimator), asdict(cell))
+            if progress:
+                progress(len(cells), len(pairs))
+        results = Results(loaded, names, settings, [cells[pair] for pair in pairs])
+        write_csv(out / "results.csv", results.rows)
+        write_csv(out / "flights.csv", results.flights)
+        _save_index(out, results)
+        return results
 
 
 def identical(results: Results) -> dict[str, str]:
@@ -247,8 +248,8 @@ def _files_of(scenario: Scenario) -> list[str | Path]:
     found: list[str | Path] = [
         part.path for part in (scenario.trajectory, *scenario.wind) if part.kind == "file"
     ]
-    if scenario.trajectory.kind == "function" and (own := own_file(scenario.trajectory.function)):
-        found.append(own)
+    if scenario.trajectory.kind == "function":
+        found += own_files(scenario.trajectory.function)
     return found
 
 

@@ -6,7 +6,6 @@ import posixpath
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 from itertools import product
 from pathlib import Path
 
@@ -315,7 +314,7 @@ def _described(series: FlightSeries) -> dict[str, object]:
 
 def uplot() -> dict[str, str]:
     """Script, style and licence of uPlot (github.com/leeoniya/uPlot, MIT), which draws the traces."""
-    folder = files("scenarios") / "report" / "uplot"
+    folder = Path(__file__).parent / "uplot"
     source = (folder / "uPlot.iife.min.js").read_text("utf-8")
     return {
         "uplot": re.sub(r"^/\*!.*?\*/\s*", "", source),
@@ -329,7 +328,7 @@ def script(entry: str) -> str:
     found: dict[str, str] = {}
 
     def visit(name: str) -> None:
-        source = files("scenarios").joinpath(name).read_text(encoding="utf-8")
+        source = Path(__file__).parents[1].joinpath(name).read_text(encoding="utf-8")
         for other in re.findall(r'^import .* from "(.*)";$', source, re.MULTILINE):
             path = posixpath.normpath(posixpath.join(posixpath.dirname(name), other))
             if path not in found:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 from textwrap import dedent
 
 import numpy as np
@@ -12,7 +13,7 @@ from estimators.evaluation.flights import load_flights
 from estimators.filters.samples import square_of_error
 from estimators.metrics import absolute_error
 from estimators.registry import COMPILED, airframe_constants
-from estimators.tuned import load_tuning
+from estimators.tuned import Tuned, load_tuning
 from estimators.tuning.search import (
     PENALTY,
     FlightSelection,
@@ -196,6 +197,14 @@ def test_tuned_file_is_what_create_reads(flights, tmp_path):
     assert create("mahony", tuning=path, k_p=0.5).values["k_p"] == 0.5
     with pytest.raises(ValueError, match=r"no table \[ekf\]; it has mahony, madgwick"):
         create("ekf", tuning=path)
+
+
+def test_filters_that_are_tuned_at_once_all_stand_in_the_file(tmp_path):
+    path, names = tmp_path / "mine.toml", ["mahony", "madgwick", "eskf", "imm", "vqf", "complementary"]
+    tuned = Tuned(command="by hand", rate_hz=200.0, rmse_deg=1.0, evaluations=1, values={})
+    with ThreadPoolExecutor(len(names)) as pool:
+        list(pool.map(lambda name: write_tuning(path, name, tuned, ""), names))
+    assert set(load_tuning(path)) == set(names)
 
 
 def test_filterpys_filters_take_the_values_of_ekf(flights, tmp_path):

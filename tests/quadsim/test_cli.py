@@ -1,5 +1,6 @@
 """The command line: what it says to a newcomer, to a mistake, and at the end of the work."""
 
+import subprocess
 import sys
 from functools import partial
 
@@ -57,6 +58,61 @@ def dataset(quadsim, tmp_path):
     assert code == 0
     assert "2 flights of 2 s at 200 Hz" in out
     return path
+
+
+HOLD = """import sys
+from pathlib import Path
+from quadsim.runs.files import alone
+with alone(Path("busy")):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "bench --scenario hover --estimator mahony",
+        "fly hover --estimator mahony",
+        "demo",
+        "paper --only table2",
+        "evaluate --data flights.zarr --estimator mahony",
+        "train --data flights.zarr",
+        "train --task control",
+        "kfold --data flights.zarr --folds 2",
+        "inspect",
+    ],
+)
+def test_a_folder_that_another_process_writes_is_left_alone(quadsim, tmp_path, command):
+    if "--data" in command:
+        quadsim("generate", "--flights", 4, "--duration", 2, "--workers", 1, "--out", "flights.zarr")
+    held = subprocess.Popen(
+        [sys.executable, "-c", HOLD], cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert held.stdout is not None
+    held.stdout.readline()
+    try:
+        code, _, err = quadsim(*command.split(), "--out", "busy")
+    finally:
+        held.kill()
+        held.wait()
+    assert code == 2
+    (line,) = err.strip().splitlines()
+    assert line == "quadsim: busy is being written by another process: wait for it, or choose another"
+    assert not (tmp_path / "busy").exists()
+
+
+def test_the_second_of_two_benchmarks_at_once_is_refused(quadsim, tmp_path):
+    command = [sys.executable, "-m", "quadsim.cli", "bench", "--scenario", "hover", "--out", "both"]
+    command += ["--estimator", "mahony", "--workers", "1"]
+    runs = [
+        subprocess.Popen([*command, "--seed", seed], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+        for seed in "12"
+    ]
+    said = [run.communicate()[1] for run in runs]
+    codes = [run.returncode for run in runs]
+    assert sorted(codes) == [0, 2]
+    assert "both is being written by another process" in said[codes.index(2)]
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -490,6 +490,77 @@ def test_a_chunk_that_still_decodes_to_other_numbers_is_refused_on_opening(own):
         open_dataset(own)
 
 
+def flipped(file: Path, byte: int) -> None:
+    """Flip a bit of a file, whose size and time stamp stay as they are."""
+    before, content = file.stat(), bytearray(file.read_bytes())
+    content[byte] ^= 4
+    file.write_bytes(content)
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def test_a_flipped_bit_of_any_file_is_found_by_verify_whatever_the_time_stamps(own):
+    open_dataset(own)
+    names = [name for name in files(own) if not name.endswith("zarr.json") or name == "zarr.json"]
+    names = [name for name in names if "/c." not in name or "/c.3." in name]
+    assert len(names) == len(VARIABLES) + len(dataset_store.COORDINATES) + 2
+    for name in [*names, "gyro/zarr.json", "time/zarr.json"]:
+        size = (own / name).stat().st_size
+        for byte in (1, size // 2, size - 2):
+            flipped(own / name, byte)
+            with pytest.raises(ValueError, match=str(own)):
+                verify(own)
+            flipped(own / name, byte)
+    assert verify(own) == FLIGHTS
+
+
+def edited(path: Path, name: str, **changes: object) -> None:
+    """Change the metadata of an array, where it is written and where Zarr gathers it."""
+    whole = json.loads((path / "zarr.json").read_text())
+    array = whole["consolidated_metadata"]["metadata"][name]
+    array |= changes
+    (path / "zarr.json").write_text(json.dumps(whole))
+    (path / name / "zarr.json").write_text(json.dumps(array))
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("gyro", {"attributes": {"units": "deg/s"}}, "gyro is in deg/s, should be in rad/s"),
+        ("accel", {"attributes": {}}, r"accel is in None, should be in m/s\^2"),
+        ("time", {"attributes": {"units": "ms"}}, "time is in ms, should be in s"),
+        (
+            "quat",
+            {"dimension_names": ["time", "flight", "quat_axis"]},
+            "quat is over time, flight, quat_axis",
+        ),
+        ("valid_steps", {"shape": [3]}, r"valid_steps has the shape \[3\], should be \[7\]"),
+        ("wind", {"data_type": "float64"}, "wind is float64, should be float32"),
+    ],
+)
+def test_labels_that_quadsim_does_not_write_are_refused_on_opening(own, name, changes, message):
+    whole = (own / name / "zarr.json").read_text()
+    old = json.loads(whole)
+    if "attributes" in changes:
+        changes = {"attributes": {"long_name": old["attributes"]["long_name"], **changes["attributes"]}}
+    edited(own, name, **changes)
+    for look in (open_dataset, verify, dataset_info):
+        with pytest.raises(ValueError, match=message):
+            look(own)
+
+
+def test_a_unit_edited_in_the_arrays_own_file_alone_is_refused_too(own):
+    file = own / "gyro" / "zarr.json"
+    file.write_text(file.read_text().replace("rad/s", "deg/s"))
+    with pytest.raises(ValueError, match="gyro is in deg/s, should be in rad/s"):
+        open_dataset(own)
+
+
+def test_a_dataset_without_digests_of_its_files_is_opened_and_verified(own):
+    (own / dataset_store.DIGESTS).unlink()
+    assert open_dataset(own).sizes["flight"] == FLIGHTS
+    assert verify(own) == FLIGHTS
+
+
 @pytest.mark.parametrize("name", ["gyro", "quat"])
 def test_a_chunk_that_does_not_decode_is_one_line(own, name):
     chunk = dataset_store.chunk_file(own, name, 0)

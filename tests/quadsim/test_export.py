@@ -1,4 +1,5 @@
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from quadsim.dataset import store as dataset_store
 from quadsim.dataset.export import FORMATS, export, timestamps
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.dataset.store import VARIABLES
+from quadsim.dataset.store import VARIABLES, Recorded
 from quadsim.flight.simulate import FlightConfig, simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.vehicle import load_vehicle
@@ -44,6 +45,34 @@ def test_netcdf_holds_the_whole_dataset(source, tmp_path):
     out = export(source, tmp_path / "x.nc", "netcdf")
     with xr.open_dataset(out, engine="h5netcdf") as found:
         xr.testing.assert_identical(found.load(), open_dataset(source).load())
+
+
+@pytest.mark.parametrize("format", ["netcdf", "csv", "parquet", "rosbag2"])
+@pytest.mark.parametrize("kind", ["without an IMU", "recorded"])
+def test_a_dataset_whose_imu_is_unknown_is_exported_without_its_noise(source, tmp_path, format, kind):
+    subprocess.run(["cp", "-r", source, tmp_path / "x.zarr"], check=True)
+    file = tmp_path / "x.zarr" / "zarr.json"
+    whole = json.loads(file.read_text())
+    config = json.loads(whole["attributes"]["config"])
+    unknown = ["position", "gyro_bias"] if kind == "recorded" else []
+    if kind == "recorded":
+        config = Recorded(logs=("a",), piece_s=1.0, unknown=tuple(unknown)).model_dump(mode="json")
+    else:
+        del config["imu"]
+    whole["attributes"]["config"] = json.dumps(config)
+    file.write_text(json.dumps(whole))
+    out = export(tmp_path / "x.zarr", tmp_path / "out", format)
+    if format == "csv":
+        mav = out / "flight_000" / "mav0"
+        assert "noise_density" not in (mav / "imu0" / "sensor.yaml").read_text()
+        truth = np.loadtxt(mav / "state_groundtruth_estimate0" / "data.csv", delimiter=",")
+        lacking = np.flatnonzero(np.isnan(truth).any(axis=0)).tolist()
+        assert lacking == ([1, 2, 3, 11, 12, 13] if unknown else [])
+    elif format == "parquet":
+        parquet = pytest.importorskip("pyarrow.parquet")
+        table = parquet.ParquetFile(out).read_row_group(0)
+        assert np.isnan(table["position_x"]).all() == bool(unknown)
+        assert np.isfinite(table["gyro_x"]).all()
 
 
 def test_parquet_holds_every_sample_flown_as_a_row_with_units(source, tmp_path):

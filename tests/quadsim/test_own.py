@@ -1,5 +1,6 @@
 """Objects of a user's code by name."""
 
+import importlib
 import sys
 from textwrap import dedent
 
@@ -8,7 +9,7 @@ import pytest
 
 import estimators
 from quadsim import own as own_code
-from quadsim.own import absolute, load_own, own_file
+from quadsim.own import absolute, load_own, own_file, own_files
 
 SOURCE = dedent(
     """
@@ -65,6 +66,89 @@ def test_a_changed_file_is_loaded_anew(file):
     assert load_own("mine.py:Mine") is before
     file.write_text(SOURCE + "\nMine.changed = True\n")
     assert load_own("mine.py:Mine").changed
+
+
+GAIN = "from {} import GAIN\nclass Mine:\n    gain = GAIN\n"
+
+
+@pytest.fixture
+def user(tmp_path, monkeypatch):
+    """Writes files into a working directory that is on Python's path, as the command line puts it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path, ""])
+    before = set(sys.modules)
+
+    def write(files):
+        for name, text in files.items():
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name).write_text(text)
+
+    yield write
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "files"),
+    [
+        ("code/est.py:Mine", {"code/est.py": GAIN.format("gains_x"), "code/gains_x.py": "GAIN = 1"}),
+        ("code/est.py:Mine", {"code/est.py": GAIN.format("lib_x.gains"), "lib_x/gains.py": "GAIN = 1"}),
+        (
+            "code/est.py:Mine",
+            {
+                "code/est.py": GAIN.format("a_x"),
+                "code/a_x.py": "from b_x import GAIN",
+                "code/b_x.py": "GAIN = 1",
+            },
+        ),
+        (
+            "pkg_x.est:Mine",
+            {"pkg_x/__init__.py": "", "pkg_x/est.py": GAIN.format(".gains"), "pkg_x/gains.py": "GAIN = 1"},
+        ),
+        (
+            "pkg_x.inner.est:Mine",
+            {
+                "pkg_x/__init__.py": "",
+                "pkg_x/inner/__init__.py": "",
+                "pkg_x/inner/est.py": GAIN.format("..gains"),
+                "pkg_x/gains.py": "GAIN = 1",
+            },
+        ),
+        ("space_x.est:Mine", {"space_x/est.py": GAIN.format("space_x.a"), "space_x/a.py": "GAIN = 1"}),
+        ("space_x.est:Mine", {"space_x/est.py": GAIN.format(".a"), "space_x/a.py": "GAIN = 1"}),
+    ],
+)
+def test_a_file_that_the_users_code_imports_belongs_to_it_and_is_loaded_anew(user, tmp_path, name, files):
+    user(files)
+    assert [file.resolve() for file in own_files(name)] == sorted(tmp_path / each for each in files)
+    before = load_own(name)
+    assert before.gain == 1
+    assert load_own(name) is before
+    user({file: text.replace("GAIN = 1", "GAIN = 2") for file, text in files.items()})
+    assert load_own(name).gain == 2
+
+
+def test_files_of_the_product_and_of_other_packages_are_not_the_users(user, tmp_path):
+    package = own_files("pydantic.main:BaseModel")
+    assert {file.parts[file.parts.index("site-packages") + 1] for file in package} == {"pydantic"}
+    imports = "import json, numpy, estimators\nfrom quadsim.own import load_own"
+    user({"est.py": imports, "json.py": "", "bad.py": "("})
+    assert own_files("est.py:Mine") == [tmp_path / "est.py", tmp_path / "json.py"]
+    assert own_files("bad.py:Mine") == [tmp_path / "bad.py"]
+
+
+def test_neighbours_of_one_name_in_two_folders_are_two_modules(user):
+    for folder in ("one", "two"):
+        user({f"{folder}/est.py": GAIN.format("gains_y"), f"{folder}/gains_y.py": f"GAIN = '{folder}'"})
+    assert [load_own(f"{folder}/est.py:Mine").gain for folder in ("one", "two")] == ["one", "two"]
+
+
+def test_a_neighbour_that_was_imported_and_then_changed_is_loaded_as_it_is(user, tmp_path, monkeypatch):
+    user({"est.py": GAIN.format("gains_z"), "gains_z.py": "GAIN = 1"})
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    importlib.import_module("gains_z")
+    user({"gains_z.py": "GAIN = 2"})
+    assert load_own("est.py:Mine").gain == 2
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from numba.core.errors import TypingError
 
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
-from quadsim.runs import surroundings
+from quadsim.runs import files, surroundings
 from quadsim.runs.block import block_type, fields, matrix, packed, vector, zero_blocks
 from quadsim.runs.compiled import float64, guvectorize, njit
 from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
@@ -92,6 +92,32 @@ def test_what_one_process_writes_no_other_does(tmp_path):
     held.wait()
     with alone(tmp_path / "x"):
         pass
+
+
+def test_a_process_that_holds_a_folder_may_hold_it_again_until_it_gives_it_up(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lock = tmp_path / ".x.lock"
+    with alone(tmp_path / "x"):
+        with alone(Path("x")):
+            pass
+        assert lock.exists()
+    assert not lock.exists()
+
+
+def test_a_folder_is_held_from_inside_where_the_one_around_it_cannot_be_written(tmp_path, monkeypatch):
+    folder = tmp_path / "x"
+    folder.mkdir()
+
+    class OnlyBelow(files.FileLock):
+        def acquire(self, *arguments, **options):
+            if Path(self.lock_file).parent != folder:
+                raise PermissionError(13, "Permission denied", self.lock_file)
+            return super().acquire(*arguments, **options)
+
+    monkeypatch.setattr(files, "FileLock", OnlyBelow)
+    with alone(folder):
+        assert [each.name for each in folder.iterdir()] == [".x.lock"]
+    assert not list(folder.iterdir())
 
 
 def test_digest_follows_the_code_and_not_its_comments():

@@ -20,7 +20,7 @@ from quadsim.runs.spread import spread
 from quadsim.vehicle import load_vehicle
 from scenarios.bench import cell as cell_module
 from scenarios.bench import runner
-from scenarios.bench.cell import fly, fly_cell, load_cell
+from scenarios.bench.cell import fly, fly_cell, load_cell, weights_digest
 from scenarios.bench.cost import cost_of, hours
 from scenarios.bench.flight_metrics import (
     FlightMetrics,
@@ -503,6 +503,40 @@ def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
     assert load_vehicle(found.vehicle).name == load_vehicle("px4-quad").name
     (row,) = small(tmp_path / "out", scenarios=["../own.toml"], names=["truth"]).rows
     assert row.reason == ""
+
+
+def test_a_changed_file_that_the_users_code_imports_is_flown_anew(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("helper.py").write_text("SIZE = 0.0")
+    Path("est.py").write_text(
+        "import numpy as np\nfrom helper import SIZE\nclass Mine:\n    def __init__(self, rate_hz): pass\n"
+        "    def reset(self, n=1, roll_pitch=None): self.n = n\n"
+        "    def update(self, gyro, accel): return np.full((self.n, 2), SIZE)\n"
+    )
+    (tmp_path / "hover.py").write_text(
+        "import numpy as np\nfrom helper import SIZE\n"
+        "def at(t): return np.column_stack([0 * t, 0 * t, 1 + SIZE + 0 * t])\n"
+    )
+    Path("mine.toml").write_text(
+        'description = "mine"\nduration_s = 0.3\n[trajectory]\nkind = "function"\nfunction = "hover.py:at"\n'
+    )
+    Path("control.py").write_text("import helper\ndef make(rate_hz, vehicle): return None\n")
+
+    def cells():
+        done = small(tmp_path / "out", scenarios=["hover", "mine.toml"], names=["truth", "est.py:Mine"])
+        return {(cell.scenario, cell.estimator): cell for cell in done.cells}
+
+    before = cells()
+    assert {cell.reason for cell in before.values()} == {""}
+    Path("helper.py").write_text("SIZE = 0.2")
+    after = cells()
+    same = [pair for pair, cell in after.items() if cell.fingerprint == before[pair].fingerprint]
+    assert same == [("hover", "truth")]
+    mine = "hover", "est.py:Mine"
+    assert after[mine].flights[0].error_deg > 5 + before[mine].flights[0].error_deg
+    of_controller = weights_digest("truth @ control.py:make")
+    Path("helper.py").write_text("SIZE = 0.3")
+    assert weights_digest("truth @ control.py:make") != of_controller
 
 
 def test_a_changed_module_of_the_user_is_flown_anew(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, fields
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -40,7 +40,7 @@ class Kernels(Protocol):
 
 def source() -> str:
     """The kernels, CUDA C++."""
-    return (files("training.backends") / "att_snn.cu").read_text()
+    return Path(__file__).with_name("att_snn.cu").read_text()
 
 
 class OnGpu:

@@ -28,7 +28,7 @@ from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.encoder import ENCODER, INPUT_ONE, scaled_inputs
 from estimators.networks.weights_file import load_network
 from quadsim.flight.recipe import flight_config, load_recipe
-from quadsim.runs.files import save_figure, write_csv, write_whole
+from quadsim.runs.files import alone, save_figure, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest
 from quadsim.runs.record import commit
 from quadsim.seeding import child
@@ -126,6 +126,11 @@ def train_controller(
 
 def run(config: ControlConfig, out: Path, progress: Progress | None = None) -> ControlResult:
     """As `train_controller`, from a complete configuration."""
+    with alone(out):
+        return _run(config, out, progress)
+
+
+def _run(config: ControlConfig, out: Path, progress: Progress | None) -> ControlResult:
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads)
     try:
