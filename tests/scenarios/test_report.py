@@ -17,7 +17,7 @@ from quadsim.wind import Constant
 from scenarios.bench.breaking import BreakingPoint
 from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
 from scenarios.bench.flight_metrics import CellRow, FlightMetrics, FlightRow
-from scenarios.bench.offline import UNRANKED
+from scenarios.bench.offline import UNRANKED, OfflineRow, table_of
 from scenarios.bench.pairs import paired_differences
 from scenarios.bench.runner import Results
 from scenarios.bench.series import decimation, unpack_series
@@ -255,6 +255,9 @@ def test_estimators_that_did_not_run_come_last_and_are_told():
 
 def test_recorded_flights_have_a_verdict_of_their_own():
     assert offline_verdict(OFFLINE).headline == "Smallest error on recorded flights: mahony, 2.50°."
+    flawed = [{"estimator": "x", "start": "known", "mean_deg": 0.1, UNRANKED: "returned ..."}, *OFFLINE]
+    assert offline_verdict(flawed).headline == "Smallest error on recorded flights: mahony, 2.50°."
+    assert offline_verdict(flawed[:2]).headline == "Recorded flights"
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -600,3 +603,14 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
     assert page.locator("#chips button").all_inner_texts() == names
     assert names[0] in page.locator("#violins text").all_text_contents()
     page.close()
+
+
+def test_recorded_flights_rank_no_reference_and_no_flaw():
+    rows = [
+        OfflineRow("mahony", "level", mean_deg=2.0),
+        OfflineRow("peek", "level", mean_deg=0.0, reference=True),
+        OfflineRow("level", "level", mean_deg=1.0, flaw="returned the same roll and pitch at every sample"),
+    ]
+    assert offline_verdict(table_of(rows)).headline.endswith("mahony, 2.00°.")
+    assert [each[UNRANKED] for each in table_of(rows)][:2] == ["", "reference"]
+    assert UNRANKED not in table_of(rows[:1])[0]
