@@ -226,8 +226,8 @@ def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
         )
         notes.append(f"{name} is not ranked ({' and '.join(starts)} start): it {flaw.rstrip('.')}.{counted}")
     if references := dict.fromkeys(row.estimator for row in rows if row.unranked == "reference"):
-        verb = "receives" if len(references) == 1 else "receive"
-        notes.append(f"{', '.join(references)} {verb} the true attitude: a reference, not ranked.")
+        verbs = ("receives", "is") if len(references) == 1 else ("receive", "are")
+        notes.append(f"{', '.join(references)} {verbs[0]} the true attitude and {verbs[1]} not ranked.")
     return notes
 
 

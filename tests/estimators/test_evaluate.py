@@ -248,6 +248,24 @@ def test_a_sequence_that_equals_update_is_scored(flights):
     assert same.mean_deg == pytest.approx(plain.mean_deg)
 
 
+def test_run_refuses_a_sequence_that_differs_from_update_and_leaves_the_last_state(flights):
+    gyro, accel = flights.gyro.values[:, :1000], flights.accel.values[:, :1000]
+    with pytest.raises(ValueError, match="Faster: sequence does not give the estimates of update"):
+        run(Faster(), gyro, accel)
+
+    class Counting(Same):
+        def reset(self, n=1, roll_pitch=None):
+            super().reset(n, roll_pitch)
+            self.samples = 0
+
+        def sequence(self, gyro, accel):
+            self.samples += gyro.shape[1]
+            return super().sequence(gyro, accel)
+
+    run(counting := Counting(), gyro, accel)
+    assert counting.samples == 1000
+
+
 def test_an_interrupt_stays_one(flights):
     class Interrupted(Plain):
         def update(self, gyro, accel):

@@ -19,6 +19,7 @@ from estimators.tuning.search import (
     FlightSelection,
     SearchSettings,
     evolution,
+    flown_on,
     imu_constants,
     mean_squared_error,
     swarm,
@@ -26,6 +27,7 @@ from estimators.tuning.search import (
     tune,
     write_tuning,
 )
+from quadsim.flight.recipe import flight_config, load_recipe
 
 
 def bowl(x):
@@ -334,7 +336,13 @@ def test_an_estimator_that_no_parameters_make_sound_is_refused(flights, own, nam
 
 
 def test_a_dataset_that_does_not_say_its_imu_tunes_ekf_drag_with_the_defaults(flights):
-    config = json.loads(flights.attrs["config"])
+    config = json.loads(flight_config(load_recipe("hummingbird")).model_dump_json())
+    imu = config["imu"]
+    assert imu_constants("ekf-drag", flights.assign_attrs(config=json.dumps(config))) == {
+        "bias_sigma": imu["gyro"]["turn_on"],
+        "accel_bias_sigma": imu["accel"]["turn_on"],
+    }
     del config["imu"]
-    assert imu_constants("ekf-drag", flights.assign_attrs(config=json.dumps(config))) == {}
-    assert imu_constants("ekf-drag", flights)
+    without = flights.assign_attrs(config=json.dumps(config))
+    assert imu_constants("ekf-drag", without) == {}
+    assert flown_on([without])["imu"] == ""

@@ -17,7 +17,7 @@ from quadsim.wind import Constant
 from scenarios.bench.breaking import BreakingPoint
 from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
-from scenarios.bench.offline import UNRANKED
+from scenarios.bench.offline import UNRANKED, OfflineRow, table_of
 from scenarios.bench.pairs import paired_differences
 from scenarios.bench.runner import Results
 from scenarios.bench.series import decimation, unpack_series
@@ -423,3 +423,14 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
     assert page.locator("#chips button").all_inner_texts() == names
     assert names[0] in page.locator("#violins text").all_text_contents()
     page.close()
+
+
+def test_recorded_flights_rank_no_reference_and_no_flaw():
+    rows = [
+        OfflineRow("mahony", "level", mean_deg=2.0),
+        OfflineRow("peek", "level", mean_deg=0.0, reference=True),
+        OfflineRow("level", "level", mean_deg=1.0, flaw="returned the same roll and pitch at every sample"),
+    ]
+    assert offline_verdict(table_of(rows)).headline.endswith("mahony, 2.00°.")
+    assert [each[UNRANKED] for each in table_of(rows)][:2] == ["", "reference"]
+    assert UNRANKED not in table_of(rows[:1])[0]

@@ -332,4 +332,7 @@ def test_recorded_flights_have_a_verdict_of_their_own():
         {"estimator": "mahony", "start": "known", "mean_deg": 2.5},
     ]
     assert offline_verdict(rows).headline == "Smallest error on recorded flights: mahony, 2.50°."
+    flawed = [{"estimator": "x", "start": "known", "mean_deg": 0.1, UNRANKED: "returned ..."}, *rows]
+    assert offline_verdict(flawed).headline == "Smallest error on recorded flights: mahony, 2.50°."
+    assert offline_verdict(flawed[:2]).headline == "Recorded flights"
     assert shown(np.inf) == "not measured"
