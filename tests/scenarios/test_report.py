@@ -23,6 +23,7 @@ from scenarios.bench.runner import Results
 from scenarios.bench.series import decimation, unpack_series
 from scenarios.bench.settings import FlightSettings
 from scenarios.bench.signals import SHARED, SignalLog
+from scenarios.bench.verdict import offline_verdict
 from scenarios.report.flight_picture import Picture
 from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
 
