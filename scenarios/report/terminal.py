@@ -239,7 +239,11 @@ def offline_table(rows: Sequence[OfflineRow]) -> Table:
         for r in rows
     }
     silenced = {r.estimator: "–" if r.silenced_deg is None else f"{r.silenced_deg:.2f}" for r in rows}
-    entries = ([n, *(errors.get((n, start), "–") for start in starts), s] for n, s in silenced.items())
+    unranked = {r.estimator: f"{r.estimator}: not ranked, {r.unranked}" for r in rows if r.unranked}
+    entries = (
+        [unranked.get(n, n), *(errors.get((n, start), "–") for start in starts), s]
+        for n, s in silenced.items()
+    )
     title = "On recorded flights: error of roll and pitch, mean ± SD over flights, °"
     return _table(title, ["estimator"], [*starts.values(), "silenced"], entries)
 
