@@ -65,7 +65,7 @@ def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) ->
 
 
 def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
-    """A user's estimator, after a reset of two vehicles and an update at rest.
+    """A user's estimator, after a reset of three vehicles and an update at rest.
 
     Raises:
         ValueError: It is no estimator: what it lacks, or what it did.
@@ -73,17 +73,17 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
     if missing := [each for each in ("reset", "update") if not callable(getattr(est, each, None))]:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
     try:
-        est.reset(n=2, roll_pitch=None)
+        est.reset(n=3, roll_pitch=None)
         if (observe := getattr(est, "observe", None)) is not None and receives_truth(est):
-            observe(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
-        result = est.update(np.zeros((2, 3)), np.tile([0.0, 0.0, GRAVITY], (2, 1)))
+            observe(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
+        result = est.update(np.zeros((3, 3)), np.tile([0.0, 0.0, GRAVITY], (3, 1)))
         result = np.asanyarray(result)
     except (Exception, SystemExit) as error:  # whatever a user's class does
         raise ValueError(
-            f"{name}: reset(n=2, roll_pitch=None) and update(gyro, accel), each (2, 3), end with "
+            f"{name}: reset(n=3, roll_pitch=None) and update(gyro, accel), each (3, 3), end with "
             f"{type(error).__name__}: {error}"
         ) from error
-    roll_pitch_of(result, (2, 2), name)
+    roll_pitch_of(result, (3, 2), name)
     return est
 
 

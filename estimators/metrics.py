@@ -16,6 +16,8 @@ RANGE = 100.0
 differences of much larger numbers modulo 2π are rounding errors."""
 MOTION = 1e-6
 """Largest change of the truth at which a flight counts as motionless [rad]."""
+CONSTANT = 0.01
+"""Share of the truth's change up to which a change of the estimate counts as none."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ def flaw_of(estimate: ArrayLike, truth: ArrayLike) -> str:
     """Why an estimator must not be ranked by its estimates, to follow its name in a sentence; "" if it may.
 
     It may not if a roll or pitch is not a finite number or is beyond ±`RANGE`, or if the estimates are
-    constant in every flight in which the truth moves.
+    constant (up to `CONSTANT`) in every flight in which the truth moves.
 
     Args:
         estimate: Roll and pitch (n, T, 2) or (T, 2) [rad].
@@ -119,8 +121,9 @@ def flaw_of(estimate: ArrayLike, truth: ArrayLike) -> str:
         return f"returned roll or pitch that is not a finite number in {_percent(~finite)} of the samples"
     if not within.all():
         return f"returned angles beyond ±{RANGE:g} rad in {_percent(~within)} of the samples"
-    moves = [each for each, there in enumerate(known) if _span(truth[each, there]) > MOTION]
-    if moves and all(_span(estimate[each, known[each]]) == 0.0 for each in moves):
+    spans = [(_span(estimate[k, there]), _span(truth[k, there])) for k, there in enumerate(known)]
+    moving = [(own, true) for own, true in spans if true > MOTION]
+    if moving and all(own <= CONSTANT * true for own, true in moving):
         return "returned the same roll and pitch at every sample"
     return ""
 

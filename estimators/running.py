@@ -24,8 +24,6 @@ from .filters.algorithm import paired, start
 from .registry import COMPILED, airframe_constants, create, parameter_matrix, parameter_sets
 
 Array = NDArray[np.float64]
-START = 400
-"""Samples on which a user's `sequence` is compared with `update`."""
 SAME = 1e-4
 """Largest difference between the two [rad]: less than the last digit of the tables, 0.01°, and more than
 rounding in single precision."""
@@ -61,9 +59,9 @@ def run(
             one of the user's that fails, does not return real numbers (n, 2), or whose `sequence` differs
             from its `update`.
     """
-    first = streamed_start(est, gyro, accel, roll_pitch, **sensors)
+    streamed = streamed_once(est, gyro, accel, roll_pitch, **sensors)
     out = run_quietly(est, gyro, accel, roll_pitch, quat, **sensors)
-    require_same(est, out, first)
+    require_same(est, out, streamed)
     skipped = missing_samples(est)
     if skipped > 0:
         logger.warning(
@@ -95,43 +93,40 @@ def run_quietly(
         return roll_pitch_of(returned, (*readings.gyro.shape[:2], 2), type(est).__name__, "sequence")
 
 
-def streamed_start(
+def streamed_once(
     est: AttitudeEstimator,
     gyro: ArrayLike,
     accel: ArrayLike,
     roll_pitch: ArrayLike | None = None,
     **sensors: Unpack[OtherSensors],
 ) -> Array | None:
-    """Estimates of the first `START` samples by `update`, for `require_same`; arguments as of `run`.
+    """Estimates of the first sequence, whole, by `update`, for `require_same`; arguments as of `run`.
 
     Returns:
-        Roll and pitch (n, START or T, 2) [rad]; None for an estimator that `run` streams anyway, or that
-        ships, whose two ways are equal by test.
+        Roll and pitch (1, T, 2) [rad]; None for an estimator that `run` streams anyway, or that ships, whose
+        two ways are equal by test.
     """
     if _ships(est) or receives_truth(est) or getattr(est, "sequence", None) is None:
         return None
-    readings = _sequences(gyro, accel, **sensors).map(lambda each: each[:, :START])
+    readings = _sequences(gyro, accel, **sensors).map(lambda each: each[:1])
     with _named(est):
-        return _stream(est, readings, roll_pitch, None)
+        return _stream(est, readings, None if roll_pitch is None else np.asarray(roll_pitch)[:1], None)
 
 
-def require_same(est: AttitudeEstimator, estimate: Array, first: Array | None) -> None:
+def require_same(est: AttitudeEstimator, estimate: Array, streamed: Array | None) -> None:
     """Refuse an estimator whose `sequence` does not give what its `update`, which flies, gives.
 
     Args:
         est: The estimator.
         estimate: Roll and pitch by `sequence` (n, T, 2) [rad].
-        first: From `streamed_start`.
+        streamed: From `streamed_once`.
 
     Raises:
         ValueError: They differ by more than `SAME`.
     """
-    if first is None:
-        return
-    if difference := differ(estimate[:, : first.shape[1]], first, SAME):
+    if streamed is not None and (difference := differ(estimate[:1], streamed, SAME)):
         raise ValueError(
-            f"{type(est).__name__}: sequence does not give the estimates of update, which flies: within the "
-            f"first {first.shape[1]} samples {difference}"
+            f"{type(est).__name__}: sequence does not give the estimates of update, which flies: {difference}"
         )
 
 

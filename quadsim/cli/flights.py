@@ -133,7 +133,9 @@ def fly(
     if row.reason:
         raise ValueError(f"{scenario} did not run with {estimator}: {row.reason}")
     warn_of(done.results)
-    errors = "no flight without a crash to measure"
+    for name, why in done.results.unranked.items():
+        console.print(f"{name} {why}.", soft_wrap=True, markup=False)
+    errors = "so there is no error to report"
     if row.error_deg is not None and row.attitude_deg is not None:
         errors = f"error {row.error_deg:.2f}°, attitude tracking error {row.attitude_deg:.2f}°"
     console.print(
@@ -207,7 +209,8 @@ def bench(
 ) -> None:
     """Fly scenarios × estimators × seeds in closed loop, and report which estimator is best.
 
-    Finished cells are stored: the same command resumes a killed run. Breaking points are
+    Finished cells are stored: the same command resumes a killed run. The exit code is 2 only where no cell
+    ran at all; results.csv has the reason of each that did not. Breaking points are
     searched by bisection, with the same estimators and seeds, and join the report.
 
     With --axes or --held-out, the report, effects.csv and axes.png have the error and the crashes at each

@@ -22,8 +22,9 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     """Open a dataset; its arrays are read when they are used.
 
     Opening always compares the names, dimensions, shapes and units of all arrays with those that quadsim
-    writes. It compares every number with its checksum the first time, and again when the size or the time
-    stamp of a file has changed. `verify` compares every file with its digest, whatever its time stamp.
+    writes, and the configuration and coordinates with their digests. It compares every number with its
+    checksum the first time, and again when the size or the time stamp of a file has changed. `verify`
+    compares every file with its digest, whatever its time stamp.
 
     Args:
         path: A dataset that `generate` wrote.

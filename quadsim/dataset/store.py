@@ -348,7 +348,7 @@ def refuse_damaged(path: Path, attributes: Attributes) -> None:
 
 
 def refuse_mislabelled(path: Path, attributes: Attributes) -> None:
-    """Compare names, dimensions, shapes and units with what quadsim writes, and time with the attributes.
+    """Compare all but the numbers of flights with what quadsim writes, and with the files' digests.
 
     Raises:
         ValueError: The first that differs, what was found and what is expected.
@@ -387,6 +387,8 @@ def refuse_mislabelled(path: Path, attributes: Attributes) -> None:
         raise ValueError(f"{path} is damaged: rate_hz, duration_s and time do not belong together")
     if not isinstance(json.loads(attributes.config), dict):
         raise ValueError(f"{path} is damaged: its configuration is no table")
+    if changed := changed_files(path):
+        raise ValueError(f"{path} is damaged: {', '.join(changed)} changed since it was written")
 
 
 def changed_files(path: Path) -> list[str]:

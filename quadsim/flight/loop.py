@@ -257,11 +257,9 @@ class FlightLoop:
                 if self._observe is not None:
                     self._observe(self.plant.quat.copy())
                 returned = self.readings.give_copies(self.estimator.update, self._accepted)
-                self.attitude = roll_pitch_of(returned, self._shape, self._name)
-            except ValueError:
-                raise
             except (Exception, SystemExit) as error:  # whatever a user's class does
                 raise ValueError(f"{self._name}: update ends with {type(error).__name__}: {error}") from error
+            self.attitude = roll_pitch_of(returned, self._shape, self._name)
             measured["roll_pitch"] = self.attitude
 
     def next_noise(self) -> int:

@@ -47,7 +47,7 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
 
         def update(done: int, total: int, note: str = "") -> None:
             speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
-            remarks = [f"{speed:.0f} a second" if speed >= 10 else f"{speed:.2g} a second"] if speed else []
+            remarks = [f"{speed:.0f}/s" if speed >= 10 else f"{speed:.2g}/s"] if speed else []
             bar.update(
                 task,
                 completed=done,

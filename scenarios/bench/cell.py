@@ -155,8 +155,10 @@ def make_cell(
     before = np.arange(mission.steps) < end[:, None]
     valid = log[before]
     flaw = flaw_of(log["estimate"], np.where(before[..., None], log["euler"][..., :2], np.nan))
-    if not (np.abs(valid["estimate"]) <= RANGE).all():
-        raise ValueError(f"the estimator {flaw}")
+    wrong = before & ~(np.abs(log["estimate"]) <= RANGE).all(axis=-1)
+    if wrong.any():
+        first_s = wrong.any(axis=0).argmax() / mission.rate_hz
+        raise ValueError(f"the estimator {flaw.partition(' in ')[0]}, first at {first_s:.2f} s")
     if not (np.abs(valid.view(np.float64)) < BOUNDLESS).all():
         raise ValueError("the flight diverged; is a number of the scenario too large?")
     metrics = vars(flight_metrics(log, end, mission.rate_hz, mission.vehicle))

@@ -238,7 +238,7 @@ def wilson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
     share, square = hits / trials, z * z / trials
     middle = (share + square / 2) / (1 + square)
     half = z * math.sqrt(share * (1 - share) / trials + square / (4 * trials)) / (1 + square)
-    return max(0.0, middle - half), min(1.0, middle + half)
+    return max(0.0, middle - half) if hits else 0.0, min(1.0, middle + half) if hits < trials else 1.0
 
 
 def summarise(scenario: str, estimator: str, reason: str, flights: Sequence[FlightRow]) -> CellRow:

@@ -24,8 +24,8 @@ class Recommendation(Strict):
     def elsewhere(self) -> str:
         """A sentence for reports of other flights."""
         return (
-            f"The held-out suite of release {self.release} varies all of these and wind, and is the general "
-            f"recommendation: {self.sentence}"
+            f"In general: {self.sentence} (Held-out suite of release {self.release}, which varies all of "
+            "these and the wind.)"
         )
 
 

@@ -182,17 +182,18 @@ def bench(
 def identical(results: Results) -> dict[str, str]:
     """Estimators whose flights equal those of one before them to the last digit, and which one.
 
-    A reference stands for no estimator.
+    A reference stands for no estimator; what did not run failed for the same reason.
     """
     references = results.references
     flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators if name not in references}
     for flight in results.flights:
         if flight.estimator not in references:
             flown[flight.estimator].append(replace(flight, estimator=""))
-    first: dict[tuple[FlightRow, ...], str] = {}
+    reasons = {name: tuple(cell.reason for cell in results.cells if cell.estimator == name) for name in flown}
+    first: dict[tuple[object, ...], str] = {}
     found = {}
     for name, flights in flown.items():
-        if flights and (earlier := first.setdefault(tuple(flights), name)) != name:
+        if flights and (earlier := first.setdefault((*flights, reasons[name]), name)) != name:
             found[name] = earlier
     return found
 

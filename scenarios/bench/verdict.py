@@ -17,6 +17,9 @@ from .ranking import Place, by_contender, listed, ranked, winners
 from .recommendation import recommendation
 from .runner import Results
 
+FEW = 5
+"""Flights of each estimator in a scenario below which the headline warns that they are few."""
+
 
 class Measure(NamedTuple):
     """What ranks."""
@@ -97,6 +100,8 @@ def verdict(results: Results, focus: str = "") -> Verdict:
         )
     if focus in order[1:]:
         lines.append(_sentence(focus, totals[focus], truth, measure))
+    if unranked.keys() - {TRUTH}:
+        lines.append(f"Not ranked: {'; '.join(f'{name} {why}' for name, why in unranked.items())}.")
     return Verdict(headline, list(filter(None, lines)), standings)
 
 
@@ -216,12 +221,16 @@ def _alone(name: str, own: Total, measure: Measure) -> str:
     name = said(name, measure)
     if own.flights == 1:
         if own.crashes:
-            return f"{name} crashed."
-        return f"{name} did not crash: {measure.name} {shown(own.error)}."
+            return f"{name} crashed{_failed(own)}."
+        return f"{name} did not crash: {measure.name} {shown(own.error)}{_failed(own)}."
     crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
     of_those = " in the others" if own.crashes else ""
     error = "" if own.crashes == own.flights else f", {measure.name} {shown(own.error)}{of_those}"
-    return f"{name}: {crashes} {own.flights} flights{error}."
+    return f"{name}: {crashes} {own.flights} flights{error}{_failed(own)}."
+
+
+def _failed(own: Total) -> str:
+    return f"; {own.failed} scenario{'s' if own.failed > 1 else ''} did not run" if own.failed else ""
 
 
 def _headline(
@@ -237,7 +246,14 @@ def _headline(
     compared = {place.name for place in places}
     pairs = paired_differences([flight for flight in results.flights if flight.estimator in compared])
     best = winners(places, lambda first, other: _worse(first, other, pairs, measure))
-    text = recommended(best, places, measure)
+    text, seeds = recommended(best, places, measure), results.settings.seeds
+    if seeds == 1 and (alike := sum(place.whole for place in places)) > 1:
+        text = (
+            f"{said(places[0].name, measure)} has the smallest {measure.name}, {shown(places[0].error)}, of "
+            f"the {alike} that did not crash; one flight in each scenario is too few to recommend it."
+        )
+    elif seeds < FEW and len(best) > 1:
+        text += f" {_flights(seeds)} of each in a scenario cannot show small differences."
     where = _where(left, "these")
     if lost:
         return f"No estimator survives {_where(lost, 'any of')}; in {where} {text}"
@@ -273,20 +289,22 @@ def recommended(best: Sequence[Place], places: Sequence[Place], measure: Measure
         own = f"its {measure.name} is {error} in the others"
         return f"fly {names}, though it {first.lost}; no other survived more, and {own}."
     alike = sum(place.whole for place in places)
-    if alike == 1 and len(places) > 1:
-        return f"fly {names}, the only one without a crash in {flights}; its {measure.name} is {error}."
-    of_those = "" if alike == len(places) else f" of the {alike} without one"
+    if alike == 1:
+        survives = f"to survive all {flights}" if first.flights > 1 else "to survive"
+        only = survives if len(places) > 1 else f"that ran, with no crash in {flights}"
+        return f"fly {names}, the only one {only}; its {measure.name} is {error}."
+    of_those = "" if alike == len(places) else f" of the {alike} that survived all"
     return f"fly {names}, with no crash in {flights} and the smallest {measure.name}{of_those}, {error}."
 
 
 def _worse(first: str, other: str, pairs: Sequence[PairRow], measure: Measure) -> bool:
-    """Whether the error of `other` over all scenarios is significantly larger, or there is no test of it."""
+    """Whether the error of `other` over all scenarios is significantly larger."""
     for row in pairs:
         if (row.scenario, row.metric) == (ALL, measure.key) and {row.estimator, row.versus} == {first, other}:
             if row.low is None or row.high is None:
-                return True
+                return False
             return row.high < 0.0 if row.estimator == first else row.low > 0.0
-    return True
+    return False
 
 
 def _elsewhere(scenarios: Mapping[str, Scenario]) -> str:
@@ -373,7 +391,7 @@ def _standing(
     if measure == TRACKING and changes:
         text += f" · command jitter {np.mean(changes):.1f} rad/s"
     if each.failed:
-        text += f" · {each.failed} scenario{'s' if each.failed > 1 else ''} did not run"
+        text += _failed(each).replace(";", " ·")
     if why_unranked:
         text += f" · not ranked: it {why_unranked}"
     return Standing(name, "crashes" if crashed or each.failed or why_unranked else "flies", text)

@@ -158,7 +158,7 @@ def _footer(results: Results) -> str:
         return ""
     s = results.settings
     return (
-        f"{s.seeds} flight{'s' if s.seeds > 1 else ''} in each cell, seeds 0 to {s.seeds - 1} of {s.seed}, "
+        f"{s.seeds} flight{'s' if s.seeds > 1 else ''} in each cell, from the root seed {s.seed}, "
         f"at {s.rate_hz:g} Hz. Flight i of every estimator has the same wind, sensor noise and start. Roll "
         "and pitch come from the estimator, position, velocity and yaw from an external sensor: "
         f"{', '.join(sorted({scenario.external for scenario in results.scenarios.values()}))}."

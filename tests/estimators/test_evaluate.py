@@ -196,7 +196,28 @@ class Same(Plain):
         return self.angle[:, None] + np.cumsum(gyro[..., :2], axis=1) / self.rate_hz
 
 
-@pytest.mark.parametrize("made", [Huge, Constant, Peek, Exits, Raises, Column, Complex, Masked, Faster])
+class Late(Same):
+    """Has a `sequence` that equals its `update` until shortly before the end."""
+
+    def sequence(self, gyro, accel):
+        """Take a sequence."""
+        out = super().sequence(gyro, accel)
+        out[:, 900:] *= 0.9
+        return out
+
+
+class Almost(Plain):
+    """Moves by a millionth of what the vehicle does."""
+
+    def update(self, gyro, accel):
+        """Take a sample."""
+        return 1e-6 * super().update(gyro, accel)
+
+
+HOSTILE = [Huge, Constant, Almost, Peek, Exits, Raises, Column, Complex, Masked, Faster, Late]
+
+
+@pytest.mark.parametrize("made", HOSTILE)
 def test_what_cannot_be_ranked_is_listed_and_is_not_the_best(flights, made):
     part = flights.isel(time=slice(1000))
     done = evaluate(part, {"bad": made(), "mahony": create("mahony")}, settle_s=1.0)

@@ -555,6 +555,15 @@ def test_a_unit_edited_in_the_arrays_own_file_alone_is_refused_too(own):
         open_dataset(own)
 
 
+def test_an_edited_configuration_is_refused(own):
+    file = own / "zarr.json"
+    found = file.read_text()
+    assert found.count('\\"mass\\":0.716') >= 1
+    file.write_text(found.replace('\\"mass\\":0.716', '\\"mass\\":0.816'))
+    with pytest.raises(ValueError, match=r"is damaged: zarr\.json changed since it was written"):
+        open_dataset(own)
+
+
 def test_a_dataset_without_digests_of_its_files_is_opened_and_verified(own):
     (own / dataset_store.DIGESTS).unlink()
     assert open_dataset(own).sizes["flight"] == FLIGHTS

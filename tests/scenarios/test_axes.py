@@ -1,7 +1,7 @@
 """Designed combinations of the axes, their effects, and the advice that follows."""
 
 from collections import Counter
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import combinations as pairs_of
 
 import numpy as np
@@ -175,6 +175,15 @@ def test_an_estimator_that_flies_exactly_as_another_is_shown_once():
     assert identical(results) == {"att-snn-loihi": "att-snn"}
     assert {each.estimator for each in effects(combos, results)} == {"att-snn", "imm"}
     assert "att-snn-loihi" not in " ".join(advice(combos, results))
+
+
+def test_estimators_that_failed_for_other_reasons_are_not_the_same():
+    combos = [replace_level(0, "drag", "known"), replace_level(1, "drag", "known")]
+    errors = {(c.name, name): [1.0, 2.0] for c in combos for name in ("x", "y")}
+    results = made(errors, combos, failed={("axes-1", "x"), ("axes-1", "y")})
+    assert identical(results) == {"y": "x"}
+    cells = [replace(c, reason="no idea") if c.reason and c.estimator == "y" else c for c in results.cells]
+    assert identical(replace(results, cells=cells)) == {}
 
 
 def test_one_flight_of_each_combination_has_no_interval():

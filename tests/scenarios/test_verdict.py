@@ -86,9 +86,7 @@ def test_a_flight_that_did_not_run_counts_as_lost():
     results = benchmark({"x": {"a": [3.0, 3.0], "b": [3.0, 3.0]}, "y": {"a": [1.0, 1.0], "b": "no weights"}})
     assert order(results) == ["x", "y"]
     found = judged(results)
-    assert found.headline == (
-        "In a and b fly x, the only one without a crash in 4 flights; its error is 3.00°."
-    )
+    assert found.headline == ("In a and b fly x, the only one to survive all 4 flights; its error is 3.00°.")
     assert found.standings[1].text.endswith("1 scenario did not run")
 
 
@@ -145,7 +143,7 @@ def test_estimators_that_do_not_differ_significantly_from_the_best_are_all_named
     )  # fmt: skip
     assert judged(results).headline == (
         "In a fly x, y or z; none of them crashed in 4 flights, and the differences in error (1.00° to "
-        "1.12°) are not significant."
+        "1.12°) are not significant. 4 flights of each in a scenario cannot show small differences."
     )
 
 
@@ -167,7 +165,7 @@ def test_only_those_without_a_crash_are_compared_by_their_error():
         {"x": {"a": [1.0, 1.0]}, "y": {"a": [2.0, 2.0]}, "z": {"a": [crash(5.0, 0.01), 0.01]}}
     )
     assert judged(results).headline == (
-        "In a fly x, with no crash in 2 flights and the smallest error of the 2 without one, 1.00°."
+        "In a fly x, with no crash in 2 flights and the smallest error of the 2 that survived all, 1.00°."
     )
 
 
@@ -175,8 +173,25 @@ def test_many_scenarios_are_counted_and_few_are_named():
     flown = {name: [1.0, 1.1] for name in "abcde"}
     results = benchmark({"x": flown, "y": {name: [2.0, 2.1] for name in flown}})
     assert judged(results).headline.startswith("In these 5 scenarios fly x, with no crash in 10 flights")
-    few = benchmark({"x": {"a": [1.0], "b": [1.0]}, "y": {"a": [2.0], "b": [2.0]}})
+    few = benchmark({"x": {"a": [1.0, 1.1], "b": [1.0, 1.1]}, "y": {"a": [2.0, 2.1], "b": [2.0, 2.1]}})
     assert judged(few).headline.startswith("In a and b fly x")
+
+
+def test_one_flight_recommends_nothing():
+    results = benchmark({"x": {"a": [1.0]}, "y": {"a": [2.0]}, "z": {"a": [crash(5.0)]}})
+    assert judged(results).headline == (
+        "In a x has the smallest error, 1.00°, of the 2 that did not crash; one flight in each scenario is "
+        "too few to recommend it."
+    )
+
+
+def test_who_did_not_run_is_no_rival():
+    results = benchmark({"x": {"a": [1.0, 1.1]}, "y": {"a": "no weights"}})
+    assert judged(results).headline == (
+        "In a fly x, the only one that ran, with no crash in 2 flights; its error is 1.05°."
+    )
+    alone = benchmark({"x": {"a": [1.0, 1.1], "b": "no idea"}})
+    assert judged(alone).headline == "x: no crash in 2 flights, error 1.05°; 1 scenario did not run."
 
 
 # --- what is never ranked -------------------------------------------------------------------------
@@ -206,6 +221,7 @@ def test_an_estimate_that_never_changes_is_not_ranked():
     found = judged(results)
     assert found.headline.startswith("In a fly mahony")
     assert found.standings[-1].text.endswith(f"not ranked: it {why}")
+    assert f"Not ranked: level {why}." in found.lines
 
 
 def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate():
@@ -275,8 +291,7 @@ def test_every_verdict_says_on_what_condition_it_holds_and_what_to_fly_elsewhere
         "Conditions: airframe hummingbird; its drag known in 1 scenario, 2 times what is known in 1 "
         "scenario, not known in 1 scenario; IMU adis16448; initial attitude given in 2 scenarios, not given "
         "in 1 scenario.",
-        f"The held-out suite of release {recommendation().release} varies all of these",
-        recommendation().sentence,
+        f"In general: {recommendation().sentence} (Held-out suite of release {recommendation().release}",
     ):
         assert part in line
 
