@@ -346,7 +346,7 @@ def advice(combinations: Sequence[Combination], results: Results, seed: int = 0)
     if safest is not None:
         lines.append(f"Smallest loss at its worst level: {safest}, {described(worst[safest])}.")
     if not is_held_out(combinations):
-        lines.append(f"Elsewhere: {recommendation().elsewhere}")
+        lines.append(recommendation().elsewhere)
     return lines
 
 

@@ -112,7 +112,7 @@ class Deaf(Fair):
     ],
 )
 def test_what_is_broken_is_named(broken, check):
-    with pytest.raises(ValueError, match=f"^{broken.__name__} fails ({check}): "):
+    with pytest.raises(ValueError, match=f"^{broken.__name__}( fails ({check})|: update returns)"):
         check_estimator(broken)
 
 

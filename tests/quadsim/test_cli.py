@@ -337,7 +337,9 @@ def test_a_designed_bench_has_the_report_by_condition_and_is_reported_again(quad
     flown = ["--estimator", "truth", "--estimator", "mahony", "--seeds", 1, "--duration", 0.3, "--workers", 1]
     code, out, _ = quadsim("bench", "--axes", *flown, "--out", tmp_path)
     assert code == 0
-    assert "report.html: Fly mahony, whether the airframe's drag is known or not." in out
+    assert (
+        "report.html: On these 4 combinations fly mahony, whether the airframe's drag is known or not." in out
+    )
     assert "warning" not in out
     first = (tmp_path / "report.html").read_text()
     assert "Combinations flown" in first

@@ -11,7 +11,7 @@ from quadsim.dataset import store as dataset_store
 from quadsim.dataset.export import FORMATS, export, timestamps
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.dataset.store import VARIABLES, Recorded
+from quadsim.dataset.store import DIGESTS, VARIABLES, Recorded
 from quadsim.flight.simulate import FlightConfig, simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.vehicle import load_vehicle
@@ -61,6 +61,7 @@ def test_a_dataset_whose_imu_is_unknown_is_exported_without_its_noise(source, tm
         del config["imu"]
     whole["attributes"]["config"] = json.dumps(config)
     file.write_text(json.dumps(whole))
+    (tmp_path / "x.zarr" / DIGESTS).unlink()  # as of an older dataset, whose configuration may be edited
     out = export(tmp_path / "x.zarr", tmp_path / "out", format)
     if format == "csv":
         mav = out / "flight_000" / "mav0"

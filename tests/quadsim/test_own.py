@@ -201,7 +201,7 @@ def test_a_class_that_fails_later_is_named(file):
 def test_a_class_that_is_fed_the_truth_is_given_it_before_its_first_update(file):
     source = "\n\nclass Peek(Mine):\n    def observe(self, quat):\n        self.truth = quat[:, 1:3]\n"
     file.write_text(SOURCE + source + "\n    def update(self, gyro, accel):\n        return self.truth\n")
-    assert estimators.create("mine.py:Peek").truth.shape == (2, 2)
+    assert estimators.create("mine.py:Peek").truth.shape == (3, 2)
 
 
 @pytest.mark.parametrize("where", ["__init__(self, rate_hz, gain=0.02)", "update(self, gyro, accel)"])

@@ -128,14 +128,14 @@ def test_advice_has_a_sentence_for_each_condition_and_says_when_it_cannot_choose
         assert "are not significant" in line
     assert "ekf-drag" not in unknown
     assert "ekf-drag" not in safest
-    assert elsewhere.endswith(recommendation().sentence)
+    assert elsewhere.startswith(f"In general: {recommendation().sentence}")
 
 
 def test_a_crash_weighs_more_than_any_error():
     combos = [replace_level(0, "drag", "known")]
     errors = {("axes-0", "imm"): [9.0] * 12, ("axes-0", "vqf"): [0.1] * 4 + [None] * 8}
     assert (
-        "fly imm, the only one without a crash in 12 flights; its error is 9.00°."
+        "fly imm, the only one to survive all 12 flights; its error is 9.00°."
         in (advice(combos, made(errors, combos))[0])
     )
 

@@ -600,7 +600,7 @@ def test_no_hostile_estimator_wins_a_flown_benchmark(tmp_path):
     reasons = {name: results.rows[1 + k].reason for k, name in enumerate(own)}
     assert "not a finite number" in reasons["NaN"]
     assert "angles beyond ±100 rad" in reasons["Huge"]
-    assert reasons["Raises"] == "RuntimeError: no idea"
+    assert reasons["Raises"] == "Raises: update ends with RuntimeError: no idea"
     assert results.unranked == {
         own["Peek"]: "received the true attitude",
         own["Constant"]: "returned the same roll and pitch at every sample",
