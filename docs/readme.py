@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         [
             f"**{recommendation().sentence}** This is the result of the held-out suite of flights in closed",
             "loop: four airframes, four IMUs, wind, starts at rest and in motion",
-            "([verdict](docs/verdict.md)). The errors on recorded flights, outside the loop, are:",
+            "([verdict](docs/verdict.md)). Errors outside the loop, on simulated and on real flights:",
             "",
             *HEAD,
             *(row(name, *cells) for name, cells in rows.items()),

@@ -351,3 +351,10 @@ def test_recorded_flights_have_a_verdict_of_their_own():
     assert offline_verdict(flawed).headline == "Smallest error on recorded flights: mahony, 2.50°."
     assert offline_verdict(flawed[:2]).headline == "Recorded flights"
     assert shown(np.inf) == "not measured"
+
+
+def test_every_page_of_results_states_the_one_recommendation():
+    root = FILE.parents[2]
+    for page in ("README.md", "docs/verdict.md", "docs/closed-loop.md"):
+        text = " ".join((root / page).read_text("utf-8").split())
+        assert recommendation().sentence in text, page
