@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .recording import TruthAxes
+from .truth_delay import Agreement
 
 LONGEST_GAP_S = 30.0
 """A longer gap ends a recording, and what follows is another part of it."""
@@ -25,7 +26,7 @@ NO_TURN = 200.0
 UNIT_NORM = 0.02
 """Quaternions of the truth may be longer or shorter than one by this."""
 AGREEMENT = 0.7
-"""Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
+"""Correlation of the truth's turns with the gyroscope's, corrected for noise, below which frames are doubted."""
 MOUNTED_AGREEMENT = 0.9
 """That correlation under the best rotation of the gyroscope's axes above which a mounting explains them."""
 MOUNTED_GAIN = 0.01
@@ -85,12 +86,10 @@ class LogReport:
     """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
     slope: float | None
     """The gyroscope's rates over the truth's: 1 where units agree."""
-    axes: tuple[float, float, float] | None
-    """Correlation of each axis; 1 where it hardly turns."""
     rotated_agreement: float | None
-    """Correlation under the rotation of the gyroscope's axes that fits the truth best,"""
-    rotation_deg: float | None
-    """and the angle of that rotation [deg]."""
+    """Correlation under the rotation of the gyroscope's axes that fits the truth best."""
+    turned: Agreement | None
+    """Whether the truth turns as the gyroscope does; None where there is too little motion."""
     tilt_deg: float | None
     """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
     second is complete, or a truth of the body shows it better."""
@@ -181,17 +180,18 @@ class LogReport:
         """A truth that is no attitude, or of other axes than the readings."""
         if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
             yield f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1"
-        if not self._agrees:
-            fault = f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f})"
-            rotated = self.rotated_agreement or 0.0
-            by = f"; with the IMU rotated by {self.rotation_deg:.0f}° it does ({rotated:.2f})"
-            mounting = f"{by}: {self._mend_of_truth}" if rotated > MOUNTED_AGREEMENT else ""
+        if (found := self.turned) is None:
+            pass
+        elif not self._agrees:
+            fault = f"the truth does not turn as the gyroscope does (correlation {found.agreement:.2f})"
+            by = f"; with the IMU rotated by {found.rotation_deg:.0f}° it does ({found.rotated:.2f})"
+            mounting = f"{by}: {self._mend_of_truth}" if found.rotated > MOUNTED_AGREEMENT else ""
             yield f"{fault}: look at frame and mount{mounting}"
-        elif self.axes is not None and min(self.axes) < AGREEMENT:
-            worst = int(np.argmin(self.axes))
+        elif min(found.axes) < AGREEMENT:
+            worst = int(np.argmin(found.axes))
             yield (
                 f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
-                f"(correlation {self.axes[worst]:.2f}): look at frame and mount"
+                f"(correlation {found.axes[worst]:.2f}): look at frame and mount"
             )
         if self._off_gravity > GRAVITY_WRONG:
             yield self._where_gravity
@@ -230,9 +230,9 @@ class LogReport:
         if GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
             yield self._where_gravity
         if not self.faults:
-            rotated = self.rotated_agreement or 0.0
-            if self.agreement and rotated > max(MOUNTED_AGREEMENT, self.agreement + MOUNTED_GAIN):
-                turned = f"the gyroscope rotated by {self.rotation_deg:.0f}°"
+            found = self.turned
+            if found and found.gain > MOUNTED_GAIN and found.common > MOUNTED_AGREEMENT:
+                turned = f"the gyroscope rotated by {found.rotation_deg:.0f}°"
                 yield f"the truth turns as {turned} does: {self._mend_of_truth}"
             if self.tilt_deg is not None and self.tilt_deg > TILT_DEG + 2 * self.tilt_sd_deg:
                 yield f"the mean specific force is {self.tilt_deg:.1f}° from body z: {self._mend}"
@@ -242,7 +242,7 @@ class LogReport:
 
     @property
     def _agrees(self) -> bool:
-        return self.agreement is None or self.agreement >= AGREEMENT
+        return self.turned is None or self.turned.agreement >= AGREEMENT
 
     @property
     def _off_gravity(self) -> float:
