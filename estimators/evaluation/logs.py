@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator, receives_truth
-from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
+from quadsim.logs.truth_bias import bias_by_truth
+from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.files import write_csv
 
 from ..appearance import looks
@@ -31,11 +32,9 @@ Progress = Callable[[int, int, str], None]
 LEVEL = "level"
 """The row of a guess that never looks at the sensor: how far the log is from level."""
 RAW, KNOWN = "raw", "known"
-"""Gyroscope as it reads, and with its mean bias over the log taken off."""
+"""Gyroscope as it reads, and with its mean bias over the log taken off, where that is significant."""
 SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
-RATE_MAX = 2.0
-"""Samples at which the bias is read turn more slowly than this [rad/s]: fast ones hold the truth's delay."""
 LISTED = 6
 """Estimators drawn in a picture, the best first."""
 
@@ -71,6 +70,10 @@ class LogScores:
     rows: list[LogRow] = field(default_factory=list)
     gyro_bias: dict[str, Array] = field(default_factory=dict)
     """Log to the mean bias of its gyroscope (3,) [rad/s]; NaN where the truth does not tell."""
+    bias_removed: dict[str, Array] = field(default_factory=dict)
+    """Log to what of it is significant and is removed (3,) [rad/s]; 0 on other axes, NaN where not known."""
+    bias_interval: dict[str, Array] = field(default_factory=dict)
+    """Log to half the width of the bias's 95 % interval (3,) [rad/s]."""
     time_s: dict[str, Array] = field(default_factory=dict)
     truth: dict[str, Array] = field(default_factory=dict)
     """Log to true roll and pitch (T, 2) [rad]."""
@@ -84,6 +87,16 @@ class LogScores:
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
         write_csv(path, self.rows)
+
+    def bias_text(self, log: str) -> str:
+        """The bias of a log's gyroscope with its 95 % interval, and what of it is removed."""
+        bias, half = np.degrees(self.gyro_bias[log]), np.degrees(self.bias_interval[log])
+        if not np.isfinite(bias).all():
+            return "gyro bias unknown"
+        shown = ", ".join(f"{b:+.2f} ± {h:.2f}" for b, h in zip(bias, half, strict=True))
+        axes = [axis for axis, value in zip("xyz", self.bias_removed[log], strict=True) if value != 0.0]
+        removed = f"{', '.join(axes)} removed" if axes else "not significant, nothing is removed"
+        return f"gyro bias ({shown}) °/s at 95 %: {removed}"
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over logs of the inclination RMSE [deg]."""
@@ -119,6 +132,8 @@ def score_logs(
 ) -> LogScores:
     """Run estimators over logs, each from an unknown attitude, with the raw gyroscope and without its bias.
 
+    Of the bias is removed what differs significantly from zero.
+
     Args:
         logs: From `quadsim.logs.read_log`.
         estimators: Names, or estimators under the names they are to have; none: `default_names`.
@@ -148,7 +163,9 @@ def score_logs(
         scores.counted[title] = counted = np.logical_and.reduce(
             list(_conditions(log, within_deg, skip_s).values())
         )
-        scores.gyro_bias[title] = bias = gyro_bias(gyro[0], quat[0], rate)
+        found = bias_by_truth(gyro[0], quat[0], rate)
+        scores.gyro_bias[title], scores.bias_interval[title] = found
+        scores.bias_removed[title] = bias = found.significant
         for which in (RAW, KNOWN):
             scores.rows.append(_row(title, LEVEL, which, np.zeros_like(truth[0]), truth[0], counted, rate))
         for name, est in made.items():
@@ -216,13 +233,9 @@ def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
         rate_hz: Samples per second.
 
     Returns:
-        (3,) [rad/s]; NaN if fewer than a second of slow samples is known.
+        (3,) [rad/s]; NaN if fewer than a second of slow turns is known.
     """
-    turn = canonical(quat_multiply(quat_conjugate(quat[:-1]), quat[1:]))
-    true = 2.0 * turn[:, 1:] * rate_hz  # the turn of one sample is small
-    above = 0.5 * (gyro[:-1] + gyro[1:]) - true
-    slow = np.isfinite(above).all(axis=1) & (np.linalg.norm(true, axis=1) < RATE_MAX)
-    return above[slow].mean(axis=0) if slow.sum() >= rate_hz else np.full(3, np.nan)
+    return bias_by_truth(gyro, quat, rate_hz).mean
 
 
 def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from rich.table import Table
 
 from estimators.evaluation.logs import KNOWN, RAW, default_names, draw_log, score_logs, unscorable
@@ -70,10 +69,8 @@ def evaluate_logs(
             counted = "; each of these counts as 180°" if row.without_number > 0.0 else ""
             text = f"{row.log}: {row.estimator} {row.flaw}{counted}: it is not ranked"
             output.print(text, soft_wrap=True, markup=False)
-    for log, bias in scores.gyro_bias.items():
-        shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
-        known = f"gyro bias ({shown}) °/s" if np.isfinite(bias).all() else "gyro bias unknown"
-        text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, {known}"
+    for log, counted in scores.counted.items():
+        text = f"{log}: {counted.sum() / rate:.0f} s scored, {scores.bias_text(log)}"
         output.print(text, soft_wrap=True, highlight=False)
     for (log, name), believed in scores.beliefs.items():
         shares = ", ".join(f"{model} {100.0 * share:.0f} %" for model, share in believed.share().items())

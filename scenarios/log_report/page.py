@@ -117,12 +117,11 @@ def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) 
 
 
 def _note(log: xr.Dataset, scores: LogScores, title: str, every: int) -> str:
-    rate, bias = float(log.attrs["rate_hz"]), np.degrees(scores.gyro_bias[title])
+    rate = float(log.attrs["rate_hz"])
     text = (
         f"{log.sizes['time'] / rate:.0f} s at {rate:g} Hz, {scores.counted[title].sum() / rate:.0f} s scored"
     )
-    if np.isfinite(bias).all():
-        text += f"; mean gyroscope bias ({', '.join(f'{value:+.2f}' for value in bias)}) °/s"
+    text += f"; {scores.bias_text(title)}"
     return text + (f"; one sample of {every} is drawn" if every > 1 else "") + "."
 
 

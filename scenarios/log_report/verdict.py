@@ -66,9 +66,12 @@ def _by_log(scores: LogScores, logs: list[str], names: list[str], best: str) -> 
 
 def _bias(scores: LogScores, names: list[str], error: dict[str, float]) -> list[str]:
     """Estimators that lose by a gyroscope bias that they do not find."""
-    largest = max(
-        (np.abs(bias).max() for bias in scores.gyro_bias.values() if np.isfinite(bias).all()), default=0.0
-    )
+    removed = np.abs([bias for bias in scores.bias_removed.values() if np.isfinite(bias).all()])
+    if not removed.any():
+        known = removed.size > 0
+        text = "No gyroscope bias differs significantly from zero: nothing is removed."
+        return [text] if known else []
+    largest = float(removed.max())
     if largest < LARGE_BIAS:
         return []
     without = {name: scores.mean(name, KNOWN) for name in names}

@@ -21,7 +21,15 @@ from quadsim.cli import app
 from quadsim.logs import read_log
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
-from quadsim.rotation import quat_from_euler, quat_rotate_inverse, roll_pitch_from_quat
+from quadsim.logs.truth_bias import bias_by_truth
+from quadsim.rotation import (
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate_inverse,
+    roll_pitch_from_quat,
+)
 from scenarios.log_report.page import write_log_report
 from scenarios.log_report.verdict import log_verdict
 
@@ -78,6 +86,41 @@ def test_a_fast_turn_has_the_bias_of_a_slow_one():
     gyro = np.tile([0.0, 0.0, 0.4], (2000, 1)) + BIAS
     np.testing.assert_allclose(gyro_bias(gyro, quat, 200.0), BIAS, atol=1e-6)
     assert np.isnan(gyro_bias(gyro[:100], quat[:100], 200.0)).all()
+
+
+def noisy(bias, noise=0.025, seconds=60.0, seed=0):
+    """A sensor that turns gently at 200 Hz, with a bias [rad/s] and a truth with white noise [rad]."""
+    time, rng = np.arange(round(seconds * 200)) / 200.0, np.random.default_rng(seed)
+    quat = quat_from_euler(0.2 * np.sin(2 * time), 0.2 * np.sin(3 * time), 0.3 * time)
+    turn = quat_multiply(quat_conjugate(quat[:-1]), quat[1:])
+    gyro = np.concatenate([400 * turn[:, 1:], [[0.0, 0.0, 0.3]]]) + rng.normal(0.0, 0.003, (time.size, 3))
+    accel = quat_rotate_inverse(quat, np.array([0.0, 0.0, 9.81])) + rng.normal(0.0, 0.05, gyro.shape)
+    seen = quat_multiply(quat, quat_from_rotvec(rng.normal(0.0, noise, gyro.shape)))
+    return resample(Recording("noisy", "x", time, gyro + bias, accel, "mocap", time, seen))[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bias_against_a_noisy_truth_is_within_its_interval(seed):
+    bias = np.radians([1.5, -1.0, 0.0])
+    found = bias_by_truth(*(noisy(bias, seed=seed)[name].to_numpy()[0] for name in ("gyro", "quat")), 200.0)
+    np.testing.assert_allclose(found.mean, bias, atol=np.radians(0.2))
+    assert (np.abs(found.mean - bias) < found.half_width).all()
+    assert (found.half_width < np.radians(0.8)).all()
+    assert found.significant.tolist() == [found.mean[0], found.mean[1], 0.0]
+
+
+def test_a_bias_is_removed_where_it_is_significant_and_the_report_says_where_not(tmp_path):
+    held, biased = noisy(np.zeros(3)), noisy(np.radians([2.0, 0.0, 0.0]), seed=1)
+    biased.attrs["source"] = "biased"
+    scores = score_logs([held, biased], {"mahony": create("mahony", k_p=1.0, k_i=0.0)})
+    error = {(row.log, row.bias): row.inclination_rmse_deg for row in scores.rows if row.estimator == "mahony"}
+    assert error["noisy", KNOWN] == error["noisy", RAW]
+    assert error["biased", KNOWN] < error["biased", RAW] - 0.2
+    assert scores.bias_text("noisy").endswith("not significant, nothing is removed")
+    assert scores.bias_text("biased").endswith("x removed")
+    alone = score_logs([held], ["mahony"])
+    assert any("nothing is removed" in line for line in log_verdict(alone).lines)
+    assert "nothing is removed" in write_log_report(tmp_path / "r.html", [held], alone).read_text()
 
 
 def test_a_network_has_the_error_of_itself_silenced_beside_its_own(log):
