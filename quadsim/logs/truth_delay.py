@@ -144,15 +144,22 @@ def turns(gyro: Array, quat: Array, rate_hz: float, span_s: float = SPAN_S) -> T
     return Turns(a, b, span)
 
 
-def turns_at_delay(rates: Turns, rate_hz: float) -> tuple[Array, Array, float]:
-    """Rates over spans that do not overlap, (m, 3) of each, less their means, and the slope of the first.
+def turns_at_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Array, int] | None:
+    """Rates of gyroscope and truth over spans that overlap, (m, 3) of each, less their means, and samples of one.
 
-    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out.
+    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out, and so
+    is the gyroscope's scale. Of both spans the one over which they have most in common is used. None where
+    there is too little motion.
     """
-    most, crosses = _at_all_delays(rates, rate_hz)
-    best = max(range(len(crosses)), key=lambda k: crosses[k].rotated_agreement)
-    a, b = _shifted(rates.measured, rates.true, best - most)
-    return a[:: rates.span], b[:: rates.span], crosses[best].slope
+    found = []
+    for span_s in (SPAN_S, LONG_S):
+        if (rates := turns(gyro, quat, rate_hz, span_s)) is None:
+            return None
+        most, crosses = _at_all_delays(rates, rate_hz)
+        best = max(range(len(crosses)), key=lambda k: crosses[k].rotated_agreement)
+        a, b = _shifted(rates.measured, rates.true, best - most)
+        found.append((crosses[best].common, a / crosses[best].slope, b, rates.span))
+    return max(found, key=lambda each: each[0])[1:]
 
 
 class _Cross(NamedTuple):

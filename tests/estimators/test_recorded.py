@@ -1,6 +1,7 @@
 """Scores on recorded logs: what counts, what a level guess makes, and what a known bias is worth."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from estimators.evaluation.logs import (
 )
 from quadsim.cli import app
 from quadsim.logs import read_log
+from quadsim.logs.mount_estimate import estimate_mount
+from quadsim.logs.mounting import mount_matrix, mounted
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 from quadsim.logs.truth_bias import bias_by_truth
@@ -33,6 +36,7 @@ from quadsim.rotation import (
 from scenarios.log_report.page import write_log_report
 from scenarios.log_report.verdict import log_verdict
 
+FILTERS = ("mahony", "madgwick", "complementary", "eskf", "vqf")
 BIAS = np.array([0.06, -0.02, 0.01])
 
 
@@ -121,6 +125,29 @@ def test_a_bias_is_removed_where_it_is_significant_and_the_report_says_where_not
     alone = score_logs([held], ["mahony"])
     assert any("nothing is removed" in line for line in log_verdict(alone).lines)
     assert "nothing is removed" in write_log_report(tmp_path / "r.html", [held], alone).read_text()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("bias", [-0.3, 0.0, 0.3])
+def test_no_filter_has_a_larger_error_with_the_estimated_mount(make_flights, bias, noise):
+    flight = make_flights(1, 40.0, seed=2, noise=0.0)
+    gyro, accel, quat = (flight[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
+    tilted = mount_matrix("rpy 2 0 0")
+    shake = quat_from_rotvec(np.random.default_rng(0).normal(0.0, noise, gyro.shape))
+    time = np.arange(len(gyro)) / 200.0
+    mine = Recording(
+        "mine", "x", time, gyro @ tilted, accel @ tilted + [0.0, bias, 0.0], "mocap", time,
+        quat_multiply(quat, shake),
+    )  # fmt: skip
+    found = estimate_mount(mine)
+    assert found.accel_bias is not None
+    uncertain = 0.1 + 2 * 9.81 * np.radians(found.sd_deg[0])
+    assert found.levelled or np.abs(found.accel_bias - [0.0, bias]).max() < uncertain
+    logs = {"without": mine, "with": mounted(mine, found.body_from_imu.tolist())}
+    scores = score_logs([resample(replace(each, name=name))[0] for name, each in logs.items()], FILTERS)
+    error = {(row.estimator, row.log): row.inclination_rmse_deg for row in scores.rows if row.bias == RAW}
+    for name in FILTERS:
+        assert error[name, "with"] < error[name, "without"] + 0.1
 
 
 def test_a_network_has_the_error_of_itself_silenced_beside_its_own(log):
