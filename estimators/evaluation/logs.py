@@ -25,6 +25,7 @@ from ..running import run
 from .beliefs import Beliefs, beliefs
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
+from .without_truth import Comparison, compare
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -33,6 +34,8 @@ LEVEL = "level"
 """The row of a guess that never looks at the sensor: how far the log is from level."""
 RAW, KNOWN = "raw", "known"
 """Gyroscope as it reads, and with its mean bias over the log taken off, where that is significant."""
+NO_ATTITUDE = "it has no attitude"
+"""Why a log is compared in place of scored."""
 SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
 LISTED = 6
@@ -83,6 +86,8 @@ class LogScores:
     """(log, estimator) to raw roll and pitch (T, 2) [rad]."""
     beliefs: dict[tuple[str, str], Beliefs] = field(default_factory=dict)
     """(log, estimator) to the models that an estimator believed, raw; only of estimators that have models."""
+    comparisons: dict[str, Comparison] = field(default_factory=dict)
+    """Log without a true attitude to how its estimators differ; it has no rows."""
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
@@ -90,6 +95,8 @@ class LogScores:
 
     def bias_text(self, log: str) -> str:
         """The bias of a log's gyroscope with its 95 % interval, and what of it is removed."""
+        if log in self.comparisons:
+            return "no true attitude"
         bias, half = np.degrees(self.gyro_bias[log]), np.degrees(self.bias_interval[log])
         if not np.isfinite(bias).all():
             return "gyro bias unknown"
@@ -109,9 +116,15 @@ class LogScores:
         return _mean([r.silenced_deg for r in self.rows if (r.estimator, r.bias) == (estimator, RAW)])
 
     @property
+    def scored(self) -> list[str]:
+        """Logs with a true attitude."""
+        return [log for log in self.truth if log not in self.comparisons]
+
+    @property
     def estimators(self) -> list[str]:
         """Estimators, the smallest raw error first; those that are not ranked come last."""
-        found, unranked = list(dict.fromkeys(row.estimator for row in self.rows)), self.unranked
+        ran = [*(row.estimator for row in self.rows), *(name for _, name in self.estimates)]
+        found, unranked = list(dict.fromkeys(ran)), self.unranked
         error = {name: np.nan_to_num(self.mean(name, RAW), nan=np.inf) for name in found}
         return sorted(found, key=lambda name: (name in unranked, error[name]))
 
@@ -119,6 +132,7 @@ class LogScores:
     def unranked(self) -> dict[str, str]:
         """Estimators that are not ranked, and why: a reference, or the first flaw found on any log."""
         flaws = {row.estimator: row.flaw for row in reversed(self.rows) if row.flaw and row.bias == RAW}
+        flaws |= {name: flaw for each in self.comparisons.values() for name, flaw in each.flaws.items()}
         return flaws | {row.estimator: "receives the true attitude" for row in self.rows if row.reference}
 
 
@@ -199,6 +213,62 @@ def score_logs(
     return scores
 
 
+def compare_logs(
+    scores: LogScores,
+    logs: Sequence[xr.Dataset],
+    estimators: Mapping[str, AttitudeEstimator],
+    *,
+    skip_s: float = SKIP_S,
+    progress: Progress | None = None,
+) -> None:
+    """Run estimators over logs without a true attitude, and add their estimates and comparisons to the scores.
+
+    Args:
+        scores: To add to.
+        logs: From `quadsim.logs.read_log`.
+        estimators: Estimators under the names they are to have; one that receives the truth is left out.
+        skip_s: Time at the start that is not compared [s].
+        progress: Called before every run.
+
+    Raises:
+        ValueError: A log has the name of another, ends before `skip_s`, or no estimator ran on it.
+    """
+    progress = progress or (lambda *_: None)
+    for done, log in enumerate(logs):
+        title, rate = str(log.attrs["source"]), float(log.attrs["rate_hz"])
+        if title in scores.truth:
+            raise ValueError(f"logs must differ in name: {title}")
+        time = log["time"].to_numpy()
+        gyro, accel = (log[name].to_numpy().astype(float) for name in ("gyro", "accel"))
+        counted = np.asarray((time >= skip_s) & np.isfinite(gyro[0] + accel[0]).all(axis=1))
+        if not counted.any():
+            raise ValueError(f"{title}: nothing to compare: it has no readings after the first {skip_s:g} s")
+        good, flaws, others = {}, {}, other_sensors(log)
+        for k, (name, est) in enumerate(estimators.items()):
+            progress(done * len(estimators) + k, len(logs) * len(estimators), name)
+            if receives_truth(est):
+                flaws[name] = "receives the true attitude"
+                continue
+            try:
+                estimate = run(est, gyro, accel, **others)[0]
+            except ValueError as error:
+                flaws[name] = f"did not run: {error}"
+                continue
+            scores.estimates[title, name] = estimate
+            if flaw := flaw_of(estimate[counted], np.zeros_like(estimate[counted])):
+                flaws[name] = flaw
+                continue
+            good[name] = estimate[counted]
+            if (believed := beliefs(est, gyro, accel, **others)) is not None:
+                scores.beliefs[title, name] = believed
+        if not good:
+            failed = [f"{name} {flaw}" for name, flaw in flaws.items()]
+            raise ValueError(f"{title}: no estimator ran: {'; '.join(failed)}")
+        scores.time_s[title], scores.counted[title] = time, counted
+        scores.truth[title] = np.full((len(time), 2), np.nan)
+        scores.comparisons[title] = compare(good, gyro[0, counted], accel[0, counted], rate, flaws)
+
+
 def unscorable(log: xr.Dataset, *, within_deg: float = 45.0, skip_s: float = SKIP_S) -> str | None:
     """Why no sample of a log can be scored; None where some can.
 
@@ -241,21 +311,25 @@ def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
 def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:
     """True roll and pitch of a log with the best estimate, and a strip of error for each estimator.
 
+    Of a log without a true attitude, roll and pitch by each estimator.
+
     Args:
         scores: From `score_logs`.
         log: Name of the log.
         within: Part of it to draw [s]; None for all.
     """
-    time, truth = scores.time_s[log], scores.truth[log]
+    time, truth, compared = scores.time_s[log], scores.truth[log], log in scores.comparisons
     part = slice(None) if within is None else slice(*np.searchsorted(time, within))
     shown = [name for name in scores.estimators if (log, name) in scores.estimates][:LISTED]
-    figure = Figure(figsize=(8.0, 3.6 + 0.75 * len(shown)), layout="constrained")
-    ratios = [2.0, 2.0, *np.ones(len(shown))]
+    strips = [] if compared else shown
+    figure = Figure(figsize=(8.0, 3.6 + 0.75 * len(strips)), layout="constrained")
+    ratios = [2.0, 2.0, *np.ones(len(strips))]
     panels = np.atleast_1d(figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios))
     styles = looks(shown)
     for k, axes in enumerate(panels[:2]):
-        axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.2, label="truth")
-        for name in shown[:1]:
+        if not compared:
+            axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.2, label="truth")
+        for name in shown if compared else shown[:1]:
             best = np.degrees(scores.estimates[log, name][part, k])
             axes.plot(time[part], best, color=styles[name].colour, lw=1.0, label=name)
         axes.set_ylabel(("roll [°]", "pitch [°]")[k])
@@ -264,7 +338,7 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
         name: np.where(scores.counted[log], inclination_error(scores.estimates[log, name], truth), np.nan)[
             part
         ]
-        for name in shown
+        for name in strips
     }
     known = np.concatenate([[1.0], *(error[np.isfinite(error)] for error in errors.values())])
     for axes, (name, error) in zip(panels[2:], errors.items(), strict=True):
@@ -274,8 +348,8 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
         axes.set_title(
             name, fontsize=9, fontweight="bold", loc="left", color=styles[name].colour, y=0.68, x=0.01
         )
-    if shown:
-        panels[2 + len(shown) // 2].set_ylabel("inclination error, where it counts [°]", y=1.0)
+    if strips:
+        panels[2 + len(strips) // 2].set_ylabel("inclination error, where it counts [°]", y=1.0)
     panels[-1].set_xlabel("time [s]")
     panels[0].set_title(f"{log}, raw readings", fontsize=10, loc="left")
     for axes in panels:
@@ -298,7 +372,7 @@ def _conditions(log: xr.Dataset, within_deg: float, skip_s: float) -> dict[str, 
     scored = one["scored"].to_numpy() if "scored" in one else np.ones(len(truth), bool)
     readings = np.isfinite(np.hstack([one["gyro"].to_numpy(), one["accel"].to_numpy()])).all(axis=1)
     conditions = {
-        "it has no attitude": np.isfinite(truth).all(axis=1),
+        NO_ATTITUDE: np.isfinite(truth).all(axis=1),
         "gyroscope and accelerometer are missing where the attitude is known": readings,
         f"nothing is known after the first {skip_s:g} s, which are not scored": one["time"].to_numpy()
         >= skip_s,

@@ -45,6 +45,11 @@ DOWNWARD = (
     "for a log of gravity in place of specific force"
 )
 """What is amiss where the mean force is upside down."""
+UNSCORED = "no attitude in this log: it can be run, not scored"
+LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 3.0
+"""Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""
+VIBRATION = 1.0
+"""Vibration above which a log without truth is warned of [m/s²]: 0.1 g shifts the mean of real sensors."""
 AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
 
 
@@ -103,6 +108,8 @@ class LogReport:
     """Median length of the truth's quaternions as recorded."""
     weight: float
     """Median length of the specific force [m/s²]: near 9.8 in flight and in the hand."""
+    vibration: float
+    """Root mean square of the specific force above 20 Hz [m/s²]."""
     upright: float
     """Its mean along body z, over that length: near 1 in a flight."""
     still: tuple[str, ...]
@@ -226,7 +233,18 @@ class LogReport:
     def _frame_warnings(self) -> Iterator[str]:
         """A truth that is missing or late, or an IMU that is mounted in another way."""
         if self.truth == "none":
-            yield "no attitude in this log: it can be run, not scored"
+            yield UNSCORED
+            if self.rest_s >= LEAST_REST_S and self.rest_rate > LARGE_BIAS:
+                rate = f"{np.degrees(self.rest_rate):.1f} °/s across the vertical"
+                yield (
+                    f"at rest for {self.rest_s:.0f} s, the gyroscope reads {rate}, a large bias: "
+                    f"`quadsim logs calibrate {self.path or 'LOG'} --bias-only`"
+                )
+            if self.vibration > VIBRATION:
+                yield (
+                    f"the accelerometer vibrates by {self.vibration:.1f} m/s² RMS above 20 Hz, and above "
+                    f"{VIBRATION:g} m/s² its mean may be shifted"
+                )
         if GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
             yield self._where_gravity
         if not self.faults:

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import firwin, oaconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -43,6 +44,8 @@ STUCK_S = 0.5
 """Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
 MOVES = 10.0
 """by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
+VIBRATION_S = 0.05
+"""Motion slower than this is no vibration [s]."""
 EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
 RARE = 0.01
@@ -139,6 +142,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         path=log.path,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
+        vibration=_vibration(log.accel, source_rate),
         upright=float(log.accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
         still=_still(readings),
         stuck=tuple(stuck.sum(axis=0).tolist()),
@@ -243,7 +247,7 @@ def _median_norm(quat: Array | None) -> float | None:
     if quat is None:
         return None
     length = np.linalg.norm(quat, axis=1)
-    known = np.isfinite(length) & (length > 0)
+    known = length > 0  # not NaN, and infinite where a number is too large to be squared
     return float(np.median(length[known])) if known.any() else None
 
 
@@ -327,6 +331,12 @@ def _even(
     padded = np.concatenate([head, values, tail])
     smooth = oaconvolve(padded, kernel[:, None], mode="same", axes=0)[len(head) : len(head) + count]
     return CubicSpline(fine, smooth)(grid)
+
+
+def _vibration(accel: Array, rate_hz: float) -> float:
+    """Root mean square of a specific force (T, 3) less its mean over a twentieth of a second."""
+    fast = accel - uniform_filter1d(accel, max(round(VIBRATION_S * rate_hz), 1), axis=0)
+    return float(np.sqrt((fast**2).sum(axis=1).mean()))
 
 
 def _near(times: Array, grid: Array, period: float) -> NDArray[np.bool_]:

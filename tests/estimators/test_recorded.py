@@ -1,6 +1,7 @@
 """Scores on recorded logs: what counts, what a level guess makes, and what a known bias is worth."""
 
 import csv
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +13,15 @@ from estimators.evaluation.logs import (
     KNOWN,
     LEVEL,
     RAW,
+    LogScores,
+    compare_logs,
     default_names,
     draw_log,
     gyro_bias,
     score_logs,
     unscorable,
 )
+from estimators.evaluation.without_truth import horizontal_force
 from quadsim.cli import app
 from quadsim.logs import read_log
 from quadsim.logs.mount_estimate import estimate_mount
@@ -292,8 +296,65 @@ def test_evaluate_leaves_a_log_without_attitude_out_and_says_so(log, tmp_path):
     assert "nan" not in done.output
     with (tmp_path / "out" / "logs.csv").open() as file:
         assert {row["log"] for row in csv.DictReader(file)} == {"with"}
-    with pytest.raises(ValueError, match="nothing to score"):
-        CliRunner().invoke(app, [*command, "--logs", logs[1]], catch_exceptions=False)
+    done = CliRunner().invoke(app, [*command, "--logs", logs[1]], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert "without: no true attitude" in done.output
+    assert "nan" not in done.output
+
+
+def biased_start(bias_deg, seconds=120.0):
+    """Readings of a sensor that moves about gently, its gyroscope biased about x [°/s], without a truth."""
+    data = noisy(np.radians([bias_deg, 0.0, 0.0]), seconds=seconds)
+    data["quat"][:] = np.nan
+    return data
+
+
+def test_a_log_without_truth_is_compared_and_no_estimator_is_crowned(tmp_path):
+    log = biased_start(3.0)
+    good, bad = create("mahony", k_p=1.0, k_i=0.3), create("mahony", k_p=0.4, k_i=0.0)
+    scores = LogScores()
+    compare_logs(scores, [log], {"with bias": bad, "without": good, "same": good, "broken": Given(np.nan)})
+    found = scores.comparisons["noisy"]
+    assert found.favoured == ("without", "same")
+    assert found.force["with bias"] > 5 * found.force["without"]
+    assert found.force["without"] < 0.15
+    median, most = found.apart["with bias", "without"]
+    assert 5.0 < median < 9.0
+    assert most >= median
+    assert found.apart["without", "same"] == (0.0, 0.0)
+    assert "not a finite number" in found.flaws["broken"]
+    verdict = log_verdict(scores)
+    assert verdict.headline == "No true attitude, no errors; the mean force favours without, same."
+    assert any("it is near zero for a right attitude" in line for line in verdict.lines)
+    assert "horizontal force" in write_log_report(tmp_path / "r.html", [log], scores).read_text()
+    roll, pitch = draw_log(scores, "noisy").axes
+    assert len(roll.get_lines()) == len(pitch.get_lines()) == 4
+
+
+def test_forces_that_all_estimators_share_favour_none():
+    scores = LogScores()
+    made = {name: create("mahony", k_p=1.0, k_i=0.0) for name in "ab"}
+    compare_logs(scores, [biased_start(0.0, 60.0)], made)
+    assert scores.comparisons["noisy"].favoured == ()
+    assert log_verdict(scores).headline == "No true attitude, no errors; the evidence favours no estimator."
+
+
+def test_what_imm_believes_of_a_log_without_truth_has_its_sigma(tmp_path):
+    scores, log = LogScores(), biased_start(0.0, 20.0)
+    compare_logs(scores, [log], {"imm": create("imm")})
+    assert any(re.search(r"imm believed.*its σ is \d+\.\d° in the median", line) for line in log_verdict(scores).lines)
+    assert "sigma|imm, roll" in write_log_report(tmp_path / "r.html", [log], scores).read_text()
+
+
+def test_forces_in_a_steady_turn_do_not_add_up():
+    time = np.arange(12_000) / 200.0
+    bank = np.tile([0.2, 0.0], (12_000, 1))
+    up = np.array([0.0, np.sin(0.2), np.cos(0.2)])
+    gyro, accel = np.tile(1.0 * up, (12_000, 1)), np.tile([0.0, 0.0, 9.81 / np.cos(0.2)], (12_000, 1))
+    force = horizontal_force(bank, gyro, accel, 200.0)
+    np.testing.assert_allclose(np.linalg.norm(force, axis=1), 9.81 * np.tan(0.2), rtol=1e-9)
+    turned = np.unwrap(np.arctan2(force[:, 1], force[:, 0]))
+    np.testing.assert_allclose(turned - turned[0], time, atol=1e-6)
 
 
 @pytest.mark.filterwarnings("error")
