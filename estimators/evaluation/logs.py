@@ -4,16 +4,18 @@ Inclination error, as a root mean square over the samples that count: the attitu
 the log marks the sample (`scored`), the first seconds are over, and the vehicle is tilted less than a limit.
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from quadsim.estimator import AttitudeEstimator, receives_truth
+from quadsim.estimator import AttitudeEstimator, OtherSensors, receives_truth
 from quadsim.logs.truth_bias import bias_by_truth
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.files import write_csv
@@ -21,13 +23,14 @@ from quadsim.runs.files import write_csv
 from ..appearance import looks
 from ..metrics import absolute_error, flaw_of, inclination_error, share_without_number
 from ..registry import FILTERPY, names, needs_vehicle
-from ..running import run
+from ..running import missing_samples, require_same, run_quietly, streamed_start
 from .beliefs import Beliefs, beliefs
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
 from .without_truth import Comparison, compare
 
 Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
 Progress = Callable[[int, int, str], None]
 
 LEVEL = "level"
@@ -182,6 +185,7 @@ def score_logs(
         scores.bias_removed[title] = bias = found.significant
         for which in (RAW, KNOWN):
             scores.rows.append(_row(title, LEVEL, which, np.zeros_like(truth[0]), truth[0], counted, rate))
+        skipped = 0
         for name, est in made.items():
             progress(done, len(logs) * len(made), name)
             for which, offset in ((RAW, np.zeros(3)), (KNOWN, bias)):
@@ -191,7 +195,8 @@ def score_logs(
                     scores.rows.append(nothing)
                     continue
                 try:
-                    estimate = run(est, gyro - offset, accel, quat=quat, **others)
+                    estimate = _run(est, gyro - offset, accel, quat, **others)
+                    skipped = max(skipped, missing_samples(est))
                 except ValueError as error:
                     scores.rows.append(replace(nothing, flaw=f"did not run: {error}"))
                     continue
@@ -199,7 +204,9 @@ def score_logs(
                 flaw = flaw_of(estimate[0][counted], truth[0][counted])
                 row = replace(row, reference=receives_truth(est), flaw=flaw)
                 if which == RAW and (twin := silenced_twin(name, rate)) is not None:
-                    without = _row(title, name, which, run(twin, gyro, accel)[0], truth[0], counted, rate)
+                    without = _row(
+                        title, name, which, run_quietly(twin, gyro, accel)[0], truth[0], counted, rate
+                    )
                     row = replace(row, silenced_deg=without.inclination_rmse_deg)
                 scores.rows.append(row)
                 if which == RAW:
@@ -207,6 +214,7 @@ def score_logs(
                     if (believed := beliefs(est, gyro, accel, **others)) is not None:
                         scores.beliefs[title, name] = believed
             done += 1
+        _say_missing(title, skipped, len(truth[0]))
     if not scores.estimates:
         failed = [f"{name} {flaw}" for name, flaw in scores.unranked.items()]
         raise ValueError(f"no estimator ran: {'; '.join(failed)}")
@@ -221,7 +229,7 @@ def compare_logs(
     skip_s: float = SKIP_S,
     progress: Progress | None = None,
 ) -> None:
-    """Run estimators over logs without a true attitude, and add their estimates and comparisons to the scores.
+    """Run estimators over logs without a true attitude; their estimates and comparisons go to the scores.
 
     Args:
         scores: To add to.
@@ -243,14 +251,15 @@ def compare_logs(
         counted = np.asarray((time >= skip_s) & np.isfinite(gyro[0] + accel[0]).all(axis=1))
         if not counted.any():
             raise ValueError(f"{title}: nothing to compare: it has no readings after the first {skip_s:g} s")
-        good, flaws, others = {}, {}, other_sensors(log)
+        good, flaws, others, skipped = {}, {}, other_sensors(log), 0
         for k, (name, est) in enumerate(estimators.items()):
             progress(done * len(estimators) + k, len(logs) * len(estimators), name)
             if receives_truth(est):
                 flaws[name] = "receives the true attitude"
                 continue
             try:
-                estimate = run(est, gyro, accel, **others)[0]
+                estimate = _run(est, gyro, accel, None, **others)[0]
+                skipped = max(skipped, missing_samples(est))
             except ValueError as error:
                 flaws[name] = f"did not run: {error}"
                 continue
@@ -261,6 +270,7 @@ def compare_logs(
             good[name] = estimate[counted]
             if (believed := beliefs(est, gyro, accel, **others)) is not None:
                 scores.beliefs[title, name] = believed
+        _say_missing(title, skipped, len(time))
         if not good:
             failed = [f"{name} {flaw}" for name, flaw in flaws.items()]
             raise ValueError(f"{title}: no estimator ran: {'; '.join(failed)}")
@@ -358,6 +368,25 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
     return figure
 
 
+def _run(
+    est: AttitudeEstimator, gyro: Array, accel: Array, quat: Array | None, **sensors: Unpack[OtherSensors]
+) -> Array:
+    """`run`, for a caller that says what is missing once for a log."""
+    first = streamed_start(est, gyro, accel, **sensors)
+    estimate = run_quietly(est, gyro, accel, quat=quat, **sensors)
+    require_same(est, estimate, first)
+    return estimate
+
+
+def _say_missing(log: str, missing: int, samples: int) -> None:
+    if missing:
+        logger.warning(
+            "%s: %d of %d samples are missing or beyond any sensor's range; estimators go on from their "
+            "prediction",
+            log, missing, samples,
+        )  # fmt: skip
+
+
 def _mean(values: Sequence[float]) -> float:
     """Mean of the values that are finite; NaN if none is."""
     known = np.array(values)[np.isfinite(values)]
@@ -372,10 +401,10 @@ def _conditions(log: xr.Dataset, within_deg: float, skip_s: float) -> dict[str, 
     scored = one["scored"].to_numpy() if "scored" in one else np.ones(len(truth), bool)
     readings = np.isfinite(np.hstack([one["gyro"].to_numpy(), one["accel"].to_numpy()])).all(axis=1)
     conditions = {
-        NO_ATTITUDE: np.isfinite(truth).all(axis=1),
-        "gyroscope and accelerometer are missing where the attitude is known": readings,
         f"nothing is known after the first {skip_s:g} s, which are not scored": one["time"].to_numpy()
         >= skip_s,
+        NO_ATTITUDE: np.isfinite(truth).all(axis=1),
+        "gyroscope and accelerometer are missing where the attitude is known": readings,
         "it marks no such sample for scoring": scored,
         f"it is tilted by more than {within_deg:g}° all the time (--within)": np.nan_to_num(tilt, nan=np.inf)
         <= within_deg,

@@ -22,8 +22,8 @@ from ..metrics import inclination_error
 Array = NDArray[np.float64]
 
 LOW_PASS_S = 10.0
-"""Means of the horizontal force are over this time [s]: the acceleration of a vehicle that changes its speed by
-2 m/s in it leaves 0.2 m/s², an attitude that is wrong by 1.2° as much."""
+"""Means of the horizontal force are over this time [s]: the acceleration of a vehicle that changes its speed
+by 2 m/s in it leaves 0.2 m/s², an attitude that is wrong by 1.2° as much."""
 FEWEST = 4
 """Means that do not overlap, at least, for the evidence to favour an estimator."""
 
@@ -35,8 +35,8 @@ class Comparison:
     apart: Mapping[tuple[str, str], tuple[float, float]]
     """Two estimators to the median and the 95th percentile of their inclination difference [deg]."""
     force: Mapping[str, float]
-    """Root mean square of the horizontal specific force in the world by each estimate, low-passed [m/s²]: near
-    zero for a right one."""
+    """Root mean square of the horizontal specific force in the world by each estimate, low-passed [m/s²]:
+    near zero for a right one."""
     favoured: tuple[str, ...]
     """Estimators whose force is not significantly larger than the smallest; empty where that is no choice."""
     flaws: Mapping[str, str]
@@ -68,12 +68,12 @@ def compare(
         median, most = np.quantile(inclination_error(estimates[first], estimates[second]), (0.5, 0.95))
         apart[first, second] = (float(median), float(most))
     span = round(LOW_PASS_S * rate_hz)
+    edge = span // 2 if len(accel) > span else 0  # where the mean would be of less than that time
     squares = {}
     for name, estimate in estimates.items():
-        mean = uniform_filter1d(horizontal_force(estimate, gyro, accel, rate_hz), min(span, len(accel)), axis=0)
-        squares[name] = (mean[span // 2 : -(span // 2) or None] ** 2).sum(axis=1) if len(mean) > span else (
-            (mean**2).sum(axis=1)
-        )
+        horizontal = horizontal_force(estimate, gyro, accel, rate_hz)
+        mean = uniform_filter1d(horizontal, min(span, len(accel)), axis=0)
+        squares[name] = (mean[edge : len(mean) - edge] ** 2).sum(axis=1)
     force = {name: float(np.sqrt(square.mean())) for name, square in squares.items()}
     return Comparison(apart, force, _favoured(squares, force, span), flaws)
 

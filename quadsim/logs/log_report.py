@@ -26,7 +26,7 @@ NO_TURN = 200.0
 UNIT_NORM = 0.02
 """Quaternions of the truth may be longer or shorter than one by this."""
 AGREEMENT = 0.7
-"""Correlation of the truth's turns with the gyroscope's, corrected for noise, below which frames are doubted."""
+"""Correlation of the truth's turns with the gyroscope's, corrected for noise: below, frames are doubted."""
 MOUNTED_AGREEMENT = 0.9
 """That correlation under the best rotation of the gyroscope's axes above which a mounting explains them."""
 MOUNTED_GAIN = 0.01
@@ -38,6 +38,8 @@ GRAVITY_WRONG = 3.0
 TILT_DEG = 5.0
 """The mean force may be this far from body z before it is reported [deg]: an accelerometer's bias and a
 breeze on a hovering vehicle amount to two or three."""
+FAR_DEG = 45.0
+"""and by more than this it is for want of a mount, which is named [deg]."""
 DELAY_TOLERANCE_S = 0.01
 """The truth may be this late or early before it is reported: two samples of the network's."""
 DOWNWARD = (
@@ -98,6 +100,8 @@ class LogReport:
     tilt_deg: float | None
     """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
     second is complete, or a truth of the body shows it better."""
+    level_mount: str
+    """Roll and pitch of a mount that brings that mean force to body z, as `--mount` takes them; or empty."""
     tilt_sd_deg: float
     """Standard deviation of that mean's direction [deg]."""
     rest_s: float
@@ -245,6 +249,8 @@ class LogReport:
                     f"the accelerometer vibrates by {self.vibration:.1f} m/s² RMS above 20 Hz, and above "
                     f"{VIBRATION:g} m/s² its mean may be shifted"
                 )
+        elif self.truth_share == 0.0:
+            yield "the true attitude is known at no sample of the IMU: are both on one clock?"
         if GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
             yield self._where_gravity
         if not self.faults:
@@ -278,7 +284,15 @@ class LogReport:
 
     @property
     def _mend(self) -> str:
-        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it"
+        about = f', about --mount "{self.level_mount}"' if (self.tilt_deg or 0.0) > FAR_DEG else ""
+        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it{about}"
+
+    @property
+    def far_from_level(self) -> str:
+        """Of a log that is further from level than flights are, what corrects it; else empty."""
+        if self.tilt_deg is None or self.tilt_deg <= FAR_DEG:
+            return ""
+        return f"the mean specific force is {self.tilt_deg:.0f}° from body z: {self._mend}"
 
     @property
     def _mend_of_truth(self) -> str:

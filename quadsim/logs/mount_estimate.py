@@ -30,7 +30,7 @@ class MountEstimate(NamedTuple):
     by: str
     """What it was estimated from."""
     accel_bias: Array | None = None
-    """Bias of the accelerometer across body z (2,) [m/s²]; None where the log cannot separate it from a tilt."""
+    """Accelerometer's bias across body z (2,) [m/s²]; None where it cannot be separated from a tilt."""
     levelled: bool = False
     """Whether the tilt is that of the mean force, because the bias hides a part of the IMU's tilt."""
 
@@ -93,8 +93,8 @@ def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
 def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEstimate:
     """A mounting by the truth, with the accelerometer's bias: its mean less gravity's in body axes.
 
-    Filters take the bias for a tilt. Where it hides a part of the IMU's tilt, so that more would show with the
-    mounting than without, the tilt is that which brings the mean force onto gravity's: it takes both together.
+    Filters take the bias for a tilt. Where it hides a part of the IMU's tilt, so that more would show with
+    the mounting than without, the tilt is that which brings the mean force onto gravity's: both together.
 
     Args:
         found: From `mount_from_truth`.

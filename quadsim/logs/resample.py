@@ -16,9 +16,17 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..config.ranges import FORCE_MAX, RATE_MAX
 from ..dataset.store import LABELS, VARIABLES, Variable
-from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
+from ..rotation import (
+    matrix_from_quat,
+    quat_from_roll_pitch,
+    quat_rotate,
+    roll_pitch_of_up,
+    wxyz_from_xyzw,
+    xyzw_from_wxyz,
+)
 from .log_report import AXES, LONGEST_GAP_S, LogReport
 from .mean_force import level, turn_at_rest
+from .mounting import mount_text
 from .recording import Array, Recording, Track
 from .truth_delay import align
 
@@ -135,6 +143,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         rotated_agreement=None if found is None else found.rotated_agreement,
         turned=None if found is None else found.turned,
         tilt_deg=None if mean is None else mean.tilt_deg,
+        level_mount="" if mean is None else _levelling(mean.force),
         tilt_sd_deg=0.0 if mean is None else mean.sd_deg,
         rest_s=0.0 if rest is None else float(rest.seconds),
         rest_rate=0.0 if rest is None else rest.rate,
@@ -331,6 +340,11 @@ def _even(
     padded = np.concatenate([head, values, tail])
     smooth = oaconvolve(padded, kernel[:, None], mode="same", axes=0)[len(head) : len(head) + count]
     return CubicSpline(fine, smooth)(grid)
+
+
+def _levelling(force: Array) -> str:
+    """The mount that brings a force (3,) to body z without a change of heading, as text."""
+    return mount_text(matrix_from_quat(quat_from_roll_pitch(roll_pitch_of_up(force))))
 
 
 def _vibration(accel: Array, rate_hz: float) -> float:

@@ -60,14 +60,13 @@ def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
     if known.sum() * LONG_S < 1.0:
         return GyroBias(np.full(3, np.nan), np.full(3, np.nan))
     rates, truth = rates[known], quat_multiply(quat_conjugate(before[known]), after[known])
-    mean = np.zeros(3)
-    for _ in range(3):
+    mean, scores, inverse = np.zeros(3), np.zeros_like(rates[:, 0]), np.eye(3)
+    for _ in range(4):
         turned, lever = _integrated(rates - mean, 1.0 / rate_hz)
         beyond = Rotation.from_quat(xyzw_from_wxyz(quat_multiply(quat_conjugate(truth), turned))).as_rotvec()
         inverse = np.linalg.inv(np.einsum("nki,nkj->ij", lever, lever))
-        step = inverse @ np.einsum("nki,nk->i", lever, beyond)
-        mean += step
-    scores = np.einsum("nki,nk->ni", lever, beyond - lever @ step)
+        scores = np.einsum("nki,nk->ni", lever, beyond)
+        mean += inverse @ scores.sum(axis=0)
     blocks = min(BLOCKS, len(scores))
     sums = np.stack([part.sum(axis=0) for part in np.array_split(scores, blocks)]) @ inverse
     sd = np.sqrt((sums**2).sum(axis=0) * blocks / (blocks - 1))

@@ -18,8 +18,8 @@ MOVING, SURELY_MOVING = 0.05, 0.25
 TURNING = 0.1
 """The same of the truth about an axis, for a correlation of that axis alone [rad/s]."""
 COMMON = 0.3
-"""Correlation under the best rotation or mirroring of the gyroscope's axes below which the truth's noise is not
-corrected for: chance reaches 0.2 in half a minute."""
+"""Correlation under the best rotation or mirroring of the gyroscope's axes below which the truth's noise is
+not corrected for: chance reaches 0.2 in half a minute."""
 
 
 class Agreement(NamedTuple):
@@ -145,10 +145,10 @@ def turns(gyro: Array, quat: Array, rate_hz: float, span_s: float = SPAN_S) -> T
 
 
 def turns_at_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Array, int] | None:
-    """Rates of gyroscope and truth over spans that overlap, (m, 3) of each, less their means, and samples of one.
+    """Rates of gyroscope and truth over spans that overlap, less their means, (m, 3) each; samples of a span.
 
-    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out, and so
-    is the gyroscope's scale. Of both spans the one over which they have most in common is used. None where
+    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out, and
+    so is the gyroscope's scale. Of both spans the one over which they have most in common is used. None where
     there is too little motion.
     """
     found = []
@@ -175,9 +175,7 @@ class _Cross(NamedTuple):
 def _at_all_delays(rates: Turns, rate_hz: float) -> tuple[int, list[_Cross]]:
     """The largest delay in samples, and how the rates belong together at every one from its negative on."""
     most = round(SEARCH_S * rate_hz)
-    return most, [
-        _cross(*_shifted(rates.measured, rates.true, lag)) for lag in range(-most, most + 1)
-    ]
+    return most, [_cross(*_shifted(rates.measured, rates.true, lag)) for lag in range(-most, most + 1)]
 
 
 def _shifted(a: Array, b: Array, lag: int) -> tuple[Array, Array]:

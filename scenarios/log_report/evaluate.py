@@ -55,6 +55,9 @@ def evaluate_logs(
     refused([(path, report) for path, (_, report) in read.items()], force)
     warnings = [f"{path}: {warning}" for path, (_, report) in read.items() for warning in report.warnings]
     reasons = {path: unscorable(log, within_deg=within_deg) for path, (log, _) in read.items()}
+    for path, (_, report) in read.items():
+        if reasons[path] and "--within" in str(reasons[path]) and report.far_from_level:
+            reasons[path] = f"{reasons[path]}; {report.far_from_level}"
     left_out = [f"{path}: nothing to score: {reason}" for path, reason in reasons.items() if reason]
     without = [path for path, reason in reasons.items() if reason == NO_ATTITUDE]
     if len(left_out) == len(read) and not without:
@@ -82,11 +85,14 @@ def evaluate_logs(
     if logs:
         output.print(table)
     for log, found in scores.comparisons.items():
-        table = Table("estimator", "horizontal force, m/s²", "from others, °", title=f"{log}: no true attitude")
-        for name, force in sorted(found.force.items(), key=lambda each: each[1]):
-            apart = [pair for names, pair in found.apart.items() if name in names]
-            median, most = np.median(apart, axis=0) if apart else (math.nan, math.nan)
-            table.add_row(name, f"{force:.2f}", f"{median:.1f}, 95th percentile {most:.1f}" if apart else "–")
+        table = Table(
+            "estimator", "horizontal force, m/s²", "from others, °", title=f"{log}: no true attitude"
+        )
+        for name, size in sorted(found.force.items(), key=lambda each: each[1]):
+            pairs = [pair for names, pair in found.apart.items() if name in names]
+            median, most = np.median(pairs, axis=0) if pairs else (math.nan, math.nan)
+            differ = f"{median:.1f}, 95th percentile {most:.1f}" if pairs else "–"
+            table.add_row(name, f"{size:.2f}", differ)
         output.print(table)
     for row in scores.rows:
         if row.flaw and row.bias == RAW:

@@ -88,7 +88,8 @@ def _compared(scores: LogScores) -> list[dict[str, object]]:
         both = dict(found.apart) | {(b, a): apart for (a, b), apart in found.apart.items()}
         names = sorted(found.force, key=lambda name: found.force[name])
         rows = [
-            {"estimator": a, "force": found.force[a], "apart": [both.get((a, b)) for b in names]} for a in names
+            {"estimator": a, "force": found.force[a], "apart": [both.get((a, b)) for b in names]}
+            for a in names
         ]
         tables.append({"log": log, "names": names, "rows": rows})
     return tables
@@ -117,7 +118,9 @@ def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) 
             add(f"{angle}|{name}", np.degrees(estimate[:, k]))
         if title not in scores.comparisons:
             add(f"error|{name}", inclination_error(estimate, truth))
-    for name, believed in ((name, found) for (whose, name), found in scores.beliefs.items() if whose == title):
+    for name, believed in (
+        (name, found) for (whose, name), found in scores.beliefs.items() if whose == title
+    ):
         latest = np.searchsorted(believed.samples, np.arange(log.sizes["time"]), side="right") - 1
         probability = believed.probability[0, np.maximum(latest, 0)]
         for k, model in enumerate(believed.models):
@@ -139,7 +142,9 @@ def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) 
 def _note(log: xr.Dataset, scores: LogScores, title: str, every: int) -> str:
     rate = float(log.attrs["rate_hz"])
     done = "compared" if title in scores.comparisons else "scored"
-    text = f"{log.sizes['time'] / rate:.0f} s at {rate:g} Hz, {scores.counted[title].sum() / rate:.0f} s {done}"
+    text = (
+        f"{log.sizes['time'] / rate:.0f} s at {rate:g} Hz, {scores.counted[title].sum() / rate:.0f} s {done}"
+    )
     text += f"; {scores.bias_text(title)}"
     return text + (f"; one sample of {every} is drawn" if every > 1 else "") + "."
 

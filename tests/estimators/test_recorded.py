@@ -64,6 +64,12 @@ def test_level_is_the_root_mean_square_of_the_tilt(log):
         assert row.inclination_rmse_deg == pytest.approx(np.sqrt(np.mean(tilt**2)), rel=1e-9)
 
 
+def test_missing_samples_are_said_once_with_the_name_of_the_log(log, caplog):
+    score_logs([log], ["mahony", "vqf", "att-snn"])
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert line.startswith("mine: 201 of 4000 samples")
+
+
 def test_only_known_upright_and_marked_samples_count(log):
     half = log.copy(deep=True)
     half["scored"][0, 2000:] = False
@@ -121,7 +127,9 @@ def test_a_bias_is_removed_where_it_is_significant_and_the_report_says_where_not
     held, biased = noisy(np.zeros(3)), noisy(np.radians([2.0, 0.0, 0.0]), seed=1)
     biased.attrs["source"] = "biased"
     scores = score_logs([held, biased], {"mahony": create("mahony", k_p=1.0, k_i=0.0)})
-    error = {(row.log, row.bias): row.inclination_rmse_deg for row in scores.rows if row.estimator == "mahony"}
+    error = {
+        (row.log, row.bias): row.inclination_rmse_deg for row in scores.rows if row.estimator == "mahony"
+    }
     assert error["noisy", KNOWN] == error["noisy", RAW]
     assert error["biased", KNOWN] < error["biased", RAW] - 0.2
     assert scores.bias_text("noisy").endswith("not significant, nothing is removed")
@@ -272,6 +280,9 @@ def test_what_cannot_be_scored_is_said_before_anything_is_run(log, change, reaso
 
 def test_a_log_shorter_than_the_start_or_never_upright_is_not_scored(log):
     assert unscorable(log) is None
+    short = log.isel(time=slice(500)).copy(deep=True)
+    short["quat"][:] = np.nan
+    assert "after the first 3 s" in str(unscorable(short))
     assert "after the first 3 s" in str(unscorable(log.isel(time=slice(500))))
     steep = log.copy(deep=True)
     steep["quat"][:] = quat_from_euler(1.0, 0.0, 0.0)
@@ -342,7 +353,10 @@ def test_forces_that_all_estimators_share_favour_none():
 def test_what_imm_believes_of_a_log_without_truth_has_its_sigma(tmp_path):
     scores, log = LogScores(), biased_start(0.0, 20.0)
     compare_logs(scores, [log], {"imm": create("imm")})
-    assert any(re.search(r"imm believed.*its σ is \d+\.\d° in the median", line) for line in log_verdict(scores).lines)
+    assert any(
+        re.search(r"imm believed.*its σ is \d+\.\d° in the median", line)
+        for line in log_verdict(scores).lines
+    )
     assert "sigma|imm, roll" in write_log_report(tmp_path / "r.html", [log], scores).read_text()
 
 

@@ -535,7 +535,9 @@ def test_a_noisy_truth_of_a_gentle_flight_is_believed_and_one_in_swapped_axes_is
     assert report.agreement is not None
     assert report.agreement < 0.7  # of rates over a tenth of a second, by the truth's noise
     assert report.faults == []
-    assert any("does not turn as the gyroscope does" in each for each in resample(gentle(noise, True))[1].faults)
+    assert any(
+        "does not turn as the gyroscope does" in each for each in resample(gentle(noise, True))[1].faults
+    )
     turned = mounted(gentle(noise), "y,-x,z")
     assert any("with the IMU rotated by 9" in each for each in resample(turned)[1].faults)
 
@@ -691,6 +693,17 @@ def test_a_spike_is_left_out_and_condemns_no_log(sensor, reading):
     _, report = resample(replace(log, **{sensor: spoilt}))
     assert report.faults == []
     assert report.missing == 1
+
+
+def test_arrays_of_an_imu_without_attitude_are_a_log(tmp_path):
+    time, gyro, accel, _ = turning()
+    np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel)
+    log, report = read_log_and_report(tmp_path / "x.npz")
+    np.testing.assert_allclose(log["gyro"][0], gyro, atol=1e-12)
+    assert report.truth == "none"
+    np.savez(tmp_path / "x.npz", gyro=gyro, acc=accel)
+    with pytest.raises(ValueError, match="not a BROAD trial; it holds acc, gyro"):
+        read_log(tmp_path / "x.npz")
 
 
 def test_a_damaged_ulog_that_the_library_reads_for_ever_is_refused(tmp_path):
