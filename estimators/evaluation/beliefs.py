@@ -38,6 +38,11 @@ class Beliefs:
         """Mean probability of each model over all samples of all recordings."""
         return dict(zip(self.models, self.probability.mean(axis=(0, 1)).tolist(), strict=True))
 
+    @property
+    def sigma_deg(self) -> float:
+        """Median of the standard deviation of roll and pitch [deg]."""
+        return float(np.degrees(np.median(self.sigma)))
+
     def coverage(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> float:
         """Share of true rolls and pitches within the 95 % interval; NaN if none is known.
 

@@ -4,38 +4,43 @@ Inclination error, as a root mean square over the samples that count: the attitu
 the log marks the sample (`scored`), the first seconds are over, and the vehicle is tilted less than a limit.
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from quadsim.estimator import AttitudeEstimator, receives_truth
-from quadsim.rotation import canonical, quat_conjugate, quat_multiply, roll_pitch_from_quat
+from quadsim.estimator import AttitudeEstimator, OtherSensors, receives_truth
+from quadsim.logs.truth_bias import bias_by_truth
+from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.files import write_csv
 
 from ..appearance import looks
 from ..metrics import absolute_error, flaw_of, inclination_error, share_without_number
 from ..registry import FILTERPY, names, needs_vehicle
-from ..running import run
+from ..running import missing_samples, require_same, run_quietly, streamed_start
 from .beliefs import Beliefs, beliefs
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
+from .without_truth import Comparison, compare
 
 Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
 Progress = Callable[[int, int, str], None]
 
 LEVEL = "level"
 """The row of a guess that never looks at the sensor: how far the log is from level."""
 RAW, KNOWN = "raw", "known"
-"""Gyroscope as it reads, and with its mean bias over the log taken off."""
+"""Gyroscope as it reads, and with its mean bias over the log taken off, where that is significant."""
+NO_ATTITUDE = "it has no attitude"
+"""Why a log is compared in place of scored."""
 SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
-RATE_MAX = 2.0
-"""Samples at which the bias is read turn more slowly than this [rad/s]: fast ones hold the truth's delay."""
 LISTED = 6
 """Estimators drawn in a picture, the best first."""
 
@@ -71,6 +76,10 @@ class LogScores:
     rows: list[LogRow] = field(default_factory=list)
     gyro_bias: dict[str, Array] = field(default_factory=dict)
     """Log to the mean bias of its gyroscope (3,) [rad/s]; NaN where the truth does not tell."""
+    bias_removed: dict[str, Array] = field(default_factory=dict)
+    """Log to what of it is significant and is removed (3,) [rad/s]; 0 on other axes, NaN where not known."""
+    bias_interval: dict[str, Array] = field(default_factory=dict)
+    """Log to half the width of the bias's 95 % interval (3,) [rad/s]."""
     time_s: dict[str, Array] = field(default_factory=dict)
     truth: dict[str, Array] = field(default_factory=dict)
     """Log to true roll and pitch (T, 2) [rad]."""
@@ -80,10 +89,24 @@ class LogScores:
     """(log, estimator) to raw roll and pitch (T, 2) [rad]."""
     beliefs: dict[tuple[str, str], Beliefs] = field(default_factory=dict)
     """(log, estimator) to the models that an estimator believed, raw; only of estimators that have models."""
+    comparisons: dict[str, Comparison] = field(default_factory=dict)
+    """Log without a true attitude to how its estimators differ; it has no rows."""
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
         write_csv(path, self.rows)
+
+    def bias_text(self, log: str) -> str:
+        """The bias of a log's gyroscope with its 95 % interval, and what of it is removed."""
+        if log in self.comparisons:
+            return "no true attitude"
+        bias, half = np.degrees(self.gyro_bias[log]), np.degrees(self.bias_interval[log])
+        if not np.isfinite(bias).all():
+            return "gyro bias unknown"
+        shown = ", ".join(f"{b:+.2f} ± {h:.2f}" for b, h in zip(bias, half, strict=True))
+        axes = [axis for axis, value in zip("xyz", self.bias_removed[log], strict=True) if value != 0.0]
+        removed = f"{', '.join(axes)} removed" if axes else "not significant, nothing is removed"
+        return f"gyro bias ({shown}) °/s at 95 %: {removed}"
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over logs of the inclination RMSE [deg]."""
@@ -96,9 +119,15 @@ class LogScores:
         return _mean([r.silenced_deg for r in self.rows if (r.estimator, r.bias) == (estimator, RAW)])
 
     @property
+    def scored(self) -> list[str]:
+        """Logs with a true attitude."""
+        return [log for log in self.truth if log not in self.comparisons]
+
+    @property
     def estimators(self) -> list[str]:
         """Estimators, the smallest raw error first; those that are not ranked come last."""
-        found, unranked = list(dict.fromkeys(row.estimator for row in self.rows)), self.unranked
+        ran = [*(row.estimator for row in self.rows), *(name for _, name in self.estimates)]
+        found, unranked = list(dict.fromkeys(ran)), self.unranked
         error = {name: np.nan_to_num(self.mean(name, RAW), nan=np.inf) for name in found}
         return sorted(found, key=lambda name: (name in unranked, error[name]))
 
@@ -106,6 +135,7 @@ class LogScores:
     def unranked(self) -> dict[str, str]:
         """Estimators that are not ranked, and why: a reference, or the first flaw found on any log."""
         flaws = {row.estimator: row.flaw for row in reversed(self.rows) if row.flaw and row.bias == RAW}
+        flaws |= {name: flaw for each in self.comparisons.values() for name, flaw in each.flaws.items()}
         return flaws | {row.estimator: "receives the true attitude" for row in self.rows if row.reference}
 
 
@@ -118,6 +148,8 @@ def score_logs(
     progress: Progress | None = None,
 ) -> LogScores:
     """Run estimators over logs, each from an unknown attitude, with the raw gyroscope and without its bias.
+
+    Of the bias is removed what differs significantly from zero.
 
     Args:
         logs: From `quadsim.logs.read_log`.
@@ -148,9 +180,12 @@ def score_logs(
         scores.counted[title] = counted = np.logical_and.reduce(
             list(_conditions(log, within_deg, skip_s).values())
         )
-        scores.gyro_bias[title] = bias = gyro_bias(gyro[0], quat[0], rate)
+        found = bias_by_truth(gyro[0], quat[0], rate)
+        scores.gyro_bias[title], scores.bias_interval[title] = found
+        scores.bias_removed[title] = bias = found.significant
         for which in (RAW, KNOWN):
             scores.rows.append(_row(title, LEVEL, which, np.zeros_like(truth[0]), truth[0], counted, rate))
+        skipped = 0
         for name, est in made.items():
             progress(done, len(logs) * len(made), name)
             for which, offset in ((RAW, np.zeros(3)), (KNOWN, bias)):
@@ -160,7 +195,8 @@ def score_logs(
                     scores.rows.append(nothing)
                     continue
                 try:
-                    estimate = run(est, gyro - offset, accel, quat=quat, **others)
+                    estimate = _run(est, gyro - offset, accel, quat, **others)
+                    skipped = max(skipped, missing_samples(est))
                 except ValueError as error:
                     scores.rows.append(replace(nothing, flaw=f"did not run: {error}"))
                     continue
@@ -168,7 +204,9 @@ def score_logs(
                 flaw = flaw_of(estimate[0][counted], truth[0][counted])
                 row = replace(row, reference=receives_truth(est), flaw=flaw)
                 if which == RAW and (twin := silenced_twin(name, rate)) is not None:
-                    without = _row(title, name, which, run(twin, gyro, accel)[0], truth[0], counted, rate)
+                    without = _row(
+                        title, name, which, run_quietly(twin, gyro, accel)[0], truth[0], counted, rate
+                    )
                     row = replace(row, silenced_deg=without.inclination_rmse_deg)
                 scores.rows.append(row)
                 if which == RAW:
@@ -176,10 +214,69 @@ def score_logs(
                     if (believed := beliefs(est, gyro, accel, **others)) is not None:
                         scores.beliefs[title, name] = believed
             done += 1
+        _say_missing(title, skipped, len(truth[0]))
     if not scores.estimates:
         failed = [f"{name} {flaw}" for name, flaw in scores.unranked.items()]
         raise ValueError(f"no estimator ran: {'; '.join(failed)}")
     return scores
+
+
+def compare_logs(
+    scores: LogScores,
+    logs: Sequence[xr.Dataset],
+    estimators: Mapping[str, AttitudeEstimator],
+    *,
+    skip_s: float = SKIP_S,
+    progress: Progress | None = None,
+) -> None:
+    """Run estimators over logs without a true attitude; their estimates and comparisons go to the scores.
+
+    Args:
+        scores: To add to.
+        logs: From `quadsim.logs.read_log`.
+        estimators: Estimators under the names they are to have; one that receives the truth is left out.
+        skip_s: Time at the start that is not compared [s].
+        progress: Called before every run.
+
+    Raises:
+        ValueError: A log has the name of another, ends before `skip_s`, or no estimator ran on it.
+    """
+    progress = progress or (lambda *_: None)
+    for done, log in enumerate(logs):
+        title, rate = str(log.attrs["source"]), float(log.attrs["rate_hz"])
+        if title in scores.truth:
+            raise ValueError(f"logs must differ in name: {title}")
+        time = log["time"].to_numpy()
+        gyro, accel = (log[name].to_numpy().astype(float) for name in ("gyro", "accel"))
+        counted = np.asarray((time >= skip_s) & np.isfinite(gyro[0] + accel[0]).all(axis=1))
+        if not counted.any():
+            raise ValueError(f"{title}: nothing to compare: it has no readings after the first {skip_s:g} s")
+        good, flaws, others, skipped = {}, {}, other_sensors(log), 0
+        for k, (name, est) in enumerate(estimators.items()):
+            progress(done * len(estimators) + k, len(logs) * len(estimators), name)
+            if receives_truth(est):
+                flaws[name] = "receives the true attitude"
+                continue
+            try:
+                estimate = _run(est, gyro, accel, None, **others)[0]
+                skipped = max(skipped, missing_samples(est))
+            except ValueError as error:
+                flaws[name] = f"did not run: {error}"
+                continue
+            scores.estimates[title, name] = estimate
+            if flaw := flaw_of(estimate[counted], np.zeros_like(estimate[counted])):
+                flaws[name] = flaw
+                continue
+            good[name] = estimate[counted]
+            if (believed := beliefs(est, gyro, accel, **others)) is not None:
+                scores.beliefs[title, name] = believed
+        _say_missing(title, skipped, len(time))
+        if not good:
+            failed = [f"{name} {flaw}" for name, flaw in flaws.items()]
+            raise ValueError(f"{title}: no estimator ran: {'; '.join(failed)}")
+        scores.time_s[title], scores.counted[title] = time, counted
+        scores.truth[title] = np.full((len(time), 2), np.nan)
+        scores.comparisons[title] = compare(good, gyro[0, counted], accel[0, counted], rate, flaws)
 
 
 def unscorable(log: xr.Dataset, *, within_deg: float = 45.0, skip_s: float = SKIP_S) -> str | None:
@@ -216,33 +313,33 @@ def gyro_bias(gyro: Array, quat: Array, rate_hz: float) -> Array:
         rate_hz: Samples per second.
 
     Returns:
-        (3,) [rad/s]; NaN if fewer than a second of slow samples is known.
+        (3,) [rad/s]; NaN if fewer than a second of slow turns is known.
     """
-    turn = canonical(quat_multiply(quat_conjugate(quat[:-1]), quat[1:]))
-    true = 2.0 * turn[:, 1:] * rate_hz  # the turn of one sample is small
-    above = 0.5 * (gyro[:-1] + gyro[1:]) - true
-    slow = np.isfinite(above).all(axis=1) & (np.linalg.norm(true, axis=1) < RATE_MAX)
-    return above[slow].mean(axis=0) if slow.sum() >= rate_hz else np.full(3, np.nan)
+    return bias_by_truth(gyro, quat, rate_hz).mean
 
 
 def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = None) -> Figure:
     """True roll and pitch of a log with the best estimate, and a strip of error for each estimator.
+
+    Of a log without a true attitude, roll and pitch by each estimator.
 
     Args:
         scores: From `score_logs`.
         log: Name of the log.
         within: Part of it to draw [s]; None for all.
     """
-    time, truth = scores.time_s[log], scores.truth[log]
+    time, truth, compared = scores.time_s[log], scores.truth[log], log in scores.comparisons
     part = slice(None) if within is None else slice(*np.searchsorted(time, within))
     shown = [name for name in scores.estimators if (log, name) in scores.estimates][:LISTED]
-    figure = Figure(figsize=(8.0, 3.6 + 0.75 * len(shown)), layout="constrained")
-    ratios = [2.0, 2.0, *np.ones(len(shown))]
+    strips = [] if compared else shown
+    figure = Figure(figsize=(8.0, 3.6 + 0.75 * len(strips)), layout="constrained")
+    ratios = [2.0, 2.0, *np.ones(len(strips))]
     panels = np.atleast_1d(figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios))
     styles = looks(shown)
     for k, axes in enumerate(panels[:2]):
-        axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.2, label="truth")
-        for name in shown[:1]:
+        if not compared:
+            axes.plot(time[part], np.degrees(truth[part, k]), color="black", lw=2.2, label="truth")
+        for name in shown if compared else shown[:1]:
             best = np.degrees(scores.estimates[log, name][part, k])
             axes.plot(time[part], best, color=styles[name].colour, lw=1.0, label=name)
         axes.set_ylabel(("roll [°]", "pitch [°]")[k])
@@ -251,7 +348,7 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
         name: np.where(scores.counted[log], inclination_error(scores.estimates[log, name], truth), np.nan)[
             part
         ]
-        for name in shown
+        for name in strips
     }
     known = np.concatenate([[1.0], *(error[np.isfinite(error)] for error in errors.values())])
     for axes, (name, error) in zip(panels[2:], errors.items(), strict=True):
@@ -261,14 +358,33 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
         axes.set_title(
             name, fontsize=9, fontweight="bold", loc="left", color=styles[name].colour, y=0.68, x=0.01
         )
-    if shown:
-        panels[2 + len(shown) // 2].set_ylabel("inclination error, where it counts [°]", y=1.0)
+    if strips:
+        panels[2 + len(strips) // 2].set_ylabel("inclination error, where it counts [°]", y=1.0)
     panels[-1].set_xlabel("time [s]")
     panels[0].set_title(f"{log}, raw readings", fontsize=10, loc="left")
     for axes in panels:
         axes.grid(alpha=0.3)
         axes.margins(x=0)
     return figure
+
+
+def _run(
+    est: AttitudeEstimator, gyro: Array, accel: Array, quat: Array | None, **sensors: Unpack[OtherSensors]
+) -> Array:
+    """`run`, for a caller that says what is missing once for a log."""
+    first = streamed_start(est, gyro, accel, **sensors)
+    estimate = run_quietly(est, gyro, accel, quat=quat, **sensors)
+    require_same(est, estimate, first)
+    return estimate
+
+
+def _say_missing(log: str, missing: int, samples: int) -> None:
+    if missing:
+        logger.warning(
+            "%s: %d of %d samples are missing or beyond any sensor's range; estimators go on from their "
+            "prediction",
+            log, missing, samples,
+        )  # fmt: skip
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -285,10 +401,10 @@ def _conditions(log: xr.Dataset, within_deg: float, skip_s: float) -> dict[str, 
     scored = one["scored"].to_numpy() if "scored" in one else np.ones(len(truth), bool)
     readings = np.isfinite(np.hstack([one["gyro"].to_numpy(), one["accel"].to_numpy()])).all(axis=1)
     conditions = {
-        "it has no attitude": np.isfinite(truth).all(axis=1),
-        "gyroscope and accelerometer are missing where the attitude is known": readings,
         f"nothing is known after the first {skip_s:g} s, which are not scored": one["time"].to_numpy()
         >= skip_s,
+        NO_ATTITUDE: np.isfinite(truth).all(axis=1),
+        "gyroscope and accelerometer are missing where the attitude is known": readings,
         "it marks no such sample for scoring": scored,
         f"it is tilted by more than {within_deg:g}° all the time (--within)": np.nan_to_num(tilt, nan=np.inf)
         <= within_deg,

@@ -107,7 +107,16 @@ def mount(
     table.add_row("rotation", f"{found.angle_deg:.2f}°")
     table.add_row("1 SD about body x, y", f"{x:.2f}°, {y:.2f}°")
     table.add_row("1 SD about body z", f"{z:.2f}°" if z < math.inf else "the heading does not show")
+    if found.accel_bias is not None:
+        x, y = found.accel_bias
+        table.add_row("accelerometer bias, body x, y", f"{x:+.2f}, {y:+.2f} m/s²")
     output.print(table)
+    if found.accel_bias is None:
+        line = "the log cannot separate the accelerometer's bias from a tilt of the IMU: the mount takes both"
+        output.print(f"! {line} together", soft_wrap=True)
+    elif found.levelled:
+        line = "the accelerometer's bias hides a part of the IMU's tilt: the mount takes both together"
+        output.print(f"! {line}, so that no filter's error rises", soft_wrap=True)
     output.print(f'{file}: --mount "{mount_text(found.body_from_imu)}"', soft_wrap=True, highlight=False)
 
 

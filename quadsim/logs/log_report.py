@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .recording import TruthAxes
+from .truth_delay import Agreement
 
 LONGEST_GAP_S = 30.0
 """A longer gap ends a recording, and what follows is another part of it."""
@@ -25,7 +26,7 @@ NO_TURN = 200.0
 UNIT_NORM = 0.02
 """Quaternions of the truth may be longer or shorter than one by this."""
 AGREEMENT = 0.7
-"""Correlation of the truth's body rates with the gyroscope's below which frames are doubted."""
+"""Correlation of the truth's turns with the gyroscope's, corrected for noise: below, frames are doubted."""
 MOUNTED_AGREEMENT = 0.9
 """That correlation under the best rotation of the gyroscope's axes above which a mounting explains them."""
 MOUNTED_GAIN = 0.01
@@ -37,6 +38,8 @@ GRAVITY_WRONG = 3.0
 TILT_DEG = 5.0
 """The mean force may be this far from body z before it is reported [deg]: an accelerometer's bias and a
 breeze on a hovering vehicle amount to two or three."""
+FAR_DEG = 45.0
+"""and by more than this it is for want of a mount, which is named [deg]."""
 DELAY_TOLERANCE_S = 0.01
 """The truth may be this late or early before it is reported: two samples of the network's."""
 DOWNWARD = (
@@ -44,6 +47,11 @@ DOWNWARD = (
     "for a log of gravity in place of specific force"
 )
 """What is amiss where the mean force is upside down."""
+UNSCORED = "no attitude in this log: it can be run, not scored"
+LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 3.0
+"""Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""
+VIBRATION = 1.0
+"""Vibration above which a log without truth is warned of [m/s²]: 0.1 g shifts the mean of real sensors."""
 AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
 
 
@@ -85,15 +93,15 @@ class LogReport:
     """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
     slope: float | None
     """The gyroscope's rates over the truth's: 1 where units agree."""
-    axes: tuple[float, float, float] | None
-    """Correlation of each axis; 1 where it hardly turns."""
     rotated_agreement: float | None
-    """Correlation under the rotation of the gyroscope's axes that fits the truth best,"""
-    rotation_deg: float | None
-    """and the angle of that rotation [deg]."""
+    """Correlation under the rotation of the gyroscope's axes that fits the truth best."""
+    turned: Agreement | None
+    """Whether the truth turns as the gyroscope does; None where there is too little motion."""
     tilt_deg: float | None
     """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
     second is complete, or a truth of the body shows it better."""
+    level_mount: str
+    """Roll and pitch of a mount that brings that mean force to body z, as `--mount` takes them; or empty."""
     tilt_sd_deg: float
     """Standard deviation of that mean's direction [deg]."""
     rest_s: float
@@ -104,6 +112,8 @@ class LogReport:
     """Median length of the truth's quaternions as recorded."""
     weight: float
     """Median length of the specific force [m/s²]: near 9.8 in flight and in the hand."""
+    vibration: float
+    """Root mean square of the specific force above 20 Hz [m/s²]."""
     upright: float
     """Its mean along body z, over that length: near 1 in a flight."""
     still: tuple[str, ...]
@@ -181,17 +191,18 @@ class LogReport:
         """A truth that is no attitude, or of other axes than the readings."""
         if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
             yield f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1"
-        if not self._agrees:
-            fault = f"the truth does not turn as the gyroscope does (correlation {self.agreement:.2f})"
-            rotated = self.rotated_agreement or 0.0
-            by = f"; with the IMU rotated by {self.rotation_deg:.0f}° it does ({rotated:.2f})"
-            mounting = f"{by}: {self._mend_of_truth}" if rotated > MOUNTED_AGREEMENT else ""
+        if (found := self.turned) is None:
+            pass
+        elif not self._agrees:
+            fault = f"the truth does not turn as the gyroscope does (correlation {found.agreement:.2f})"
+            by = f"; with the IMU rotated by {found.rotation_deg:.0f}° it does ({found.rotated:.2f})"
+            mounting = f"{by}: {self._mend_of_truth}" if found.rotated > MOUNTED_AGREEMENT else ""
             yield f"{fault}: look at frame and mount{mounting}"
-        elif self.axes is not None and min(self.axes) < AGREEMENT:
-            worst = int(np.argmin(self.axes))
+        elif min(found.axes) < AGREEMENT:
+            worst = int(np.argmin(found.axes))
             yield (
                 f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
-                f"(correlation {self.axes[worst]:.2f}): look at frame and mount"
+                f"(correlation {found.axes[worst]:.2f}): look at frame and mount"
             )
         if self._off_gravity > GRAVITY_WRONG:
             yield self._where_gravity
@@ -226,13 +237,26 @@ class LogReport:
     def _frame_warnings(self) -> Iterator[str]:
         """A truth that is missing or late, or an IMU that is mounted in another way."""
         if self.truth == "none":
-            yield "no attitude in this log: it can be run, not scored"
+            yield UNSCORED
+            if self.rest_s >= LEAST_REST_S and self.rest_rate > LARGE_BIAS:
+                rate = f"{np.degrees(self.rest_rate):.1f} °/s across the vertical"
+                yield (
+                    f"at rest for {self.rest_s:.0f} s, the gyroscope reads {rate}, a large bias: "
+                    f"`quadsim logs calibrate {self.path or 'LOG'} --bias-only`"
+                )
+            if self.vibration > VIBRATION:
+                yield (
+                    f"the accelerometer vibrates by {self.vibration:.1f} m/s² RMS above 20 Hz, and above "
+                    f"{VIBRATION:g} m/s² its mean may be shifted"
+                )
+        elif self.truth_share == 0.0:
+            yield "the true attitude is known at no sample of the IMU: are both on one clock?"
         if GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
             yield self._where_gravity
         if not self.faults:
-            rotated = self.rotated_agreement or 0.0
-            if self.agreement and rotated > max(MOUNTED_AGREEMENT, self.agreement + MOUNTED_GAIN):
-                turned = f"the gyroscope rotated by {self.rotation_deg:.0f}°"
+            found = self.turned
+            if found and found.gain > MOUNTED_GAIN and found.common > MOUNTED_AGREEMENT:
+                turned = f"the gyroscope rotated by {found.rotation_deg:.0f}°"
                 yield f"the truth turns as {turned} does: {self._mend_of_truth}"
             if self.tilt_deg is not None and self.tilt_deg > TILT_DEG + 2 * self.tilt_sd_deg:
                 yield f"the mean specific force is {self.tilt_deg:.1f}° from body z: {self._mend}"
@@ -242,7 +266,7 @@ class LogReport:
 
     @property
     def _agrees(self) -> bool:
-        return self.agreement is None or self.agreement >= AGREEMENT
+        return self.turned is None or self.turned.agreement >= AGREEMENT
 
     @property
     def _off_gravity(self) -> float:
@@ -260,7 +284,15 @@ class LogReport:
 
     @property
     def _mend(self) -> str:
-        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it"
+        about = f', about --mount "{self.level_mount}"' if (self.tilt_deg or 0.0) > FAR_DEG else ""
+        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it{about}"
+
+    @property
+    def far_from_level(self) -> str:
+        """Of a log that is further from level than flights are, what corrects it; else empty."""
+        if self.tilt_deg is None or self.tilt_deg <= FAR_DEG:
+            return ""
+        return f"the mean specific force is {self.tilt_deg:.0f}° from body z: {self._mend}"
 
     @property
     def _mend_of_truth(self) -> str:

@@ -6,13 +6,13 @@ from typing import NamedTuple, cast
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..rotation import matrix_from_quat, quat_from_roll_pitch
+from ..rotation import matrix_from_quat, quat_from_roll_pitch, quat_rotate_inverse
 from ..vehicle import GRAVITY
 from .mean_force import Level, level
 from .mounting import Mount, mount_matrix
 from .recording import Array, Recording
 from .resample import resample
-from .truth_delay import turns, turns_at_delay
+from .truth_delay import turns_at_delay
 
 BIAS = 0.196
 """Standard deviation of an accelerometer's turn-on bias [m/s²]: the ADIS16448's in RotorS."""
@@ -29,6 +29,10 @@ class MountEstimate(NamedTuple):
     """Standard deviation about body x, y, z [deg]; infinite about z where the heading does not show."""
     by: str
     """What it was estimated from."""
+    accel_bias: Array | None = None
+    """Accelerometer's bias across body z (2,) [m/s²]; None where it cannot be separated from a tilt."""
+    levelled: bool = False
+    """Whether the tilt is that of the mean force, because the bias hides a part of the IMU's tilt."""
 
     @property
     def angle_deg(self) -> float:
@@ -54,8 +58,9 @@ def mount_from_level(found: Level) -> MountEstimate:
 def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
     """The rotation that brings the gyroscope's rates nearest to those of the true attitude.
 
-    Wahba's problem, min Σ |ω_truth − R ω_gyro|² (Markley 1988), of rates over spans that do not overlap, the
-    mean of both and the truth's delay taken out.
+    Wahba's problem, min Σ |ω_truth − R ω_gyro|² (Markley 1988), of rates over spans, the mean of both and the
+    truth's delay taken out. Spans overlap, so that the noise of every sample of the truth is averaged; the
+    standard deviation is that of as many as do not.
 
     Args:
         gyro: (T, 3) [rad/s], NaN where missing.
@@ -65,23 +70,56 @@ def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
     Raises:
         ValueError: Too little motion, or about one axis alone.
     """
-    rates = turns(gyro, quat, rate_hz)
+    rates = turns_at_delay(gyro, quat, rate_hz)
     if rates is None:
         raise ValueError("the truth and the gyroscope turn too little together: fly rolls and pitches")
-    measured, true, scale = turns_at_delay(rates, rate_hz)
+    measured, true, span = rates
+    count = len(true) // span
     with warnings.catch_warnings(
         action="ignore", category=UserWarning
     ):  # of an axis without motion: see below
-        found = Rotation.align_vectors(true, measured / scale, return_sensitivity=True)
+        found = Rotation.align_vectors(true, measured, return_sensitivity=True)
     rotation, distance, sensitivity = cast("tuple[Rotation, float, Array]", found)
-    sd = np.degrees(np.sqrt(np.diag(sensitivity) * distance**2 / (3 * len(true))))
+    sd = np.degrees(np.sqrt(np.diag(sensitivity) * distance**2 / (3 * count)))
     if not (sd < LARGEST_SD_DEG).all():
         raise ValueError(
             f"the mounting is uncertain by {sd.max():.0f}° (1 SD): the truth has to turn about two axes, and "
             "as the gyroscope does"
         )
     x, y, z = sd.tolist()
-    return MountEstimate(np.asarray(rotation.as_matrix()), (x, y, z), f"{len(true)} turns of the truth")
+    return MountEstimate(np.asarray(rotation.as_matrix()), (x, y, z), f"{count} turns of the truth")
+
+
+def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEstimate:
+    """A mounting by the truth, with the accelerometer's bias: its mean less gravity's in body axes.
+
+    Filters take the bias for a tilt. Where it hides a part of the IMU's tilt, so that more would show with
+    the mounting than without, the tilt is that which brings the mean force onto gravity's: both together.
+
+    Args:
+        found: From `mount_from_truth`.
+        accel: Specific force in IMU axes (T, 3) [m/s²], NaN where missing.
+        quat: quat_WB of the body (T, 4), NaN where not known.
+    """
+    known = np.isfinite(accel).all(axis=1) & np.isfinite(quat).all(axis=1)
+    force = accel[known].mean(axis=0)
+    gravity = quat_rotate_inverse(quat[known], np.array([0.0, 0.0, GRAVITY])).mean(axis=0)
+    mounted = found.body_from_imu @ force
+    bias = (mounted - gravity)[:2]
+    found = found._replace(accel_bias=bias)
+    hidden = np.linalg.norm(bias) > np.linalg.norm((force - gravity)[:2])
+    if not hidden or np.linalg.norm(gravity) < 0.5 * GRAVITY:
+        return found
+    axis = np.cross(mounted, gravity)
+    sine = float(np.linalg.norm(axis))
+    levelling = Rotation.from_rotvec(axis / max(sine, 1e-12) * np.arctan2(sine, float(mounted @ gravity)))
+    x, y, z = found.sd_deg
+    tilt = float(np.degrees(levelling.magnitude()))
+    return found._replace(
+        body_from_imu=levelling.as_matrix() @ found.body_from_imu,
+        sd_deg=(float(np.hypot(x, tilt)), float(np.hypot(y, tilt)), z),
+        levelled=True,
+    )
 
 
 def estimate_mount(log: Recording, given: Mount | None = None, from_level: bool = False) -> MountEstimate:
@@ -100,7 +138,7 @@ def estimate_mount(log: Recording, given: Mount | None = None, from_level: bool 
     gyro, accel, quat = (data[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
     try:
         if np.isfinite(quat).any() and log.truth_axes == "body" and not from_level:
-            found = mount_from_truth(gyro, quat, rate_hz)
+            found = with_accel_bias(mount_from_truth(gyro, quat, rate_hz), accel, quat)
         else:
             mean = level(gyro, accel, rate_hz)
             if mean is None:

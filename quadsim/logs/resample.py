@@ -10,14 +10,23 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import firwin, oaconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..config.ranges import FORCE_MAX, RATE_MAX
 from ..dataset.store import LABELS, VARIABLES, Variable
-from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
+from ..rotation import (
+    matrix_from_quat,
+    quat_from_roll_pitch,
+    quat_rotate,
+    roll_pitch_of_up,
+    wxyz_from_xyzw,
+    xyzw_from_wxyz,
+)
 from .log_report import AXES, LONGEST_GAP_S, LogReport
 from .mean_force import level, turn_at_rest
+from .mounting import mount_text
 from .recording import Array, Recording, Track
 from .truth_delay import align
 
@@ -43,6 +52,8 @@ STUCK_S = 0.5
 """Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
 MOVES = 10.0
 """by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
+VIBRATION_S = 0.05
+"""Motion slower than this is no vibration [s]."""
 EXACT_S = 1e-7
 """Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
 RARE = 0.01
@@ -129,10 +140,10 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         truth_delay_s=None if found is None else found.delay_s,
         agreement=None if found is None else found.agreement,
         slope=None if found is None else found.slope,
-        axes=None if found is None else found.axes,
         rotated_agreement=None if found is None else found.rotated_agreement,
-        rotation_deg=None if found is None else found.rotation_deg,
+        turned=None if found is None else found.turned,
         tilt_deg=None if mean is None else mean.tilt_deg,
+        level_mount="" if mean is None else _levelling(mean.force),
         tilt_sd_deg=0.0 if mean is None else mean.sd_deg,
         rest_s=0.0 if rest is None else float(rest.seconds),
         rest_rate=0.0 if rest is None else rest.rate,
@@ -140,6 +151,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         path=log.path,
         truth_norm=_median_norm(log.quat),
         weight=float(np.median(force)),
+        vibration=_vibration(log.accel, source_rate),
         upright=float(log.accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
         still=_still(readings),
         stuck=tuple(stuck.sum(axis=0).tolist()),
@@ -244,7 +256,7 @@ def _median_norm(quat: Array | None) -> float | None:
     if quat is None:
         return None
     length = np.linalg.norm(quat, axis=1)
-    known = np.isfinite(length) & (length > 0)
+    known = length > 0  # not NaN, and infinite where a number is too large to be squared
     return float(np.median(length[known])) if known.any() else None
 
 
@@ -328,6 +340,17 @@ def _even(
     padded = np.concatenate([head, values, tail])
     smooth = oaconvolve(padded, kernel[:, None], mode="same", axes=0)[len(head) : len(head) + count]
     return CubicSpline(fine, smooth)(grid)
+
+
+def _levelling(force: Array) -> str:
+    """The mount that brings a force (3,) to body z without a change of heading, as text."""
+    return mount_text(matrix_from_quat(quat_from_roll_pitch(roll_pitch_of_up(force))))
+
+
+def _vibration(accel: Array, rate_hz: float) -> float:
+    """Root mean square of a specific force (T, 3) less its mean over a twentieth of a second."""
+    fast = accel - uniform_filter1d(accel, max(round(VIBRATION_S * rate_hz), 1), axis=0)
+    return float(np.sqrt((fast**2).sum(axis=1).mean()))
 
 
 def _near(times: Array, grid: Array, period: float) -> NDArray[np.bool_]:

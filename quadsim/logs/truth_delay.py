@@ -10,12 +10,33 @@ from .recording import Array
 
 SEARCH_S = 0.5
 """Delays of more than this are not looked for."""
-SPAN_S = 0.1
-"""Turns over this time are compared, so that the truth's noise does not count."""
+SPAN_S, LONG_S = 0.1, 0.5
+"""Turns over these times are compared: white noise of the truth's attitude falls as one over the time, and
+counts over the shorter in gentle motion; over the longer, fast motion turns back."""
 MOVING, SURELY_MOVING = 0.05, 0.25
 """Least standard deviations of the rates, of both and of one alone, that say something [rad/s]."""
 TURNING = 0.1
 """The same of the truth about an axis, for a correlation of that axis alone [rad/s]."""
+COMMON = 0.3
+"""Correlation under the best rotation or mirroring of the gyroscope's axes below which the truth's noise is
+not corrected for: chance reaches 0.2 in half a minute."""
+
+
+class Agreement(NamedTuple):
+    """How the truth turns beside the gyroscope, over the time in which both have most in common."""
+
+    agreement: float
+    """Correlation over all three axes, corrected for the truth's noise: 1 where both turn alike."""
+    axes: tuple[float, float, float]
+    """The same of each axis; 1 where the truth hardly turns about it."""
+    rotated: float
+    """The same under the rotation of the gyroscope's axes at which it is largest,"""
+    rotation_deg: float
+    """and the angle of that rotation [deg]."""
+    gain: float
+    """What that rotation adds to the correlation as it is, not corrected."""
+    common: float
+    """Correlation under the best rotation or mirroring: what the truth's noise leaves."""
 
 
 class Alignment(NamedTuple):
@@ -24,20 +45,18 @@ class Alignment(NamedTuple):
     delay_s: float
     """How late the truth is [s] (negative: early), to a fraction of a sample."""
     agreement: float
-    """Correlation over all three axes at that delay: 1 where both turn alike."""
-    axes: tuple[float, float, float]
-    """The same of each axis; 1 where the truth hardly turns about it."""
+    """Correlation of the rates over `SPAN_S` at that delay, all three axes together."""
     rotated_agreement: float
-    """The correlation under the rotation of the gyroscope's axes at which it is largest,"""
-    rotation_deg: float
-    """and the angle of that rotation [deg]."""
+    """The same under the rotation of the gyroscope's axes at which it is largest."""
     slope: float
     """Readings over the truth's rates, 1 where units agree: the true slope is between r and 1/r times this,
     with r the correlation under that rotation."""
+    turned: Agreement
+    """Whether both turn alike."""
 
 
 class Turns(NamedTuple):
-    """Mean body rates over `SPAN_S`, NaN where one of them is not known."""
+    """Mean body rates over a time, NaN where one of them is not known."""
 
     measured: Array
     """By the gyroscope (m, 3) [rad/s]."""
@@ -58,33 +77,56 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
     Returns:
         The result; None where there is too little motion.
     """
-    rates = turns(gyro, quat, rate_hz)
-    if rates is None:
+    rates, long = (turns(gyro, quat, rate_hz, span_s) for span_s in (SPAN_S, LONG_S))
+    if rates is None or long is None:
         return None
-    a, b = rates.measured, rates.true
     most, crosses = _at_all_delays(rates, rate_hz)
     fit = np.array([each.agreement for each in crosses])
     peak = int(np.clip(np.argmax(fit), 1, fit.size - 2))
     left, top, right = fit[peak - 1 : peak + 2]
     bend = left - 2 * top + right
     beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    rotated = max(range(fit.size), key=lambda k: crosses[k].rotated_agreement)
+    best = crosses[rotated]
+    turned = max((_agreement(each, peak - most, rotated - most) for each in (rates, long)), key=_common)
+    return Alignment(
+        float((peak - most + beside) / rate_hz), float(top), best.rotated_agreement, best.slope, turned
+    )
+
+
+def _common(found: Agreement) -> float:
+    return found.common
+
+
+def _agreement(rates: Turns, lag: int, rotated_lag: int) -> Agreement:
+    """How turns agree at two delays in samples, with the gyroscope's axes as they are and rotated.
+
+    The correlation under the best rotation or mirroring, c = (s₁ + s₂ + s₃)/√(pq), is less than 1 by the
+    truth's noise, which has the share 1 − c² of its variance q. Correlations are corrected for it
+    (Spearman 1904); it is taken to be the same about every axis.
+    """
+    a, b = _shifted(rates.measured, rates.true, lag)
+    plain, best = _cross(a, b), _cross(*_shifted(rates.measured, rates.true, rotated_lag))
+    common = max(plain.common, best.common)
+    explained = common if common > COMMON else 1.0
+    noise = (1 - explained**2) * float((b**2).sum()) / 3
+    signal = (b**2).sum(axis=0) - noise
     x, y, z = (
-        _cross(a[:, k : k + 1], b[:, k : k + 1], peak - most).agreement
-        if np.nanstd(b[:, k]) > TURNING
+        float(a[:, k] @ b[:, k] / np.sqrt(max(float(a[:, k] @ a[:, k]), 1e-30) * signal[k]))
+        if signal[k] > TURNING**2 * len(b)
         else 1.0
         for k in range(3)
     )
-    best = max(crosses, key=lambda each: each.rotated_agreement)
-    return Alignment(
-        float((peak - most + beside) / rate_hz), float(top), (x, y, z),
-        best.rotated_agreement, best.rotation_deg, best.slope,
+    return Agreement(
+        plain.agreement / explained, (x, y, z), best.rotated_agreement / explained, best.rotation_deg,
+        best.rotated_agreement - plain.agreement, common,
     )  # fmt: skip
 
 
-def turns(gyro: Array, quat: Array, rate_hz: float) -> Turns | None:
+def turns(gyro: Array, quat: Array, rate_hz: float, span_s: float = SPAN_S) -> Turns | None:
     """Mean body rates of the gyroscope and of the truth, or None where there is too little motion."""
     known = np.asarray(np.isfinite(quat).all(axis=1))
-    span = max(round(SPAN_S * rate_hz), 1)
+    span = max(round(span_s * rate_hz), 1)
     if known.size < 4 * span + 2 * SEARCH_S * rate_hz:
         return None
     xyzw = xyzw_from_wxyz(np.where(known[:, None], quat, (1.0, 0.0, 0.0, 0.0)))
@@ -102,15 +144,22 @@ def turns(gyro: Array, quat: Array, rate_hz: float) -> Turns | None:
     return Turns(a, b, span)
 
 
-def turns_at_delay(rates: Turns, rate_hz: float) -> tuple[Array, Array, float]:
-    """Rates over spans that do not overlap, (m, 3) of each, less their means, and the slope of the first.
+def turns_at_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Array, int] | None:
+    """Rates of gyroscope and truth over spans that overlap, less their means, (m, 3) each; samples of a span.
 
-    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out.
+    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out, and
+    so is the gyroscope's scale. Of both spans the one over which they have most in common is used. None where
+    there is too little motion.
     """
-    most, crosses = _at_all_delays(rates, rate_hz)
-    best = max(range(len(crosses)), key=lambda k: crosses[k].rotated_agreement)
-    a, b = _shifted(rates.measured, rates.true, best - most)
-    return a[:: rates.span], b[:: rates.span], crosses[best].slope
+    found = []
+    for span_s in (SPAN_S, LONG_S):
+        if (rates := turns(gyro, quat, rate_hz, span_s)) is None:
+            return None
+        most, crosses = _at_all_delays(rates, rate_hz)
+        best = max(range(len(crosses)), key=lambda k: crosses[k].rotated_agreement)
+        a, b = _shifted(rates.measured, rates.true, best - most)
+        found.append((crosses[best].common, a / crosses[best].slope, b, rates.span))
+    return max(found, key=lambda each: each[0])[1:]
 
 
 class _Cross(NamedTuple):
@@ -118,6 +167,7 @@ class _Cross(NamedTuple):
 
     agreement: float
     rotated_agreement: float
+    common: float
     rotation_deg: float
     slope: float
 
@@ -125,7 +175,7 @@ class _Cross(NamedTuple):
 def _at_all_delays(rates: Turns, rate_hz: float) -> tuple[int, list[_Cross]]:
     """The largest delay in samples, and how the rates belong together at every one from its negative on."""
     most = round(SEARCH_S * rate_hz)
-    return most, [_cross(rates.measured, rates.true, lag) for lag in range(-most, most + 1)]
+    return most, [_cross(*_shifted(rates.measured, rates.true, lag)) for lag in range(-most, most + 1)]
 
 
 def _shifted(a: Array, b: Array, lag: int) -> tuple[Array, Array]:
@@ -136,15 +186,14 @@ def _shifted(a: Array, b: Array, lag: int) -> tuple[Array, Array]:
     return a, b
 
 
-def _cross(a: Array, b: Array, lag: int) -> _Cross:
-    """How a[k] and b[k + lag] belong together, all axes together.
+def _cross(a: Array, b: Array) -> _Cross:
+    """How two series without their means belong together, all axes together.
 
     The rotation R is that which maximises c = Σ b·R a = tr(R Σ a bᵀ) = s₁ + s₂ ± s₃, the singular values
     (Kabsch 1976). With p = Σ|a|² and q = Σ|b|² the correlation is r = c/√(pq) and the slope of a over b
     √(p/q), midway between the two regressions c/q, which noise of b biases low, and p/c, which noise of a
     biases high. They are r and 1/r times it, and the true slope is between them (Frisch 1934).
     """
-    a, b = _shifted(a, b, lag)
     p, q = max(float((a**2).sum()), 1e-30), max(float((b**2).sum()), 1e-30)
     moments = a.T @ b
     u, s, vt = np.linalg.svd(moments)
@@ -156,6 +205,7 @@ def _cross(a: Array, b: Array, lag: int) -> _Cross:
     return _Cross(
         float(np.trace(moments)) / scale,
         c / scale,
+        float(s.sum()) / scale,
         float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
         float(np.sqrt(p / q)),
     )

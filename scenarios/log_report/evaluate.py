@@ -7,8 +7,19 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from estimators.evaluation.logs import KNOWN, RAW, default_names, draw_log, score_logs, unscorable
+from estimators.evaluation.logs import (
+    KNOWN,
+    NO_ATTITUDE,
+    RAW,
+    LogScores,
+    compare_logs,
+    default_names,
+    draw_log,
+    score_logs,
+    unscorable,
+)
 from quadsim.logs import read_log_and_report, refused
+from quadsim.logs.log_report import UNSCORED
 from quadsim.runs.console import output, progress_bar
 from quadsim.runs.files import save_figure
 
@@ -44,39 +55,61 @@ def evaluate_logs(
     refused([(path, report) for path, (_, report) in read.items()], force)
     warnings = [f"{path}: {warning}" for path, (_, report) in read.items() for warning in report.warnings]
     reasons = {path: unscorable(log, within_deg=within_deg) for path, (log, _) in read.items()}
+    for path, (_, report) in read.items():
+        if reasons[path] and "--within" in str(reasons[path]) and report.far_from_level:
+            reasons[path] = f"{reasons[path]}; {report.far_from_level}"
     left_out = [f"{path}: nothing to score: {reason}" for path, reason in reasons.items() if reason]
-    if len(left_out) == len(read):
+    without = [path for path, reason in reasons.items() if reason == NO_ATTITUDE]
+    if len(left_out) == len(read) and not without:
         raise ValueError(left_out[0])
-    warnings += left_out
+    known = " ".join(warnings)
+    warnings += [line for line in left_out if f"{line.split(': nothing')[0]}: {UNSCORED}" not in known]
     for warning in warnings:
         output.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for path, (log, _) in read.items() if not reasons[path]]
-    rate = float(logs[0].attrs["rate_hz"])
+    others = [read[path][0] for path in without]
+    rate = float((logs + others)[0].attrs["rate_hz"])
     made = contenders.create(default_names(contenders.vehicle is not None), rate)
     with progress_bar("evaluate", "runs") as bar:
-        scores = score_logs(logs, made, within_deg=within_deg, progress=bar)
+        scores = score_logs(logs, made, within_deg=within_deg, progress=bar) if logs else LogScores()
+        compare_logs(scores, others, made, progress=bar)
     scores.write_csv(out / "logs.csv")
     for log in scores.truth:
         save_figure(out / f"{log}.png", draw_log(scores, log), dpi=110)
-    page = write_log_report(out / "report.html", logs, scores, warnings)
+    page = write_log_report(out / "report.html", logs + others, scores, warnings)
     headings = ("estimator", "raw, °", "silenced, °", "bias removed, °")
     table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°")
-    for name in scores.estimators:
+    for name in scores.estimators if logs else ():
         errors = scores.mean(name, RAW), scores.silenced(name), scores.mean(name, KNOWN)
         table.add_row(name, *("–" if math.isnan(error) else f"{error:.2f}" for error in errors))
-    output.print(table)
+    if logs:
+        output.print(table)
+    for log, found in scores.comparisons.items():
+        table = Table(
+            "estimator", "horizontal force, m/s²", "from others, °", title=f"{log}: no true attitude"
+        )
+        for name, size in sorted(found.force.items(), key=lambda each: each[1]):
+            pairs = [pair for names, pair in found.apart.items() if name in names]
+            median, most = np.median(pairs, axis=0) if pairs else (math.nan, math.nan)
+            differ = f"{median:.1f}, 95th percentile {most:.1f}" if pairs else "–"
+            table.add_row(name, f"{size:.2f}", differ)
+        output.print(table)
     for row in scores.rows:
         if row.flaw and row.bias == RAW:
             counted = "; each of these counts as 180°" if row.without_number > 0.0 else ""
             text = f"{row.log}: {row.estimator} {row.flaw}{counted}: it is not ranked"
             output.print(text, soft_wrap=True, markup=False)
-    for log, bias in scores.gyro_bias.items():
-        shown = ", ".join(f"{math.degrees(value):+.2f}" for value in bias)
-        known = f"gyro bias ({shown}) °/s" if np.isfinite(bias).all() else "gyro bias unknown"
-        text = f"{log}: {scores.counted[log].sum() / rate:.0f} s scored, {known}"
+    for log, counted in scores.counted.items():
+        if log in scores.comparisons:
+            continue
+        text = f"{log}: {counted.sum() / rate:.0f} s scored, {scores.bias_text(log)}"
         output.print(text, soft_wrap=True, highlight=False)
     for (log, name), believed in scores.beliefs.items():
         shares = ", ".join(f"{model} {100.0 * share:.0f} %" for model, share in believed.share().items())
+        if log in scores.comparisons:
+            text = f"{log}: {name} believed {shares}; its σ is {believed.sigma_deg:.1f}° in the median"
+            output.print(text, soft_wrap=True, highlight=False)
+            continue
         inside = believed.coverage(scores.truth[log][None], scores.counted[log][None])
         text = f"{log}: {name} believed {shares}; {100.0 * inside:.0f} % of the truth is in its 95 % interval"
         output.print(text, soft_wrap=True, highlight=False)

@@ -56,7 +56,9 @@ def write_log_report(
         verdict=log_verdict(scores),
         warnings=warnings,
         logs=list(described),
-        rows=_table(scores),
+        rows=_table(scores) if scores.scored else [],
+        scored=scores.scored,
+        compared=_compared(scores),
         **uplot(),
         script=script("log_report/js/log.js"),
         payload=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
@@ -72,10 +74,25 @@ def _table(scores: LogScores) -> list[dict[str, object]]:
         {
             "estimator": name,
             "means": [scores.mean(name, RAW), scores.mean(name, KNOWN), scores.silenced(name)],
-            "logs": [on_log[name, log] for log in scores.truth],
+            "logs": [on_log[name, log] for log in scores.scored],
         }
         for name in scores.estimators
+        if any(row.estimator == name for row in scores.rows)
     ]
+
+
+def _compared(scores: LogScores) -> list[dict[str, object]]:
+    """Of each log without truth: a row for each estimator, its force and its difference from every other."""
+    tables = []
+    for log, found in scores.comparisons.items():
+        both = dict(found.apart) | {(b, a): apart for (a, b), apart in found.apart.items()}
+        names = sorted(found.force, key=lambda name: found.force[name])
+        rows = [
+            {"estimator": a, "force": found.force[a], "apart": [both.get((a, b)) for b in names]}
+            for a in names
+        ]
+        tables.append({"log": log, "names": names, "rows": rows})
+    return tables
 
 
 def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) -> dict[str, object]:
@@ -92,19 +109,25 @@ def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) 
         for k, axis in enumerate("xyz"):
             add(f"{sensor} {axis}", factor * log[sensor].to_numpy()[0, :, k].astype(float))
     truth = scores.truth[title]
-    for k, angle in enumerate(("roll", "pitch")):
+    for k, angle in enumerate(("roll", "pitch") if title not in scores.comparisons else ()):
         add(f"{angle}|truth", np.degrees(truth[:, k]))
     estimated = [name for name in sorted(scores.estimators) if (title, name) in scores.estimates]
     for name in estimated:
         estimate = scores.estimates[title, name]
         for k, angle in enumerate(("roll", "pitch")):
             add(f"{angle}|{name}", np.degrees(estimate[:, k]))
-        add(f"error|{name}", inclination_error(estimate, truth))
-    for believed in (found for (log_name, _), found in scores.beliefs.items() if log_name == title):
+        if title not in scores.comparisons:
+            add(f"error|{name}", inclination_error(estimate, truth))
+    for name, believed in (
+        (name, found) for (whose, name), found in scores.beliefs.items() if whose == title
+    ):
         latest = np.searchsorted(believed.samples, np.arange(log.sizes["time"]), side="right") - 1
         probability = believed.probability[0, np.maximum(latest, 0)]
-        for k, name in enumerate(believed.models):
-            add(f"model|{name}", probability[:, k])
+        for k, model in enumerate(believed.models):
+            add(f"model|{model}", probability[:, k])
+        if title in scores.comparisons:
+            for k, angle in enumerate(("roll", "pitch")):
+                add(f"sigma|{name}, {angle}", np.degrees(believed.sigma[0, np.maximum(latest, 0), k]))
     counted = scores.counted[title][::every]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~counted, [False]]).astype(int))).reshape(-1, 2)
     return {
@@ -117,12 +140,12 @@ def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) 
 
 
 def _note(log: xr.Dataset, scores: LogScores, title: str, every: int) -> str:
-    rate, bias = float(log.attrs["rate_hz"]), np.degrees(scores.gyro_bias[title])
+    rate = float(log.attrs["rate_hz"])
+    done = "compared" if title in scores.comparisons else "scored"
     text = (
-        f"{log.sizes['time'] / rate:.0f} s at {rate:g} Hz, {scores.counted[title].sum() / rate:.0f} s scored"
+        f"{log.sizes['time'] / rate:.0f} s at {rate:g} Hz, {scores.counted[title].sum() / rate:.0f} s {done}"
     )
-    if np.isfinite(bias).all():
-        text += f"; mean gyroscope bias ({', '.join(f'{value:+.2f}' for value in bias)}) °/s"
+    text += f"; {scores.bias_text(title)}"
     return text + (f"; one sample of {every} is drawn" if every > 1 else "") + "."
 
 

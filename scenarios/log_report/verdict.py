@@ -25,13 +25,23 @@ class LogVerdict(NamedTuple):
 def log_verdict(scores: LogScores) -> LogVerdict:
     """Which estimator had the smallest error, how a level guess compares, and what limits the finding."""
     unranked = scores.unranked
-    logs, names = list(scores.truth), [n for n in scores.estimators if n != LEVEL and n not in unranked]
+    notes = [f"{name} {reason.rstrip('.')}: it is not ranked." for name, reason in unranked.items()]
+    compared = [line for log in scores.comparisons for line in _compared(scores, log)]
+    if not scores.scored:
+        favoured = {log: found.favoured for log, found in scores.comparisons.items()}
+        favours = dict.fromkeys(favoured.values())
+        choice = ", ".join(next(iter(favours))) if len(favours) == 1 else ""
+        evidence = f"the mean force favours {choice}" if choice else "the evidence favours no estimator"
+        if len(favours) > 1:
+            evidence = "the evidence differs from log to log"
+        headline = f"No true attitude, no errors; {evidence}."
+        return LogVerdict(headline, [*compared, *_believed(scores), *notes])
+    logs, names = scores.scored, [n for n in scores.estimators if n != LEVEL and n not in unranked]
     error = {name: scores.mean(name, RAW) for name in scores.estimators}
     seconds = sum(int(scores.counted[log].sum()) / _rate(scores, log) for log in logs)
     data = f"{len(logs)} log{'s' if len(logs) > 1 else ''}, {seconds:.0f} s scored"
-    notes = [f"{name} {reason.rstrip('.')}: it is not ranked." for name, reason in unranked.items()]
     if not names:
-        return LogVerdict("No estimator is ranked.", notes)
+        return LogVerdict("No estimator is ranked.", [*compared, *notes])
     best, level = names[0], error[LEVEL]
     headline = f"Smallest error: {best}, {error[best]:.2f}° inclination RMSE."
     if error[best] > CLEAR * level:
@@ -40,6 +50,7 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     conditions = "from an unknown attitude, with the gyroscope as it reads"
     lines = [f"{data}, {conditions}. A level guess makes {level:.2f}°."]
     lines += [*_by_log(scores, logs, names, best), *_bias(scores, names, error), *_believed(scores)]
+    lines += compared
     if len(logs) == 1:
         lines.append("One log shows what happened on it, not which estimator is best on the next.")
     return LogVerdict(headline, lines + notes)
@@ -66,9 +77,12 @@ def _by_log(scores: LogScores, logs: list[str], names: list[str], best: str) -> 
 
 def _bias(scores: LogScores, names: list[str], error: dict[str, float]) -> list[str]:
     """Estimators that lose by a gyroscope bias that they do not find."""
-    largest = max(
-        (np.abs(bias).max() for bias in scores.gyro_bias.values() if np.isfinite(bias).all()), default=0.0
-    )
+    removed = np.abs([bias for bias in scores.bias_removed.values() if np.isfinite(bias).all()])
+    if not removed.any():
+        known = removed.size > 0
+        text = "No gyroscope bias differs significantly from zero: nothing is removed."
+        return [text] if known else []
+    largest = float(removed.max())
     if largest < LARGE_BIAS:
         return []
     without = {name: scores.mean(name, KNOWN) for name in names}
@@ -82,6 +96,24 @@ def _bias(scores: LogScores, names: list[str], error: dict[str, float]) -> list[
     return [text + "."]
 
 
+def _compared(scores: LogScores, log: str) -> list[str]:
+    """How far estimators are apart on a log without truth, and what its forces favour."""
+    found = scores.comparisons[log]
+    median, most = found.overall
+    lines = []
+    if found.apart:
+        lines.append(
+            f"{log} has no true attitude: the inclinations of two estimators differ by {median:.1f}° in the "
+            f"median and by {most:.1f}° in the 95th percentile (median over pairs)."
+        )
+    low, high = min(found.force.values()), max(found.force.values())
+    text = f"{log}: turned to the world and averaged over 10 s, the horizontal force is {low:.2f} m/s²"
+    text += f" to {high:.2f} m/s² (RMS), and it is near zero for a right attitude: "
+    chosen = ", ".join(found.favoured)
+    lines.append(text + (f"it favours {chosen}." if chosen else "it favours no estimator significantly."))
+    return lines
+
+
 def _believed(scores: LogScores) -> list[str]:
     """Which models an estimator of several believed, over all logs, and how honest its sigma was."""
     lines = []
@@ -90,10 +122,15 @@ def _believed(scores: LogScores) -> list[str]:
         shares = [each.share() for each in found.values()]
         mean = {model: float(np.mean([share[model] for share in shares])) for model in shares[0]}
         ranked = sorted(mean.items(), key=lambda each: -each[1])
-        covered = np.nanmean(
-            [each.coverage(scores.truth[log][None], scores.counted[log][None]) for log, each in found.items()]
-        )
+        covered = [
+            each.coverage(scores.truth[log][None], scores.counted[log][None])
+            for log, each in found.items()
+            if log in scores.scored
+        ]
         shown = ", ".join(f"{model} {share:.0%}" for model, share in ranked)
-        inside = f"{covered:.0%} of the true angles are in its 95 % interval"
+        if covered:
+            inside = f"{np.nanmean(covered):.0%} of the true angles are in its 95 % interval"
+        else:
+            inside = f"its σ is {np.median([each.sigma_deg for each in found.values()]):.1f}° in the median"
         lines.append(f"{name} believed, in share of the time: {shown}; {inside}.")
     return lines

@@ -1,6 +1,8 @@
 """Scores on recorded logs: what counts, what a level guess makes, and what a known bias is worth."""
 
 import csv
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,20 +13,34 @@ from estimators.evaluation.logs import (
     KNOWN,
     LEVEL,
     RAW,
+    LogScores,
+    compare_logs,
     default_names,
     draw_log,
     gyro_bias,
     score_logs,
     unscorable,
 )
+from estimators.evaluation.without_truth import horizontal_force
 from quadsim.cli import app
 from quadsim.logs import read_log
+from quadsim.logs.mount_estimate import estimate_mount
+from quadsim.logs.mounting import mount_matrix, mounted
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
-from quadsim.rotation import quat_from_euler, quat_rotate_inverse, roll_pitch_from_quat
+from quadsim.logs.truth_bias import bias_by_truth
+from quadsim.rotation import (
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate_inverse,
+    roll_pitch_from_quat,
+)
 from scenarios.log_report.page import write_log_report
 from scenarios.log_report.verdict import log_verdict
 
+FILTERS = ("mahony", "madgwick", "complementary", "eskf", "vqf")
 BIAS = np.array([0.06, -0.02, 0.01])
 
 
@@ -46,6 +62,12 @@ def test_level_is_the_root_mean_square_of_the_tilt(log):
     for row in rows[:2]:  # 17 s after the start, of which one is a gap
         assert (row.estimator, row.scored_s) == (LEVEL, pytest.approx(16.0, abs=0.01))
         assert row.inclination_rmse_deg == pytest.approx(np.sqrt(np.mean(tilt**2)), rel=1e-9)
+
+
+def test_missing_samples_are_said_once_with_the_name_of_the_log(log, caplog):
+    score_logs([log], ["mahony", "vqf", "att-snn"])
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert line.startswith("mine: 201 of 4000 samples")
 
 
 def test_only_known_upright_and_marked_samples_count(log):
@@ -78,6 +100,66 @@ def test_a_fast_turn_has_the_bias_of_a_slow_one():
     gyro = np.tile([0.0, 0.0, 0.4], (2000, 1)) + BIAS
     np.testing.assert_allclose(gyro_bias(gyro, quat, 200.0), BIAS, atol=1e-6)
     assert np.isnan(gyro_bias(gyro[:100], quat[:100], 200.0)).all()
+
+
+def noisy(bias, noise=0.025, seconds=60.0, seed=0):
+    """A sensor that turns gently at 200 Hz, with a bias [rad/s] and a truth with white noise [rad]."""
+    time, rng = np.arange(round(seconds * 200)) / 200.0, np.random.default_rng(seed)
+    quat = quat_from_euler(0.2 * np.sin(2 * time), 0.2 * np.sin(3 * time), 0.3 * time)
+    turn = quat_multiply(quat_conjugate(quat[:-1]), quat[1:])
+    gyro = np.concatenate([400 * turn[:, 1:], [[0.0, 0.0, 0.3]]]) + rng.normal(0.0, 0.003, (time.size, 3))
+    accel = quat_rotate_inverse(quat, np.array([0.0, 0.0, 9.81])) + rng.normal(0.0, 0.05, gyro.shape)
+    seen = quat_multiply(quat, quat_from_rotvec(rng.normal(0.0, noise, gyro.shape)))
+    return resample(Recording("noisy", "x", time, gyro + bias, accel, "mocap", time, seen))[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bias_against_a_noisy_truth_is_within_its_interval(seed):
+    bias = np.radians([1.5, -1.0, 0.0])
+    found = bias_by_truth(*(noisy(bias, seed=seed)[name].to_numpy()[0] for name in ("gyro", "quat")), 200.0)
+    np.testing.assert_allclose(found.mean, bias, atol=np.radians(0.2))
+    assert (np.abs(found.mean - bias) < found.half_width).all()
+    assert (found.half_width < np.radians(0.8)).all()
+    assert found.significant.tolist() == [found.mean[0], found.mean[1], 0.0]
+
+
+def test_a_bias_is_removed_where_it_is_significant_and_the_report_says_where_not(tmp_path):
+    held, biased = noisy(np.zeros(3)), noisy(np.radians([2.0, 0.0, 0.0]), seed=1)
+    biased.attrs["source"] = "biased"
+    scores = score_logs([held, biased], {"mahony": create("mahony", k_p=1.0, k_i=0.0)})
+    error = {
+        (row.log, row.bias): row.inclination_rmse_deg for row in scores.rows if row.estimator == "mahony"
+    }
+    assert error["noisy", KNOWN] == error["noisy", RAW]
+    assert error["biased", KNOWN] < error["biased", RAW] - 0.2
+    assert scores.bias_text("noisy").endswith("not significant, nothing is removed")
+    assert scores.bias_text("biased").endswith("x removed")
+    alone = score_logs([held], ["mahony"])
+    assert any("nothing is removed" in line for line in log_verdict(alone).lines)
+    assert "nothing is removed" in write_log_report(tmp_path / "r.html", [held], alone).read_text()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("bias", [-0.3, 0.0, 0.3])
+def test_no_filter_has_a_larger_error_with_the_estimated_mount(make_flights, bias, noise):
+    flight = make_flights(1, 40.0, seed=2, noise=0.0)
+    gyro, accel, quat = (flight[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
+    tilted = mount_matrix("rpy 2 0 0")
+    shake = quat_from_rotvec(np.random.default_rng(0).normal(0.0, noise, gyro.shape))
+    time = np.arange(len(gyro)) / 200.0
+    mine = Recording(
+        "mine", "x", time, gyro @ tilted, accel @ tilted + [0.0, bias, 0.0], "mocap", time,
+        quat_multiply(quat, shake),
+    )  # fmt: skip
+    found = estimate_mount(mine)
+    assert found.accel_bias is not None
+    uncertain = 0.1 + 2 * 9.81 * np.radians(found.sd_deg[0])
+    assert found.levelled or np.abs(found.accel_bias - [0.0, bias]).max() < uncertain
+    logs = {"without": mine, "with": mounted(mine, found.body_from_imu.tolist())}
+    scores = score_logs([resample(replace(each, name=name))[0] for name, each in logs.items()], FILTERS)
+    error = {(row.estimator, row.log): row.inclination_rmse_deg for row in scores.rows if row.bias == RAW}
+    for name in FILTERS:
+        assert error[name, "with"] < error[name, "without"] + 0.1
 
 
 def test_a_network_has_the_error_of_itself_silenced_beside_its_own(log):
@@ -198,6 +280,9 @@ def test_what_cannot_be_scored_is_said_before_anything_is_run(log, change, reaso
 
 def test_a_log_shorter_than_the_start_or_never_upright_is_not_scored(log):
     assert unscorable(log) is None
+    short = log.isel(time=slice(500)).copy(deep=True)
+    short["quat"][:] = np.nan
+    assert "after the first 3 s" in str(unscorable(short))
     assert "after the first 3 s" in str(unscorable(log.isel(time=slice(500))))
     steep = log.copy(deep=True)
     steep["quat"][:] = quat_from_euler(1.0, 0.0, 0.0)
@@ -222,8 +307,68 @@ def test_evaluate_leaves_a_log_without_attitude_out_and_says_so(log, tmp_path):
     assert "nan" not in done.output
     with (tmp_path / "out" / "logs.csv").open() as file:
         assert {row["log"] for row in csv.DictReader(file)} == {"with"}
-    with pytest.raises(ValueError, match="nothing to score"):
-        CliRunner().invoke(app, [*command, "--logs", logs[1]], catch_exceptions=False)
+    done = CliRunner().invoke(app, [*command, "--logs", logs[1]], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert "without: no true attitude" in done.output
+    assert "nan" not in done.output
+
+
+def biased_start(bias_deg, seconds=120.0):
+    """Readings of a sensor that moves about gently, its gyroscope biased about x [°/s], without a truth."""
+    data = noisy(np.radians([bias_deg, 0.0, 0.0]), seconds=seconds)
+    data["quat"][:] = np.nan
+    return data
+
+
+def test_a_log_without_truth_is_compared_and_no_estimator_is_crowned(tmp_path):
+    log = biased_start(3.0)
+    good, bad = create("mahony", k_p=1.0, k_i=0.3), create("mahony", k_p=0.4, k_i=0.0)
+    scores = LogScores()
+    compare_logs(scores, [log], {"with bias": bad, "without": good, "same": good, "broken": Given(np.nan)})
+    found = scores.comparisons["noisy"]
+    assert found.favoured == ("without", "same")
+    assert found.force["with bias"] > 5 * found.force["without"]
+    assert found.force["without"] < 0.15
+    median, most = found.apart["with bias", "without"]
+    assert 5.0 < median < 9.0
+    assert most >= median
+    assert found.apart["without", "same"] == (0.0, 0.0)
+    assert "not a finite number" in found.flaws["broken"]
+    verdict = log_verdict(scores)
+    assert verdict.headline == "No true attitude, no errors; the mean force favours without, same."
+    assert any("it is near zero for a right attitude" in line for line in verdict.lines)
+    assert "horizontal force" in write_log_report(tmp_path / "r.html", [log], scores).read_text()
+    roll, pitch = draw_log(scores, "noisy").axes
+    assert len(roll.get_lines()) == len(pitch.get_lines()) == 4
+
+
+def test_forces_that_all_estimators_share_favour_none():
+    scores = LogScores()
+    made = {name: create("mahony", k_p=1.0, k_i=0.0) for name in "ab"}
+    compare_logs(scores, [biased_start(0.0, 60.0)], made)
+    assert scores.comparisons["noisy"].favoured == ()
+    assert log_verdict(scores).headline == "No true attitude, no errors; the evidence favours no estimator."
+
+
+def test_what_imm_believes_of_a_log_without_truth_has_its_sigma(tmp_path):
+    scores, log = LogScores(), biased_start(0.0, 20.0)
+    compare_logs(scores, [log], {"imm": create("imm")})
+    assert any(
+        re.search(r"imm believed.*its σ is \d+\.\d° in the median", line)
+        for line in log_verdict(scores).lines
+    )
+    assert "sigma|imm, roll" in write_log_report(tmp_path / "r.html", [log], scores).read_text()
+
+
+def test_forces_in_a_steady_turn_do_not_add_up():
+    time = np.arange(12_000) / 200.0
+    bank = np.tile([0.2, 0.0], (12_000, 1))
+    up = np.array([0.0, np.sin(0.2), np.cos(0.2)])
+    gyro, accel = np.tile(1.0 * up, (12_000, 1)), np.tile([0.0, 0.0, 9.81 / np.cos(0.2)], (12_000, 1))
+    force = horizontal_force(bank, gyro, accel, 200.0)
+    np.testing.assert_allclose(np.linalg.norm(force, axis=1), 9.81 * np.tan(0.2), rtol=1e-9)
+    turned = np.unwrap(np.arctan2(force[:, 1], force[:, 0]))
+    np.testing.assert_allclose(turned - turned[0], time, atol=1e-6)
 
 
 @pytest.mark.filterwarnings("error")

@@ -244,6 +244,26 @@ def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
     assert tilt.max() < 1.0
 
 
+@pytest.mark.parametrize("truth_axes", ["imu", "none"])
+def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(tmp_path, make_flights, truth_axes):
+    flight = recorded(make_flights, "imu", noise=0.0, late_s=0.0)
+    upright = mounted(flight, "rpy 10 -20 130")
+    path = write_csv(tmp_path, replace(mounted(upright, "rpy 0 -90 0")))
+    if truth_axes == "none":
+        text = (tmp_path / "x.toml").read_text()
+        (tmp_path / "x.toml").write_text(
+            "".join(x for x in text.splitlines(True) if not x.startswith("quat"))
+        )
+    command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]
+    with pytest.raises(ValueError, match=f"`quadsim logs mount {path}` estimates") as error:
+        CliRunner().invoke(app, command, catch_exceptions=False)
+    mount = str(error.value).split('--mount "')[1].split('"')[0]
+    found = Rotation.from_matrix(mount_matrix(mount)) * Rotation.from_euler("y", -90, degrees=True)
+    assert np.degrees(np.arccos(found.as_matrix()[2, 2])) < 5.0
+    done = CliRunner().invoke(app, [*command, "--mount", mount], catch_exceptions=False)
+    assert done.exit_code == 0
+
+
 def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flights):
     path = write_csv(tmp_path, recorded(make_flights, "imu"))
     command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]

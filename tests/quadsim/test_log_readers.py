@@ -124,6 +124,40 @@ def test_a_damaged_usd_log_is_refused_in_one_line(tmp_path, data, message):
     assert "\n" not in str(error.value)
 
 
+def write_usd_events(path, rates_hz, seconds=4.0, gap=()):
+    """A log whose gyroscope and accelerometer are events of their own, on stamps of their own."""
+    kinds = {7: (b"estGyroscope", IMU[3:]), 9: (b"estAcceleration", IMU[:3])}
+    data = struct.pack("<BHH", 0xBC, 2, len(kinds))
+    for number, (name, variables) in kinds.items():
+        data += struct.pack("<H", number) + name + b"\0" + struct.pack("<H", len(variables))
+        data += b"".join(f"{each}(f)".encode() + b"\0" for each in variables)
+    events = [(1e6 * k / rates_hz[0], 7) for k in range(round(seconds * rates_hz[0]))]
+    events += [(700 + 1e6 * k / rates_hz[1], 9) for k in range(round(seconds * rates_hz[1]))]
+    for stamp, number in sorted(events):
+        wave = np.sin(2e-6 * stamp)
+        values = (90.0 * wave, 0.0, 10.0) if number == 7 else (0.1 * wave, 0.0, 1.0)
+        if number != 9 or not gap or not gap[0] < stamp < gap[1]:
+            data += struct.pack("<HQ3f", number, round(stamp), *values)
+    path.write_bytes(data + struct.pack("<I", crc32(data)))
+    return path
+
+
+@pytest.mark.parametrize("rates_hz", [(500.0, 500.0), (1000.0, 400.0), (250.0, 1000.0)])
+def test_a_usd_log_whose_sensors_are_events_of_their_own_is_read(tmp_path, rates_hz):
+    log = read_recording(write_usd_events(tmp_path / "log00", rates_hz))
+    np.testing.assert_allclose(log.gyro[:, 0], np.pi / 2 * np.sin(2 * log.time), atol=1e-5)
+    np.testing.assert_allclose(log.accel[:, 0], 0.980665 * np.sin(2 * log.time), atol=1e-4)
+    assert 1 / np.median(np.diff(log.time)) == pytest.approx(rates_hz[0])
+    assert any("estGyroscope and estAcceleration" in note for note in log.notes)
+
+
+def test_where_one_event_of_a_usd_log_is_missing_nothing_is_interpolated(tmp_path):
+    data, report = read_log_and_report(write_usd_events(tmp_path / "log00", (500.0, 500.0), gap=(1e6, 2e6)))
+    assert report.longest_gap_s == pytest.approx(1.0, abs=0.01)
+    missing = np.isnan(data["accel"][0]).any(axis=1).to_numpy()
+    assert missing.sum() == pytest.approx(200, abs=2)
+
+
 def test_a_usd_log_without_an_imu_names_what_it_has(tmp_path):
     with pytest.raises(ValueError, match=r"no event has all of gyro\.x.*logged: acc\.x"):
         read_recording(write_usd(tmp_path / "log00", names=IMU[:3]))

@@ -17,11 +17,12 @@ from quadsim.imu.stream import simulate_imu
 from quadsim.logs import read_log, read_log_and_report, read_recording
 from quadsim.logs.allan import allan_variance, calibrate, draw, model_variance, write_imu
 from quadsim.logs.convert import convert
-from quadsim.logs.mounting import mount_matrix
+from quadsim.logs.mounting import mount_matrix, mounted
 from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample, split
 from quadsim.rotation import (
     canonical,
+    quat_conjugate,
     quat_from_euler,
     quat_from_rotvec,
     quat_multiply,
@@ -512,6 +513,39 @@ def test_a_truth_in_swapped_axes_is_doubted_and_one_at_rest_is_not_judged():
     assert calm.truth_delay_s is None
 
 
+def gentle(noise: float, swapped: bool = False, scale: float = 0.2, seconds: float = 60.0) -> Recording:
+    """A gentle flight whose truth has white noise [rad] at every sample."""
+    time, _, _, _ = turning(seconds=seconds)
+    quat = quat_from_euler(
+        scale * 0.2 * np.sin(2 * time), scale * 0.3 * np.sin(3 * time), 0.3 * scale * np.sin(time)
+    )
+    turn = quat_multiply(quat_conjugate(quat[:-1]), quat[1:])
+    gyro = np.concatenate([2 * turn[:, 1:] * RATE, [[0.0, 0.0, 0.0]]])
+    rng = np.random.default_rng(0)
+    gyro = gyro + rng.normal(0.0, 0.003, gyro.shape)
+    seen = quat_multiply(quat, quat_from_rotvec(rng.normal(0.0, noise, gyro.shape)))
+    accel = quat_rotate_inverse(quat, GRAVITY) + rng.normal(0.0, 0.05, gyro.shape)
+    order = [1, 0, 2] if swapped else [0, 1, 2]
+    return Recording("x", "test", time, gyro[:, order], accel, "mocap", time, seen)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.025])
+def test_a_noisy_truth_of_a_gentle_flight_is_believed_and_one_in_swapped_axes_is_not(noise):
+    report = resample(gentle(noise))[1]
+    assert report.agreement is not None
+    assert report.agreement < 0.7  # of rates over a tenth of a second, by the truth's noise
+    assert report.faults == []
+    assert any(
+        "does not turn as the gyroscope does" in each for each in resample(gentle(noise, True))[1].faults
+    )
+    turned = mounted(gentle(noise), "y,-x,z")
+    assert any("with the IMU rotated by 9" in each for each in resample(turned)[1].faults)
+
+
+def test_a_noisy_truth_at_rest_is_not_judged():
+    assert resample(gentle(0.025, scale=0.0))[1].faults == []
+
+
 # --- what cannot be right ---
 
 
@@ -659,6 +693,17 @@ def test_a_spike_is_left_out_and_condemns_no_log(sensor, reading):
     _, report = resample(replace(log, **{sensor: spoilt}))
     assert report.faults == []
     assert report.missing == 1
+
+
+def test_arrays_of_an_imu_without_attitude_are_a_log(tmp_path):
+    time, gyro, accel, _ = turning()
+    np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel)
+    log, report = read_log_and_report(tmp_path / "x.npz")
+    np.testing.assert_allclose(log["gyro"][0], gyro, atol=1e-12)
+    assert report.truth == "none"
+    np.savez(tmp_path / "x.npz", gyro=gyro, acc=accel)
+    with pytest.raises(ValueError, match="not a BROAD trial; it holds acc, gyro"):
+        read_log(tmp_path / "x.npz")
 
 
 def test_a_damaged_ulog_that_the_library_reads_for_ever_is_refused(tmp_path):

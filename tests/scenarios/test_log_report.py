@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimators import create
 from estimators.evaluation.beliefs import Beliefs
-from estimators.evaluation.logs import score_logs
+from estimators.evaluation.logs import LogScores, compare_logs, score_logs
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 from quadsim.rotation import quat_from_roll_pitch
@@ -116,3 +117,18 @@ def test_another_log_and_another_estimator_are_drawn(page):
     before = page.evaluate("PLOTS.at(-1).series.length")
     page.click("#chips button >> nth=0")
     assert abs(page.evaluate("PLOTS.at(-1).series.length") - before) == 1
+
+
+def test_a_log_without_truth_is_drawn(browser, tmp_path):
+    blank, scores = log("blank"), LogScores()
+    blank["quat"][:] = np.nan
+    compare_logs(scores, [blank], {name: create(name) for name in ("imm", "mahony", "vqf")})
+    page, noise = browser.new_page(), []
+    page.on("pageerror", lambda error: noise.append(str(error)))
+    page.goto(write_log_report(tmp_path / "r.html", [blank], scores).as_uri())
+    page.wait_for_selector(".uplot")
+    titles = page.evaluate("panels().filter((panel) => panel.lines.length).map((panel) => panel.title)")
+    assert titles[2:] == ["roll [°]", "pitch [°]", "probability of imm's models", "standard deviation [°]"]
+    assert page.locator("th button").all_inner_texts()[:2] == ["estimator", "horizontal force [m/s²]"]
+    assert noise == []
+    page.close()

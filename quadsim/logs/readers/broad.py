@@ -19,12 +19,16 @@ def read_broad(path: Path) -> Recording:
     content = {".hdf5": _hdf5, ".h5": _hdf5, ".mat": _mat, ".npz": _npz}[path.suffix.lower()](path)
     names = {"gyro": "imu_gyr", "acc": "imu_acc", "quat": "opt_quat"}
     found = {new: content.get(old, content.get(new)) for new, old in names.items()}
-    if any(values is None for values in found.values()):
+    stamped = found["quat"] is not None or "t" in content
+    if found["gyro"] is None or found["acc"] is None or not stamped:
         raise ValueError(f"{path}: not a BROAD trial; it holds {', '.join(sorted(content))}")
-    gyro, acc, quat = (_rows(found[name], width) for name, width in (("gyro", 3), ("acc", 3), ("quat", 4)))
+    gyro, acc = (_rows(found[name], 3) for name in ("gyro", "acc"))
     steps = len(gyro)
     rate = float(np.ravel(content.get("sampling_rate", RATE_HZ))[0])
     time = np.asarray(content.get("t", np.arange(steps) / rate), np.float64).ravel()
+    if found["quat"] is None:
+        return Recording(path.stem, "IMU's arrays", time, gyro, acc)
+    quat = _rows(found["quat"], 4)
     valid = np.asarray(content.get("valid", np.ones(steps)), bool).ravel()
     return Recording(
         path.stem, "BROAD trial", time, gyro, acc,

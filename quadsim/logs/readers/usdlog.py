@@ -21,6 +21,8 @@ STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}
 GYRO = ("gyro.x", "gyro.y", "gyro.z")
 ACCEL = ("acc.x", "acc.y", "acc.z")
 ROTORS = ("rpm.m1", "rpm.m2", "rpm.m3", "rpm.m4")
+GAP = 2.5
+"""A step of more than this many sample periods is a gap, as in `quadsim.logs.resample`."""
 TRUTHS = {
     "locSrv": "motion capture",
     "stateEstimate": "the autopilot's own estimate, which is no independent truth",
@@ -59,6 +61,16 @@ def read_usdlog(path: Path) -> Recording:
     tracks, notes = decode(path)
     imu = _track(tracks, GYRO + ACCEL)
     if imu is None:
+        gyro, accel = _track(tracks, GYRO), _track(tracks, ACCEL)
+        if gyro is not None and accel is not None:
+            both = (gyro.time >= accel.time[0]) & (gyro.time <= accel.time[-1])
+            if not both.any():
+                raise ValueError(f"{path}: gyroscope and accelerometer were logged at different times")
+            time = gyro.time[both]
+            imu = Track(time, np.hstack([gyro.values[both], _at(accel, time)]))
+            events = " and ".join(next(n for n, v in tracks.items() if s[0] in v) for s in (GYRO, ACCEL))
+            notes = (*notes, f"{events}: accelerometer brought to the stamps of the gyroscope")
+    if imu is None:
         names = sorted({name for values in tracks.values() for name in values if name != "time"})
         raise ValueError(
             f"{path}: no event has all of {', '.join(GYRO + ACCEL)}; logged: {', '.join(names) or 'nothing'}"
@@ -85,6 +97,16 @@ def read_usdlog(path: Path) -> Recording:
         quat=None if attitude is None else attitude.values, truth_axes=truth_axes, position=position,
         notes=(*notes, *(f"{name} from the log" for name in sensors)), sensors=sensors,
     )  # fmt: skip
+
+
+def _at(track: Track, time: Array) -> Array:
+    """Readings interpolated to stamps among their own (T, ·); NaN where one of them is missing."""
+    values = np.stack([np.interp(time, track.time, column) for column in track.values.T], axis=1)
+    steps = np.diff(track.time)
+    if not len(steps):
+        return values
+    after = np.searchsorted(track.time, time).clip(1, len(steps))
+    return np.where((steps[after - 1] <= GAP * np.median(steps))[:, None], values, np.nan)
 
 
 def decode(path: Path) -> tuple[dict[str, dict[str, Array]], tuple[str, ...]]:

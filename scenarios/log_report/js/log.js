@@ -33,14 +33,18 @@ function panels() {
   });
   const angle = (name) => ({
     title: `${name} [°]`,
-    lines: [[`${name}|truth`, line("truth", () => css("--ink"), { width: 2.6 })], ...estimates(name)],
+    lines: [...(`${name}|truth` in log.scales ? [[`${name}|truth`, line("truth", () => css("--ink"), { width: 2.6 })]] : []),
+      ...estimates(name)],
   });
+  const sigmas = Object.keys(log.scales).filter((name) => name.startsWith("sigma|"));
   const models = Object.keys(log.scales).filter((name) => name.startsWith("model|"));
   return [
     sensor("gyro", "°/s"), sensor("accel", "m/s²"), angle("roll"), angle("pitch"),
     { title: "inclination error [°]", lines: estimates("error"), low: 0 },
     ...(models.length ? [{ title: "probability of imm's models", low: 0, high: 1,
       lines: models.map((name, k) => [name, line(name.slice(6), MODELS[k % MODELS.length])]) }] : []),
+    { title: "standard deviation [°]", low: 0,
+      lines: sigmas.map((name, k) => [name, line(name.slice(6), MODELS[k % MODELS.length])]) },
   ];
 }
 const estimates = (kind) => data.estimators.filter((name) => shown.has(name) && `${kind}|${name}` in log.scales)

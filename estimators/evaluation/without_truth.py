@@ -1,0 +1,113 @@
+"""Estimators on a log without a true attitude: how far they differ, and which of them the forces favour."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import t as student
+
+from quadsim.rotation import (
+    quat_conjugate,
+    quat_from_roll_pitch,
+    quat_from_rotvec,
+    quat_multiply,
+    quat_rotate,
+)
+
+from ..metrics import inclination_error
+
+Array = NDArray[np.float64]
+
+LOW_PASS_S = 10.0
+"""Means of the horizontal force are over this time [s]: the acceleration of a vehicle that changes its speed
+by 2 m/s in it leaves 0.2 m/s², an attitude that is wrong by 1.2° as much."""
+FEWEST = 4
+"""Means that do not overlap, at least, for the evidence to favour an estimator."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Estimators on one log without a true attitude."""
+
+    apart: Mapping[tuple[str, str], tuple[float, float]]
+    """Two estimators to the median and the 95th percentile of their inclination difference [deg]."""
+    force: Mapping[str, float]
+    """Root mean square of the horizontal specific force in the world by each estimate, low-passed [m/s²]:
+    near zero for a right one."""
+    favoured: tuple[str, ...]
+    """Estimators whose force is not significantly larger than the smallest; empty where that is no choice."""
+    flaws: Mapping[str, str]
+    """Estimators that are left out, and why."""
+
+    @property
+    def overall(self) -> tuple[float, float]:
+        """Median over pairs of both numbers of `apart` [deg]; NaN with fewer than two estimators."""
+        if not self.apart:
+            return float("nan"), float("nan")
+        median, most = np.median(list(self.apart.values()), axis=0).tolist()
+        return median, most
+
+
+def compare(
+    estimates: Mapping[str, Array], gyro: Array, accel: Array, rate_hz: float, flaws: Mapping[str, str]
+) -> Comparison:
+    """Compare estimates of a log with each other and with its forces.
+
+    Args:
+        estimates: Name to roll and pitch (T, 2) [rad], finite.
+        gyro: (T, 3) [rad/s]; NaN where missing.
+        accel: Specific force (T, 3) [m/s²]; NaN where missing.
+        rate_hz: Samples per second.
+        flaws: Estimators that have no such estimate, and why.
+    """
+    apart = {}
+    for first, second in combinations(estimates, 2):
+        median, most = np.quantile(inclination_error(estimates[first], estimates[second]), (0.5, 0.95))
+        apart[first, second] = (float(median), float(most))
+    span = round(LOW_PASS_S * rate_hz)
+    edge = span // 2 if len(accel) > span else 0  # where the mean would be of less than that time
+    squares = {}
+    for name, estimate in estimates.items():
+        horizontal = horizontal_force(estimate, gyro, accel, rate_hz)
+        mean = uniform_filter1d(horizontal, min(span, len(accel)), axis=0)
+        squares[name] = (mean[edge : len(mean) - edge] ** 2).sum(axis=1)
+    force = {name: float(np.sqrt(square.mean())) for name, square in squares.items()}
+    return Comparison(apart, force, _favoured(squares, force, span), flaws)
+
+
+def horizontal_force(estimate: Array, gyro: Array, accel: Array, rate_hz: float) -> Array:
+    """Horizontal specific force in a world whose heading the gyroscope keeps, (T, 2) [m/s²].
+
+    Roll and pitch are the estimate's. The heading turns by the twist about the vertical that is left of the
+    gyroscope's turn, so that the force of a vehicle in a turn does not add up. Missing samples count as zero.
+
+    Args:
+        estimate: Roll and pitch (T, 2) [rad].
+        gyro: (T, 3) [rad/s].
+        accel: Specific force (T, 3) [m/s²].
+        rate_hz: Samples per second.
+    """
+    tilt = quat_from_roll_pitch(estimate)
+    step = quat_from_rotvec(np.nan_to_num(0.5 * (gyro[:-1] + gyro[1:])) / rate_hz)
+    left = quat_multiply(quat_multiply(tilt[:-1], step), quat_conjugate(tilt[1:]))
+    twist = 2.0 * np.arctan2(left[:, 3], left[:, 0])
+    heading = np.concatenate([[0.0], np.cumsum((twist + np.pi) % (2.0 * np.pi) - np.pi)])
+    return quat_rotate(quat_from_roll_pitch(estimate, heading), np.nan_to_num(accel))[:, :2]
+
+
+def _favoured(squares: Mapping[str, Array], force: Mapping[str, float], span: int) -> tuple[str, ...]:
+    """The estimator of the smallest force and all that do not differ significantly from it (paired, 95 %)."""
+    best = min(force, key=lambda name: force[name], default="")
+    blocks = {name: square[::span] for name, square in squares.items()}
+    if not best or len(blocks[best]) < FEWEST:
+        return ()
+    chosen = []
+    for name, block in blocks.items():
+        more = block - blocks[best]
+        limit = student.ppf(0.95, len(more) - 1) * more.std(ddof=1) / np.sqrt(len(more))
+        if name == best or more.mean() <= limit:
+            chosen.append(name)
+    return tuple(chosen) if len(chosen) < len(blocks) else ()
