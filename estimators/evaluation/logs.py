@@ -23,7 +23,7 @@ from quadsim.runs.files import write_csv
 from ..appearance import looks
 from ..metrics import absolute_error, flaw_of, inclination_error, share_without_number
 from ..registry import FILTERPY, names, needs_vehicle
-from ..running import missing_samples, require_same, run_quietly, streamed_start
+from ..running import missing_samples, require_same, run_quietly, streamed_once
 from .beliefs import Beliefs, beliefs
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
@@ -372,7 +372,7 @@ def _run(
     est: AttitudeEstimator, gyro: Array, accel: Array, quat: Array | None, **sensors: Unpack[OtherSensors]
 ) -> Array:
     """`run`, for a caller that says what is missing once for a log."""
-    first = streamed_start(est, gyro, accel, **sensors)
+    first = streamed_once(est, gyro, accel, **sensors)
     estimate = run_quietly(est, gyro, accel, quat=quat, **sensors)
     require_same(est, estimate, first)
     return estimate
