@@ -327,7 +327,7 @@ class Failing(Still):
     ("made", "said"),
     [
         (WithoutKnownStart, "unexpected keyword argument 'roll_pitch'"),
-        (Three, r"float64 array of shape \(2, 3\); roll and pitch \[rad\], real numbers of shape \(2, 2\)"),
+        (Three, r"float64 array of shape \(3, 3\); roll and pitch \[rad\], real numbers of shape \(3, 2\)"),
         (NoRate, "with one argument, rate_hz"),
         (Failing, "end with KeyError: 'gain'"),
     ],
