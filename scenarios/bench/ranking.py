@@ -112,7 +112,7 @@ def survives(rows: Flown, flight: Flight) -> bool:
 def winners(places: Sequence[Place], worse: Callable[[str, str], bool]) -> list[Place]:
     """The best contender and those after it that survived as many flights and are not significantly worse.
 
-    The first that is worse ends the list, so that nobody in it ranks below one that is left out.
+    The list ends at the first that is worse, so every contender in it ranks above those left out.
 
     Args:
         places: From best to worst.

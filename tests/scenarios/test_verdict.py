@@ -1,4 +1,4 @@
-"""The verdict: what is recommended, what never is, and what the reader is told beside it."""
+"""The verdict: which estimators are recommended, which are never ranked, and the lines below the headline."""
 
 from dataclasses import fields, replace
 

@@ -526,10 +526,10 @@ def test_an_imu_off_the_centre_feels_what_the_simulators_imu_feels():
 def test_vibration_has_its_size_in_the_accelerometer_and_a_hundredth_in_the_gyroscope():
     """Two tones a sin + b cos, a and b uniform within ± size / 2: a root mean square of size / √6."""
     zero = np.zeros((2000, 100, 3), np.float32)
-    shaken = Augmentation(
+    vibration = Augmentation(
         vibration=(6.0, 6.0), vibration_share=1.0, gyro_noise=0, accel_noise=0, accel_bias=0
     )
-    gyro, accel, _ = augment(zero, zero, zero, shaken, 200.0, np.random.default_rng(0))
+    gyro, accel, _ = augment(zero, zero, zero, vibration, 200.0, np.random.default_rng(0))
     for signal, size in ((accel, 6.0), (gyro, 0.06)):
         rms = np.sqrt(np.mean(signal.astype(float) ** 2, axis=(0, 1)))
         np.testing.assert_allclose(rms, size / np.sqrt(6), rtol=0.05)
