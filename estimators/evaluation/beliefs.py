@@ -17,6 +17,9 @@ EVERY_S = 0.1
 """Time between the samples at which the models are asked [s]."""
 NORMAL_95 = 1.96
 """Half the width of the 95 % interval of a normal distribution, in standard deviations."""
+ALL, WIDE, LARGE_DEG = 0.995, 2.0, 5.0
+"""An interval is called wide where it holds this share of the truth, or its standard deviation is this many
+times the error; and an error large above this [deg]."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +53,36 @@ class Beliefs:
             truth: Roll and pitch of all samples (n, T, 2) [rad]; NaN where they are not known.
             counted: Samples that count (n, T); None for all.
         """
+        error, known = self._error(truth, counted)
+        return float((error <= NORMAL_95 * self.sigma)[known].mean()) if known.any() else float("nan")
+
+    def rmse_deg(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> float:
+        """Root mean square error of roll and pitch [deg]; NaN if none is known. See `coverage`."""
+        error, known = self._error(truth, counted)
+        return float(np.degrees(np.sqrt(np.mean(error[known] ** 2)))) if known.any() else float("nan")
+
+    def _error(self, truth: Array, counted: NDArray[np.bool_] | None) -> tuple[Array, NDArray[np.bool_]]:
+        """Errors of roll and pitch (n, k, 2) [rad], and which of them are known and count."""
         error = np.radians(absolute_error(self.roll_pitch, truth[:, self.samples]))
         known = np.isfinite(error)
         if counted is not None:
             known &= counted[:, self.samples, None]
-        return float((error <= NORMAL_95 * self.sigma)[known].mean()) if known.any() else float("nan")
+        return error, known
+
+
+def interval_text(inside: float, sigma_deg: float, rmse_deg: float) -> str:
+    """How many true angles are in the 95 % interval, and why that may reassure nobody.
+
+    Args:
+        inside: Share of true rolls and pitches within the interval.
+        sigma_deg: Median of the standard deviation [deg].
+        rmse_deg: Root mean square error of roll and pitch [deg].
+    """
+    text = f"{inside:.0%} of the true angles are inside its 95 % interval"
+    figures = f"its median σ is {sigma_deg:.1f}° at an error of {rmse_deg:.1f}° RMS"
+    if inside >= ALL or sigma_deg > WIDE * rmse_deg:
+        return f"{text} only because the interval is wide: {figures}"
+    return f"{text}, but the error is large: {figures}" if rmse_deg > LARGE_DEG else text
 
 
 def beliefs(

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator, OtherSensors, receives_truth
+from quadsim.logs.faults import SensorFault
 from quadsim.logs.truth_bias import bias_by_truth
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.files import write_csv
@@ -41,6 +42,13 @@ NO_ATTITUDE = "it has no attitude"
 """Why a log is compared in place of scored."""
 SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
+FAULT_COLOURS = {
+    "bias jump": "#cc79a7",
+    "stuck axis": "#7f7f7f",
+    "saturation": "#e69f00",
+    "vibration": "#d55e00",
+}
+"""Kind of fault to the colour of its band."""
 LISTED = 6
 """Estimators drawn in a picture, the best first."""
 
@@ -67,6 +75,8 @@ class LogRow:
     """Whether it receives the true attitude."""
     flaw: str = ""
     """What is wrong with its estimates, or why it has none; empty if nothing."""
+    faults: str = ""
+    """Faults of the sensors that begin inside the log; empty if none is found."""
 
 
 @dataclass
@@ -91,6 +101,8 @@ class LogScores:
     """(log, estimator) to the models that an estimator believed, raw; only of estimators that have models."""
     comparisons: dict[str, Comparison] = field(default_factory=dict)
     """Log without a true attitude to how its estimators differ; it has no rows."""
+    faults: dict[str, tuple[SensorFault, ...]] = field(default_factory=dict)
+    """Log to the faults of its sensors that begin inside it."""
 
     def write_csv(self, path: Path) -> None:
         """Write the rows; the header is the fields of `LogRow`."""
@@ -109,14 +121,31 @@ class LogScores:
         return f"gyro bias ({shown}) °/s at 95 %: {removed}"
 
     def mean(self, estimator: str, bias: str) -> float:
-        """Mean over logs of the inclination RMSE [deg]."""
-        return _mean(
-            [r.inclination_rmse_deg for r in self.rows if (r.estimator, r.bias) == (estimator, bias)]
-        )
+        """Mean over the logs of the headline of the inclination RMSE [deg]."""
+        return _mean([row.inclination_rmse_deg for row in self._rows_of(estimator, bias)])
 
     def silenced(self, estimator: str) -> float:
-        """Mean over logs of the inclination RMSE of the network silenced, raw; NaN for others [deg]."""
-        return _mean([r.silenced_deg for r in self.rows if (r.estimator, r.bias) == (estimator, RAW)])
+        """The same of the network silenced, raw; NaN for others [deg]."""
+        return _mean([row.silenced_deg for row in self._rows_of(estimator, RAW)])
+
+    def _rows_of(self, estimator: str, bias: str) -> list[LogRow]:
+        logs = self.headline
+        return [r for r in self.rows if (r.estimator, r.bias) == (estimator, bias) and r.log in logs]
+
+    def on_log(self, log: str, estimator: str, bias: str) -> float:
+        """Inclination RMSE of an estimator on one log [deg]; NaN where there is none."""
+        key = (log, estimator, bias)
+        return _mean([r.inclination_rmse_deg for r in self.rows if (r.log, r.estimator, r.bias) == key])
+
+    @property
+    def faulty(self) -> list[str]:
+        """Logs with a true attitude in which a fault of a sensor begins."""
+        return [log for log in self.scored if self.faults.get(log)]
+
+    @property
+    def headline(self) -> list[str]:
+        """Logs that means are over: those without a fault, or all where each has one."""
+        return [log for log in self.scored if not self.faults.get(log)] or self.scored
 
     @property
     def scored(self) -> list[str]:
@@ -177,6 +206,7 @@ def score_logs(
         gyro, accel, quat = (log[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
         truth, others = roll_pitch_from_quat(quat), other_sensors(log)
         scores.time_s[title], scores.truth[title] = log["time"].to_numpy(), truth[0]
+        scores.faults[title] = faults_of(log)
         scores.counted[title] = counted = np.logical_and.reduce(
             list(_conditions(log, within_deg, skip_s).values())
         )
@@ -215,6 +245,9 @@ def score_logs(
                         scores.beliefs[title, name] = believed
             done += 1
         _say_missing(title, skipped, len(truth[0]))
+    scores.rows = [
+        replace(row, faults="; ".join(fault.name for fault in scores.faults[row.log])) for row in scores.rows
+    ]
     if not scores.estimates:
         failed = [f"{name} {flaw}" for name, flaw in scores.unranked.items()]
         raise ValueError(f"no estimator ran: {'; '.join(failed)}")
@@ -275,8 +308,14 @@ def compare_logs(
             failed = [f"{name} {flaw}" for name, flaw in flaws.items()]
             raise ValueError(f"{title}: no estimator ran: {'; '.join(failed)}")
         scores.time_s[title], scores.counted[title] = time, counted
+        scores.faults[title] = faults_of(log)
         scores.truth[title] = np.full((len(time), 2), np.nan)
         scores.comparisons[title] = compare(good, gyro[0, counted], accel[0, counted], rate, flaws)
+
+
+def faults_of(log: xr.Dataset) -> tuple[SensorFault, ...]:
+    """Faults of its sensors that begin inside a log from `quadsim.logs.read_log`."""
+    return tuple(SensorFault(*fault) for fault in log.attrs.get("log", {}).get("sensor_faults", ()))
 
 
 def unscorable(log: xr.Dataset, *, within_deg: float = 45.0, skip_s: float = SKIP_S) -> str | None:
@@ -365,7 +404,23 @@ def draw_log(scores: LogScores, log: str, within: tuple[float, float] | None = N
     for axes in panels:
         axes.grid(alpha=0.3)
         axes.margins(x=0)
+    _shade(figure, panels, scores.faults.get(log, ()), (float(time[part][0]), float(time[part][-1])))
     return figure
+
+
+def _shade(
+    figure: Figure, panels: NDArray[np.object_], faults: Sequence[SensorFault], shown: tuple[float, float]
+) -> None:
+    """A band over all panels for each fault, one colour a kind, and a legend of them below."""
+    bands = {}
+    for fault in faults:
+        start, end = max(fault.start_s, shown[0]), min(fault.end_s, shown[1])
+        for axes in panels if start < end else ():
+            bands[fault.name] = axes.axvspan(
+                start, end, color=FAULT_COLOURS[fault.kind], alpha=0.25, linewidth=0
+            )
+    if bands:
+        figure.legend(bands.values(), bands.keys(), loc="outside lower left", frameon=False, fontsize=8)
 
 
 def _run(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .faults import SensorFault
 from .recording import TruthAxes
 from .truth_delay import Agreement
 
@@ -52,6 +53,8 @@ LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 3.0
 """Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""
 VIBRATION = 1.0
 """Vibration above which a log without truth is warned of [m/s²]: 0.1 g shifts the mean of real sensors."""
+FAILING = "a calibration does not correct a sensor that fails: look at its supply, mount and wiring"
+"""Advice where a fault begins inside the log."""
 AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
 
 
@@ -80,6 +83,8 @@ class LogReport:
     """Samples with an axis stuck at the end of its range."""
     missing: int
     """Samples that are not finite numbers."""
+    sensor_faults: tuple[SensorFault, ...]
+    """Faults that begin inside the log."""
     stuck: tuple[int, ...]
     """Samples left out of each axis of gyroscope and accelerometer, at which it repeats one number."""
     truth_rate_hz: float
@@ -131,7 +136,7 @@ class LogReport:
     @property
     def faults(self) -> list[str]:
         """Why scores on this log would mean nothing, in sentences; none where all is well."""
-        return [*self._sensor_faults(), *self._rate_faults(), *self._frame_faults()]
+        return [*self._reading_faults(), *self._rate_faults(), *self._frame_faults()]
 
     @property
     def warnings(self) -> list[str]:
@@ -139,7 +144,7 @@ class LogReport:
         damage = [note for note in self.notes if note.startswith("damaged: ")]
         return [*self.faults, *damage, *self._sample_warnings(), *self._frame_warnings()]
 
-    def _sensor_faults(self) -> Iterator[str]:
+    def _reading_faults(self) -> Iterator[str]:
         """Constant readings, and a specific force of another length or direction than gravity's."""
         yield from (f"{sensor} reads the same number all the time" for sensor in self.still)
         low, high = WEIGHTS
@@ -220,16 +225,13 @@ class LogReport:
             yield f"{count}, {longest}: left out of scores"
         if self.lost:
             yield f"{self.lost} single samples lost: interpolated"
-        for axis, count in zip(AXES, self.stuck, strict=True):
-            if count:
-                seconds = count / self.source_rate_hz
-                yield f"{axis} repeats one number for {seconds:.1f} s in all: left out of scores"
+        yield from (fault.sentence for fault in self.sensor_faults)
         if self.source_rate_hz < SLOW_HZ:
             rate, fastest = self.source_rate_hz, 0.4 * self.source_rate_hz
             yield f"sampled at {rate:.0f} Hz: motion above {fastest:.0f} Hz is not in this log"
         if self.repeated:
             yield f"{self.repeated} samples repeat the one before"
-        if self.saturated:
+        if self.saturated and not any(fault.kind == "saturation" for fault in self.sensor_faults):
             yield f"{self.saturated} samples are stuck at the end of the sensor's range"
         if self.missing:
             yield f"{self.missing} samples or stamps are not numbers, or beyond any sensor's range: left out"
@@ -240,9 +242,11 @@ class LogReport:
             yield UNSCORED
             if self.rest_s >= LEAST_REST_S and self.rest_rate > LARGE_BIAS:
                 rate = f"{np.degrees(self.rest_rate):.1f} °/s across the vertical"
+                failing = any(fault.sensor == "gyroscope" for fault in self.sensor_faults)
+                mend = f"`quadsim logs calibrate {self.path or 'LOG'} --bias-only`"
                 yield (
                     f"at rest for {self.rest_s:.0f} s, the gyroscope reads {rate}, a large bias: "
-                    f"`quadsim logs calibrate {self.path or 'LOG'} --bias-only`"
+                    f"{FAILING if failing else mend}"
                 )
             if self.vibration > VIBRATION:
                 yield (

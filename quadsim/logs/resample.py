@@ -24,6 +24,7 @@ from ..rotation import (
     wxyz_from_xyzw,
     xyzw_from_wxyz,
 )
+from .faults import find_faults
 from .log_report import AXES, LONGEST_GAP_S, LogReport
 from .mean_force import level, turn_at_rest
 from .mounting import mount_text
@@ -155,6 +156,9 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         upright=float(log.accel[:, 2].mean() / max(float(np.median(force)), 1e-9)),
         still=_still(readings),
         stuck=tuple(stuck.sum(axis=0).tolist()),
+        sensor_faults=find_faults(
+            time, log.gyro, log.accel, stuck, even_gyro=even[:, :3], quat=quat, rate_hz=rate_hz
+        ),
         filter_hz=corner,
         notes=log.notes,
         **counted,

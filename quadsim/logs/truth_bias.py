@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
@@ -51,19 +52,12 @@ def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
     Returns:
         The bias; NaN if fewer than a second of slow turns is known.
     """
-    span = max(round(LONG_S * rate_hz), 1)
-    count = (len(gyro) - 1) // span
-    rates = (0.5 * (gyro[:-1] + gyro[1:]))[: count * span].reshape(count, span, 3)
-    before, after = quat[: count * span : span], quat[span : count * span + 1 : span]
-    slow = np.linalg.norm(rates.mean(axis=1), axis=1) < RATE_MAX  # not where it is NaN
-    known = slow & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    known, rates, truth = _slow_turns(gyro, quat, rate_hz)
     if known.sum() * LONG_S < 1.0:
         return GyroBias(np.full(3, np.nan), np.full(3, np.nan))
-    rates, truth = rates[known], quat_multiply(quat_conjugate(before[known]), after[known])
     mean, scores, inverse = np.zeros(3), np.zeros_like(rates[:, 0]), np.eye(3)
     for _ in range(4):
-        turned, lever = _integrated(rates - mean, 1.0 / rate_hz)
-        beyond = Rotation.from_quat(xyzw_from_wxyz(quat_multiply(quat_conjugate(truth), turned))).as_rotvec()
+        beyond, lever = _beyond(rates - mean, truth, 1.0 / rate_hz)
         inverse = np.linalg.inv(np.einsum("nki,nkj->ij", lever, lever))
         scores = np.einsum("nki,nk->ni", lever, beyond)
         mean += inverse @ scores.sum(axis=0)
@@ -71,6 +65,50 @@ def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
     sums = np.stack([part.sum(axis=0) for part in np.array_split(scores, blocks)]) @ inverse
     sd = np.sqrt((sums**2).sum(axis=0) * blocks / (blocks - 1))
     return GyroBias(mean, float(student.ppf(0.975, blocks - 1)) * sd)
+
+
+def bias_over_time(
+    gyro: Array, quat: Array, rate_hz: float, fastest: float = RATE_MAX
+) -> tuple[Array, Array]:
+    """The bias of each turn of `LONG_S`, linear about that of the log, and the mean rates of the turns.
+
+    Args:
+        gyro: (T, 3) [rad/s]; NaN where missing.
+        quat: quat_WB (T, 4); NaN where not known.
+        rate_hz: Samples per second.
+        fastest: Turns with a mean rate above this are left out [rad/s].
+
+    Returns:
+        Biases and mean rates of n turns, (n, 3) each [rad/s]; NaN where the turn is fast or not known.
+    """
+    known, rates, truth = _slow_turns(gyro, quat, rate_hz, fastest)
+    bias, means = np.full((2, len(known), 3), np.nan)
+    mean = bias_by_truth(gyro, quat, rate_hz).mean
+    if np.isfinite(mean).all():
+        beyond, lever = _beyond(rates - mean, truth, 1.0 / rate_hz)
+        bias[known] = mean + np.linalg.solve(lever, beyond[:, :, None])[:, :, 0]
+        means[known] = rates.mean(axis=1)
+    return bias, means
+
+
+def _slow_turns(
+    gyro: Array, quat: Array, rate_hz: float, fastest: float = RATE_MAX
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Which turns of `LONG_S` are slow and known (n,); of those the rates (m, k, 3) and true turns (m, 4)."""
+    span = max(round(LONG_S * rate_hz), 1)
+    count = (len(gyro) - 1) // span
+    rates = (0.5 * (gyro[:-1] + gyro[1:]))[: count * span].reshape(count, span, 3)
+    before, after = quat[: count * span : span], quat[span : count * span + 1 : span]
+    slow = np.linalg.norm(rates.mean(axis=1), axis=1) < fastest  # not where it is NaN
+    known = slow & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    return known, rates[known], quat_multiply(quat_conjugate(before[known]), after[known])
+
+
+def _beyond(rates: Array, truth: Array, dt: float) -> tuple[Array, Array]:
+    """What body rates (n, k, 3) turn further than true turns (n, 4): (n, 3) [rad], and R_endᵀ ∫ R dt."""
+    turned, lever = _integrated(rates, dt)
+    relative = quat_multiply(quat_conjugate(truth), turned)
+    return Rotation.from_quat(xyzw_from_wxyz(relative)).as_rotvec(), lever
 
 
 def _integrated(rates: Array, dt: float) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from estimators.evaluation.beliefs import interval_text
 from estimators.evaluation.logs import (
     KNOWN,
     NO_ATTITUDE,
@@ -76,14 +77,29 @@ def evaluate_logs(
     scores.write_csv(out / "logs.csv")
     for log in scores.truth:
         save_figure(out / f"{log}.png", draw_log(scores, log), dpi=110)
-    page = write_log_report(out / "report.html", logs + others, scores, warnings)
+    faults = {
+        f"{path}: {each.sentence}" for path, (_, report) in read.items() for each in report.sensor_faults
+    }
+    others_said = [warning for warning in warnings if warning not in faults]  # the verdict says the faults
+    page = write_log_report(out / "report.html", logs + others, scores, others_said)
     headings = ("estimator", "raw, °", "silenced, °", "bias removed, °")
-    table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°")
+    apart = scores.faulty if scores.headline != scores.faulty else []
+    over = ", logs without a fault" if apart else ""
+    table = Table(*headings, title=f"Inclination RMSE within ±{within_deg:g}°{over}")
     for name in scores.estimators if logs else ():
         errors = scores.mean(name, RAW), scores.silenced(name), scores.mean(name, KNOWN)
         table.add_row(name, *("–" if math.isnan(error) else f"{error:.2f}" for error in errors))
     if logs:
         output.print(table)
+    for log in apart:
+        faults = ", ".join(fault.name for fault in scores.faults[log])
+        table = Table("estimator", "raw, °", "bias removed, °", title=f"{log}, apart: {faults}")
+        for name in scores.estimators:
+            errors = (scores.on_log(log, name, which) for which in (RAW, KNOWN))
+            table.add_row(name, *("–" if math.isnan(error) else f"{error:.2f}" for error in errors))
+        output.print(table)
+    if scores.faulty and not apart:
+        output.print("A fault of a sensor begins in every log: means are over faulty logs.", soft_wrap=True)
     for log, found in scores.comparisons.items():
         table = Table(
             "estimator", "horizontal force, m/s²", "from others, °", title=f"{log}: no true attitude"
@@ -110,7 +126,7 @@ def evaluate_logs(
             text = f"{log}: {name} believed {shares}; its σ is {believed.sigma_deg:.1f}° in the median"
             output.print(text, soft_wrap=True, highlight=False)
             continue
-        inside = believed.coverage(scores.truth[log][None], scores.counted[log][None])
-        text = f"{log}: {name} believed {shares}; {100.0 * inside:.0f} % of the truth is in its 95 % interval"
-        output.print(text, soft_wrap=True, highlight=False)
+        known = scores.truth[log][None], scores.counted[log][None]
+        honest = interval_text(believed.coverage(*known), believed.sigma_deg, believed.rmse_deg(*known))
+        output.print(f"{log}: {name} believed {shares}; {honest}", soft_wrap=True, highlight=False)
     output.print(f"{page}: {log_verdict(scores).headline}", soft_wrap=True)

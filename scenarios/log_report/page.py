@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from estimators.appearance import looks
-from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
+from estimators.evaluation.logs import FAULT_COLOURS, KNOWN, LEVEL, RAW, LogScores
 from estimators.metrics import inclination_error
 from quadsim.runs.files import write_whole
 
@@ -57,6 +57,7 @@ def write_log_report(
         warnings=warnings,
         logs=list(described),
         rows=_table(scores) if scores.scored else [],
+        faulty=scores.faulty,
         scored=scores.scored,
         compared=_compared(scores),
         **uplot(),
@@ -135,6 +136,10 @@ def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) 
         "samples": len(counted),
         "scales": scales,
         "uncounted": (edges * every / rate).round(3).tolist(),
+        "faults": [
+            [fault.sentence, fault.start_s, fault.end_s, FAULT_COLOURS[fault.kind]]
+            for fault in scores.faults.get(title, ())
+        ],
         "note": _note(log, scores, title, every),
     }
 

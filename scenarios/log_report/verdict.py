@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimators.evaluation.beliefs import interval_text
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
 
 CLEAR = 0.8
@@ -13,6 +14,16 @@ LARGE_BIAS = math.radians(1.0)
 """Gyroscope bias that estimators have to find [rad/s]."""
 GAINED = 0.5
 """Share of the error, after the bias is removed, below which the bias is named as its cause."""
+
+
+ADVICE = {
+    "bias jump": "Calibration does not cure a bias that jumps: look at the sensor's supply, temperature and "
+    "mount, replace it if the jump returns, and fly on an estimator that tracks the bias.",
+    "stuck axis": "Calibration does not cure an axis that sticks: look at the bus and its driver.",
+    "saturation": "A saturated axis needs a wider range of the sensor, or gentler motion.",
+    "vibration": "Vibration that sets in is mechanical: look at propellers, bearings and the IMU's mount.",
+}
+"""Kind of fault to what its user is to do."""
 
 
 class LogVerdict(NamedTuple):
@@ -35,22 +46,24 @@ def log_verdict(scores: LogScores) -> LogVerdict:
         if len(favours) > 1:
             evidence = "the evidence differs from log to log"
         headline = f"No true attitude, no errors; {evidence}."
-        return LogVerdict(headline, [*compared, *_believed(scores), *notes])
-    logs, names = scores.scored, [n for n in scores.estimators if n != LEVEL and n not in unranked]
+        return LogVerdict(headline, [*compared, *_failing(scores), *_believed(scores), *notes])
+    logs, names = scores.headline, [n for n in scores.estimators if n != LEVEL and n not in unranked]
     error = {name: scores.mean(name, RAW) for name in scores.estimators}
     seconds = sum(int(scores.counted[log].sum()) / _rate(scores, log) for log in logs)
     data = f"{len(logs)} log{'s' if len(logs) > 1 else ''}, {seconds:.0f} s scored"
     if not names:
         return LogVerdict("No estimator is ranked.", [*compared, *notes])
     best, level = names[0], error[LEVEL]
-    headline = f"Smallest error: {best}, {error[best]:.2f}° inclination RMSE."
+    over = ", over the logs without a fault" if scores.faulty else ""
+    over = ", but every log has a fault" if scores.headline == scores.faulty else over
+    headline = f"Smallest error: {best}, {error[best]:.2f}° inclination RMSE{over}."
     if error[best] > CLEAR * level:
-        headline = f"No estimator is much better than a level guess ({level:.2f}°)"
+        headline = f"No estimator is much better than a level guess ({level:.2f}°){over}"
         headline += f"; the best is {best}, {error[best]:.2f}°."
     conditions = "from an unknown attitude, with the gyroscope as it reads"
     lines = [f"{data}, {conditions}. A level guess makes {level:.2f}°."]
-    lines += [*_by_log(scores, logs, names, best), *_bias(scores, names, error), *_believed(scores)]
-    lines += compared
+    lines += [*_failing(scores), *_by_log(scores, logs, names, best)]
+    lines += [*_bias(scores, names, error), *_believed(scores), *compared]
     if len(logs) == 1:
         lines.append("One log shows what happened on it, not which estimator is best on the next.")
     return LogVerdict(headline, lines + notes)
@@ -58,6 +71,28 @@ def log_verdict(scores: LogScores) -> LogVerdict:
 
 def _rate(scores: LogScores, log: str) -> float:
     return 1.0 / float(np.median(np.diff(scores.time_s[log])))
+
+
+def _failing(scores: LogScores) -> list[str]:
+    """Logs in which a fault begins, apart from the others, and what their user is to do."""
+    lines, faulty = [], scores.faulty
+    if faulty and scores.headline == faulty:
+        lines.append("A fault of a sensor begins in every log: no error here is that of a sound sensor.")
+    elif faulty:
+        count = f"{len(faulty)} of {len(scores.scored)} logs {'has' if len(faulty) == 1 else 'have'}"
+        lines.append(f"{count} a fault of a sensor: means and headline are without {', '.join(faulty)}.")
+    ranked = [name for name in scores.estimators if name != LEVEL and name not in scores.unranked]
+    for log, faults in scores.faults.items():
+        if not faults:
+            continue
+        text = f"{log}, {'; '.join(fault.sentence for fault in faults)}."
+        on = {name: scores.on_log(log, name, RAW) for name in ranked}
+        if errors := {name: error for name, error in on.items() if math.isfinite(error)}:
+            best = min(errors, key=lambda name: errors[name])
+            text += f" The smallest error on it is {errors[best]:.2f}° ({best})."
+        lines.append(text)
+    kinds = {fault.kind for faults in scores.faults.values() for fault in faults}
+    return lines + [ADVICE[kind] for kind in ADVICE if kind in kinds]
 
 
 def _by_log(scores: LogScores, logs: list[str], names: list[str], best: str) -> list[str]:
@@ -77,7 +112,9 @@ def _by_log(scores: LogScores, logs: list[str], names: list[str], best: str) -> 
 
 def _bias(scores: LogScores, names: list[str], error: dict[str, float]) -> list[str]:
     """Estimators that lose by a gyroscope bias that they do not find."""
-    removed = np.abs([bias for bias in scores.bias_removed.values() if np.isfinite(bias).all()])
+    failing = {log for log, faults in scores.faults.items() if any(f.sensor == "gyroscope" for f in faults)}
+    biases = [bias for log, bias in scores.bias_removed.items() if log in set(scores.headline) - failing]
+    removed = np.abs([bias for bias in biases if np.isfinite(bias).all()])
     if not removed.any():
         known = removed.size > 0
         text = "No gyroscope bias differs significantly from zero: nothing is removed."
@@ -119,18 +156,21 @@ def _believed(scores: LogScores) -> list[str]:
     lines = []
     for name in dict.fromkeys(name for _, name in scores.beliefs):
         found = {log: each for (log, whose), each in scores.beliefs.items() if whose == name}
+        found = {log: each for log, each in found.items() if not scores.faults.get(log)} or found
         shares = [each.share() for each in found.values()]
         mean = {model: float(np.mean([share[model] for share in shares])) for model in shares[0]}
         ranked = sorted(mean.items(), key=lambda each: -each[1])
-        covered = [
-            each.coverage(scores.truth[log][None], scores.counted[log][None])
+        shown = ", ".join(f"{model} {share:.0%}" for model, share in ranked)
+        sigma = float(np.median([each.sigma_deg for each in found.values()]))
+        honest = [
+            (each.coverage(truth, counted), each.rmse_deg(truth, counted))
             for log, each in found.items()
             if log in scores.scored
+            for truth, counted in [(scores.truth[log][None], scores.counted[log][None])]
         ]
-        shown = ", ".join(f"{model} {share:.0%}" for model, share in ranked)
-        if covered:
-            inside = f"{np.nanmean(covered):.0%} of the true angles are in its 95 % interval"
-        else:
-            inside = f"its σ is {np.median([each.sigma_deg for each in found.values()]):.1f}° in the median"
+        inside = f"its σ is {sigma:.1f}° in the median"
+        if honest:
+            covered, errors = np.array(honest).T
+            inside = interval_text(float(np.nanmean(covered)), sigma, float(np.sqrt(np.nanmean(errors**2))))
         lines.append(f"{name} believed, in share of the time: {shown}; {inside}.")
     return lines

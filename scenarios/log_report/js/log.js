@@ -55,7 +55,11 @@ function draw() {
   for (const plot of PLOTS.splice(0)) plot.destroy();
   $("panels").replaceChildren();
   const list = panels().filter((panel) => panel.lines.length), end = log.time.at(-1);
-  const hooks = { drawClear: [(plot) => shade(plot, log.uncounted, css("--line"), 0.5)], setCursor: [point] };
+  const clear = (plot) => {
+    shade(plot, log.uncounted, css("--line"), 0.5);
+    for (const [, from, to, colour] of log.faults) shade(plot, [[from, to]], colour, 0.22);
+  };
+  const hooks = { drawClear: [clear], setCursor: [point] };
   list.forEach((panel, i) => {
     const box = node("div", { class: "panel" });
     $("panels").append(box);
@@ -65,6 +69,8 @@ function draw() {
   if (range) for (const plot of PLOTS) plot.setScale("x", { min: range[0], max: range[1] });
   for (const chip of all("#chips button")) chip.setAttribute("aria-pressed", shown.has(chip.dataset.estimator));
   $("note").textContent = log.note;
+  $("faults").replaceChildren(...log.faults.map(([text, , , colour]) =>
+    node("p", { class: "note" }, node("i", { class: "dot", style: `background: ${colour}; border-radius: 2px` }), text)));
 }
 /* The cursor of a panel is that of all. */
 function point(plot) {

@@ -1,0 +1,297 @@
+"""Faults that begin inside a log: a bias jumps, an axis sticks or saturates, vibration sets in."""
+
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter1d
+
+from .recording import Array
+from .truth_bias import bias_over_time
+from .truth_delay import LONG_S
+
+FaultKind = Literal["bias jump", "stuck axis", "saturation", "vibration"]
+Sensor = Literal["gyroscope", "accelerometer"]
+
+STEP_S, LEAST_STEP_S = 10.0, 4.0
+"""The bias is compared over this time before and after a jump, and over no less at an end of the log [s]."""
+STEP, SIGMAS = np.radians(1.2), 8.0
+"""Least jump of a bias [rad/s], and in standard errors of it."""
+FASTEST = 5.0
+"""Turns with a mean rate above this are left out [rad/s]: over half a second they come near a whole turn."""
+BACK = 0.4
+"""A bias that is back to within this share of its jump has ended."""
+TOGETHER_S = 3.0
+"""Faults of several axes that begin within this time are one [s]."""
+
+RUN_S = 0.01
+"""A clipped reading repeats for at least this time [s]."""
+NEAR, PILED = 8.0, 0.5
+"""Share of the readings within `NEAR` least steps of a limit that are equal to it: at the rounded top of a
+smooth motion it is a third at most."""
+MOVES = 10.0
+"""Another axis moves by a standard deviation of this many of its least steps."""
+CLIPPED_S = 0.1
+"""Least time at the end of the range [s]."""
+
+BLOCK_S, LASTS_S = 0.25, 3.0
+"""Vibration is measured in blocks, and lasts at least `LASTS_S` [s]."""
+SLOW_S = 0.05
+"""Motion slower than this is no vibration [s]."""
+HARMFUL, RISE = 2.0, 3.0
+"""Vibration that is reported: above this level [m/s²], and by this factor above that of the motion before."""
+MOVING, MOVING_S, MOVING_SHARE = 0.02, 5.0, 0.8
+"""Standard deviation of the rate, averaged over 0.1 s, above which the vehicle moves [rad/s]; the time before
+a vibration [s] and the share of it in which it has to move, so that motors that start are no fault."""
+NORMAL = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+class SensorFault(NamedTuple):
+    """A fault of a sensor over a part of a log."""
+
+    kind: FaultKind
+    sensor: Sensor
+    axes: str
+    """Axes that it concerns, such as "x" or "xyz"."""
+    start_s: float
+    """From the log's first sample [s]."""
+    end_s: float
+    """The log's last sample where the fault does not end before [s]."""
+    evidence: str
+    """What shows it, in a sentence with its figure."""
+
+    @property
+    def name(self) -> str:
+        """Kind, sensor and axes in a few words."""
+        return f"{self.kind}, {self.sensor} {self.axes}"
+
+    @property
+    def sentence(self) -> str:
+        """When it is, and what shows it."""
+        return f"{self.start_s:.1f} s to {self.end_s:.1f} s: {self.evidence}"
+
+
+def find_faults(
+    time: Array,
+    gyro: Array,
+    accel: Array,
+    stuck: NDArray[np.bool_],
+    *,
+    even_gyro: Array,
+    quat: Array,
+    rate_hz: float,
+) -> tuple[SensorFault, ...]:
+    """Faults of a log, in the order in which they begin.
+
+    Args:
+        time: Stamps of the readings as recorded (T,) [s].
+        gyro: Readings as recorded (T, 3) [rad/s].
+        accel: Specific force as recorded (T, 3) [m/s²].
+        stuck: Samples of each axis at which it repeats one number (T, 6), gyroscope first.
+        even_gyro: Evenly sampled angular rate (N, 3) [rad/s]; NaN where missing.
+        quat: True attitude quat_WB at the even samples (N, 4); NaN where not known.
+        rate_hz: Even samples per second.
+    """
+    since = time - time[0]
+    saturated = list(saturations(since, gyro, accel, stuck))
+    found = [
+        *saturated,
+        *(fault for fault in stuck_axes(since, stuck) if not any(_within(fault, each) for each in saturated)),
+        *vibrations(since, gyro, accel),
+        *bias_jumps(even_gyro, quat, rate_hz),
+    ]
+    return tuple(sorted(found, key=lambda fault: fault.start_s))
+
+
+def stuck_axes(time: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
+    """Runs of samples at which an axis repeats one number while another of its sensor moves."""
+    for sensor, axis, part in _axes(stuck):
+        for start, end in _runs(part):
+            lasts = time[end - 1] - time[start]
+            text = f"the {sensor}'s {axis} repeats one number for {lasts:.1f} s while another axis moves"
+            yield SensorFault(
+                "stuck axis",
+                sensor,
+                axis,
+                float(time[start]),
+                float(time[end - 1]),
+                f"{text}: left out of scores",
+            )
+
+
+def saturations(time: Array, gyro: Array, accel: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
+    """Axes whose readings pile up at a limit that they never exceed, while another axis moves."""
+    readings = np.concatenate([gyro, accel], axis=1)
+    period = float(np.median(np.diff(time)))
+    for (sensor, axis, values), (*_, still) in zip(_axes(readings), _axes(stuck), strict=True):
+        others = gyro if sensor == "gyroscope" else accel
+        for sign in (1.0, -1.0):
+            for start, end, clipped_s in _clipped(sign * values, others, still, period):
+                limit = float(values[start])
+                unit = f"{limit:.3g} m/s²" if sensor == "accelerometer" else f"{np.degrees(limit):.4g} °/s"
+                text = (
+                    f"the {sensor}'s {axis} reads {unit} for {clipped_s:.1f} s in all and nothing beyond it"
+                )
+                yield SensorFault(
+                    "saturation", sensor, axis, float(time[start]), float(time[end - 1]),
+                    f"{text}: the end of its range",
+                )  # fmt: skip
+
+
+def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
+    """Vibration of the accelerometer that sets in while the vehicle moves, and lasts."""
+    rate_hz = 1.0 / float(np.median(np.diff(time)))
+    size = max(round(BLOCK_S * rate_hz), 1)
+    count = len(time) // size
+    if count * BLOCK_S < MOVING_S + LASTS_S:
+        return
+    fast = accel - uniform_filter1d(accel, max(round(SLOW_S * rate_hz), 1), axis=0)
+    blocks = fast[: count * size].reshape(count, size, 3)
+    level = np.linalg.norm(NORMAL * np.median(np.abs(blocks), axis=1), axis=1)  # taps do not count
+    moving = _moving(gyro, rate_hz, size, count)
+    lasting = median_filter(level, 2 * round(0.5 * LASTS_S / BLOCK_S) + 1, mode="nearest")
+    before, k = round(MOVING_S / BLOCK_S), round(MOVING_S / BLOCK_S)
+    while k < count:
+        least = max(HARMFUL, RISE * float(np.median(level[:k][moving[:k]]))) if moving[:k].any() else np.inf
+        if not (moving[k - before : k].mean() >= MOVING_SHARE and level[k] > least and lasting[k] > least):
+            k += 1
+            continue
+        after = np.flatnonzero(lasting[k:] < 0.5 * least)
+        end = k + int(after[0]) if after.size else count
+        if (end - k) * BLOCK_S >= LASTS_S:
+            rms, quiet = (
+                float(np.sqrt((part**2).sum(axis=2).mean())) for part in (blocks[k:end], blocks[:k])
+            )
+            text = f"the accelerometer vibrates by {rms:.1f} m/s² RMS above 20 Hz"
+            stop = time[-1] if end == count else time[end * size]
+            yield SensorFault(
+                "vibration", "accelerometer", "xyz", float(time[k * size]), float(stop),
+                f"{text}, by {quiet:.1f} m/s² before",
+            )  # fmt: skip
+        k = end + before
+
+
+def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault]:
+    """Jumps of the gyroscope's bias against turns of the true attitude over half a second.
+
+    Args:
+        gyro: (T, 3) [rad/s]; NaN where missing.
+        quat: quat_WB (T, 4); NaN where not known.
+        rate_hz: Samples per second.
+    """
+    bias, rates = bias_over_time(gyro, quat, rate_hz, FASTEST)
+    found: list[tuple[int, int, float, str]] = []
+    for axis in range(3):
+        level, start, largest = 0.0, 0, 0.0
+        for k, step in _steps(bias[:, axis], rates):
+            start, largest = (k, 0.0) if level == 0.0 else (start, largest)
+            level += step
+            largest = max(largest, level, key=abs)
+            if abs(level) < BACK * abs(largest):
+                found.append((start, k, largest, "xyz"[axis]))
+                level = 0.0
+        if level != 0.0:
+            found.append((start, len(bias), largest, "xyz"[axis]))
+    groups: list[list[tuple[int, int, float, str]]] = []
+    for each in sorted(found):
+        if groups and (each[0] - groups[-1][0][0]) * LONG_S <= TOGETHER_S:
+            groups[-1].append(each)
+        else:
+            groups.append([each])
+    for group in groups:
+        shown = " and ".join(f"{np.degrees(step):+.1f} °/s about {axis}" for *_, step, axis in group)
+        text = f"the gyroscope's bias jumps by {shown}, against turns of the true attitude over {LONG_S:g} s"
+        axes = "".join(sorted(axis for *_, axis in group))
+        last = min(max(end for _, end, *_ in group) * LONG_S, (len(gyro) - 1) / rate_hz)
+        yield SensorFault("bias jump", "gyroscope", axes, group[0][0] * LONG_S, last, text)
+
+
+def _steps(bias: Array, rates: Array) -> list[tuple[int, float]]:
+    """Turns (n,) at which a bias jumps, and by how much [rad/s].
+
+    At every turn: bias = a + m·ω + s·[after] over the time before and after, by least squares. Errors of
+    scale and mounting go with the rate ω and are none of the step s.
+    """
+    most, fewest = round(STEP_S / LONG_S), round(LEAST_STEP_S / LONG_S)
+    known = np.isfinite(bias)
+    step, sigmas = np.zeros(len(bias)), np.zeros(len(bias))
+    for k in range(fewest, len(bias) - fewest + 1):
+        window = np.arange(max(k - most, 0), min(k + most, len(bias)))
+        window = window[known[window]]
+        after = window >= k
+        if min(after.sum(), (~after).sum()) < fewest:
+            continue
+        y = bias[window].copy()
+        for side in (after, ~after):
+            middle = np.median(y[side])
+            most_off = 4.0 * NORMAL * np.median(np.abs(y[side] - middle))
+            y[side] = y[side].clip(middle - most_off, middle + most_off)
+        columns = np.column_stack([np.ones(len(y)), rates[window], after])
+        inverse = np.linalg.pinv(columns.T @ columns)
+        solution = inverse @ (columns.T @ y)
+        freedom = max(len(y) - columns.shape[1], 1)
+        sd = np.sqrt(((y - columns @ solution) ** 2).sum() / freedom * inverse[-1, -1])
+        step[k], sigmas[k] = solution[-1], abs(solution[-1]) / max(sd, 1e-12)
+    found = []
+    surely = np.where(np.abs(step) > STEP, sigmas, 0.0)
+    while surely.max(initial=0.0) > SIGMAS:
+        k = int(np.argmax(surely))
+        found.append((k, float(step[k])))
+        surely[max(k - most // 2, 0) : k + most // 2 + 1] = 0.0
+    return sorted(found)
+
+
+def _clipped(
+    values: Array, sensor: Array, stuck: NDArray[np.bool_], period: float
+) -> Iterator[tuple[int, int, float]]:
+    """First sample, end and total time [s] of the parts of an axis (T,) that are clipped from above."""
+    steps = np.abs(np.diff(values))
+    near = NEAR * min(steps[steps > 0].tolist(), default=np.inf)
+    held = np.concatenate([[False], (sensor[1:] == sensor[:-1]).all(axis=1)])
+    edges = np.concatenate([[0], np.flatnonzero(steps > 0) + 1, [len(values)]])
+    long = np.diff(edges) >= max(round(RUN_S / period) + 1, 3)
+    limits, counts = np.unique(np.repeat(values[edges[:-1]][long], np.diff(edges)[long]), return_counts=True)
+    least = [min(each[each > 0].tolist(), default=np.inf) for each in np.abs(np.diff(sensor, axis=0)).T]
+    for limit in limits[counts * period >= CLIPPED_S]:
+        at = (values == limit) & ~held
+        for first, last in _runs(values <= limit):
+            if at[first:last].sum() * period < CLIPPED_S:
+                continue
+            close = [(first + a, first + b) for a, b in _runs(values[first:last] > limit - near)]
+            piled = [(a, b) for a, b in close if b - a > 1 and at[a:b].mean() >= PILED]
+            runs = [(a, b) for a, b in piled if (sensor[a:b].std(axis=0) > MOVES * np.array(least)).any()]
+            total = sum(int(at[a:b].sum()) for a, b in runs) * period
+            alone = len(runs) == 1 and (limit < values.max() or stuck[runs[0][0] : runs[0][1]].any())
+            if total >= CLIPPED_S and not alone:
+                yield runs[0][0], runs[-1][1], total
+
+
+def _moving(gyro: Array, rate_hz: float, size: int, count: int) -> NDArray[np.bool_]:
+    """Blocks (count,) in which the vehicle turns to and fro, over a second about each."""
+    slow = uniform_filter1d(gyro, max(round(0.1 * rate_hz), 1), axis=0)
+    span = max(round(1.0 / BLOCK_S) * size, 1)
+    variance = uniform_filter1d(slow**2, span, axis=0) - uniform_filter1d(slow, span, axis=0) ** 2
+    at = np.minimum(np.arange(count) * size + size // 2, len(gyro) - 1)
+    return np.asarray(variance[at].sum(axis=1) > MOVING**2)
+
+
+def _within(fault: SensorFault, other: SensorFault) -> bool:
+    """Whether a fault of an axis lies within another of that axis."""
+    same = (fault.sensor, fault.axes) == (other.sensor, other.axes)
+    return same and other.start_s <= fault.start_s and fault.end_s <= other.end_s
+
+
+def _axes(values: NDArray) -> Iterator[tuple[Sensor, str, NDArray]]:
+    """Columns (T, 6) with the sensor and axis of each."""
+    sensors: tuple[Sensor, Sensor] = ("gyroscope", "accelerometer")
+    for k, sensor in enumerate(sensors):
+        for axis, column in zip("xyz", values[:, 3 * k : 3 * k + 3].T, strict=True):
+            yield sensor, axis, column
+
+
+def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First sample and end of each run of true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int))).reshape(-1, 2)
+    return [(int(start), int(end)) for start, end in edges]

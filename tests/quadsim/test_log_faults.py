@@ -1,0 +1,175 @@
+"""Faults that begin inside a log: found, dated, and none in a log without one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from quadsim.cli import app
+from quadsim.logs.recording import Recording
+from quadsim.logs.resample import resample
+from quadsim.rotation import quat_from_euler, quat_rotate_inverse
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+
+
+def moving(seconds=60.0, rate_hz=200.0, size=1.0, seed=0, spin=0.0) -> Recording:
+    """A sensor with white noise that sways, is biased by a constant and spins [rad/s] after half the time."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * rate_hz)) / rate_hz
+    roll, d_roll = 0.3 * size * np.sin(2.1 * time), 0.63 * size * np.cos(2.1 * time)
+    pitch, d_pitch = 0.2 * size * np.sin(3.3 * time + 1), 0.66 * size * np.cos(3.3 * time + 1)
+    d_yaw = spin * (time > 0.5 * seconds)
+    gyro = np.stack(
+        [
+            d_roll - d_yaw * np.sin(pitch),
+            d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
+            -d_pitch * np.sin(roll) + d_yaw * np.cos(pitch) * np.cos(roll),
+        ],
+        axis=1,
+    )
+    quat = quat_from_euler(roll, pitch, np.cumsum(d_yaw) / rate_hz)
+    accel = quat_rotate_inverse(quat, GRAVITY)
+    gyro = gyro + [0.02, -0.01, 0.005] + rng.normal(0.0, 3e-3, gyro.shape)
+    return Recording("x", "x", time, gyro, accel + rng.normal(0.0, 0.05, accel.shape), "x", time, quat)
+
+
+def coarse(log: Recording, gyro=1e-3, accel=5e-3) -> Recording:
+    """The log of a sensor of that resolution [rad/s, m/s²]."""
+    return replace(log, gyro=np.round(log.gyro / gyro) * gyro, accel=np.round(log.accel / accel) * accel)
+
+
+def faults(log: Recording):
+    return resample(log)[1].sensor_faults
+
+
+def with_jump(log: Recording, start, end, degrees) -> Recording:
+    during = (log.time >= start) & (log.time < end)
+    return replace(log, gyro=log.gyro + np.radians(degrees) * during[:, None])
+
+
+def vibrating(log: Recording, start, end, rms) -> Recording:
+    noise = np.random.default_rng(1).normal(0.0, rms / np.sqrt(3), log.accel.shape)
+    return replace(log, accel=log.accel + noise * ((log.time >= start) & (log.time < end))[:, None])
+
+
+def clipped(log: Recording, start, sensor="gyro", axis=0, share=0.5) -> Recording:
+    readings = getattr(log, sensor).copy()
+    limit = share * np.abs(readings[:, axis]).max()
+    readings[log.time >= start, axis] = readings[log.time >= start, axis].clip(-limit, limit)
+    return replace(log, **{sensor: readings})
+
+
+def take_off() -> Recording:
+    """At rest for 20 s, then the motors start, and the vehicle flies and vibrates."""
+    still, log = moving(size=0.0), moving()
+    gyro, accel = (np.where((log.time < 20.0)[:, None], a, b) for a, b in
+                   ((still.gyro, log.gyro), (still.accel, log.accel)))  # fmt: skip
+    return vibrating(replace(log, gyro=gyro, accel=accel, quat=None, truth="none"), 19.0, 60.0, 4.0)
+
+
+def tapped() -> Recording:
+    """A tap of 10 ms every second, while moving."""
+    log = moving()
+    return replace(log, accel=log.accel + 40.0 * (log.time % 1.0 < 0.01)[:, None])
+
+
+def held() -> Recording:
+    """A log of a sensor that is read at 50 Hz and logged at 200 Hz."""
+    log, every = coarse(moving()), np.arange(12000) // 4 * 4
+    return replace(log, gyro=log.gyro[every], accel=log.accel[every])
+
+
+def upside_down() -> Recording:
+    """A coarse sensor that lies upside down, is moved and lies there once more: its z is at its least."""
+    still, log = moving(size=0.0), moving(spin=0.5)
+    lies = ((log.time < 20.0) | (log.time > 40.0))[:, None]
+    gyro, accel = np.where(lies, 0.0 * still.gyro, log.gyro), np.where(lies, GRAVITY, log.accel)
+    return coarse(replace(log, gyro=gyro, accel=-accel * 1.0, quat=None, truth="none"), accel=0.1)
+
+
+@pytest.mark.parametrize(
+    "log",
+    [
+        moving(), moving(size=0.0), moving(rate_hz=1000.0, seconds=30.0), coarse(moving(size=3.0)),
+        coarse(moving(size=0.1), 1e-2, 5e-2), take_off(), tapped(), held(), upside_down(),
+        replace(spun := moving(spin=1.0), gyro=1.05 * spun.gyro),
+    ],
+    ids=["moving", "still", "kilohertz", "coarse", "coarser", "take-off", "tapped", "held", "upside-down", "scale"],
+)  # fmt: skip
+def test_a_log_without_a_fault_has_none(log):
+    assert faults(log) == ()
+
+
+@pytest.mark.parametrize("end", [35.0, 60.0])
+def test_a_bias_that_jumps_is_found_measured_and_dated(end):
+    (found,) = faults(with_jump(moving(), 23.0, end, [0.0, -2.5, 0.0]))
+    assert (found.kind, found.sensor, found.axes) == ("bias jump", "gyroscope", "y")
+    assert abs(found.start_s - 23.0) < 1.0
+    assert abs(found.end_s - end) < 1.5
+    assert "-2.5 °/s about y" in found.evidence
+
+
+def test_axes_that_jump_together_are_one_fault():
+    (found,) = faults(with_jump(moving(), 23.0, 60.0, [3.0, 0.0, -4.0]))
+    assert found.axes == "xz"
+    assert "+3.0 °/s about x and -4.0 °/s about z" in found.evidence
+
+
+def test_a_bias_step_is_no_fault_of_a_truth_that_is_not_known():
+    assert faults(replace(with_jump(moving(), 23.0, 60.0, [3.0, 0.0, 0.0]), quat=None, truth="none")) == ()
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+@pytest.mark.parametrize("fine", [True, False])
+def test_an_axis_that_saturates_from_some_time_on_is_found_and_is_not_called_stuck(sensor, fine):
+    log = moving() if fine else coarse(moving())
+    faulty = clipped(log, 21.0, sensor)
+    first = np.flatnonzero((getattr(faulty, sensor) != getattr(log, sensor))[:, 0])[0] / 200.0
+    found = faults(faulty)
+    assert {(fault.kind, fault.axes) for fault in found} == {("saturation", "x")}
+    assert found[0].start_s == pytest.approx(first, abs=1.0)
+    assert found[0].end_s > 55.0
+    assert "of its range" in found[0].evidence
+
+
+def test_an_axis_that_sticks_is_dated():
+    log = moving()
+    gyro = log.gyro.copy()
+    gyro[5000:5220, 2] = gyro[5000, 2]
+    (found,) = faults(replace(log, gyro=gyro))
+    assert (found.kind, found.axes) == ("stuck axis", "z")
+    assert (found.start_s, found.end_s) == pytest.approx((25.0, 26.1), abs=0.01)
+
+
+@pytest.mark.parametrize("end", [30.5, 60.0])
+def test_vibration_that_begins_in_motion_is_found(end):
+    (found,) = faults(vibrating(moving(), 25.0, end, 3.0))
+    assert found.kind == "vibration"
+    assert abs(found.start_s - 25.0) < 0.5
+    assert abs(found.end_s - end) < 1.5
+    assert float(found.evidence.split(" m/s²")[0].split()[-1]) == pytest.approx(3.0, rel=0.15)
+
+
+def test_faults_come_in_their_order():
+    log = clipped(vibrating(with_jump(moving(), 40.0, 60.0, [5.0, 0, 0]), 12.0, 20.0, 4.0), 25.0, "gyro", 1)
+    assert [fault.kind for fault in faults(log)] == ["vibration", "saturation", "bias jump"]
+
+
+def test_calibration_is_no_advice_for_a_sensor_that_fails():
+    still = replace(moving(size=0.0, seconds=30.0), quat=None, truth="none")
+    biased = replace(still, gyro=still.gyro + [0.05, 0.0, 0.0])
+    assert any("logs calibrate" in line for line in resample(biased)[1].warnings)
+    stuck = biased.gyro.copy()
+    stuck[4000:4300, 2] = stuck[4000, 2]
+    warnings = resample(replace(biased, gyro=stuck))[1].warnings
+    assert not any("logs calibrate" in line for line in warnings)
+    assert any("a calibration does not correct a sensor that fails" in line for line in warnings)
+
+
+def test_logs_info_prints_the_faults(tmp_path):
+    log = with_jump(moving(), 23.0, 60.0, [0.0, -3.0, 0.0])
+    np.savez(tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel, quat=log.quat)
+    done = CliRunner().invoke(app, ["logs", "info", str(tmp_path / "x.npz")], catch_exceptions=False)
+    assert "! 23.0 s to 60.0 s: the gyroscope's bias jumps by -3.0 °/s about y" in done.output
