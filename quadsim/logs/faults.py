@@ -18,6 +18,10 @@ STEP_S, LEAST_STEP_S = 10.0, 4.0
 """The bias is compared over this time before and after a jump, and over no less at an end of the log [s]."""
 STEP, SIGMAS = np.radians(1.2), 8.0
 """Least jump of a bias [rad/s], and in standard errors of it."""
+MOST_STEPS = 8
+"""Jumps of one axis that are looked for."""
+AT_REST = 0.2
+"""The standard deviation of a turn's bias grows as this and the rate [rad/s]: delays and scale go with it."""
 FASTEST = 5.0
 """Turns with a mean rate above this are left out [rad/s]: over half a second they come near a whole turn."""
 BACK = 0.4
@@ -127,17 +131,22 @@ def saturations(time: Array, gyro: Array, accel: Array, stuck: NDArray[np.bool_]
     period = float(np.median(np.diff(time)))
     for (sensor, axis, values), (*_, still) in zip(_axes(readings), _axes(stuck), strict=True):
         others = gyro if sensor == "gyroscope" else accel
-        for sign in (1.0, -1.0):
-            for start, end, clipped_s in _clipped(sign * values, others, still, period):
-                limit = float(values[start])
-                unit = f"{limit:.3g} m/s²" if sensor == "accelerometer" else f"{np.degrees(limit):.4g} °/s"
-                text = (
-                    f"the {sensor}'s {axis} reads {unit} for {clipped_s:.1f} s in all and nothing beyond it"
-                )
-                yield SensorFault(
-                    "saturation", sensor, axis, float(time[start]), float(time[end - 1]),
-                    f"{text}: the end of its range",
-                )  # fmt: skip
+        parts = [part for sign in (1.0, -1.0) for part in _clipped(sign * values, others, still, period)]
+        if not parts:
+            continue
+        starts, ends, totals = zip(*parts, strict=True)
+        limits = sorted({float(values[start]) for start in starts})
+        shown = " and ".join(
+            f"{limit:.3g} m/s²" if sensor == "accelerometer" else f"{np.degrees(limit):.4g} °/s"
+            for limit in limits
+        )
+        text = (
+            f"the {sensor}'s {axis} repeats {shown} for {sum(totals):.1f} s in all and reads nothing beyond"
+        )
+        yield SensorFault(
+            "saturation", sensor, axis, float(time[min(starts)]), float(time[max(ends) - 1]),
+            f"{text}: the end of its range",
+        )  # fmt: skip
 
 
 def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
@@ -201,10 +210,12 @@ def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault
         else:
             groups.append([each])
     for group in groups:
-        shown = " and ".join(f"{np.degrees(step):+.1f} °/s about {axis}" for *_, step, axis in group)
+        sizes = sorted((axis, np.degrees(step)) for *_, step, axis in group)
+        shown = " and ".join(f"{size:+.1f} °/s about {axis}" for axis, size in sizes)
         text = f"the gyroscope's bias jumps by {shown}, against turns of the true attitude over {LONG_S:g} s"
         axes = "".join(sorted(axis for *_, axis in group))
-        last = min(max(end for _, end, *_ in group) * LONG_S, (len(gyro) - 1) / rate_hz)
+        end = max(end for _, end, *_ in group)
+        last = (len(gyro) - 1) / rate_hz if end == len(bias) else end * LONG_S
         yield SensorFault("bias jump", "gyroscope", axes, group[0][0] * LONG_S, last, text)
 
 
@@ -212,35 +223,41 @@ def _steps(bias: Array, rates: Array) -> list[tuple[int, float]]:
     """Turns (n,) at which a bias jumps, and by how much [rad/s].
 
     At every turn: bias = a + m·ω + s·[after] over the time before and after, by least squares. Errors of
-    scale and mounting go with the rate ω and are none of the step s.
+    scale and mounting go with the rate ω and are none of the step s. Fast turns weigh less.
     """
-    most, fewest = round(STEP_S / LONG_S), round(LEAST_STEP_S / LONG_S)
-    known = np.isfinite(bias)
-    step, sigmas = np.zeros(len(bias)), np.zeros(len(bias))
-    for k in range(fewest, len(bias) - fewest + 1):
-        window = np.arange(max(k - most, 0), min(k + most, len(bias)))
-        window = window[known[window]]
-        after = window >= k
-        if min(after.sum(), (~after).sum()) < fewest:
-            continue
-        y = bias[window].copy()
-        for side in (after, ~after):
-            middle = np.median(y[side])
-            most_off = 4.0 * NORMAL * np.median(np.abs(y[side] - middle))
-            y[side] = y[side].clip(middle - most_off, middle + most_off)
-        columns = np.column_stack([np.ones(len(y)), rates[window], after])
-        inverse = np.linalg.pinv(columns.T @ columns)
-        solution = inverse @ (columns.T @ y)
-        freedom = max(len(y) - columns.shape[1], 1)
-        sd = np.sqrt(((y - columns @ solution) ** 2).sum() / freedom * inverse[-1, -1])
-        step[k], sigmas[k] = solution[-1], abs(solution[-1]) / max(sd, 1e-12)
-    found = []
-    surely = np.where(np.abs(step) > STEP, sigmas, 0.0)
-    while surely.max(initial=0.0) > SIGMAS:
+    bias, found = bias.copy(), []
+    while len(found) < MOST_STEPS:
+        fits = [_step(bias, rates, k) for k in range(len(bias) + 1)]
+        surely = [sigmas if abs(step) > STEP else 0.0 for step, sigmas in fits]
         k = int(np.argmax(surely))
-        found.append((k, float(step[k])))
-        surely[max(k - most // 2, 0) : k + most // 2 + 1] = 0.0
+        if surely[k] < SIGMAS:
+            break
+        found.append((k, fits[k][0]))
+        bias[k:] -= fits[k][0]
     return sorted(found)
+
+
+def _step(bias: Array, rates: Array, k: int) -> tuple[float, float]:
+    """The step of a bias (n,) at turn k [rad/s], and in its standard errors; 0 where too little is known."""
+    most, fewest = round(STEP_S / LONG_S), round(LEAST_STEP_S / LONG_S)
+    window = np.arange(max(k - most, 0), min(k + most, len(bias)))
+    window = window[np.isfinite(bias[window])]
+    after = window >= k
+    if min(after.sum(), (~after).sum()) < fewest:
+        return 0.0, 0.0
+    weight = 1.0 / (AT_REST + np.linalg.norm(rates[window], axis=1))
+    columns = weight[:, None] * np.column_stack([np.ones(len(window)), rates[window], after])
+    inverse = np.linalg.pinv(columns.T @ columns)
+    y, beyond = weight * bias[window], np.zeros(len(window))
+    solution = np.zeros(len(inverse))
+    for _ in range(3):  # what is far off counts no more than four standard deviations
+        solution = inverse @ (columns.T @ (y - beyond))
+        off = y - columns @ solution
+        limit = 4.0 * NORMAL * float(np.median(np.abs(off)))
+        beyond = off - off.clip(-limit, limit)
+    squares = ((y - beyond - columns @ solution) ** 2).sum()
+    sd = np.sqrt(squares / max(len(y) - len(solution), 1) * inverse[-1, -1])
+    return float(solution[-1]), float(abs(solution[-1]) / max(sd, 1e-12))
 
 
 def _clipped(
@@ -252,6 +269,7 @@ def _clipped(
     held = np.concatenate([[False], (sensor[1:] == sensor[:-1]).all(axis=1)])
     edges = np.concatenate([[0], np.flatnonzero(steps > 0) + 1, [len(values)]])
     long = np.diff(edges) >= max(round(RUN_S / period) + 1, 3)
+    long &= ~held[np.minimum(edges[:-1] + 1, len(held) - 1)]
     limits, counts = np.unique(np.repeat(values[edges[:-1]][long], np.diff(edges)[long]), return_counts=True)
     least = [min(each[each > 0].tolist(), default=np.inf) for each in np.abs(np.diff(sensor, axis=0)).T]
     for limit in limits[counts * period >= CLIPPED_S]:
@@ -260,12 +278,12 @@ def _clipped(
             if at[first:last].sum() * period < CLIPPED_S:
                 continue
             close = [(first + a, first + b) for a, b in _runs(values[first:last] > limit - near)]
-            piled = [(a, b) for a, b in close if b - a > 1 and at[a:b].mean() >= PILED]
+            piled = [(a, b) for a, b in close if at[a:b].mean() >= PILED]
             runs = [(a, b) for a, b in piled if (sensor[a:b].std(axis=0) > MOVES * np.array(least)).any()]
             total = sum(int(at[a:b].sum()) for a, b in runs) * period
             alone = len(runs) == 1 and (limit < values.max() or stuck[runs[0][0] : runs[0][1]].any())
             if total >= CLIPPED_S and not alone:
-                yield runs[0][0], runs[-1][1], total
+                yield piled[0][0], piled[-1][1], total
 
 
 def _moving(gyro: Array, rate_hz: float, size: int, count: int) -> NDArray[np.bool_]:
