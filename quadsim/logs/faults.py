@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from .recording import Array
-from .truth_bias import bias_over_time
+from .truth_bias import BiasOverTime, bias_over_time
 from .truth_delay import LONG_S
 
 FaultKind = Literal["bias jump", "stuck axis", "saturation", "vibration"]
@@ -18,12 +18,12 @@ STEP_S, LEAST_STEP_S = 10.0, 4.0
 """The bias is compared over this time before and after a jump, and over no less at an end of the log [s]."""
 STEP, SIGMAS = np.radians(1.2), 8.0
 """Least jump of a bias [rad/s], and in standard errors of it."""
+JUMP_S = 8.0
+"""A bias that is back sooner has not jumped [s]."""
 MOST_STEPS = 8
 """Jumps of one axis that are looked for."""
 AT_REST = 0.2
 """The standard deviation of a turn's bias grows as this and the rate [rad/s]: delays and scale go with it."""
-FASTEST = 5.0
-"""Turns with a mean rate above this are left out [rad/s]: over half a second they come near a whole turn."""
 BACK = 0.4
 """A bias that is back to within this share of its jump has ended."""
 TOGETHER_S = 3.0
@@ -190,16 +190,18 @@ def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault
         quat: quat_WB (T, 4); NaN where not known.
         rate_hz: Samples per second.
     """
-    bias, rates = bias_over_time(gyro, quat, rate_hz, FASTEST)
+    turns = bias_over_time(gyro, quat, rate_hz)
+    bias = turns.bias
     found: list[tuple[int, int, float, str]] = []
     for axis in range(3):
         level, start, largest = 0.0, 0, 0.0
-        for k, step in _steps(bias[:, axis], rates):
+        for k, step in _steps(turns, axis):
             start, largest = (k, 0.0) if level == 0.0 else (start, largest)
             level += step
             largest = max(largest, level, key=abs)
             if abs(level) < BACK * abs(largest):
-                found.append((start, k, largest, "xyz"[axis]))
+                if (k - start) * LONG_S >= JUMP_S:
+                    found.append((start, k, largest, "xyz"[axis]))
                 level = 0.0
         if level != 0.0:
             found.append((start, len(bias), largest, "xyz"[axis]))
@@ -219,15 +221,15 @@ def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault
         yield SensorFault("bias jump", "gyroscope", axes, group[0][0] * LONG_S, last, text)
 
 
-def _steps(bias: Array, rates: Array) -> list[tuple[int, float]]:
-    """Turns (n,) at which a bias jumps, and by how much [rad/s].
+def _steps(turns: BiasOverTime, axis: int) -> list[tuple[int, float]]:
+    """Turns (n,) at which the bias of an axis jumps, and by how much [rad/s].
 
     At every turn: bias = a + m·ω + s·[after] over the time before and after, by least squares. Errors of
     scale and mounting go with the rate ω and are none of the step s. Fast turns weigh less.
     """
-    bias, found = bias.copy(), []
+    bias, found = turns.bias[:, axis].copy(), []
     while len(found) < MOST_STEPS:
-        fits = [_step(bias, rates, k) for k in range(len(bias) + 1)]
+        fits = [_step(bias, turns.rate, turns.rms, k) for k in range(len(bias) + 1)]
         surely = [sigmas if abs(step) > STEP else 0.0 for step, sigmas in fits]
         k = int(np.argmax(surely))
         if surely[k] < SIGMAS:
@@ -237,15 +239,17 @@ def _steps(bias: Array, rates: Array) -> list[tuple[int, float]]:
     return sorted(found)
 
 
-def _step(bias: Array, rates: Array, k: int) -> tuple[float, float]:
+def _step(bias: Array, rates: Array, rms: Array, k: int) -> tuple[float, float]:
     """The step of a bias (n,) at turn k [rad/s], and in its standard errors; 0 where too little is known."""
     most, fewest = round(STEP_S / LONG_S), round(LEAST_STEP_S / LONG_S)
     window = np.arange(max(k - most, 0), min(k + most, len(bias)))
-    window = window[np.isfinite(bias[window])]
+    known = np.isfinite(bias[window])
+    for side in (known[window < k], known[window >= k]):
+        if side.sum() < fewest or side.mean() < 0.5:
+            return 0.0, 0.0
+    window = window[known]
     after = window >= k
-    if min(after.sum(), (~after).sum()) < fewest:
-        return 0.0, 0.0
-    weight = 1.0 / (AT_REST + np.linalg.norm(rates[window], axis=1))
+    weight = 1.0 / (AT_REST + rms[window])
     columns = weight[:, None] * np.column_stack([np.ones(len(window)), rates[window], after])
     inverse = np.linalg.pinv(columns.T @ columns)
     y, beyond = weight * bias[window], np.zeros(len(window))
@@ -255,7 +259,7 @@ def _step(bias: Array, rates: Array, k: int) -> tuple[float, float]:
         off = y - columns @ solution
         limit = 4.0 * NORMAL * float(np.median(np.abs(off)))
         beyond = off - off.clip(-limit, limit)
-    squares = ((y - beyond - columns @ solution) ** 2).sum()
+    squares = ((y - columns @ solution) ** 2).sum()
     sd = np.sqrt(squares / max(len(y) - len(solution), 1) * inverse[-1, -1])
     return float(solution[-1]), float(abs(solution[-1]) / max(sd, 1e-12))
 
@@ -272,7 +276,7 @@ def _clipped(
     long &= ~held[np.minimum(edges[:-1] + 1, len(held) - 1)]
     limits, counts = np.unique(np.repeat(values[edges[:-1]][long], np.diff(edges)[long]), return_counts=True)
     least = [min(each[each > 0].tolist(), default=np.inf) for each in np.abs(np.diff(sensor, axis=0)).T]
-    for limit in limits[counts * period >= CLIPPED_S]:
+    for limit in limits[(counts * period >= CLIPPED_S) & (limits > np.median(values))]:
         at = (values == limit) & ~held
         for first, last in _runs(values <= limit):
             if at[first:last].sum() * period < CLIPPED_S:

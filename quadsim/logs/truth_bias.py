@@ -67,39 +67,46 @@ def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
     return GyroBias(mean, float(student.ppf(0.975, blocks - 1)) * sd)
 
 
-def bias_over_time(
-    gyro: Array, quat: Array, rate_hz: float, fastest: float = RATE_MAX
-) -> tuple[Array, Array]:
-    """The bias of each turn of `LONG_S`, linear about that of the log, and the mean rates of the turns.
+class BiasOverTime(NamedTuple):
+    """A gyroscope's bias over each of n turns of `LONG_S`; NaN where the turn is fast or not known."""
+
+    bias: Array
+    """(n, 3) [rad/s]."""
+    rate: Array
+    """Mean rate (n, 3) [rad/s]."""
+    rms: Array
+    """Root mean square of the rate (n,) [rad/s]."""
+
+
+def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> BiasOverTime:
+    """The bias of each turn of `LONG_S`, linear about that of the log.
 
     Args:
         gyro: (T, 3) [rad/s]; NaN where missing.
         quat: quat_WB (T, 4); NaN where not known.
         rate_hz: Samples per second.
-        fastest: Turns with a mean rate above this are left out [rad/s].
-
-    Returns:
-        Biases and mean rates of n turns, (n, 3) each [rad/s]; NaN where the turn is fast or not known.
     """
-    known, rates, truth = _slow_turns(gyro, quat, rate_hz, fastest)
+    known, rates, truth = _slow_turns(gyro, quat, rate_hz)
     bias, means = np.full((2, len(known), 3), np.nan)
+    rms = np.full(len(known), np.nan)
     mean = bias_by_truth(gyro, quat, rate_hz).mean
     if np.isfinite(mean).all():
         beyond, lever = _beyond(rates - mean, truth, 1.0 / rate_hz)
         bias[known] = mean + np.linalg.solve(lever, beyond[:, :, None])[:, :, 0]
         means[known] = rates.mean(axis=1)
-    return bias, means
+        rms[known] = np.sqrt((rates**2).sum(axis=2).mean(axis=1))
+        fast = ~(rms < RATE_MAX)  # to and fro, with a small mean
+        bias[fast], means[fast], rms[fast] = np.nan, np.nan, np.nan
+    return BiasOverTime(bias, means, rms)
 
 
-def _slow_turns(
-    gyro: Array, quat: Array, rate_hz: float, fastest: float = RATE_MAX
-) -> tuple[NDArray[np.bool_], Array, Array]:
+def _slow_turns(gyro: Array, quat: Array, rate_hz: float) -> tuple[NDArray[np.bool_], Array, Array]:
     """Which turns of `LONG_S` are slow and known (n,); of those the rates (m, k, 3) and true turns (m, 4)."""
     span = max(round(LONG_S * rate_hz), 1)
     count = (len(gyro) - 1) // span
     rates = (0.5 * (gyro[:-1] + gyro[1:]))[: count * span].reshape(count, span, 3)
     before, after = quat[: count * span : span], quat[span : count * span + 1 : span]
-    slow = np.linalg.norm(rates.mean(axis=1), axis=1) < fastest  # not where it is NaN
+    slow = np.linalg.norm(rates.mean(axis=1), axis=1) < RATE_MAX  # not where it is NaN
     known = slow & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
     return known, rates[known], quat_multiply(quat_conjugate(before[known]), after[known])
 

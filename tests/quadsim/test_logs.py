@@ -306,7 +306,8 @@ def test_everything_odd_is_counted_and_no_gap_is_bridged():
     assert report.saturated > 100
     missing = np.flatnonzero(np.isnan(even["gyro"].to_numpy()[0]).any(axis=1))
     assert missing.tolist() == list(range(400, 420))
-    assert len(report.warnings) == 7
+    assert [fault.kind for fault in report.sensor_faults] == ["saturation", "saturation"]
+    assert len(report.warnings) == 8
 
 
 def test_irregular_stamps_are_evened_by_when_they_were_taken():
@@ -874,7 +875,9 @@ def test_an_axis_that_is_stuck_is_left_out_there_and_refused_if_always(sensor, a
     readings[1000:1800, axis] = readings[1000, axis]
     dataset, report = resample(replace(log, **{sensor: readings}))
     name = f"the {'gyroscope' if sensor == 'gyro' else 'accelerometer'}'s {'xyz'[axis]}"
-    assert f"{name} repeats one number for 4.0 s in all: left out of scores" in report.warnings
+    (said,) = [line for line in report.warnings if f"{name} repeats one number for 4.0 s" in line]
+    assert said.startswith("5.0 s to 9.0 s: ")
+    assert said.endswith(": left out of scores")
     missing = np.isnan(dataset["gyro"][0]).any(axis=1).to_numpy()
     assert missing[1000:1800].all()
     assert missing.sum() < 810
@@ -896,7 +899,7 @@ def test_a_saturated_axis_is_said():
     log = noisy()
     report = resample(replace(log, gyro=log.gyro.clip(-0.6, 0.6)))[1]
     assert report.saturated > 200
-    assert any("stuck at the end of the sensor's range" in line for line in report.warnings)
+    assert any("the gyroscope's y repeats -34.38 °/s and 34.38 °/s" in line for line in report.warnings)
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 8000.0])

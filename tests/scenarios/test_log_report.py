@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from estimators import create
-from estimators.evaluation.beliefs import Beliefs
-from estimators.evaluation.logs import LogScores, compare_logs, score_logs
+from estimators.evaluation.beliefs import Beliefs, interval_text
+from estimators.evaluation.logs import RAW, LogScores, compare_logs, draw_log, score_logs
+from quadsim.logs.faults import SensorFault
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 from quadsim.rotation import quat_from_roll_pitch
@@ -58,6 +59,76 @@ def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
 def test_verdict_says_when_nothing_beats_a_level_guess(scored):
     scores = replace(scored[1], rows=[replace(row, inclination_rmse_deg=10.0) for row in scored[1].rows])
     assert log_verdict(scores).headline.startswith("No estimator is much better than a level guess (10.00°)")
+
+
+INSIDE = "of the true angles are inside its 95 % interval"
+FAULTS = {
+    "bias jump": SensorFault("bias jump", "gyroscope", "x", 12.0, 40.0, "the bias jumps by +3.0 °/s"),
+    "vibration": SensorFault("vibration", "accelerometer", "xyz", 5.0, 9.0, "it vibrates by 4.0 m/s² RMS"),
+}
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_means_and_headline_are_without_faulty_logs(scored, kind):
+    scores = replace(scored[1], faults={"biased": (FAULTS[kind],)})
+    alone = {r.estimator: r.inclination_rmse_deg for r in scores.rows if r.log != "biased" and r.bias == RAW}
+    assert {name: scores.mean(name, RAW) for name in alone} == pytest.approx(alone)
+    found, best = log_verdict(scores), min(alone, key=lambda name: alone[name])
+    smallest = f"{best}, {alone[best]:.2f}° inclination RMSE"
+    assert found.headline == f"Smallest error: {smallest}, over the logs without a fault."
+    assert "1 of 2 logs has a fault of a sensor: means and headline are without biased." in found.lines
+    (said,) = [line for line in found.lines if FAULTS[kind].sentence in line]
+    smallest = min(scores.on_log("biased", name, RAW) for name in alone if name != "level")
+    assert f"The smallest error on it is {smallest:.2f}°" in said
+
+
+def test_a_sensor_that_fails_is_not_to_be_calibrated(scored):
+    sound, failing = log_verdict(scored[1]), {}
+    failing["biased"] = failing["calm & <quiet>"] = (FAULTS["bias jump"],)
+    faulty = log_verdict(replace(scored[1], faults=failing))
+    assert any("Calibrate it" in line for line in sound.lines)
+    assert not any("Calibrate it" in line for line in faulty.lines)
+    assert any("Calibration does not cure a bias that jumps" in line for line in faulty.lines)
+    assert not any("does not cure" in line for line in sound.lines)
+    assert faulty.headline.endswith("but every log has a fault.")
+    assert any(line.startswith("A fault of a sensor begins in every log") for line in faulty.lines)
+
+
+def test_faults_are_bands_with_a_legend(scored):
+    scores = replace(scored[1], faults={"biased": tuple(FAULTS.values())})
+    figure = draw_log(scores, "biased")
+    (legend,) = figure.legends
+    assert {text.get_text() for text in legend.get_texts()} == {fault.name for fault in FAULTS.values()}
+    assert all(len(axes.patches) == 2 for axes in figure.axes)
+    assert draw_log(scores, "calm & <quiet>").legends == []
+
+
+def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
+    jumped = log("jumped", bias=math.radians(3.0) * (np.arange(8000) > 4000))
+    scores = score_logs([jumped], ["mahony"], within_deg=90.0)
+    assert [fault.kind for fault in scores.faults["jumped"]] == ["bias jump"]
+    assert {row.faults for row in scores.rows} == {"bias jump, gyroscope x"}
+
+
+@pytest.mark.parametrize(
+    ("inside", "sigma", "rmse", "said"),
+    [
+        (1.0, 11.6, 2.5, " only because the interval is wide: its median σ is 11.6° at an error of 2.5° RMS"),
+        (1.0, 2.6, 2.5, " only because the interval is wide: its median σ is 2.6° at an error of 2.5° RMS"),
+        (0.97, 6.0, 2.5, " only because the interval is wide: its median σ is 6.0° at an error of 2.5° RMS"),
+        (0.97, 9.0, 9.0, ", but the error is large: its median σ is 9.0° at an error of 9.0° RMS"),
+        (0.97, 2.0, 2.0, ""),
+    ],
+)  # fmt: skip
+def test_a_wide_interval_or_a_large_error_does_not_reassure(inside, sigma, rmse, said):
+    assert interval_text(inside, sigma, rmse) == f"{inside:.0%} {INSIDE}{said}"
+
+
+def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
+    estimate, sigma = np.zeros((1, 2, 2)), np.radians(np.full((1, 2, 2), 4.0))
+    believed = Beliefs(("one",), np.array([0, 1]), estimate, sigma, np.ones((1, 2, 1)))
+    truth = np.radians([[[3.0, 3.0], [90.0, 80.0]]])
+    assert believed.rmse_deg(truth, np.array([[True, False]])) == pytest.approx(3.0)
 
 
 def test_verdict_of_one_log_warns_of_the_next():
