@@ -1,7 +1,7 @@
 """What `imm` believes along a recording: probabilities of its models, and how honest its sigma is."""
 
 from dataclasses import dataclass
-from typing import Unpack
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,10 +56,14 @@ class Beliefs:
         error, known = self._error(truth, counted)
         return float((error <= NORMAL_95 * self.sigma)[known].mean()) if known.any() else float("nan")
 
-    def rmse_deg(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> float:
-        """Root mean square error of roll and pitch [deg]; NaN if none is known. See `coverage`."""
+    def interval(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> "Interval":
+        """The 95 % interval beside the error, over the angles that are known. Arguments as in `coverage`."""
         error, known = self._error(truth, counted)
-        return float(np.degrees(np.sqrt(np.mean(error[known] ** 2)))) if known.any() else float("nan")
+        if not known.any():
+            return Interval(float("nan"), float("nan"), float("nan"))
+        rmse = float(np.degrees(np.sqrt(np.mean(error[known] ** 2))))
+        sigma = float(np.degrees(np.median(self.sigma[known])))
+        return Interval(self.coverage(truth, counted), sigma, rmse)
 
     def _error(self, truth: Array, counted: NDArray[np.bool_] | None) -> tuple[Array, NDArray[np.bool_]]:
         """Errors of roll and pitch (n, k, 2) [rad], and which of them are known and count."""
@@ -70,19 +74,24 @@ class Beliefs:
         return error, known
 
 
-def interval_text(inside: float, sigma_deg: float, rmse_deg: float) -> str:
-    """How many true angles are in the 95 % interval, and why that may reassure nobody.
+class Interval(NamedTuple):
+    """How honest a 95 % interval is."""
 
-    Args:
-        inside: Share of true rolls and pitches within the interval.
-        sigma_deg: Median of the standard deviation [deg].
-        rmse_deg: Root mean square error of roll and pitch [deg].
-    """
-    text = f"{inside:.0%} of the true angles are inside its 95 % interval"
-    figures = f"its median σ is {sigma_deg:.1f}° at an error of {rmse_deg:.1f}° RMS"
-    if inside >= ALL or sigma_deg > WIDE * rmse_deg:
-        return f"{text} only because the interval is wide: {figures}"
-    return f"{text}, but the error is large: {figures}" if rmse_deg > LARGE_DEG else text
+    inside: float
+    """Share of true rolls and pitches within it."""
+    sigma_deg: float
+    """Median of the standard deviation [deg]."""
+    rmse_deg: float
+    """Root mean square error of roll and pitch [deg]."""
+
+    @property
+    def text(self) -> str:
+        """How many true angles are inside, and why that may not be reassuring."""
+        text = f"{self.inside:.0%} of the true angles are inside its 95 % interval"
+        figures = f"its median σ is {self.sigma_deg:.1f}° at an error of {self.rmse_deg:.1f}° RMS"
+        if self.inside >= ALL or self.sigma_deg > WIDE * self.rmse_deg:
+            return f"{text} only because the interval is wide: {figures}"
+        return f"{text}, but the error is large: {figures}" if self.rmse_deg > LARGE_DEG else text
 
 
 def beliefs(

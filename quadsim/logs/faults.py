@@ -110,19 +110,19 @@ def find_faults(
 
 
 def stuck_axes(time: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
-    """Runs of samples at which an axis repeats one number while another of its sensor moves."""
+    """Runs of samples at which an axis, or all of a sensor, repeats one number while another moves."""
+    found: dict[tuple[Sensor, int, int], str] = {}
     for sensor, axis, part in _axes(stuck):
         for start, end in _runs(part):
-            lasts = time[end - 1] - time[start]
-            text = f"the {sensor}'s {axis} repeats one number for {lasts:.1f} s while another axis moves"
-            yield SensorFault(
-                "stuck axis",
-                sensor,
-                axis,
-                float(time[start]),
-                float(time[end - 1]),
-                f"{text}: left out of scores",
-            )
+            found[sensor, start, end] = found.get((sensor, start, end), "") + axis
+    for (sensor, start, end), axes in found.items():
+        lasts = time[end - 1] - time[start]
+        text = f"the {sensor}'s {', '.join(axes)} {'repeats' if len(axes) == 1 else 'repeat'} one number for"
+        others = "another axis" if len(axes) < 3 else "the other sensor"
+        yield SensorFault(
+            "stuck axis", sensor, axes, float(time[start]), float(time[end - 1]),
+            f"{text} {lasts:.1f} s while {others} moves: left out of scores",
+        )  # fmt: skip
 
 
 def saturations(time: Array, gyro: Array, accel: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:

@@ -53,6 +53,8 @@ LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 3.0
 """Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""
 VIBRATION = 1.0
 """Vibration above which a log without truth is warned of [m/s²]: 0.1 g shifts the mean of real sensors."""
+CLOCK_BACK_S = 0.1
+"""A clock that goes back by more than this is said to [s]."""
 FAILING = "a calibration does not correct a sensor that fails: look at its supply, mount and wiring"
 """Advice where a fault begins inside the log."""
 AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
@@ -71,6 +73,8 @@ class LogReport:
     """Standard deviation of the time between samples, gaps and lost samples left out."""
     stamps_back: int
     """Samples left out because their stamp is not after the one before."""
+    clock_back_s: float
+    """How far the clock goes back at most [s]."""
     gaps: int
     gap_s: float
     """Total length of what is missing in them [s]."""
@@ -218,7 +222,12 @@ class LogReport:
             cut = f"gaps of more than {LONGEST_GAP_S:g} s cut this log into {self.parts} parts"
             yield f"{cut}: the longest was read"
         if self.stamps_back:
-            yield f"{self.stamps_back} samples do not follow the one before in time: left out"
+            text = f"{self.stamps_back} samples do not follow the one before in time: left out"
+            if self.clock_back_s > CLOCK_BACK_S:
+                text += (
+                    f"; the clock goes back by {self.clock_back_s:.1f} s, and the log jumps where it resumes"
+                )
+            yield text
         if self.gaps:
             count = "1 gap" if self.gaps == 1 else f"{self.gaps} gaps"
             longest = f"{self.gap_s:.2f} s in all, the longest {self.longest_gap_s:.3f} s"

@@ -53,6 +53,8 @@ STUCK_S = 0.5
 """Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
 MOVES = 10.0
 """by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
+FORCE_MOVES, RATE_MOVES = 0.5, 0.1
+"""So are all axes of a sensor where the other moves by this standard deviation [m/s², rad/s]."""
 VIBRATION_S = 0.05
 """Motion slower than this is no vibration [s]."""
 EXACT_S = 1e-7
@@ -167,7 +169,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     return dataset, report
 
 
-def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
+def longest_part(log: Recording) -> tuple[Recording, dict[str, float]]:
     """The longest part of a recording, with finite readings and stamps that go forward.
 
     Args:
@@ -264,7 +266,7 @@ def _median_norm(quat: Array | None) -> float | None:
     return float(np.median(length[known])) if known.any() else None
 
 
-def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
+def _cleaned(log: Recording) -> tuple[Recording, dict[str, float]]:
     """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
     readings = np.concatenate([log.gyro, log.accel], axis=1)
     finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
@@ -286,6 +288,7 @@ def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
     counted = {
         "missing": int((~finite).sum()),
         "stamps_back": int((~forward).sum()),
+        "clock_back_s": float(max(-steps.min(initial=0.0), 0.0)),
         "repeated": int(same.sum()),
         "saturated": int(_saturated(readings).sum()),
     }
@@ -293,7 +296,10 @@ def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
 
 
 def _stuck(readings: Array, least: int) -> NDArray[np.bool_]:
-    """Samples (T, 6) of an axis within a run of at least `least` equal readings while another of it moves."""
+    """Samples (T, 6) of an axis within a run of at least `least` equal readings while another of it moves.
+
+    Or of all axes of a sensor while the other sensor moves.
+    """
     stuck = np.zeros(readings.shape, bool)
     for first in (0, 3):
         sensor = readings[:, first : first + 3]
@@ -307,6 +313,12 @@ def _stuck(readings: Array, least: int) -> NDArray[np.bool_]:
             for start, end in zip(edges[long], edges[long + 1], strict=True):
                 others = sensor[start:end].std(axis=0) > MOVES * np.array(resolution)
                 stuck[start:end, first + k] = others.any()
+        other = readings[:, 3 - first : 6 - first]
+        edges = np.concatenate([[0], np.flatnonzero(steps.any(axis=1)) + 1, [len(sensor)]])
+        long = np.flatnonzero(np.diff(edges) >= least) if len(edges) > 2 else []
+        for start, end in zip(edges[long], edges[np.add(long, 1)], strict=True):
+            if np.linalg.norm(other[start:end].std(axis=0)) > (FORCE_MOVES if first == 0 else RATE_MOVES):
+                stuck[start:end, first : first + 3] = True
     return stuck
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from estimators.evaluation.beliefs import interval_text
 from estimators.evaluation.logs import (
     KNOWN,
     NO_ATTITUDE,
@@ -99,7 +98,8 @@ def evaluate_logs(
             table.add_row(name, *("–" if math.isnan(error) else f"{error:.2f}" for error in errors))
         output.print(table)
     if scores.faulty and not apart:
-        output.print("A fault of a sensor begins in every log: means are over faulty logs.", soft_wrap=True)
+        where = "the log: the errors are" if len(scores.faulty) == 1 else "every log: means are"
+        output.print(f"A fault of a sensor begins in {where} of faulty readings.", soft_wrap=True)
     for log, found in scores.comparisons.items():
         table = Table(
             "estimator", "horizontal force, m/s²", "from others, °", title=f"{log}: no true attitude"
@@ -126,7 +126,6 @@ def evaluate_logs(
             text = f"{log}: {name} believed {shares}; its σ is {believed.sigma_deg:.1f}° in the median"
             output.print(text, soft_wrap=True, highlight=False)
             continue
-        known = scores.truth[log][None], scores.counted[log][None]
-        honest = interval_text(believed.coverage(*known), believed.sigma_deg, believed.rmse_deg(*known))
+        honest = believed.interval(scores.truth[log][None], scores.counted[log][None]).text
         output.print(f"{log}: {name} believed {shares}; {honest}", soft_wrap=True, highlight=False)
     output.print(f"{page}: {log_verdict(scores).headline}", soft_wrap=True)

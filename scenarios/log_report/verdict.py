@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.evaluation.beliefs import interval_text
+from estimators.evaluation.beliefs import Interval
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
 
 CLEAR = 0.8
@@ -55,7 +55,8 @@ def log_verdict(scores: LogScores) -> LogVerdict:
         return LogVerdict("No estimator is ranked.", [*compared, *notes])
     best, level = names[0], error[LEVEL]
     over = ", over the logs without a fault" if scores.faulty else ""
-    over = ", but every log has a fault" if scores.headline == scores.faulty else over
+    if scores.headline == scores.faulty:
+        over = f", but {'the log has' if len(logs) == 1 else 'all logs have'} a fault of a sensor"
     headline = f"Smallest error: {best}, {error[best]:.2f}° inclination RMSE{over}."
     if error[best] > CLEAR * level:
         headline = f"No estimator is much better than a level guess ({level:.2f}°){over}"
@@ -77,7 +78,8 @@ def _failing(scores: LogScores) -> list[str]:
     """Logs in which a fault begins, apart from the others, and what their user is to do."""
     lines, faulty = [], scores.faulty
     if faulty and scores.headline == faulty:
-        lines.append("A fault of a sensor begins in every log: no error here is that of a sound sensor.")
+        where = "the log" if len(faulty) == 1 else "every log"
+        lines.append(f"A fault of a sensor begins in {where}: no error here is that of a sound sensor.")
     elif faulty:
         count = f"{len(faulty)} of {len(scores.scored)} logs {'has' if len(faulty) == 1 else 'have'}"
         lines.append(f"{count} a fault of a sensor: means and headline are without {', '.join(faulty)}.")
@@ -163,14 +165,14 @@ def _believed(scores: LogScores) -> list[str]:
         shown = ", ".join(f"{model} {share:.0%}" for model, share in ranked)
         sigma = float(np.median([each.sigma_deg for each in found.values()]))
         honest = [
-            (each.coverage(truth, counted), each.rmse_deg(truth, counted))
+            each.interval(scores.truth[log][None], scores.counted[log][None])
             for log, each in found.items()
             if log in scores.scored
-            for truth, counted in [(scores.truth[log][None], scores.counted[log][None])]
         ]
         inside = f"its σ is {sigma:.1f}° in the median"
         if honest:
-            covered, errors = np.array(honest).T
-            inside = interval_text(float(np.nanmean(covered)), sigma, float(np.sqrt(np.nanmean(errors**2))))
+            covered, sigmas, errors = np.array(honest).T
+            rmse = float(np.sqrt(np.nanmean(errors**2)))
+            inside = Interval(float(np.nanmean(covered)), float(np.nanmedian(sigmas)), rmse).text
         lines.append(f"{name} believed, in share of the time: {shown}; {inside}.")
     return lines

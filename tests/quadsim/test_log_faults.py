@@ -151,6 +151,18 @@ def test_an_axis_that_sticks_is_dated():
     assert (found.start_s, found.end_s) == pytest.approx((25.0, 26.1), abs=0.01)
 
 
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_a_sensor_that_freezes_while_the_other_moves_is_left_out_and_said(sensor):
+    log = moving(seconds=20.0)
+    readings = getattr(log, sensor).copy()
+    readings[1000:1400] = readings[1000]
+    even, report = resample(replace(log, **{sensor: readings}))
+    (found,) = report.sensor_faults
+    assert (found.kind, found.axes) == ("stuck axis", "xyz")
+    assert (found.start_s, found.end_s) == pytest.approx((5.0, 7.0), abs=0.01)
+    assert np.isnan(even["gyro"][0, 1000:1400]).all()
+
+
 @pytest.mark.parametrize("end", [30.5, 60.0])
 def test_vibration_that_begins_in_motion_is_found(end):
     (found,) = faults(vibrating(moving(), 25.0, end, 3.0))
@@ -182,3 +194,29 @@ def test_logs_info_prints_the_faults(tmp_path):
     np.savez(tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel, quat=log.quat)
     done = CliRunner().invoke(app, ["logs", "info", str(tmp_path / "x.npz")], catch_exceptions=False)
     assert "! 23.0 s to 60.0 s: the gyroscope's bias jumps by -3.0 °/s about y" in done.output
+
+
+def test_a_clock_that_restarts_inside_a_log_is_said():
+    log = moving(seconds=20.0)
+    again = np.where(log.time < 10.0, log.time, log.time - 8.0)
+    (said,) = [line for line in resample(replace(log, time=again))[1].warnings if "clock" in line]
+    assert said.startswith("1600 samples do not follow the one before in time: left out")
+    assert "the clock goes back by 8.0 s" in said
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.0])
+def test_a_log_of_a_second_is_one_line(tmp_path, seconds):
+    log = moving(seconds=seconds)
+    np.savez(tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel, quat=log.quat)
+    assert CliRunner().invoke(app, ["logs", "info", str(tmp_path / "x.npz")]).exit_code == 0
+    command = ["evaluate", "--logs", str(tmp_path / "x.npz"), "--out", str(tmp_path / "out")]
+    with pytest.raises(ValueError, match="nothing to score: nothing is known after the first 3 s"):
+        CliRunner().invoke(app, [*command, "--estimator", "mahony"], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(("rate_hz", "seconds"), [(50.0, 60.0), (8000.0, 20.0)])
+def test_slow_and_fast_logs_have_their_faults_found(rate_hz, seconds):
+    log = moving(seconds, rate_hz)
+    assert resample(log)[1].sensor_faults == ()
+    (found,) = resample(with_jump(log, 0.5 * seconds, seconds, [0.0, 4.0, 0.0]))[1].sensor_faults
+    assert (found.kind, found.start_s) == ("bias jump", pytest.approx(0.5 * seconds, abs=1.0))

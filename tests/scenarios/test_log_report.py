@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators import create
-from estimators.evaluation.beliefs import Beliefs, interval_text
+from estimators.evaluation.beliefs import Beliefs, Interval
 from estimators.evaluation.logs import RAW, LogScores, compare_logs, draw_log, score_logs
 from quadsim.logs.faults import SensorFault
 from quadsim.logs.recording import Recording
@@ -90,7 +90,7 @@ def test_a_sensor_that_fails_is_not_to_be_calibrated(scored):
     assert not any("Calibrate it" in line for line in faulty.lines)
     assert any("Calibration does not cure a bias that jumps" in line for line in faulty.lines)
     assert not any("does not cure" in line for line in sound.lines)
-    assert faulty.headline.endswith("but every log has a fault.")
+    assert faulty.headline.endswith("but all logs have a fault of a sensor.")
     assert any(line.startswith("A fault of a sensor begins in every log") for line in faulty.lines)
 
 
@@ -121,14 +121,14 @@ def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
     ],
 )  # fmt: skip
 def test_a_wide_interval_or_a_large_error_does_not_reassure(inside, sigma, rmse, said):
-    assert interval_text(inside, sigma, rmse) == f"{inside:.0%} {INSIDE}{said}"
+    assert Interval(inside, sigma, rmse).text == f"{inside:.0%} {INSIDE}{said}"
 
 
 def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
-    estimate, sigma = np.zeros((1, 2, 2)), np.radians(np.full((1, 2, 2), 4.0))
-    believed = Beliefs(("one",), np.array([0, 1]), estimate, sigma, np.ones((1, 2, 1)))
+    sigma = np.radians([[[4.0, 4.0], [50.0, 50.0]]])
+    believed = Beliefs(("one",), np.array([0, 1]), np.zeros((1, 2, 2)), sigma, np.ones((1, 2, 1)))
     truth = np.radians([[[3.0, 3.0], [90.0, 80.0]]])
-    assert believed.rmse_deg(truth, np.array([[True, False]])) == pytest.approx(3.0)
+    assert believed.interval(truth, np.array([[True, False]])) == pytest.approx((1.0, 4.0, 3.0))
 
 
 def test_verdict_of_one_log_warns_of_the_next():
