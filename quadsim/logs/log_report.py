@@ -53,8 +53,8 @@ LARGE_BIAS, LEAST_REST_S = np.radians(1.0), 3.0
 """Rate at rest [rad/s] that is reported where no truth shows the bias, over at least this time [s]."""
 VIBRATION = 1.0
 """Vibration above which a log without truth is warned of [m/s²]: 0.1 g shifts the mean of real sensors."""
-CLOCK_BACK_S = 0.1
-"""A clock that goes back by more than this is said to [s]."""
+CLOCK_BACK_MS = 100
+"""How far a clock goes back before it is reported [ms]."""
 FAILING = "a calibration does not correct a sensor that fails: look at its supply, mount and wiring"
 """Advice where a fault begins inside the log."""
 AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
@@ -73,8 +73,8 @@ class LogReport:
     """Standard deviation of the time between samples, gaps and lost samples left out."""
     stamps_back: int
     """Samples left out because their stamp is not after the one before."""
-    clock_back_s: float
-    """How far the clock goes back at most [s]."""
+    clock_back_ms: int
+    """How far the clock goes back at most [ms]."""
     gaps: int
     gap_s: float
     """Total length of what is missing in them [s]."""
@@ -223,9 +223,9 @@ class LogReport:
             yield f"{cut}: the longest was read"
         if self.stamps_back:
             text = f"{self.stamps_back} samples do not follow the one before in time: left out"
-            if self.clock_back_s > CLOCK_BACK_S:
+            if self.clock_back_ms > CLOCK_BACK_MS:
                 text += (
-                    f"; the clock goes back by {self.clock_back_s:.1f} s, and the log jumps where it resumes"
+                    f"; the clock goes back by {self.clock_back_ms / 1e3:.1f} s, and the log jumps where it resumes"
                 )
             yield text
         if self.gaps:

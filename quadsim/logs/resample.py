@@ -169,7 +169,7 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
     return dataset, report
 
 
-def longest_part(log: Recording) -> tuple[Recording, dict[str, float]]:
+def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
     """The longest part of a recording, with finite readings and stamps that go forward.
 
     Args:
@@ -266,7 +266,7 @@ def _median_norm(quat: Array | None) -> float | None:
     return float(np.median(length[known])) if known.any() else None
 
 
-def _cleaned(log: Recording) -> tuple[Recording, dict[str, float]]:
+def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
     """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
     readings = np.concatenate([log.gyro, log.accel], axis=1)
     finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
@@ -288,7 +288,7 @@ def _cleaned(log: Recording) -> tuple[Recording, dict[str, float]]:
     counted = {
         "missing": int((~finite).sum()),
         "stamps_back": int((~forward).sum()),
-        "clock_back_s": float(max(-steps.min(initial=0.0), 0.0)),
+        "clock_back_ms": round(-1e3 * float(steps.min(initial=0.0))),
         "repeated": int(same.sum()),
         "saturated": int(_saturated(readings).sum()),
     }

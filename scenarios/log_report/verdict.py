@@ -39,13 +39,14 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     notes = [f"{name} {reason.rstrip('.')}: it is not ranked." for name, reason in unranked.items()]
     compared = [line for log in scores.comparisons for line in _compared(scores, log)]
     if not scores.scored:
-        favoured = {log: found.favoured for log, found in scores.comparisons.items()}
-        favours = dict.fromkeys(favoured.values())
+        sound = [log for log in scores.comparisons if not scores.faults.get(log)] or [*scores.comparisons]
+        favours = dict.fromkeys(scores.comparisons[log].favoured for log in sound)
         choice = ", ".join(next(iter(favours))) if len(favours) == 1 else ""
         evidence = f"the mean force favours {choice}" if choice else "the evidence favours no estimator"
         if len(favours) > 1:
             evidence = "the evidence differs from log to log"
-        headline = f"No true attitude, no errors; {evidence}."
+        over = ", over the logs without a fault" if len(sound) < len(scores.comparisons) else ""
+        headline = f"No true attitude, no errors; {evidence}{over}."
         return LogVerdict(headline, [*compared, *_failing(scores), *_believed(scores), *notes])
     logs, names = scores.headline, [n for n in scores.estimators if n != LEVEL and n not in unranked]
     error = {name: scores.mean(name, RAW) for name in scores.estimators}

@@ -1,6 +1,7 @@
 """Faults that begin inside a log: found, dated, and none in a log without one."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,6 +48,11 @@ def faults(log: Recording):
     rate_hz = 1.0 / float(np.median(np.diff(log.time)))
     stuck = np.zeros((log.time.size, 6), bool)
     return find_faults(log.time, log.gyro, log.accel, stuck, even_gyro=log.gyro, quat=quat, rate_hz=rate_hz)
+
+
+def save(path: Path, log: Recording) -> None:
+    assert log.quat is not None
+    np.savez(path, t=log.time, gyro=log.gyro, acc=log.accel, quat=log.quat)
 
 
 def with_jump(log: Recording, start, end, degrees) -> Recording:
@@ -191,7 +197,7 @@ def test_calibration_is_no_advice_for_a_sensor_that_fails():
 
 def test_logs_info_prints_the_faults(tmp_path):
     log = with_jump(moving(), 23.0, 60.0, [0.0, -3.0, 0.0])
-    np.savez(tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel, quat=log.quat)
+    save(tmp_path / "x.npz", log)
     done = CliRunner().invoke(app, ["logs", "info", str(tmp_path / "x.npz")], catch_exceptions=False)
     assert "! 23.0 s to 60.0 s: the gyroscope's bias jumps by -3.0 °/s about y" in done.output
 
@@ -207,7 +213,7 @@ def test_a_clock_that_restarts_inside_a_log_is_said():
 @pytest.mark.parametrize("seconds", [0.1, 1.0])
 def test_a_log_of_a_second_is_one_line(tmp_path, seconds):
     log = moving(seconds=seconds)
-    np.savez(tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel, quat=log.quat)
+    save(tmp_path / "x.npz", log)
     assert CliRunner().invoke(app, ["logs", "info", str(tmp_path / "x.npz")]).exit_code == 0
     command = ["evaluate", "--logs", str(tmp_path / "x.npz"), "--out", str(tmp_path / "out")]
     with pytest.raises(ValueError, match="nothing to score: nothing is known after the first 3 s"):

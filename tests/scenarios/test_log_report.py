@@ -19,7 +19,7 @@ from scenarios.log_report.page import MOST_SAMPLES, write_log_report
 from scenarios.log_report.verdict import log_verdict
 
 
-def log(name, bias=0.0, seconds=40.0):
+def log(name: str, bias: float | np.ndarray = 0.0, seconds: float = 40.0):
     """A slow roll of 20° in still air, with a gyroscope bias about x [rad/s]."""
     time = np.arange(0.0, seconds, 0.005)
     roll = np.radians(20.0) * np.sin(0.8 * time)
