@@ -161,10 +161,11 @@ def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
     level = np.linalg.norm(NORMAL * np.median(np.abs(blocks), axis=1), axis=1)  # taps do not count
     moving = _moving(gyro, rate_hz, size, count)
     lasting = median_filter(level, 2 * round(0.5 * LASTS_S / BLOCK_S) + 1, mode="nearest")
-    before, k = round(MOVING_S / BLOCK_S), round(MOVING_S / BLOCK_S)
+    before, second, k = round(MOVING_S / BLOCK_S), round(1.0 / BLOCK_S), round(MOVING_S / BLOCK_S)
     while k < count:
         least = max(HARMFUL, RISE * float(np.median(level[:k][moving[:k]]))) if moving[:k].any() else np.inf
-        if not (moving[k - before : k].mean() >= MOVING_SHARE and level[k] > least and lasting[k] > least):
+        rises = level[k] > least and lasting[k] > least and np.median(level[k - second : k]) <= least
+        if not (rises and moving[k - before : k].mean() >= MOVING_SHARE):
             k += 1
             continue
         after = np.flatnonzero(lasting[k:] < 0.5 * least)
@@ -277,7 +278,7 @@ def _clipped(
     limits, counts = np.unique(np.repeat(values[edges[:-1]][long], np.diff(edges)[long]), return_counts=True)
     least = [min(each[each > 0].tolist(), default=np.inf) for each in np.abs(np.diff(sensor, axis=0)).T]
     for limit in limits[(counts * period >= CLIPPED_S) & (limits > np.median(values))]:
-        at = (values == limit) & ~held
+        at = values == limit
         for first, last in _runs(values <= limit):
             if at[first:last].sum() * period < CLIPPED_S:
                 continue

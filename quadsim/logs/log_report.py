@@ -224,9 +224,8 @@ class LogReport:
         if self.stamps_back:
             text = f"{self.stamps_back} samples do not follow the one before in time: left out"
             if self.clock_back_ms > CLOCK_BACK_MS:
-                text += (
-                    f"; the clock goes back by {self.clock_back_ms / 1e3:.1f} s, and the log jumps where it resumes"
-                )
+                back = f"{self.clock_back_ms / 1e3:.1f} s"
+                text += f"; the clock goes back by {back}, and the log jumps where it resumes"
             yield text
         if self.gaps:
             count = "1 gap" if self.gaps == 1 else f"{self.gaps} gaps"

@@ -73,17 +73,17 @@ def clipped(log: Recording, start, sensor="gyro", axis=0, share=0.5) -> Recordin
 
 
 def take_off() -> Recording:
-    """At rest for 20 s, then the motors start, and the vehicle flies and vibrates."""
+    """Carried for a while, at rest until 20 s, then the motors start, and the vehicle flies and vibrates."""
     still, log = moving(size=0.0), moving()
-    gyro, accel = (np.where((log.time < 20.0)[:, None], a, b) for a, b in
+    gyro, accel = (np.where(((log.time > 4.0) & (log.time < 20.0))[:, None], a, b) for a, b in
                    ((still.gyro, log.gyro), (still.accel, log.accel)))  # fmt: skip
     return vibrating(replace(log, gyro=gyro, accel=accel, quat=None, truth="none"), 19.0, 60.0, 4.0)
 
 
 def tapped() -> Recording:
-    """A tap of 10 ms every second, while moving."""
+    """A tap of 10 ms five times a second, while moving, after 20 s."""
     log = moving()
-    return replace(log, accel=log.accel + 40.0 * (log.time % 1.0 < 0.01)[:, None])
+    return replace(log, accel=log.accel + 40.0 * ((log.time > 20.0) & (log.time % 0.2 < 0.01))[:, None])
 
 
 def held() -> Recording:
@@ -95,16 +95,16 @@ def held() -> Recording:
 def upside_down() -> Recording:
     """A coarse sensor that lies upside down, is moved and lies there once more: its z is at its least."""
     still, log = moving(size=0.0), moving(spin=0.5)
-    lies = ((log.time < 20.0) | (log.time > 40.0))[:, None]
-    gyro, accel = np.where(lies, 0.0 * still.gyro, log.gyro), np.where(lies, GRAVITY, log.accel)
-    return coarse(replace(log, gyro=gyro, accel=-accel * 1.0, quat=None, truth="none"), accel=0.1)
+    lies = ((log.time < 10.0) | (log.time > 50.0))[:, None]
+    gyro, accel = np.where(lies, 0.0 * still.gyro, log.gyro), np.where(lies, GRAVITY, 0.8 * log.accel)
+    return coarse(replace(log, gyro=gyro, accel=-accel, quat=None, truth="none"), accel=0.1)
 
 
 @pytest.mark.parametrize(
     "log",
     [
         moving(), moving(size=0.0), moving(rate_hz=1000.0, seconds=30.0), coarse(moving(size=3.0)),
-        coarse(moving(size=0.1), 1e-2, 5e-2), take_off(), tapped(), held(), upside_down(),
+        coarse(moving(), 2e-2, 0.1), take_off(), tapped(), held(), upside_down(),
         replace(spun := moving(spin=1.0), gyro=1.05 * spun.gyro),
     ],
     ids=[
