@@ -315,8 +315,10 @@ def _stuck(readings: Array, least: int) -> NDArray[np.bool_]:
                 stuck[start:end, first + k] = others.any()
         other = readings[:, 3 - first : 6 - first]
         edges = np.concatenate([[0], np.flatnonzero(steps.any(axis=1)) + 1, [len(sensor)]])
-        long = np.flatnonzero(np.diff(edges) >= least) if len(edges) > 2 else []
-        for start, end in zip(edges[long], edges[np.add(long, 1)], strict=True):
+        long = np.flatnonzero(np.diff(edges) >= least)
+        for start, end in zip(edges[long], edges[long + 1], strict=True):
+            if not steps.any():
+                continue  # never another number: see `_still`
             if np.linalg.norm(other[start:end].std(axis=0)) > (FORCE_MOVES if first == 0 else RATE_MOVES):
                 stuck[start:end, first : first + 3] = True
     return stuck

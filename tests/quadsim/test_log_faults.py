@@ -96,7 +96,8 @@ def upside_down() -> Recording:
     """A coarse sensor that lies upside down, is moved and lies there once more: its z is at its least."""
     still, log = moving(size=0.0), moving(spin=0.5)
     lies = ((log.time < 10.0) | (log.time > 50.0))[:, None]
-    gyro, accel = np.where(lies, 0.0 * still.gyro, log.gyro), np.where(lies, GRAVITY, 0.8 * log.accel)
+    rest = 0.2 * (still.accel - GRAVITY) + [0.0, 0.05, 9.81]  # y is between two numbers
+    gyro, accel = np.where(lies, 0.0 * still.gyro, log.gyro), np.where(lies, rest, 0.8 * log.accel)
     return coarse(replace(log, gyro=gyro, accel=-accel, quat=None, truth="none"), accel=0.1)
 
 
