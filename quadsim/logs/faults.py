@@ -30,7 +30,7 @@ TOGETHER_S = 3.0
 """Faults of several axes that begin within this time are one [s]."""
 
 RUN_S = 0.01
-"""A clipped reading repeats for at least this time [s]."""
+"""A clipped reading repeats for at least this time once, and for no less than two samples [s]."""
 NEAR, PILED = 8.0, 0.5
 """Share of the readings within `NEAR` least steps of a limit that are equal to it: at the rounded top of a
 smooth motion it is a third at most."""
@@ -273,18 +273,23 @@ def _clipped(
     near = NEAR * min(steps[steps > 0].tolist(), default=np.inf)
     held = np.concatenate([[False], (sensor[1:] == sensor[:-1]).all(axis=1)])
     edges = np.concatenate([[0], np.flatnonzero(steps > 0) + 1, [len(values)]])
-    long = np.diff(edges) >= max(round(RUN_S / period) + 1, 3)
+    long = np.diff(edges) >= max(round(RUN_S / period), 2)
     long &= ~held[np.minimum(edges[:-1] + 1, len(held) - 1)]
-    limits, counts = np.unique(np.repeat(values[edges[:-1]][long], np.diff(edges)[long]), return_counts=True)
+    levels, counts = np.unique(values, return_counts=True)
+    limits = np.intersect1d(values[edges[:-1]][long], levels[counts * period >= CLIPPED_S])
     least = [min(each[each > 0].tolist(), default=np.inf) for each in np.abs(np.diff(sensor, axis=0)).T]
-    for limit in limits[(counts * period >= CLIPPED_S) & (limits > np.median(values))]:
+    for limit in limits[limits > np.median(values)]:
         at = values == limit
         for first, last in _runs(values <= limit):
             if at[first:last].sum() * period < CLIPPED_S:
                 continue
             close = [(first + a, first + b) for a, b in _runs(values[first:last] > limit - near)]
             piled = [(a, b) for a, b in close if at[a:b].mean() >= PILED]
-            runs = [(a, b) for a, b in piled if (sensor[a:b].std(axis=0) > MOVES * np.array(least)).any()]
+            runs = [
+                (a, b)
+                for a, b in piled
+                if (sensor[max(a - 1, 0) : b + 1].std(axis=0) > MOVES * np.array(least)).any()
+            ]
             total = sum(int(at[a:b].sum()) for a, b in runs) * period
             alone = len(runs) == 1 and (limit < values.max() or stuck[runs[0][0] : runs[0][1]].any())
             if total >= CLIPPED_S and not alone:
