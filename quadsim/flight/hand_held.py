@@ -1,7 +1,8 @@
 """Motion of an IMU in the hand: turns to any attitude and shifts, with rests between, in closed form.
 
 Roll, pitch, yaw and position are sums of sines of a clock that runs while the hand moves and stops while it
-rests, so that rates and accelerations are exact derivatives and a rest has the attitude that it came to.
+rests, so that rates and accelerations are exact derivatives and a rest has the attitude that it came to. The
+position has the spectrum of white noise behind three equal lags (Matérn 5/2), which an arm's reach bounds.
 """
 
 from collections.abc import Sequence
@@ -23,10 +24,14 @@ Turn = Annotated[float, Between(0.1, 2000.0, "°/s")]
 Push = Annotated[float, Between(1e-3, 100.0, "m/s²")]
 Stretch = Annotated[float, Between(0.1, 1000.0, "s")]
 
-SINES = 12
-"""Sines of each coordinate, of the same rate or acceleration each, frequencies drawn log-uniformly."""
-TURN_HZ, SHIFT_HZ = (0.05, 1.5), (0.3, 2.5)
-"""Bands of the angles and of the position: a hand turns an IMU slowly, but cannot carry it slowly far."""
+TURN_HZ, TURN_SINES = (0.05, 1.5), 12
+"""Band of the angles, and their sines: of the same rate each, frequencies drawn log-uniformly."""
+SHIFT_HZ, SHIFT_SINES = (0.1, 12.0), 36
+"""Band of the position, to the fastest tremor of a hand, and its sines: one in each equal part of log f."""
+PACE_HZ = (1.2, 2.5)
+"""Range of the corner of the position's spectrum; at 1.6 Hz, 5 m/s² are 5 cm, root mean square."""
+SWELL_S = (4.0, 20.0)
+"""Range of the period in which the motion swells to e times its middle size and falls to 1/e of it [s]."""
 RAMP_S = 0.5
 """Time in which a motion begins and ends [s]."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -40,7 +45,7 @@ class HandHeld(Strict):
         default=(20.0, 200.0), description="Range of the root mean square of the body rate, per axis [deg/s]."
     )
     acceleration: Annotated[tuple[Push, Push], Rising] = Field(
-        default=(0.2, 3.0), description="Range of that of the acceleration, per axis [m/s²]."
+        default=(0.3, 6.0), description="Range of that of the acceleration, per axis [m/s²]."
     )
     move_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
         default=(5.0, 30.0), description="Range of the length of a motion [s]."
@@ -71,8 +76,8 @@ def _flight(spec: HandHeld, steps: int, rate_hz: float, rng: np.random.Generator
     rate = np.radians(np.exp(rng.uniform(*np.log(spec.rate_deg_s))))
     push = np.exp(rng.uniform(*np.log(spec.acceleration)))
     clock, speed, change = _clock(spec, np.arange(steps) / rate_hz, rng)
-    angles, turning, _ = _sines(clock, rate, TURN_HZ, 1, rng)
-    position, moving, pushing = _sines(clock, push, SHIFT_HZ, 2, rng)
+    angles, turning, _ = _turns(clock, rate, rng)
+    position, moving, pushing = _shifts(clock, push, rng)
     angles[:, 2] += rng.uniform(-np.pi, np.pi)
     velocity = moving * speed[:, None]
     acceleration = pushing * speed[:, None] ** 2 + moving * change[:, None]
@@ -114,15 +119,41 @@ def _clock(spec: HandHeld, time: Array, rng: np.random.Generator) -> tuple[Array
     return speed.antiderivative()(time), speed(time), speed(time, 1)
 
 
+def _turns(clock: Array, rate: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Three angles (T, 3) with their first two derivatives, of that root mean square of the first."""
+    low, high = np.log(TURN_HZ)
+    frequency = 2.0 * np.pi * np.exp(rng.uniform(low, high, (3, TURN_SINES)))
+    return _sines(clock, frequency, rate * np.sqrt(2.0 / TURN_SINES) / frequency, rng)
+
+
+def _shifts(clock: Array, push: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Position (T, 3) with its first two derivatives, of that root mean square of the second.
+
+    S_a(ω) ∝ ω⁴ / (ω² + λ²)³ times a swell e^(sin Ωt), whose mean square is I₀(2).
+    """
+    low, high = np.log(SHIFT_HZ)
+    part = (np.arange(SHIFT_SINES) + rng.uniform(size=(3, SHIFT_SINES))) / SHIFT_SINES
+    frequency = 2.0 * np.pi * np.exp(low + (high - low) * part)
+    pace = 2.0 * np.pi * np.exp(rng.uniform(*np.log(PACE_HZ)))
+    power = frequency**5 / (frequency**2 + pace**2) ** 3  # of a sine for an equal part of log ω
+    power *= push**2 / (np.i0(2.0) * power.sum(axis=1, keepdims=True))
+    position, moving, pushing = _sines(clock, frequency, np.sqrt(2.0 * power) / frequency**2, rng)
+    swell = 2.0 * np.pi / rng.uniform(*SWELL_S)
+    phase = (swell * clock + rng.uniform(0.0, 2.0 * np.pi))[:, None]
+    size, growth = np.exp(np.sin(phase)), swell * np.cos(phase)
+    bend = growth**2 - swell**2 * np.sin(phase)
+    return (
+        size * position,
+        size * (moving + growth * position),
+        size * (pushing + 2.0 * growth * moving + bend * position),
+    )
+
+
 def _sines(
-    clock: Array, size: float, band: tuple[float, float], order: int, rng: np.random.Generator
+    clock: Array, frequency: Array, amplitude: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Three coordinates (T, 3) with their first two derivatives, of which that of the order has the size."""
-    low, high = np.log(band)
-    frequency = 2.0 * np.pi * np.exp(rng.uniform(low, high, (3, SINES)))
-    phase = rng.uniform(0.0, 2.0 * np.pi, (3, SINES))
-    amplitude = size * np.sqrt(2.0 / SINES) / frequency**order
-    angle = frequency * clock[:, None, None] + phase
+    """Three sums (T, 3) of sines (3, k) with their first two derivatives."""
+    angle = frequency * clock[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, frequency.shape)
     sine, cosine = np.sin(angle), np.cos(angle)
     return (
         (amplitude * sine).sum(axis=-1),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadsim.flight.hand_held import HandHeld, move_by_hand
+from quadsim.flight.hand_held import PACE_HZ, SHIFT_HZ, HandHeld, move_by_hand
 from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.flight.simulate import simulate_flights
 from quadsim.rotation import quat_conjugate, quat_multiply, quat_rotate
@@ -47,12 +47,47 @@ def test_rests_are_still_at_any_attitude(motion):
     assert tilt.max() > 0.5
 
 
-def test_size_of_the_motion_is_the_one_asked_for():
+@pytest.fixture(scope="module")
+def long_move():
     spec = HandHeld(rate_deg_s=(50.0, 50.0), acceleration=(1.0, 1.0), move_s=(900.0, 900.0))
-    motion = move_by_hand(spec, 100_000, 200.0, seeds(4))
-    acceleration = quat_rotate(motion["quat"], motion["specific_force"]) - [0.0, 0.0, GRAVITY]
-    assert acceleration.std() == pytest.approx(1.0, rel=0.1)
-    assert np.degrees(motion["ang_vel"].std()) == pytest.approx(50.0, rel=0.2)
+    return move_by_hand(spec, 100_000, 200.0, seeds(8))
+
+
+def world_acceleration(motion):
+    return quat_rotate(motion["quat"], motion["specific_force"]) - [0.0, 0.0, GRAVITY]
+
+
+def test_size_of_the_motion_is_the_one_asked_for(long_move):
+    assert world_acceleration(long_move).std() == pytest.approx(1.0, rel=0.1)
+    assert np.degrees(long_move["ang_vel"].std()) == pytest.approx(50.0, rel=0.2)
+
+
+def test_spectrum_of_the_acceleration_is_of_white_noise_behind_three_lags(long_move):
+    acceleration = world_acceleration(long_move)
+    window = np.hanning(acceleration.shape[1])[:, None]
+    power = np.sum(np.abs(np.fft.rfft(acceleration * window, axis=1)) ** 2, axis=(0, 2))
+    hz = np.fft.rfftfreq(acceleration.shape[1], 1 / 200.0)
+    grid = np.linspace(*SHIFT_HZ, 10_000)
+    paces = np.geomspace(*PACE_HZ, 100)[:, None]
+    expected = grid**4 / (grid**2 + paces**2) ** 3
+    expected /= expected.sum(axis=1, keepdims=True)
+    for below in (1.0, 2.0, 4.0):
+        share = expected[:, grid < below].sum(axis=1).mean()
+        assert power[hz < below].sum() / power.sum() == pytest.approx(share, rel=0.3)
+    assert power[hz < 0.1].sum() < 1e-5 * power.sum()
+
+
+def test_hand_stays_within_reach(long_move):
+    slowest, fastest = (1.0 / (2.0 * np.pi * pace) ** 2 for pace in PACE_HZ)  # 1 m/s² over λ²
+    root_mean_square = long_move["position"].std(axis=1)
+    assert np.all((0.7 * fastest < root_mean_square) & (root_mean_square < 1.5 * slowest))
+    assert np.abs(long_move["position"]).max() < 10.0 * slowest
+
+
+def test_a_motion_of_a_minute_peaks_at_four_times_its_root_mean_square(long_move):
+    size = np.linalg.norm(world_acceleration(long_move), axis=-1)[:, :96_000].reshape(-1, 12_000)
+    crest = size.max(axis=1) / np.sqrt(np.mean(size**2, axis=1))
+    assert 3.5 < crest.mean() < 5.0
 
 
 def test_a_recipe_of_the_hand_has_no_rotors_and_one_seed_a_flight():
