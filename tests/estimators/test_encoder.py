@@ -36,12 +36,13 @@ def test_inputs_end_where_16_bits_do():
 def test_the_last_good_sample_stands_for_a_missing_one_and_is_counted():
     gyro, accel = samples(1, 10)
     whole = scaled_inputs(InputScaling(), gyro, accel)
-    gyro[0, 3, 1], gyro[0, 4], accel[0, 6], accel[0, 7, 2], accel[0, 8] = np.nan, 1e30, 0.0, np.nan, -1000.0
+    gyro[0, 3, 1], gyro[0, 4], gyro[0, 5] = np.nan, 1e30, 1000.0
+    accel[0, 6], accel[0, 7, 2], accel[0, 8] = 0.0, np.nan, -1000.0
     state = np.zeros(1, ENCODER)
     x = scaled_inputs(InputScaling(), gyro, accel, state)
-    whole[0, 3:5, :3], whole[0, 6:9, 3:] = whole[0, 2, :3], whole[0, 5, 3:]
+    whole[0, 3:6, :3], whole[0, 6:9, 3:] = whole[0, 2, :3], whole[0, 5, 3:]
     np.testing.assert_array_equal(x, whole)
-    assert state["missing"] == [5]
+    assert state["missing"] == [6]
 
 
 def test_inputs_are_zero_before_the_first_good_sample():
