@@ -464,15 +464,15 @@ def advance(s, p, sample):
 
 
 @njit
-def diverged(s):
-    """Whether a state is beyond what can be; a NaN is."""
-    for value in s.gyro_bias:
+def diverged(gyro_bias, velocity):
+    """Whether an estimate is beyond what can be; a NaN is."""
+    for value in gyro_bias:
         if not abs(value) <= BIAS_MAX:
             return True
-    for value in s.velocity:
+    for value in velocity:
         if not abs(value) <= SPEED_MAX:
             return True
-    return not (abs(s.wind[0]) <= SPEED_MAX and abs(s.wind[1]) <= SPEED_MAX)
+    return False
 
 
 @njit
@@ -498,7 +498,7 @@ def begin(s, p, known):
 def step(s, own, p, sample, _rotor_square, _work):
     """See `algorithm`; a filter that has diverged starts again, level."""
     roll_pitch = advance(s, p, sample)
-    if diverged(s):
+    if diverged(s.gyro_bias, s.velocity) or diverged(s.gyro_bias, s.wind):
         own[:] = 0.0
         s.quat[0] = 1.0
         begin(s, p, False)

@@ -21,11 +21,14 @@ from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 from .algorithm import Algorithm, Array, Parameter, Records, tilt_block
-from .ekf import NOTHING_KNOWN, SIGMA_KNOWN, SIGMA_UNKNOWN
+from .ekf import NOTHING_KNOWN, SIGMA_UNKNOWN
 from .inline_math import atan2_core, exp_core, four, put_four, roll_pitch_core, three
 from .samples import LANES, by_lanes, by_rows, lanes_of, parameter_record
 
 STATE = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("covariance", "f8", (5, 5))])
+
+SIGMA_GIVEN = 0.3
+"""Standard deviation of an initial attitude that is given [rad]: one that is wrong would pass for a bias."""
 
 PARAMETERS = {
     "gyro_noise": Parameter(0.003, 1e-5, 0.3),
@@ -191,7 +194,7 @@ def score(states, params, dt, flights):
 
 def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
     states["quat"][..., 0] = quat
-    states["covariance"][:, [0, 1], [0, 1], 0] = (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
+    states["covariance"][:, [0, 1], [0, 1], 0] = (SIGMA_GIVEN if known else SIGMA_UNKNOWN) ** 2
     states["covariance"][:, [2, 3, 4], [2, 3, 4], 0] = params["bias_sigma"] ** 2
 
 

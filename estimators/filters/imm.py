@@ -1,14 +1,12 @@
 """Interacting multiple models: one filter for an airframe that nobody has described.
 
 Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
-coefficients", IEEE Trans. Autom. Control 33(8), 1988. Five hypotheses of what carries the IMU, each a Kalman
+coefficients", IEEE Trans. Autom. Control 33(8), 1988. Three hypotheses of what carries the IMU, each a Kalman
 filter (`imm_model`) with probability μ:
 
-    drag-low, drag-high   a multirotor: the force across thrust is drag, of two coefficients k; v = 0 within
-                          metres a second
-    free                  anything that moves within metres a second
-    hand                  anything slower, within a metre a second
-    rest                  v = 0 and a rate of zero, so that the gyroscope reads its bias
+    multirotor    the force across thrust is drag; v = 0 within metres a second
+    free          anything that moves within metres a second
+    hand          anything slower, within a metre a second
 
 The likelihood Λ of a model is the product of
 
@@ -16,19 +14,19 @@ The likelihood Λ of a model is the product of
   horizontal force in the world, by the model's attitude. Each has its own mean square over some seconds as
   its variance, so that the smaller of both wins. Such forces are not white: their logarithm counts once per
   `evidence_time`;
-- the density of the velocity, once per `speed_time`;
-- of the two multirotors against each other, the density of the force given its prediction;
-- of rest, a constant: the detector of `ekf_drag` says whether it is.
+- the density of the velocity, once per `speed_time`.
 
 All densities are of Student's t. The model changes at random, with the same rate to every other one, on
-average once per `sojourn_time`; but a vehicle's drag does not change, so that neither multirotor becomes the
-other:
+average once per `sojourn_time`:
 
-    ε_j = dt / (5 sojourn_time) Σ_i μ_i (over the models i that can become j),    μ_j ← (μ_j + ε_j) Λ_j / Σ
+    ε_j = dt / (3 sojourn_time) (1 − μ_j),    μ_j ← (μ_j + ε_j) Λ_j / Σ
 
 Mixing then moves model j towards the combination of all by the share ε_j / (μ_j + ε_j): none for a model that
-is believed, and the whole way for one that is not, which therefore is ready to take over. The two multirotors
-stay apart, so that they can be compared.
+is believed, and the whole way for one that is not, which therefore is ready to take over. What multirotors
+alone have, wind, direction of thrust and lever arm, mixes with its initial state by that share.
+
+All models are told when the sensors are at rest, as `ekf_drag` is: the velocity is then zero, and the
+gyroscope reads its bias.
 
 Heading cannot be observed: all models are turned about the vertical to the heading of the likeliest. Readings
 are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
@@ -49,28 +47,26 @@ from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 from .algorithm import Algorithm, Array, Filter, Parameter, Records, score_of, sequence_of, tilt_block
-from .ekf import SIGMA_KNOWN
-from .ekf_drag import at_rest, diverged, mean_square
+from .ekf_drag import SPEED_MAX, at_rest, diverged, mean_square
 from .eskf import tilt_core, turned
 from .imm_model import (
     ACCEL_BIAS,
     COUNT,
-    DRAG_HIGH,
-    DRAG_LOW,
     ERRORS,
-    FREE,
     GYRO_BIAS,
     LEVER,
     MODEL,
     MODELS,
+    MULTIROTOR,
     OFFSET,
-    REST,
+    SHARED,
     TILT,
     VELOCITY,
     WIND,
     across_thrust,
     correct_model,
     predict,
+    size_of,
 )
 from .inline_math import atan2_core, exp_core, roll_pitch_core
 from .samples import parameter_record
@@ -79,15 +75,11 @@ STATE = np.dtype(
     [
         ("models", MODEL, (COUNT,)),
         ("probability", "f8", COUNT),
-        ("likelihood", "f8", FREE),  # logarithm, of the last force given its prediction by each drag
         ("quat", "f8", 4),  # combined
         ("velocity", "f8", 3),
-        ("wind", "f8", 2),
         ("gyro_bias", "f8", 3),
         ("accel_bias", "f8", 2),
-        ("offset", "f8", 2),  # of the direction of thrust from body z [rad]
-        ("lever", "f8"),  # height of the IMU over the centre of mass [m]
-        ("covariance", "f8", (ERRORS, ERRORS)),
+        ("covariance", "f8", (SHARED, SHARED)),
         ("accel_square", "f8"),  # as of the models
         ("body_square", "f8"),  # mean square of the force across body z, per axis [m²/s⁴]
         ("rest_time", "f8"),  # for which the readings have not changed [s]
@@ -101,6 +93,8 @@ STATE = np.dtype(
         ("push", "f8", 3),  # integral of the specific force, axes at the end of the interval [m/s]
         ("force_sum", "f8", 3),  # integral of the specific force in body axes, which turn [m/s]
         ("force", "f8", 3),  # the last specific force [m/s²]
+        ("change", "f8", 3),  # of it from the one before [m/s²]
+        ("shake", "f8"),  # mean square of its vibration, per axis [m²/s⁴]
         ("last_rate", "f8", 3),  # the last rate, low-passed [rad/s]
         ("rate_before", "f8", 3),  # the last one before the interval
         ("unseen", "f8"),  # variance of the unmeasured turn in the interval [rad²]
@@ -113,9 +107,8 @@ STATE = np.dtype(
 """The filter's state: models, their combination, and readings since their last update."""
 
 PARAMETERS = {
-    # Of the two multirotors: coefficients k of rotor drag [1/s], quadratic drag f of the frame [1/m].
-    "drag_low": Parameter(0.2, 0.1, 0.3, minimum=1e-3),
-    "drag_high": Parameter(0.4, 0.3, 0.8, minimum=1e-3),
+    # Of a multirotor: coefficient k of rotor drag [1/s], quadratic drag f of the frame [1/m].
+    "drag": Parameter(0.3, 0.1, 0.8, minimum=1e-3),
     "frame_drag": Parameter(0.01, 1e-3, 0.1, searched=False),
     # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
     "drag_noise": Parameter(0.05, 5e-3, 0.1, minimum=1e-9),
@@ -138,12 +131,12 @@ PARAMETERS = {
     "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
     "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
     "lever_noise": Parameter(0.01, 1e-4, 0.1, searched=False),
-    # Initial standard deviations: of an unknown tilt [rad], of velocity and wind [m/s], of the biases
+    # Initial standard deviations: of the tilt [rad], of velocity and wind [m/s], of the biases
     # [rad/s], [m/s²], of the direction of thrust from body z [rad] and of the lever arm [m].
     "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
     "speed_sigma": Parameter(3.0, 0.3, 10.0, searched=False),
     "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
-    "bias_sigma": Parameter(0.1, 0.01, 0.2, searched=False),
+    "bias_sigma": Parameter(0.05, 0.01, 0.2, searched=False),
     "accel_bias_sigma": Parameter(0.15, 0.02, 0.5, searched=False),
     "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
     "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
@@ -166,12 +159,16 @@ PARAMETERS = {
     "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
     "gust_ratio": Parameter(2.0, 1.5, 4.0, searched=False),
     "wind_noise_least": Parameter(0.02, 1e-4, 0.1, searched=False),
-    # Memories of mean squares and of vibration [s]. Time in which a force counts as one measurement of flight
-    # against hand, and of the two drags; mean time until the model changes [s].
+    # A step of the gyroscope's bias, which no recipe flies: variances that corrections of the tilt may sum up to,
+    # and their memory [s]; standard deviation of the bias after it [rad/s].
+    "step_ratio": Parameter(2.5, 1.5, 20.0, searched=False),
+    "step_time": Parameter(2.0, 0.5, 10.0, minimum=1e-3, searched=False),
+    "step_sigma": Parameter(0.05, 0.01, 0.2, searched=False),
+    # Memories of mean squares and of vibration [s]. Time in which a force counts as one measurement of the
+    # model; mean time until the model changes [s].
     "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "vibration_memory": Parameter(0.5, 0.1, 5.0, minimum=1e-3, searched=False),
     "evidence_time": Parameter(0.5, 0.05, 10.0, minimum=1e-3),
-    "drag_evidence_time": Parameter(0.05, 0.02, 10.0, minimum=1e-3),
     "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
 }
 """What a user or `quadsim tune` may change; units in the comments."""
@@ -179,18 +176,27 @@ PARAMETERS = {
 PARAMS = parameter_record(PARAMETERS)
 MODEL_HZ = 50.0
 """Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
-REST_EVIDENCE = 5.0
-"""Logarithm of the likelihood of rest against the likeliest other model, positive where rest is detected."""
+RECTIFIED = 0.1
+"""Share of its vibration by which the mean of an accelerometer may shift."""
 RATE_MEMORY = 0.005
 """Time constant of the low-pass before the rate's derivative [s]."""
-BLOW = 80.0
-"""Specific force from which on it is a blow or a defect, and is taken as missing [m/s²]."""
-ODDS_LEAST = 1e-3
-"""Least share of each drag model in both."""
 
 
 @njit
-def accumulate(s, sample, rotor_square):
+def take_vibration(s, p, dt, change):
+    """Take a change of the specific force [m/s²] into the mean square of its vibration.
+
+    A second difference of white noise has six times its variance, and next to nothing of a motion.
+    """
+    square = 0.0
+    for k in range(3):
+        square += (change[k] - s.change[k]) ** 2 / 18.0
+        s.change[k] = change[k]
+    s.shake += (square - s.shake) * min(dt / p.vibration_memory, 1.0)
+
+
+@njit
+def accumulate(s, p, sample, rotor_square):
     """Take a `Sample` and the rotors' Σ ω² [rad²/s²] into the sums since the last update of the models."""
     dt, (gx, gy, gz), (ax, ay, az) = sample.dt, sample.gyro, sample.accel
     ew, ex, ey, ez = exp_core(gx * dt, gy * dt, gz * dt)
@@ -198,11 +204,12 @@ def accumulate(s, sample, rotor_square):
     s.turn[0], s.turn[1], s.turn[2], s.turn[3] = multiply_core(tw, tx, ty, tz, ew, ex, ey, ez)
     px, py, pz = s.push
     square = ax * ax + ay * ay + az * az
-    if 0.0 < square < BLOW**2:
+    if square > 0.0:
         if s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0:  # trapezoidal rule
             px, py, pz = px + 0.5 * dt * s.force[0], py + 0.5 * dt * s.force[1], pz + 0.5 * dt * s.force[2]
             px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
             px, py, pz = px + 0.5 * dt * ax, py + 0.5 * dt * ay, pz + 0.5 * dt * az
+            take_vibration(s, p, dt, (ax - s.force[0], ay - s.force[1], az - s.force[2]))
         else:
             px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
             px, py, pz = px + dt * ax, py + dt * ay, pz + dt * az
@@ -270,90 +277,90 @@ def distance(m, s, d):
     for k in range(3):
         d[GYRO_BIAS + k] = m.gyro_bias[k] - s.gyro_bias[k]
     for k in range(2):
-        d[WIND + k] = m.wind[k] - s.wind[k]
         d[ACCEL_BIAS + k] = m.accel_bias[k] - s.accel_bias[k]
-        d[OFFSET + k] = m.offset[k] - s.offset[k]
-    d[LEVER] = m.lever - s.lever
 
 
 @njit
 def combine(s, d):
-    """Mean and covariance over all models; d (14,) is scratch."""
+    """Mean and covariance over all models of what they share; d (14,) is scratch."""
     best = share_heading(s)
     x = y = 0.0
-    s.velocity[:], s.wind[:], s.gyro_bias[:], s.accel_bias[:], s.offset[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    s.velocity[:], s.gyro_bias[:], s.accel_bias[:] = 0.0, 0.0, 0.0
     s.covariance[:] = 0.0
-    s.accel_square = s.lever = 0.0
+    s.accel_square = 0.0
     for k in range(COUNT):
         m, share = s.models[k], s.probability[k]
         x, y = x + share * m.tilt[0], y + share * m.tilt[1]
         s.accel_square += share * m.accel_square
-        s.lever += share * m.lever
         for i in range(3):
             s.velocity[i] += share * m.velocity[i]
             s.gyro_bias[i] += share * m.gyro_bias[i]
         for i in range(2):
-            s.wind[i] += share * m.wind[i]
             s.accel_bias[i] += share * m.accel_bias[i]
-            s.offset[i] += share * m.offset[i]
     bw, bx, by, bz = s.models[best].quat
     s.quat[0], s.quat[1], s.quat[2], s.quat[3] = turned(bw, bx, by, bz, x, y)
     for k in range(COUNT):
         m, share = s.models[k], s.probability[k]
         m.tilt[0], m.tilt[1] = m.tilt[0] - x, m.tilt[1] - y
         distance(m, s, d)
-        for i in range(ERRORS):
-            for j in range(ERRORS):
+        for i in range(SHARED):
+            for j in range(SHARED):
                 s.covariance[i, j] += share * (m.covariance[i, j] + d[i] * d[j])
 
 
 @njit
-def arriving(s, k, change):
-    """Probability that another model changes to model k in the interval; a vehicle's drag does not change."""
-    others = 1.0 - (s.probability[DRAG_LOW] + s.probability[DRAG_HIGH] if k < FREE else s.probability[k])
-    return change * max(others, 0.0)
-
-
-@njit
-def mix(s, change, d):
+def mix(s, p, change, d):
     """Move each model towards the combination by the share of its probability that comes from others."""
     for k in range(COUNT):
         m = s.models[k]
-        share = arriving(s, k, change)
+        share = change * (1.0 - s.probability[k])
         share /= share + s.probability[k]
         distance(m, s, d)
         own, both = 1.0 - share, share * (1.0 - share)
-        for i in range(ERRORS):
-            for j in range(ERRORS):
+        for i in range(SHARED):
+            for j in range(SHARED):
                 m.covariance[i, j] = (
                     own * m.covariance[i, j] + share * s.covariance[i, j] + both * d[i] * d[j]
                 )
+        if k == MULTIROTOR:
+            beyond = max(abs(m.wind[0]), abs(m.wind[1])) > SPEED_MAX
+            forget_airframe(m, p, 1.0 if beyond else share)
         qw, qx, qy, qz = m.quat
         x, y = -share * m.tilt[0], -share * m.tilt[1]
         m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, x, y)
         m.accel_square += share * (s.accel_square - m.accel_square)
-        m.lever += share * (s.lever - m.lever)
         for i in range(3):
             m.velocity[i] += share * (s.velocity[i] - m.velocity[i])
             m.gyro_bias[i] += share * (s.gyro_bias[i] - m.gyro_bias[i])
         for i in range(2):
-            m.wind[i] += share * (s.wind[i] - m.wind[i])
             m.accel_bias[i] += share * (s.accel_bias[i] - m.accel_bias[i])
-            m.offset[i] += share * (s.offset[i] - m.offset[i])
+
+
+@njit
+def forget_airframe(m, p, share):
+    """Mix what multirotors alone have with the initial state, by that share."""
+    own, P = 1.0 - share, m.covariance
+    for i in range(SHARED, ERRORS):
+        for j in range(ERRORS):
+            P[i, j] *= own
+            P[j, i] = P[i, j]
+    for k in range(2):
+        P[WIND + k, WIND + k] += share * (p.wind_sigma**2 + own * m.wind[k] ** 2)
+        P[OFFSET + k, OFFSET + k] += share * (p.offset_sigma**2 + own * m.offset[k] ** 2)
+        m.wind[k] *= own
+        m.offset[k] *= own
+    P[LEVER, LEVER] += share * (p.lever_sigma**2 + own * m.lever**2)
+    m.lever *= own
 
 
 @njit
 def weigh(s, evidence, change):
     """Probabilities after a measurement; evidence (m,) is the logarithm of its likelihood."""
-    highest = max(evidence)
+    highest, total = max(evidence), 0.0
     for k in range(COUNT):
-        evidence[k] = (s.probability[k] + arriving(s, k, change)) * math.exp(
-            max(evidence[k] - highest, -300.0)
-        )
-    drag = evidence[DRAG_LOW] + evidence[DRAG_HIGH]
-    for k in range(FREE):
-        evidence[k] = max(evidence[k], ODDS_LEAST * drag)
-    total = evidence.sum()
+        prior = s.probability[k] + change * (1.0 - s.probability[k])
+        evidence[k] = prior * math.exp(max(evidence[k] - highest, -300.0))
+        total += evidence[k]
     for k in range(COUNT):
         s.probability[k] = evidence[k] / total
 
@@ -375,26 +382,24 @@ def update_models(s, p, work, evidence):
     if s.begun == 0.0 and known:
         begin_at(s, accel)
     thrust = thrust_of_rotors(s, p, dt, body[2]) if known and s.rotor_time > 0.5 * dt else body[2]
-    x, y = across_thrust(s, body, arm)
+    x, y = across_thrust(s.models[MULTIROTOR], body, arm)
     square = 0.5 * (x * x + y * y)
     s.body_square = (
         mean_square(s.body_square, square, dt, s.time, p.square_memory) if known else s.body_square
     )
+    resting = known and at_rest(s, p, dt, rate, body)
     for k in range(COUNT):
         m = s.models[k]
-        matrix = predict(m, s, p, vector, accel, known, work)
-        evidence[k] = (
-            correct_model(m, k, s, p, rate, accel, body, thrust, arm, matrix, work) if known else 0.0
-        )
-    likelier = max(s.likelihood)
-    for k in range(FREE):
-        evidence[k] += s.likelihood[k] - likelier if known else 0.0
-    certain = REST_EVIDENCE if known and at_rest(s, p, dt, rate, body) else -REST_EVIDENCE
-    evidence[REST] = max(evidence[:REST]) + certain
+        matrix = predict(m, k, s, p, vector, accel, known, work)
+        evidence[k] = 0.0
+        if known:
+            evidence[k] = correct_model(
+                m, k, s, p, resting, rate, accel, body, thrust, arm, matrix, work
+            )
     change = dt / (COUNT * p.sojourn_time)
     weigh(s, evidence, change)
     combine(s, d)
-    mix(s, change, d)
+    mix(s, p, change, d)
     s.interval = s.force_time = s.unseen = s.rotor_time = s.rotor_sum = 0.0
     s.turn[0], s.turn[1:], s.push[:] = 1.0, 0.0, 0.0
     s.force_sum[:] = 0.0
@@ -441,18 +446,18 @@ def begin(s, p, known):
         for i in range(ERRORS):
             sigma = p.lever_sigma if i == LEVER else p.offset_sigma
             if i < VELOCITY:
-                sigma = SIGMA_KNOWN if known else p.attitude_sigma
-            elif i < WIND:
-                sigma = p.speed_sigma
+                sigma = p.attitude_sigma  # a start that is given may be wrong, and would pass for a bias
             elif i < GYRO_BIAS:
-                sigma = p.wind_sigma
+                sigma = p.speed_sigma
             elif i < ACCEL_BIAS:
                 sigma = p.bias_sigma
-            elif i < OFFSET:
+            elif i < WIND:
                 sigma = p.accel_bias_sigma
+            elif i < OFFSET:
+                sigma = p.wind_sigma
             P[i, i] = sigma**2
         m.wind_noise = p.wind_noise**2
-        s.covariance[:] = P
+        s.covariance[:] = P[:SHARED, :SHARED]
 
 
 @njit
@@ -468,10 +473,10 @@ def inverted(s, p):
 @njit
 def step(s, own, p, sample, rotor_square, work):
     """See `algorithm`; a filter that has diverged starts again."""
-    accumulate(s, sample, rotor_square)
+    accumulate(s, p, sample, rotor_square)
     if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
         update_models(s, p, *work)
-        if diverged(s) or inverted(s, p):
+        if diverged(s.gyro_bias, s.velocity) or inverted(s, p):
             own[:] = 0.0
             s.quat[0] = 1.0
             begin(s, p, False)
@@ -519,7 +524,13 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
     _begin(states, params, known)
 
 
-IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start, ("rotor_vel",), tilt_block)
+def tilt_covariance(states: Records) -> Array:
+    """That of the models and, on both axes, that of the mean force, which vibration shifts (n, 2, 2) [rad²]."""
+    shifted = (RECTIFIED / GRAVITY) ** 2 * states["shake"]
+    return tilt_block(states) + shifted[:, None, None] * np.eye(2)
+
+
+IMM = Algorithm("imm", PARAMETERS, STATE, PARAMS, sequence, score, _start, ("rotor_vel",), tilt_covariance)
 
 
 class InteractingModels(Filter):
@@ -530,5 +541,5 @@ class InteractingModels(Filter):
 
     @property
     def model_probability(self) -> Array:
-        """Probability of each model, (n, 5); a row sums to 1."""
+        """Probability of each model, (n, 3); a row sums to 1."""
         return self._states["probability"].copy()

@@ -1,17 +1,25 @@
-"""One model of `imm`: a Kalman filter of attitude, motion, wind and sensor errors for one kind of carrier.
+"""One model of `imm`: a Kalman filter of attitude, motion and sensor errors for one kind of carrier.
 
-State: attitude R, velocity v and horizontal wind w (world axes), gyroscope bias b, accelerometer bias c
-across body z, and of a multirotor the direction of thrust o, as a tilt from body z, and the height l of the
-IMU over the centre of mass:
+State: attitude R, velocity v (world axes), gyroscope bias b, accelerometer bias c across body z, and of a
+multirotor the horizontal wind w, the direction of thrust o, as a tilt from body z, and the height l of the IMU
+over the centre of mass:
 
     Ṙ = R [ω − b]×,    v̇ = R (a − c) + g,    ẇ, ḃ, ċ, ȯ, l̇ random walks,
     a_xy = −D (Rᵀ (v − w))_xy + c + g o + l (α_y, −α_x) + noise,    D = k √(a_z / g) + f |v − w|
 
-The drag measurement and the right-invariant error are those of `ekf_drag`; α is the angular acceleration. The
-second measurement says that the velocity is zero within the model's standard deviation. The climb v_z is no
-error state; it is integrated and forgotten within `climb_time`.
+The drag measurement, of multirotors alone, and the right-invariant error are those of `ekf_drag`; α is the
+angular acceleration. The second measurement says that the velocity is zero within the model's standard
+deviation, and a third, at rest, that the gyroscope reads its bias. The climb v_z is no error state; it is
+integrated and forgotten within `climb_time`.
 
-Error state: θ_x, θ_y, δv, δw, δb (3), δc, δo, δl (14).
+Error state: θ_x, θ_y, δv, δb (3), δc (9), and of a multirotor δw, δo, δl (14).
+
+A gyroscope's bias may step. The corrections of θ that a filter expects have together the variance by which they
+reduce that of θ. Where they sum up to more, within T = `step_time`, the bias has stepped some time ago
+(Willsky & Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
+systems", IEEE Trans. Autom. Control 21(1), 1976), and P is that of a filter which does not know the step:
+
+    P ← P + `step_sigma`² G Gᵀ,    G = (−T R, ½ T² g × R, I) of θ, v and b
 """
 
 import math
@@ -26,13 +34,15 @@ from .ekf_drag import GAP_SPEED, INNOVATION_MAX, adapt_vibration, gust_noise, me
 from .eskf import turned
 from .inline_math import exp_core
 
-MODELS = ("drag-low", "drag-high", "free", "hand", "rest")
-DRAG_LOW, DRAG_HIGH, FREE, HAND, REST = range(len(MODELS))
+MODELS = ("multirotor", "free", "hand")
+MULTIROTOR, FREE, HAND = range(len(MODELS))
 COUNT = len(MODELS)
 
 ERRORS = 14
-TILT, VELOCITY, WIND, GYRO_BIAS, ACCEL_BIAS, OFFSET, LEVER = 0, 2, 4, 6, 9, 11, 13
+TILT, VELOCITY, GYRO_BIAS, ACCEL_BIAS, WIND, OFFSET, LEVER = 0, 2, 4, 7, 9, 11, 13
 """Where the parts of the error state begin: horizontal axes, three of the gyroscope's bias, one lever arm."""
+SHARED = WIND
+"""Errors that all models have; the others are of multirotors alone."""
 
 MODEL = np.dtype(
     [
@@ -53,6 +63,8 @@ MODEL = np.dtype(
         ("wind_noise", "f8"),  # process noise of the wind [m²/s³]
         ("airspeed_sum", "f8", 2),  # recent corrections of v - w [m/s]
         ("airspeed_square", "f8"),  # sum of their squares, both axes [m²/s²]
+        ("tilt_sum", "f8", 2),  # recent corrections of the tilt, world axes [rad]
+        ("tilt_due", "f8"),  # variance that they removed, both axes [rad²]
     ]
 )
 """State of one model."""
@@ -64,11 +76,17 @@ FREEDOM = 4.0
 
 
 @njit
-def transition(P, matrix, v, w, dt):
-    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
+def size_of(k):
+    """Errors in the state of model k."""
+    return ERRORS if k == MULTIROTOR else SHARED
+
+
+@njit
+def transition(P, size, matrix, v, w, dt):
+    """P ← F P of the first `size` errors, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
     vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
-    for j in range(ERRORS):
+    for j in range(size):
         x, y = P[TILT, j], P[TILT + 1, j]
         b0, b1, b2 = P[GYRO_BIAS, j], P[GYRO_BIAS + 1, j], P[GYRO_BIAS + 2, j]
         c0, c1 = P[ACCEL_BIAS, j], P[ACCEL_BIAS + 1, j]
@@ -79,39 +97,41 @@ def transition(P, matrix, v, w, dt):
         P[TILT + 1, j] = y - dt * by
         P[VELOCITY, j] += dt * (GRAVITY * y - r00 * c0 - r01 * c1 - (vy * bz - vz * by))
         P[VELOCITY + 1, j] += dt * (-GRAVITY * x - r10 * c0 - r11 * c1 - (vz * bx - vx * bz))
-        P[WIND, j] -= dt * wy * bz
-        P[WIND + 1, j] += dt * wx * bz
+        if size > SHARED:
+            P[WIND, j] -= dt * wy * bz
+            P[WIND + 1, j] += dt * wx * bz
 
 
 @njit
-def propagate(P, T, matrix, v, w, dt, walks):
+def propagate(P, size, T, matrix, v, w, dt, walks):
     """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P; T is scratch."""
-    transition(P, matrix, v, w, dt)
-    for i in range(ERRORS):
-        for j in range(ERRORS):
+    transition(P, size, matrix, v, w, dt)
+    for i in range(size):
+        for j in range(size):
             T[i, j] = P[j, i]
-    transition(T, matrix, v, w, dt)
-    for i in range(ERRORS):
-        for j in range(ERRORS):
+    transition(T, size, matrix, v, w, dt)
+    for i in range(size):
+        for j in range(size):
             P[i, j] = T[i, j]
         P[i, i] += walks[i]
 
 
 @njit
-def correct(P, dx, column, total, residual):
+def correct(P, size, dx, column, total, residual):
     """One scalar measurement with row h: adds to the error dx, reduces P.
 
     Args:
         P: Covariance.
+        size: Errors in the state.
         dx: Error estimated so far.
         column: P hᵀ.
         total: h P hᵀ and the measurement's variance.
         residual: Measured less expected, less h dx.
     """
-    for a in range(ERRORS):
+    for a in range(size):
         gain = column[a] / total
         dx[a] += gain * residual
-        for b in range(ERRORS):
+        for b in range(size):
             P[a, b] -= gain * column[b]
 
 
@@ -128,13 +148,9 @@ def correct_by_drag(m, force, arm, drag, variance, matrix, work):
         matrix: R̂ by rows.
         work: Of `room`; adds to the error dx, writes the innovation in body axes before the correction
             (2,) [m/s²].
-
-    Returns:
-        Of the innovation of both axes, given its covariance S: νᵀ S⁻¹ ν, and det S [m⁴/s⁸].
     """
     _, dx, column, _, innovation = work
     P, v, w = m.covariance, m.velocity, m.wind
-    square, determinant = 0.0, 1.0
     for k in range(2):
         x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
         bias, offset, thrust = ACCEL_BIAS + k, OFFSET + k, GRAVITY
@@ -148,32 +164,29 @@ def correct_by_drag(m, force, arm, drag, variance, matrix, work):
             column[a] += P[bias, a] + thrust * P[offset, a] + arm[k] * P[LEVER, a]
         total = x * (column[VELOCITY] - column[WIND]) + y * (column[VELOCITY + 1] - column[WIND + 1])
         total += column[bias] + thrust * column[offset] + arm[k] * column[LEVER] + variance
-        residual = innovation[k] - known
-        correct(P, dx, column, total, residual)
-        square, determinant = square + residual * residual / total, determinant * total
-    return square, determinant
+        correct(P, ERRORS, dx, column, total, innovation[k] - known)
 
 
 @njit
-def correct_by_zero_velocity(P, dx, column, v, variance):
+def correct_by_zero_velocity(P, size, dx, column, v, variance):
     """Correct by the measurement v = 0, one horizontal axis after the other; column is scratch."""
     for k in range(2):
         x, y = (0.0, v[2]) if k == 0 else (-v[2], 0.0)  # of θ × v̂
-        for a in range(ERRORS):
+        for a in range(size):
             column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[VELOCITY + k, a]
         total = x * column[TILT] + y * column[TILT + 1] + column[VELOCITY + k] + variance
         known = x * dx[TILT] + y * dx[TILT + 1] + dx[VELOCITY + k]
-        correct(P, dx, column, total, -v[k] - known)
+        correct(P, size, dx, column, total, -v[k] - known)
 
 
 @njit
-def correct_by_zero_rate(P, dx, column, rate, bias, variance):
+def correct_by_zero_rate(P, size, dx, column, rate, bias, variance):
     """Correct by the gyroscope of a vehicle at rest, which reads its bias; column is scratch."""
     for k in range(3):
-        for a in range(ERRORS):
+        for a in range(size):
             column[a] = P[GYRO_BIAS + k, a]
         residual = rate[k] - bias[k] - dx[GYRO_BIAS + k]
-        correct(P, dx, column, column[GYRO_BIAS + k] + variance, residual)
+        correct(P, size, dx, column, column[GYRO_BIAS + k] + variance, residual)
 
 
 @njit
@@ -212,10 +225,10 @@ def velocity_density(m, sigma):
 
 
 @njit
-def across_thrust(s, force, arm):
+def across_thrust(m, force, arm):
     """Force (3,) across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
-    x = force[0] - s.accel_bias[0] - GRAVITY * s.offset[0] - arm[0] * s.lever
-    return x, force[1] - s.accel_bias[1] - GRAVITY * s.offset[1] - arm[1] * s.lever
+    x = force[0] - m.accel_bias[0] - GRAVITY * m.offset[0] - arm[0] * m.lever
+    return x, force[1] - m.accel_bias[1] - GRAVITY * m.offset[1] - arm[1] * m.lever
 
 
 @njit
@@ -226,11 +239,12 @@ def force_density(x, y, mean_square, least):
 
 
 @njit
-def predict(m, s, p, vector, accel, known, work):
+def predict(m, k, s, p, vector, accel, known, work):
     """Propagate one model over the interval; R̂ by rows.
 
     Args:
         m: The model's record.
+        k: Which one it is.
         s: The filter's record.
         p: Its parameters.
         vector: Rotation vector that the gyroscope measured [rad].
@@ -248,14 +262,14 @@ def predict(m, s, p, vector, accel, known, work):
     matrix = matrix_core(qw, qx, qy, qz)
     rate_square = (vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2) / dt
     walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + p.turn_noise**2 * rate_square + s.unseen
-    walks[VELOCITY:WIND] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
-    noise = max(m.vibration, p.drag_noise**2 / dt)
-    walks[WIND:GYRO_BIAS] = max(m.wind_noise, gust_noise(m, p, noise, dt, p.drag_low)) * dt
+    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
     walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
-    walks[ACCEL_BIAS:OFFSET] = p.accel_bias_noise**2 * dt
+    walks[ACCEL_BIAS:WIND] = p.accel_bias_noise**2 * dt
+    noise = max(m.vibration, p.drag_noise**2 / dt)
+    walks[WIND:OFFSET] = max(m.wind_noise, gust_noise(m, p, noise, dt, p.drag)) * dt
     walks[OFFSET:LEVER] = p.offset_noise**2 * dt
     walks[LEVER] = p.lever_noise**2 * dt
-    propagate(m.covariance, T, matrix, v, m.wind, dt, walks)
+    propagate(m.covariance, size_of(k), T, matrix, v, m.wind, dt, walks)
     if known:
         fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2])
         v[0], v[1] = v[0] + fx * dt, v[1] + fy * dt
@@ -266,7 +280,7 @@ def predict(m, s, p, vector, accel, known, work):
 
 
 @njit
-def correct_model(m, k, s, p, rate, accel, body, thrust, arm, matrix, work):
+def correct_model(m, k, s, p, resting, rate, accel, body, thrust, arm, matrix, work):
     """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
 
     Args:
@@ -274,6 +288,7 @@ def correct_model(m, k, s, p, rate, accel, body, thrust, arm, matrix, work):
         k: Which one it is.
         s: The filter's record.
         p: Its parameters.
+        resting: Whether the sensors are at rest.
         rate: Mean rate (3,) [rad/s].
         accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
         body: Its mean in body axes, which turn (3,) [m/s²].
@@ -283,50 +298,84 @@ def correct_model(m, k, s, p, rate, accel, body, thrust, arm, matrix, work):
         work: Of `room`.
     """
     _, dx, column, _, innovation = work
-    P, v, w, dt = m.covariance, m.velocity, m.wind, s.interval
+    P, v, w, dt, size = m.covariance, m.velocity, m.wind, s.interval, size_of(k)
     dx[:] = 0.0
-    speed = p.rest_speed if k == REST else (p.hand_speed if k == HAND else p.flight_speed)
+    speed = p.hand_speed if k == HAND else p.flight_speed
     density = velocity_density(m, speed) * dt / p.speed_time
     weight = min(dt / p.evidence_time, 1.0)
-    if k <= DRAG_HIGH:
+    before = P[TILT, TILT] + P[TILT + 1, TILT + 1]
+    if k == MULTIROTOR:
         airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
-        coefficient = p.drag_low if k == DRAG_LOW else p.drag_high
-        drag = coefficient * math.sqrt(max(thrust, 0.0) / GRAVITY) + p.frame_drag * airspeed
+        drag = p.drag * math.sqrt(max(thrust, 0.0) / GRAVITY) + p.frame_drag * airspeed
         variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
-        square, determinant = correct_by_drag(m, body, arm, drag, variance, matrix, work)
+        correct_by_drag(m, body, arm, drag, variance, matrix, work)
         qw, qx, qy, qz = m.quat
         x, y, _ = rotate_core(qw, qx, qy, qz, innovation[0], innovation[1], 0.0)
         adapt_vibration(m, p, dt, x, y)
         if m.time > p.wind_window:  # the first corrections are those of the initial state
             adapt_wind(m, p, dt, (dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]))
-        s.likelihood[k] = student(square, determinant) * min(dt / p.drag_evidence_time, 1.0)
-        x, y = across_thrust(s, body, arm)
+        x, y = across_thrust(m, body, arm)
         density += weight * force_density(x, y, s.body_square, p.least_accel)
     else:
         x = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
         y = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
         density += weight * force_density(x, y, m.accel_square, p.least_accel)
-    correct_by_zero_velocity(P, dx, column, v, speed * speed * p.speed_time / dt)
-    if k == REST:
-        correct_by_zero_rate(P, dx, column, rate, m.gyro_bias, p.rest_noise**2 / dt)
-    apply_error(m, dx)
+    speed = p.rest_speed if resting else speed
+    correct_by_zero_velocity(P, size, dx, column, v, speed * speed * p.speed_time / dt)
+    if resting:
+        correct_by_zero_rate(P, size, dx, column, rate, m.gyro_bias, p.rest_noise**2 / dt)
+    adapt_bias(m, p, dt, dx, before - P[TILT, TILT] - P[TILT + 1, TILT + 1], matrix)
+    apply_error(m, k, dx)
     return density
 
 
 @njit
-def apply_error(m, dx):
-    """Correct a model's state by the error that was estimated."""
+def adapt_bias(m, p, dt, dx, removed, matrix):
+    """Take a correction of the tilt, and the variance that it removed; know less of the bias if it steps.
+
+    Args:
+        m: The model's record.
+        p: The filter's parameters.
+        dt: Interval [s].
+        dx: The error that was estimated.
+        removed: From the variance of the tilt, both axes [rad²].
+        matrix: R̂ by rows.
+    """
+    leak, scatter, P = dt / p.step_time, 0.0, m.covariance
+    for k in range(2):
+        m.tilt_sum[k] += dx[TILT + k] - leak * m.tilt_sum[k]
+        scatter += m.tilt_sum[k] ** 2
+    m.tilt_due += max(removed, 0.0) - 2.0 * leak * m.tilt_due
+    if m.time > p.step_time and scatter > p.step_ratio * m.tilt_due:
+        m.tilt_sum[:], m.tilt_due = 0.0, 0.0
+        fallen = 0.5 * GRAVITY * p.step_time
+        for k in range(3):
+            x, y = -p.step_time * matrix[k], -p.step_time * matrix[3 + k]
+            wrong = (x, y, fallen * y, -fallen * x)
+            for i in range(4):
+                for j in range(4):
+                    P[i, j] += p.step_sigma**2 * wrong[i] * wrong[j]
+                P[i, GYRO_BIAS + k] += p.step_sigma**2 * wrong[i]
+                P[GYRO_BIAS + k, i] += p.step_sigma**2 * wrong[i]
+            P[GYRO_BIAS + k, GYRO_BIAS + k] += p.step_sigma**2
+
+
+@njit
+def apply_error(m, k, dx):
+    """Correct the state of model k by the error that was estimated."""
     qw, qx, qy, qz = m.quat
     m.quat[0], m.quat[1], m.quat[2], m.quat[3] = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
     rw, rx, ry, rz = exp_core(dx[TILT], dx[TILT + 1], 0.0)
     v, w, b, c = m.velocity, m.wind, m.gyro_bias, m.accel_bias
     v[0], v[1], v[2] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
-    w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
-    for k in range(3):
-        b[k] += dx[GYRO_BIAS + k]
-    for k in range(2):
-        v[k] += dx[VELOCITY + k]
-        w[k] += dx[WIND + k]
-        c[k] += dx[ACCEL_BIAS + k]
-        m.offset[k] += dx[OFFSET + k]
-    m.lever += dx[LEVER]
+    for i in range(3):
+        b[i] += dx[GYRO_BIAS + i]
+    for i in range(2):
+        v[i] += dx[VELOCITY + i]
+        c[i] += dx[ACCEL_BIAS + i]
+    if k == MULTIROTOR:
+        w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
+        for i in range(2):
+            w[i] += dx[WIND + i]
+            m.offset[i] += dx[OFFSET + i]
+        m.lever += dx[LEVER]
