@@ -89,8 +89,7 @@ def resampling_rows() -> list[str]:
 
 def made() -> dict[str, AttitudeEstimator]:
     """What is scored on real recordings: filters that need no vehicle, and the networks."""
-    general = {f"{name}, general": create(name, RATE, tuning="general") for name in FILTERS if name != "imm"}
-    return made_of([*FILTERS, *NETS], RATE) | {"vqf, package's parameters": vqf_with_defaults()} | general
+    return made_of([*FILTERS, *NETS], RATE) | {"vqf, package's parameters": vqf_with_defaults()}
 
 
 def recorded_rows(scores: LogScores) -> list[str]:

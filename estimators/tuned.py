@@ -71,12 +71,6 @@ def tuned_for(
     return next(iter([*fitting, *ours]), tables.get(DEFAULT_DOMAIN, tables.get(ANY_VEHICLE)))
 
 
-def is_tuned_for(vehicle: str) -> bool:
-    """Whether parameters ship that were tuned on a vehicle of that name."""
-    domains = (load_tuning(domain) for domain in preset_names("tuning"))
-    return any(table.vehicle == vehicle for domain in domains for table in domain.values())
-
-
 def to_toml(tables: dict[str, Tuned], comment: str) -> str:
     """Text of a tuning file, with a comment on top; what may not stand in a comment is left out."""
     shown = "".join(each for each in comment if each.isprintable() or each in "\n\t")

@@ -69,7 +69,7 @@ def evaluate_logs(
     logs = [log for path, (log, _) in read.items() if not reasons[path]]
     others = [read[path][0] for path in without]
     rate = float((logs + others)[0].attrs["rate_hz"])
-    made = contenders.create_for_logs(default_names(contenders.vehicle is not None), rate)
+    made = contenders.create(default_names(contenders.vehicle is not None), rate)
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar) if logs else LogScores()
         compare_logs(scores, others, made, progress=bar)

@@ -7,7 +7,6 @@ from pathlib import Path
 from estimators import create
 from estimators.evaluation.comparison import made_of
 from estimators.networks.weights_file import load_network
-from estimators.tuned import ANY_VEHICLE, is_tuned_for, load_tuning
 from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import ImuSpec
 from quadsim.vehicle import Vehicle
@@ -38,28 +37,6 @@ class Contenders:
                 without one.
         """
         made = made_of(self.names or default, rate_hz, self.tuning, self.vehicle or vehicle, imu)
-        return self._with_weights(made, rate_hz)
-
-    @property
-    def log_tuning(self) -> str:
-        """The tuning of filters on logs: what is asked for, else the vehicle's own, else of any vehicle."""
-        if self.tuning is not None:
-            return self.tuning
-        return self.vehicle if self.vehicle and is_tuned_for(self.vehicle) else ANY_VEHICLE
-
-    def create_for_logs(self, default: Sequence[str], rate_hz: float) -> dict[str, AttitudeEstimator]:
-        """Make them with `log_tuning`, as `create`; a log does not say what it was recorded on."""
-        if self.log_tuning != ANY_VEHICLE:
-            return self.create(default, rate_hz)
-        made: dict[str, AttitudeEstimator] = {}
-        for name in self.names or default:
-            tuning = ANY_VEHICLE if name in load_tuning(ANY_VEHICLE) else None
-            made |= made_of([name], rate_hz, tuning, self.vehicle)
-        return self._with_weights(made, rate_hz)
-
-    def _with_weights(
-        self, made: dict[str, AttitudeEstimator], rate_hz: float
-    ) -> dict[str, AttitudeEstimator]:
         for path in self.weights:
             if path in made:
                 raise ValueError(f"--weights {path}: given twice, or the name of an estimator")
