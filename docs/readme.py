@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for name, est in trained.items()
     }
     rows = {
-        "the best filter that does not know the drag": [in_simulation, "–", in_rotorpy, *real],
+        "the best filter of one model, without the drag": [in_simulation, "–", in_rotorpy, *real],
         "`imm`, which knows no vehicle": [
             f"{error_deg(models, flights):.2f}",
             "–",

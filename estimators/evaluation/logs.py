@@ -28,14 +28,12 @@ from ..running import missing_samples, require_same, run_quietly, streamed_once
 from .beliefs import Beliefs, beliefs
 from .comparison import made_of, silenced_twin
 from .flights import other_sensors
-from .without_truth import Comparison, compare
+from .without_truth import LEVEL, Comparison, compare, motion
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 Progress = Callable[[int, int, str], None]
 
-LEVEL = "level"
-"""The row of a guess that never looks at the sensor: how far the log is from level."""
 RAW, KNOWN = "raw", "known"
 """Gyroscope as it reads, and with its mean bias over the log taken off, where that is significant."""
 NO_ATTITUDE = "it has no attitude"
@@ -101,6 +99,8 @@ class LogScores:
     """(log, estimator) to the models that an estimator believed, raw; only of estimators that have models."""
     comparisons: dict[str, Comparison] = field(default_factory=dict)
     """Log without a true attitude to how its estimators differ; it has no rows."""
+    tuning: str = ""
+    """Which parameters the filters have, in a sentence."""
     faults: dict[str, tuple[SensorFault, ...]] = field(default_factory=dict)
     """Log to the faults of its sensors that begin inside it."""
 
@@ -297,7 +297,7 @@ def compare_logs(
                 flaws[name] = f"did not run: {error}"
                 continue
             scores.estimates[title, name] = estimate
-            if flaw := flaw_of(estimate[counted], np.zeros_like(estimate[counted])):
+            if flaw := flaw_of(estimate[counted], motion(gyro[0, counted], rate)):
                 flaws[name] = flaw
                 continue
             good[name] = estimate[counted]

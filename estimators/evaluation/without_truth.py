@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 LOW_PASS_S = 10.0
 """Means of the horizontal force are over this time [s]: the acceleration of a vehicle that changes its speed
 by 2 m/s in it leaves 0.2 m/s², an attitude that is wrong by 1.2° as much."""
+LEVEL = "level"
+"""The row of a guess that never looks at the sensor: how far the log is from level."""
 FEWEST = 4
 """Means that do not overlap, at least, for the evidence to favour an estimator."""
 
@@ -37,8 +39,12 @@ class Comparison:
     force: Mapping[str, float]
     """Root mean square of the horizontal specific force in the world by each estimate, low-passed [m/s²]:
     near zero for a right one."""
+    level_force: float
+    """The same of a level guess [m/s²]."""
     favoured: tuple[str, ...]
     """Estimators whose force is not significantly larger than the smallest; empty where that is no choice."""
+    undecided: str
+    """Why there is none; "" if there is."""
     flaws: Mapping[str, str]
     """Estimators that are left out, and why."""
 
@@ -70,12 +76,21 @@ def compare(
     span = round(LOW_PASS_S * rate_hz)
     edge = span // 2 if len(accel) > span else 0  # where the mean would be of less than that time
     squares = {}
-    for name, estimate in estimates.items():
+    level = np.zeros((len(accel), 2))
+    for name, estimate in (estimates | {LEVEL: level}).items():
         horizontal = horizontal_force(estimate, gyro, accel, rate_hz)
         mean = uniform_filter1d(horizontal, min(span, len(accel)), axis=0)
         squares[name] = (mean[edge : len(mean) - edge] ** 2).sum(axis=1)
     force = {name: float(np.sqrt(square.mean())) for name, square in squares.items()}
-    return Comparison(apart, force, _favoured(squares, force, span), flaws)
+    favoured, undecided = _favoured({name: square[::span] for name, square in squares.items()}, force)
+    level_force = force.pop(LEVEL)
+    return Comparison(apart, force, level_force, favoured, undecided, flaws)
+
+
+def motion(gyro: Array, rate_hz: float) -> Array:
+    """How far the gyroscope says that its x and y axes turned, without its mean rate, (T, 2) [rad]."""
+    rate = np.nan_to_num(gyro[:, :2])
+    return np.cumsum(rate - rate.mean(axis=0), axis=0) / rate_hz
 
 
 def horizontal_force(estimate: Array, gyro: Array, accel: Array, rate_hz: float) -> Array:
@@ -98,16 +113,31 @@ def horizontal_force(estimate: Array, gyro: Array, accel: Array, rate_hz: float)
     return quat_rotate(quat_from_roll_pitch(estimate, heading), np.nan_to_num(accel))[:, :2]
 
 
-def _favoured(squares: Mapping[str, Array], force: Mapping[str, float], span: int) -> tuple[str, ...]:
-    """The estimator of the smallest force and all that do not differ significantly from it (paired, 95 %)."""
-    best = min(force, key=lambda name: force[name], default="")
-    blocks = {name: square[::span] for name, square in squares.items()}
-    if not best or len(blocks[best]) < FEWEST:
-        return ()
+def _favoured(blocks: Mapping[str, Array], force: Mapping[str, float]) -> tuple[tuple[str, ...], str]:
+    """The estimator of the smallest force and all that do not differ significantly from it (paired, 95 %).
+
+    Args:
+        blocks: Estimator to the squares of its mean forces [m²/s⁴]; `LEVEL` is among them.
+        force: Estimator to the root of their mean [m/s²].
+
+    Returns:
+        The names, or none and the reason.
+    """
+    best = min(force, key=lambda name: force[name])
+    if len(blocks[best]) < FEWEST:
+        return (), f"the log is shorter than {FEWEST * LOW_PASS_S:g} s"
     chosen = []
     for name, block in blocks.items():
         more = block - blocks[best]
         limit = student.ppf(0.95, len(more) - 1) * more.std(ddof=1) / np.sqrt(len(more))
         if name == best or more.mean() <= limit:
             chosen.append(name)
-    return tuple(chosen) if len(chosen) < len(blocks) else ()
+    if LEVEL in chosen:
+        return (), "a level guess has no larger force"
+    if len(blocks) == 2:  # one estimator and the guess
+        return (), "no other estimator ran"
+    return (
+        (tuple(chosen), "")
+        if len(chosen) < len(blocks) - 1
+        else ((), "the estimators do not differ significantly")
+    )

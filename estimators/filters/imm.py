@@ -393,9 +393,7 @@ def update_models(s, p, work, evidence):
         matrix = predict(m, k, s, p, vector, accel, known, work)
         evidence[k] = 0.0
         if known:
-            evidence[k] = correct_model(
-                m, k, s, p, resting, rate, accel, body, thrust, arm, matrix, work
-            )
+            evidence[k] = correct_model(m, k, s, p, resting, rate, accel, body, thrust, arm, matrix, work)
     change = dt / (COUNT * p.sojourn_time)
     weigh(s, evidence, change)
     combine(s, d)

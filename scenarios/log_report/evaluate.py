@@ -18,6 +18,7 @@ from estimators.evaluation.logs import (
     score_logs,
     unscorable,
 )
+from estimators.tuned import DEFAULT_DOMAIN
 from quadsim.logs import read_log_and_report, refused
 from quadsim.logs.log_report import UNSCORED
 from quadsim.runs.console import output, progress_bar
@@ -26,6 +27,17 @@ from quadsim.runs.files import save_figure
 from ..report.contenders import Contenders
 from .page import write_log_report
 from .verdict import log_verdict
+
+
+def tuning_of(contenders: Contenders) -> str:
+    """Which parameters filters have, in a sentence."""
+    if contenders.tuning is not None:
+        return f"Filters have the parameters of {contenders.tuning}."
+    if contenders.vehicle is not None:
+        own = f"for {contenders.vehicle}, or else for {DEFAULT_DOMAIN}"
+        return f"Filters have the parameters {own}; imm has one set for all vehicles."
+    text = f"Filters have the parameters tuned on {DEFAULT_DOMAIN}, imm one set for all vehicles; "
+    return text + "--vehicle and --tuning give others."
 
 
 def evaluate_logs(
@@ -73,6 +85,8 @@ def evaluate_logs(
     with progress_bar("evaluate", "runs") as bar:
         scores = score_logs(logs, made, within_deg=within_deg, progress=bar) if logs else LogScores()
         compare_logs(scores, others, made, progress=bar)
+    scores.tuning = tuning_of(contenders)
+    output.print(scores.tuning, soft_wrap=True)
     scores.write_csv(out / "logs.csv")
     for log in scores.truth:
         save_figure(out / f"{log}.png", draw_log(scores, log), dpi=110)
@@ -110,6 +124,8 @@ def evaluate_logs(
             differ = f"{median:.1f}, 95th percentile {most:.1f}" if pairs else "–"
             table.add_row(name, f"{size:.2f}", differ)
         output.print(table)
+        for name, flaw in found.flaws.items():
+            output.print(f"{log}: {name} {flaw}: it is not compared", soft_wrap=True, markup=False)
     for row in scores.rows:
         if row.flaw and row.bias == RAW:
             counted = "; each of these counts as 180°" if row.without_number > 0.0 else ""

@@ -40,10 +40,17 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     compared = [line for log in scores.comparisons for line in _compared(scores, log)]
     if not scores.scored:
         sound = [log for log in scores.comparisons if not scores.faults.get(log)] or [*scores.comparisons]
-        favours = dict.fromkeys(scores.comparisons[log].favoured for log in sound)
-        choice = ", ".join(next(iter(favours))) if len(favours) == 1 else ""
-        evidence = f"the mean force favours {choice}" if choice else "the evidence favours no estimator"
-        if len(favours) > 1:
+        found = dict.fromkeys(
+            (scores.comparisons[log].favoured, scores.comparisons[log].undecided) for log in sound
+        )
+        favoured, undecided = next(iter(found))
+        choice = ", ".join(favoured)
+        evidence = (
+            f"the mean force favours {choice}"
+            if choice
+            else f"the evidence favours no estimator: {undecided}"
+        )
+        if len(found) > 1:
             evidence = "the evidence differs from log to log"
         over = ", over the logs without a fault" if len(sound) < len(scores.comparisons) else ""
         headline = f"No true attitude, no errors; {evidence}{over}."
@@ -63,7 +70,10 @@ def log_verdict(scores: LogScores) -> LogVerdict:
         headline = f"No estimator is much better than a level guess ({level:.2f}°){over}"
         headline += f"; the best is {best}, {error[best]:.2f}°."
     conditions = "from an unknown attitude, with the gyroscope as it reads"
-    lines = [f"{data}, {conditions}. A level guess makes {level:.2f}°."]
+    lines = [
+        f"{data}, {conditions}. A level guess makes {level:.2f}°.",
+        *([scores.tuning] if scores.tuning else []),
+    ]
     lines += [*_failing(scores), *_by_log(scores, logs, names, best)]
     lines += [*_bias(scores, names, error), *_believed(scores), *compared]
     if len(logs) == 1:
@@ -148,9 +158,12 @@ def _compared(scores: LogScores, log: str) -> list[str]:
         )
     low, high = min(found.force.values()), max(found.force.values())
     text = f"{log}: turned to the world and averaged over 10 s, the horizontal force is {low:.2f} m/s²"
-    text += f" to {high:.2f} m/s² (RMS), and it is near zero for a right attitude: "
+    text += f" to {high:.2f} m/s² (RMS), of a level guess {found.level_force:.2f} m/s². "
+    text += "It is near zero for a right attitude, and for a level guess where the vehicle stays level: "
     chosen = ", ".join(found.favoured)
-    lines.append(text + (f"it favours {chosen}." if chosen else "it favours no estimator significantly."))
+    lines.append(
+        text + (f"it favours {chosen}." if chosen else f"it favours no estimator: {found.undecided}.")
+    )
     return lines
 
 

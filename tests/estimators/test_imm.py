@@ -119,7 +119,9 @@ def test_the_transition_is_the_derivative_of_the_motion():
         speed = quat_rotate(turn, v) + np.append(error[VELOCITY:GYRO_BIAS], 0.0)
         air = quat_rotate(turn, np.append(w, 0.0))[:2] + error[WIND : WIND + 2]
         end = quat_multiply(start, quat_from_rotvec((gyro - error[GYRO_BIAS:ACCEL_BIAS]) * dt))
-        force = quat_rotate(start, accel - np.append(error[ACCEL_BIAS:WIND], 0.0)) - np.array([0.0, 0.0, GRAVITY])
+        force = quat_rotate(start, accel - np.append(error[ACCEL_BIAS:WIND], 0.0)) - np.array(
+            [0.0, 0.0, GRAVITY]
+        )
         return end, speed + force * dt, air
 
     matrix = tuple(matrix_from_quat(quat).ravel())
@@ -208,7 +210,9 @@ def test_rest_is_given_up_at_once():
 def test_it_changes_its_model_within_seconds(flight):
     """Into the hand, and back in the air."""
     hand, flown = in_the_hand(10.0), flight
-    gyro, accel = (np.concatenate([flown[k][:1, :3000], hand[k], flown[k][:1, 3000:]], axis=1) for k in (0, 1))
+    gyro, accel = (
+        np.concatenate([flown[k][:1, :3000], hand[k], flown[k][:1, 3000:]], axis=1) for k in (0, 1)
+    )
     found = beliefs(imm(), gyro, accel)
     assert found is not None
     flying = found.probability[0, :, MULTIROTOR]
@@ -390,7 +394,7 @@ def test_the_truth_is_within_the_95_percent_interval_as_often_as_it_should(fligh
 
 
 def test_sigma_grows_in_a_gap(flight):
-    gyro, accel, truth = flight
+    gyro, accel, _ = flight
     est = imm()
     est.reset(2)
     est.sequence(gyro[:, :4000], accel[:, :4000])

@@ -21,7 +21,7 @@ from estimators.evaluation.logs import (
     score_logs,
     unscorable,
 )
-from estimators.evaluation.without_truth import horizontal_force
+from estimators.evaluation.without_truth import compare, horizontal_force
 from quadsim.cli import app
 from quadsim.logs import read_log
 from quadsim.logs.mount_estimate import estimate_mount
@@ -37,6 +37,7 @@ from quadsim.rotation import (
     quat_rotate_inverse,
     roll_pitch_from_quat,
 )
+from quadsim.vehicle import GRAVITY
 from scenarios.log_report.page import write_log_report
 from scenarios.log_report.verdict import log_verdict
 
@@ -336,10 +337,42 @@ def test_a_log_without_truth_is_compared_and_no_estimator_is_crowned(tmp_path):
     assert "not a finite number" in found.flaws["broken"]
     verdict = log_verdict(scores)
     assert verdict.headline == "No true attitude, no errors; the mean force favours without, same."
-    assert any("it is near zero for a right attitude" in line for line in verdict.lines)
+    assert any("It is near zero for a right attitude" in line for line in verdict.lines)
     assert "horizontal force" in write_log_report(tmp_path / "r.html", [log], scores).read_text()
     roll, pitch = draw_log(scores, "noisy").axes
     assert len(roll.get_lines()) == len(pitch.get_lines()) == 4
+
+
+def test_a_constant_is_not_compared_however_small_its_force_is():
+    """On a vehicle that stays level on the whole a level guess has a small force."""
+    scores = LogScores()
+    made = {"zero": Given(0.0), "mahony": create("mahony"), "slow": create("mahony", k_p=0.01, k_i=0.0)}
+    compare_logs(scores, [biased_start(0.0)], made)
+    found = scores.comparisons["noisy"]
+    assert "the same roll and pitch" in found.flaws["zero"]
+    assert "zero" not in found.force
+    assert f"of a level guess {found.level_force:.2f} m/s²" in " ".join(log_verdict(scores).lines)
+
+
+def test_a_force_as_small_as_that_of_a_level_guess_favours_nobody():
+    level = np.zeros((200 * 60, 2))
+    gyro, accel = np.zeros((len(level), 3)), np.tile([0.0, 0.0, GRAVITY], (len(level), 1))
+    found = compare({"right": level, "wrong": level + 0.2}, gyro, accel, 200.0, {})
+    assert found.force["wrong"] > 1.0
+    assert (found.favoured, found.undecided) == ((), "a level guess has no larger force")
+    tilted = np.tile([GRAVITY * np.sin(0.2), 0.0, GRAVITY * np.cos(0.2)], (len(level), 1))
+    right = np.tile([0.0, -0.2], (len(level), 1))
+    found = compare({"right": right, "wrong": -right}, gyro, tilted, 200.0, {})
+    assert (found.favoured, found.undecided) == (("right",), "")
+
+
+def test_a_short_log_decides_nothing_and_says_so():
+    scores = LogScores()
+    compare_logs(scores, [biased_start(3.0, 30.0)], {"mahony": create("mahony"), "vqf": create("vqf")})
+    assert scores.comparisons["noisy"].undecided == "the log is shorter than 40 s"
+    assert log_verdict(scores).headline.endswith(
+        "the evidence favours no estimator: the log is shorter than 40 s."
+    )
 
 
 def test_forces_that_all_estimators_share_favour_none():
@@ -347,7 +380,7 @@ def test_forces_that_all_estimators_share_favour_none():
     made = {name: create("mahony", k_p=1.0, k_i=0.0) for name in "ab"}
     compare_logs(scores, [biased_start(0.0, 60.0)], made)
     assert scores.comparisons["noisy"].favoured == ()
-    assert log_verdict(scores).headline == "No true attitude, no errors; the evidence favours no estimator."
+    assert "the evidence favours no estimator: " in log_verdict(scores).headline
 
 
 def test_what_imm_believes_of_a_log_without_truth_has_its_sigma(tmp_path):
