@@ -122,10 +122,12 @@ def believed_rows(scores: Mapping[str, LogScores], data: Path) -> list[str]:
 
 
 def believed_row(name: str, found: Sequence[tuple[Beliefs, Array, NDArray[np.bool_]]]) -> str:
-    """Mean shares of the models and mean coverage of recordings: beliefs, truth, what counts."""
+    """Mean shares of the models, coverage and σ over error of recordings: beliefs, truth, what counts."""
     shares = np.mean([list(each.share().values()) for each, _, _ in found], axis=0)
-    inside = np.mean([each.coverage(truth, counted) for each, truth, counted in found])
-    return row(name, *(f"{100 * share:.0f} %" for share in shares), f"{100 * inside:.0f} %")
+    its = [each.interval(truth, counted) for each, truth, counted in found]
+    inside = np.mean([each.inside for each in its])
+    ratio = np.mean([each.sigma_deg / each.rmse_deg for each in its])
+    return row(name, *(f"{100 * share:.0f} %" for share in shares), f"{100 * inside:.0f} %", f"{ratio:.1f}")
 
 
 def number(value: float) -> str:

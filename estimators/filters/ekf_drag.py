@@ -466,13 +466,12 @@ def advance(s, p, sample):
 @njit
 def diverged(gyro_bias, velocity):
     """Whether an estimate is beyond what can be; a NaN is."""
+    possible = True
     for value in gyro_bias:
-        if not abs(value) <= BIAS_MAX:
-            return True
+        possible &= abs(value) <= BIAS_MAX
     for value in velocity:
-        if not abs(value) <= SPEED_MAX:
-            return True
-    return False
+        possible &= abs(value) <= SPEED_MAX
+    return not possible
 
 
 @njit

@@ -66,7 +66,6 @@ from .imm_model import (
     across_thrust,
     correct_model,
     predict,
-    size_of,
 )
 from .inline_math import atan2_core, exp_core, roll_pitch_core
 from .samples import parameter_record
@@ -159,8 +158,8 @@ PARAMETERS = {
     "gust_window": Parameter(0.04, 0.01, 0.5, minimum=1e-3, searched=False),
     "gust_ratio": Parameter(2.0, 1.5, 4.0, searched=False),
     "wind_noise_least": Parameter(0.02, 1e-4, 0.1, searched=False),
-    # A step of the gyroscope's bias, which no recipe flies: variances that corrections of the tilt may sum up to,
-    # and their memory [s]; standard deviation of the bias after it [rad/s].
+    # A step of the gyroscope's bias, which no recipe flies: variances that corrections of the tilt may sum
+    # up to, and their memory [s]; standard deviation of the bias after it [rad/s].
     "step_ratio": Parameter(2.5, 1.5, 20.0, searched=False),
     "step_time": Parameter(2.0, 0.5, 10.0, minimum=1e-3, searched=False),
     "step_sigma": Parameter(0.05, 0.01, 0.2, searched=False),
@@ -523,7 +522,7 @@ def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
 
 
 def tilt_covariance(states: Records) -> Array:
-    """That of the models and, on both axes, that of the mean force, which vibration shifts (n, 2, 2) [rad²]."""
+    """That of the models and, on both axes, of the mean force, which vibration shifts, (n, 2, 2) [rad²]."""
     shifted = (RECTIFIED / GRAVITY) ** 2 * states["shake"]
     return tilt_block(states) + shifted[:, None, None] * np.eye(2)
 

@@ -1,8 +1,8 @@
 """One model of `imm`: a Kalman filter of attitude, motion and sensor errors for one kind of carrier.
 
 State: attitude R, velocity v (world axes), gyroscope bias b, accelerometer bias c across body z, and of a
-multirotor the horizontal wind w, the direction of thrust o, as a tilt from body z, and the height l of the IMU
-over the centre of mass:
+multirotor the horizontal wind w, the direction of thrust o, as a tilt from body z, and the height l of the
+IMU over the centre of mass:
 
     Ṙ = R [ω − b]×,    v̇ = R (a − c) + g,    ẇ, ḃ, ċ, ȯ, l̇ random walks,
     a_xy = −D (Rᵀ (v − w))_xy + c + g o + l (α_y, −α_x) + noise,    D = k √(a_z / g) + f |v − w|
@@ -14,10 +14,11 @@ integrated and forgotten within `climb_time`.
 
 Error state: θ_x, θ_y, δv, δb (3), δc (9), and of a multirotor δw, δo, δl (14).
 
-A gyroscope's bias may step. The corrections of θ that a filter expects have together the variance by which they
-reduce that of θ. Where they sum up to more, within T = `step_time`, the bias has stepped some time ago
-(Willsky & Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
-systems", IEEE Trans. Autom. Control 21(1), 1976), and P is that of a filter which does not know the step:
+A gyroscope's bias may step. The corrections of θ that a filter expects have together the variance by which
+they reduce that of θ. Where they sum up to more, within T = `step_time`, the bias has stepped some time ago
+(after Willsky & Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in
+linear systems", IEEE Trans. Autom. Control 21(1), 1976), and P is that of a filter which does not know the
+step:
 
     P ← P + `step_sigma`² G Gᵀ,    G = (−T R, ½ T² g × R, I) of θ, v and b
 """
@@ -83,7 +84,7 @@ def size_of(k):
 
 @njit
 def transition(P, size, matrix, v, w, dt):
-    """P ← F P of the first `size` errors, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb."""
+    """P ← F P of `size` errors, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb, δẇ = −ŵ × R̂ δb."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
     vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
     for j in range(size):
