@@ -77,7 +77,7 @@ def compare(
     edge = span // 2 if len(accel) > span else 0  # where the mean would be of less than that time
     squares = {}
     level = np.zeros((len(accel), 2))
-    for name, estimate in (estimates | {LEVEL: level}).items():
+    for name, estimate in {**estimates, LEVEL: level}.items():
         horizontal = horizontal_force(estimate, gyro, accel, rate_hz)
         mean = uniform_filter1d(horizontal, min(span, len(accel)), axis=0)
         squares[name] = (mean[edge : len(mean) - edge] ** 2).sum(axis=1)

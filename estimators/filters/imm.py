@@ -46,6 +46,7 @@ from quadsim.rotation import multiply_core, rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
+from ..sanitise import within
 from .algorithm import Algorithm, Array, Filter, Parameter, Records, score_of, sequence_of, tilt_block
 from .ekf_drag import SPEED_MAX, at_rest, diverged, mean_square
 from .eskf import tilt_core, turned
@@ -177,6 +178,8 @@ MODEL_HZ = 50.0
 """Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
 RECTIFIED = 0.1
 """Share of its vibration by which the mean of an accelerometer may shift."""
+JERK_MAX = 2e4
+"""Change of the specific force that no hand makes [m/s³]; one beyond it is missing for a sample."""
 RATE_MEMORY = 0.005
 """Time constant of the low-pass before the rate's derivative [s]."""
 
@@ -202,13 +205,15 @@ def accumulate(s, p, sample, rotor_square):
     tw, tx, ty, tz = s.turn
     s.turn[0], s.turn[1], s.turn[2], s.turn[3] = multiply_core(tw, tx, ty, tz, ew, ex, ey, ez)
     px, py, pz = s.push
-    square = ax * ax + ay * ay + az * az
-    if square > 0.0:
-        if s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0:  # trapezoidal rule
+    known = s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0
+    change = (ax - s.force[0], ay - s.force[1], az - s.force[2])
+    blow = known and not within(change[0], change[1], change[2], JERK_MAX * dt)
+    if (ax != 0.0 or ay != 0.0 or az != 0.0) and not blow:
+        if known:  # trapezoidal rule
             px, py, pz = px + 0.5 * dt * s.force[0], py + 0.5 * dt * s.force[1], pz + 0.5 * dt * s.force[2]
             px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
             px, py, pz = px + 0.5 * dt * ax, py + 0.5 * dt * ay, pz + 0.5 * dt * az
-            take_vibration(s, p, dt, (ax - s.force[0], ay - s.force[1], az - s.force[2]))
+            take_vibration(s, p, dt, change)
         else:
             px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
             px, py, pz = px + dt * ax, py + dt * ay, pz + dt * az
