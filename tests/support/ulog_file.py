@@ -1,4 +1,4 @@
-"""ULog files of a few topics, for tests and for the fuzzer: pyulog reads them and writes none from arrays."""
+"""ULog files of a few topics: pyulog reads them and writes none from arrays."""
 
 from pathlib import Path
 
