@@ -31,7 +31,7 @@ from torch import Tensor
 
 from estimators.networks.forward import THRESHOLD, TIME_CONSTANTS
 from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
-from training.backends.fused import Fused
+from training.fused import Fused
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"
@@ -58,8 +58,8 @@ def inputs(n: int, steps: int) -> Tensor:
 
 
 def fused(n: int, steps: int, quantised: bool = True, threads: int = 1) -> Network:
-    weights, backend = parameters(), Fused(quantised, threads=threads)
-    return lambda x: backend.forward(x, weights)[0]
+    weights, kernels = parameters(), Fused(quantised, threads=threads)
+    return lambda x: kernels.forward(x, weights)[0]
 
 
 def plain(n: int, steps: int) -> Network:

@@ -32,8 +32,8 @@ NETWORKS = {
 FILTERS = ("complementary", "mahony", "madgwick", "ekf")
 RATE_HZ = 200.0
 SPLIT = "* **Split**: "
-GPU = """* **Computers**: most trainings of this run began on a GPU, then went on without. Backend `cuda`
-  and backend `fused` give the same spikes; gradients differ in the last digits.
+GPU = """* **Computers**: most trainings of this run began on a GPU, by code that has been removed
+  since, then went on without. Both give the same spikes; gradients differ in the last digits.
 """
 BEFORE = "## How our reading differs from the paper"
 TEXT = """## Elsewhere

@@ -115,7 +115,7 @@ def programs(tmp_path_factory):
 
 
 MASS = """
-import gymnasium, quadsim, scenarios.report, training.backends, paper.page
+import gymnasium, quadsim, scenarios.report, training.fused, paper.page
 env = gymnasium.make("quadsim/Quadrotor-v0", estimator="mahony", scenario="hover")
 env.reset(seed=0)
 print(quadsim.vehicle.load_vehicle("hummingbird").mass, scenarios.__file__)

@@ -25,7 +25,6 @@ from quadsim.config.toml import Strict, describe, load_toml, merged
 from quadsim.held_out import unreserved
 
 from .augment import Augmentation
-from .backends import BACKENDS
 
 Number = Annotated[int, Between(1, 1_000_000)]
 Step = Annotated[float, Between(1e-6, 1e6)]
@@ -144,9 +143,6 @@ class TrainConfig(TrainingRecipe):
     """Of the initial weights, the split, the windows and the sensor errors."""
     threads: Annotated[int, Between(1, 1024)] = 1
     """Threads that share a batch; the result depends on their number in the last digits only."""
-    backend: str = "fused"
-    """What computes the outputs and gradients of att-snn: a key of `training.backends.BACKENDS`. "cuda" puts
-    att-rnn on the GPU too."""
     preset: str = "paper"
     """Preset that the other values started from: a shipped name or a TOML file."""
     init: str = ""
@@ -156,8 +152,6 @@ class TrainConfig(TrainingRecipe):
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
         unreserved(self.seed)
-        if self.backend not in BACKENDS:
-            raise ValueError(f"backend: {self.backend}, should be one of {', '.join(BACKENDS)}")
         constants = 2 * (self.encoding + self.hidden) + 2 + self.after_spike * self.hidden
         if self.model == "att-snn" and 0 < self.pruning_target <= constants:
             raise ValueError(

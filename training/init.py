@@ -14,10 +14,9 @@ from estimators.networks.network import real_weights
 from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
 
-from .backends import BACKENDS
-from .backends.cuda import NO_GPU
 from .config import TrainConfig
 from .data import TrainingFlights, sample_windows
+from .fused import Fused
 from .models import MEMBRANE, AttRNN, AttSNN
 
 DEAD = (1e-3, 0.999)
@@ -53,20 +52,16 @@ def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> 
         if encoding != hidden:
             raise ValueError(f"att-rnn: layers of {encoding} and {hidden} units, should be equal")
         model = AttRNN(hidden, config.outputs)
-        if config.backend == "cuda":
-            if not torch.cuda.is_available():
-                raise ValueError(NO_GPU)
-            model.cuda()
     else:
         if config.symmetric and not config.init and min(encoding, hidden) < len(OPERATIONS):
             raise ValueError(
                 f"symmetric: layers of {encoding} and {hidden} neurons, at least {len(OPERATIONS)} of each "
                 "share weights; give more, or symmetric=false"
             )
-        backend = BACKENDS[config.backend](config.quantised, config.recurrent_delay, config.threads)
+        kernels = Fused(config.quantised, config.recurrent_delay, config.threads)
         how = (config.output_scale, config.symmetric, config.outputs)
         chip = (config.finest_exponent, config.after_spike, config.parametrisation)
-        model = AttSNN(encoding, hidden, backend, *how, *chip)
+        model = AttSNN(encoding, hidden, kernels, *how, *chip)
     if config.init:
         initialise_from_weights(model, config.init)
         if isinstance(model, AttSNN):
@@ -244,7 +239,7 @@ def layer_spikes(model: AttSNN, x: NDArray[np.float64]) -> tuple[NDArray, NDArra
     """Spikes of both layers on inputs (n, T, inputs), (n, T, h)."""
     with torch.no_grad():
         model(torch.from_numpy(x))
-    return model.backend.spikes()
+    return model.kernels.spikes()
 
 
 def filtered(signal: NDArray, tau: NDArray) -> NDArray:

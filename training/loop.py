@@ -104,7 +104,7 @@ def _run(config: TrainConfig, out: Path, progress: Progress | None) -> Result:
         before = training.validate()[0] if config.init else None
         if (out / "checkpoint.pt").is_file():
             try:
-                training.restore(torch.load(out / "checkpoint.pt", weights_only=True, map_location="cpu"))
+                training.restore(torch.load(out / "checkpoint.pt", weights_only=True))
             except (RuntimeError, KeyError, TypeError) as error:
                 text = "its checkpoint is of another version of quadsim, choose another folder"
                 raise ValueError(f"{out}: {text}") from error

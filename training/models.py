@@ -25,8 +25,8 @@ from estimators.networks.weights_file import (
 )
 from estimators.spiking import quantise_decay, quantise_weights
 
-from .backends import Backend
 from .config import Parametrisation
+from .fused import Fused
 
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
@@ -51,7 +51,7 @@ class AttSNN(nn.Module):
     Args:
         encoding: Neurons of the encoding layer.
         hidden: Neurons of the recurrent layer.
-        backend: Computes outputs and gradients; a quantised one takes weights on the chip's grid.
+        kernels: Compute outputs and gradients; quantised ones take weights on the chip's grid.
         output_scale: Radians, or parts of a unit vector, for an output potential of 1.0.
         symmetric: Whether weights are shared as `estimators.networks.symmetry` says.
         outputs: Roll and pitch, or up; of a controller, with 9 inputs, angular acceleration.
@@ -69,7 +69,7 @@ class AttSNN(nn.Module):
         self,
         encoding: int,
         hidden: int,
-        backend: Backend,
+        kernels: Fused,
         output_scale: float = 1.0,
         symmetric: bool = False,
         outputs: NetworkOutputs = "roll-pitch",
@@ -79,7 +79,7 @@ class AttSNN(nn.Module):
     ) -> None:
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
-        self.backend, self.output_scale, self.finest_exponent = backend, output_scale, finest_exponent
+        self.kernels, self.output_scale, self.finest_exponent = kernels, output_scale, finest_exponent
         self.outputs: NetworkOutputs = outputs
         self.parametrisation: Parametrisation = parametrisation
         network = NetworkConfig(
@@ -157,7 +157,7 @@ class AttSNN(nn.Module):
         """Weights and time constants as the network uses them."""
         w = {name: getattr(self, name) * self._units(name) for name in self.matrices}
         tau = {name: self.tau(name) for name in self.taus}
-        if self.backend.quantised:
+        if self.kernels.quantised:
             finest = dict.fromkeys(EXPONENTS, self.finest_exponent)
             w = {name: quantise_weights(value, finest.get(name, 0)) for name, value in w.items()}
             tau = {name: quantise_decay(value) for name, value in tau.items()}
@@ -170,7 +170,7 @@ class AttSNN(nn.Module):
         Sequences of the mask `reset` (n,) start from a state of zero, the others continue from the last
         window of this shape; None: all are reset.
         """
-        out, rates = self.backend.forward(x, self.weights(), reset)
+        out, rates = self.kernels.forward(x, self.weights(), reset)
         return out * self.output_scale, rates
 
     @torch.no_grad()
@@ -185,7 +185,7 @@ class AttSNN(nn.Module):
             getattr(self, name).clamp_(*((-6.0, math.log(4095.0)) if logits else (LEAST_DECAY, 1.0)))
         for name in self.matrices:
             w = getattr(self, name).mul_(getattr(self, f"{name}_connected"))
-            if self.backend.quantised:
+            if self.kernels.quantised:
                 limit = WEIGHT_MAX / self._units(name)
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
 
@@ -196,10 +196,10 @@ class AttSNN(nn.Module):
         Beyond them a current wraps round to the other sign: a neuron that training silences further would
         then spike in every other step, and no gradient leads back.
         """
-        if not self.backend.quantised:
+        if not self.kernels.quantised:
             return
         layers = (("mem0", ("w_in",)), ("mem1", ("w_ff", "w_rec")), ("mem1", ("w_after",)))
-        for most, (layer, names) in zip(self.backend.peak_currents(CURRENT_EVERY), layers, strict=True):
+        for most, (layer, names) in zip(self.kernels.peak_currents(CURRENT_EVERY), layers, strict=True):
             if most.max(initial=0.0) <= CURRENT_MAX:
                 continue
             first = self.first(layer)
@@ -220,10 +220,10 @@ class AttSNN(nn.Module):
     def subset(self, neurons: Sequence[NDArray[np.int64]]) -> AttSNN:
         """The network of these neurons of both layers alone; its windows continue from the last ones here."""
         encoding, hidden = neurons
-        backend = self.backend.connected(encoding, hidden)
+        kernels = self.kernels.connected(encoding, hidden)
         sizes, symmetric = (encoding.size, hidden.size), bool(self.sharing)
         how = (self.output_scale, symmetric, self.outputs, self.finest_exponent, "w_after" in self.matrices)
-        smaller = AttSNN(*sizes, backend, *how, self.parametrisation)
+        smaller = AttSNN(*sizes, kernels, *how, self.parametrisation)
         smaller.load_state_dict(
             {
                 name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)
@@ -291,10 +291,7 @@ def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], mo
 
 
 class AttRNN(nn.Module):
-    """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles; or up).
-
-    Inputs and outputs are on the CPU, wherever the parameters are.
-    """
+    """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles; or up)."""
 
     def __init__(self, hidden: int = 100, outputs: Outputs = "roll-pitch") -> None:
         """Build with PyTorch's own initial weights."""
@@ -313,10 +310,10 @@ class AttRNN(nn.Module):
         if reset is None or reset.all():
             before = None
         elif before is not None:
-            before = before * torch.from_numpy(~reset)[:, None].to(before.device)
-        y, state = self.gru(x.to(self.out.weight.device), before)
+            before = before * torch.from_numpy(~reset)[:, None]
+        y, state = self.gru(x, before)
         self._state = state.detach()
-        return self.out(y).cpu(), torch.zeros(2)
+        return self.out(y), torch.zeros(2)
 
     @torch.no_grad()
     def constrain(self) -> None:

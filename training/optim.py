@@ -88,8 +88,7 @@ class Lookahead:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from the result of `state_dict`."""
         self.optimizer.load_state_dict(state["optimizer"])
-        devices = [p.device for p in self._fast()]
-        self.slow = [p.to(device, copy=True) for p, device in zip(state["slow"], devices, strict=True)]
+        self.slow = [p.clone() for p in state["slow"]]
         self.steps, self.k, self.alpha = state["steps"], state["k"], state["alpha"]
 
 

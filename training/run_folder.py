@@ -71,9 +71,7 @@ def claim(out: Path, config: Strict, contents: dict[str, str] | None = None) -> 
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
             ) from None
-        same = {"backend", "threads"} & type(config).model_fields.keys()  # change the last digits alone
-        how = {name: getattr(config, name) for name in same}
-        if before.model_copy(update=how) != config:
+        if before.model_copy(update={"threads": config.threads}) != config:  # changes the last digits alone
             raise ValueError(f"{out}: holds a run with another configuration, choose another folder")
     write_whole(file, text)
     if contents is None:
@@ -117,7 +115,7 @@ def exported(
         training=note,
     )
     if not spiking:
-        return network, {name: value.cpu().numpy().copy() for name, value in model.state_dict().items()}
+        return network, {name: value.numpy().copy() for name, value in model.state_dict().items()}
     return network, spiking_tensors(model, config)
 
 

@@ -13,8 +13,8 @@ from estimators.networks.network import NetworkEstimator, OnLoihi, roll_pitch_of
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
 from quadsim.rotation import roll_pitch_of_up
-from training.backends.fused import Fused
 from training.config import make_config
+from training.fused import Fused
 from training.init import initialise_from_data
 from training.models import AttSNN, prune_connections
 from training.run_folder import exported

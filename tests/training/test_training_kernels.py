@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 import torch
+from plain_network import Plain
 
 from estimators.spiking import Weights, quantise_decay, quantise_weights
-from training.backends import BACKENDS
-from training.backends.fused import Fused
-from training.backends.plain import Plain
+from training.fused import Fused
 
 
 def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0, after_spike=True):
@@ -47,7 +46,7 @@ FULL_SIZE = (8, 90, 100, 100, 2)
     ("quantised", "delay", "size", "after_spike"),
     [*EVERY_WAY, (False, 2, FULL_SIZE, False), (True, 1, FULL_SIZE, True)],
 )
-def test_fused_backend_equals_plain_pytorch(quantised, delay, size, after_spike):
+def test_fused_kernels_equal_plain_pytorch(quantised, delay, size, after_spike):
     n, steps, h0, h1, threads = size
     weights = random_weights(h0, h1, quantised=quantised, after_spike=after_spike)
     x = random_input(n, steps)
@@ -71,40 +70,38 @@ def test_fused_backend_equals_plain_pytorch(quantised, delay, size, after_spike)
         np.testing.assert_allclose(mine / scale, theirs / scale, rtol=0, atol=1e-10, err_msg=name)
 
 
-@pytest.mark.parametrize("name", ["fused", "plain"])
 @pytest.mark.parametrize("quantised", [False, True])
 @pytest.mark.parametrize("delay", [1, 2])
-def test_windows_that_go_on_are_one_long_window_but_for_sequences_that_are_reset(name, quantised, delay):
+def test_windows_that_go_on_are_one_long_window_but_for_sequences_that_are_reset(quantised, delay):
     weights, x = random_weights(12, 10, quantised=quantised), random_input(3, 120)
-    backend = BACKENDS[name](quantised, delay)
-    whole = backend.forward(x, weights)[0].detach()
+    kernels = Fused(quantised, delay)
+    whole = kernels.forward(x, weights)[0].detach()
     resets = [np.array(rows) for rows in ([True] * 3, [False] * 3, [False, True, False])]
     parts = [
-        backend.forward(x[:, 40 * k : 40 * k + 40], weights, resets[k])[0].detach().clone() for k in range(3)
+        kernels.forward(x[:, 40 * k : 40 * k + 40], weights, resets[k])[0].detach().clone() for k in range(3)
     ]
     joined, atol = torch.cat(parts, 1), 0 if quantised else 1e-11
     np.testing.assert_allclose(joined[::2], whole[::2], rtol=0, atol=atol)
-    anew = BACKENDS[name](quantised, delay).forward(x[:, 80:], weights)[0].detach()
+    anew = Fused(quantised, delay).forward(x[:, 80:], weights)[0].detach()
     np.testing.assert_allclose(joined[1, :80], whole[1, :80], rtol=0, atol=atol)
     np.testing.assert_allclose(joined[1, 80:], anew[1], rtol=0, atol=atol)
 
 
-@pytest.mark.parametrize("name", ["fused", "plain"])
-def test_windows_go_on_without_neurons_that_reach_nothing(name):
+def test_windows_go_on_without_neurons_that_reach_nothing():
     weights, x = random_weights(12, 10), random_input(3, 80)
     encoding, hidden = np.arange(0, 12, 2), np.arange(1, 10)
     with torch.no_grad():
         weights.w_ff[:, 1::2], weights.w_rec[:, 0], weights.w_out[:, 0] = 0.0, 0.0, 0.0
-    backend = BACKENDS[name]()
-    whole = backend.forward(x, weights)[0].detach()[:, 40:]
-    backend.forward(x[:, :40], weights)
+    kernels = Fused()
+    whole = kernels.forward(x, weights)[0].detach()[:, 40:]
+    kernels.forward(x[:, :40], weights)
     w = weights
     fewer = Weights(
         w.w_in[encoding], w.w_ff[hidden][:, encoding], w.w_rec[hidden][:, hidden], w.w_out[:, hidden],
         w.w_after[hidden], w.syn0[encoding], w.mem0[encoding], w.syn1[hidden], w.mem1[hidden], w.syn2, w.mem2,
         w.syn_after[hidden],
     )  # fmt: skip
-    going_on = backend.connected(encoding, hidden).forward(x[:, 40:], fewer, np.zeros(3, bool))[0]
+    going_on = kernels.connected(encoding, hidden).forward(x[:, 40:], fewer, np.zeros(3, bool))[0]
     np.testing.assert_array_equal(going_on.detach(), whole)
 
 
@@ -113,12 +110,12 @@ def test_windows_go_on_with_neurons_whose_potential_is_at_the_chip_s_limit():
     with torch.no_grad():
         weights.w_ff[:5], weights.w_ff[5:] = -1.0, 127 / 128
         weights.syn1[:], weights.mem1[:] = 4095 / 4096, 4095 / 4096
-    backend = Fused()
-    whole = backend.forward(x, weights)[0].detach()
-    assert backend._last.traces[0].v1.min() == -(2**23 - 1) / 2**14
+    kernels = Fused()
+    whole = kernels.forward(x, weights)[0].detach()
+    assert kernels._last.traces[0].v1.min() == -(2**23 - 1) / 2**14
     reset = np.ones(3, bool)
     parts = [
-        backend.forward(x[:, 400 * k : 400 * k + 400], weights, reset & (k == 0))[0].detach()
+        kernels.forward(x[:, 400 * k : 400 * k + 400], weights, reset & (k == 0))[0].detach()
         for k in range(3)
     ]
     np.testing.assert_array_equal(torch.cat(parts, 1), whole)
@@ -134,8 +131,8 @@ def test_quantised_float32_window_equals_the_float64_one():
 
 
 def test_a_trace_that_is_overwritten_is_not_used():
-    weights, x, backend = random_weights(5, 5), random_input(2, 10), Fused()
-    first, _ = backend.forward(x, weights)
-    backend.forward(x, weights)
+    weights, x, kernels = random_weights(5, 5), random_input(2, 10), Fused()
+    first, _ = kernels.forward(x, weights)
+    kernels.forward(x, weights)
     with pytest.raises(RuntimeError, match="another window"):
         first.sum().backward()

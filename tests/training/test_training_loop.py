@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from plain_network import Plain
 
 from estimators.metrics import up_in_body
 from estimators.networks.network import NetworkEstimator, OnLoihi, create_network
@@ -25,10 +26,9 @@ from quadsim.imu.spec import ImuSpec
 from quadsim.seeding import vehicle_seeds
 from training import loop
 from training.augment import Augmentation, augment
-from training.backends.fused import Fused
-from training.backends.plain import Plain
 from training.config import Preset, TrainConfig, make_config
 from training.data import flights_of, load_training_flights, network_inputs, split, windows
+from training.fused import Fused
 from training.init import (
     DEAD,
     initialise_from_data,
@@ -666,7 +666,7 @@ def test_currents_that_would_leave_the_chip_s_range_are_brought_back(symmetric):
     def currents():
         with torch.no_grad():
             model(x)
-        return model.backend._last.traces[0].u1
+        return model.kernels._last.traces[0].u1
 
     assert currents().max() > 400  # what should only be negative has wrapped round
     for _ in range(10):
@@ -861,7 +861,7 @@ def test_an_update_descends_the_error_of_the_chips_estimates(with_steps):
     training, (batch, *_) = with_steps
     config, steps = training.config, training.config.steps_per_sample
     target, plain = torch.from_numpy(batch.roll_pitch), deepcopy(training.model)
-    plain.backend = Plain()
+    plain.kernels = Plain()
     every, rates = plain(network_inputs(config, batch))
     total_cost(every[:, steps - 1 :: steps], target, rates, config).backward()
     chip = chip_of(training)

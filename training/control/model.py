@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import READINGS, SET_POINTS, NetworkConfig, Tensors
 
-from ..backends.fused import Fused
+from ..fused import Fused
 from ..init import AFTER_SPIKE, drive_scale, filtered, initialise_taus, layer_spikes, solve_outputs
 from ..models import LAYERS, AttSNN
 from .config import ControlConfig, read_estimator
@@ -86,11 +86,11 @@ def estimator_of(config: ControlConfig) -> Estimator:
 def new_model(config: ControlConfig, estimator: Estimator) -> AttSNN:
     """The network with all its connections; without values, but for the estimator's."""
     learning, (e0, e1) = config.learning, estimator.sizes
-    backend = Fused(True, learning.recurrent_delay, config.threads)
+    kernels = Fused(True, learning.recurrent_delay, config.threads)
     model = AttSNN(
         learning.encoding + e0,
         learning.hidden + e1,
-        backend,
+        kernels,
         config.output_scale,
         outputs="angular-acceleration",
         finest_exponent=learning.finest_exponent,

@@ -371,10 +371,10 @@ class Workspace:
 class _Fused(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx, backend: Fused, space: Workspace, reset: NDArray[np.bool_], x: Tensor, *weights: Tensor
+        ctx, kernels: Fused, space: Workspace, reset: NDArray[np.bool_], x: Tensor, *weights: Tensor
     ) -> tuple[Tensor, Tensor]:
         w = Weights(*(each.detach().numpy() for each in weights))
-        one = STATE_ONE if backend.quantised else 1.0
+        one = STATE_ONE if kernels.quantised else 1.0
         by_source = [np.ascontiguousarray(each.T) * each.dtype.type(one) for each in w[: len(MATRICES)]]
         taus = (tau.astype(np.float64) for tau in w[len(MATRICES) :])
         in_states = Weights(by_source[0].astype(np.float64), *by_source[1:], *taus)
@@ -383,11 +383,11 @@ class _Fused(torch.autograd.Function):
         def run(part: slice, trace: Trace) -> None:
             trace.begin(reset[part])
             window = np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64)
-            forward_window(window, in_states, trace, backend.recurrent_delay, backend.quantised)
+            forward_window(window, in_states, trace, kernels.recurrent_delay, kernels.quantised)
 
         space.each(run)
         space.runs += 1
-        ctx.delay, ctx.space, ctx.run = backend.recurrent_delay, space, space.runs
+        ctx.delay, ctx.space, ctx.run = kernels.recurrent_delay, space, space.runs
         ctx.x, ctx.weights = samples, w
         out = np.concatenate([trace.v2[2:] for trace in space.traces], 1)
         counts = [
