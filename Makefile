@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: install run test check pages docs clean
+.PHONY: install run test check docs clean
 
 run: install  ## Generate flights, score the estimators, fly them through four scenarios, write the report
 	$(BIN)/quadsim demo --out reports/demo
@@ -9,15 +9,12 @@ run: install  ## Generate flights, score the estimators, fly them through four s
 test: install  ## The whole suite
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
 
-check: install  ## Linter, formatter, type checker, import contract, and pages that are out of date
+check: install  ## Linter, formatter, type checker, import contract, and pages that were edited since they were made
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 	$(BIN)/python docs/pages.py --check
-
-pages: install  ## Make every page that is out of date again
-	$(BIN)/python docs/pages.py --remake
 
 install: .venv/installed
 

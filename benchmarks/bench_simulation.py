@@ -1,27 +1,17 @@
-"""What a simulated step costs, beside the engine it replaces and beside other simulators.
+"""What a simulated step costs: `python -m benchmarks.bench_simulation`.
 
-    python -m benchmarks.bench_simulation [--out speed.csv]   # one thread, rounds interleaved
-    pip install crazyflow rotorpy                             # for their rows
+    pip install crazyflow rotorpy   # for their rows
 
-Everything is measured in one run, a fraction of a second of each job in turn. A ratio is the median of the
-ratios within the rounds, so that a machine that slows down for a while slows both sides of it. Wall and CPU
-time differ where a job uses several threads, or has to wait.
+Beside its engine and other simulators, on one thread, jobs in turns. A ratio is the median of the ratios
+within the rounds. Wall and CPU time differ where a job uses several threads, or has to wait.
 """
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
-
 os.environ.setdefault("SCIPY_ARRAY_API", "1")  # crazyflow refuses to be imported without it
 
-import argparse
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Callable
-from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -37,19 +27,12 @@ from quadsim.imu.spec import load_imu
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import fly
 
-from .table import show
+from .timing import Row, in_turns, show, spent
 
 RATE = 200.0
 
 Job = tuple[Callable[[], object], float]
 """What is timed, and how many steps of a vehicle it makes."""
-
-
-def seconds(work: Callable[[], object]) -> tuple[float, float]:
-    """Wall and CPU time."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    work()
-    return time.perf_counter() - wall, time.process_time() - cpu
 
 
 def raw_steps(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> Callable[[], object]:
@@ -142,33 +125,6 @@ def cell(estimator: str, n: int = 20) -> Job:
     return lambda: fly(mission, seed=0), n * mission.steps
 
 
-def cold_start() -> list[dict[str, str]]:
-    """Wall and CPU time of a first and a second `quadsim generate` with an empty cache of compiled code."""
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/cache"}
-
-        def run(name: str, *arguments: str) -> None:
-            before, wall = os.times(), time.perf_counter()
-            command = [sys.executable, "-m", "quadsim.cli", *arguments]
-            subprocess.run(command, env=environment, check=True, capture_output=True)
-            after = os.times()
-            cpu = after.children_user + after.children_system - before.children_user - before.children_system
-            rows.append(
-                {"command": name, "wall_s": f"{time.perf_counter() - wall:.1f}", "cpu_s": f"{cpu:.1f}"}
-            )
-
-        for which in ("first", "second"):
-            run(f"`generate --flights 35`, {which}", *GENERATE, "--out", f"{folder}/{which}.zarr")
-        environment["NUMBA_CACHE_DIR"] = f"{folder}/installed"
-        run("`compile`, the last step of `make install`", "compile")
-        run("`generate --flights 35`, first after it", *GENERATE, "--out", f"{folder}/third.zarr")
-    return rows
-
-
-GENERATE = ("generate", "--flights", "35", "--duration", "100")
-
-
 def all_jobs() -> dict[str, Job]:
     """What is timed, by name; the first two are those that ratios are to."""
     config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.0)
@@ -195,40 +151,25 @@ def all_jobs() -> dict[str, Job]:
     return jobs | {name: (work, steps) for name, (work, steps) in peers.items() if work is not None}
 
 
-def measure(jobs: dict[str, Job], rounds: int) -> list[dict[str, str]]:
-    """Let all jobs take turns; medians of wall and CPU time of a step, and ratios of CPU time."""
+def measure(rounds: int = 9, jobs: dict[str, Job] | None = None) -> list[Row]:
+    """Medians of wall and CPU time of a step [µs], and ratios of CPU time."""
+    jobs = jobs or all_jobs()
     for work, _ in jobs.values():
         work()  # compile and warm up
-    times = {name: np.empty((rounds, 2)) for name in jobs}
-    for i in range(rounds):
-        for name, (work, steps) in jobs.items():
-            times[name][i] = np.array(seconds(work)) / steps * 1e6
+    taken = in_turns({name: lambda work=work: spent(work) for name, (work, _) in jobs.items()}, rounds)
+    times = {name: each / jobs[name][1] * 1e6 for name, each in taken.items()}
     raw, bulk = (times[name][:, 1] for name in list(jobs)[:2])
-    rows = []
-    for name, spent in times.items():
-        wall, cpu = np.median(spent, axis=0)
-        rows.append(
-            {
-                "job": name,
-                "wall_us": f"{wall:.2f}",
-                "cpu_us": f"{cpu:.2f}",
-                "over_raw": f"{np.median(spent[:, 1] / raw):.2f}",
-                "over_bulk": f"{np.median(spent[:, 1] / bulk):.2f}",
-            }
-        )
-    return rows
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--out", type=Path, help="also write the table of the steps as CSV")
-    parser.add_argument("--cold-start", type=Path, help="time the first start too, and write it as CSV")
-    arguments = parser.parse_args()
-    show("one step of one vehicle", measure(all_jobs(), arguments.rounds), arguments.out)
-    if arguments.cold_start:
-        show("an empty cache of compiled code", cold_start(), arguments.cold_start)
+    return [
+        {
+            "job": name,
+            "wall_us": f"{np.median(each[:, 0]):.2f}",
+            "cpu_us": f"{np.median(each[:, 1]):.2f}",
+            "over_raw": f"{np.median(each[:, 1] / raw):.2f}",
+            "over_bulk": f"{np.median(each[:, 1] / bulk):.2f}",
+        }
+        for name, each in times.items()
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    show(measure())

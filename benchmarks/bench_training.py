@@ -1,29 +1,22 @@
-"""One training step of Att-SNN, forward and backward over 40 windows of 10 s: the fused kernel and others.
+"""One training step of Att-SNN: `python -m benchmarks.bench_training`.
 
-Run from the repository: `python -m benchmarks.bench_training [--out speed.csv]`; Norse and snnTorch take part
-where they are installed (`pip install -c constraints.txt -e ".[bench]"`). Every variant lives in a process of
-its own and all take turns, a step each, in one run on the same network and batch: what counts is the ratio of
-the medians, on a busy machine that of CPU time.
-Before that, each is held against the fused kernel on a short batch: the same outputs, up to rounding (the
-libraries deliver spikes within the step, so theirs come two steps earlier). Memory is the most that a process
-held above what it held before the first full step. The dense floor is the time that the matrix products of
-the step would take if every weight were used in every step.
+Forward and backward over 40 windows of 10 s. Norse and snnTorch take part where they are installed. Every
+variant lives in a process of its own and all take turns, a step each, on the same network and batch. Before
+that, each is held against the fused kernel on a short batch: the same outputs, up to rounding (the libraries
+deliver spikes within the step, so theirs come two steps earlier). Memory is the most that a process held
+above what it held before the first full step. The dense floor is the time that the matrix products of the
+step would take if every weight were used in every step.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 import multiprocessing
-import os
 import re
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from importlib.util import find_spec
-from multiprocessing.connection import Connection
 from pathlib import Path
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
@@ -32,6 +25,8 @@ from torch import Tensor
 from estimators.networks.forward import THRESHOLD, TIME_CONSTANTS
 from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
 from training.fused import Fused
+
+from .timing import Row, in_turns, show, spent
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"
@@ -156,15 +151,8 @@ def dense_floor() -> tuple[float, float]:
     a, b = torch.rand(BATCH * 50, HIDDEN), torch.rand(HIDDEN, HIDDEN)
     out = a @ b  # one buffer for all products: a new one each time would measure the memory allocator
     shares = 2 * (2 * HIDDEN**2 + 8 * HIDDEN) * 3 * BATCH * STEPS / (20 * 2 * BATCH * 50 * HIDDEN**2)
-    wall, cpu = timed(lambda: [torch.mm(a, b, out=out) for _ in range(20)])
+    wall, cpu = spent(lambda: [torch.mm(a, b, out=out) for _ in range(20)])
     return shares * wall, shares * cpu
-
-
-def timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Wall time and CPU time of all threads [s]."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    work()
-    return time.perf_counter() - wall, time.process_time() - cpu
 
 
 def same_outputs(variant: str, n: int = 4, steps: int = 200) -> bool:
@@ -181,78 +169,63 @@ def memory(field: str) -> float:
     return int(found[1]) / 1e3 if found else float("nan")
 
 
-def serve(variant: str, pipe: Connection) -> None:
-    """In a process of its own: warm up, then a step each time it is asked; its time and the memory so far."""
+def prepare(variant: str) -> None:
+    """In a process of its own: warm up, and forget the peak of memory so far, that of compiling.
+
+    Raises:
+        ValueError: The variant computes something else.
+    """
     torch.set_num_threads(1)
     if variant == FLOOR:
-        pipe.send(True)
-        while pipe.recv():
-            pipe.send((*dense_floor(), 0.0))
+        _prepared.append(dense_floor)
         return
-    alike = same_outputs(variant)
+    if not same_outputs(variant):
+        raise ValueError(f"{variant}: its outputs differ from the fused kernel's")
     step(VARIANTS[variant](4, 20), inputs(4, 20))
-    before = memory("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5")  # forgets the peak so far, that of compiling
+    _before.append(memory("VmRSS"))
+    Path("/proc/self/clear_refs").write_text("5")
     network, x = VARIANTS[variant](BATCH, STEPS), inputs(BATCH, STEPS)
     step(network, x)
-    pipe.send(alike)
-    while pipe.recv():
-        pipe.send((*timed(lambda: step(network, x)), memory("VmHWM") - before))
+    _prepared.append(lambda: spent(lambda: step(network, x)))
 
 
-def measure(rounds: int = 5, say: Callable[[str], None] = print) -> Iterator[dict[str, object]]:
+_prepared: list[Callable[[], tuple[float, float]]] = []
+_before: list[float] = []
+
+
+def turn() -> tuple[float, float]:
+    """Time of a step in the process of a variant."""
+    return _prepared[0]()
+
+
+def peak() -> float:
+    """Memory of the steps [MB]."""
+    return memory("VmHWM") - _before[0] if _before else 0.0
+
+
+def measure(rounds: int = 5) -> list[Row]:
     """Let all variants that are installed take turns; a row of the table for each."""
-    names = [name for name in VARIANTS if name not in NEEDS or find_spec(NEEDS[name])]
-    for name in sorted(NEEDS.keys() - set(names)):
-        say(f"{name}: left out, {NEEDS[name]} is not installed")
-    context = multiprocessing.get_context("spawn")
-    pipes: dict[str, Connection] = {}
-    for name in (*names, FLOOR):
-        pipes[name], theirs = context.Pipe()
-        context.Process(target=serve, args=(name, theirs), daemon=True).start()
-        alike = pipes[name].recv()  # one after the other: no two warm up at once
-        say(f"{name}: ready" + ("" if alike else ", but its outputs differ from the fused kernel's"))
-    times: dict[str, list[tuple[float, float]]] = {name: [] for name in pipes}
-    peak: dict[str, float] = {}
-    for _ in range(rounds):
-        for name, pipe in pipes.items():
-            pipe.send(True)
-            *both, peak[name] = pipe.recv()
-            times[name].append((both[0], both[1]))
-    for pipe in pipes.values():
-        pipe.send(False)
-    medians = {name: np.median(values, axis=0) for name, values in times.items()}
-    for name, (wall, cpu) in medians.items():
-        yield {
+    names = [*(name for name in VARIANTS if name not in NEEDS or find_spec(NEEDS[name])), FLOOR]
+    with ExitStack() as stack:
+        context = multiprocessing.get_context("spawn")
+        pools = {name: stack.enter_context(ProcessPoolExecutor(1, context)) for name in names}
+        for name, pool in pools.items():
+            pool.submit(prepare, name).result()  # one after the other: no two warm up at once
+        jobs = {name: lambda pool=pool: pool.submit(turn).result() for name, pool in pools.items()}
+        medians = {name: np.median(times, axis=0) for name, times in in_turns(jobs, rounds).items()}
+        peaks = {name: pool.submit(peak).result() for name, pool in pools.items()}
+    return [
+        {
             "variant": name,
             "wall_s": round(float(wall), 4),
             "cpu_s": round(float(cpu), 4),
             "wall_ratio": round(float(wall / medians[FUSED][0]), 2),
             "cpu_ratio": round(float(cpu / medians[FUSED][1]), 2),
-            "memory_MB": round(peak[name]),
+            "memory_MB": round(peaks[name]),
         }
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--out", type=Path, help="also write the table as CSV")
-    args = parser.parse_args()
-    rows = list(measure(args.rounds))
-    rates = Fused().forward(inputs(4, STEPS), parameters())[1]
-    print(f"spike rates: encoding {rates[0]:.3f}, hidden {rates[1]:.3f} per neuron and step")
-    print(f"{'variant':<28} {'wall [s]':>9} {'CPU [s]':>9} {'x fused':>8} {'CPU x':>7} {'memory [MB]':>12}")
-    for row in rows:
-        print(
-            f"{row['variant']:<28} {row['wall_s']:>9.3f} {row['cpu_s']:>9.3f} {row['wall_ratio']:>8.2f} "
-            f"{row['cpu_ratio']:>7.2f} {row['memory_MB']:>12}"
-        )
-    if args.out:
-        with args.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        for name, (wall, cpu) in medians.items()
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    show(measure())

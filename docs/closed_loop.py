@@ -1,4 +1,4 @@
-"""Simulate the whole suite, and write closed-loop.md and its figures: `python docs/closed_loop.py`.
+"""Simulate the whole suite, and write closed-loop.md and its figures: `python docs/pages.py closed-loop`.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
@@ -6,6 +6,7 @@ A run that is cut short resumes, as `quadsim bench` does.
 import json
 import resource
 import time
+from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -17,7 +18,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
-from pages import Page, load_page, row
+from pages import Page, Parts, row
 
 import estimators
 from estimators.networks.network import silenced
@@ -277,9 +278,8 @@ def silenced_text(results: Results, path: str | None) -> str:
     return f"{shown(sums.error)}, ✕ {sums.crashes}"
 
 
-def main() -> None:
-    """Simulate everything and write the page."""
-    page = load_page("closed-loop")
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     names = [name for name in estimators.names() if name not in SLOW]
     files = silenced_files()
     results, minutes = fly("suite", scenario_names(), names)
@@ -294,22 +294,16 @@ def main() -> None:
     with matplotlib.rc_context(STYLE):
         page.save(heat_map(results), "heat-map.png", colours=128)
         loop = loop_rows(page)
-    page.write(
-        {
-            "verdict": verdict(results).headline,
-            "conditions": fill(verdict(results).lines[0], 125),
-            "suite": suite_text(results, minutes),
-            "seeds": str(SEEDS),
-            "breaking_seeds": str(BREAKING_SEEDS),
-            "long_s": f"{LONG_S:g}",
-            "standings": standing_rows(results, without, files),
-            "breaking": breaking_rows(points),
-            "long": [*long_rows(long, files), *bias_rows(long), *bound_rows(long)],
-            "loop": loop,
-            "price": loop_price(),
-        }
-    )
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "verdict": verdict(results).headline,
+        "conditions": fill(verdict(results).lines[0], 125),
+        "suite": suite_text(results, minutes),
+        "seeds": str(SEEDS),
+        "breaking_seeds": str(BREAKING_SEEDS),
+        "long_s": f"{LONG_S:g}",
+        "standings": standing_rows(results, without, files),
+        "breaking": breaking_rows(points),
+        "long": [*long_rows(long, files), *bias_rows(long), *bound_rows(long)],
+        "loop": loop,
+        "price": loop_price(),
+    }

@@ -1,10 +1,11 @@
-"""Fly the spiking controllers beside the cascade: `python docs/control_page.py` writes control.md.
+"""Fly the spiking controllers beside the cascade: `python docs/pages.py control` writes control.md.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
 
 import csv
 import sys
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -13,7 +14,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import ROOT, confirmed, load_page, row
+from pages import ROOT, Page, Parts, confirmed, row
 
 from estimators import create
 from estimators.control.controller import SpikingController, create_controller
@@ -290,10 +291,9 @@ def silenced_rows() -> Iterator[str]:
         yield row(f"spiking, {way}", f"{np.abs(response[:, -1] - STEP_DEG).mean():.0f}")
 
 
-def main() -> None:
-    """Fly everything and write the page."""
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     matplotlib.rcParams.update(STYLE)
-    page = load_page("control")
     OUT.mkdir(parents=True, exist_ok=True)
     with progress_bar("controllers", "cells") as progress:
         results = bench(scenario_names(), list(NAMES.values()), OUT, FlightSettings(SEEDS), progress=progress)
@@ -301,27 +301,21 @@ def main() -> None:
     responses = {title: step_response(*made) for title, made in makers().items()}
     drawn = {title: each for title, each in responses.items() if "16" not in title}
     page.save(draw_steps(drawn), "control-steps.png")
-    page.write(
-        {
-            "scenarios": list(scenario_rows(found)),
-            "summary": list(summary_rows(found)),
-            "margins": list(margin_rows()),
-            "steps": list(step_rows(responses)),
-            "chip": list(chip_rows()),
-            "profiles": list(profile_rows()),
-            "silenced": list(silenced_rows()),
-            "tuned": list(tuned_rows()),
-            "elsewhere": list(elsewhere_rows()),
-            "columns": row("scenario", *NAMES),
-            "ruler": row(*["---"] * (1 + len(NAMES))),
-            "displaced": without_crash(found, "lever-arm", NEVER_DISPLACED),
-            "seeds": str(SEEDS),
-            "flights": str(SEEDS * len(scenario_names())),
-            "nominal": ", ".join(NOMINAL),
-            "aggressive": ", ".join(AGGRESSIVE),
-        }
-    )
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "scenarios": list(scenario_rows(found)),
+        "summary": list(summary_rows(found)),
+        "margins": list(margin_rows()),
+        "steps": list(step_rows(responses)),
+        "chip": list(chip_rows()),
+        "profiles": list(profile_rows()),
+        "silenced": list(silenced_rows()),
+        "tuned": list(tuned_rows()),
+        "elsewhere": list(elsewhere_rows()),
+        "columns": row("scenario", *NAMES),
+        "ruler": row(*["---"] * (1 + len(NAMES))),
+        "displaced": without_crash(found, "lever-arm", NEVER_DISPLACED),
+        "seeds": str(SEEDS),
+        "flights": str(SEEDS * len(scenario_names())),
+        "nominal": ", ".join(NOMINAL),
+        "aggressive": ", ".join(AGGRESSIVE),
+    }

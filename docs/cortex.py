@@ -98,43 +98,26 @@ def build(folder: Path, source: Path, config: NetworkConfig, core: Core) -> tupl
     return program, Size(_sizes(network)["text"], _sizes(probe.with_suffix(".o"))["bss"], max(usage))
 
 
-def run(program: Path, core: Core, samples: Array, count: int | None = None) -> Run:
+def run(program: Path, core: Core, samples: Array) -> Run:
     """Run a program on the emulated board; an instruction takes a fixed time there, which its timer measures.
 
     Args:
         program: By `build`.
         core: What it was built for.
         samples: (T, 6) body rate and specific force, of a controller (T, 10) with the set-point before them.
-        count: How many of the samples to run; None: all.
     """
-    _samples(program.parent, samples, count)
-    _run([*_emulator(program, core), "-icount", f"shift={ICOUNT_SHIFT}"], program.parent)
+    if len(samples) > MOST:
+        raise ValueError(f"{len(samples)} samples, the program has memory for {MOST}")
+    np.concatenate([[len(samples)], samples.ravel()]).astype(np.float64).tofile(
+        program.parent / "samples.bin"
+    )
+    semihosting = ["-semihosting-config", "enable=on,target=native", "-icount", f"shift={ICOUNT_SHIFT}"]
+    board = ["qemu-system-arm", "-M", core.machine, "-nographic", *semihosting]
+    _run([*board, "-kernel", program], program.parent)
     outputs = np.fromfile(program.parent / "outputs.bin").reshape(MOST, -1)
     ticks = np.fromfile(program.parent / "counts.bin", np.uint32).reshape(MOST, -1)
     instructions = np.rint(ticks * (TICK_NS / 2**ICOUNT_SHIFT)).astype(np.int64)
-    used = slice(len(samples) if count is None else count)
-    return Run(outputs[used], instructions[used])
-
-
-def logged_instructions(program: Path, core: Core, samples: Array, count: int) -> int:
-    """Instructions of a whole run, from its start to its end, by QEMU's log of them."""
-    _samples(program.parent, samples, count)
-    command = [*_emulator(program, core), "-singlestep", "-d", "exec,nochain", "-D", "/dev/stdout"]
-    with subprocess.Popen(command, cwd=program.parent, stdout=subprocess.PIPE) as done:
-        assert done.stdout is not None
-        return sum(line.startswith(b"Trace") for line in done.stdout)
-
-
-def _samples(folder: Path, samples: Array, count: int | None) -> None:
-    if len(samples) > MOST:
-        raise ValueError(f"{len(samples)} samples, the program has memory for {MOST}")
-    content = [np.array([len(samples) if count is None else count]), np.asarray(samples).ravel()]
-    np.concatenate(content).astype(np.float64).tofile(folder / "samples.bin")
-
-
-def _emulator(program: Path, core: Core) -> list[str | Path]:
-    semihosting = ["-semihosting-config", "enable=on,target=native"]
-    return ["qemu-system-arm", "-M", core.machine, "-nographic", *semihosting, "-kernel", program]
+    return Run(outputs[: len(samples)], instructions[: len(samples)])
 
 
 def _sizes(binary: Path) -> dict[str, int]:

@@ -1,18 +1,19 @@
-"""Networks on microcontrollers: `python docs/deploy.py` compiles and emulates them, and writes deploy.md.
+"""The page deploy.md: networks on microcontrollers, compiled and emulated.
 
 It needs Debian's gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm.
 """
 
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from cortex import CORES, Core, Run, Size, build, missing_tools, run
 from numpy.typing import NDArray
-from pages import confirmed, load_page, row
-from simulated import options, simulated
+from pages import Page, Parts, confirmed, row
+from simulated import simulated
 
 from estimators.control.controller import create_controller
 from estimators.evaluation.flights import load_flights
@@ -91,15 +92,10 @@ def rows(data: Path) -> Iterator[str]:
             yield row(f"`{name}`", core.name, *counts, f"{share:.1%}", flash, ram, f"{wrong} of {ours.size}")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Compile, run, and write the page."""
-    given = options(__doc__, arguments)
+def values(page: Page, given: Namespace) -> Parts:
+    """Compile and run."""
     if missing := missing_tools():
         sys.exit(
             f"{', '.join(missing)}: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
         )
-    load_page("deploy").write({"rows": list(rows(given.data)), "steps": str(STEPS)})
-
-
-if __name__ == "__main__":
-    main()
+    return {"rows": list(rows(given.data)), "steps": str(STEPS)}

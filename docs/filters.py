@@ -1,11 +1,7 @@
-"""Compare the estimators on flights that were not used for tuning or training.
+"""The page filters.md: the estimators on flights that were not used for tuning or training."""
 
-`python docs/filters.py [--data FOLDER]` writes filters.md and its figures. The flights are
-those of the commands in filters.md; those that are missing are generated.
-"""
-
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from argparse import Namespace
+from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib
@@ -14,22 +10,21 @@ import xarray as xr
 from foreign import AIRFRAMES, DESCRIPTION, foreign, foreign_cell
 from foreign import DURATION_S as FOREIGN_S
 from numpy.typing import NDArray
-from pages import Page, load_page, row
-from recordings import VQF_DEFAULTS
-from simulated import DURATION_S, SETS, options, simulated
+from pages import Page, Parts, row
+from simulated import DURATION_S, SETS, simulated
 
 from estimators import create, names
 from estimators.evaluation.comparison import Evaluation, evaluate
 from estimators.evaluation.figures import settling, violins
 from estimators.evaluation.flights import Flights, load_flights, vehicle_of
-from estimators.metrics import attitude_error, inclination_error, up_in_body
+from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
 from quadsim.dataset.figures import STYLE
 from quadsim.flight.recipe import load_recipe
 from quadsim.runs.console import progress_bar
-from quadsim.vehicle import Vehicle, load_vehicle
+from quadsim.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 DOMAINS = {
@@ -53,8 +48,6 @@ ELSEWHERE = {
 """Dataset to what its flights are, and the domain of the tuned parameters."""
 ROTORPY_WINDS = {"sinusoid": "sinusoidal wind of 3 m/s, up to 0.3 Hz", "dryden": "its Dryden turbulence"}
 """RotorPy's winds, in words."""
-OTHERS = ("hummingbird", "px4-quad", "crazyflie")
-"""Vehicles whose constants are given to ekf-drag in place of the right ones."""
 SPOILT = {
     "one rate of 1e30 rad/s": ("gyro", 1, 1e30),
     "one rate of 60 rad/s": ("gyro", 1, 60.0),
@@ -65,7 +58,6 @@ SPOILT = {
 """Sensor, samples and their reading on every axis."""
 SPOILT_AT_S, RECOVERED_S = 20.0, 10.0
 """When that is, and how much later the estimate is compared with that of the undisturbed readings [s]."""
-EXPLAINED = ("mahony", "madgwick", "ekf", "eskf", "vqf", "ekf-drag")
 
 
 def tuning_of(name: str, domain: str) -> str | None:
@@ -125,45 +117,10 @@ def parameter_rows(domain: str) -> list[str]:
     return rows
 
 
-def without(flights: Flights, gyro_bias: Array, accel_bias: Array) -> dict[str, Flights]:
-    """The flights as recorded, and each with one thing put right."""
-    gyro, accel = flights.gyro - gyro_bias, flights.accel - accel_bias
-    changes = {
-        "as recorded": {},
-        "gyroscope bias removed": {"gyro": gyro},
-        "accelerometer bias removed": {"accel": accel},
-        "both removed": {"gyro": gyro, "accel": accel},
-        "accelerometer reads gravity and its bias": {"accel": 9.81 * up_in_body(flights.truth) + accel_bias},
-    }
-    return {
-        what: replace(flights, readings=flights.readings._replace(**change))
-        for what, change in changes.items()
-    }
-
-
-def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None, **params: float) -> float:
+def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None) -> float:
     """Mean over flights of the mean absolute error [deg]."""
-    est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle, **params)
+    est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
     return attitude_error(run_quietly(est, flights.gyro, flights.accel, flights.start), flights.truth).mean
-
-
-def both_starts(
-    what: str, name: str, flights: Flights, domain: str, vehicle: Vehicle | None, **params
-) -> str:
-    """A row: error from an unknown and from a known start."""
-    errors = [mean_error(name, each, domain, vehicle, **params) for each in (flights, flights.known())]
-    return row(what, *(f"{error:.2f}" for error in errors))
-
-
-def cause_rows(domain: str, dataset: xr.Dataset) -> list[str]:
-    """Error of filters when one cause of error is taken away."""
-    biases = (dataset[name].to_numpy().astype(np.float64) for name in ("gyro_bias", "accel_bias"))
-    kinds = {what: each.known() for what, each in without(load_flights([dataset]), *biases).items()}
-    vehicle = vehicle_of(dataset)
-    return [
-        row(name, *(f"{mean_error(name, each, domain, vehicle):.2f}" for each in kinds.values()))
-        for name in EXPLAINED
-    ]
 
 
 def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
@@ -172,26 +129,6 @@ def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
     x, y, z = (factor * area for area in vehicle.frame.drag_area)
     frame = vehicle.frame.model_copy(update={"drag_area": (x, y, z)})
     return vehicle.model_copy(update={"motor": motor, "frame": frame})
-
-
-def drag_rows(domain: str, dataset: xr.Dataset) -> list[str]:
-    """Error of ekf-drag with wrong airframe constants, without its drag, and without its other parts."""
-    flights, vehicle = load_flights([dataset]), vehicle_of(dataset)
-    assert vehicle is not None
-    vehicles = {
-        f"of its vehicle, {vehicle.name}": vehicle,
-        "half the drag": with_drag(vehicle, 0.5),
-        "twice the drag": with_drag(vehicle, 2.0),
-    }
-    vehicles |= {f"of another vehicle, {name}": load_vehicle(name) for name in OTHERS if name != vehicle.name}
-    rows = [both_starts(what, "ekf-drag", flights, domain, each) for what, each in vehicles.items()]
-    changes: dict[str, dict[str, float]] = {
-        "drag measurement off (`drag_noise` 100)": {"drag_noise": 100.0},
-        "accelerometer bias not estimated (`accel_bias_sigma` 0.001)": {"accel_bias_sigma": 0.001},
-    }
-    return rows + [
-        both_starts(what, "ekf-drag", flights, domain, vehicle, **params) for what, params in changes.items()
-    ]
 
 
 def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:
@@ -242,40 +179,20 @@ def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
     return rows
 
 
-def vqf_rows(domain: str, dataset: xr.Dataset) -> list[str]:
-    """VQF with its package's own parameters and tuned, with and without its bias estimation."""
-    flights = load_flights([dataset])
-    tuned = load_tuning(domain)["vqf"].values["tauAcc"]
-    changes: Mapping[str, dict[str, float]] = {
-        "tuned": {},
-        "the package's defaults": VQF_DEFAULTS,
-        "tuned, without estimating the bias": {"motionBiasEstEnabled": 0.0, "restBiasEstEnabled": 0.0},
-        "tuned, `tauAcc` a third": {"tauAcc": tuned / 3.0},
-        "tuned, `tauAcc` three times": {"tauAcc": tuned * 3.0},
-    }
-    return [both_starts(what, "vqf", flights, domain, None, **params) for what, params in changes.items()]
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure everything and write the page."""
-    given = options(__doc__, arguments)
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     matplotlib.rcParams.update(STYLE)
-    page = load_page("filters")
-    tables: dict[str, list[str]] = {}
-    tables["parameters:general"] = parameter_rows("general")
+    tables = {"parameters:general": parameter_rows("general"), "elsewhere": elsewhere_rows(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
         done = compared(page, domain, dataset)
         tables |= {
             f"results:{domain}": result_rows(done, domain, given.data),
             f"parameters:{domain}": parameter_rows(domain),
-            f"causes:{domain}": cause_rows(domain, dataset),
-            f"drag:{domain}": drag_rows(domain, dataset),
             f"spoilt:{domain}": spoilt_rows(dataset, domain),
         }
-    first, dataset = next(iter(sets.items()))
-    counts = {
-        "flights": str(dataset.sizes["flight"]),
+    return tables | {
+        "flights": str(next(iter(sets.values())).sizes["flight"]),
         "slow": str(SLOW_FLIGHTS),
         "pieces": str(PIECES),
         "piece_s": f"{DURATION_S / PIECES:g}",
@@ -284,8 +201,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "recovered": f"{RECOVERED_S:g}",
         "spoilt": row("estimator", *SPOILT),
     }
-    page.write(tables | counts | {"elsewhere": elsewhere_rows(given.data), "vqf": vqf_rows(first, dataset)})
-
-
-if __name__ == "__main__":
-    main()

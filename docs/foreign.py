@@ -1,18 +1,18 @@
 """Flights of RotorPy, a simulator by other authors, on which pages score estimators.
 
-`python docs/foreign.py [--data FOLDER]` simulates those that are missing, about three minutes of CPU time;
-every page that needs them does the same. Dynamics, aerodynamics, wind, trajectories and controller are those
-of RotorPy (Folk, Paulos & Kumar, "RotorPy: A Python-based multirotor simulator with aerodynamics for
-education and research", 2023, arXiv:2306.04485). The IMU alone is ours: `quadsim.imu` on the body rate and on
-the specific force of RotorPy's state derivative. Nothing was trained or tuned on these flights.
+They are simulated where they are missing, about three minutes of CPU time. Dynamics, aerodynamics, wind,
+trajectories and controller are those of RotorPy (Folk, Paulos & Kumar, "RotorPy: A Python-based multirotor
+simulator with aerodynamics for education and research", 2023, arXiv:2306.04485). The IMU alone is ours:
+`quadsim.imu` on the body rate and on the specific force of RotorPy's state derivative. Nothing was trained or
+tuned on these flights.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -24,7 +24,7 @@ from rotorpy.vehicles import crazyflie_params, hummingbird_params
 from rotorpy.vehicles.multirotor import Multirotor
 from rotorpy.wind.default_winds import SinusoidWind
 from rotorpy.wind.dryden_winds import DrydenGust
-from simulated import estimate_of, options
+from simulated import estimate_of
 
 from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.flights import load_flights
@@ -33,7 +33,6 @@ from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import load_imu
 from quadsim.imu.stream import simulate_imu_with_bias
 from quadsim.rotation import quat_rotate_inverse, wxyz_from_xyzw
-from quadsim.runs.console import progress_bar
 from quadsim.runs.files import replace
 from quadsim.runs.fingerprint import file_digest, fingerprint
 from quadsim.runs.pool import run_jobs
@@ -86,30 +85,14 @@ DESCRIPTION = (
 """Of the flights, for the pages."""
 
 
-class Trajectory(Protocol):
-    """RotorPy's interface of a trajectory."""
-
-    def update(self, t: float) -> dict[str, Any]:
-        """Position, its derivatives and yaw at a time [s]."""
-        ...
-
-
-class Wind(Protocol):
-    """RotorPy's interface of a wind."""
-
-    def update(self, t: float, position: Array) -> Array:
-        """Velocity of the air at a time [s] and a position [m], world axes [m/s]."""
-        ...
-
-
-def lissajous(rng: np.random.Generator) -> Trajectory:
+def lissajous(rng: np.random.Generator) -> Any:
     """A Lissajous curve with peak accelerations of 2 to 4.5 m/s² on each axis."""
     amplitude, accel = rng.uniform(2.0, 4.0, 2), rng.uniform(2.0, 4.5, 2)
     (a, b), phase = np.sqrt(accel / amplitude), rng.uniform(0.0, 2.0 * np.pi)
     return TwoDLissajous(A=amplitude[0], B=amplitude[1], a=a, b=b, delta=phase, height=2.0)
 
 
-def waypoints(rng: np.random.Generator, duration_s: float) -> Trajectory:
+def waypoints(rng: np.random.Generator, duration_s: float) -> Any:
     """Minimum snap at 2 m/s in the mean, for a time or longer, through random points at least 2.5 m apart."""
     speed, points = 2.0, [np.zeros(3)]
     while np.linalg.norm(np.diff(points, axis=0), axis=1).sum() < speed * duration_s:
@@ -119,7 +102,7 @@ def waypoints(rng: np.random.Generator, duration_s: float) -> Trajectory:
     return MinSnap(np.array(points), v_avg=speed, v_max=3.0 * speed, verbose=False)
 
 
-def wind_of(plan: Plan, rng: np.random.Generator) -> Wind:
+def wind_of(plan: Plan, rng: np.random.Generator) -> Any:
     """RotorPy's sinusoids of up to 3 m/s and 0.3 Hz, or its Dryden turbulence around a mean wind.
 
     Its turbulence is driven by noise that does not depend on the step: at 200 Hz the standard deviation is
@@ -211,28 +194,16 @@ def vehicle(airframe: str) -> Vehicle:
     )
 
 
-def write_flight(plan: Plan, file: Path) -> None:
-    """Simulate a flight into a file, beside the digest of what it was made by."""
-    replace(file, lambda part: np.savez_compressed(part, digest=digest_of(plan), **fly(plan)))
-
-
-def digest_of(plan: Plan) -> str:
-    """Of a flight, RotorPy's version and this script."""
-    return fingerprint(plan, version("rotorpy"), file_digest(Path(__file__)))
-
-
-def is_current(plan: Plan, file: Path) -> bool:
-    """Whether a file holds the flight."""
-    if not file.is_file():
-        return False
-    with np.load(file) as found:
-        return str(found["digest"]) == digest_of(plan)
-
-
-def read_flight(file: Path) -> dict[str, Array]:
-    """The arrays of `fly` from a file."""
-    with np.load(file) as found:
-        return {name: found[name] for name in found.files if name != "digest"}
+def stored(plan: Plan, file: Path) -> dict[str, Array]:
+    """A flight from its file; simulated if that is missing, or of another plan, RotorPy or script."""
+    digest = fingerprint(plan, version("rotorpy"), file_digest(Path(__file__)))
+    if file.is_file():
+        with np.load(file) as found:
+            if str(found["digest"]) == digest:
+                return {name: found[name] for name in found.files if name != "digest"}
+    flown = fly(plan)
+    replace(file, lambda part: np.savez_compressed(part, digest=digest, **flown))
+    return flown
 
 
 @cache
@@ -244,15 +215,11 @@ def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
         data: Folder of the datasets; flights are stored in `rotorpy/` in it.
         imu: A shipped IMU, which is switched on when recording begins.
     """
-    files = {plan: data / "rotorpy" / f"{airframe}-{plan.seed}.npz" for plan in PLANS[airframe]}
-    if missing := {plan: (plan, file) for plan, file in files.items() if not is_current(plan, file)}:
-        with progress_bar(f"RotorPy, {airframe}", "flights") as bar:
-            bar(0, len(missing))
-            for done, _ in enumerate(run_jobs(write_flight, missing), start=1):
-                bar(done, len(missing))
-    flown = [read_flight(file) for file in files.values()]
-    truth = {name: np.stack([each[name] for each in flown]) for name in flown[0]}
-    spec, seeds = load_imu(imu), [np.random.SeedSequence(plan.seed) for plan in files]
+    plans = PLANS[airframe]
+    jobs = {plan: (plan, data / "rotorpy" / f"{airframe}-{plan.seed}.npz") for plan in plans}
+    flown = dict(run_jobs(stored, jobs))
+    truth = {name: np.stack([flown[plan][name] for plan in plans]) for name in flown[plans[0]]}
+    spec, seeds = load_imu(imu), [np.random.SeedSequence(plan.seed) for plan in plans]
     motion = truth["ang_vel"], truth["specific_force"]
     readings = simulate_imu_with_bias(spec, *motion, RATE_HZ, seeds, rotor_vel=truth["rotor_vel"])
     last = {"quat": "quat_axis", "rotor_vel": "rotor"}
@@ -260,7 +227,7 @@ def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
     config = {"vehicle": vehicle(airframe).model_dump(mode="json"), "imu": spec.model_dump(mode="json")}
     return xr.Dataset(
         {name: (("flight", "time", last.get(name, "axis")), values) for name, values in everything.items()},
-        {"wind_model": ("flight", [plan.wind for plan in files])},
+        {"wind_model": ("flight", [plan.wind for plan in plans])},
         {"rate_hz": RATE_HZ, "config": json.dumps(config)},
     )
 
@@ -299,16 +266,3 @@ def foreign_cell(name: str, make: Make, data: Path, imu: str = "adis16448", **ho
     if twin is None:
         return text
     return f"{text} (silenced {foreign_error(lambda _: twin, data, imu, **how):.2f})"
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Simulate the flights that are missing, and say how the vehicles moved."""
-    given = options(__doc__, arguments)
-    for airframe in AIRFRAMES:
-        flights = load_flights([foreign(airframe, given.data)])
-        sd = np.degrees(flights.truth.std(axis=(0, 1)))
-        print(f"{airframe}: {len(flights.gyro)} flights, roll SD {sd[0]:.1f}°, pitch SD {sd[1]:.1f}°")
-
-
-if __name__ == "__main__":
-    main()

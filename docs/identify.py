@@ -1,13 +1,12 @@
-"""Measure what the page on identification says: `python docs/identify.py [--recordings FOLDER]`."""
+"""Measure what the page on identification says: `python docs/pages.py identify`."""
 
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib
 import numpy as np
-from pages import Page, load_page, row
-from recordings import FOLDER
-from simulated import options
+from pages import Page, Parts, row
 
 from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
@@ -101,25 +100,17 @@ def recording_rows(folder: Path, page: Page) -> Iterator[str]:
             page.save(draw_noise(shaken[0], shaken[1], (still[0], still[1])), "identify-noise.png")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure everything and write the page."""
-    given = options(__doc__, arguments, recordings=(FOLDER, "folder of crazyflie-imu/"))
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     matplotlib.rcParams.update(STYLE)
-    page = load_page("identify")
     found = {airframe: identified(airframe, given.data) for airframe in AIRFRAMES}
     page.save(draw_fit(found["hummingbird"]), "identify-fit.png")
     least = min(result.explained.min() for result in found.values())
-    page.write(
-        {
-            "constants": list(constant_rows(found)),
-            "explained": f"{least:.1%}",
-            "flights": str(FLIGHTS),
-            "duration": f"{DURATION_S:g}",
-            "recordings": list(recording_rows(given.recordings, page)),
-            "drawn": DRAWN,
-        }
-    )
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "constants": list(constant_rows(found)),
+        "explained": f"{least:.1%}",
+        "flights": str(FLIGHTS),
+        "duration": f"{DURATION_S:g}",
+        "recordings": list(recording_rows(given.recordings, page)),
+        "drawn": DRAWN,
+    }

@@ -1,9 +1,10 @@
-"""Measure what the page on real logs says: `python docs/logs.py [--recordings FOLDER]` writes logs.md."""
+"""Measure what the page on real logs says: `python docs/pages.py logs` writes logs.md."""
 
 import os
 import subprocess
 import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -12,9 +13,8 @@ import numpy as np
 import xarray as xr
 from foreign import DESCRIPTION, foreign_error
 from numpy.typing import NDArray
-from pages import ROOT, Page, load_page, row
-from recordings import BROAD, FOLDER, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
-from simulated import options
+from pages import ROOT, Page, Parts, row
+from recordings import BROAD, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
 
 from estimators import create, run
 from estimators.evaluation.beliefs import Beliefs, beliefs
@@ -199,11 +199,9 @@ def seconds(logs: Sequence[xr.Dataset]) -> str:
     return f"{sum(float(log.attrs['duration_s']) for log in logs):.0f}"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure everything and write the page."""
-    given = options(__doc__, arguments, recordings=(FOLDER, "folder of broad/ and phantom4/"))
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     matplotlib.rcParams.update(STYLE)
-    page = load_page("logs")
     sets = recordings(given.recordings)
     scores = {name: score(name, logs, made()) for name, logs in sets.items()}
     for name, (log, part) in SHOWN.items():
@@ -211,30 +209,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
         page.save(draw_log(scores[name], log, part), file, dpi=100, colours=48)
     with tempfile.TemporaryDirectory() as folder:
         example = info(Path(folder))
-    page.write(
-        {
-            "info": example,
-            "resampling": resampling_rows(),
-            "columns": (ROOT / "docs" / "columns.toml").read_text().rstrip(),
-            "broad": recorded_rows(scores[BROAD]),
-            "broad_count": str(len(sets[BROAD])),
-            "broad_s": seconds(sets[BROAD]),
-            "phantom4": recorded_rows(scores[PHANTOM4]),
-            "phantom4_count": str(len(sets[PHANTOM4])),
-            "phantom4_s": seconds(sets[PHANTOM4]),
-            "models": " | ".join(MODELS),
-            "believed": believed_rows(scores, given.data),
-            "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
-            "calibration": calibration_rows(page),
-            "simulated": simulated_rows(given.data),
-            "simulated_count": str(FLIGHTS),
-            "rotorpy": DESCRIPTION,
-            "agreement": f"{AGREEMENT:g}",
-            "upright": f"{UPRIGHT:g}",
-            "bias": ", ".join(f"{each:g}" for each in BIAS_DEG),
-        }
-    )
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "info": example,
+        "resampling": resampling_rows(),
+        "columns": (ROOT / "docs" / "columns.toml").read_text().rstrip(),
+        "broad": recorded_rows(scores[BROAD]),
+        "broad_count": str(len(sets[BROAD])),
+        "broad_s": seconds(sets[BROAD]),
+        "phantom4": recorded_rows(scores[PHANTOM4]),
+        "phantom4_count": str(len(sets[PHANTOM4])),
+        "phantom4_s": seconds(sets[PHANTOM4]),
+        "models": " | ".join(MODELS),
+        "believed": believed_rows(scores, given.data),
+        "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
+        "calibration": calibration_rows(page),
+        "simulated": simulated_rows(given.data),
+        "simulated_count": str(FLIGHTS),
+        "rotorpy": DESCRIPTION,
+        "agreement": f"{AGREEMENT:g}",
+        "upright": f"{UPRIGHT:g}",
+        "bias": ", ".join(f"{each:g}" for each in BIAS_DEG),
+    }

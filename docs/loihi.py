@@ -1,9 +1,8 @@
-"""Everything about the chip: `python docs/loihi.py [--data FOLDER]` writes loihi.md and its figures."""
+"""The page loihi.md: everything about the chip."""
 
 import subprocess
-import sys
 import tempfile
-from collections.abc import Sequence
+from argparse import Namespace
 from pathlib import Path
 
 import matplotlib
@@ -14,15 +13,15 @@ import onnxruntime
 import torch
 from deploy import emulated
 from numpy.typing import NDArray
-from pages import ROOT, Page, confirmed, load_page, row
-from simulated import options, simulated
+from pages import ROOT, Page, Parts, confirmed, reduce_colours, row
+from simulated import simulated
 from snntorch.import_nir import import_from_nir
 
 from estimators.analysis.ablation import error_deg
-from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, gru_flops, host_costs, snn_flops
+from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, host_costs
 from estimators.analysis.inspection import FRACTIONS, Inspection, inspect, load_spiking, write_page
 from estimators.analysis.inspection_figures import ablation_curve
-from estimators.analysis.latency import PAPER_US, measure
+from estimators.analysis.latency import PAPER_US, contenders, measure
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.export.formats import export_weights
 from estimators.export.nir_graph import STEP
@@ -41,8 +40,8 @@ ROUNDING_DEG = 1e-2
 ROUNDED_SPIKES = 1e-3
 """Share of the spikes that may differ in another tool, which computes in float32."""
 PROFILES = (128, 64, 48, 32, 24)
-SHOWN_EVERY = 2
-"""Of the shares of neurons in the ablation curve, every second is in the table."""
+LATENCY_ROUNDS = 60
+"""Turns of 100 calls."""
 
 
 def golden_rows() -> list[str]:
@@ -93,17 +92,12 @@ def profile_rows(tensors: Tensors, flights: Flights, silenced_deg: str) -> list[
     ]
 
 
-def latency_rows(page: Page, rounds: int) -> tuple[list[str], str]:
-    """Latency of every estimator in turns, with its figure; and the share of the host."""
-    sys.path.insert(0, str(ROOT))
-    from benchmarks.bench_latency import HOST, draw, every_contender
-
-    taken = measure(every_contender(), rounds)
-    page.save(draw(taken), "loihi-latency.png", colours=64)
+def latency_rows() -> list[str]:
+    """Latency of every estimator, in turns."""
+    taken = measure(contenders(), LATENCY_ROUNDS)
     chip = float(np.median(taken["att-snn-loihi"]))
     found = sorted((*np.percentile(each, [50, 99]), name) for name, each in taken.items())
-    rows = [row(name, f"{middle:.2f}", f"{high:.2f}", f"{middle / chip:.2f}") for middle, high, name in found]
-    return rows, f"{100 * float(np.median(taken[HOST])) / chip:.0f}"
+    return [row(name, f"{middle:.2f}", f"{high:.2f}", f"{middle / chip:.2f}") for middle, high, name in found]
 
 
 def host_rows(found: Inspection) -> list[str]:
@@ -126,33 +120,6 @@ def energy_rows(found: Inspection) -> list[str]:
         for each in found.costs
     ]  # fmt: skip
     return [*rows, row("sum", "", "", f"{sum(each.nanojoules for each in found.costs):.2f}", "")]
-
-
-def flop_rows(found: Inspection) -> list[str]:
-    """Floating-point operations of both networks, of the host and of the layers behind it."""
-    config = found.config
-    first, second = (float(found.layer_rates(k).sum()) for k in (0, 1))
-    snn = snn_flops(config.encoding, config.hidden, (first, second), config.n_outputs, config.after_spike)
-    host = sum(each.multiplications + each.additions for each in host_costs(config))
-    encoder = 2 * 6 * config.encoding
-    twin, _ = shipped_network("att-rnn")
-    gru = gru_flops(twin.encoding, twin.hidden, twin.n_outputs)
-    return [
-        row(f"Att-SNN, {first:.1f} + {second:.1f} spikes a step", host, f"{snn['sparse'] - encoder:.0f}"),
-        row("Att-SNN, zeros multiplied too", host, f"{snn['dense'] - encoder:.0f}"),
-        row("Att-RNN", "12", f"{gru:.0f}"),
-    ]
-
-
-def pruning_rows(found: Inspection, silenced_deg: str) -> list[str]:
-    """Errors with neurons removed, by each criterion."""
-    places = range(0, len(FRACTIONS), SHOWN_EVERY)
-    return [
-        row(
-            f"{FRACTIONS[k]:.0%}", *(f"{errors[k]:.2f}" for errors in found.ablation.values()), silenced_deg
-        )
-        for k in places
-    ]  # fmt: skip
 
 
 def summary_rows(found: Inspection) -> list[str]:
@@ -242,10 +209,8 @@ def onnx_row(folder: Path, gyro: NDArray[np.float64], accel: NDArray[np.float64]
     return row("ONNX", "ONNX Runtime", f"{theirs.size} outputs", f"largest difference {worst:.1e}°")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure everything and write the page."""
-    given = options(__doc__, arguments, rounds=(60, "turns of 100 calls for the latency"))
-    page = load_page("loihi")
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     flights = load_flights([simulated("val", given.data)])
     name, config, tensors = load_spiking()
     found = inspect(name, config, tensors, flights)
@@ -255,39 +220,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for picture in ("rates", "raster", "membranes", "inputs", "tuning"):
             path = page.root / "docs" / "img" / f"loihi-{picture}.png"
             path.write_bytes((Path(folder) / f"{picture}.png").read_bytes())
-            page.sign_image(path, 64)
+            reduce_colours(path, 64)
     with matplotlib.rc_context(STYLE):
         page.save(ablation_curve(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
-    latency, host_share = latency_rows(page, given.rounds)
-    page.write(
-        {
-            "golden": golden_rows(),
-            "cores": core_rows(found.core),
-            "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),
-            "limit_lines": "|".join("---" for _ in LIMITS),
-            "profiles": profile_rows(tensors, flights, silenced_deg),
-            "latency": latency,
-            "host_share": host_share,
-            "paper_us": f"{next(iter(PAPER_US.values())):g}",
-            "flights": str(len(flights.gyro)),
-            "host": host_rows(found),
-            "multiplication": f"{HOST_PICOJOULES['multiplication']:g}",
-            "addition": f"{HOST_PICOJOULES['addition']:g}",
-            "energy": energy_rows(found),
-            "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " a step",
-            "flops": flop_rows(found),
-            "summary": summary_rows(found),
-            "inputs": [
-                row(key, f"{each.error_deg:.2f}", silenced_deg, f"{each.gain:.2f}")
-                for key, each in found.responses.items()
-            ],
-            "criteria": " | ".join(f"by {name} [°]" for name in found.ablation),
-            "criteria_lines": "|".join("---" for _ in found.ablation),
-            "pruning": pruning_rows(found, silenced_deg),
-            "exports": export_rows(flights),
-        }
-    )
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "golden": golden_rows(),
+        "cores": core_rows(found.core),
+        "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),
+        "limit_lines": "|".join("---" for _ in LIMITS),
+        "profiles": profile_rows(tensors, flights, silenced_deg),
+        "latency": latency_rows(),
+        "paper_us": f"{next(iter(PAPER_US.values())):g}",
+        "flights": str(len(flights.gyro)),
+        "host": host_rows(found),
+        "multiplication": f"{HOST_PICOJOULES['multiplication']:g}",
+        "addition": f"{HOST_PICOJOULES['addition']:g}",
+        "energy": energy_rows(found),
+        "paper": " and ".join(f"{value:g} {unit}" for unit, value in PAPER_MEASURED.items()) + " a step",
+        "summary": summary_rows(found),
+        "inputs": [
+            row(key, f"{each.error_deg:.2f}", silenced_deg, f"{each.gain:.2f}")
+            for key, each in found.responses.items()
+        ],
+        "exports": export_rows(flights),
+    }

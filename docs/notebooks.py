@@ -1,8 +1,7 @@
 """Make notebooks of tutorials: `python docs/notebooks.py [NAME ...]` writes docs/tutorials/NAME.ipynb.
 
 The tutorial's Markdown is the only source: its blocks of code become cells, in order, and the text between
-them cells of text. The notebooks are run and committed with their outputs. `docs/site.py` shows these
-outputs below the blocks of the tutorial's page.
+them cells of text. The notebooks are run and committed with their outputs.
 """
 
 import io
@@ -44,8 +43,8 @@ INSTALL = (
 def notebook(name: str) -> NotebookNode:
     """The notebook of a tutorial's Markdown as it is now, without outputs."""
     cells = list(cells_of((FOLDER / f"{name}.md").read_text("utf-8")))
-    head, cells[0].source = cells[0].source.partition("\n")[::2]
-    cells[0].source = f"{head}\n\n{INSTALL}\n{cells[0].source}".rstrip()
+    head, _, rest = cells[0].source.partition("\n")
+    cells[0].source = f"{head}\n\n{INSTALL}\n{rest}".rstrip()
     for k, cell in enumerate(cells):
         cell.id = f"{name}-{k}"
     kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
@@ -54,29 +53,16 @@ def notebook(name: str) -> NotebookNode:
 
 def cells_of(text: str) -> Iterator[NotebookNode]:
     """Cells of a tutorial: text, and code that does what the block says."""
-    place = 0
-    for block in BLOCK.finditer(text):
-        yield from words(text[place : block.start()])
-        yield new_code_cell(code_of(block), metadata={"language": block["language"]})
-        if block["picture"]:
-            shown = f'from IPython.display import Image\n\nImage("{block["picture"]}")'
+    before, *rest = BLOCK.split(text)
+    yield new_markdown_cell(LINK.sub(r"\1", before.strip()))
+    for language, file, code, picture, after in zip(*[iter(rest)] * 5, strict=True):
+        magic = f"%%writefile {file}\n" if file else "%%bash -e\n" * (language == "sh")
+        yield new_code_cell(f"{magic}{code}".rstrip("\n"), metadata={"language": language})
+        if picture:
+            shown = f'from IPython.display import Image\n\nImage("{picture}")'
             yield new_code_cell(shown, metadata={"language": "picture"})
-        place = block.end()
-    yield from words(text[place:])
-
-
-def words(text: str) -> Iterator[NotebookNode]:
-    """A cell of text, if there is any."""
-    if text.strip():
-        yield new_markdown_cell(LINK.sub(r"\1", text.strip()))
-
-
-def code_of(block: re.Match[str]) -> str:
-    """The source of a code cell."""
-    code = block["code"].rstrip("\n")
-    if block["file"]:
-        return f"%%writefile {block['file']}\n{code}"
-    return f"%%bash -e\n{code}" if block["language"] == "sh" else code
+        if after.strip():
+            yield new_markdown_cell(LINK.sub(r"\1", after.strip()))
 
 
 def executed(book: NotebookNode) -> NotebookNode:
@@ -119,28 +105,6 @@ def smaller(picture: str) -> str:
     file = io.BytesIO()
     image.convert("P", palette=Image.Palette.ADAPTIVE, colors=COLOURS).save(file, "PNG", optimize=True)
     return b64encode(file.getvalue()).decode()
-
-
-def read(name: str) -> NotebookNode:
-    """The committed notebook of a tutorial."""
-    return nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
-
-
-def with_outputs(name: str, markdown: str) -> str:
-    """A tutorial's Markdown with a link to the notebook, and each block's outputs below it."""
-    outputs = iter([cell.outputs for cell in read(name).cells if cell.cell_type == "code"])
-
-    def shown(block: re.Match[str]) -> str:
-        found = next(outputs) + (next(outputs) if block["picture"] else [])
-        text = "" if block["file"] else "".join(each.get("text", "") for each in found).rstrip()
-        parts = [block[0], f"```{{ .text .output .no-copy }}\n{text}\n```\n" if text else ""]
-        images = [each.data["image/png"] for each in found if "image/png" in each.get("data", {})]
-        parts += [f"![What it draws](data:image/png;base64,{image})\n" for image in images]
-        return "\n".join(filter(None, parts))
-
-    head, _, rest = BLOCK.sub(shown, markdown).partition("\n")
-    link = f'[As a notebook, with outputs]({name}.ipynb){{ download="{name}.ipynb" }}'
-    return f"{head}\n\n{link}\n{rest}"
 
 
 def main() -> None:

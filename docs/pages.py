@@ -1,197 +1,152 @@
-"""Pages, figures and tables that scripts make, and whether they are out of date.
+"""Pages of results: templates that scripts fill with what they measure.
 
-    python docs/pages.py --check     # lists what is out of date; exit status 1 if anything is
-    python docs/pages.py --remake    # runs the command of each page that is out of date
+    python docs/pages.py filters loihi      # measures, and writes docs/filters.md and docs/loihi.md
+    python docs/pages.py --check            # fails for pages edited since they were made; lists older ones
+    python docs/pages.py --stamp filters    # accepts an edit of a page
 
-`pages.toml` names what each page is made from. A page ends with a stamp: the command that makes it, and a
-digest of the weights, assets and code that its numbers come from. `pages.lock` holds the digest of each of
-them, so that the check can name those that changed. Recordings and the versions of libraries do not count.
+A page ends with a stamp: its command, the commit that made it, a fingerprint of the code and assets that it
+was made by, and a digest of its text and pictures. The page NAME is docs/NAME.template.md, filled with what
+the function `values` of its script returns; of README.md the script writes the part from `BLOCK` to the
+stamp.
 """
 
 import argparse
-import json
 import re
 import subprocess
 import sys
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import NamedTuple
 
 from matplotlib.figure import Figure
 from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
-from quadsim.config.toml import Strict, parse
-from quadsim.runs.fingerprint import closure, file_digest, fingerprint
+from quadsim.runs.fingerprint import closure, content_digest, file_digest, fingerprint
 
 ROOT = Path(__file__).parents[1]
-STAMP = re.compile(r"made by: (?P<command>[^;]+); digest (?P<digest>[0-9a-f]+)")
-LINE = re.compile(rf"<!-- {STAMP.pattern} -->\n?")
+SCRIPTS = {
+    "simulator": "simulator",
+    "filters": "filters",
+    "training": "training_page",
+    "loihi": "loihi",
+    "deploy": "deploy",
+    "verdict": "verdict",
+    "closed-loop": "closed_loop",
+    "control": "control_page",
+    "logs": "logs",
+    "identify": "identify",
+    "speed": "speed",
+    "paper": "paper_page",
+    "README": "readme",
+}
+"""Pages, and the module that makes each."""
+BLOCK = "<!-- results -->\n"
+STAMP = re.compile(
+    r"(?P<older>\*Made at commit \w+; the code has changed since\.\*\n\n)?"
+    r"<!-- made by: (?P<command>[^;]+); commit (?P<commit>\w+); code (?P<code>\w+); text (?P<text>\w+) -->\n"
+)
 KEY = re.compile(r"\{([a-z][a-z0-9_:-]*)\}")
+PICTURE = re.compile(r"\]\((img/[^)]+)\)")
 LENGTH = 12
 """Hexadecimal digits of a digest."""
-LISTED = 8
-"""Names that a line of the check has at most."""
-NOTICE = (
-    "> Made by code and weights of {made_at}, which have changed since: some numbers are older than they."
-)
-"""First line of an archived page."""
+
+Parts = Mapping[str, str | Sequence[str]]
+"""For each {key} of a template a text, or the rows of a table."""
 
 
-class Entry(Strict):
-    """What `pages.toml` says of one command."""
-
-    command: str
-    """Makes the files, from the repository's root."""
-    makes: tuple[str, ...]
-    """Files, or patterns of them."""
-    code: tuple[str, ...]
-    """Scripts; all that they import from the project counts too."""
-    files: tuple[str, ...] = ()
-    """Weights, assets, templates and data, or patterns of them."""
-    ignored: tuple[str, ...] = ()
-    """Modules that are imported but give no number of this page, or patterns of them."""
-    archived: str | None = None
-    """Why the files cannot be remade today; then those without a stamp are no failure."""
-    made_at: str = ""
-    """The commit of archived files."""
-
-
-class Pages(Strict):
-    """The whole of `pages.toml`."""
-
-    ignored: tuple[str, ...] = ()
-    """Modules that no number comes from."""
-    page: dict[str, Entry]
-
-
-@dataclass(frozen=True)
-class Page:
-    """A page with its figures: what one command makes."""
+class Page(NamedTuple):
+    """A page, its script and its pictures."""
 
     name: str
-    entry: Entry
-    ignored: tuple[str, ...] = ()
     root: Path = ROOT
 
-    @cached_property
-    def inputs(self) -> dict[str, str]:
-        """Digest of each file that the page is made from.
-
-        Raises:
-            ValueError: A pattern of `pages.toml` that fits no file.
-        """
-        code = closure(self._found(self.entry.code), self.root)
-        ignored = {self.root / each for each in self.ignored} | {*self._found(self.entry.ignored)}
-        files = sorted({*code, *self._found(self.entry.files)} - ignored)
-        return {path.relative_to(self.root).as_posix(): file_digest(path)[:LENGTH] for path in files}
-
-    @cached_property
-    def digest(self) -> str:
-        """One digest of all inputs."""
-        return fingerprint(self.inputs)[:LENGTH]
+    @property
+    def path(self) -> Path:
+        """The page's file."""
+        return self.root / ("README.md" if self.name == "README" else f"docs/{self.name}.md")
 
     @property
-    def stamp(self) -> str:
-        """What the page's files end with, or hold as their comment."""
-        return f"made by: {self.entry.command}; digest {self.digest}"
+    def template(self) -> Path:
+        """What `write` fills."""
+        return self.root / f"docs/{self.name}.template.md"
 
     @property
-    def made(self) -> list[Path]:
-        """The files that there are of it."""
-        return [path for pattern in self.entry.makes for path in sorted(self.root.glob(pattern))]
+    def code(self) -> str:
+        """Fingerprint of the script with all that it imports, of the template, assets and scenarios."""
+        files = closure([self.root / f"docs/{SCRIPTS[self.name]}.py"], self.root)
+        files |= {self.template, *self.root.glob("assets/**/*"), *self.root.glob("scenarios/*.toml")}
+        digests = {
+            file.relative_to(self.root).as_posix(): file_digest(file) for file in files if file.is_file()
+        }
+        return fingerprint(digests)[:LENGTH]
 
-    @property
-    def missing(self) -> list[str]:
-        """Patterns of which no file has been made yet."""
-        return [pattern for pattern in self.entry.makes if not any(self.root.glob(pattern))]
+    def digest(self, body: str) -> str:
+        """Digest of a page's text and pictures."""
+        pictures = [(self.root / "docs" / each).read_bytes() for each in PICTURE.findall(body)]
+        return fingerprint(body, *map(content_digest, pictures))[:LENGTH]
 
-    def write(self, parts: Mapping[str, str | Sequence[str]]) -> Path:
-        """Fill the page's template, stamp it, and note its inputs; the page's path.
-
-        Args:
-            parts: For each {key} of the template a text, or the rows of a table.
-
-        Raises:
-            ValueError: Keys and parts do not agree.
-        """
-        source = self.root / f"docs/{self.name}.template.md"
-        text = source.read_text()
-        keys = set(KEY.findall(text))
-        if keys != set(parts):
-            raise ValueError(f"{source.name}: {', '.join(sorted(keys ^ set(parts)))}: key or part alone")
-        path = self.root / f"docs/{self.name}.md"
-        path.write_text(KEY.sub(lambda key: _text(parts[key[1]]), text))
-        self.sign(path)
-        return path
-
-    def write_block(self, path: Path, name: str, rows: Sequence[str]) -> None:
-        """Replace the lines of a page between `<!-- NAME -->` and the stamp.
+    def write(self, parts: Parts) -> None:
+        """Fill the template, or the README's part, and stamp it.
 
         Raises:
-            ValueError: The page has no such block.
+            ValueError: Keys of the template and parts do not agree.
         """
-        begin = f"<!-- {name} -->\n"
-        block = re.compile(re.escape(begin) + r".*?" + LINE.pattern, re.DOTALL)
-        text = path.read_text()
-        if not block.search(text):
-            raise ValueError(f"{path.name}: no block from {begin.strip()} to a stamp")
-        table = "\n".join(rows)
-        path.write_text(block.sub(lambda _: f"{begin}\n{table}\n\n<!-- {self.stamp} -->\n", text))
-        self.note()
+        if self.name == "README":
+            before, _, after = split(self.path.read_text("utf-8"))
+            body = f"\n{_text(parts['results'])}\n\n"
+        else:
+            before, body, after = "", self.template.read_text("utf-8").rstrip("\n") + "\n\n", ""
+            keys = set(KEY.findall(body))
+            if keys != set(parts):
+                raise ValueError(
+                    f"{self.template.name}: {', '.join(sorted(keys ^ set(parts)))}: key or part alone"
+                )
+            body = KEY.sub(lambda key: _text(parts[key[1]]), body)
+        commit = _git("rev-parse", "--short", "HEAD")
+        stamp = _stamp(f"python docs/pages.py {self.name}", commit, self.code, self.digest(body))
+        self.path.write_text(f"{before}{body}{stamp}{after}", "utf-8")
 
-    def sign(self, path: Path) -> None:
-        """Stamp a page's last line, and note its inputs."""
-        text = LINE.sub("", path.read_text()).rstrip("\n")
-        path.write_text(f"{text}\n\n<!-- {self.stamp} -->\n")
-        self.note()
+    def restamp(self) -> None:
+        """Accept the text as it is; it says so if it is older than its code."""
+        text = self.path.read_text("utf-8")
+        found = read_stamp(self.path)
+        before, body, after = split(text)
+        older = f"*Made at commit {found['commit']}; the code has changed since.*\n\n"
+        stamp = _stamp(found["command"], found["commit"], found["code"], self.digest(body))
+        self.path.write_text(f"{before}{body}{older * (found['code'] != self.code)}{stamp}{after}", "utf-8")
 
     def save(self, figure: Figure, name: str, *, dpi: int = 130, colours: int = 96) -> None:
-        """Write a figure into docs/img with the stamp as its comment; line drawings need few colours."""
+        """Write a figure into docs/img; line drawings need few colours."""
         path = self.root / "docs" / "img" / name
         figure.savefig(path, dpi=dpi)
-        self.sign_image(path, colours)
+        reduce_colours(path, colours)
 
-    def sign_image(self, path: Path, colours: int = 96) -> None:
-        """Write a PNG again with few colours and the stamp."""
-        comment = PngInfo()
-        comment.add_text("Comment", self.stamp)
-        image = Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=colours)
-        image.save(path, optimize=True, pnginfo=comment)
 
-    def stale(self) -> list[Path]:
-        """Files of it whose stamp is missing or of other inputs."""
-        return [path for path in self.made if read_stamp(path) != self.digest]
+def reduce_colours(path: Path, colours: int) -> None:
+    """Write a PNG again with few colours."""
+    image = Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=colours)
+    image.save(path, optimize=True)
 
-    def excused(self, path: Path) -> bool:
-        """Whether an archived file says that it is one: a page in its first line; figures belong to pages."""
-        if self.entry.archived is None or read_stamp(path) is not None:
-            return False
-        return path.suffix != ".md" or path.read_text().startswith(
-            NOTICE.format(made_at=self.entry.made_at) + "\n"
-        )
 
-    def changed(self) -> list[str]:
-        """Inputs that are new, removed or other than when the page was made."""
-        before = read_lock(self.root).get(self.name, {})
-        names = sorted({*before, *self.inputs})
-        return [name for name in names if before.get(name) != self.inputs.get(name)]
+def read_stamp(path: Path) -> re.Match[str]:
+    """The stamp of a page.
 
-    def note(self) -> None:
-        """Write the digests of the inputs into `pages.lock`."""
-        lock = read_lock(self.root) | {self.name: self.inputs}
-        (self.root / "docs" / "pages.lock").write_text(json.dumps(lock, indent=0, sort_keys=True) + "\n")
+    Raises:
+        ValueError: There is none.
+    """
+    found = STAMP.search(path.read_text("utf-8"))
+    if found is None:
+        raise ValueError(f"{path.name}: no stamp")
+    return found
 
-    def _found(self, patterns: Sequence[str]) -> list[Path]:
-        found = []
-        for pattern in patterns:
-            files = sorted(self.root.glob(pattern))
-            if not files:
-                raise ValueError(f"pages.toml: {self.name}: {pattern}: no such file")
-            found += files
-        return found
+
+def split(text: str) -> tuple[str, str, str]:
+    """What a page has before the part that is measured, that part, and what is after its stamp."""
+    stamp = STAMP.search(text)
+    end, after = (stamp.start(), text[stamp.end() :]) if stamp else (len(text), "")
+    before, mark, body = text[:end].rpartition(BLOCK)
+    return before + mark, body, after
 
 
 def row(*cells: object) -> str:
@@ -210,87 +165,53 @@ def confirmed(claim: str, value: float, most: float = 0) -> float:
     return value
 
 
+def check(pages: Sequence[Page]) -> list[str]:
+    """Pages that were edited since they were made; prints those that are older than their code."""
+    edited = []
+    for page in pages:
+        stamp = read_stamp(page.path)
+        if page.digest(split(page.path.read_text("utf-8"))[1]) != stamp["text"]:
+            edited.append(f"{page.path.name}: edited since it was made; {stamp['command']}")
+        elif stamp["code"] != page.code:
+            print(f"{page.path.name}: made at {stamp['commit']}, older than its code")
+    return edited
+
+
+def _stamp(command: str, commit: str, code: str, text: str) -> str:
+    return f"<!-- made by: {command}; commit {commit}; code {code}; text {text} -->\n"
+
+
 def _text(part: str | Sequence[str]) -> str:
     return part if isinstance(part, str) else "\n".join(part)
 
 
-def load_pages(root: Path = ROOT) -> dict[str, Page]:
-    """All pages of `docs/pages.toml`, by name."""
-    file = root / "docs" / "pages.toml"
-    pages = parse(tomllib.loads(file.read_text()), Pages, "docs/pages.toml")
-    return {name: Page(name, entry, pages.ignored, root) for name, entry in pages.page.items()}
+def _git(*arguments: str) -> str:
+    return subprocess.run(
+        ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
-def load_page(name: str) -> Page:
-    """A page, with the digest of its inputs as they are now: take it before the work begins."""
-    page = load_pages()[name]
-    _ = page.digest
-    return page
-
-
-def read_stamp(path: Path) -> str | None:
-    """The digest in a file's stamp, or None if it has none."""
-    if path.suffix == ".md":
-        found = LINE.search(path.read_text())
-    elif path.suffix == ".mp4":
-        found = STAMP.search(path.read_bytes().decode("latin-1"))
-    else:
-        with Image.open(path) as image:
-            comment = image.info.get("Comment", image.info.get("comment", ""))
-        found = STAMP.search(comment.decode() if isinstance(comment, bytes) else comment)
-    return found["digest"] if found else None
-
-
-def read_lock(root: Path) -> dict[str, dict[str, str]]:
-    """Page to the inputs that it was made from, and their digests."""
-    file = root / "docs" / "pages.lock"
-    return json.loads(file.read_text()) if file.is_file() else {}
-
-
-def problems(pages: Mapping[str, Page]) -> Iterator[tuple[Page, str]]:
-    """Pages that are out of date, each with a line that says what and why."""
-    for page in pages.values():
-        stale = [path for path in page.stale() if not page.excused(path)]
-        if stale or page.missing:
-            names = _listed([*page.missing, *(path.relative_to(page.root).as_posix() for path in stale)])
-            never = page.name not in read_lock(page.root)
-            why = "never stamped" if never else _listed(page.changed()) or "no stamp of these inputs"
-            yield page, f"{names}: out of date ({why}); {page.entry.command}"
-
-
-def archived(pages: Mapping[str, Page]) -> Iterator[str]:
-    """A line for each command whose files are archived."""
-    for page in pages.values():
-        files = [path.relative_to(page.root).as_posix() for path in page.made if page.excused(path)]
-        if files:
-            yield f"{_listed(files)}: archived: {page.entry.archived}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names in a line, the first of many."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
-
-
-def main() -> int:
-    """Check the pages, or make those that are out of date."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make pages, or check them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    action = parser.add_mutually_exclusive_group(required=True)
-    action.add_argument("--check", action="store_true", help="list what is out of date")
-    action.add_argument("--remake", action="store_true", help="run the commands of what is out of date")
-    arguments = parser.parse_args()
-    pages = load_pages()
-    found = list(problems(pages))
-    for line in archived(pages):
-        print(line)
-    for page, line in found:
-        print(line)
-        if arguments.remake:
-            command = page.entry.command.split()
-            subprocess.run([sys.executable, *command[1:]], check=True, cwd=page.root)
-    if not found:
-        print(f"{len(pages)} pages are up to date, or archived")
-    return int(bool(found) and arguments.check)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(SCRIPTS))
+    parser.add_argument("--check", action="store_true", help="all pages; exit status 1 if any was edited")
+    parser.add_argument("--stamp", action="store_true", help="accept edits of the named pages")
+    parser.add_argument("--data", type=Path, default=ROOT / "data", help="simulated flights")
+    parser.add_argument("--recordings", type=Path, default=ROOT / "data" / "recordings", help="real flights")
+    parser.add_argument("--run", type=Path, default=ROOT / "runs" / "paper", help="finished run of the paper")
+    parser.add_argument("--rounds", type=int, default=9, help="turns of what is timed")
+    given = parser.parse_args(arguments)
+    if unknown := set(given.names) - set(SCRIPTS):
+        parser.error(f"no page {', '.join(unknown)}; there are {', '.join(SCRIPTS)}")
+    for page in map(Page, given.names):
+        if given.stamp:
+            page.restamp()
+        else:
+            page.write(import_module(SCRIPTS[page.name]).values(page, given))
+    edited = check([Page(name) for name in SCRIPTS]) if given.check else []
+    print(*edited, sep="\n", end="\n" if edited else "")
+    return int(bool(edited))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
-"""Measure the README's first table: `python docs/readme.py [--data FOLDER] [--recordings FOLDER]`."""
+"""The README's first table."""
 
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from foreign import PLAN, foreign_cell, foreign_error
-from pages import ROOT, load_page, row
-from recordings import BROAD, FOLDER, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
-from simulated import estimate_of, options, simulated
+from pages import Page, Parts, row
+from recordings import BROAD, PHANTOM4, RATE_HZ, recordings, score, vqf_with_defaults
+from simulated import estimate_of, simulated
 
 from estimators import create
 from estimators.evaluation.comparison import made_of, silenced_twin
@@ -16,7 +17,6 @@ from estimators.metrics import attitude_error
 from quadsim.estimator import AttitudeEstimator
 from scenarios.bench.recommendation import recommendation
 
-BLOCK = "errors, by docs/readme.py"
 WITHOUT_DRAG = ("mahony", "madgwick", "ekf", "eskf", "vqf")
 DRAG, MODELS, CHIP, GRU = "ekf-drag", "imm", "att-snn-loihi", "att-rnn"
 ALONE = "att-snn-hummingbird"
@@ -54,10 +54,8 @@ def network_cells(
     return [f"{error_deg(own, flights):.2f}", f"{error_deg(twin, flights):.2f}", rotorpy, *real]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, and replace the table."""
-    given = options(__doc__, arguments, recordings=(FOLDER, "folder of broad/ and phantom4/"))
-    page = load_page("readme")
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure."""
     flights = load_flights([simulated("test", given.data)])
     package = {"vqf, package's parameters": vqf_with_defaults()}
     filters = made_of(WITHOUT_DRAG, RATE_HZ) | package
@@ -90,10 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "Att-RNN, its twin of GRUs": networks[GRU],
         "Att-SNN trained for this Hummingbird alone": networks[ALONE],
     }
-    page.write_block(
-        ROOT / "README.md",
-        BLOCK,
-        [
+    return {
+        "results": [
             f"**{recommendation().sentence}** This is the result of the held-out suite of flights in closed",
             "loop: four airframes, four IMUs, wind, starts at rest and in motion",
             "([verdict](docs/verdict.md)). Errors outside the loop, on simulated and on real flights:",
@@ -110,9 +106,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"- *BROAD* ({len(sets[BROAD])} trials by hand) and *Phantom 4* ({len(sets[PHANTOM4])} flights): "
             "inclination RMSE on real recordings, unknown start.",
             "  Nothing was trained or tuned on them ([docs/logs.md](docs/logs.md)).",
-        ],
-    )
-
-
-if __name__ == "__main__":
-    main()
+        ]
+    }

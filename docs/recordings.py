@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pages import ROOT
 
 from estimators import create
 from estimators.evaluation.logs import LogScores, score_logs
@@ -19,7 +18,6 @@ from quadsim.logs import read_log
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
 
-FOLDER = ROOT.parent / "shared" / "realdata"
 BROAD, PHANTOM4 = "BROAD", "Phantom 4"
 SKIP_S = {BROAD: 3.0, PHANTOM4: 5.0}
 """Time at the start of a recording that is not scored [s]."""

@@ -1,13 +1,10 @@
 """The simulated flights that pages score estimators on, generated where they are missing."""
 
-import argparse
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import xarray as xr
 from numpy.typing import NDArray
-from pages import ROOT
 
 from estimators import run
 from estimators.evaluation.flights import Flights
@@ -52,14 +49,6 @@ def simulated(name: str, data: Path) -> xr.Dataset:
         recipe = recipe.model_copy(update={"imu": made.imu})
     path = generate(flight_config(recipe), made.flights, DURATION_S, data / f"{name}.zarr", seed=made.seed)
     return open_dataset(path)
-
-
-def options(doc: str | None, arguments: Sequence[str] | None, **more: tuple[Any, str]) -> argparse.Namespace:
-    """Options of a page's script: `--data`, and others by name with their default and help."""
-    parser = argparse.ArgumentParser(description=doc)
-    for name, (default, text) in {"data": (ROOT / "data", "folder of the datasets"), **more}.items():
-        parser.add_argument(f"--{name}", type=type(default), default=default, help=text)
-    return parser.parse_args(arguments)
 
 
 def estimate_of(est: AttitudeEstimator, flights: Flights) -> NDArray:

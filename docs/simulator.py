@@ -1,19 +1,16 @@
-"""Validate the simulator against theory: `python docs/simulator.py` writes simulator.md and its figures."""
+"""The page simulator.md: the simulator against theory."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from argparse import Namespace
 
 import allantools
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import Page, load_page, row
+from pages import Page, Parts, reduce_colours, row
 from scipy.signal import welch
-from simulated import options
 
 from quadsim.control.gains import loop_margins
-from quadsim.dataset.figures import LINES, STYLE, plot
+from quadsim.dataset.figures import STYLE, plot
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.imu.spec import Sensor, load_imu
@@ -34,70 +31,40 @@ def allan_theory(sensor: Sensor, t: Array) -> Array:
     return np.sqrt(n**2 / t + sigma**2 * tau**2 / t * (1 - tau / (2 * t) * decay))
 
 
-def allan_figure(page: Page) -> list[str]:
-    """Allan deviation of both presets against the formula; returns table rows of the ratio."""
-    figure = Figure(figsize=(7.2, 3.0), layout="constrained")
-    axes = figure.subplots(1, 2)
-    rows = []
-    hours, n = 1.0, 8
-    steps = int(hours * 3600 * RATE)
-    for preset, (colour, line) in zip(("adis16448", "px4-mini"), LINES, strict=False):
+def allan_rows() -> list[str]:
+    """Allan deviation of one hour of both presets over the formula."""
+    rows, steps = [], round(3600 * RATE)
+    taus = np.array([0.1, 0.3, 1, 3, 10, 30, 100, 300])
+    zero = np.zeros((8, steps, 3))
+    for preset in ("adis16448", "px4-mini"):
         spec = load_imu(preset)
-        noise = spec.only("noise", "random_walk")
-        zero = np.zeros((n, steps, 3))
-        readings = simulate_imu(noise, zero, zero, RATE, seed=1)
-        for axis, name, sensor, reading in zip(
-            axes, ("gyro", "accel"), (spec.gyro, spec.accel), readings, strict=True
-        ):
-            taus = np.array([0.1, 0.3, 1, 3, 10, 30, 100, 300])
-            found = np.mean(
-                [
-                    [allantools.oadev(one, RATE, "freq", taus=[tau])[1][0] ** 2 for tau in taus]
-                    for one in reading.transpose(0, 2, 1).reshape(-1, steps)
-                ],
-                axis=0,
-            )
-            theory = allan_theory(sensor, taus)
-            axis.loglog(taus, theory, color=colour, ls=line, label=f"{preset}, formula")
-            axis.loglog(
-                taus, np.sqrt(found), "o", ms=4, mfc="none", color=colour, label=f"{preset}, simulated"
-            )
-            rows.append(row(f"{preset} {name}", *(f"{r:.3f}" for r in np.sqrt(found) / theory)))
-    for axis, title, unit in zip(axes, ("Gyroscope", "Accelerometer"), ("rad/s", "m/s²"), strict=True):
-        axis.set(title=title, xlabel="averaging time [s]", ylabel=f"Allan deviation [{unit}]")
-        axis.legend(fontsize=7)
-    page.save(figure, "allan.png", colours=48)
+        readings = simulate_imu(spec.only("noise", "random_walk"), zero, zero, RATE, seed=1)
+        for name, sensor, reading in zip(("gyro", "accel"), (spec.gyro, spec.accel), readings, strict=True):
+            each = reading.transpose(0, 2, 1).reshape(-1, steps)
+            found = [
+                [allantools.oadev(one, RATE, "freq", taus=[tau])[1][0] ** 2 for tau in taus] for one in each
+            ]
+            over = np.sqrt(np.mean(found, axis=0)) / allan_theory(sensor, taus)
+            rows.append(row(f"{preset} {name}", *(f"{each:.3f}" for each in over)))
     return rows
 
 
-def dryden_figure(page: Page) -> list[str]:
-    """Spectra of simulated turbulence against MIL-F-8785C; rows: the error in three bands."""
+def dryden_rows() -> list[str]:
+    """Simulated turbulence against MIL-F-8785C: error of the power in three bands, standard deviations."""
     airspeed, altitude, wind_20ft = 10.0, 20.0, 15.0
     series = dryden(64, 2**16, 20.0, airspeed, altitude, wind_20ft, seed=2)
-    lengths = [float(x) for x in dryden_scales(altitude, wind_20ft)]
-    along, up, sigma_along, sigma_up = lengths
-    figure = Figure(figsize=(7.2, 2.8), layout="constrained")
+    along, up, sigma_along, sigma_up = map(float, dryden_scales(altitude, wind_20ft))
     rows = []
-    for axis, k, name in zip(figure.subplots(1, 3, sharey=True), range(3), "uvw", strict=True):
+    for k, name in enumerate("uvw"):
         length, sigma = (along, sigma_along) if k < 2 else (up, sigma_up)
         f, power = welch(series[..., k], 20.0, nperseg=2**13)
-        power = power.mean(axis=0)
         w = 2 * np.pi * f * length / airspeed
         shape = 2 / (1 + w**2) if k == 0 else (1 + 3 * w**2) / (1 + w**2) ** 2
         theory = 2 * sigma**2 * length / airspeed * shape
-        axis.loglog(f[1:], power[1:], color=LINES[0][0], lw=0.8, label="simulated")
-        axis.loglog(f[1:], theory[1:], color=LINES[2][0], ls="--", label="MIL-F-8785C")
-        axis.set(title=name, xlabel="frequency [Hz]")
-        errors = []
-        for low, high in ((0.01, 0.05), (0.05, 0.5), (0.5, 3.0)):
-            band = (f >= low) & (f < high)
-            errors.append(10 * np.log10(power[band].sum() / theory[band].sum()))
+        bands = [(f >= low) & (f < high) for low, high in ((0.01, 0.05), (0.05, 0.5), (0.5, 3.0))]
+        errors = [10 * np.log10(power.mean(axis=0)[band].sum() / theory[band].sum()) for band in bands]
         shown = [f"{error:+.2f}" for error in errors]
         rows.append(row(name, *shown, f"{series[..., k].std():.3f}", f"{sigma:.3f}"))
-        axis.legend(fontsize=7)
-        if k == 0:
-            axis.set_ylabel("power [m²/s² / Hz]")
-    page.save(figure, "dryden.png", colours=48)
     return rows
 
 
@@ -151,31 +118,17 @@ def margin_rows() -> list[str]:
     return rows
 
 
-def flight_picture(page: Page, data: Path) -> None:
-    """Distributions of a few flights."""
-    config = flight_config(load_recipe("hummingbird"))
-    dataset = generate(config, 8, 100.0, data / "docs-flights.zarr", seed=0)
-    path = page.root / "docs" / "img" / "flights.png"
-    plot(dataset, path)
-    page.sign_image(path, 48)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure everything and write the page."""
-    given = options(__doc__, arguments)
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     matplotlib.rcParams.update(STYLE)
-    page = load_page("simulator")
-    flight_picture(page, given.data)
-    page.write(
-        {
-            "allan": allan_figure(page),
-            "dryden": dryden_figure(page),
-            "bias": bias_rows(),
-            "engine": engine_rows(),
-            "margins": margin_rows(),
-        }
-    )
-
-
-if __name__ == "__main__":
-    main()
+    config = flight_config(load_recipe("hummingbird"))
+    flights = page.root / "docs" / "img" / "flights.png"
+    plot(generate(config, 8, 100.0, given.data / "docs-flights.zarr", seed=0), flights)
+    reduce_colours(flights, 48)
+    return {
+        "allan": allan_rows(),
+        "dryden": dryden_rows(),
+        "bias": bias_rows(),
+        "engine": engine_rows(),
+        "margins": margin_rows(),
+    }

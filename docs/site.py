@@ -7,23 +7,18 @@ that of the files from the typed models.
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, get_args
 
 import typer
-from annotated_types import Ge, Gt, Le, Lt
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
-from notebooks import NAMES, with_outputs
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
-from typer.core import TyperGroup
+from typer.cli import get_docs_for_click
 
 from estimators.tuned import Tuned
 from quadsim.cli import app
-from quadsim.config.ranges import Between
 from quadsim.external import ExternalSpec
 from quadsim.flight.recipe import Recipe
 from quadsim.flight.scenario import Scenario
@@ -48,6 +43,7 @@ KINDS: dict[str, tuple[type[BaseModel], str]] = {
 }
 """Kinds of TOML files, the model that checks each, and where it is used."""
 STAMP = re.compile(r"<!-- made by: [^>]*-->\n?")
+RANGE = re.compile(r"Annotated\[(\w+), Between\(low=(\S+), high=(\S+?)(?:, unit='(.*?)')?\)\]")
 ROWS = 4
 """Rows of the result table on the landing page."""
 
@@ -63,11 +59,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the README's results and the outputs of notebooks in place, and leave stamps out."""
+    """Put the README's results and links to notebooks in place, and leave stamps out."""
     del config, files
-    folder, _, name = page.file.src_uri.removesuffix(".md").rpartition("/")
-    if folder == "tutorials" and name in NAMES:
-        markdown = with_outputs(name, markdown)
+    notebook = Path(page.file.abs_src_path or "").with_suffix(".ipynb")
+    if notebook.is_file():
+        head, _, rest = markdown.partition("\n")
+        markdown = f"{head}\n\n[As a notebook, with outputs]({notebook.name})\n{rest}"
     return STAMP.sub("", markdown.replace("<!-- results -->", results()))
 
 
@@ -82,35 +79,9 @@ def results() -> str:
 
 def command_line() -> str:
     """Every verb with its options."""
-    group = typer.main.get_command(app)
-    parts = ["# Command line", "`quadsim VERB --help` shows the same in a terminal."]
-    parts += [part for command in verbs(group, "quadsim") for part in described(*command)]
-    return "\n\n".join(parts)
-
-
-def verbs(group: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Names and commands of a group, and of the groups in it."""
-    for key, command in group.commands.items():
-        if isinstance(command, TyperGroup):
-            yield from verbs(command, f"{name} {key}")
-        else:
-            yield f"{name} {key}", command
-
-
-def described(name: str, command: Any) -> Iterator[str]:
-    """Heading, text and options of a verb."""
-    yield f"## {name}"
-    text = re.sub(r"Example: (.*)", r"```sh\n\1\n```", command.help or "")
-    yield text
-    rows = []
-    for option in command.params:
-        if option.name == "help":
-            continue
-        names = ", ".join(f"`{each}`" for each in option.opts)
-        default = "" if option.default in (None, False) or callable(option.default) else f"`{option.default}`"
-        rows.append(f"| {names} | {_cell(getattr(option, 'help', '') or '')} | {_cell(default)} |")
-    if rows:
-        yield "\n".join(["| option | meaning | default |", "|---|---|---|", *rows])
+    command = typer.main.get_command(app)
+    with typer.Context(command, info_name="quadsim") as context:
+        return get_docs_for_click(obj=command, ctx=context, name="quadsim", title="Command line")
 
 
 def toml_files() -> str:
@@ -141,62 +112,21 @@ def tables(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[str]:
 
 
 def _row(key: str, field: FieldInfo) -> str:
-    default = "*required*" if field.is_required() else _default(field)
-    kind = range_of(Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation)
+    kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
     about = field.description or next((_first_line(model) for model in models_in(field.annotation)), "")
-    text = f"`{field.alias or key}`", _cell(about), _cell(kind), default
-    return f"| {' | '.join(text)} |"
+    default = f"`{field.default!r:.60}`" if field.default_factory is None else "depends"
+    default = "*required*" if field.is_required() else default
+    return f"| `{field.alias or key}` | {_cell(about)} | {_cell(range_of(kind))} | {_cell(default)} |"
 
 
 def _first_line(model: type[BaseModel]) -> str:
     return (model.__doc__ or "").strip().split("\n\n")[0]
 
 
-def _default(field: FieldInfo) -> str:
-    if field.default is PydanticUndefined:
-        return "depends"
-    if field.default is None:
-        return "none"
-    value = field.default
-    if isinstance(value, BaseModel):
-        return f"{type(value).__name__}'s own"
-    shown = repr(value) if not isinstance(value, float) else f"{value:g}"
-    return f"`{_cell(shown)}`" if len(shown) < 60 else "see the code"
-
-
 def range_of(annotation: Any) -> str:
-    """A type in words: with its range and unit where it is a number."""
-    origin, inner = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        base, limits = range_of(inner[0]), [_limit(each) for each in inner[1:]]
-        return " ".join([base, *filter(None, limits)])
-    if origin is Literal:
-        return ", ".join(f"`{each}`" for each in inner)
-    if origin in (Union, UnionType):
-        return " or ".join(dict.fromkeys(range_of(each) for each in inner if each is not type(None)))
-    if origin is tuple:
-        several = inner[-1] is Ellipsis
-        parts = list(dict.fromkeys(range_of(each) for each in inner if each is not Ellipsis))
-        return f"list of {parts[0]}" if several else f"{len(inner)} × {' and '.join(parts)}"
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
-    names = {float: "number", int: "whole number", str: "text", bool: "true or false", dict: "table"}
-    return names.get(origin or annotation, str(getattr(annotation, "__name__", annotation)))
-
-
-def _limit(constraint: Any) -> str:
-    match constraint:
-        case Between(low, high, unit):
-            return f"{low:g} to {high:g} {unit}".rstrip()
-        case Ge(ge):
-            return f"from {ge}"
-        case Gt(gt):
-            return f"above {gt}"
-        case Le(le):
-            return f"up to {le}"
-        case Lt(lt):
-            return f"below {lt}"
-    return ""
+    """A type as Python writes it; of a number its range and unit."""
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    return RANGE.sub(r"\1 \2 to \3 \4", re.sub(r"\b(?:\w+\.)+(?=[A-Za-z])", "", text))
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:

@@ -1,14 +1,15 @@
-"""Fly the held-out suite and the designed axes, and write verdict.md: `python docs/verdict.py`.
+"""Fly the held-out suite and the designed axes, and write verdict.md: `python docs/pages.py verdict`.
 
 A run that is cut short resumes, as `quadsim bench` does.
 """
 
+from argparse import Namespace
 from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
 import matplotlib
-from pages import load_page, row
+from pages import Page, Parts, row
 
 import estimators
 from quadsim.dataset.figures import STYLE
@@ -113,9 +114,8 @@ def lines_of(combinations: Sequence[Combination], results: Results) -> list[str]
     return [f"- {line}" for line in advice(combinations, results)]
 
 
-def main() -> None:
-    """Simulate everything and write the page."""
-    page = load_page("verdict")
+def values(page: Page, given: Namespace) -> Parts:
+    """Measure everything, and draw."""
     held_out = load_held_out(releases()[-1])
     drawn = suite(held_out)
     unseen = fly("held-out", {k: s for k, (_, s) in drawn.items()}, held_out.flights, held_out.seed)
@@ -131,26 +131,20 @@ def main() -> None:
     with matplotlib.rc_context(STYLE):
         page.save(axes_figure(found), "verdict-axes.png", dpi=110, colours=128)
     same = ", ".join(f"`{name}` flew exactly as `{other}`" for name, other in identical(unseen).items())
-    page.write(
-        {
-            "release": held_out.release,
-            "seed": str(held_out.seed),
-            "scenarios": str(held_out.scenarios),
-            "flights": str(held_out.flights),
-            "ranges": ranges(held_out),
-            "recommendation": sentence,
-            "advice": lines_of(new, unseen),
-            "standings": standing_rows(effects(new, unseen)),
-            "same": f"{same}; it is shown once." if same else "",
-            "cells": str(len(combinations)),
-            "cell_flights": str(FLIGHTS),
-            "flown_in": ", ".join(f"`{name}`" for name in SCENARIOS),
-            "axes_advice": lines_of(combinations, looked_at),
-            "axes_standings": standing_rows(found),
-            "levels": [line for axis in [*AXES, "scenario"] for line in level_rows(found, axis)],
-        }
-    )
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "release": held_out.release,
+        "seed": str(held_out.seed),
+        "scenarios": str(held_out.scenarios),
+        "flights": str(held_out.flights),
+        "ranges": ranges(held_out),
+        "recommendation": sentence,
+        "advice": lines_of(new, unseen),
+        "standings": standing_rows(effects(new, unseen)),
+        "same": f"{same}; it is shown once." if same else "",
+        "cells": str(len(combinations)),
+        "cell_flights": str(FLIGHTS),
+        "flown_in": ", ".join(f"`{name}`" for name in SCENARIOS),
+        "axes_advice": lines_of(combinations, looked_at),
+        "axes_standings": standing_rows(found),
+        "levels": [line for axis in [*AXES, "scenario"] for line in level_rows(found, axis)],
+    }

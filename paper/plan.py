@@ -8,7 +8,7 @@ from typing import Any
 from quadsim.config.toml import nearest
 from quadsim.runs.fingerprint import ASSETS, content_digest
 
-from .settings import Budget, PaperSettings
+from .settings import PaperSettings
 from .stages import Stage
 from .work import filters, flights, inside, networks, scores
 from .work.scores import FILTERS, SHIPPED
@@ -70,40 +70,29 @@ def stages_of(settings: PaperSettings) -> tuple[dict[str, Stage], dict[str, list
     }
 
 
-def _fly(
-    s: PaperSettings, name: str, count: int, duration_s: float, seed: int, domain: str = "sim", **more: Any
-) -> Stage:
-    settings = {"domain": domain, "flights": count, "duration_s": duration_s, "seed": 1000 * s.seed + seed}
-    seconds = 0.003 * count * duration_s * more.get("rate_hz", 200.0) / 200.0
-    return Stage(name, flights.fly, settings | more, seconds=seconds)
+def _fly(name: str, count: int, duration_s: float, seed: int, domain: str = "sim", **more: Any) -> Stage:
+    settings = {"domain": domain, "flights": count, "duration_s": duration_s, "seed": seed}
+    return Stage(name, flights.fly, settings | more)
 
 
 def _flights(s: PaperSettings) -> list[Stage]:
     hover = {"kind": "hover", "position": [0.0, 0.0, 20.0]}
+    first = 1000 * s.seed
     return [
-        _fly(s, SIM, s.sim_flights, s.flight_s, 1),
-        _fly(s, REAL, s.real_flights, s.flight_s, 2, "real"),
-        _fly(s, TEST[0], s.test_flights, s.test_s, 5),
-        _fly(s, TEST[1], s.test_flights, s.test_s, 6, "real"),
-        _fly(s, "fly-hover", 8, min(20.0, s.test_s), 7, trajectory=hover),
-        _fly(s, "fly-cruise", 8, 60.0, 8, trajectory=CRUISE),
+        _fly(SIM, s.sim_flights, s.flight_s, first + 1),
+        _fly(REAL, s.real_flights, s.flight_s, first + 2, "real"),
+        _fly(TEST[0], s.test_flights, s.test_s, first + 5),
+        _fly(TEST[1], s.test_flights, s.test_s, first + 6, "real"),
+        _fly("fly-hover", 8, min(20.0, s.test_s), first + 7, trajectory=hover),
+        _fly("fly-cruise", 8, 60.0, first + 8, trajectory=CRUISE),
         Stage("distributions", flights.distributions, inputs=(SIM, REAL)),
     ]
 
 
 def _filters(s: PaperSettings) -> list[Stage]:
     swarm = {"particles": s.particles, "iterations": s.iterations, "seed": s.seed}
-    samples = 200 * s.flight_s * (s.sim_flights + s.real_flights)
-    seconds = 6e-8 * samples * s.particles * s.iterations
     return [
-        Stage(
-            f"tune-{name}",
-            filters.tune,
-            {"name": name} | swarm,
-            (SIM, REAL),
-            seconds,
-            packages=("estimators",),
-        )
+        Stage(f"tune-{name}", filters.tune, {"name": name} | swarm, (SIM, REAL), packages=("estimators",))
         for name in FILTERS
     ]
 
@@ -111,29 +100,25 @@ def _filters(s: PaperSettings) -> list[Stage]:
 def _train(
     name: str,
     recipe: dict[str, Any],
-    budget: Budget,
     seed: int,
     data: Sequence[str] = (SIM, REAL),
     validation: Sequence[str] = (),
-    rate_hz: float = 200.0,
 ) -> Stage:
-    settings = {"data": list(data), "validation": list(validation), "seed": seed} | recipe | dict(budget)
-    samples = budget.epochs * budget.batches * budget.batch_size * budget.window_s * rate_hz
-    seconds = samples * (2.5e-5 if recipe["model"] == "att-rnn" else 1.8e-6)
-    return Stage(name, networks.train, settings, (*data, *validation), seconds)
+    settings = {"data": list(data), "validation": list(validation), "seed": seed} | recipe
+    return Stage(name, networks.train, settings, (*data, *validation))
 
 
 def _networks(s: PaperSettings) -> list[Stage]:
     ours = {"model": "att-snn", "preset": "hummingbird", "epochs": s.ours_epochs}
-    own = {"data": [SIM, REAL], "validation": [], "seed": s.seed}
+    long, short = PAPER | dict(s.snn), PAPER | dict(s.fold)
     return [
-        _train(RNN, GRU, s.rnn, s.seed),
-        _train(SNN, PAPER, s.snn, s.seed),
-        _train(CHIP, ON_CHIP, s.snn, s.seed),
-        _train(FIXED, PAPER | {"fixed_taus": True}, s.fold, s.seed),
-        Stage(OURS, networks.train, own | ours, (SIM, REAL), 12.0 * s.ours_epochs),
-        *(_train(f"net-fold-{k}", PAPER, s.fold, s.seed + k) for k in range(1, s.folds)),
-        *(_train(name, PAPER, s.fold, s.seed, [domain]) for name, domain in CROSS.items()),
+        _train(RNN, GRU | dict(s.rnn), s.seed),
+        _train(SNN, long, s.seed),
+        _train(CHIP, ON_CHIP | dict(s.snn), s.seed),
+        _train(FIXED, short | {"fixed_taus": True}, s.seed),
+        _train(OURS, ours, s.seed),
+        *(_train(f"net-fold-{k}", short, s.seed + k) for k in range(1, s.folds)),
+        *(_train(name, short, s.seed, [domain]) for name, domain in CROSS.items()),
     ]
 
 
@@ -142,7 +127,6 @@ def _score(
     on: Sequence[str],
     tuned: Sequence[str],
     trained: scores.Networks,
-    seconds: float,
     make: Any = scores.compare,
     **settings: Any,
 ) -> Stage:
@@ -150,7 +134,7 @@ def _score(
     needed = [stage for _, stage, *_ in trained.values() if stage]
     inputs = (*on, *(f"tune-{each}" for each in tuned), *needed)
     settings |= {"flights": list(on), "filters": list(tuned), "networks": trained}
-    return Stage(name, make, settings, inputs, seconds, packages=("estimators",))
+    return Stage(name, make, settings, inputs, packages=("estimators",))
 
 
 def _scores(s: PaperSettings) -> list[Stage]:
@@ -166,63 +150,36 @@ def _scores(s: PaperSettings) -> list[Stage]:
     looped = {label: made[label] for label in ("att-snn", "att-snn, chip", "att-snn, ours")}
     in_loop = ["complementary", "mahony", "ekf"]
     loop = {"seeds": s.loop_seeds, "duration_s": s.loop_s, "filters": in_loop, "networks": looped}
-    seeded: dict[str, Any] = {"seed": s.seed}
-    code: dict[str, Any] = {"packages": ("estimators",)}
     folds = [SNN, *(f"net-fold-{k}" for k in range(1, s.folds))]
-    tuned = tuple(f"tune-{name}" for name in in_loop)
+    tuned = (*(f"tune-{name}" for name in in_loop), SNN, CHIP, OURS)
+    rounds = {"rounds": s.latency_rounds}
+    ours, all_of_ours = ("estimators",), ("estimators", "scenarios")
+    mixed = {"mixed": folds, "only": CROSS}
     return [
-        Stage(
-            "score-folds",
-            scores.folds,
-            {"mixed": folds, "only": CROSS},
-            (SIM, REAL, *folds, *CROSS),
-            40,
-            **code,
-        ),
+        Stage("score-folds", scores.folds, mixed, (SIM, REAL, *folds, *CROSS), packages=ours),
         *(
-            _score(f"score-{each}", [each], FILTERS, made, 60, scores.score, **seeded)
+            _score(f"score-{each}", [each], FILTERS, made, scores.score, seed=s.seed)
             for each in (SIM, REAL, *TEST)
         ),
-        _score("recover", [*TEST, "fly-hover"], FILTERS, made, 20, scores.recover, **seeded),
-        Stage("inside", inside.look, {}, (TEST[0], CHIP, RNN), 90, **code),
-        Stage("manipulate", inside.manipulate, {}, ("fly-cruise", TEST[0], SNN, CHIP), 20, **code),
-        Stage(
-            "latencies",
-            scores.latencies,
-            {"rounds": s.latency_rounds},
-            (),
-            s.latency_rounds,
-            alone=True,
-            **code,
-        ),
-        Stage(
-            "loop",
-            scores.close_loop,
-            loop | seeded,
-            (*tuned, SNN, CHIP, OURS),
-            40,
-            packages=("estimators", "scenarios"),
-        ),
+        _score("recover", [*TEST, "fly-hover"], FILTERS, made, scores.recover, seed=s.seed),
+        Stage("inside", inside.look, inputs=(TEST[0], CHIP, RNN), packages=ours),
+        Stage("manipulate", inside.manipulate, inputs=("fly-cruise", TEST[0], SNN, CHIP), packages=ours),
+        Stage("latencies", scores.latencies, rounds, alone=True, packages=ours),
+        Stage("loop", scores.close_loop, loop | {"seed": s.seed}, tuned, packages=all_of_ours),
     ]
 
 
 def _rates(s: PaperSettings) -> list[Stage]:
     """The same network trained at every sample rate on as many hours of the same manoeuvres."""
-    stages = []
+    stages, first = [], 1000 * s.seed
     for rate in s.rates_hz:
-        train, test = f"fly-rate-{rate:g}", f"fly-rate-test-{rate:g}"
+        train, test, at = f"fly-rate-{rate:g}", f"fly-rate-test-{rate:g}", {"rate_hz": rate}
+        made = {"att-snn": ["att-snn", f"rate-{rate:g}"]}
         stages += [
-            _fly(s, train, s.rate_flights, s.flight_s, 11, rate_hz=rate),
-            _fly(s, test, s.test_flights, s.test_s, 12, rate_hz=rate),
-            _train(f"rate-{rate:g}", PAPER, s.rate, s.seed, [train], rate_hz=rate),
-            _score(
-                f"compare-rate-{rate:g}",
-                [test],
-                STUDY,
-                {"att-snn": ["att-snn", f"rate-{rate:g}"]},
-                5,
-                rate_hz=rate,
-            ),
+            _fly(train, s.rate_flights, s.flight_s, first + 11, **at),
+            _fly(test, s.test_flights, s.test_s, first + 12, **at),
+            _train(f"rate-{rate:g}", PAPER | dict(s.rate), s.seed, [train]),
+            _score(f"compare-rate-{rate:g}", [test], STUDY, made, **at),
         ]
     return stages
 
@@ -232,10 +189,11 @@ STUDY = ("mahony", "complementary")
 
 def _minutes(s: PaperSettings) -> list[Stage]:
     """The same network trained on the first so many minutes of the same flights."""
-    choose = "fly-minutes-validation"
-    stages = [_fly(s, choose, s.minutes_validation, s.flight_s, 14)]
+    choose, first = "fly-minutes-validation", 1000 * s.seed
+    stages = [_fly(choose, s.minutes_validation, s.flight_s, first + 14)]
     for n in s.minutes:
-        stages.append(_fly(s, f"fly-minutes-{n}", n, 60.0, 13))
-        stages.append(_train(f"minutes-{n}", PAPER, s.study, s.seed, [f"fly-minutes-{n}"], [choose]))
+        stages.append(_fly(f"fly-minutes-{n}", n, 60.0, first + 13))
+        recipe = PAPER | dict(s.study)
+        stages.append(_train(f"minutes-{n}", recipe, s.seed, [f"fly-minutes-{n}"], [choose]))
     made = {str(n): ["att-snn", f"minutes-{n}"] for n in s.minutes}
-    return [*stages, _score("compare-minutes", TEST, (), made, 10)]
+    return [*stages, _score("compare-minutes", TEST, (), made)]

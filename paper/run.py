@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .page.claims import Judgement
-from .page.pages import BESIDE, Placement, write_pages
+from .page.pages import write_pages
 from .plan import chosen, stages_of
 from .settings import PaperSettings, settings_of
 from .stages import Progress, fingerprints, is_finished, record_of, run_stages, with_inputs
@@ -69,16 +69,13 @@ def paper(
     return Paper(out / "paper.md", write_results(parts, out, settings))
 
 
-def write_results(
-    parts: Path, folder: Path, settings: PaperSettings, placement: Placement = BESIDE
-) -> list[Judgement]:
+def write_results(parts: Path, folder: Path, settings: PaperSettings) -> list[Judgement]:
     """Write the page of everything that is finished, and its figures; the judged claims.
 
     Args:
         parts: Folder of the stages' folders.
         folder: Where the pages go.
         settings: Of the run.
-        placement: Names of the figures.
     """
     stages, shows = stages_of(settings)
     prints = fingerprints(list(stages.values()))
@@ -88,4 +85,4 @@ def write_results(
     shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
     seconds = sum(record_of(parts / name, prints[name])["seconds"] for name in done)
     numbers = {name: numbers[name] for item in shown for name in shows[item]}
-    return write_pages(folder, numbers, shown, settings, seconds, placement)
+    return write_pages(folder, numbers, shown, settings, seconds)

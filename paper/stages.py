@@ -23,7 +23,7 @@ from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 RECORD = "stage.json"
 
 Progress = Callable[[int, int, str], None]
-"""progress(expected seconds of the work done, of all work, what is being done)."""
+"""progress(stages done, all stages, what is being done)."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,6 @@ class Stage:
     """Everything else that its files depend on, as JSON knows it."""
     inputs: tuple[str, ...] = ()
     """Stages whose files it reads."""
-    seconds: float = 5.0
-    """Expected duration, for order and progress alone."""
     alone: bool = False
     """Whether nothing else may run beside it (what it measures is time)."""
     packages: tuple[str, ...] = ()
@@ -109,16 +107,14 @@ def run_stages(
     workers = process_count(workers, len(jobs))
 
     def startable(waiting: Iterable[str], running: Iterable[str]) -> list[str]:
-        """The longest first; what must be alone only when nothing else is left."""
+        """What must be alone only when nothing else is left."""
         ready = [jobs[name][0] for name in waiting if done.issuperset(jobs[name][0].inputs)]
-        shared = sorted((stage for stage in ready if not stage.alone), key=lambda stage: -stage.seconds)
+        shared = [stage for stage in ready if not stage.alone]
         free = workers - len(list(running))
         return [stage.name for stage in (shared[:free] if shared or free < workers else ready[:1])]
 
     def tick(running: Iterable[str]) -> None:
-        shares = dict.fromkeys(done, 1.0) | {name: _share(*jobs[name][:2]) for name in running}
-        finished = sum(stage.seconds * shares.get(stage.name, 0.0) for stage in stages)
-        progress(round(finished), round(sum(stage.seconds for stage in stages)), ", ".join(running))
+        progress(len(done), len(stages), ", ".join(running))
 
     tick(())
     try:
@@ -140,11 +136,3 @@ def make(stage: Stage, folder: Path, inputs: Mapping[str, Path], fingerprint: st
     record["seconds"] = round(time.monotonic() - began, 1)
     record["files"] = sorted(path.name for path in folder.iterdir() if path.name != RECORD)
     write_whole(folder / RECORD, json.dumps(record))
-
-
-def _share(stage: Stage, folder: Path) -> float:
-    """Share of a training's epochs that is done."""
-    log = folder / "log.csv"
-    if "epochs" not in stage.settings or not log.exists():
-        return 0.0
-    return min(1.0, (len(log.read_text(encoding="utf-8").splitlines()) - 1) / stage.settings["epochs"])

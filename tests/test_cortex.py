@@ -72,20 +72,6 @@ def test_a_controller_has_the_emulators_outputs_and_a_step_fits_500_hz(tmp_path,
 
 
 @pytest.mark.slow
-def test_the_timer_counts_the_instructions_that_are_logged(tmp_path):
-    """By the difference of two runs of the whole program, which start and end alike."""
-    config, _ = load_network("att-snn")
-    export_weights("att-snn", tmp_path / "c", "c99")
-    program, _ = build(tmp_path / "build", tmp_path / "c", config, CORES[0])
-    rows = samples()[:, 4:]
-    timed = run(program, CORES[0], rows, 60).instructions[20:60].sum()
-    logged = cortex.logged_instructions(program, CORES[0], rows, 60) - cortex.logged_instructions(
-        program, CORES[0], rows, 20
-    )
-    assert timed == pytest.approx(logged, rel=0.02)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("reads", get_args(Reads))
 def test_the_crazyflies_controller_compiles_against_the_firmwares_declarations(tmp_path, reads):
     example = Path(__file__).parents[1] / "examples" / "crazyflie"

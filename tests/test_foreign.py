@@ -129,12 +129,15 @@ def test_in_hover_the_accelerometer_reads_gravity_upwards(foreign, hovering, tmp
 
 
 def test_a_finished_flight_is_not_simulated_again(foreign, hovering, tmp_path, monkeypatch):
-    plan = foreign.PLANS["hummingbird"][0]
     foreign.foreign("hummingbird", tmp_path)
-    assert foreign.is_current(plan, tmp_path / "rotorpy" / "hummingbird-1.npz")
-    assert not foreign.is_current(plan._replace(yaw_rate=0.1), tmp_path / "rotorpy" / "hummingbird-1.npz")
+    fly = foreign.fly
     monkeypatch.setattr(foreign, "fly", None)
     assert foreign.foreign("hummingbird", tmp_path, "px4-mini").sizes["time"] == 100
+    monkeypatch.setattr(foreign, "fly", fly)
+    plan = foreign.PLANS["hummingbird"][0]
+    file = tmp_path / "rotorpy" / "hummingbird-1.npz"
+    turned = foreign.stored(plan._replace(yaw_rate=0.5), file)  # of another plan
+    assert np.ptp(euler_from_quat(turned["quat"])[:, 2]) > 0.01
 
 
 def test_the_truth_has_no_error_and_a_level_guess_none_in_hover(foreign, hovering, tmp_path, monkeypatch):

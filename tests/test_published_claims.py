@@ -15,7 +15,7 @@ from estimators.networks.weights_file import load_network
 DOCS = Path(__file__).parents[1] / "docs"
 SCRIPTS = (
     *("loihi", "deploy", "speed", "training_page", "control_page"),
-    *("cortex", "simulated", "pages", "learnt", "foreign", "ppo_controller"),
+    *("cortex", "simulated", "pages", "foreign", "ppo_controller"),
 )
 
 

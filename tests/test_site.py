@@ -1,26 +1,21 @@
 """Pages of the site that come from the code."""
 
 import importlib.util
-import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("mkdocs")
-pytest.importorskip("nbclient")
 ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
 def site():
-    """The hook, loaded as MkDocs does: with its folder on the path."""
-    sys.path.insert(0, str(ROOT / "docs"))
     spec = importlib.util.spec_from_file_location("site_hook", ROOT / "docs" / "site.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    sys.path.remove(str(ROOT / "docs"))
-    yield module
-    sys.modules.pop("notebooks", None)
+    return module
 
 
 def test_the_first_page_shows_four_rows_of_the_readmes_table(site):
@@ -39,12 +34,23 @@ def test_the_first_page_shows_a_small_video(site):
 
 def test_keys_of_files_have_ranges_units_and_defaults(site):
     lines = site.toml_files().splitlines()
-    assert "| `mass` | Mass [kg]. | number 0.001 to 1000 kg | *required* |" in lines
-    assert "| `motor` | Constants shared by all rotors. | [Motor](#motor) | *required* |" in lines
+    assert "| `mass` | Mass [kg]. | float 0.001 to 1000.0 kg | *required* |" in lines
+    assert "| `motor` | Constants shared by all rotors. | Motor | *required* |" in lines
 
 
 def test_every_verb_has_its_section(site):
     text = site.command_line()
     assert all(
-        f"\n## quadsim {verb}\n" in text for verb in ("generate", "bench", "dataset info", "logs calibrate")
+        f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "dataset info", "logs calibrate")
     )
+
+
+def test_a_tutorial_with_a_notebook_links_to_it(site):
+    folder = ROOT / "docs" / "tutorials"
+    pages = {
+        name: SimpleNamespace(file=SimpleNamespace(abs_src_path=str(folder / f"{name}.md")))
+        for name in ("data", "train")
+    }
+    shown = {name: site.on_page_markdown("# Title\ntext", page, None, None) for name, page in pages.items()}
+    assert shown["data"] == "# Title\n\n[As a notebook, with outputs](data.ipynb)\ntext"
+    assert shown["train"] == "# Title\ntext"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,7 @@ from quadsim.dataset.figures import LINES
 
 from ..plan import SNN, TEST
 from ..work.scores import CONVERGED_DEG, FILTERS, RESPONSE_S, SHOWN_HZ, SIX
-from .claims import NETWORKS, Numbers, by_rate, errors, interval
-from .quoted import ACTIVITY, CONVERGE_S, LAYER, METHODS
+from .claims import METHODS, NETWORKS, QUOTED, Numbers, by_rate, errors, mean
 from .tables import CURVES, OWN, RESPONSES
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
@@ -27,7 +26,7 @@ COLOURS = (BLACK, "#0072b2", "#e08a00", "#7a5195", "#6b6b6b", "#c0563b", "#2f8f6
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1)))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 HATCHES = ("", "///", "...", "xxx", "\\\\\\")
-QUOTED: dict[str, Any] = {"marker": "D", "ls": "", "mfc": "white", "color": BLACK, "ms": 5}
+DIAMOND: dict[str, Any] = {"marker": "D", "ls": "", "mfc": "white", "color": BLACK, "ms": 5}
 """How the paper's values are drawn."""
 DOMAIN_TITLES = {"sim": "Hummingbird, ADIS16448", "real": "px4-quad, Pixhawk 4 Mini"}
 SAME = {"att-snn, chip": "att-snn-loihi", "att-snn, ours": "att-snn-hummingbird"}
@@ -122,7 +121,7 @@ def fig5(numbers: Numbers) -> Figure:
             (names.index(name) + shift, each[1][1]) for (name, s), each in METHODS.items() if s == start
         ]
         label = "the paper, mean on its flights" if start == "known" else None
-        drawn = axes.plot(*zip(*quoted, strict=True), **QUOTED, zorder=5, label=label)
+        drawn = axes.plot(*zip(*quoted, strict=True), **DIAMOND, zorder=5, label=label)
         handles.append(Patch(facecolor=colour, edgecolor=BLACK, hatch=hatch, label=f"{start} start"))
     titles = [(OWN.get(name) or name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
     axes.set_xticks(range(len(names)), titles, fontsize=8)
@@ -153,7 +152,7 @@ def fig6(numbers: Numbers) -> Figure:
     one.set(title="one start, in flight", xlabel="time [s]", ylabel="pitch [°]", xlim=(0, RESPONSE_S))
     for axes, title in zip(medians, ("all starts, in flight", "in hover, given a roll of 20°"), strict=True):
         axes.axhline(CONVERGED_DEG, color=BLACK, lw=0.8, ls=":")
-        for (key, seconds), sign in zip(CONVERGE_S.items(), "<>", strict=True):
+        for (key, seconds), sign in zip(QUOTED["converge_s"].items(), "<>", strict=True):
             axes.axvline(seconds, color=GREY, lw=0.8)
             _note(axes, f"the paper:\n{key} {sign} {seconds:g} s", (seconds, 25), (3, 0), color="#555555")
         axes.set(title=title, xlabel="time [s]", xlim=(0, RESPONSE_S), ylim=(0, 30))
@@ -172,7 +171,10 @@ def fig7(numbers: Numbers) -> Figure:
             share, np.maximum(sorted(rates, reverse=True), 1e-5), color=COLOURS[k], ls=DASHES[k], label=layer
         )
         left.axvline(
-            100 * (1 - ACTIVITY["never"][k] - ACTIVITY["rare"][k]), color=COLOURS[k], lw=0.8, ls=DASHES[k]
+            100 * (1 - QUOTED["activity"]["never"][k] - QUOTED["activity"]["rare"][k]),
+            color=COLOURS[k],
+            lw=0.8,
+            ls=DASHES[k],
         )
     left.axhline(0.005, color=GREY, lw=0.8)
     _note(left, "0.5 % of the steps", (0, 0.005), (2, -9))
@@ -182,7 +184,7 @@ def fig7(numbers: Numbers) -> Figure:
     for k, (by, found) in enumerate(inside["ablation"].items()):
         label = "at random" if by == "random" else f"by {by}"
         right.plot(100 * np.array(inside["fractions"]), found, label=label, **_marked(k, 4))
-    right.axvline(100 * ACTIVITY["removed_neurons"], color=GREY, lw=0.8)
+    right.axvline(100 * QUOTED["activity"]["removed_neurons"], color=GREY, lw=0.8)
     right.set(title="error without neurons, untrained", xlabel="neurons removed [%]", yscale="log")
     right.set_ylabel("mean absolute error [°]")
     low, high = right.get_ylim()
@@ -212,21 +214,23 @@ def fig8(numbers: Numbers) -> Figure:
 
 
 def fig9(numbers: Numbers) -> Figure:
-    """Time of an update, and the modelled energy of a step."""
+    """Time of an update (1st, 50th, 99th percentile) beside the paper's, and modelled energy of a step."""
     from estimators.analysis.latency import point  # imports torch
 
-    taken = sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
+    taken = dict(sorted(numbers["latencies"].items(), key=lambda item: item[1][1]))
     layer = {"Loihi": "loihi_us", "PyTorch SNN": "snn_us", "GRU": "gru_us"}
-    paper = {f"the paper's recurrent layer: {name}": LAYER[key] for name, key in layer.items()}
+    paper = {
+        f"the paper's recurrent layer: {name}": QUOTED["recurrent_layer"][key] for name, key in layer.items()
+    }
     figure, (left, right) = _panels(9.6, 4.4, 1, 2, width_ratios=(1.5, 1))
-    for place, (name, (low, middle, high)) in enumerate(taken):
+    for place, (name, (low, middle, high)) in enumerate(taken.items()):
         left.plot([low, high], [place, place], color=GREY, lw=3, solid_capstyle="butt")
         left.plot(middle, place, ls="", ms=6, **point(name))
         _note(left, f"{middle:.3g}", (high, place), (5, -3))
     for place, value in enumerate(paper.values(), len(taken)):
-        left.plot(value, place, **QUOTED)
+        left.plot(value, place, **DIAMOND)
         _note(left, f"{value:g}", (value, place), (8, -3))
-    _name_rows(left, [*(name for name, _ in taken), *paper])
+    _name_rows(left, [*taken, *paper])
     left.axhline(len(taken) - 0.5, color=GREY, lw=0.8)
     left.axvline(5000, color=BLACK, lw=0.8, ls=":")
     left.set(title="one update; dotted: a sample at 200 Hz", xlabel="time [µs]", xscale="log")
@@ -241,57 +245,42 @@ def fig9(numbers: Numbers) -> Figure:
     return figure
 
 
-def loop(numbers: Numbers) -> Figure:
-    """Error of the estimate in the loop, in equal parts of the flights."""
-    scenarios = numbers["loop"]["scenarios"]
-    figure, panels = _panels(9.0, 3.0, 1, len(scenarios))
-    for axes, (scenario, scores) in zip(panels, scenarios.items(), strict=True):
-        for name in (name for name in scores if name != "truth"):
-            axes.plot([1, 2, 3], scores[name]["parts_deg"], label=name, ms=5, **_look(name).points)
-        axes.set(title=scenario, xlabel="third of the flight", xticks=[1, 2, 3], xlim=(0.7, 3.3))
-        axes.set_ylim(bottom=0)
-    panels[0].set_ylabel("mean absolute error [°]")
-    figure.legend(*panels[0].get_legend_handles_labels(), fontsize=8, loc="outside right center")
+def _against(
+    xlabel: str, lines: Mapping[str, tuple[Mapping[Any, Sequence[float]], dict[str, Any]]]
+) -> Figure:
+    """Mean errors with their intervals against a number, a line for each label."""
+    figure, axes = _panels(6.4, 3.4)
+    for label, (found, style) in lines.items():
+        means = [mean(each) for each in found.values()]
+        ends = [[each.value - each.low for each in means], [each.high - each.value for each in means]]
+        places = [float(place) for place in found]
+        axes.errorbar(places, [each.value for each in means], ends, capsize=3, label=label, **style)
+    axes.set(xlabel=xlabel, ylabel="mean absolute error [°]")
+    axes.set_xscale("log")
+    axes.set_xticks(places, [f"{place:g}" for place in places])
+    axes.minorticks_off()
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize=8)
     return figure
 
 
 def rate(numbers: Numbers) -> Figure:
     """Error against the sample rate."""
-    figure, axes = _panels(6.4, 3.4)
-    for name in ("att-snn", "complementary", "mahony"):
-        found = {hz: interval(lambda x: float(x.mean()), each) for hz, each in by_rate(numbers, name).items()}
-        means = [each.value for each in found.values()]
-        ends = [
-            [each.value - each.low for each in found.values()],
-            [each.high - each.value for each in found.values()],
-        ]
-        axes.errorbar(list(found), means, ends, capsize=3, label=name, ms=5, **_look(name).points)
-    axes.set(xscale="log", xlabel="sample rate [Hz]", ylabel="mean absolute error [°]")
-    axes.set_xticks(list(found), [f"{hz:g}" for hz in found])
-    axes.minorticks_off()
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)
-    return figure
+    names = ("att-snn", "complementary", "mahony")
+    lines = {name: (by_rate(numbers, name), {"ms": 5} | _look(name).points) for name in names}
+    return _against("sample rate [Hz]", lines)
 
 
 def minutes(numbers: Numbers) -> Figure:
     """Error against the minutes of flight trained on."""
     found = numbers["compare-minutes"]["errors"]
-    figure, axes = _panels(6.4, 3.4)
-    titles = ("unseen Hummingbird flights", "px4-quad, never trained on")
-    for k, (flights, title) in enumerate(zip(TEST, titles, strict=True)):
-        each = [interval(lambda x: float(x.mean()), sets[flights]) for sets in found.values()]
-        ends = [[one.value - one.low for one in each], [one.high - one.value for one in each]]
-        axes.errorbar(
-            [int(n) for n in found], [one.value for one in each], ends, capsize=3, label=title, **_marked(k)
-        )
-    axes.set(xscale="log", xlabel="minutes of flight trained on", ylabel="mean absolute error [°]")
-    axes.set_xticks([int(n) for n in found], list(found))
-    axes.minorticks_off()
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)
-    return figure
+    titles = dict(zip(TEST, ("unseen Hummingbird flights", "px4-quad, never trained on"), strict=True))
+    lines = {
+        title: ({n: sets[flights] for n, sets in found.items()}, _marked(k))
+        for k, (flights, title) in enumerate(titles.items())
+    }
+    return _against("minutes of flight trained on", lines)
 
 
-FIGURES = {make.__name__: make for make in (fig3, fig4, fig5, fig6, fig7, fig8, fig9, loop, rate, minutes)}
+FIGURES = {make.__name__: make for make in (fig3, fig4, fig5, fig6, fig7, fig8, fig9, rate, minutes)}
 """Figure of each item that has one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib
 
@@ -14,29 +14,12 @@ from quadsim.runs.files import save_figure, write_whole
 from ..plan import ITEMS
 from ..settings import PaperSettings
 from . import tables
-from .claims import ELSEWHERE, Judgement, Numbers, judge
+from .claims import CLAIMS, Judgement, Numbers, judge
 from .figures import FIGURES
-from .quoted import CODE, TITLE
 
 MARKS = {"holds": "✔ holds", "partly": "◐ partly", "does not hold": "✘ does not hold", "not judged": "–"}
 MISSING = "Not made in this run."
 LOOK = "\n\n**This is preset quick: short flights and trainings, for a look. No verdict follows from it.**"
-
-
-class Placement(NamedTuple):
-    """Names of the page's figures."""
-
-    prefix: str = ""
-    """Begins the names of all figures."""
-    images: str = "."
-    """Folder of the figures, inside that of the page."""
-    kinds: tuple[str, ...] = ("png", "svg")
-    """Formats; the page shows the first."""
-    then: str = ""
-    """A further command that this page is made with."""
-
-
-BESIDE = Placement()
 
 
 class _Gaps(dict[str, Any]):
@@ -47,14 +30,9 @@ class _Gaps(dict[str, Any]):
 
 
 def write_pages(
-    folder: Path,
-    numbers: Numbers,
-    shown: Sequence[str],
-    settings: PaperSettings,
-    seconds: float,
-    placement: Placement,
+    folder: Path, numbers: Numbers, shown: Sequence[str], settings: PaperSettings, seconds: float
 ) -> list[Judgement]:
-    """Write paper.md and its figures; the judged claims.
+    """Write paper.md, and its figures into img/; the judged claims.
 
     Args:
         folder: Where.
@@ -62,37 +40,28 @@ def write_pages(
         shown: Items whose stages are all finished.
         settings: Of the run.
         seconds: Time that its stages took, added up.
-        placement: Names of the figures.
     """
-    prefix, images, kinds, then = placement
     judged, texts = judge(numbers, settings.judges), sections()
-    command = f"quadsim paper --preset {settings.preset}"
-    command += f" --seed {settings.seed} --out runs/paper" if settings.seed else " --out runs/paper"
+    seed = f" --seed {settings.seed}" if settings.seed else ""
     gaps = _Gaps(
         s=settings,
         n=numbers,
-        title=TITLE,
-        code=CODE,
         look="" if settings.judges else LOOK,
         computing_min=f"{seconds / 60:.0f}",
-        made_by=f"Made by `{command}`{f' and `{then}`' if then else ''}.",
+        made_by=f"Made by `quadsim paper --preset {settings.preset}{seed} --out runs/paper`.",
         checklist="\n".join(
             f"| {each.claim} | **{MARKS[each.verdict]}** | {each.measured} | {each.rule} | {each.limits} |"
             for each in judged
         ),
-        elsewhere="\n".join(f"* {what}: **not judged**, {why}." for what, why in ELSEWHERE.items()),
+        elsewhere="\n".join(f"* {what}: **not judged**, {why}." for what, why in CLAIMS["elsewhere"].items()),
     )
     bodies = dict.fromkeys(ITEMS, MISSING)
     for item in shown:
         parts = [texts[item][1].format_map(gaps)]
         if item in FIGURES:
-            name = (Path(images) / f"{prefix}{item}").as_posix()
             with matplotlib.rc_context(STYLE):
-                figure = FIGURES[item](numbers)
-                for kind in kinds:
-                    metadata = {"Date": None} if kind == "svg" else None
-                    save_figure(folder / f"{name}.{kind}", figure, dpi=130, metadata=metadata)
-            parts.append(f"![{texts[item][0]}]({name}.{kinds[0]})")
+                save_figure(folder / "img" / f"paper-{item}.png", FIGURES[item](numbers), dpi=130)
+            parts.append(f"![{texts[item][0]}](img/paper-{item}.png)")
         parts += [_verdict(each) for each in judged if each.item == item]
         bodies[item] = "\n\n".join(parts)
     gaps["sections"] = "\n\n".join(f"## {texts[item][0]}\n\n{body}" for item, body in bodies.items())

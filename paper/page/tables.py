@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from ..plan import CHIP, CROSS, FIXED, RNN, SNN
 from ..work.scores import FILTERS, SHIPPED, SIX
-from .claims import NETWORKS, TITLES, Numbers, by_rate, errors, interval, median_time, scatter, shown_time
-from .quoted import ACTIVITY, FOLDS, LAYER, LOSSES, METHODS, operations
+from .claims import METHODS, NETWORKS, QUOTED, TITLES, Numbers, errors, median_time, operations, scatter
 
-DOMAIN_NAMES = {"fly-sim": "Hummingbird", "fly-real": "px4-quad"}
 CURVES = {
     SNN: "Att-SNN",
     FIXED: "Att-SNN (only weights trained)",
@@ -27,7 +25,8 @@ RESPONSES = {
 }
 """The paper's four inputs of Fig. 8."""
 OWN = {"att-snn, chip": "Att-SNN (Loihi quantisation)", "att-snn, ours": "Att-SNN, our recipe"}
-OWN |= dict.fromkeys(SHIPPED, "")
+OWN |= {label: label for label in SHIPPED}
+"""Networks that are none of the paper's."""
 
 
 def markdown_table(header: str, rows: Iterable[Sequence[object]]) -> str:
@@ -38,23 +37,29 @@ def markdown_table(header: str, rows: Iterable[Sequence[object]]) -> str:
 
 def _named(name: str) -> str:
     """A method, in italics where it is none of the paper's."""
-    return TITLES.get(name, name) if name in SIX else f"*{OWN.get(name) or name}*"
+    return TITLES.get(name, name) if name in SIX else f"*{OWN.get(name, name)}*"
 
 
-def _spread(values: Sequence[float]) -> str:
-    return f"{np.mean(values):.2f} ({np.std(values, ddof=1):.2f})"
+def _statistics(values: Sequence[float], *of: Callable[..., float]) -> str:
+    return " / ".join(f"{each(values):.2f}" for each in of)
 
 
 def folds(numbers: Numbers) -> str:
-    """Table 1: errors of every fold, mean (SD) over flights."""
+    """Table 1: errors of every fold, mean and SD over flights."""
     found = numbers["score-folds"]
-    rows = []
     mixed = [name for name in found if name not in CROSS]
-    for key, name in [*zip("12345", mixed, strict=False), ("sim", "net-only-sim"), ("px4", "net-only-real")]:
-        theirs = [f"{mean:.2f} ({sd:.2f})" for mean, sd in FOLDS[key]]
-        title = {"sim": "Hummingbird → px4-quad", "px4": "px4-quad → Hummingbird"}.get(key, f"fold {key}")
-        rows.append([title, *(_spread(found[name][kind]) for kind in ("train", "test")), *theirs])
+    titles = {"sim": "Hummingbird → px4-quad", "px4": "px4-quad → Hummingbird"}
+    rows = []
+    for row, name in zip(QUOTED["table1"], [*mixed, *[None] * (5 - len(mixed)), *CROSS], strict=True):
+        if name is not None:
+            ours = [_statistics(found[name][kind], np.mean, _sd) for kind in ("train", "test")]
+            theirs = [" / ".join(f"{each:.2f}" for each in row[kind]) for kind in ("train", "test")]
+            rows.append([titles.get(row["fold"], f"fold {row['fold']}"), *ours, *theirs])
     return markdown_table("fold | training | test | the paper, training | the paper, test", rows)
+
+
+def _sd(values: Sequence[float]) -> float:
+    return float(np.std(values, ddof=1))
 
 
 def methods(numbers: Numbers) -> str:
@@ -62,22 +67,19 @@ def methods(numbers: Numbers) -> str:
     rows = []
     for name in (*SIX, "complementary-adaptive", *OWN):
         for start in ("unknown",) if name.startswith("att") else ("known", "unknown"):
-            training = [
-                e
-                for stage in ("score-fly-sim", "score-fly-real")
-                for e in errors(numbers, name, start, stage)
-            ]
-            test = errors(numbers, name, start)
-            cells = [
-                " / ".join(f"{f(each):.2f}" for f in (np.median, np.mean, np.std))
-                for each in (training, test)
-            ]
-            home = np.mean(errors(numbers, name, start, "score-fly-test-sim"))
+            on = {
+                stage: errors(numbers, name, start, f"score-fly-{stage}")
+                for stage in ("sim", "real", "test-real", "test-sim")
+            }
+            training, test = (
+                _statistics(each, np.median, np.mean, np.std)
+                for each in (on["sim"] + on["real"], on["test-real"])
+            )
             quoted = METHODS.get((name, start))
             theirs = [" / ".join(f"{x:.2f}" for x in each) for each in quoted] if quoted else ["–", "–"]
-            beside = [_silenced(numbers, name, domain) for domain in ("real", "sim")]
-            ours = [cells[1] + beside[0], f"{home:.2f}{beside[1]}"]
-            rows.append([_named(name), start, cells[0], theirs[0], ours[0], theirs[1], ours[1]])
+            test, home = test + _silenced(numbers, name, "real"), f"{np.mean(on['test-sim']):.2f}"
+            home += _silenced(numbers, name, "sim")
+            rows.append([_named(name), start, training, theirs[0], test, theirs[1], home])
     header = (
         "method | start | training | the paper, training | test | the paper, test | test, Hummingbird, mean"
     )
@@ -100,38 +102,17 @@ def tuned(numbers: Numbers) -> str:
     return markdown_table("filter | tuned values | RMSE on the flights that tuned it [°]", rows)
 
 
-def distributions(numbers: Numbers) -> str:
-    """Standard deviations of inputs and outputs in both domains."""
-    domains = {f"fly-{name}": each for name, each in numbers["distributions"].items()}
-    rows = [
-        [DOMAIN_NAMES[domain], *(f"{each['sd']:.2f}" for each in columns.values())]
-        for domain, columns in domains.items()
-    ]
-    return markdown_table(" | ".join(["SD of", *next(iter(domains.values()))]), rows)
-
-
 def losses(numbers: Numbers) -> str:
     """Best epochs and scatter of the trainings."""
     rows = []
     for stage, title in CURVES.items():
-        each = numbers[stage]
+        each, size = numbers[stage], scatter(numbers[stage]["val_mse"])
         best = each["best"]
-        size = scatter(each["val_mse"])
         spikes = "–" if stage == RNN else f"{best['rate_encoding']:.2f}, {best['rate_hidden']:.2f}"
-        quoted = {SNN: LOSSES["att-snn"], RNN: LOSSES["att-rnn"]}.get(stage)
-        rows.append(
-            [
-                title,
-                f"{len(each['updates'])}",
-                best["epoch"] + 1,
-                f"{best['val_error_deg']:.2f}",
-                f"{1e3 * size:.2f}" if np.isfinite(size) else "–",
-                f"{1e3 * quoted:.1f}" if quoted else "–",
-                spikes,
-                f"{each['seconds'] / 60:.0f}",
-                each["reason"],
-            ]
-        )
+        quoted = {SNN: QUOTED["losses"]["att-snn"], RNN: QUOTED["losses"]["att-rnn"]}.get(stage)
+        scatters = f"{1e3 * size:.2f}" if np.isfinite(size) else "–", f"{1e3 * quoted:.1f}" if quoted else "–"
+        epochs = len(each["updates"]), best["epoch"] + 1, f"{best['val_error_deg']:.2f}"
+        rows.append([title, *epochs, *scatters, spikes, f"{each['seconds'] / 60:.0f}", each["reason"]])
     header = (
         "network | epochs | the best | validation error [°] | scatter [10⁻³ rad²] | the paper | "
         "spikes a step, both layers | min | ended because"
@@ -143,31 +124,29 @@ def recoveries(numbers: Numbers) -> str:
     """When the error is first below 2°."""
     rows = []
     for name, each in numbers["recover"]["curves"].items():
-        cells = []
-        for kind in ("flight", "hover"):
-            if kind in each:
-                times = each[kind]["times_s"]
-                within = np.mean([time is not None for time in times])
-                cells += [shown_time(median_time(times)), f"{100 * within:.0f} %"]
-            else:
-                cells += ["–", "–"]
+        cells = ["–"] * 4
+        for k, kind in enumerate(kind for kind in ("flight", "hover") if kind in each):
+            times = each[kind]["times_s"]
+            within = np.mean([time is not None for time in times])
+            cells[2 * k : 2 * k + 2] = [str(median_time(times)), f"{within:.0%}"]
         theirs = "< 1" if name in NETWORKS else "> 7" if name in SIX else "between"
         rows.append([_named(name), *cells, theirs if name in (*SIX, "complementary-adaptive") else "–"])
-    return markdown_table(
-        "method | in flight [s] | converged | in hover [s] | converged | the paper [s]", rows
-    )
+    header = "method | in flight [s] | converged | in hover [s] | converged | the paper [s]"
+    return markdown_table(header, rows)
 
 
 def activity(numbers: Numbers) -> str:
     """Shares of neurons that hardly spike."""
-    rows = []
-    rates = [np.array(each) for each in numbers["inside"]["rates"]]
-    for layer, rate, never, rare in zip(
-        ("encoding", "recurrent"), rates, ACTIVITY["never"], ACTIVITY["rare"], strict=True
-    ):
-        ours = [(rate == 0).mean(), ((rate > 0) & (rate < 0.005)).mean()]
-        cells = [f"{100 * share:.0f} %" for share in (ours[0], never, ours[1], rare)]
-        rows.append([layer, f"{rate.mean():.3f}", *cells])
+    rows, quoted = [], QUOTED["activity"]
+    for k, layer in enumerate(("encoding", "recurrent")):
+        rate = np.array(numbers["inside"]["rates"][k])
+        shares = (
+            (rate == 0).mean(),
+            quoted["never"][k],
+            ((rate > 0) & (rate < 0.005)).mean(),
+            quoted["rare"][k],
+        )
+        rows.append([layer, f"{rate.mean():.3f}", *(f"{share:.0%}" for share in shares)])
     header = (
         "layer | spikes per neuron and step | never spike | the paper | below 0.5 % of the steps | the paper"
     )
@@ -189,63 +168,15 @@ def manipulations(numbers: Numbers) -> str:
     return markdown_table(header, rows)
 
 
-def latencies(numbers: Numbers) -> str:
-    """Time of one update."""
-    rows = [
-        [name, f"{middle:.2f}", f"{high:.2f}"]
-        for name, (_, middle, high) in sorted(numbers["latencies"].items(), key=lambda item: item[1][1])
-    ]
-    return markdown_table("estimator | median [µs] | 99 % [µs]", rows)
-
-
-def layer(numbers: Numbers) -> str:
-    """The paper's measurements of a step of the recurrent layer."""
-    rows = [
-        ["Loihi, a board of 32 chips", f"{LAYER['loihi_us']:g}", f"{LAYER['loihi_uj']:g}"],
-        ["PyTorch SNN, a laptop", f"{LAYER['snn_us']:g}", "–"],
-        ["GRU, a laptop", f"{LAYER['gru_us']:g}", "–"],
-    ]
-    return markdown_table(
-        "the paper, the recurrent layer alone | time of a step [µs] | energy of a step [µJ]", rows
-    )
-
-
-def energy(numbers: Numbers) -> str:
-    """Operations and modelled energy of a step."""
-    rows, total = [], 0.0
-    for each in numbers["inside"]["costs"]:
-        count, picojoules = each["count"], each["picojoules"]
-        total += count * picojoules
-        nanojoules, share = f"{count * picojoules / 1e3:.2f}", f"{100 * each['share']:.0f} %"
-        rows.append([each["operation"], f"{count:.1f}", f"{picojoules:g}", nanojoules, share])
-    rows.append(["sum, modelled", "", "", f"{total / 1e3:.1f}", ""])
-    return markdown_table("operation | a step | pJ each | nJ a step | share", rows)
-
-
 def counted(numbers: Numbers) -> str:
     """Operations of one update, by the paper's formulas and counted."""
-    flops = numbers["inside"]["flops"]
-    by_formula = operations(100, 100)
-    rows = [
-        [
-            "by the paper's formulas, the recurrent layer",
-            by_formula["snn"],
-            by_formula["gru"],
-            f"{by_formula['gru'] / by_formula['snn']:.2f}",
-        ],
-        [
-            "counted, all layers, zeros too",
-            f"{flops['dense']:.0f}",
-            f"{flops['gru']:.0f}",
-            f"{flops['gru'] / flops['dense']:.2f}",
-        ],
-        [
-            "counted, synapses of spikes alone",
-            f"{flops['sparse']:.0f}",
-            f"{flops['gru']:.0f}",
-            f"{flops['gru'] / flops['sparse']:.1f}",
-        ],
-    ]
+    flops, layer = numbers["inside"]["flops"], operations(100, 100)
+    kinds = {
+        "by the paper's formulas, the recurrent layer": (layer["snn"], layer["gru"]),
+        "counted, all layers, zeros too": (flops["dense"], flops["gru"]),
+        "counted, synapses of spikes alone": (flops["sparse"], flops["gru"]),
+    }
+    rows = [[kind, f"{snn:.0f}", f"{gru:.0f}", f"{gru / snn:.2f}"] for kind, (snn, gru) in kinds.items()]
     return markdown_table("operations an update | Att-SNN | Att-RNN | ratio", rows)
 
 
@@ -256,54 +187,10 @@ def loops(numbers: Numbers) -> str:
         for name, each in scores.items():
             parts = " → ".join(f"{part:.2f}" for part in each["parts_deg"])
             error, *tracking = (f"{each[key]:.2f}" for key in ("error_deg", "attitude_deg", "position_m"))
-            crashed = f"{each['crashes']} of {each['flights']}"
             title = name if name == "truth" or name in FILTERS else _named(name)
-            rows.append([scenario, title, crashed, error, parts, *tracking])
+            rows.append([scenario, title, f"{each['crashes']} of {each['flights']}", error, parts, *tracking])
     header = (
         "scenario | attitude from | crashed | estimation error [°] | in thirds of the flight [°] | "
         "attitude tracking [°] | position tracking [m]"
-    )
-    return markdown_table(header, rows)
-
-
-def rates(numbers: Numbers) -> str:
-    """Errors at each sample rate."""
-    methods = ("att-snn", "complementary", "mahony")
-    found = {name: by_rate(numbers, name) for name in methods}
-    trained = {
-        float(name.removeprefix("rate-")): each for name, each in numbers.items() if name.startswith("rate-")
-    }
-    rows = []
-    for hz, each in found["att-snn"].items():
-        mean = interval(lambda x: float(x.mean()), each)
-        training = trained[hz]
-        cells = [f"{np.mean(found[name][hz]):.2f}" for name in methods[1:]]
-        rows.append(
-            [
-                f"{hz:g}",
-                str(mean),
-                *cells,
-                len(training["updates"]),
-                training["best"]["epoch"] + 1,
-                training["reason"],
-            ]
-        )
-    return markdown_table(
-        "samples a second | Att-SNN [°] | complementary [°] | mahony [°] | epochs | the best | ended because",
-        rows,
-    )
-
-
-def flown_minutes(numbers: Numbers) -> str:
-    """Errors of networks trained on several minutes of flight."""
-    rows = []
-    for n, sets in numbers["compare-minutes"]["errors"].items():
-        training = numbers[f"minutes-{n}"]
-        cells = [str(interval(lambda x: float(x.mean()), each)) for each in sets.values()]
-        rows.append([n, *cells, len(training["updates"]), training["best"]["epoch"] + 1, training["reason"]])
-    header = (
-        "minutes of flight | unseen Hummingbird flights [°] | px4-quad, never trained on [°] | epochs | "
-        "the best | "
-        "ended because"
     )
     return markdown_table(header, rows)
