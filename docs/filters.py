@@ -105,18 +105,6 @@ def result_rows(done: Evaluation, domain: str, data: Path) -> list[str]:
     return rows
 
 
-def parameter_rows(domain: str) -> list[str]:
-    """Tuned values, the cost they reached, and how they were searched."""
-    rows = []
-    for name, table in load_tuning(domain).items():
-        if name.endswith("filterpy"):
-            continue
-        values = ", ".join(f"`{key}` {value:.4g}" for key, value in table.values.items())
-        data = table.command.split(" --out ")[0].split(" --data ", 1)[-1]
-        rows.append(row(name, values, f"{table.rmse_deg:.2f}", table.evaluations, f"`--data {data}`"))
-    return rows
-
-
 def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None) -> float:
     """Mean over flights of the mean absolute error [deg]."""
     est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
@@ -182,13 +170,12 @@ def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     matplotlib.rcParams.update(STYLE)
-    tables = {"parameters:general": parameter_rows("general"), "elsewhere": elsewhere_rows(given.data)}
+    tables = {"elsewhere": elsewhere_rows(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():
         done = compared(page, domain, dataset)
         tables |= {
             f"results:{domain}": result_rows(done, domain, given.data),
-            f"parameters:{domain}": parameter_rows(domain),
             f"spoilt:{domain}": spoilt_rows(dataset, domain),
         }
     return tables | {

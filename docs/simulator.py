@@ -14,7 +14,7 @@ from quadsim.dataset.figures import STYLE, plot
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import flight_config, load_recipe
 from quadsim.imu.spec import Sensor, load_imu
-from quadsim.imu.stream import simulate_imu, simulate_imu_with_bias
+from quadsim.imu.stream import simulate_imu
 from quadsim.plant import Plant
 from quadsim.rotation import quat_conjugate, quat_multiply
 from quadsim.vehicle import load_vehicle
@@ -68,21 +68,6 @@ def dryden_rows() -> list[str]:
     return rows
 
 
-def bias_rows() -> list[str]:
-    """SD of the turn-on bias over 500 seeds, and of the bias after 0 and 300 s over its stationary value."""
-    spec = load_imu("adis16448")
-    rows = []
-    zero = np.zeros((500, 1, 3))
-    on = simulate_imu_with_bias(spec.only("turn_on"), zero, zero, RATE, seed=3)[2:]
-    still = np.zeros((500, 3001, 3))
-    walk = simulate_imu_with_bias(spec.only("random_walk"), still, still, 10.0, seed=4)[2:]
-    for name, sensor, start, path in zip(("gyro", "accel"), (spec.gyro, spec.accel), on, walk, strict=True):
-        stationary = sensor.random_walk * np.sqrt(sensor.time_constant / 2)
-        first, *_, last = (f"{sd:.3f}" for sd in path.std(axis=(0, 2)) / stationary)
-        rows.append(row(name, f"{start.std():.5f}", f"{sensor.turn_on:g}", first, last))
-    return rows
-
-
 def engine_rows() -> list[str]:
     """Attitude error of larger steps against 50 µs over an open-loop 60° manoeuvre."""
     vehicle = load_vehicle("hummingbird")
@@ -128,7 +113,6 @@ def values(page: Page, given: Namespace) -> Parts:
     return {
         "allan": allan_rows(),
         "dryden": dryden_rows(),
-        "bias": bias_rows(),
         "engine": engine_rows(),
         "margins": margin_rows(),
     }

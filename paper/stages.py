@@ -18,12 +18,12 @@ from typing import Any
 
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint
-from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
+from quadsim.runs.pool import WORKER_DIED, run_jobs
 
 RECORD = "stage.json"
 
 Progress = Callable[[int, int, str], None]
-"""progress(stages done, all stages, what is being done)."""
+"""progress(stages done, all stages, the last of them)."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def run_stages(
         stages: What is required, inputs before what needs them.
         out: Folder for the stages' folders.
         workers: Processes, by default one for each CPU; 1 stays in this process.
-        progress: Called now and then.
+        progress: Called after each stage.
 
     Returns:
         Names of the stages that were made; the others had been.
@@ -104,24 +104,16 @@ def run_stages(
         if not is_finished(out / stage.name, prints[stage.name])
     }
     done = set(prints) - set(jobs)
-    workers = process_count(workers, len(jobs))
-
-    def startable(waiting: Iterable[str], running: Iterable[str]) -> list[str]:
-        """What must be alone only when nothing else is left."""
-        ready = [jobs[name][0] for name in waiting if done.issuperset(jobs[name][0].inputs)]
-        shared = [stage for stage in ready if not stage.alone]
-        free = workers - len(list(running))
-        return [stage.name for stage in (shared[:free] if shared or free < workers else ready[:1])]
-
-    def tick(running: Iterable[str]) -> None:
-        progress(len(done), len(stages), ", ".join(running))
-
-    tick(())
-    try:
-        for name, _ in run_jobs(make, jobs, workers, startable=startable, tick=tick):
-            done.add(name)
-    except BrokenExecutor as error:
-        raise ChildProcessError(WORKER_DIED) from error
+    progress(len(done), len(stages), "")
+    while waiting := [stage for stage in stages if stage.name not in done]:
+        ready = [stage for stage in waiting if done.issuperset(stage.inputs)]
+        now = [stage.name for stage in ready if not stage.alone] or [ready[0].name]
+        try:
+            for name, _ in run_jobs(make, {name: jobs[name] for name in now}, workers):
+                done.add(name)
+                progress(len(done), len(stages), name)
+        except BrokenExecutor as error:
+            raise ChildProcessError(WORKER_DIED) from error
     return list(jobs)
 
 

@@ -119,7 +119,7 @@ def paper(
     from paper.run import paper as make_paper
     from scenarios.report.terminal import plain_table
 
-    with alone(out), progress_bar("paper", "s of work") as bar:
+    with alone(out), progress_bar("paper", "stages") as bar:
         done = make_paper(out, only, preset, seed, workers, bar)
     rows = [(each.claim, each.verdict) for each in done.judged if each.verdict != "not judged"]
     if rows:
