@@ -1,7 +1,6 @@
-"""The page speed.md: speed beside other libraries, all on one thread.
+"""The page speed.md: `OMP_NUM_THREADS=1 python docs/pages.py speed`.
 
-pip install crazyflow rotorpy   # no part of an installation
-OMP_NUM_THREADS=1 python docs/pages.py speed
+It measures speed on one thread, beside other libraries: `pip install crazyflow rotorpy`.
 """
 
 import os
