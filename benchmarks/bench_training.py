@@ -1,22 +1,16 @@
 """One training step of Att-SNN: `python -m benchmarks.bench_training`.
 
-Forward and backward over 40 windows of 10 s. Norse and snnTorch take part where they are installed. Every
-variant lives in a process of its own and all take turns, a step each, on the same network and batch. Before
-that, each is held against the fused kernel on a short batch: the same outputs, up to rounding (the libraries
-deliver spikes within the step, so theirs come two steps earlier). Memory is the most that a process held
-above what it held before the first full step. The dense floor is the time that the matrix products of the
-step would take if every weight were used in every step.
+Forward and backward over 40 windows of 10 s. Norse and snnTorch take part where they are installed. All take
+turns, a step each, on the same network and batch. Before that, each is held against the fused kernel on a
+short batch: the same outputs, up to rounding (the libraries deliver spikes within the step, so theirs come
+two steps earlier). The dense floor is the time that the matrix products of the step would take if every
+weight were used in every step.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import re
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -163,57 +157,24 @@ def same_outputs(variant: str, n: int = 4, steps: int = 200) -> bool:
     return bool((found[:, : steps - early] - expected[:, early:]).abs().max() < 1e-4)
 
 
-def memory(field: str) -> float:
-    """VmRSS (now) or VmHWM (the most so far) of this process [MB]."""
-    found = re.search(rf"{field}:\s+(\d+) kB", Path("/proc/self/status").read_text())
-    return int(found[1]) / 1e3 if found else float("nan")
-
-
-def prepare(variant: str) -> None:
-    """In a process of its own: warm up, and forget the peak of memory so far, that of compiling.
+def measure(rounds: int = 5) -> list[Row]:
+    """Let all variants that are installed take turns; a row of the table for each.
 
     Raises:
-        ValueError: The variant computes something else.
+        ValueError: A variant computes something else than the fused kernel.
     """
     torch.set_num_threads(1)
-    if variant == FLOOR:
-        _prepared.append(dense_floor)
-        return
-    if not same_outputs(variant):
-        raise ValueError(f"{variant}: its outputs differ from the fused kernel's")
-    step(VARIANTS[variant](4, 20), inputs(4, 20))
-    _before.append(memory("VmRSS"))
-    Path("/proc/self/clear_refs").write_text("5")
-    network, x = VARIANTS[variant](BATCH, STEPS), inputs(BATCH, STEPS)
-    step(network, x)
-    _prepared.append(lambda: spent(lambda: step(network, x)))
-
-
-_prepared: list[Callable[[], tuple[float, float]]] = []
-_before: list[float] = []
-
-
-def turn() -> tuple[float, float]:
-    """Time of a step in the process of a variant."""
-    return _prepared[0]()
-
-
-def peak() -> float:
-    """Memory of the steps [MB]."""
-    return memory("VmHWM") - _before[0] if _before else 0.0
-
-
-def measure(rounds: int = 5) -> list[Row]:
-    """Let all variants that are installed take turns; a row of the table for each."""
-    names = [*(name for name in VARIANTS if name not in NEEDS or find_spec(NEEDS[name])), FLOOR]
-    with ExitStack() as stack:
-        context = multiprocessing.get_context("spawn")
-        pools = {name: stack.enter_context(ProcessPoolExecutor(1, context)) for name in names}
-        for name, pool in pools.items():
-            pool.submit(prepare, name).result()  # one after the other: no two warm up at once
-        jobs = {name: lambda pool=pool: pool.submit(turn).result() for name, pool in pools.items()}
-        medians = {name: np.median(times, axis=0) for name, times in in_turns(jobs, rounds).items()}
-        peaks = {name: pool.submit(peak).result() for name, pool in pools.items()}
+    x, jobs = inputs(BATCH, STEPS), {}
+    for name, variant in VARIANTS.items():
+        if name in NEEDS and not find_spec(NEEDS[name]):
+            continue
+        if not same_outputs(name):
+            raise ValueError(f"{name}: its outputs differ from the fused kernel's")
+        network = variant(BATCH, STEPS)
+        step(network, x)
+        jobs[name] = lambda network=network: spent(lambda: step(network, x))
+    times = in_turns(jobs | {FLOOR: dense_floor}, rounds)
+    medians = {name: np.median(each, axis=0) for name, each in times.items()}
     return [
         {
             "variant": name,
@@ -221,7 +182,6 @@ def measure(rounds: int = 5) -> list[Row]:
             "cpu_s": round(float(cpu), 4),
             "wall_ratio": round(float(wall / medians[FUSED][0]), 2),
             "cpu_ratio": round(float(cpu / medians[FUSED][1]), 2),
-            "memory_MB": round(peaks[name]),
         }
         for name, (wall, cpu) in medians.items()
     ]
