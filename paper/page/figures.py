@@ -10,9 +10,8 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from estimators.appearance import Look, look
+from estimators.appearance import look
 from quadsim.dataset.figures import LINES
 
 from ..plan import SNN, TEST
@@ -20,12 +19,10 @@ from ..work.scores import CONVERGED_DEG, FILTERS, RESPONSE_S, SHOWN_HZ, SIX
 from .claims import METHODS, NETWORKS, QUOTED, Numbers, by_rate, errors, mean
 from .tables import CURVES, OWN, RESPONSES
 
-PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 BLACK, GREY, LIGHT = "#111111", "#999999", "#d9d9d9"
-COLOURS = (BLACK, "#0072b2", "#e08a00", "#7a5195", "#6b6b6b", "#c0563b", "#2f8f6b", "#a05a2c")
-DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1)))
-MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
-HATCHES = ("", "///", "...", "xxx", "\\\\\\")
+COLOURS = (BLACK, "#0072b2", "#e08a00", "#7a5195", "#6b6b6b")
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)))
+MARKS = ("o", "s", "^", "D", "v")
 DIAMOND: dict[str, Any] = {"marker": "D", "ls": "", "mfc": "white", "color": BLACK, "ms": 5}
 """How the paper's values are drawn."""
 DOMAIN_TITLES = {"sim": "Hummingbird, ADIS16448", "real": "px4-quad, Pixhawk 4 Mini"}
@@ -39,14 +36,9 @@ def _panels(width: float, height: float, *shape: int, **options: Any) -> tuple[F
     return figure, figure.subplots(*shape, **options)
 
 
-def _look(name: str) -> Look:
-    """Colour, dash and marker of a method."""
-    return look(SAME.get(name, name))
-
-
-def _marked(k: int, size: float = 5) -> dict[str, Any]:
+def _marked(k: int) -> dict[str, Any]:
     """Colour, dash and marker of the k-th line of a figure that does not compare methods."""
-    return {"color": COLOURS[k], "ls": DASHES[k], "marker": MARKS[k], "ms": size}
+    return {"color": COLOURS[k], "ls": DASHES[k], "marker": MARKS[k], "ms": 5}
 
 
 def _note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **options: Any) -> None:
@@ -140,8 +132,8 @@ def fig6(numbers: Numbers) -> Figure:
     truth = found["example"]["truth"]
     one.plot(np.arange(len(truth)) / SHOWN_HZ, truth, color=BLACK, lw=2.5, alpha=0.5, label="truth")
     for k, name in enumerate((*FILTERS, *NETWORKS)):
-        style = {"ms": 4, "lw": 2.0 if name == "att-snn" else 1.0, "markevery": (5 * k, 40)} | _look(
-            name
+        style = {"ms": 4, "lw": 2.0 if name == "att-snn" else 1.0, "markevery": (5 * k, 40)} | look(
+            SAME.get(name, name)
         ).points
         pitch = found["example"][name]
         one.plot(np.arange(len(pitch)) / SHOWN_HZ, pitch, label=name, **style)
@@ -165,32 +157,20 @@ def fig7(numbers: Numbers) -> Figure:
     """How often neurons spike, the most active first, and the error with some removed."""
     inside = numbers["inside"]
     figure, (left, right) = _panels(9.6, 3.2, 1, 2)
-    for k, (rates, layer) in enumerate(zip(inside["rates"], ("encoding", "recurrent"), strict=True)):
+    for k, layer in enumerate(("encoding", "recurrent")):
+        rates = np.maximum(np.sort(inside["rates"][k])[::-1], 1e-5)
         share = 100 * np.arange(1, len(rates) + 1) / len(rates)
-        left.step(
-            share, np.maximum(sorted(rates, reverse=True), 1e-5), color=COLOURS[k], ls=DASHES[k], label=layer
-        )
-        left.axvline(
-            100 * (1 - QUOTED["activity"]["never"][k] - QUOTED["activity"]["rare"][k]),
-            color=COLOURS[k],
-            lw=0.8,
-            ls=DASHES[k],
-        )
+        left.step(share, rates, color=COLOURS[k], ls=DASHES[k], label=layer)
     left.axhline(0.005, color=GREY, lw=0.8)
     _note(left, "0.5 % of the steps", (0, 0.005), (2, -9))
-    _note(left, "vertical: where the paper's\nfall below", (0, 2e-5), (2, 0), color="#555555")
-    left.set(title="spikes per neuron and step, sorted", xlabel="neurons [%]", yscale="log", ylim=(1e-5, 1.5))
+    left.set(title="spikes per neuron and step, sorted", xlabel="neurons [%]", yscale="log")
     left.legend(fontsize=8, loc="lower center")
     for k, (by, found) in enumerate(inside["ablation"].items()):
         label = "at random" if by == "random" else f"by {by}"
-        right.plot(100 * np.array(inside["fractions"]), found, label=label, **_marked(k, 4))
+        right.plot(100 * np.array(inside["fractions"]), found, label=label, **_marked(k))
     right.axvline(100 * QUOTED["activity"]["removed_neurons"], color=GREY, lw=0.8)
-    right.set(title="error without neurons, untrained", xlabel="neurons removed [%]", yscale="log")
+    right.set(title="error without neurons, untrained; vertical: the paper's", xlabel="neurons removed [%]")
     right.set_ylabel("mean absolute error [°]")
-    low, high = right.get_ylim()
-    right.set_yticks([tick for tick in (1, 1.5, 2, 3, 4, 5, 7, 10, 15) if low < tick < high])
-    right.yaxis.set_major_formatter(PLAIN)
-    right.yaxis.set_minor_formatter(NullFormatter())
     right.legend(fontsize=8)
     return figure
 
@@ -236,8 +216,8 @@ def fig9(numbers: Numbers) -> Figure:
     left.set(title="one update; dotted: a sample at 200 Hz", xlabel="time [µs]", xscale="log")
     lines = numbers["inside"]["costs"]
     energy = [each["count"] * each["picojoules"] / 1e3 for each in lines]
-    for place, (value, hatch) in enumerate(zip(energy, HATCHES, strict=True)):
-        right.barh(place, value, color=LIGHT, edgecolor=BLACK, hatch=hatch)
+    right.barh(range(len(energy)), energy, color=LIGHT, edgecolor=BLACK)
+    for place, value in enumerate(energy):
         _note(right, f"{value:.2g}", (value, place), (4, -3), fontsize=8)
     _name_rows(right, [each["operation"] for each in lines])
     right.set_xlim(0, 1.2 * max(energy))
@@ -267,7 +247,7 @@ def _against(
 def rate(numbers: Numbers) -> Figure:
     """Error against the sample rate."""
     names = ("att-snn", "complementary", "mahony")
-    lines = {name: (by_rate(numbers, name), {"ms": 5} | _look(name).points) for name in names}
+    lines = {name: (by_rate(numbers, name), {"ms": 5} | look(SAME.get(name, name)).points) for name in names}
     return _against("sample rate [Hz]", lines)
 
 
