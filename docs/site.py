@@ -29,16 +29,19 @@ from training.config import Preset
 
 ROOT = Path(__file__).parents[1]
 KINDS: dict[str, tuple[type[BaseModel], str]] = {
-    "vehicle": (Vehicle, "A multirotor: `assets/vehicles/`, `--vehicle`."),
-    "imu": (ImuSpec, "An IMU and its errors: `assets/imus/`, `--imu`."),
-    "external": (ExternalSpec, "A sensor of position, velocity and yaw: `assets/externals/`, `--external`."),
+    "vehicle": (Vehicle, "A multirotor: `assets/vehicles/`, `--set vehicle=`."),
+    "imu": (ImuSpec, "An IMU and its errors: `assets/imus/`, `--set imu=`."),
+    "external": (
+        ExternalSpec,
+        "Sensor of position, velocity, yaw: `assets/externals/`, `--set external=`.",
+    ),
     "recipe": (Recipe, "What `quadsim generate` simulates: `assets/recipes/`, `--recipe`."),
     "scenario": (Scenario, "What `quadsim fly` and `quadsim bench` simulate: `scenarios/`."),
     "preset": (
         Preset,
         "How a network is trained: `assets/presets/`, `--preset`; `--set` takes the same keys.",
     ),
-    "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--tuning`."),
+    "tuning": (Tuned, "A filter's parameters, a table for each: `assets/tuning/`, `--set tuning=`."),
     "held-out": (HeldOut, "A held-out suite: `assets/held-out/`."),
 }
 """Kinds of TOML files, the model that checks each, and where it is used."""

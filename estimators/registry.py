@@ -279,7 +279,7 @@ def _values(
     }
     if missing := [key for key, value in values.items() if math.isnan(value)]:
         raise ValueError(
-            f"{name} needs a vehicle, for its drag: give --vehicle (in Python vehicle=), a shipped name or a "
+            f"{name} needs a vehicle, for its drag: give vehicle=, a shipped name or a "
             f"TOML file, or {' and '.join(missing)}"
         )
     return values

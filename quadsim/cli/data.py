@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..runs.console import executor_of, progress_bar
+from ..config.toml import merged, parse
 from ..runs.console import output as console
-from .options import EngineToo, LearningSeed, Rate, Workers
+from ..runs.console import pool_of, progress_bar
+from .options import LearningSeed, Pool, RecipeFields, Sampling, fields_of
 
 dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
 
@@ -20,15 +21,9 @@ def generate(
     recipe: Annotated[
         str, typer.Option(help="What to simulate: a shipped recipe or a TOML file.")
     ] = "hummingbird",
-    vehicle: Annotated[
-        str | None, typer.Option(help="Another vehicle: a shipped name or a TOML file.")
-    ] = None,
-    imu: Annotated[str | None, typer.Option(help="Another IMU: a shipped name or a TOML file.")] = None,
-    engine: EngineToo = None,
-    rate: Rate = 200.0,
+    set_: RecipeFields = None,
     seed: LearningSeed = 0,
-    workers: Workers = None,
-    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
+    workers: Pool = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is at --out.")] = False,
 ) -> None:
     """Generate labelled synthetic flights: IMU samples and everything that was true.
@@ -40,12 +35,13 @@ def generate(
     """
     from ..dataset.generation import generate as generate_dataset
     from ..dataset.reading import dataset_info
-    from ..flight.recipe import flight_config, load_recipe
+    from ..flight.recipe import Recipe, flight_config, load_recipe
 
-    given = {"vehicle": vehicle, "imu": imu, "engine": engine}
-    changes = {name: value for name, value in given.items() if value is not None}
-    config = flight_config(load_recipe(recipe).model_copy(update=changes))
-    with executor_of(cluster) as executor, progress_bar("generate", "flights") as progress:
+    changes = fields_of(set_)
+    rate = parse({name: changes.pop(name) for name in ("rate",) if name in changes}, Sampling, "--set").rate
+    changed = merged(load_recipe(recipe).model_dump(mode="json"), changes)
+    config = flight_config(parse(changed, Recipe, "--set"))
+    with pool_of(workers) as (count, executor), progress_bar("generate", "flights") as progress:
         path = generate_dataset(
             config,
             flights,
@@ -53,7 +49,7 @@ def generate(
             out,
             seed=seed,
             rate_hz=rate,
-            workers=workers,
+            workers=count,
             executor=executor,
             progress=progress,
             overwrite=overwrite,

@@ -6,19 +6,18 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..runs.console import executor_of, progress_bar
 from ..runs.console import output as console
+from ..runs.console import pool_of, progress_bar
 from ..runs.files import alone
 from ..runs.record import recorded
 from .options import (
     OWN_CONTROLLER,
-    EngineToo,
-    ImuToo,
+    ConditionFields,
+    Pool,
     Rate,
     Seed,
-    TuningOption,
-    VehicleToo,
     Workers,
+    conditions_of,
     headline,
     warn_of,
 )
@@ -88,11 +87,7 @@ def fly(
         float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenario's.")
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
-    vehicle: VehicleToo = None,
-    imu: ImuToo = None,
-    engine: EngineToo = None,
-    tuning: TuningOption = None,
-    rate: Rate = 200.0,
+    set_: ConditionFields = None,
     seed: Seed = 0,
     flight: Annotated[
         int,
@@ -113,7 +108,8 @@ def fly(
     from scenarios.single_flight import fly_scenario
 
     estimator = contender(estimator, controller)
-    parts = (scenario, estimator, *(each for each in (vehicle, imu, tuning) if each is not None))
+    given = conditions_of(set_)
+    parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
         with alone(folder):
@@ -121,8 +117,8 @@ def fly(
                 scenario,
                 estimator,
                 folder,
-                FlightSettings(seeds, seed, rate, tuning),
-                ScenarioChanges(duration, vehicle, imu, engine=engine),
+                FlightSettings(seeds, seed, given.rate, given.tuning),
+                ScenarioChanges(duration, given.vehicle, given.imu, given.external, given.engine),
                 flight=flight,
                 video=video,
                 view=view,
@@ -188,24 +184,15 @@ def bench(
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenarios'.")
     ] = None,
-    external: Annotated[
-        str | None,
-        typer.Option(help="External sensor instead of the scenarios': ideal, motion-capture or a TOML file."),
-    ] = None,
-    vehicle: VehicleToo = None,
-    imu: ImuToo = None,
-    engine: EngineToo = None,
-    tuning: TuningOption = None,
     breaking_point: Annotated[
         list[str] | None,
         typer.Option(
             help="Search breaking points of each estimator too: wind, bias, dropout; again for more, or all."
         ),
     ] = None,
-    rate: Rate = 200.0,
+    set_: ConditionFields = None,
     seed: Seed = 0,
-    workers: Workers = None,
-    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
+    workers: Pool = None,
 ) -> None:
     """Fly scenarios × estimators × seeds in closed loop, and report which estimator is best.
 
@@ -217,7 +204,7 @@ def bench(
     level of each axis, and the verdict has a sentence for each condition: the airframe known, and not.
 
     On several machines (pip install 'quadsim[cluster]' on each): start `dask scheduler` on one, then `dask
-    worker tcp://HOST:8786 --nworkers auto --nthreads 1` on each, and give `--cluster tcp://HOST:8786` here.
+    worker tcp://HOST:8786 --nworkers auto --nthreads 1` on each, and give `--workers tcp://HOST:8786` here.
     Weights and files are read by the workers: the same paths must hold there.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
@@ -226,7 +213,7 @@ def bench(
 
     Example: quadsim bench --axes --estimator truth --estimator imm --estimator vqf --out reports/axes
 
-    Example: quadsim bench --cluster tcp://127.0.0.1:8786 --seeds 100
+    Example: quadsim bench --workers tcp://127.0.0.1:8786 --seeds 100
     """
     import estimators
     from scenarios.bench import axes as axes_of
@@ -249,48 +236,47 @@ def bench(
         estimator or [name for name in estimators.names() if name not in SLOW], controller or []
     )
     searched = chosen(breaking_point or [], duration)
+    given = conditions_of(set_)
     if full and not axes:
         raise ValueError("--full is for --axes: give both")
-    if (axes or held_out) and (vehicle or imu or searched):
-        raise ValueError(
-            "--axes and --held-out vary vehicle and IMU: leave --vehicle, --imu and --breaking-point out"
-        )
+    if (axes or held_out) and (given.vehicle or given.imu or searched):
+        raise ValueError("--axes and --held-out vary vehicle and IMU: leave these and --breaking-point out")
     if held_out and (axes or scenario or seed):
         raise ValueError("--held-out has its own scenarios and seed: leave --axes, --scenario and --seed out")
     if (axes or held_out) and (len(controller or []) > 1 or all(map(on_truth, names))):
         raise ValueError(
             "--axes and --held-out compare estimators: give one besides truth, and one controller at most"
         )
-    changes = ScenarioChanges(duration, vehicle, imu, external, engine)
+    changes = ScenarioChanges(duration, given.vehicle, given.imu, given.external, given.engine)
     combinations, flown = [], scenario or scenario_names()
     if axes:
         combinations = axes_of.design(scenario or axes_of.SCENARIOS, full=full)
         flown = {each.name: axes_of.scenario_of(each) for each in combinations}
-        settings = FlightSettings(seeds or 4, seed, rate, tuning)
+        settings = FlightSettings(seeds or 4, seed, given.rate, given.tuning)
     elif held_out:
         suite = load_held_out(releases()[-1])
         drawn = draw(suite)
         combinations = [combination for combination, _ in drawn.values()]
         flown = {name: each for name, (_, each) in drawn.items()}
-        settings = FlightSettings(seeds or suite.flights, suite.seed, rate, tuning)
+        settings = FlightSettings(seeds or suite.flights, suite.seed, given.rate, given.tuning)
     else:
-        settings = FlightSettings(seeds or 10, seed, rate, tuning)
+        settings = FlightSettings(seeds or 10, seed, given.rate, given.tuning)
     points = []
     if not estimator:
         slow = ", ".join(SLOW)
         console.print(f"Without {slow}, slower than all others together; --estimator NAME chooses.")
     with alone(out):
-        with recorded(out), executor_of(cluster) as executor:
+        with recorded(out), pool_of(workers) as (count, executor):
             with progress_bar("fly", "cells") as progress:
                 results = run_bench(
                     flown, names, out, settings, changes,
-                    workers=workers, executor=executor, progress=progress,
+                    workers=count, executor=executor, progress=progress,
                 )  # fmt: skip
             if searched:
                 with progress_bar("break", "points") as progress:
                     points = breaking_points(
                         searched, names, out, settings, changes,
-                        workers=workers, executor=executor, progress=progress,
+                        workers=count, executor=executor, progress=progress,
                     )  # fmt: skip
         failed = all(cell.reason for cell in results.cells)
         page, note = (

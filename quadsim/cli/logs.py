@@ -169,7 +169,7 @@ def calibrate(
         bool, typer.Option("--bias-only", help="The biases alone: 3 s at rest are enough.")
     ] = False,
 ) -> None:
-    """Measure an IMU's noise from still logs (Allan variance), as a file that `generate --imu` reads.
+    """Measure an IMU's noise from still logs (Allan variance), as a file for `generate --set imu=FILE`.
 
     A bias needs 3 s at rest, a noise density 10 s, a bias random walk 60 s and to be sure an hour, its time
     constant a log several times as long as itself. What the logs are too short for is left out and named.
@@ -207,5 +207,5 @@ def calibrate(
     for line in found.lacking:
         output.print(f"! {line}", soft_wrap=True, highlight=False)
     output.print(
-        f"{out}: an IMU from {found.still_s:.0f} s at rest; quadsim generate --imu {out}", soft_wrap=True
+        f"{out}: an IMU from {found.still_s:.0f} s at rest; quadsim generate --set imu={out}", soft_wrap=True
     )

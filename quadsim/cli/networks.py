@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..config.toml import merged, preset_names
-from ..runs.console import Bar, executor_of, progress_bar
+from ..runs.console import Bar, pool_of, progress_bar
 from ..runs.console import output as console
 from ..runs.files import alone
 from .options import (
@@ -15,10 +15,10 @@ from .options import (
     Fields,
     Initial,
     LearningSeed,
+    Pool,
     Preset,
     Search,
     Task,
-    Workers,
     fields_of,
     time_left,
 )
@@ -166,8 +166,7 @@ def kfold(
     epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
     set_: Fields = None,
     seed: LearningSeed = 0,
-    workers: Workers = None,
-    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to run on.")] = None,
+    workers: Pool = None,
 ) -> None:
     """Cross-validate the training: k folds in each domain, each also tested on the other domains.
 
@@ -184,14 +183,14 @@ def kfold(
     choices = fields_of(set_, *FOLDED, "out", "workers", "executor", "progress")
     if epochs is not None:
         choices["epochs"] = epochs
-    with executor_of(cluster) as executor, progress_bar("folds", "epochs") as progress:
+    with pool_of(workers) as (count, executor), progress_bar("folds", "epochs") as progress:
         scores = run_folds(
             data,
             out,
             model or ["att-snn"],
             preset,
             folds,
-            workers,
+            count,
             executor,
             progress,
             seed=seed,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..config.ranges import Engine
-from ..config.toml import merged
+from ..config.ranges import Between, Engine
+from ..config.toml import Strict, merged, parse
 from ..runs.console import output
 
 if TYPE_CHECKING:
@@ -37,6 +37,14 @@ LearningSeed = Annotated[
     int, typer.Option(min=0, callback=_unreserved, help="Seed of everything random; not one held out.")
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
+Pool = Annotated[
+    str | None,
+    typer.Option(
+        "--workers",
+        metavar="N|ADDRESS",
+        help="Worker processes, one per CPU when left out; or a Dask scheduler, tcp://HOST:8786.",
+    ),
+]
 Preset = Annotated[
     str,
     typer.Option(
@@ -51,26 +59,21 @@ Fields = Annotated[
         help="Any other field of the training, as name=value or table.name=value; an unknown one lists them.",
     ),
 ]
-VehicleToo = Annotated[
-    str | None,
-    typer.Option(help="Vehicle in place of the scenarios': a shipped name or a TOML file. Filters follow."),
-]
-ImuToo = Annotated[
-    str | None, typer.Option(help="IMU in place of the scenarios': a shipped name or a TOML file.")
-]
-EngineToo = Annotated[
-    Engine | None,
+RecipeFields = Annotated[
+    list[str] | None,
     typer.Option(
-        "--engine",
-        help="What integrates the motion: mujoco, compiled (its scheme for free flight, the same numbers to "
-        "1e-12, several times faster) or auto, compiled where nothing can touch.",
+        "--set",
+        help="Other than the recipe's, as name=value: vehicle or imu (a shipped name or a TOML file), engine "
+        "(auto, mujoco, compiled), any key of a recipe, or rate (samples per second, 200). Again for more.",
     ),
 ]
-TuningOption = Annotated[
-    str | None,
+ConditionFields = Annotated[
+    list[str] | None,
     typer.Option(
-        help="Tuned parameters of filters: a shipped domain or a file of quadsim tune; those shipped for the "
-        "vehicle when left out."
+        "--set",
+        help="Condition of the flights, as name=value: vehicle, imu or external (a shipped name or a TOML "
+        "file, in place of the scenarios'), tuning (of filters: a shipped domain or a file of quadsim tune), "
+        "engine (auto, mujoco, compiled), rate (samples per second). Again for more.",
     ),
 ]
 OWN_CONTROLLER = (
@@ -78,6 +81,29 @@ OWN_CONTROLLER = (
     "vehicle; in place of the cascade's levels of attitude and body rate"
 )
 Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
+
+
+class Sampling(Strict):
+    """What `--set` says of sampling."""
+
+    rate: Annotated[float, Between(50.0, 2000.0, "Hz")] = 200.0
+
+
+class Conditions(Sampling):
+    """What `--set` changes of flights in closed loop; None keeps the scenario's own."""
+
+    vehicle: str | None = None
+    imu: str | None = None
+    external: str | None = None
+    engine: Engine | None = None
+    """Integrator: mujoco; compiled, its scheme for free flight, equal to 1e-12 and faster; or auto."""
+    tuning: str | None = None
+    """None takes the parameters shipped for the vehicle."""
+
+
+def conditions_of(texts: Sequence[str] | None) -> Conditions:
+    """Conditions given by `--set`; an unknown name is an error that lists those there are."""
+    return parse(fields_of(texts), Conditions, "--set")
 
 
 def warn_of(results: Results) -> None:

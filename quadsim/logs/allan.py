@@ -223,7 +223,7 @@ def still_stretch(log: Recording) -> slice:
 
 
 def write_imu(calibration: Calibration, out: Path) -> None:
-    """Write an IMU file that `quadsim generate --imu` reads."""
+    """Write an IMU file that `quadsim generate --set imu=FILE` reads."""
     lines = [
         f"# Calibrated by `quadsim logs calibrate` from {', '.join(calibration.logs)}:",
         f"# {calibration.still_s:.0f} s at {calibration.rate_hz:.1f} Hz at rest. Scale,",

@@ -65,21 +65,30 @@ def progress_bar(title: str, unit: str) -> Iterator[Bar]:
 
 
 @contextmanager
-def executor_of(cluster: str | None) -> Iterator[Executor | None]:
-    """The executor of a Dask cluster, or None for processes of our own."""
-    if cluster is None:
-        yield None
+def pool_of(workers: str | None) -> Iterator[tuple[int | None, Executor | None]]:
+    """Processes of our own, or the executor of a Dask cluster.
+
+    Args:
+        workers: Number of processes, None for one per CPU, or the address of a Dask scheduler.
+
+    Yields:
+        Number of processes and executor, of which one is None.
+    """
+    if workers is None or ":" not in workers:
+        if workers is not None and not (workers.isdecimal() and int(workers)):
+            raise ValueError(f"--workers {workers}: a number of processes or the address of a Dask scheduler")
+        yield None if workers is None else int(workers), None
         return
     try:
         from distributed import Client
     except ImportError:
-        raise ValueError("--cluster needs Dask: pip install 'quadsim[cluster]'") from None
+        raise ValueError("a cluster needs Dask: pip install 'quadsim[cluster]'") from None
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.startswith("distributed"):  # a lost cluster is one line, ours
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        client = Client(cluster, timeout="10s")
+        client = Client(workers, timeout="10s")
     except (OSError, ValueError) as error:
-        raise ValueError(f"no Dask scheduler answers at {cluster}: {error}") from None
+        raise ValueError(f"no Dask scheduler answers at {workers}: {error}") from None
     with client:
-        yield client.get_executor()
+        yield None, client.get_executor()

@@ -103,7 +103,7 @@ class Results:
                 simulated = f"{Path(vehicle).stem} with {Path(imu).stem}"
                 found.setdefault(f"for {other}, not for {simulated}, which was simulated", {})[name] = None
         return [
-            f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of that vehicle, then --tuning FILE."
+            f"Tuned {text}: {', '.join(who)}. `quadsim tune` on its flights, then --set tuning=FILE."
             for text, who in found.items()
         ]
 

@@ -442,7 +442,7 @@ def test_a_tuning_for_another_vehicle_or_imu_is_named():
 def test_a_vehicle_that_is_none_is_refused():
     with pytest.raises(ValueError, match="vehicle = 3: should be a name"):
         create("ekf-drag", vehicle=3)
-    with pytest.raises(ValueError, match="give --vehicle"):
+    with pytest.raises(ValueError, match="give vehicle="):
         create("ekf-drag")
 
 

@@ -150,8 +150,8 @@ def test_every_verb_has_help_of_its_own():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["generate", "--out", "x.zarr", "--vehicle", "humingbird"], "hummingbird"),
-        (["generate", "--out", "x.zarr", "--imu", "missing.toml"], "missing.toml"),
+        (["generate", "--out", "x.zarr", "--set", "vehicle=humingbird"], "hummingbird"),
+        (["generate", "--out", "x.zarr", "--set", "imu=missing.toml"], "missing.toml"),
         (["generate", "--out", "/proc/x.zarr", "--flights", "1", "--duration", "1"], "/proc/x.zarr"),
         (["dataset", "info", "missing.zarr"], "missing.zarr"),
         (["dataset", "verify", "missing.zarr"], "missing.zarr"),
@@ -178,7 +178,7 @@ def test_every_verb_has_help_of_its_own():
         (["bench", "--scenario", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "missing.toml"], "missing.toml"),
         (["bench", "--scenario", "hover", "--breaking-point", "rain"], "rain"),
-        (["bench", "--scenario", "hover", "--external", "vicon"], "vicon"),
+        (["bench", "--scenario", "hover", "--set", "external=vicon"], "vicon"),
         (["report", "missing"], "missing"),
         (["paper", "--out", "x", "--only", "fig12"], "fig"),
         (["paper", "--out", "x", "--preset", "fast"], "quick and full"),
@@ -186,7 +186,7 @@ def test_every_verb_has_help_of_its_own():
         (["inspect", "--train", "missing.zarr"], "needs --prune"),
         (["inspect", "--prune", "0.4"], "--train"),
         (
-            ["bench", "--scenario", "hover", "--estimator", "att-snn", "--rate", "100", "--seeds", "1"],
+            ["bench", "--scenario", "hover", "--estimator", "att-snn", "--set", "rate=100", "--seeds", "1"],
             "200 Hz",
         ),
     ],
@@ -210,7 +210,7 @@ def test_a_file_that_is_not_a_dataset_is_refused(quadsim, tmp_path):
 
 def test_malformed_toml_names_the_line(quadsim, tmp_path):
     (tmp_path / "mine.toml").write_text("mass = \n")
-    code, _, err = quadsim("generate", "--out", "x.zarr", "--vehicle", "mine.toml")
+    code, _, err = quadsim("generate", "--out", "x.zarr", "--set", "vehicle=mine.toml")
     assert code == 2
     assert "mine.toml" in err
     assert "line 1" in err
