@@ -56,12 +56,12 @@ ROUGH = (("robust", "hummingbird", 40), ("robust", "px4-quad", 41), ("robust", "
 
 
 def info(folder: Path) -> str:
-    """`quadsim logs info` on a flight that has lost samples."""
+    """`quadsim report` on a flight that has lost samples."""
     data = generate(flight_config(load_recipe("hummingbird")), 1, 20.0, folder / "x.zarr", seed=1, workers=1)
     csv = export(data, folder / "flight", "csv") / "flight_000" / "mav0" / "imu0" / "data.csv"
     rows = csv.read_text().splitlines(keepends=True)
     csv.write_text("".join(rows[:1000] + rows[1050:2000] + rows[2001:3000] + rows[3001:]))
-    command = [sys.executable, "-m", "quadsim.cli", "logs", "info", "flight"]
+    command = [sys.executable, "-m", "quadsim.cli", "report", "flight"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
     return "\n".join(line.rstrip() for line in done.stdout.rstrip().splitlines())

@@ -59,7 +59,7 @@ class Frame(Strict):
 
 
 class Gains(Strict):
-    """Gains of the cascaded controller, made by `quadsim design` from phase margins."""
+    """Gains of the cascaded controller, made by `quadsim.control.gains.design` from phase margins."""
 
     rate: Gain = Field(description="Roll and pitch rate error to angular acceleration [1/s].")
     rate_integral: IntegralGain = Field(description="Its integral action [1/s²].")

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from . import catalogue, data, flights, identification, installation, logs, networks, studies
+from . import catalogue, data, flights, identification, installation, networks, report, studies
 
 app = typer.Typer(
     name="quadsim",
@@ -25,22 +25,17 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-app.add_typer(data.dataset_app, name="dataset")
-app.add_typer(logs.app, name="logs")
 
 for verb in (
     data.generate,
-    flights.design,
-    identification.identify,
-    data.export,
     networks.train,
-    networks.kfold,
     networks.tune,
     studies.evaluate,
     flights.fly,
     flights.bench,
-    networks.inspect,
-    flights.report,
+    report.report,
+    data.export,
+    identification.identify,
     flights.demo,
     studies.paper,
 ):

@@ -41,7 +41,7 @@ HOW = {
     Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
     Kind.CONTROL: "quadsim train --task control --preset NAME, or a TOML file",
     Kind.TUNING: "--tuning NAME, or a file of quadsim tune",
-    Kind.WEIGHTS: "--estimator NAME; quadsim inspect --weights NAME; quadsim export NAME",
+    Kind.WEIGHTS: "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }
 """Where a name is used."""
 

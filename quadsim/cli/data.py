@@ -1,17 +1,15 @@
-"""Verbs that make data and take it elsewhere: `generate`, `dataset`, `export`."""
+"""Verbs that make data and take it elsewhere: `generate`, `export`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from ..config.toml import merged, parse
 from ..runs.console import output as console
 from ..runs.console import pool_of, progress_bar
+from .logs import Imu, Mount, Truth, convert
 from .options import LearningSeed, Pool, RecipeFields, Sampling, fields_of
-
-dataset_app = typer.Typer(help="Look at a dataset, check it, plot it.", no_args_is_help=True)
 
 
 def generate(
@@ -64,71 +62,52 @@ def generate(
     )
 
 
-@dataset_app.command("info")
-def dataset_info_verb(path: Annotated[Path, typer.Argument(help="A dataset.")]) -> None:
-    """Say what a dataset holds."""
-    from ..dataset.reading import dataset_info
-
-    info = dataset_info(path)
-    table = Table(show_header=False)
-    for key, value in info.items():
-        if key != "config":
-            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
-    console.print(table)
-
-
-@dataset_app.command("verify")
-def dataset_verify(path: Annotated[Path, typer.Argument(help="A dataset.")]) -> None:
-    """Compare every file with its digest and every number with its checksum; find non-finite numbers.
-
-    Opening a dataset compares names, dimensions, shapes and units, and the numbers with their checksums only
-    when the size or the time stamp of a file has changed.
-    """
-    from ..dataset.reading import verify
-
-    with progress_bar("verify", "flights") as progress:
-        total = verify(path, progress)
-    console.print(f"{path}: all {total} flights are whole", soft_wrap=True)
-
-
-@dataset_app.command("plot")
-def dataset_plot(
-    path: Annotated[Path, typer.Argument(help="A dataset.")],
-    out: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("dataset.png"),
-) -> None:
-    """Draw the distributions of sensors and attitude (the paper's Fig. 3) and one flight."""
-    from ..dataset.figures import plot
-
-    plot(path, out)
-    console.print(f"{out}", soft_wrap=True)
-
-
 def export(
     source: Annotated[
-        Path, typer.Argument(help="A dataset; or weights: a file, or a name of quadsim list weights.")
+        list[str],
+        typer.Argument(help="A dataset; weights: a file, or a name of quadsim list weights; or logs."),
     ],
     out: Annotated[Path, typer.Option(help="What to write; it must not exist yet.")],
     format: Annotated[
         str,
         typer.Option(
-            help="Of a dataset: netcdf, parquet, csv (EuRoC folders) or rosbag2. "
-            "Of weights: nir (runs in Norse and snnTorch), c99 (header and source) or onnx (att-rnn)."
+            help="Of a dataset: netcdf, parquet, csv (EuRoC folders) or rosbag2. Of weights: nir (runs in "
+            "Norse and snnTorch), c99 (header and source) or onnx (att-rnn). Of logs: zarr, a dataset."
         ),
     ],
+    piece: Annotated[
+        float, typer.Option(min=1, help="Of logs: length of the pieces, without gaps, in seconds.")
+    ] = 20.0,
+    rate: Annotated[float, typer.Option(min=50, max=2000, help="Of logs: samples per second.")] = 200.0,
+    mount: Mount = None,
+    truth: Truth = None,
+    imu: Imu = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Of logs: go on although a unit or frame cannot be right.")
+    ] = False,
 ) -> None:
-    """Write a dataset or a trained network in a format of other tools.
+    """Write a dataset or a trained network in a format of other tools, or logs as a dataset.
 
     Example: quadsim export att-snn --format c99 --out firmware/att_snn
+
+    Example: quadsim export data/train.zarr --format netcdf --out train.nc
+
+    Example: quadsim export flight.ulg --format zarr --out data/mine.zarr
     """
     from estimators.export.formats import FORMATS, export_weights
     from estimators.networks.weights_file import END, shipped_controllers, shipped_names
 
     from ..dataset.export import export as export_dataset
 
-    names_weights = source.suffix == END or str(source) in (*shipped_names(), *shipped_controllers())
+    if format == "zarr":
+        convert([Path(each) for each in source], out, piece, rate, mount, truth, imu, force)
+        return
+    if len(source) > 1:
+        raise ValueError(f"--format {format} is of one dataset or network, not of {len(source)}")
+    names_weights = source[0].endswith(END) or source[0] in (*shipped_names(), *shipped_controllers())
     if names_weights or format in FORMATS:
-        export_weights(source, out, format)
+        export_weights(source[0], out, format)
     else:
         with progress_bar("export", "flights") as progress:
-            export_dataset(source, out, format, progress)
-    console.print(f"{out}: {source} as {format}", soft_wrap=True)
+            export_dataset(source[0], out, format, progress)
+    console.print(f"{out}: {source[0]} as {format}", soft_wrap=True)

@@ -1,10 +1,9 @@
-"""Verbs that close the loop: `design`, `fly`, `bench`, `report`, `demo`."""
+"""Verbs that close the loop: `fly`, `bench`, `demo`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from ..runs.console import output as console
 from ..runs.console import pool_of, progress_bar
@@ -14,58 +13,12 @@ from .options import (
     OWN_CONTROLLER,
     ConditionFields,
     Pool,
-    Rate,
     Seed,
     Workers,
     conditions_of,
     headline,
     warn_of,
 )
-
-
-def design(
-    vehicle: Annotated[str, typer.Option(help="A shipped vehicle or a TOML file.")] = "hummingbird",
-    rate: Rate = 200.0,
-    delay: Annotated[
-        float, typer.Option(min=0, max=1000, help="Delay of the attitude estimate in milliseconds.")
-    ] = 15.0,
-    out: Annotated[
-        Path | None, typer.Option(help="Picture of the loop at other delays, for example loop.png.")
-    ] = None,
-) -> None:
-    """Design the controller's gains for phase margins, and print them with the margins that result.
-
-    Paste the gains into the vehicle's TOML file; a file without them has them designed when first needed.
-    With --out, the attitude loop with these gains is shown at other delays of the estimator: margins,
-    disturbance rejection, and simulated steps.
-    """
-    from ..control.gains import design as design_gains
-    from ..control.gains import loop_margins
-    from ..vehicle import load_vehicle
-
-    airframe = load_vehicle(vehicle)
-    gains = design_gains(airframe, rate, delay / 1e3)
-    table = Table("loop", "crossover, rad/s", "phase margin, °", "gain margin, dB", "delay margin, ms")
-    for name, m in loop_margins(airframe, gains, rate, delay / 1e3).items():
-        table.add_row(
-            name, f"{m.crossover:.2f}", f"{m.phase_deg:.1f}", f"{m.gain_db:.1f}", f"{m.delay_ms:.0f}"
-        )
-    console.print(f"{vehicle}, {rate:g} Hz, estimator delay {delay:g} ms, rotor lag included")
-    console.print(table)
-    console.print("\\[controller]")
-    for name, value in gains.model_dump().items():
-        console.print(f"{name} = {value:.4g}", highlight=False)
-    if out:
-        from scenarios.bench import estimator_delay as loops
-
-        found = loops.responses(airframe, gains, rate)
-        rows = loops.table(found)
-        costs = Table(*rows[0], title="The attitude loop with these gains at other delays of the estimator")
-        for row in rows:
-            costs.add_row(*row.values())
-        console.print(costs)
-        title = f"{vehicle}, gains designed for {delay:g} ms"
-        console.print(f"{loops.save(found, out, rate, title)}", soft_wrap=True)
 
 
 def fly(
@@ -301,25 +254,6 @@ def bench(
     console.print(headline(page, results, combinations), soft_wrap=True, markup=False)
     if failed:
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
-
-
-def report(
-    folder: Annotated[Path, typer.Argument(help="Folder that quadsim bench wrote.")],
-    out: Annotated[Path | None, typer.Option(help="HTML file; FOLDER/report.html when left out.")] = None,
-) -> None:
-    """Write the report of finished closed-loop flights again."""
-    from scenarios.bench.breaking import load_points
-    from scenarios.bench.runner import load_results
-    from scenarios.report.publish import designed, publish, publish_axes
-
-    results = load_results(folder)
-    if combinations := designed(folder, results):
-        page = publish_axes(folder, results, combinations, out)
-    else:
-        reported = (folder.expanduser() / "breaking.csv").exists()  # by the run that these results are of
-        points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
-        page = publish(folder, results, points, out)[0]
-    console.print(headline(page, results, combinations), soft_wrap=True, markup=False)
 
 
 def demo(

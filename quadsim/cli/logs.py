@@ -1,4 +1,4 @@
-"""`quadsim logs`: look at real logs, make datasets of them, calibrate an IMU from them."""
+"""What verbs do with logs: look at them, make datasets of them, calibrate an IMU from them."""
 
 import math
 from pathlib import Path

@@ -1,17 +1,16 @@
-"""Verbs that make weights and parameters, and look inside: `train`, `kfold`, `tune`, `inspect`."""
+"""Verbs that make weights and parameters: `train`, `tune`."""
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.toml import merged, preset_names
+from ..config.toml import preset_names
 from ..runs.console import Bar, pool_of, progress_bar
 from ..runs.console import output as console
-from ..runs.files import alone
+from ..runs.pool import process_count
 from .options import (
-    Criterion,
     Fields,
     Initial,
     LearningSeed,
@@ -28,14 +27,27 @@ if TYPE_CHECKING:
     from training.control.config import ControlConfig
     from training.control.loop import ControlEpoch
 
+TRAINED = (
+    "model",
+    "preset",
+    "data",
+    "validation",
+    "init",
+    "folds",
+    "fold",
+    "seed",
+    "out",
+    "workers",
+    "progress",
+)
+"""Fields of a training that have options of their own, or follow from others."""
+
 
 def train(
     out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
     data: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--data", "--domain", help="Dataset to train on; again for another domain, to mix them."
-        ),
+        typer.Option(help="Dataset to train on; again to mix several, or with --folds for another domain."),
     ] = None,
     task: Annotated[
         Task,
@@ -53,8 +65,15 @@ def train(
     init: Annotated[
         str | None, typer.Option(help="Weights to continue from: a shipped name, such as att-snn, or a file.")
     ] = None,
-    epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
-    threads: Annotated[int, typer.Option(min=1, help="Threads that share a batch.")] = 1,
+    folds: Annotated[
+        int | None,
+        typer.Option(
+            min=2,
+            help="Cross-validate: deal the flights of each --data into so many parts, train without each "
+            "in turn, and test on it and on the other datasets.",
+        ),
+    ] = None,
+    workers: Pool = None,
     set_: Fields = None,
     seed: LearningSeed = 0,
 ) -> None:
@@ -64,30 +83,40 @@ def train(
     same command continues a run that stopped. The default preset is the paper's recipe; hummingbird is more
     accurate for one airframe and IMU, best for any IMU.
 
+    With --folds it writes the paper's Table 1 (table1.csv), every fold (kfold.csv, kfold.png), and a run
+    folder for each; folds run side by side, on --workers.
+
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
+
+    Example: quadsim train --data data/train.zarr --data data/train-px4.zarr --folds 5 --out runs/kfold
     """
     if task == "control":
-        if data or validation or init or model != "att-snn":
+        if data or validation or init or folds or model != "att-snn":
             raise ValueError(
-                "--task control flies itself: leave out --data, --validation, --init and --model"
+                "--task control flies itself: leave out --data, --validation, --init, --folds and --model"
             )
-        _train_controller(out, "separate" if preset == "paper" else preset, epochs, threads, set_, seed)
+        _train_controller(out, "separate" if preset == "paper" else preset, set_, seed)
         return
     if preset in preset_names("control"):
         raise ValueError(f"--preset {preset} is one of controllers: add --task control")
     if not data:
         raise ValueError("--data: at least one dataset to train on is required, as quadsim generate makes it")
-    from training.loop import INTERRUPTED
-    from training.loop import train as train_network
-    from training.run_folder import Epoch
-
-    choices = fields_of(set_, "model", "preset", "data", "validation", "seed", "threads", "out", "progress")
-    if epochs is not None:
-        choices["epochs"] = epochs
+    choices = fields_of(set_, *TRAINED)
     if init is not None:
         choices["init"] = init
     if validation:
         choices["validation"] = tuple(map(str, validation))
+    if folds:
+        _cross_validate(out, data, model, preset, folds, workers, choices | {"seed": seed})
+    else:
+        _train_network(out, data, model, preset, choices | {"seed": seed})
+
+
+def _train_network(out: Path, data: list[Path], model: str, preset: str, choices: dict[str, object]) -> None:
+    from training.loop import INTERRUPTED
+    from training.loop import train as train_network
+    from training.run_folder import Epoch
+
     with progress_bar(f"train {model}", "epochs") as bar:
 
         def progress(epoch: Epoch, config: "TrainConfig") -> None:
@@ -100,16 +129,7 @@ def train(
                 highlight=False,
             )
 
-        result = train_network(
-            model,
-            tuple(map(str, data)),
-            out,
-            preset,
-            progress,
-            seed=seed,
-            threads=threads,
-            **choices,
-        )
+        result = train_network(model, tuple(map(str, data)), out, preset, progress, **choices)
     console.print(
         f"{result.weights}: validation error {result.best.val_error_deg:.2f}° "
         f"at epoch {result.best.epoch + 1}; {result.reason}",
@@ -123,15 +143,11 @@ def train(
         raise KeyboardInterrupt
 
 
-def _train_controller(
-    out: Path, preset: str, epochs: int | None, threads: int, set_: list[str] | None, seed: int
-) -> None:
+def _train_controller(out: Path, preset: str, set_: list[str] | None, seed: int) -> None:
     from training.control.loop import train_controller
     from training.loop import INTERRUPTED
 
-    choices = fields_of(set_, "preset", "seed", "threads", "out", "progress")
-    if epochs is not None:
-        choices = merged(choices, {"learning": {"epochs": epochs}})
+    choices = fields_of(set_, "preset", "seed", "out", "progress")
     with progress_bar("train controller", "epochs") as bar:
 
         def progress(epoch: "ControlEpoch", config: "ControlConfig") -> None:
@@ -144,7 +160,7 @@ def _train_controller(
                 highlight=False,
             )
 
-        result = train_controller(out, preset, progress, seed=seed, threads=threads, **choices)
+        result = train_controller(out, preset, progress, seed=seed, **choices)
     best = result.best
     console.print(
         f"{result.weights}: tracking error {best.tracking_deg:.2f}°, teacher {best.teacher_deg:.2f}°, at "
@@ -155,47 +171,21 @@ def _train_controller(
         raise KeyboardInterrupt
 
 
-def kfold(
-    data: Annotated[
-        list[Path], typer.Option("--data", "--domain", help="Dataset of a domain; again for another domain.")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder of the runs and the results.")],
-    model: Annotated[list[str] | None, typer.Option(help="att-snn or att-rnn; again for both.")] = None,
-    preset: Preset = "paper",
-    folds: Annotated[int, typer.Option(min=2, help="Parts that each domain's flights are dealt into.")] = 5,
-    epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
-    set_: Fields = None,
-    seed: LearningSeed = 0,
-    workers: Pool = None,
+def _cross_validate(
+    out: Path,
+    data: list[Path],
+    model: str,
+    preset: str,
+    folds: int,
+    workers: str | None,
+    choices: dict[str, Any],
 ) -> None:
-    """Cross-validate the training: k folds in each domain, each also tested on the other domains.
-
-    Writes the paper's Table 1 (table1.csv), every fold (kfold.csv, kfold.png), and a run folder for each.
-    Folds run side by side; the same command continues folds that stopped.
-
-    Example: quadsim kfold --domain data/train.zarr --domain data/train-px4.zarr --out runs/kfold
-    """
     from training.cross_domain import best as best_of
     from training.cross_domain import table, terminal_table
-    from training.kfold import FOLDED
-    from training.kfold import kfold as run_folds
+    from training.kfold import kfold
 
-    choices = fields_of(set_, *FOLDED, "out", "workers", "executor", "progress")
-    if epochs is not None:
-        choices["epochs"] = epochs
     with pool_of(workers) as (count, executor), progress_bar("folds", "epochs") as progress:
-        scores = run_folds(
-            data,
-            out,
-            model or ["att-snn"],
-            preset,
-            folds,
-            count,
-            executor,
-            progress,
-            seed=seed,
-            **choices,
-        )
+        scores = kfold(data, out, [model], preset, folds, count, executor, progress, **choices)
     cells = table(scores)
     console.print(terminal_table(cells))
     for score in scores:
@@ -234,7 +224,6 @@ def tune(
     search: Annotated[
         Search, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
     ] = "swarm",
-    threads: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
     seed: LearningSeed = 0,
 ) -> None:
     """Tune a filter on recorded flights with the paper's particle swarm.
@@ -266,95 +255,10 @@ def tune(
                 datasets,
                 SearchSettings(search, particles, iterations, seed),
                 FlightSelection(flights, pieces, initial),
-                workers=threads,
+                workers=process_count(None, particles),
                 command=f"quadsim tune --estimator {name} {' '.join(options)}",
                 progress=progress,
             )
         write_tuning(out, name, tuned, f"Tuned on {', '.join(map(str, data))} (quadsim tune)")
         values = ", ".join(f"{key} {value:.4g}" for key, value in tuned.values.items())
         console.print(f"{out}: {name} {tuned.rmse_deg:.3f}° RMSE with {values}", soft_wrap=True)
-
-
-def inspect(
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights of an Att-SNN; the ones that ship when left out.")
-    ] = None,
-    data: Annotated[
-        list[Path] | None, typer.Option(help="Dataset to watch the neurons on; give it again for more.")
-    ] = None,
-    profiles: Annotated[
-        int | None,
-        typer.Option(min=3, help="Share this many decay profiles among all neurons; written to --out."),
-    ] = None,
-    prune: Annotated[
-        float | None, typer.Option(min=0.01, max=0.95, help="Remove this share of the neurons, training on.")
-    ] = None,
-    train_data: Annotated[
-        list[Path] | None, typer.Option("--train", help="With --prune: dataset to train on; --data chooses.")
-    ] = None,
-    criterion: Annotated[
-        Criterion, typer.Option(help="With --prune: how neurons are ranked; the last go first.")
-    ] = "contribution",
-    stages: Annotated[int, typer.Option(min=1, help="With --prune: steps to get there.")] = 3,
-    epochs: Annotated[int, typer.Option(min=1, help="With --prune: epochs of training after each.")] = 10,
-    out: Annotated[Path, typer.Option(help="Folder for figures, page and pruned weights.")] = Path(
-        "reports/inspect"
-    ),
-    seed: LearningSeed = 0,
-) -> None:
-    """Look inside a spiking network: its place on the chip, its spikes, what they encode and cost.
-
-    Without --data: the chip's cores alone. With it: rates, raster, membranes, ablation, manipulated inputs,
-    tuning curves and energy, as pictures and a page. With --prune also a smaller network, trained on.
-
-    Example: quadsim inspect --data data/val.zarr
-    """
-    from estimators.analysis.inspection import inspect as look_inside
-    from estimators.analysis.inspection import load_spiking, write_page
-    from estimators.evaluation.flights import load_flights
-    from estimators.networks.network import OnLoihi
-    from estimators.networks.weights_file import save_network
-    from scenarios.report.terminal import cores_table, plain_table, stages_table
-
-    from ..dataset.reading import open_dataset
-
-    if prune is None and train_data:
-        raise ValueError("--train trains on after a cut: it needs --prune")
-    if prune is not None and not (data and train_data):
-        raise ValueError("--prune needs --train, datasets to train on, and --data, datasets to choose by")
-    name, config, tensors = load_spiking(weights, profiles)
-    core = OnLoihi(config, tensors)
-    console.print(cores_table(core.cores))
-    last = f"{name}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
-    with alone(out):
-        if profiles is not None:
-            weights = out / f"profiles-{profiles}.safetensors"
-            out.mkdir(parents=True, exist_ok=True)
-            save_network(weights, config, tensors)
-            last = f"{weights}: {last}"
-        if data:
-            flights = load_flights([open_dataset(path) for path in data])
-            with progress_bar("inspect", "parts") as bar:
-                inspection = look_inside(name, config, tensors, flights, bar)
-            console.print(plain_table(inspection.summary()))
-            error_deg = inspection.responses["intact"].error_deg
-            last = f"{write_page(out, inspection)}: {last}, error {error_deg:.2f}°"
-        if prune is not None and data and train_data:
-            from training.pruning import prune as prune_network
-
-            with progress_bar("prune", "epochs") as bar:
-                done = prune_network(
-                    tuple(map(str, train_data)),
-                    tuple(map(str, data)),
-                    out / "prune",
-                    prune,
-                    stages,
-                    criterion,
-                    weights,
-                    lambda epoch, run: bar(epoch.epoch + 1, run.epochs, f"{epoch.val_error_deg:.2f}°"),
-                    epochs=epochs,
-                    seed=seed,
-                )
-            console.print(stages_table(done))
-            last = f"{done[-1].weights}: {100 * done[-1].removed:.0f} % removed, {done[-1].tuned_deg:.2f}°"
-    console.print(last, soft_wrap=True)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
 Task = Literal["attitude", "control"]
-Criterion = Literal["contribution", "activity", "magnitude", "random"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 
 
@@ -56,7 +55,8 @@ Fields = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Any other field of the training, as name=value or table.name=value; an unknown one lists them.",
+        help="Any other field of the training, as name=value or table.name=value, such as epochs=20; an "
+        "unknown one lists them.",
     ),
 ]
 RecipeFields = Annotated[
@@ -80,7 +80,6 @@ OWN_CONTROLLER = (
     "cascaded, a spiking controller's weights, or your own file.py:make, called with sample rate and "
     "vehicle; in place of the cascade's levels of attitude and body rate"
 )
-Rate = Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")]
 
 
 class Sampling(Strict):

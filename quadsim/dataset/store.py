@@ -340,7 +340,7 @@ def refuse_damaged(path: Path, attributes: Attributes) -> None:
     for flight, found in faults(path):
         if found:
             raise ValueError(
-                f"{path} is damaged: flight {flight}: {found}; quadsim dataset verify lists all; copy or "
+                f"{path} is damaged: flight {flight}: {found}; quadsim report --verify lists all; copy or "
                 "generate it again"
             )
     with suppress(OSError):  # without a cache it is verified again the next time

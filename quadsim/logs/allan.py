@@ -225,7 +225,7 @@ def still_stretch(log: Recording) -> slice:
 def write_imu(calibration: Calibration, out: Path) -> None:
     """Write an IMU file that `quadsim generate --set imu=FILE` reads."""
     lines = [
-        f"# Calibrated by `quadsim logs calibrate` from {', '.join(calibration.logs)}:",
+        f"# Calibrated by `quadsim identify --still` from {', '.join(calibration.logs)}:",
         f"# {calibration.still_s:.0f} s at {calibration.rate_hz:.1f} Hz at rest. Scale,",
         "# misalignment, low-pass and range do not show at rest: take them from the data sheet, and add",
         "# scale_factor, misalignment, low_pass_hz and saturation here.",

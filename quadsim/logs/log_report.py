@@ -251,7 +251,7 @@ class LogReport:
             if self.rest_s >= LEAST_REST_S and self.rest_rate > LARGE_BIAS:
                 rate = f"{np.degrees(self.rest_rate):.1f} °/s across the vertical"
                 failing = any(fault.sensor == "gyroscope" for fault in self.sensor_faults)
-                mend = f"`quadsim logs calibrate {self.path or 'LOG'} --bias-only`"
+                mend = f"`quadsim identify {self.path or 'LOG'} --still --bias-only`"
                 yield (
                     f"at rest for {self.rest_s:.0f} s, the gyroscope reads {rate}, a large bias: "
                     f"{FAILING if failing else mend}"
@@ -297,7 +297,8 @@ class LogReport:
     @property
     def _mend(self) -> str:
         about = f', about --mount "{self.level_mount}"' if (self.tilt_deg or 0.0) > FAR_DEG else ""
-        return f"`quadsim logs mount {self.path or 'LOG'}` estimates the --mount that corrects it{about}"
+        command = f"quadsim report {self.path or 'LOG'} --find-mount best"
+        return f"`{command}` estimates the --mount that corrects it{about}"
 
     @property
     def far_from_level(self) -> str:

@@ -141,7 +141,7 @@ def _bias(scores: LogScores, names: list[str], error: dict[str, float]) -> list[
     if losing:
         shown = ", ".join(f"{name} ({error[name]:.1f}°, without it {without[name]:.1f}°)" for name in losing)
         text += (
-            f", which these estimators do not find in time: {shown}. Calibrate it: `quadsim logs calibrate`"
+            f", which these estimators do not find in time: {shown}. Calibrate it: `quadsim identify --still`"
         )
     return [text + "."]
 

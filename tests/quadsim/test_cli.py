@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from safetensors.numpy import save_file
+from typer.main import get_command
 
 from estimators.networks.weights_file import shipped_network
 from quadsim.cli import app, main
@@ -18,7 +19,6 @@ from scenarios.bench.axes import design
 VERBS = [
     "generate",
     "train",
-    "kfold",
     "tune",
     "evaluate",
     "fly",
@@ -26,10 +26,8 @@ VERBS = [
     "report",
     "export",
     "compile",
-    "design",
     "identify",
     "demo",
-    "inspect",
     "paper",
     "list",
 ]
@@ -79,8 +77,8 @@ with alone(Path("busy")):
         "evaluate --data flights.zarr --estimator mahony",
         "train --data flights.zarr",
         "train --task control",
-        "kfold --data flights.zarr --folds 2",
-        "inspect",
+        "train --data flights.zarr --folds 2",
+        "report att-snn --data flights.zarr",
     ],
 )
 def test_a_folder_that_another_process_writes_is_left_alone(quadsim, tmp_path, command):
@@ -123,7 +121,7 @@ def test_every_verb_explains_itself(quadsim, verb):
     assert len(out.splitlines()) > 8
 
 
-@pytest.mark.parametrize("verb", [*VERBS, "logs", "dataset"])
+@pytest.mark.parametrize("verb", VERBS)
 def test_help_fits_eighty_columns_and_its_boxes_are_closed(quadsim, monkeypatch, verb):
     monkeypatch.setenv("COLUMNS", "80")
     _, out, _ = quadsim(verb, "--help")
@@ -153,9 +151,12 @@ def test_every_verb_has_help_of_its_own():
         (["generate", "--out", "x.zarr", "--set", "vehicle=humingbird"], "hummingbird"),
         (["generate", "--out", "x.zarr", "--set", "imu=missing.toml"], "missing.toml"),
         (["generate", "--out", "/proc/x.zarr", "--flights", "1", "--duration", "1"], "/proc/x.zarr"),
-        (["dataset", "info", "missing.zarr"], "missing.zarr"),
-        (["dataset", "verify", "missing.zarr"], "missing.zarr"),
-        (["dataset", "plot", "missing.zarr"], "missing.zarr"),
+        (["generate", "--out", "x.zarr", "--set", "vehicel=x"], 'did you mean "vehicle"'),
+        (["generate", "--out", "x.zarr", "--set", "rate=3"], "50 to 2000 Hz"),
+        (["generate", "--out", "x.zarr", "--workers", "many"], "number of processes"),
+        (["report", "missing.zarr"], "missing.zarr"),
+        (["report", "missing.zarr", "--verify"], "missing.zarr"),
+        (["report", "missing.zarr", "--data", "x.zarr"], "--data is not for a dataset"),
         (["export", "missing.zarr", "--out", "x", "--format", "netcdf"], "missing.zarr"),
         (["export", "missing.safetensors", "--out", "x", "--format", "c99"], "missing.safetensors"),
         (["train", "--data", "missing.zarr", "--out", "run"], "missing.zarr"),
@@ -168,8 +169,7 @@ def test_every_verb_has_help_of_its_own():
             "lists are [1, 2]",
         ),
         (["train", "--data", "missing.zarr", "--out", "run", "--set", "validation=3"], "option of its own"),
-        (["kfold", "--domain", "missing.zarr", "--out", "run"], "missing.zarr"),
-        (["kfold", "--domain", "missing.zarr", "--out", "run", "--set", "model=1"], "option of its own"),
+        (["train", "--data", "missing.zarr", "--out", "run", "--folds", "2"], "missing.zarr"),
         (["tune", "--estimator", "mahony", "--data", "missing.zarr", "--out", "x.toml"], "missing.zarr"),
         (["evaluate", "--data", "missing.zarr"], "missing.zarr"),
         (["evaluate", "--logs", "missing.csv", "--weights", "missing.safetensors"], "missing"),
@@ -182,9 +182,8 @@ def test_every_verb_has_help_of_its_own():
         (["report", "missing"], "missing"),
         (["paper", "--out", "x", "--only", "fig12"], "fig"),
         (["paper", "--out", "x", "--preset", "fast"], "quick and full"),
-        (["inspect", "--weights", "missing.safetensors"], "missing.safetensors"),
-        (["inspect", "--train", "missing.zarr"], "needs --prune"),
-        (["inspect", "--prune", "0.4"], "--train"),
+        (["report", "missing.safetensors"], "missing.safetensors"),
+        (["report", "att-rnn"], "should be of att-snn"),
         (
             ["bench", "--scenario", "hover", "--estimator", "att-snn", "--set", "rate=100", "--seeds", "1"],
             "200 Hz",
@@ -202,7 +201,7 @@ def test_a_mistake_is_one_clear_line_and_exit_code_2(quadsim, arguments, said):
 
 def test_a_file_that_is_not_a_dataset_is_refused(quadsim, tmp_path):
     (tmp_path / "notes.txt").write_text("hello")
-    for verb in (["dataset", "info"], ["evaluate", "--data"]):
+    for verb in (["report"], ["evaluate", "--data"]):
         code, _, err = quadsim(*verb, "notes.txt")
         assert code == 2
         assert "notes.txt" in err
@@ -249,9 +248,10 @@ def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(quadsim
 
 
 def test_a_dataset_is_described_verified_drawn_and_exported(quadsim, dataset, tmp_path):
-    assert "flights" in quadsim("dataset", "info", dataset)[1]
-    assert "2 flights are whole" in quadsim("dataset", "verify", dataset)[1]
-    assert quadsim("dataset", "plot", dataset, "--out", "picture.png")[0] == 0
+    code, out, _ = quadsim("report", dataset, "--verify", "--out", "picture.png")
+    assert code == 0
+    assert "2 flights are whole" in out
+    assert "max_tilt_deg" in out
     assert (tmp_path / "picture.png").stat().st_size > 10_000
     assert quadsim("export", dataset, "--out", "flights.nc", "--format", "netcdf")[0] == 0
 
@@ -264,18 +264,17 @@ def test_the_same_command_again_finds_its_work_done(quadsim, dataset):
     assert "--overwrite" in other[2]
 
 
-def test_inspect_shows_where_the_neurons_go(quadsim, tmp_path):
-    code, out, _ = quadsim("inspect", "--profiles", 32, "--out", "inside")
+def test_a_report_of_weights_shows_where_the_neurons_go(quadsim):
+    code, out, _ = quadsim("report", "att-snn")
     assert code == 0
-    assert (tmp_path / "inside" / "profiles-32.safetensors").is_file()
     for heading in ("compartments", "synaptic", "formats", "fan-in", "(1048576)"):
         assert heading in out
     config, _ = shipped_network("att-snn")
     assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 1 of a chip's 128 cores" in out
 
 
-def test_inspect_leaves_pictures_and_a_page(quadsim, dataset, tmp_path):
-    code, out, _ = quadsim("inspect", "--data", dataset, "--out", "inside")
+def test_a_report_of_weights_on_flights_leaves_pictures_and_a_page(quadsim, dataset, tmp_path):
+    code, out, _ = quadsim("report", "att-snn", "--data", dataset, "--out", "inside")
     assert code == 0
     assert "gyro removed" in out
     found = {path.name for path in (tmp_path / "inside").iterdir()}
@@ -283,11 +282,11 @@ def test_inspect_leaves_pictures_and_a_page(quadsim, dataset, tmp_path):
     assert found == pictures | {"inspection.html"}
 
 
-def test_design_prints_gains_and_margins(quadsim):
-    code, out, _ = quadsim("design", "--vehicle", "px4-quad")
-    assert code == 0
-    assert "phase margin" in out
-    assert "attitude = " in out
+def test_a_verb_has_at_most_eight_options_beside_the_common_ones():
+    common = {"--out", "--seed", "--set", "--help"}
+    for verb, command in get_command(app).commands.items():
+        options = {each.opts[0] for each in command.params if each.param_type_name == "option"} - common
+        assert len(options) <= 8 or verb in ("bench", "evaluate"), verb
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def test_calibration_is_no_advice_for_a_sensor_that_fails():
 def test_logs_info_prints_the_faults(tmp_path):
     log = with_jump(moving(), 23.0, 60.0, [0.0, -3.0, 0.0])
     save(tmp_path / "x.npz", log)
-    done = CliRunner().invoke(app, ["logs", "info", str(tmp_path / "x.npz")], catch_exceptions=False)
+    done = CliRunner().invoke(app, ["report", str(tmp_path / "x.npz")], catch_exceptions=False)
     assert "! 23.0 s to 60.0 s: the gyroscope's bias jumps by -3.0 °/s about y" in done.output
 
 
@@ -215,7 +215,7 @@ def test_a_clock_that_restarts_inside_a_log_is_said():
 def test_a_log_of_a_second_is_one_line(tmp_path, seconds):
     log = moving(seconds=seconds)
     save(tmp_path / "x.npz", log)
-    assert CliRunner().invoke(app, ["logs", "info", str(tmp_path / "x.npz")]).exit_code == 0
+    assert CliRunner().invoke(app, ["report", str(tmp_path / "x.npz")]).exit_code == 0
     command = ["evaluate", "--logs", str(tmp_path / "x.npz"), "--out", str(tmp_path / "out")]
     with pytest.raises(ValueError, match="nothing to score: nothing is known after the first 3 s"):
         CliRunner().invoke(app, [*command, "--estimator", "mahony"], catch_exceptions=False)

@@ -235,8 +235,8 @@ def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
 ):
     path = write_csv(tmp_path, recorded(make_flights, truth_axes, late_s=0.0))
     odd = read_log_and_report(path)[1].warnings
-    assert any(f"quadsim logs mount {path}" in line for line in odd)
-    printed = CliRunner().invoke(app, ["logs", "mount", path], catch_exceptions=False).output
+    assert any(f"quadsim report {path} --find-mount best" in line for line in odd)
+    printed = CliRunner().invoke(app, ["report", path, "--find-mount", "best"], catch_exceptions=False).output
     mount = printed.split('--mount "')[1].split('"')[0]
     log, report = read_log_and_report(path, mount=mount)
     assert report.warnings == []
@@ -255,7 +255,7 @@ def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(tmp_path, 
             "".join(x for x in text.splitlines(True) if not x.startswith("quat"))
         )
     command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]
-    with pytest.raises(ValueError, match=f"`quadsim logs mount {path}` estimates") as error:
+    with pytest.raises(ValueError, match=f"`quadsim report {path} --find-mount best` estimates") as error:
         CliRunner().invoke(app, command, catch_exceptions=False)
     mount = str(error.value).split('--mount "')[1].split('"')[0]
     found = Rotation.from_matrix(mount_matrix(mount)) * Rotation.from_euler("y", -90, degrees=True)
@@ -268,8 +268,8 @@ def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flig
     path = write_csv(tmp_path, recorded(make_flights, "imu"))
     command = ["evaluate", "--logs", path, "--estimator", "mahony", "--out", str(tmp_path / "out")]
     printed = CliRunner().invoke(app, command, catch_exceptions=False).output
-    assert f"`quadsim logs mount {path}` estimates" in printed
-    assert printed.index("logs mount") < printed.index("Inclination RMSE")
+    assert f"`quadsim report {path} --find-mount best` estimates" in printed
+    assert printed.index("--find-mount") < printed.index("Inclination RMSE")
 
 
 def test_a_heading_of_the_mounting_that_gravity_does_not_show_is_said(make_flights):

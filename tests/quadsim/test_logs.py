@@ -434,12 +434,11 @@ def test_the_command_prints_the_bias_and_writes_no_file(tmp_path):
     np.savez(
         tmp_path / "x.npz", t=log.time, gyro=log.gyro, acc=log.accel, quat=np.tile([1.0, 0, 0, 0], (1000, 1))
     )
-    command = ["logs", "calibrate", str(tmp_path / "x.npz")]
+    command = ["identify", str(tmp_path / "x.npz"), "--still"]
     done = CliRunner().invoke(app, [*command, "--bias-only"], catch_exceptions=False)
     x, y, z = np.degrees(log.gyro.mean(axis=0))
     assert f"x: gyroscope bias ({x:+.3f}, {y:+.3f}, {z:+.3f}) °/s, from 5 s at rest" in done.output
-    with pytest.raises(ValueError, match="one of --out and --bias-only"):
-        CliRunner().invoke(app, command, catch_exceptions=False)
+    assert not list(tmp_path.glob("*.toml"))
 
 
 def test_converted_logs_are_a_dataset_without_their_gaps(tmp_path):
@@ -461,12 +460,11 @@ def test_commands_say_what_they_found(tmp_path):
     time, gyro, accel, quat = turning(seconds=5.0)
     np.savez(tmp_path / "x.npz", t=time, gyro=gyro, acc=accel, quat=quat)
     run = CliRunner().invoke
-    shown = run(app, ["logs", "info", str(tmp_path / "x.npz"), "--mount", "rpy 20 -5 0"])
+    shown = run(app, ["report", str(tmp_path / "x.npz"), "--mount", "rpy 20 -5 0"])
     assert "OptiTrack" in shown.output
     assert "nothing odd" in shown.output
-    made = run(
-        app, ["logs", "convert", str(tmp_path / "x.npz"), "--out", str(tmp_path / "x.zarr"), "--piece", "2"]
-    )
+    to = ["--format", "zarr", "--out", str(tmp_path / "x.zarr")]
+    made = run(app, ["export", str(tmp_path / "x.npz"), *to, "--piece", "2"])
     assert "2 pieces of 2 s, 80 % of 5 s" in made.output
 
 
@@ -679,7 +677,7 @@ def test_a_log_that_cannot_be_right_is_scored_by_force_alone(tmp_path, monkeypat
     log, out = str(tmp_path / "x.toml"), str(tmp_path / "out")
     for command in (
         ["evaluate", "--logs", log, "--estimator", "mahony", "--out", out],
-        ["logs", "convert", log, "--piece", "5", "--out", f"{out}.zarr"],
+        ["export", log, "--format", "zarr", "--piece", "5", "--out", f"{out}.zarr"],
     ):
         with pytest.raises(ValueError, match=r"57.3 times the rate.*--force"):
             CliRunner().invoke(app, command, catch_exceptions=False)

@@ -22,7 +22,6 @@ NEWEST = load_held_out(releases()[-1])
 LEARNING = (
     ["generate", "--out", "x.zarr"],
     ["train", "--data", "x.zarr"],
-    ["kfold", "--domain", "x.zarr"],
     ["tune", "mahony", "--data", "x.zarr"],
 )
 

@@ -52,7 +52,7 @@ def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
     assert found.headline.startswith("Smallest error: ")
     assert re.search(r"2 logs, \d+ s scored", text)
     assert "reads up to 3.0 °/s at rest" in text
-    assert "quadsim logs calibrate" in text
+    assert "quadsim identify --still" in text
     assert "hand 75%, drag 25%" in text
 
 

@@ -148,9 +148,9 @@ def test_mistakes_are_said_before_anything_is_trained(domains, tmp_path, change,
 
 def test_command_prints_table_1(domains, tmp_path, monkeypatch, capsys):
     chosen = [f"--set={name}={value}" for name, value in TINY.items() if name != "folds"]
-    here, there = ([f"--domain={path}"] for path in domains)
+    here, there = ([f"--data={path}"] for path in domains)
     arguments = [*here, *there, f"--out={tmp_path}", "--folds=2", "--workers=1", *chosen]
-    monkeypatch.setattr(sys, "argv", ["quadsim", "kfold", *arguments])
+    monkeypatch.setattr(sys, "argv", ["quadsim", "train", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
     assert not stop.value.code

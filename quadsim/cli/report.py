@@ -1,0 +1,150 @@
+"""The verb `report`: look at what the other verbs made, and at logs."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.table import Table
+
+from ..runs.console import output as console
+from ..runs.console import progress_bar
+from ..runs.files import alone
+from .logs import Imu, Mount, Truth, info
+from .logs import mount as estimate_mount
+from .options import headline
+
+
+def report(
+    path: Annotated[
+        str,
+        typer.Argument(
+            help="A folder of quadsim bench, a dataset (.zarr), weights (.safetensors, or a name of quadsim "
+            "list weights) or a log."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of a benchmark, its page; PATH/report.html when left out. Of a dataset, a picture of it. "
+            "Of weights with --data, a folder; reports/inspect when left out."
+        ),
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Of a dataset: compare every file and number with its digest.")
+    ] = False,
+    data: Annotated[
+        list[Path] | None, typer.Option(help="Of weights: dataset to watch the neurons on; again for more.")
+    ] = None,
+    mount: Mount = None,
+    truth: Truth = None,
+    imu: Imu = None,
+    find_mount: Annotated[
+        Literal["best", "level"] | None,
+        typer.Option(
+            help="Of a log: estimate its --mount. best: from the true attitude, or from hover without one; "
+            "level: from the mean force, although there is a true attitude."
+        ),
+    ] = None,
+) -> None:
+    """Look at a benchmark, a dataset, weights or a log; what is there is told from PATH.
+
+    A benchmark: its report is written again. A dataset: what it holds; with --out its distributions (the
+    paper's Fig. 3) and one flight are drawn. Weights of an Att-SNN: its place on the chip's cores; with
+    --data also rates, raster, membranes, ablation, manipulated inputs, tuning curves and energy, as pictures
+    and a page. A log: what it holds, what is odd about it, and what was taken for the truth.
+
+    Opening a dataset compares names, dimensions, shapes and units, and the numbers with their checksums only
+    when the size or the time stamp of a file has changed; --verify does it in any case.
+
+    Example: quadsim report reports/bench
+
+    Example: quadsim report data/train.zarr --out train.png
+
+    Example: quadsim report att-snn --data data/val.zarr
+
+    Example: quadsim report flight.ulg --find-mount best
+    """
+    from estimators.networks.weights_file import END, shipped_names
+
+    place = Path(path).expanduser()
+    given = {"--out": out, "--verify": verify, "--data": data}
+    given |= {"--mount": mount, "--truth": truth, "--imu": imu, "--find-mount": find_mount}
+    if place.suffix == END or path in shipped_names():
+        _refuse_others(given, "weights", "--out", "--data")
+        _report_weights(path, data or [], out or Path("reports/inspect"))
+    elif place.suffix == ".zarr" or (place / "zarr.json").exists():
+        _refuse_others(given, "a dataset", "--out", "--verify")
+        _report_dataset(place, verify, out)
+    elif (place / "bench.json").exists():
+        _refuse_others(given, "a benchmark", "--out")
+        _report_benchmark(place, out)
+    elif place.exists():
+        _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
+        if find_mount is None:
+            info(place, mount, truth, imu)
+        else:
+            estimate_mount(place, mount, truth, imu, find_mount == "level")
+    else:
+        raise ValueError(f"{path}: no such benchmark, dataset, weights or log")
+
+
+def _refuse_others(given: dict[str, object], what: str, *allowed: str) -> None:
+    for name, value in given.items():
+        if value and name not in allowed:
+            raise ValueError(f"{name} is not for {what}, which takes {', '.join(allowed)}")
+
+
+def _report_benchmark(folder: Path, out: Path | None) -> None:
+    from scenarios.bench.breaking import load_points
+    from scenarios.bench.runner import load_results
+    from scenarios.report.publish import designed, publish, publish_axes
+
+    results = load_results(folder)
+    if combinations := designed(folder, results):
+        page = publish_axes(folder, results, combinations, out)
+    else:
+        reported = (folder / "breaking.csv").exists()  # by the run that these results are of
+        points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
+        page = publish(folder, results, points, out)[0]
+    console.print(headline(page, results, combinations), soft_wrap=True, markup=False)
+
+
+def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
+    from ..dataset.figures import plot
+    from ..dataset.reading import dataset_info
+    from ..dataset.reading import verify as verify_dataset
+
+    if verify:
+        with progress_bar("verify", "flights") as progress:
+            total = verify_dataset(path, progress)
+        console.print(f"{path}: all {total} flights are whole", soft_wrap=True)
+    table = Table(show_header=False)
+    for key, value in dataset_info(path).items():
+        if key != "config":
+            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
+    console.print(table)
+    if out is not None:
+        console.print(f"{plot(path, out)}", soft_wrap=True)
+
+
+def _report_weights(weights: str, data: list[Path], out: Path) -> None:
+    from estimators.analysis.inspection import inspect, load_spiking, write_page
+    from estimators.evaluation.flights import load_flights
+    from estimators.networks.network import OnLoihi
+    from scenarios.report.terminal import cores_table, plain_table
+
+    from ..dataset.reading import open_dataset
+
+    name, config, tensors = load_spiking(weights)
+    core = OnLoihi(config, tensors)
+    console.print(cores_table(core.cores))
+    last = f"{name}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
+    if data:
+        with alone(out):
+            flights = load_flights([open_dataset(path) for path in data])
+            with progress_bar("inspect", "parts") as bar:
+                inspection = inspect(name, config, tensors, flights, bar)
+            console.print(plain_table(inspection.summary()))
+            error_deg = inspection.responses["intact"].error_deg
+            last = f"{write_page(out, inspection)}: {last}, error {error_deg:.2f}°"
+    console.print(last, soft_wrap=True)
