@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.toml import preset_names
+from ..config.toml import merged, preset_names
 from ..runs.console import Bar, pool_of, progress_bar
 from ..runs.console import output as console
 from ..runs.pool import process_count
@@ -27,19 +27,7 @@ if TYPE_CHECKING:
     from training.control.config import ControlConfig
     from training.control.loop import ControlEpoch
 
-TRAINED = (
-    "model",
-    "preset",
-    "data",
-    "validation",
-    "init",
-    "folds",
-    "fold",
-    "seed",
-    "out",
-    "workers",
-    "progress",
-)
+TRAINED = tuple("model preset data validation folds fold seed out workers executor progress".split())
 """Fields of a training that have options of their own, or follow from others."""
 
 
@@ -62,9 +50,7 @@ def train(
         list[Path] | None,
         typer.Option(help="Dataset to choose the best epoch by; else part of --data."),
     ] = None,
-    init: Annotated[
-        str | None, typer.Option(help="Weights to continue from: a shipped name, such as att-snn, or a file.")
-    ] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
     folds: Annotated[
         int | None,
         typer.Option(
@@ -91,19 +77,19 @@ def train(
     Example: quadsim train --data data/train.zarr --data data/train-px4.zarr --folds 5 --out runs/kfold
     """
     if task == "control":
-        if data or validation or init or folds or model != "att-snn":
+        if data or validation or folds or model != "att-snn":
             raise ValueError(
-                "--task control flies itself: leave out --data, --validation, --init, --folds and --model"
+                "--task control flies itself: leave out --data, --validation, --folds and --model"
             )
-        _train_controller(out, "separate" if preset == "paper" else preset, set_, seed)
+        _train_controller(out, "separate" if preset == "paper" else preset, epochs, set_, seed)
         return
     if preset in preset_names("control"):
         raise ValueError(f"--preset {preset} is one of controllers: add --task control")
     if not data:
         raise ValueError("--data: at least one dataset to train on is required, as quadsim generate makes it")
     choices = fields_of(set_, *TRAINED)
-    if init is not None:
-        choices["init"] = init
+    if epochs is not None:
+        choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
     if folds:
@@ -143,11 +129,13 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
         raise KeyboardInterrupt
 
 
-def _train_controller(out: Path, preset: str, set_: list[str] | None, seed: int) -> None:
+def _train_controller(out: Path, preset: str, epochs: int | None, set_: list[str] | None, seed: int) -> None:
     from training.control.loop import train_controller
     from training.loop import INTERRUPTED
 
     choices = fields_of(set_, "preset", "seed", "out", "progress")
+    if epochs is not None:
+        choices = merged(choices, {"learning": {"epochs": epochs}})
     with progress_bar("train controller", "epochs") as bar:
 
         def progress(epoch: "ControlEpoch", config: "ControlConfig") -> None:

@@ -55,8 +55,8 @@ Fields = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Any other field of the training, as name=value or table.name=value, such as epochs=20; an "
-        "unknown one lists them.",
+        help="Any other field of the training, as name=value or table.name=value, such as init=att-snn to "
+        "continue from weights; an unknown one lists them.",
     ),
 ]
 RecipeFields = Annotated[
