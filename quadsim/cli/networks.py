@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from training.control.config import ControlConfig
     from training.control.loop import ControlEpoch
 
-TRAINED = tuple("model preset data validation folds fold seed out workers executor progress".split())
+TRAINED = ("model", "preset", "data", "validation", "folds", "fold", "seed", "out", "progress")
 """Fields of a training that have options of their own, or follow from others."""
 
 
@@ -87,7 +87,7 @@ def train(
         raise ValueError(f"--preset {preset} is one of controllers: add --task control")
     if not data:
         raise ValueError("--data: at least one dataset to train on is required, as quadsim generate makes it")
-    choices = fields_of(set_, *TRAINED)
+    choices = fields_of(set_, *TRAINED, "workers", "executor")
     if epochs is not None:
         choices["epochs"] = epochs
     if validation:
