@@ -30,7 +30,7 @@ def report(
         ),
     ] = None,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Of a dataset: compare every file and number with its digest.")
+        bool, typer.Option("--verify", help="Of a dataset: compare every file with its digest.")
     ] = False,
     data: Annotated[
         list[Path] | None, typer.Option(help="Of weights: dataset to watch the neurons on; again for more.")
@@ -53,8 +53,8 @@ def report(
     --data also rates, raster, membranes, ablation, manipulated inputs, tuning curves and energy, as pictures
     and a page. A log: what it holds, what is odd about it, and what was taken for the truth.
 
-    Opening a dataset compares names, dimensions, shapes and units, and the numbers with their checksums only
-    when the size or the time stamp of a file has changed; --verify does it in any case.
+    Opening a dataset compares names, dimensions, shapes and units, and the files with their digests only
+    when the size or the time stamp of one has changed; --verify does it in any case.
 
     Example: quadsim report reports/bench
 

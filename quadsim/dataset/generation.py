@@ -18,7 +18,8 @@ from ..runs.files import alone, drop_parts
 from ..runs.fingerprint import code_digest
 from ..runs.pool import process_count, run_jobs
 from . import store as dataset_store
-from .store import FLIGHTS, Plan, partial_folder, read_attributes
+from .integrity import read_attributes, refuse_damaged
+from .store import FLIGHTS, Plan, partial_folder
 
 log = logging.getLogger(__name__)
 
@@ -115,7 +116,7 @@ def _make_way(plan: Plan, out: Path, overwrite: bool) -> bool:
     if out.exists():
         attributes = read_attributes(out)  # refuses to touch what is not a dataset
         if not overwrite:
-            dataset_store.refuse_truncated(out, attributes)
+            refuse_damaged(out)
             found = attributes.model_dump(include=set(Plan.model_fields))
             _refuse_other(plan, {**found, "config": json.loads(attributes.config)}, f"{out} holds")
             shutil.rmtree(folder, ignore_errors=True)

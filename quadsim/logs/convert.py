@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..dataset import store as dataset_store
-from ..dataset.store import LABELS, VARIABLES, Recorded, RecordedPlan, partial_folder
+from ..dataset.store import LABELS, VARIABLES, Plan, Recorded, partial_folder
 from ..runs.files import alone
 from .recording import Array
 
@@ -53,7 +53,7 @@ def _convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float) -> Path:
     held = {*READ, *(["position"] if all("position" in log for log in logs) else [])}
     if all(_has_rotors(piece) for piece in pieces):
         held.add("rotor_vel")
-    plan = RecordedPlan(
+    plan = Plan(
         quadsim_version=version("quadsim"),
         flights=len(pieces),
         steps=steps,
@@ -69,7 +69,8 @@ def _convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float) -> Path:
     out.parent.mkdir(parents=True, exist_ok=True)
     dataset_store.begin(folder, plan)
     for number, piece in enumerate(pieces):
-        dataset_store.write_flight(folder, number, _values(piece, steps, held), steps, "")
+        values = {name: array[None] for name, array in _values(piece, steps, held).items()}
+        dataset_store.write_flights(folder, [number], values, [steps], [""])
     dataset_store.finish(folder, plan, out)
     return out
 
