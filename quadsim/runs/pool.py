@@ -5,12 +5,12 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import contextmanager, nullcontext
 from multiprocessing.connection import wait
-from typing import TypeVar
+from typing import Any, TypeVar
 
 CLUSTER_LOST = "the cluster was lost; finished work stays: give the same command again"
 WORKER_DIED = "a worker process died (out of memory, or killed); finished work stays: rerun to go on"
@@ -23,6 +23,8 @@ POLL_S = 1.0
 
 Key = TypeVar("Key")
 Result = TypeVar("Result")
+Startable = Callable[[Iterable[Any], Iterable[Any]], Iterable[Any]]
+Tick = Callable[[Iterable[Any]], None]
 
 
 def run_jobs(
@@ -30,8 +32,8 @@ def run_jobs(
     jobs: Mapping[Key, tuple],
     workers: int | None = None,
     executor: Executor | None = None,
-    startable: Callable[[Iterable[Key], Iterable[Key]], Iterable[Key]] = lambda waiting, running: waiting,
-    tick: Callable[[Iterable[Key]], None] | None = None,
+    startable: Startable = lambda waiting, running: waiting,
+    tick: Tick | None = None,
 ) -> Generator[tuple[Key, Result]]:
     """Call a function for every job, and yield the key of each job with its result as they end.
 
@@ -57,20 +59,56 @@ def run_jobs(
             tick([])
         return
     with nullcontext(executor) if executor is not None else worker_pool(workers) as pool:
-        for key, result in submit_jobs(pool, function, jobs, startable, tick):
+        for key, result in _submit(pool, function, jobs, startable, tick):
             if isinstance(result, BaseException):
                 raise result
             yield key, result
 
 
-def submit_jobs(
+def run_all(
+    function: Callable[..., Result],
+    jobs: Sequence[tuple],
+    workers: int | None = None,
+    executor: Executor | None = None,
+) -> Iterator[tuple[int, Result | BaseException]]:
+    """As `run_jobs`, for numbered jobs: a worker process that dies ends no job save the one that it was at.
+
+    A worker that dies breaks its pool. Jobs begin in order, so that it was at one of the first that are
+    unfinished: they run again, in a pool each, and all others in a new one.
+
+    Yields:
+        (i, result of jobs[i]), or the exception in place of the result where the worker itself died.
+    """
+    workers, numbered = process_count(workers, len(jobs)), dict(enumerate(jobs))
+    if executor is not None:
+        yield from _submit(executor, function, numbered)
+        return
+    if workers == 1:
+        yield from run_jobs(function, numbered, workers)
+        return
+    groups = [(workers, list(numbered))]
+    while groups:
+        size, group = groups.pop(0)
+        unfinished: list[int] = []
+        with worker_pool(size) as pool:
+            for i, result in _submit(pool, function, {i: jobs[i] for i in group}):
+                if isinstance(result, BrokenExecutor) and len(group) > 1:
+                    unfinished.append(i)
+                else:
+                    yield i, result
+        unfinished.sort()
+        groups += [(1, [i]) for i in unfinished[: 2 * workers]]
+        groups += [(workers, rest)] if (rest := unfinished[2 * workers :]) else []
+
+
+def _submit(
     executor: Executor,
     function: Callable[..., Result],
     jobs: Mapping[Key, tuple],
-    startable: Callable[[Iterable[Key], Iterable[Key]], Iterable[Key]] = lambda waiting, running: waiting,
-    tick: Callable[[Iterable[Key]], None] | None = None,
+    startable: Startable = lambda waiting, running: waiting,
+    tick: Tick | None = None,
 ) -> Iterator[tuple[Key, Result | BaseException]]:
-    """As `run_jobs`, on an executor; yields the exception in place of the result where a job failed."""
+    """Run jobs on an executor; yields the exception in place of the result where a job failed."""
     waiting, running = dict(jobs), dict[Future[Result], Key]()
     try:
         while waiting or running:

@@ -13,7 +13,7 @@ from quadsim.flight.faults import Dropout, GyroBiasStep
 from quadsim.flight.scenario import Scenario, load_scenario
 from quadsim.runs.files import read_json, write_json
 from quadsim.runs.fingerprint import fingerprint
-from quadsim.runs.spread import spread
+from quadsim.runs.pool import run_all
 from quadsim.wind import Constant
 
 from .cell import digest_if_there, file_name, fly_cell, weights_digest
@@ -147,7 +147,7 @@ def breaking_points(
     missing = [i for i in range(len(jobs)) if i not in points]
     if progress:
         progress(len(points), len(jobs))
-    for at, point in spread(break_point, [jobs[i] for i in missing], workers, executor):
+    for at, point in run_all(break_point, [jobs[i] for i in missing], workers, executor):
         i = missing[at]
         if isinstance(point, BaseException):  # the worker itself died
             point = _nothing(*jobs[i][:3], f"{type(point).__name__}: {point}")

@@ -19,7 +19,7 @@ from quadsim.imu.spec import load_imu
 from quadsim.own import own_files
 from quadsim.runs.files import alone, drop_parts, read_json, write_csv, write_json
 from quadsim.runs.fingerprint import ROOT, code_digest, file_digest, fingerprint
-from quadsim.runs.spread import spread
+from quadsim.runs.pool import run_all
 from quadsim.vehicle import load_vehicle
 
 from .cell import (
@@ -160,7 +160,7 @@ def bench(
             progress(len(cells), len(pairs))
         jobs = [(s, loaded[s], e, settings, prints[s, e]) for s, e in missing]
         said: set[tuple[str, str]] = set()
-        for i, cell in spread(fly_cell, jobs, workers, executor):
+        for i, cell in run_all(fly_cell, jobs, workers, executor):
             if isinstance(cell, BaseException):  # the worker itself died
                 cell = failed_cell(*missing[i], prints[missing[i]], f"{type(cell).__name__}: {cell}")
             cells[missing[i]] = cell

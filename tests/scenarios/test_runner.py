@@ -16,7 +16,7 @@ from rich.console import Console
 import estimators
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario, Start, load_scenario
-from quadsim.runs.spread import spread
+from quadsim.runs.pool import run_all
 from quadsim.vehicle import load_vehicle
 from scenarios.bench import cell as cell_module
 from scenarios.bench import runner
@@ -297,7 +297,7 @@ def test_weights_fly_like_the_estimator_that_they_are_of(tmp_path):
 
 @pytest.mark.parametrize("deadly", [0, 7])
 def test_a_dying_worker_ends_no_other_job(deadly):
-    found = dict(spread(square, [(i, deadly) for i in range(8)], workers=2))
+    found = dict(run_all(square, [(i, deadly) for i in range(8)], workers=2))
     assert isinstance(found.pop(deadly), BrokenExecutor)
     assert found == {i: i**2 for i in range(8) if i != deadly}
 
