@@ -6,7 +6,6 @@ to JSON and back without loss with pydantic's own `model_dump_json` and `model_v
 
 import difflib
 import json
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -27,9 +26,6 @@ class Strict(BaseModel):
 
 
 Model = TypeVar("Model", bound=BaseModel)
-TOO_DEEP = "tables or lists are nested too deeply to be read"
-DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
-"""A key of more parts than any file has."""
 
 
 def preset_names(folder: str) -> list[str]:
@@ -61,17 +57,12 @@ def read_toml(text: str, label: str) -> dict[str, Any]:
         label: What to call it in an error.
 
     Raises:
-        ValueError: One line: it is not valid TOML, or nested too deeply.
+        ValueError: One line: it is not valid TOML.
     """
-    if deep := DEEP_KEY.search(text):  # tomllib takes time and memory with the square of a key's parts
-        line = text.count("\n", 0, deep.start()) + 1
-        raise ValueError(f"{label}: line {line}: {TOO_DEEP}")
     try:
         return tomllib.loads(text)
-    except ValueError as error:  # of TOML, or of Python for a whole number of thousands of digits
+    except (ValueError, RecursionError) as error:  # also of a whole number of thousands of digits
         raise ValueError(f"{label}: not valid TOML: {str(error).split(';')[0]}") from error
-    except RecursionError as error:
-        raise ValueError(f"{label}: {TOO_DEEP}") from error
 
 
 def located(found: Model, source: str | Path) -> Model:
@@ -155,8 +146,6 @@ def parse(data: dict[str, object], model: type[Model], label: str) -> Model:
         return model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise ValueError(f"{label}: {describe(error, model)}") from error
-    except RecursionError as error:
-        raise ValueError(f"{label}: {TOO_DEEP}") from error
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
