@@ -8,8 +8,8 @@ import typer
 from ..config.toml import merged, parse
 from ..runs.console import output as console
 from ..runs.console import pool_of, progress_bar
-from .logs import Imu, Mount, Truth, convert
-from .options import LearningSeed, Pool, RecipeFields, Sampling, fields_of
+from .logs import convert_logs
+from .options import Imu, LearningSeed, Mount, Pool, RecipeFields, Sampling, Truth, fields_of
 
 
 def generate(
@@ -100,7 +100,7 @@ def export(
     from ..dataset.export import export as export_dataset
 
     if format == "zarr":
-        convert([Path(each) for each in source], out, piece, rate, mount, truth, imu, force)
+        convert_logs([Path(each) for each in source], out, piece, rate, mount, truth, imu, force)
         return
     if len(source) > 1:
         raise ValueError(f"--format {format} is of one dataset or network, not of {len(source)}")

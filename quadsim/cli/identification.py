@@ -8,7 +8,8 @@ from rich.table import Table
 
 from ..runs.console import output
 from ..runs.files import save_figure
-from .logs import Imu, Mount, calibrate
+from .logs import calibrate_imu
+from .options import Imu, Mount
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -59,8 +60,7 @@ def identify(
     Example: quadsim identify still.ulg --still --out my-imu.toml
     """
     if still:
-        picture = None if bias_only else out.with_suffix(".png")
-        calibrate(files, None if bias_only else out, picture, gravity, mount, imu, bias_only)
+        calibrate_imu(files, out, gravity, mount, imu, bias_only)
         return
     from ..identify import flights_of
     from ..identify import identify as fit

@@ -1,43 +1,16 @@
-"""What verbs do with logs: look at them, make datasets of them, calibrate an IMU from them."""
+"""What verbs do with real logs: look at them, make datasets of them, calibrate an IMU from them."""
 
 import math
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.table import Table
 
 from ..runs.console import output
 from ..runs.files import save_figure
 
-app = typer.Typer(help="Real flight logs: look at them, make datasets of them.", no_args_is_help=True)
 
-Mount = Annotated[
-    str | None,
-    typer.Option(
-        "--mount",
-        help='Rotation from IMU to body axes: body axes as the IMU\'s ("z,-y,x"), roll, pitch and yaw of the '
-        'IMU in degrees ("rpy 0 20 90"), a quaternion w x y z or a matrix by rows. A true attitude of the '
-        "body is not rotated, one of the IMU itself is.",
-    ),
-]
-Truth = Annotated[
-    str | None, typer.Option(help="Topic or folder to take for the true attitude; else the best there is.")
-]
-Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
-
-
-@app.command()
-def info(
-    file: Annotated[Path, typer.Argument(help="A log: see docs/logs.md for the formats.")],
-    mount: Mount = None,
-    truth: Truth = None,
-    imu: Imu = None,
-) -> None:
-    """Say what a log holds, what is odd about it, and what was taken for the truth.
-
-    Example: quadsim logs info flight.ulg
-    """
+def show_log(file: Path, mount: str | None, truth: str | None, imu: str | None) -> None:
+    """Print what a log holds, what is odd about it, and what was taken for the truth."""
     from ..logs import read_log_and_report
 
     _, report = read_log_and_report(file, mount=mount, truth=truth, imu=imu)
@@ -78,23 +51,12 @@ def info(
     output.print(f"{file}: {report.duration_s:.1f} s, {verdict}", soft_wrap=True)
 
 
-@app.command()
-def mount(
-    file: Annotated[Path, typer.Argument(help="A log in which the vehicle hovers, or with a true attitude.")],
-    mount: Mount = None,
-    truth: Truth = None,
-    imu: Imu = None,
-    level: Annotated[
-        bool, typer.Option("--level", help="From the mean force, although there is a true attitude.")
-    ] = False,
-) -> None:
-    """Estimate how the IMU is mounted: the --mount that makes IMU axes the body's.
+def show_mount(file: Path, mount: str | None, truth: str | None, imu: str | None, level: bool) -> None:
+    """Print how the IMU is mounted: the --mount that makes IMU axes the body's.
 
     From the true attitude, where the log has one of the body: the rotation that brings the gyroscope's rates
     nearest to the truth's. Else from hover, in which the mean force is along body z: roll and pitch; the
-    heading is that of the --mount given, or zero.
-
-    Example: quadsim logs mount flight.toml
+    heading is that of the mount given, or zero.
     """
     from ..logs import read_recording
     from ..logs.mount_estimate import estimate_mount
@@ -120,31 +82,25 @@ def mount(
     output.print(f'{file}: --mount "{mount_text(found.body_from_imu)}"', soft_wrap=True, highlight=False)
 
 
-@app.command()
-def convert(
-    files: Annotated[list[Path], typer.Argument(help="Logs, one or several.")],
-    out: Annotated[Path, typer.Option(help="Where the dataset goes, for example data/mine.zarr.")],
-    piece: Annotated[float, typer.Option(min=1, help="Length of the pieces in seconds.")] = 20.0,
-    rate: Annotated[float, typer.Option(min=50, max=2000, help="Samples per second.")] = 200.0,
-    mount: Mount = None,
-    truth: Truth = None,
-    imu: Imu = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Convert them although a unit or frame cannot be right.")
-    ] = False,
+def convert_logs(
+    files: list[Path],
+    out: Path,
+    piece: float,
+    rate: float,
+    mount: str | None,
+    truth: str | None,
+    imu: str | None,
+    force: bool,
 ) -> None:
-    """Make a dataset of logs: pieces of one length, without gaps and with a known attitude.
-
-    Example: quadsim logs convert flight.ulg --out data/mine.zarr
-    """
+    """Make a dataset of logs: pieces of one length, without gaps and with a known attitude."""
     from ..logs import read_parts, refused
-    from ..logs.convert import convert as convert_logs
+    from ..logs.convert import convert
 
     read = [(file, read_parts(file, rate, mount=mount, truth=truth, imu=imu)) for file in files]
     for fault in refused([(file, report) for file, parts in read for _, report in parts], force):
         output.print(f"warning: {fault}", style="yellow", markup=False, soft_wrap=True)
     logs = [log for _, parts in read for log, _ in parts]
-    path = convert_logs(logs, out, piece)
+    path = convert(logs, out, piece)
     from ..dataset.reading import open_dataset
 
     pieces = open_dataset(path).sizes["flight"]
@@ -155,48 +111,27 @@ def convert(
     )
 
 
-@app.command()
-def calibrate(
-    files: Annotated[list[Path], typer.Argument(help="Logs in which the sensor lies still.")],
-    out: Annotated[
-        Path | None, typer.Option(help="IMU file to write, for example my-imu.toml; not with --bias-only.")
-    ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture of the Allan deviation and its fit.")] = None,
-    gravity: Annotated[float, typer.Option(help="Gravity where it was recorded, in m/s².")] = 9.81,
-    mount: Mount = None,
-    imu: Imu = None,
-    bias_only: Annotated[
-        bool, typer.Option("--bias-only", help="The biases alone: 3 s at rest are enough.")
-    ] = False,
+def calibrate_imu(
+    files: list[Path], out: Path, gravity: float, mount: str | None, imu: str | None, bias_only: bool
 ) -> None:
-    """Measure an IMU's noise from still logs (Allan variance), as a file for `generate --set imu=FILE`.
-
-    A bias needs 3 s at rest, a noise density 10 s, a bias random walk 60 s and to be sure an hour, its time
-    constant a log several times as long as itself. What the logs are too short for is left out and named.
-
-    Example: quadsim logs calibrate still.ulg --out my-imu.toml
-    """
+    """Measure an IMU's noise from still logs (Allan variance), as a file for `generate --set imu=FILE`."""
     from ..logs import read_recording
-    from ..logs.allan import calibrate as calibrate_imu
-    from ..logs.allan import draw, write_imu
+    from ..logs.allan import calibrate, draw, write_imu
 
-    if (out is None) != bias_only:
-        raise ValueError("one of --out and --bias-only is required")
     logs = [read_recording(file, mount=mount, imu=imu) for file in files]
-    found = calibrate_imu(logs, gravity, bias_only=bias_only)
+    found = calibrate(logs, gravity, bias_only=bias_only)
     biases = Table("sensor", "bias x", "y", "z", "1 SD by noise")
     for (name, unit, sensor), seen in zip(found.sensors, ("", ", along gravity"), strict=True):
         values = (f"{value:+.5f}" for value in sensor.bias)
         biases.add_row(f"{name}{seen}, {unit}", *values, f"{sensor.bias_sd:.5f}")
     output.print(biases)
-    if out is None:
+    if bias_only:
         rates = ", ".join(f"{math.degrees(value):+.3f}" for value in found.gyro.bias)
         text = f"{', '.join(found.logs)}: gyroscope bias ({rates}) °/s, from {found.still_s:.0f} s at rest"
         output.print(text, soft_wrap=True, highlight=False)
         return
     write_imu(found, out)
-    if plot is not None:
-        save_figure(plot, draw(found), dpi=130)
+    save_figure(out.with_suffix(".png"), draw(found), dpi=130)
     table = Table("sensor", "noise density", "bias random walk", "time constant, s", "turn-on bias")
     for name, sensor in (("gyro, rad/s", found.gyro), ("accel, m/s²", found.accel)):
         tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"

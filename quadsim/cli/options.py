@@ -76,6 +76,19 @@ ConditionFields = Annotated[
         "engine (auto, mujoco, compiled), rate (samples per second). Again for more.",
     ),
 ]
+Mount = Annotated[
+    str | None,
+    typer.Option(
+        "--mount",
+        help='Rotation from IMU to body axes: body axes as the IMU\'s ("z,-y,x"), roll, pitch and yaw of the '
+        'IMU in degrees ("rpy 0 20 90"), a quaternion w x y z or a matrix by rows. A true attitude of the '
+        "body is not rotated, one of the IMU itself is.",
+    ),
+]
+Truth = Annotated[
+    str | None, typer.Option(help="Topic or folder to take for the true attitude; else the best there is.")
+]
+Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
 OWN_CONTROLLER = (
     "cascaded, a spiking controller's weights, or your own file.py:make, called with sample rate and "
     "vehicle; in place of the cascade's levels of attitude and body rate"

@@ -9,9 +9,8 @@ from rich.table import Table
 from ..runs.console import output as console
 from ..runs.console import progress_bar
 from ..runs.files import alone
-from .logs import Imu, Mount, Truth, info
-from .logs import mount as estimate_mount
-from .options import headline
+from .logs import show_log, show_mount
+from .options import Imu, Mount, Truth, headline
 
 
 def report(
@@ -81,9 +80,9 @@ def report(
     elif place.exists():
         _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
         if find_mount is None:
-            info(place, mount, truth, imu)
+            show_log(place, mount, truth, imu)
         else:
-            estimate_mount(place, mount, truth, imu, find_mount == "level")
+            show_mount(place, mount, truth, imu, find_mount == "level")
     else:
         raise ValueError(f"{path}: no such benchmark, dataset, weights or log")
 

@@ -8,8 +8,7 @@ import typer
 from ..runs.console import output as console
 from ..runs.console import progress_bar
 from ..runs.files import alone
-from .logs import Mount
-from .options import Seed, Workers
+from .options import Mount, Seed, Workers
 
 
 def evaluate(
