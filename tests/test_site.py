@@ -40,9 +40,7 @@ def test_keys_of_files_have_ranges_units_and_defaults(site):
 
 def test_every_verb_has_its_section(site):
     text = site.command_line()
-    assert all(
-        f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "dataset info", "logs calibrate")
-    )
+    assert all(f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "report", "identify"))
 
 
 def test_a_tutorial_with_a_notebook_links_to_it(site):
