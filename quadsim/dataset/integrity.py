@@ -65,7 +65,7 @@ def damage_in_words(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if isinstance(error, ValueError | OSError) and str(path) in str(error):
+        if isinstance(error, ValueError | PermissionError) and str(path) in str(error):
             raise
         raise ValueError(
             f"{path} is damaged: {type(error).__name__}: {error}; copy or generate it again"

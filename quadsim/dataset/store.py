@@ -219,6 +219,8 @@ def write_flights(
     numcodecs.blosc.use_threads = False  # several threads would order the blocks of a chunk by chance
     group = zarr.open_group(store, mode="r+")
     for name, array in values.items():
+        for flight in flights:  # Zarr would decode what is there, which may be cut short
+            chunk_file(store, name, flight).unlink(missing_ok=True)
         stored = group[name]
         assert isinstance(stored, zarr.Array)
         stored.set_orthogonal_selection((np.asarray(flights),), array)
