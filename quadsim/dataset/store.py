@@ -191,7 +191,8 @@ def fly_batch(plan: Plan, folder: Path, flights: Sequence[int]) -> Sequence[int]
     seeds = [np.random.SeedSequence(plan.seed, spawn_key=(flight,)) for flight in flights]
     log = simulate_flights(plan.config, seeds, plan.steps, plan.rate_hz)
     values = {name: np.asarray(log[name], dtype="<f4") for name in VARIABLES}
-    write_flights(folder, flights, values, log["end_step"], log["end_reason"])
+    ends = zip(map(int, log["end_step"]), map(str, log["end_reason"]), strict=True)
+    write_flights(folder, flights, values, list(ends))
     return flights
 
 
@@ -199,8 +200,7 @@ def write_flights(
     folder: Path,
     flights: Sequence[int],
     values: Mapping[str, NDArray[np.float32]],
-    end_steps: Sequence[int] | NDArray[np.integer],
-    end_reasons: Sequence[str] | NDArray[np.str_],
+    ends: Sequence[tuple[int, str]],
 ) -> None:
     """Write flights, and then the records that make them whole.
 
@@ -208,13 +208,12 @@ def write_flights(
         folder: The unfinished dataset.
         flights: Numbers of the n flights.
         values: Each variable (n, steps, width); from its end on a flight repeats its last valid sample.
-        end_steps: Samples before the end of each.
-        end_reasons: Why each ended early; empty if it lasted its full time.
+        ends: Samples before the end of each, and why it ended early; empty if it lasted its full time.
     """
     store = folder / "data"
-    ends = [
-        _hold_after_end({name: array[row] for name, array in values.items()}, int(step), str(reason))
-        for row, (step, reason) in enumerate(zip(end_steps, end_reasons, strict=True))
+    held = [
+        _hold_after_end({name: array[row] for name, array in values.items()}, *end)
+        for row, end in enumerate(ends)
     ]
     numcodecs.blosc.use_threads = False  # several threads would order the blocks of a chunk by chance
     group = zarr.open_group(store, mode="r+")
@@ -224,7 +223,7 @@ def write_flights(
         stored = group[name]
         assert isinstance(stored, zarr.Array)
         stored.set_orthogonal_selection((np.asarray(flights),), array)
-    for flight, end in zip(flights, ends, strict=True):
+    for flight, end in zip(flights, held, strict=True):
         record = Record(*end, chunks_digest(store, flight))
         write_whole(folder / "flights" / f"{flight:05d}.json", json.dumps(record._asdict()))
 

@@ -70,7 +70,7 @@ def _convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float) -> Path:
     dataset_store.begin(folder, plan)
     for number, piece in enumerate(pieces):
         values = {name: array[None] for name, array in _values(piece, steps, held).items()}
-        dataset_store.write_flights(folder, [number], values, [steps], [""])
+        dataset_store.write_flights(folder, [number], values, [(steps, "")])
     dataset_store.finish(folder, plan, out)
     return out
 
