@@ -1,7 +1,7 @@
 """Speed of filters and networks: `python -m benchmarks.bench_filters`.
 
-Per streamed sample, and per sample of a sequence. One run on one thread; each number is the best of several
-repetitions. Peers are VQF's C++ in one call, the package ahrs, and PyTorch's GRU.
+One run on one thread; each number is the best of several repetitions. Peers are VQF's C++ in one call, the
+package ahrs, and PyTorch's GRU. The time of one update of one vehicle is in docs/loihi.md.
 """
 
 from collections.abc import Callable
@@ -42,15 +42,6 @@ def ns_per_sample(name: str, gyro: NDArray, accel: NDArray, repetitions: int) ->
     return best_of(lambda: run(est, gyro, accel), repetitions) / gyro[..., 0].size * 1e9
 
 
-def us_per_update(name: str, gyro: NDArray, accel: NDArray, count: int) -> float:
-    """Of one vehicle."""
-    est = create(name, RATE_HZ, vehicle="hummingbird")
-    est.reset(1)
-    samples = [(gyro[:1, t], accel[:1, t]) for t in range(count)]
-    est.update(*samples[0])
-    return best_of(lambda: [est.update(*sample) for sample in samples], 3) / count * 1e6
-
-
 def torch_gru(gyro: NDArray, accel: NDArray) -> float:
     """Nanoseconds a sample of PyTorch's GRU with the sizes of att-rnn, its inputs scaled already."""
     torch.set_num_threads(1)
@@ -62,27 +53,24 @@ def torch_gru(gyro: NDArray, accel: NDArray) -> float:
 
 
 def measure(flights: int = 16, seconds: float = 100.0) -> list[Row]:
-    """Estimators and peers: an update from Python, a sample of a batch, and that over VQF's C++."""
+    """Estimators and peers: a sample of a batch, and that over VQF's C++."""
     gyro, accel = motion(flights, seconds)
     few = slice(0, 2000)
     cpp = best_of(lambda: VQF(1.0 / RATE_HZ).updateBatch(gyro[0], accel[0]), 5) / gyro.shape[1] * 1e9
-    found: list[tuple[str, str, float]] = []
+    found: dict[str, float] = {}
     for name in names():
         if name != "truth":
             slow = name.endswith("filterpy")
             part = slice(0, 400 if slow else 4000)
-            batch = ns_per_sample(name, gyro[:, part], accel[:, part], 2 if slow else 5)
-            update = us_per_update(name, gyro, accel, min(400 if slow else 10_000, gyro.shape[1]))
-            found.append((name, f"{update:.2f}", batch))
-    found.append(("*VQF, C++, one call*", "", cpp))
+            found[name] = ns_per_sample(name, gyro[:, part], accel[:, part], 2 if slow else 5)
+    found["*VQF, C++, one call*"] = cpp
     for name, make in (("Mahony", ahrs.filters.Mahony), ("Madgwick", ahrs.filters.Madgwick)):
         theirs = best_of(lambda make=make: make(gyr=gyro[0, few], acc=accel[0, few], frequency=RATE_HZ), 2)
-        found.append((f"*ahrs, {name}*", "", theirs / len(gyro[0, few]) * 1e9))
-    gru = torch_gru(gyro[:, few], accel[:, few])
-    found.append((f"*PyTorch, the GRU of att-rnn, {flights} sequences*", "", gru))
+        found[f"*ahrs, {name}*"] = theirs / len(gyro[0, few]) * 1e9
+    found[f"*PyTorch, the GRU of att-rnn, {flights} sequences*"] = torch_gru(gyro[:, few], accel[:, few])
     return [
-        {"estimator": name, "update_us": update, "run_ns": f"{ns:.0f}", "run_over_vqf": f"{ns / cpp:.2f}"}
-        for name, update, ns in found
+        {"estimator": name, "run_ns": f"{ns:.0f}", "run_over_vqf": f"{ns / cpp:.2f}"}
+        for name, ns in found.items()
     ]
 
 
