@@ -12,7 +12,6 @@ stamp.
 
 import argparse
 import re
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -23,6 +22,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from quadsim.runs.fingerprint import closure, content_digest, file_digest, fingerprint
+from quadsim.runs.record import commit
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = {
@@ -43,8 +43,9 @@ SCRIPTS = {
 """Pages, and the module that makes each."""
 BLOCK = "<!-- results -->\n"
 STAMP = re.compile(
-    r"(?P<older>\*Made at commit \w+; the code has changed since\.\*\n\n)?"
-    r"<!-- made by: (?P<command>[^;]+); commit (?P<commit>\w+); code (?P<code>\w+); text (?P<text>\w+) -->\n"
+    r"(?P<older>\*Made at commit [\w-]+; the code has changed since\.\*\n\n)?"
+    r"<!-- made by: (?P<command>[^;]+); commit (?P<commit>[\w-]+); "
+    r"code (?P<code>\w+); text (?P<text>\w+) -->\n"
 )
 KEY = re.compile(r"\{([a-z][a-z0-9_:-]*)\}")
 PICTURE = re.compile(r"\]\((img/[^)]+)\)")
@@ -103,8 +104,7 @@ class Page(NamedTuple):
                     f"{self.template.name}: {', '.join(sorted(keys ^ set(parts)))}: key or part alone"
                 )
             body = KEY.sub(lambda key: _text(parts[key[1]]), body)
-        commit = _git("rev-parse", "--short", "HEAD")
-        stamp = _stamp(f"python docs/pages.py {self.name}", commit, self.code, self.digest(body))
+        stamp = _stamp(f"python docs/pages.py {self.name}", commit(), self.code, self.digest(body))
         self.path.write_text(f"{before}{body}{stamp}{after}", "utf-8")
 
     def restamp(self) -> None:
@@ -183,12 +183,6 @@ def _stamp(command: str, commit: str, code: str, text: str) -> str:
 
 def _text(part: str | Sequence[str]) -> str:
     return part if isinstance(part, str) else "\n".join(part)
-
-
-def _git(*arguments: str) -> str:
-    return subprocess.run(
-        ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout.strip()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
