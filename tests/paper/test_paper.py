@@ -100,15 +100,11 @@ def test_a_killed_stage_continues_in_its_folder(tmp_path):
     assert (tmp_path / "d" / "text").read_text() == "{}{'x': 1}{}{'x': 1}"
 
 
-def test_a_record_that_holds_nothing_is_made_again(tmp_path):
+@pytest.mark.parametrize(("file", "content"), [(RECORD, "{}"), ("text", None)])
+def test_a_stage_with_an_empty_record_or_a_lost_file_is_made_again(tmp_path, file, content):
     run_stages(chain(), tmp_path, workers=1)
-    (tmp_path / "d" / RECORD).write_text("{}")
-    assert run_stages(chain(), tmp_path, workers=1) == ["d"]
-
-
-def test_a_lost_file_of_a_finished_stage_is_made_again(tmp_path):
-    run_stages(chain(), tmp_path, workers=1)
-    (tmp_path / "d" / "text").unlink()
+    path = tmp_path / "d" / file
+    path.unlink() if content is None else path.write_text(content)
     assert run_stages(chain(), tmp_path, workers=1) == ["d"]
 
 
