@@ -22,7 +22,7 @@ from estimators.control.weights import load_controller, save_controller
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import OnLoihi, silenced
-from estimators.networks.weights_file import load_network, save_network
+from estimators.networks.weights_file import load_network
 from quadsim.control.own import AttitudeController, MakeController
 from quadsim.dataset.figures import STYLE
 from quadsim.flight.loop import FlightLoop
@@ -45,26 +45,21 @@ Array = NDArray[np.float64]
 OUT = ROOT / "reports" / "control"
 SEEDS = 20
 ESTIMATOR = "att-snn-hummingbird"
-"""Whose spikes the separate controller reads, and from which the merged one began."""
-ATTITUDE, PROFILED = "control-attitude", "control-attitude-16"
-"""Controllers that read an attitude; the second has 16 decay profiles: Att-SNN fits beside it."""
-ON_ATTITUDE = {"attitude": ATTITUDE, "attitude, 16 profiles": PROFILED}
-WAYS = ON_ATTITUDE | {"separate": "control-separate", "merged": "control-merged"}
+"""Whose spikes the separate controller reads."""
+ATTITUDE = "control-attitude"
+"""The controller that reads an attitude."""
+WAYS = {"attitude": ATTITUDE, "separate": "control-separate"}
 SAME = "scenarios.bench.margins:Cascade"
 """The cascade's levels as a controller of set-points: it knows no trajectory to feed forward."""
 TEACHER, BASE = "cascade, truth", "cascade, Att-SNN"
 NAMES = {
     TEACHER: "truth",
     "cascade without trajectory, truth": f"truth @ {SAME}",
-    **{f"spiking, {way}, truth": f"truth @ {name}" for way, name in ON_ATTITUDE.items()},
+    "spiking, attitude, truth": f"truth @ {ATTITUDE}",
     BASE: ESTIMATOR,
     **{f"spiking, {way}, Att-SNN": f"{ESTIMATOR} @ {name}" for way, name in WAYS.items()},
 }
-NEVER_DISPLACED = (
-    *(f"spiking, {way}, truth" for way in ON_ATTITUDE),
-    "spiking, separate, Att-SNN",
-    "spiking, merged, Att-SNN",
-)
+NEVER_DISPLACED = ("spiking, attitude, truth", "spiking, separate, Att-SNN")
 """Controllers of which the page says that none crashes with its accelerometer off the centre of mass."""
 ELSEWHERE = ("px4-quad", "crazyflie")
 """Airframes that no controller was trained on."""
@@ -82,10 +77,10 @@ NOMINAL = (
 AGGRESSIVE = ("step-large", "racing")
 STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
 PROFILES = (32, 16)
-BOTH = (ESTIMATOR, PROFILED)
+BOTH = (ESTIMATOR, ATTITUDE)
 """Estimator and controller that share a core."""
 TUNED_ON = ("heavy", "known")
-COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2", "#d55e00")
+COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2")
 
 
 def cells(results: Results) -> dict[tuple[str, str], CellRow]:
@@ -246,26 +241,22 @@ def chip_rows() -> Iterator[str]:
 
 
 def profile_rows() -> Iterator[str]:
-    """What few decay profiles cost the controller that reads an attitude, and the pair that fits one core."""
-    weights, (config, tensors) = load_controller(ATTITUDE), load_network(ESTIMATOR)
+    """What few decay profiles cost the controller that reads an attitude."""
+    weights = load_controller(ATTITUDE)
     names = {"as trained": f"truth @ {ATTITUDE}"}
     for profiles in PROFILES:
         file = OUT / f"profiles-{profiles}.safetensors"
         save_controller(file, weights._replace(tensors=share_profiles(weights.tensors, profiles)))
         names[f"{profiles}, shared after the training"] = f"truth @ {file}"
-    names["16, trained on (`control-attitude-16`)"] = f"truth @ {PROFILED}"
-    save_network(file := OUT / "estimator-16.safetensors", config, share_profiles(tensors, 16))
-    names["the same, on Att-SNN with 16, shared after the training: one core"] = f"{file} @ {PROFILED}"
-    found = bench(NOMINAL, ["truth", ESTIMATOR, *names.values()], OUT / "profiles", FlightSettings(SEEDS))
+    found = bench(NOMINAL, ["truth", *names.values()], OUT / "profiles", FlightSettings(SEEDS))
     tracked = {(each.scenario, each.estimator): each.attitude_deg or np.nan for each in found.rows}
     crashed = dict.fromkeys(found.estimators, 0)
     for each in found.rows:
         crashed[each.estimator] += each.crashes or 0
     for title, name in names.items():
-        base = "truth" if name.startswith("truth") else ESTIMATOR
-        ratios = [tracked[each, name] / tracked[each, base] for each in NOMINAL]
+        ratios = [tracked[each, name] / tracked[each, "truth"] for each in NOMINAL]
         ratio = f"{np.median(ratios):.2f} ({np.nanmin(ratios):.2f} to {np.nanmax(ratios):.2f})"
-        yield row(title, ratio, crashed[name], crashed[base])
+        yield row(title, ratio, crashed[name], crashed["truth"])
 
 
 def _cores(name: str) -> tuple[str, int, int, str]:
@@ -299,8 +290,7 @@ def values(page: Page, given: Namespace) -> Parts:
         results = bench(scenario_names(), list(NAMES.values()), OUT, FlightSettings(SEEDS), progress=progress)
     found = cells(results)
     responses = {title: step_response(*made) for title, made in makers().items()}
-    drawn = {title: each for title, each in responses.items() if "16" not in title}
-    page.save(draw_steps(drawn), "control-steps.png")
+    page.save(draw_steps(responses), "control-steps.png")
     return {
         "scenarios": list(scenario_rows(found)),
         "summary": list(summary_rows(found)),

@@ -20,6 +20,7 @@ from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking, real
 from estimators.networks.symmetry import weight_sharing
 from estimators.networks.weights_file import Tensors, load_network, parameters, shipped_names
 from training.config import TrainConfig, make_config
+from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K
 
 Array = NDArray[np.float64]
 
@@ -78,8 +79,8 @@ def training_cells(training: dict) -> tuple[str, ...]:
     """Flights, updates, hours of flight in all updates, and hours that the last run took."""
     config = training.get("config", {})
     epochs, batches = -(-training["updates"] // config["batches"]), config["batches"]
-    plan = TrainConfig(**config) if config.get("later_windows") else None
-    lengths = [plan.window_s_in(k) if plan else config["window_s"] for k in range(epochs)]
+    later = [(0.0, config["window_s"]), *config.get("later_windows", ())]
+    lengths = [[s for share, s in later if k >= share * config["epochs"]][-1] for k in range(epochs)]
     hours = min(epochs * batches, training["updates"]) / epochs * config["batch_size"] * sum(lengths) / 3600
     seconds = training.get("seconds")
     spent = "–" if seconds is None else f"{seconds / 3600:.1f}"
@@ -118,6 +119,6 @@ def values(page: Page, given: Namespace) -> Parts:
         "huber": f"{best.huber_threshold:g}",
         "rate_cost": f"{best.rate_cost:g}",
         "rate_targets": " ".join(f"{each:g}" for each in best.rate_targets),
-        "lookahead": f"{best.lookahead_k}, {best.lookahead_alpha:g}",
+        "lookahead": f"{LOOKAHEAD_K}, {LOOKAHEAD_ALPHA:g}",
         "lr": f"{best.optimiser_lr:g}",
     }

@@ -76,6 +76,6 @@ def test_the_page_of_controllers_refuses_a_crash_that_it_denies(script):
     page = script("control_page")
     rows = {("lever-arm", title): SimpleNamespace(crashes=0) for title in page.NAMES}
     assert page.without_crash(rows, "lever-arm", page.NEVER_DISPLACED) == "`lever-arm`"
-    rows["lever-arm", "spiking, merged, Att-SNN"].crashes = 1
-    with pytest.raises(ValueError, match="spiking, merged, Att-SNN: crashes in lever-arm: 1"):
+    rows["lever-arm", "spiking, separate, Att-SNN"].crashes = 1
+    with pytest.raises(ValueError, match="spiking, separate, Att-SNN: crashes in lever-arm: 1"):
         page.without_crash(rows, "lever-arm", page.NEVER_DISPLACED)

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError, model_validator
 
-from estimators.networks.symmetry import is_symmetric
+from estimators.networks.symmetry import OPERATIONS, is_symmetric
 from estimators.networks.weights_file import (
     EXPONENT_MIN,
     EXPONENTS,
     PAPER_SCALING,
     InputScaling,
+    NetworkConfig,
+    NetworkOutputs,
     Neurons,
-    Outputs,
-    OutputScale,
+    SetPointScaling,
     StepsPerSample,
+    Tensors,
     attitude_network,
-    number_of,
+    load_network,
 )
 from quadsim.config.ranges import Between, Share
 from quadsim.config.toml import Strict, describe, load_toml, merged
@@ -27,9 +29,66 @@ from quadsim.held_out import unreserved
 from .augment import Augmentation
 
 Number = Annotated[int, Between(1, 1_000_000)]
-Step = Annotated[float, Between(1e-6, 1e6)]
-Parametrisation = Literal["decays", "logits"]
 Window = Annotated[float, Between(0.01, 3600.0, "s")]
+Scale = Annotated[float, Between(1e-3, 1e4, "rad/s²")]
+CONTROL: NetworkOutputs = "angular-acceleration"
+"""Outputs of a controller."""
+
+
+class Optimisation(NamedTuple):
+    """How an optimiser's parameters and steps are chosen."""
+
+    logits: bool
+    """Whether parameters are logits of τ and weights over the root mean square of their row; else, as in the
+    paper's published code, 1 - τ, and weights over 1 - τ_mem (att-snn)."""
+    layer_steps: tuple[float, float, float]
+    """Factors of the learning rate for the encoding, the hidden and the output weights (att-snn)."""
+    adam_beta2: float
+    """Decay of Adam's second moment."""
+    cosine: bool
+    """Whether the learning rate falls over the epochs, by half a cosine down to a hundredth."""
+    clip: float
+    """Largest norm of the gradient."""
+    stop_early: bool
+    """Whether the paper's rules stop a run, see `training.loss.finished`."""
+
+
+OPTIMISATIONS = {
+    "paper": Optimisation(False, (1.0, 1.0, 1.0), 0.999, False, 5.0, True),
+    "layered": Optimisation(True, (1.0, 0.3, 0.1), 0.99, True, 1.0, False),
+}
+
+
+class ControlSettings(Strict):
+    """Flights that a controller learns from: a teacher's, then its own, which the teacher labels."""
+
+    recipe: str = "control"
+    """Flights: a shipped recipe or a TOML file. Its vehicle and IMU are the controller's."""
+    estimator: str = ""
+    """Att-SNN whose spikes the controller reads, a shipped name or a file; its weights do not change. Empty:
+    the controller reads an attitude, in training the true one."""
+    set_point: SetPointScaling = SetPointScaling()
+    """Scaling and limits of the set-points, and the bound of the outputs."""
+    error_scale: tuple[Scale, Scale, Scale] = (10.0, 10.0, 2.0)
+    """Errors about roll, pitch and yaw that weigh the same in the loss [rad/s²]."""
+    flights: Number = 24
+    """Flights by the teacher, which the first round learns from."""
+    flight_s: Annotated[float, Between(0.01, 60.0, "s")] = 16.0
+    """Length of a flight [s]."""
+    rounds: Annotated[int, Between(0, 100)] = 11
+    """Further rounds, in each of which the student flies too and the teacher labels its flights (DAgger, Ross
+    et al. 2011)."""
+    round_flights: Number = 40
+    """Flights that each of them adds."""
+    teacher_share: Share = 0.3
+    """Share of the time at which the teacher flies in the first of them, to the power k in the k-th."""
+    validation_flights: Number = 24
+    """Flights by the student alone after each epoch, to choose the best by."""
+
+    @property
+    def reads(self) -> Literal["imu", "attitude"]:
+        """What the network has beside the set-points and the gyroscope."""
+        return "imu" if self.estimator else "attitude"
 
 
 class TrainingRecipe(Strict):
@@ -55,41 +114,18 @@ class TrainingRecipe(Strict):
     """Network steps for each IMU sample (att-snn)."""
     inputs: InputScaling = PAPER_SCALING
     """Scaling of the six inputs."""
-    outputs: Outputs = "roll-pitch"
+    outputs: NetworkOutputs = "roll-pitch"
     """Roll and pitch as in the paper, or the world's up in body axes (3), for attitudes where these are
-    singular."""
-    output_scale: OutputScale = 1.0
-    """Radians, or parts of a unit vector, for an output potential of 1.0 (att-snn)."""
+    singular; angular-acceleration trains a controller, in flights of its own."""
     initialisation: Literal["random", "solved"] = "random"
     """Random weights of unit scale, or a leaky integrator solved by ridge regression (att-snn)."""
-    parametrisation: Parametrisation = "decays"
-    """What the optimiser's parameters are. "decays", as in the paper's published code: 1 - τ, and weights
-    over 1 - τ_mem. "logits": those of τ, and weights over the root mean square of their row (att-snn)."""
     fixed_taus: bool = False
     """Train the weights alone and leave the time constants as they are at first (att-snn)."""
-    reinitialise_until: Share = 0.0
-    """Share of the epochs, from the first, that begin with new inputs for hidden neurons that never or always
-    spike (att-snn)."""
-    pruning_target: Annotated[int, Between(0, 10**8)] = 0
-    """Most connections and time constants after pruning, which removes the connections with the smallest
-    effect on the loss during training (att-snn); 0: no pruning."""
-    pruning_span: tuple[Share, Share] = (0.25, 0.7)
-    """Shares of the epochs between which connections are pruned."""
-
+    optimisation: Literal["paper", "layered"] = "paper"
+    """The parameters, steps and end of the paper's published code; or parameters relative to their size,
+    small steps of the later layers and a learning rate that falls (`training.config.OPTIMISATIONS`)."""
     optimiser_lr: Annotated[float, Between(1e-9, 10.0)] = 0.005
     """Learning rate of Adam."""
-    layer_steps: tuple[Step, Step, Step] = (1.0, 1.0, 1.0)
-    """Its factors for the encoding, the hidden and the output weights (att-snn)."""
-    adam_beta2: Annotated[float, Between(1e-3, 1.0 - 1e-6)] = 0.999
-    """Decay of Adam's second moment."""
-    decay: Literal["none", "cosine"] = "none"
-    """Learning rate over the epochs: constant, or half a cosine down to a hundredth."""
-    clip: Annotated[float, Between(0.0, 1e6)] = 5.0
-    """Largest norm of the gradient, as in the paper's published code; 0: no limit."""
-    lookahead_k: Number = 6
-    """Steps of the fast weights for one of the slow."""
-    lookahead_alpha: Annotated[float, Between(1e-3, 1.0)] = 0.5
-    """Step of the slow weights, as a share of the distance to the fast."""
 
     epochs: Number = 500
     """Most epochs."""
@@ -104,10 +140,10 @@ class TrainingRecipe(Strict):
     length [s]."""
     windows_per_stream: Number = 1
     """Most successive windows over which the network's state continues (truncated backpropagation)."""
-    stop_early: bool = True
-    """Stop by the paper's rules: 20-epoch average above 110 % of its lowest, or the lowest 50 epochs old."""
     augmentation: Augmentation = Augmentation()
-    """Sensor errors and symmetries, drawn for every window or stream."""
+    """Sensor errors and symmetries, drawn for every window or stream of an attitude estimator."""
+    control: ControlSettings = ControlSettings()
+    """Flights of a controller."""
     huber_threshold: Annotated[float, Between(0.0, 10.0, "rad")] = 0.0
     """Error above which the loss is linear, not quadratic, so that the unavoidable errors after an unknown
     initial attitude weigh less [rad, of up its norm]; 0: quadratic everywhere."""
@@ -115,6 +151,11 @@ class TrainingRecipe(Strict):
     """Weight of the spike rates above their targets [rad² per spike, neuron and step]."""
     rate_targets: tuple[Share, Share] = (0.1, 0.1)
     """Spikes per neuron and step that cost nothing, encoding and hidden layer."""
+
+    @property
+    def method(self) -> Optimisation:
+        """What `optimisation` stands for."""
+        return OPTIMISATIONS[self.optimisation]
 
 
 class Preset(TrainingRecipe):
@@ -131,8 +172,8 @@ class TrainConfig(TrainingRecipe):
 
     model: Literal["att-snn", "att-rnn"] = "att-snn"
     """Spiking network, or its non-spiking twin."""
-    data: tuple[str, ...]
-    """Datasets to train on."""
+    data: tuple[str, ...] = ()
+    """Datasets to train on; a controller has none."""
     validation: tuple[str, ...] = ()
     """Datasets to choose the best epoch by; none: a part of `data`, 70/20/10 by flight."""
     folds: Annotated[int, Between(0, 1000)] = 0
@@ -149,48 +190,72 @@ class TrainConfig(TrainingRecipe):
     """Weights to continue from, in place of `initialisation`: a file or a shipped name; they fix the layers
     and the scaling."""
 
+    @property
+    def controls(self) -> bool:
+        """Whether the network is a controller."""
+        return self.outputs == CONTROL
+
     @model_validator(mode="after")
     def _fits(self) -> TrainConfig:
         unreserved(self.seed)
-        constants = 2 * (self.encoding + self.hidden) + 2 + self.after_spike * self.hidden
-        if self.model == "att-snn" and 0 < self.pruning_target <= constants:
-            raise ValueError(
-                f"pruning_target: {self.pruning_target}, but time constants alone are {constants}"
-            )
-        if self.fixed_taus and self.reinitialise_until > 0:
-            raise ValueError(
-                f"reinitialise_until: {self.reinitialise_until}, but re-initialised neurons get new time "
-                "constants and fixed_taus keeps them; give reinitialise_until=0, or fixed_taus=false"
-            )
         shares = [share for share, _ in self.later_windows]
         if sorted(set(shares)) != shares:
             raise ValueError(f"later_windows: shares {shares}, each should be above the one before")
-        if not 0 <= self.pruning_span[0] < self.pruning_span[1] <= 1:
-            raise ValueError(f"pruning_span: {self.pruning_span}, should be two rising shares in 0...1")
-        if self.prunes and self.reinitialise_until > self.pruning_span[0]:
+        layers = f"layers of {self.encoding} and {self.hidden}"
+        if self.model == "att-rnn" and self.encoding != self.hidden:
+            raise ValueError(f"att-rnn: {layers} units, should be equal")
+        least = len(OPERATIONS)
+        if self.model == "att-snn" and self.symmetric and min(self.encoding, self.hidden) < least:
             raise ValueError(
-                f"reinitialise_until: {self.reinitialise_until}, but connections are pruned from "
-                f"{self.pruning_span[0]} on; give a smaller reinitialise_until, or pruning_target=0"
+                f"symmetric: {layers} neurons, at least {least} of each share weights; give more, or "
+                "symmetric=false"
+            )
+        if self.controls:
+            self._fits_control()
+        elif not self.data:
+            raise ValueError(
+                "data: at least one dataset to train on is required, as quadsim generate makes it"
             )
         return self
+
+    def _fits_control(self) -> None:
+        if self.data or self.validation or self.init or self.model != "att-snn":
+            raise ValueError(
+                "a controller is an att-snn that flies itself: leave out data, validation, init and model"
+            )
+        if not self.quantised or self.symmetric or self.initialisation != "solved":
+            raise ValueError("a controller is trained quantised, not symmetric, from a solved initialisation")
+        if self.epochs < self.control.rounds + 1:
+            raise ValueError(
+                f"epochs: {self.epochs}, should be at least the rounds, {self.control.rounds} + 1"
+            )
+        longest = max([self.window_s, *(length for _, length in self.later_windows)])
+        if longest > self.control.flight_s:
+            raise ValueError(f"window_s: {longest:g}, should be at most control.flight_s")
+        if self.control.estimator:
+            network, _ = estimator_weights(self.control.estimator)
+            fixed = {name: getattr(network, name) for name in ("inputs", "after_spike", "steps_per_sample")}
+            for name, value in (fixed | {"finest_exponent": EXPONENT_MIN}).items():
+                if getattr(self, name) != value:
+                    raise ValueError(f"{name}: {getattr(self, name)}, but with the estimator it is {value}")
 
     def window_s_in(self, epoch: int) -> float:
         """Length of the windows of an epoch, counted from 0 [s]."""
         lengths = [length for share, length in self.later_windows if epoch >= share * self.epochs]
         return lengths[-1] if lengths else self.window_s
 
-    @property
-    def prunes(self) -> bool:
-        """Whether the network with every connection has more parameters than pruning leaves."""
-        h0, h1 = self.encoding, self.hidden
-        unpruned = 6 * h0 + h0 * h1 + h1 * h1 + number_of(self.outputs) * h1 + 2 * (h0 + h1) + 2
-        unpruned += 2 * h1 * self.after_spike
-        return self.model == "att-snn" and 0 < self.pruning_target < unpruned
+    def steps_in(self, epoch: int, rate_hz: float) -> int:
+        """Samples of a window of an epoch."""
+        return round(self.window_s_in(epoch) * rate_hz)
+
+    def round_of(self, epoch: int) -> int:
+        """Round of a controller's flights that an epoch, counted from 0, belongs to."""
+        return epoch * (self.control.rounds + 1) // self.epochs
 
 
 FROM_WEIGHTS = (
-    "encoding", "hidden", "quantised", "recurrent_delay", "after_spike", "steps_per_sample", "outputs",
-    "output_scale",
+    "model", "encoding", "hidden", "quantised", "recurrent_delay", "after_spike", "steps_per_sample",
+    "outputs",
 )  # fmt: skip
 """Fields that the weights of `init` fix."""
 
@@ -203,6 +268,7 @@ def make_config(preset: str | Path = "paper", **choices: Any) -> TrainConfig:
         choices: Fields of `TrainConfig`; of a table, only the keys that are given change.
 
     Raises:
+        FileNotFoundError: No such weights.
         ValueError: One line: an unknown preset or field, or a value out of range.
     """
     loaded = load_toml(preset, "presets", Preset)
@@ -240,5 +306,19 @@ def _from_weights(choices: dict[str, Any], values: dict[str, Any]) -> dict[str, 
         raise ValueError(f"symmetric: {init} does not share its weights, give symmetric=false")
     finest = min((int(tensors[name].min()) for name in EXPONENTS.values() if name in tensors), default=0)
     fixed["finest_exponent"] = min(finest, values.get("finest_exponent", 0))
-    fixed |= {"inputs": network.inputs, "symmetric": values.get("symmetric", False) and shared}
-    return {"reinitialise_until": 0.0, **fixed}
+    return fixed | {"inputs": network.inputs, "symmetric": values.get("symmetric", False) and shared}
+
+
+def estimator_weights(path: str) -> tuple[NetworkConfig, Tensors]:
+    """The estimator in front of a controller.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: Not a network that runs on the chip, once for each sample.
+    """
+    config, tensors = load_network(path)
+    if config.controls or config.model != "att-snn":
+        raise ValueError(f"estimator: {path} is no Att-SNN, give weights of one")
+    if not config.quantised or config.recurrent_delay != 1 or config.steps_per_sample != 1:
+        raise ValueError(f"estimator: {path} does not run on the chip, a step for each sample")
+    return config, tensors

@@ -15,8 +15,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from estimators.control.controller import follow
 from estimators.evaluation.flights import vehicle_of
-from estimators.networks.encoder import scaled_inputs
+from estimators.networks.encoder import INPUT_ONE, scaled_inputs
 from estimators.networks.weights_file import LEVEL_UP, load_network
 from quadsim.dataset.reading import open_dataset
 from quadsim.rotation import quat_rotate_inverse, roll_pitch_of_up
@@ -107,11 +108,19 @@ def flights_of(config: TrainConfig) -> tuple[TrainingFlights, TrainingFlights, T
     """The flights to train on, to choose the best epoch by, and to test on (of `data`; may be none).
 
     Raises:
-        ValueError: Too few flights, or datasets that do not go together.
+        ValueError: Too few flights, or too short ones, or datasets that do not go together.
     """
     flights = load_training_flights(config.data)
     if config.init and not math.isclose(flights.rate_hz, rate := load_network(config.init)[0].rate_hz):
         raise ValueError(f"data at {flights.rate_hz:g} Hz, but the weights of init are for {rate:g} Hz")
+    lengths = [config.steps_in(k, flights.rate_hz) for k in range(config.epochs)]
+    available = flights.gyro.shape[1]
+    if min(lengths) < 1:
+        raise ValueError("windows of no sample: give a larger window_s")
+    if max(lengths) > available:
+        raise ValueError(
+            f"windows of {max(lengths)} samples, but the flights have {available}: give a smaller window_s"
+        )
     if config.folds:
         parts = fold_split(len(flights), config.folds, config.fold, config.seed)
     elif config.validation:
@@ -162,14 +171,18 @@ COHORTS = 8
 
 
 class Batch(NamedTuple):
-    """One window of every stream, float32: measurements (n, T, 3), roll, pitch (n, T, 2), up (n, T, 3)."""
+    """One window of every stream, float32."""
 
     gyro: Float32
+    """Measured body rate (n, T, 3) [rad/s]."""
     accel: Float32
-    roll_pitch: Float32
-    up: Float32
+    """Measured specific force (n, T, 3) [m/s²]."""
+    target: Float32
+    """What the outputs should be after each sample, (n, T, outputs)."""
     reset: NDArray[np.bool_]
     """Streams (n,) that begin here, from a state of zero; the others continue from the last window."""
+    set_point: Float32 | None = None
+    """Of a controller, (n, T, 4)."""
 
 
 def windows(
@@ -183,14 +196,7 @@ def windows(
     `windows_per_stream` is less where the flights are shorter; `augmentation` is drawn once per stream, noise
     per sample. A window has `steps` samples; `seed` is that of the epoch.
     """
-    available = flights.gyro.shape[1]
-    if steps < 1:
-        raise ValueError("windows of no sample: give a larger window_s")
-    if steps > available:
-        raise ValueError(
-            f"windows of {steps} samples, but the flights have {available}: give a smaller window_s"
-        )
-    most = min(config.windows_per_stream, available // steps)
+    most = min(config.windows_per_stream, flights.gyro.shape[1] // steps)
     sizes = [len(part) for part in np.array_split(np.arange(config.batch_size), COHORTS) if len(part)]
     seeds = np.random.SeedSequence(list(seed)).spawn(len(sizes))
     cohorts = [
@@ -199,13 +205,15 @@ def windows(
     ]
     for _ in range(config.batches):
         parts = [next(cohort) for cohort in cohorts]
-        yield Batch(*(np.concatenate(signal) for signal in zip(*parts, strict=True)))
+        gyro, accel, roll_pitch, up, reset = (np.concatenate(signal) for signal in zip(*parts, strict=True))
+        target = up - LEVEL_UP.astype(up.dtype) if config.outputs == "up" else roll_pitch
+        yield Batch(gyro, accel, target, reset)
 
 
 def _streams(
     flights: TrainingFlights, drawn: Augmentation, n: int, steps: int, most: int, rng: np.random.Generator
-) -> Iterator[Batch]:
-    """Windows of `n` streams of one length, then of `n` others, without end."""
+) -> Iterator[tuple[NDArray, ...]]:
+    """Windows of `n` streams of one length, then of `n` others: gyro, accel, roll and pitch, up, reset."""
     while True:
         length = int(np.exp(rng.uniform(0, np.log(most + 1)))) * steps
         rows = rng.integers(len(flights), size=n)[:, None]
@@ -217,28 +225,23 @@ def _streams(
         for k in range(0, length, steps):
             part = slice(k, k + steps)
             window = (each[:, part] for each in (gyro, accel, roll_pitch, up))
-            yield Batch(*window, reset=np.full(n, k == 0))
+            yield *window, np.full(n, k == 0)
 
 
 def network_inputs(config: TrainConfig, batch: Batch, state: NDArray[np.void] | None = None) -> Tensor:
-    """Scaled inputs of each network step, shape (n, steps, 6); `state` as in `scaled_inputs`."""
+    """Scaled inputs of each network step, shape (n, steps, inputs); `state` as in `scaled_inputs`."""
     x = scaled_inputs(config.inputs, batch.gyro, batch.accel, state)
     if config.model == "att-rnn":
         return torch.from_numpy(x.astype(np.float32))
+    if batch.set_point is not None:
+        wanted = follow(config.control.set_point, batch.set_point.astype(np.float64)).inputs / INPUT_ONE
+        x = np.concatenate([x, wanted], 2)
     return torch.from_numpy(np.repeat(x, config.steps_per_sample, 1))
 
 
-def target_of(config: TrainConfig, batch: Batch) -> Float32:
-    """What the outputs should be after each sample, (n, T, outputs)."""
-    return batch.up - LEVEL_UP.astype(batch.up.dtype) if config.outputs == "up" else batch.roll_pitch
-
-
-def sample_windows(
-    config: TrainConfig, flights: TrainingFlights, steps: int, seed: tuple[int, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
-    """Scaled inputs (n, T, 6) and targets (n, T, outputs) of a few long windows, for each network step."""
+def sample_windows(config: TrainConfig, flights: TrainingFlights) -> Batch:
+    """A few long windows, to solve the first network on."""
+    steps = config.steps_in(0, flights.rate_hz)
     length = max(1, min(3, flights.gyro.shape[1] // max(steps, 1))) * steps
     few = config.model_copy(update={"batches": 1, "batch_size": 32, "windows_per_stream": 1})
-    batch = next(windows(flights, few, length, seed))
-    target = np.repeat(target_of(config, batch), config.steps_per_sample, 1)
-    return network_inputs(config, batch).numpy(), target
+    return next(windows(flights, few, length, (config.seed, 0)))

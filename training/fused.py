@@ -8,7 +8,6 @@ are reused. The batch is split over threads; sums are added in the order of the 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -331,29 +330,11 @@ class Workspace:
         self.parts = [slice(lo, hi) for lo, hi in pairwise(edges)]
         names = ("w_in", "w_ff", "w_out", "syn_after")
         h0, h1, outputs, after = (getattr(weights, name).shape[0] for name in names)
-        self._allocate((h0, h1, outputs, after))
-        self.runs = 0
-
-    def _allocate(self, sizes: Sizes) -> None:
-        self.sizes = sizes
+        self.sizes = (h0, h1, outputs, after)
         self.traces = [
-            Trace.empty(self.steps, part.stop - part.start, sizes, self.dtype) for part in self.parts
+            Trace.empty(steps, part.stop - part.start, self.sizes, self.dtype) for part in self.parts
         ]
-
-    def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Workspace:
-        """A workspace of these neurons alone, where the next window continues from the last one here."""
-        smaller = copy(self)
-        smaller._allocate((encoding.size, hidden.size, self.sizes[2], hidden.size if self.sizes[3] else 0))
-        for old, new in zip(self.traces, smaller.traces, strict=True):
-            new.v2[-2:], new.u2[-1] = old.v2[-2:], old.u2[-1]
-            new.u0[-1], new.u1[-1] = old.u0[-1][:, encoding], old.u1[-1][:, hidden]
-            new.a1[-1] = old.a1[-1][:, hidden[: new.a1.shape[2]]]
-            new.v0[-2:], new.v1[-2:] = old.v0[-2:][..., encoding], old.v1[-2:][..., hidden]
-            for v, spikes in ((new.v0[-2:], new.s0[-2:]), (new.v1[-2:], new.s1[-2:])):
-                for index in np.ndindex(v.shape[:2]):
-                    found = np.flatnonzero(v[index] > THRESHOLD)
-                    spikes[index][0], spikes[index][1 : 1 + found.size] = found.size, found
-        return smaller
+        self.runs = 0
 
     def each(self, function) -> list:
         """Call `function(part, trace)` for every part of the batch, in threads where there are several."""
@@ -421,7 +402,13 @@ class _Fused(torch.autograd.Function):
 
 
 class Fused:
-    """The compiled backend, on the CPU; see `Backend` and `BACKENDS`."""
+    """Runs windows of Att-SNN; windows of one shape continue from each other.
+
+    Args:
+        quantised: Whether to compute as the chip does, from weights on its grid.
+        recurrent_delay: Of the recurrent connection, 1 or 2 steps.
+        threads: Threads that share a batch.
+    """
 
     def __init__(self, quantised: bool = True, recurrent_delay: int = 1, threads: int = 1) -> None:
         """Start without buffers; each shape of a window gets its own."""
@@ -431,7 +418,18 @@ class Fused:
     def forward(
         self, x: Tensor, weights: Weights[Tensor], reset: NDArray[np.bool_] | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Run a window; its trace is lost when another one of its shape runs."""
+        """Run a window, whose trace for the gradient is lost when another one of its shape runs.
+
+        Args:
+            x: Scaled input (for the quantised network in steps of 2^-10), shape (n, T, inputs).
+            weights: Weights and time constants.
+            reset: Sequences (n,) that start from rest, the others where the last window of this shape
+                ended. None: all.
+
+        Returns:
+            Output potentials in units of 1.0, shape (n, T, outputs), and the mean spikes per neuron and step
+            of the encoding and of the hidden layer, shape (2,); both have gradients.
+        """
         n, steps, _ = x.shape
         if (n, steps) not in self._spaces:
             self._spaces[n, steps] = Workspace(steps, n, weights, self.threads)
@@ -440,22 +438,16 @@ class Fused:
         return _Fused.apply(self, self._last, reset, x, *weights)  # pyright: ignore[reportReturnType]
 
     def spikes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Spikes of both layers in the last window."""
+        """Spikes of the encoding (n, T, h0) and of the hidden layer (n, T, h1) in the last window."""
         traces = self._last.traces
         v0, v1 = (np.concatenate([getattr(each, v)[2:] for each in traces], 1) for v in ("v0", "v1"))
         return v0.transpose(1, 0, 2) > THRESHOLD, v1.transpose(1, 0, 2) > THRESHOLD
 
     def peak_currents(self, every: int = 1) -> tuple[Floats, Floats, Floats]:
-        """Largest currents of both layers, and after-spike ones, in the last window."""
+        """Largest currents of both layers, and after-spike ones, in every so many steps."""
         largest = [
             [np.abs(u[::every]).max((0, 1)) for u in (each.u0, each.u1, each.a1)]
             for each in self._last.traces
         ]
         first, second, after = (np.max(parts, 0) for parts in zip(*largest, strict=True))
         return first, second, after
-
-    def connected(self, encoding: NDArray[np.int64], hidden: NDArray[np.int64]) -> Fused:
-        """The backend of these neurons alone."""
-        smaller = copy(self)
-        smaller._spaces = {shape: space.connected(encoding, hidden) for shape, space in self._spaces.items()}
-        return smaller

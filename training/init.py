@@ -1,4 +1,4 @@
-"""Initial weights: random, solved from data, or read from a file; re-initialisation of dead neurons."""
+"""Initial weights: random, solved from data, or read from a file."""
 
 from __future__ import annotations
 
@@ -11,18 +11,13 @@ import torch
 from numpy.typing import NDArray
 
 from estimators.networks.network import real_weights
-from estimators.networks.symmetry import OPERATIONS
 from estimators.networks.weights_file import load_network
 
-from .config import TrainConfig
-from .data import TrainingFlights, sample_windows
-from .fused import Fused
 from .models import MEMBRANE, AttRNN, AttSNN
 
-DEAD = (1e-3, 0.999)
-"""Spikes per step below and above which a hidden neuron carries no information."""
-
 Range = tuple[float, float]
+TAU_LIMITS: Range = (1 / 1024, 4095 / 4096)
+"""Range of time constants that are taken over from other weights."""
 PAPER_DECAYS = {"syn0": 0.08, "mem0": 0.03, "syn1": 0.08, "mem1": 0.03, "syn2": 0.5, "mem2": 0.08}
 PAPER_DECAYS |= {"syn_after": 0.08}
 """1 - τ of every neuron at first in the paper's code, github.com/tudelft/neuromorphic_attitude_estimation."""
@@ -38,40 +33,8 @@ SOLVED_TAUS = {
 """The same of a solved network."""
 AFTER_SPIKE = -0.02
 """Its after-spike weights: a little adaptation."""
-
-
-def initial_model(config: TrainConfig, flights: TrainingFlights, steps: int) -> AttSNN | AttRNN:
-    """The network of a run before its first update; windows of `steps` samples solve a solved one.
-
-    Raises:
-        ValueError: Layers of a size that the network cannot have, or weights of another network.
-    """
-    torch.manual_seed(config.seed)
-    encoding, hidden = config.encoding, config.hidden
-    if config.model == "att-rnn":
-        if encoding != hidden:
-            raise ValueError(f"att-rnn: layers of {encoding} and {hidden} units, should be equal")
-        model = AttRNN(hidden, config.outputs)
-    else:
-        if config.symmetric and not config.init and min(encoding, hidden) < len(OPERATIONS):
-            raise ValueError(
-                f"symmetric: layers of {encoding} and {hidden} neurons, at least {len(OPERATIONS)} of each "
-                "share weights; give more, or symmetric=false"
-            )
-        kernels = Fused(config.quantised, config.recurrent_delay, config.threads)
-        how = (config.output_scale, config.symmetric, config.outputs)
-        chip = (config.finest_exponent, config.after_spike, config.parametrisation)
-        model = AttSNN(encoding, hidden, kernels, *how, *chip)
-    if config.init:
-        initialise_from_weights(model, config.init)
-        if isinstance(model, AttSNN):
-            model.disconnect_zeros()
-    elif isinstance(model, AttSNN) and config.initialisation == "random":
-        initialise_random(model, config.seed)
-    elif isinstance(model, AttSNN):
-        samples = sample_windows(config, flights, steps, (config.seed, 0))
-        initialise_from_data(model, *samples, config.seed, config.steps_per_sample)
-    return model
+FAN_IN = 25
+"""Encoders that each of its hidden neurons reads."""
 
 
 def initialise_random(model: AttSNN, seed: int) -> None:
@@ -101,7 +64,6 @@ def initialise_from_data(
     target: NDArray[np.floating],
     seed: int,
     steps_per_sample: int = 1,
-    fan_in: int = 25,
 ) -> None:
     """Solve, not train, a network: a leaky integrator over random features of the input.
 
@@ -116,25 +78,15 @@ def initialise_from_data(
         target: Of the outputs, shape (n, T, outputs).
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
-        fan_in: Encoders that each hidden neuron reads.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
     h0, h1 = model.w_in.shape[0], model.w_ff.shape[0]
-    inputs = x.shape[-1]
-    preferred = inputs if inputs > 6 else 5  # of readings alone, all but the vertical force
-    every = np.arange(h0)
-    deviation = x.reshape(-1, inputs).std(0)
-    directions = rng.normal(size=(h0, inputs)) * (rng.random((h0, inputs)) < 0.3)
-    directions[every, every % preferred] += np.where(every // preferred % 2 == 0, -2.0, 2.0)
-    gain = np.exp(rng.uniform(math.log(0.05), math.log(0.5), (h0, 1)))
-    tau = model.tau("syn0").detach().numpy()[:, None]
-    w_in = directions / np.linalg.norm(directions, axis=1, keepdims=True) / deviation * gain * (1 - tau)
+    w_in = random_encoders(x, model.tau("syn0").detach().numpy(), 5, rng)  # none for the vertical force alone
     w_ff = np.zeros((h1, h0))
     for row in w_ff:
-        chosen = rng.choice(h0, min(fan_in, h0), replace=False)
-        row[chosen] = rng.normal(size=chosen.size)
-    w_rec = rng.normal(size=(h1, h1)) * (rng.random((h1, h1)) < 0.1) * 0.02
+        read_some(row, np.arange(h0), rng)
+    w_rec = sparse_recurrence(h1, rng)
     model.set_weights("w_in", w_in)
     model.constrain()
     w_ff = model.shared("w_ff", w_ff)
@@ -150,78 +102,56 @@ def initialise_from_data(
 
 
 def initialise_from_weights(model: AttSNN | AttRNN, path: str | Path) -> None:
-    """Continue from a weights file.
+    """Continue from a weights file, of a network with these layers.
 
     Raises:
         FileNotFoundError: No such file.
-        ValueError: Not weights of such a network.
+        ValueError: Not such a file.
     """
     config, tensors = load_network(path)
-    layers = f"{config.model} with {config.encoding} + {config.hidden} neurons for {config.outputs}"
-    layers += ", with after-spike currents" if config.after_spike else ""
     if isinstance(model, AttRNN):
-        if (config.model, config.n_outputs, config.hidden) != ("att-rnn", *model.out.weight.shape):
-            raise ValueError(f"init: {path} holds {layers}")
         model.load_state_dict({name: torch.tensor(value) for name, value in tensors.items()})
         return
-    sizes = config.encoding, config.hidden, config.outputs, config.after_spike
-    ours = (*model.w_ff.shape[::-1], model.outputs, "w_after" in model.matrices)
-    if (config.model, *sizes) != ("att-snn", *ours):
-        raise ValueError(f"init: {path} holds {layers}")
     values = real_weights(config, tensors)._asdict()
+    model.output_scale = config.output_scale
     for name in model.taus:
-        model.set_taus(name, np.clip(values[name], 1 / 1024, 4095 / 4096))
+        model.set_taus(name, np.clip(values[name], *TAU_LIMITS))
     for name in model.matrices:
         model.set_weights(name, values[name])
+    model.disconnect_zeros()
 
 
-def reinitialise_dead_neurons(model: AttSNN, x: NDArray[np.float64], seed: int) -> int:
-    """Draw new input weights of hidden neurons that never or always spike; their output weights become 0.
+def random_encoders(
+    x: NDArray[np.float64], tau: NDArray, preferred: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Input weights of encoding neurons: random directions, of which each prefers one of the first inputs.
 
-    The estimate does not change: one of the neurons that always spike, or where weights are shared the first
-    group of them, stays and takes over the output weights of the others. A re-initialised neuron reads ten
-    encoders and ten other hidden neurons, and its after-spike weight is as at first.
-
-    Returns how many neurons were re-initialised; `x` are scaled inputs, shape (n, T, 6).
+    Args:
+        x: Scaled inputs (n, T, inputs), whose standard deviations the weights make up for.
+        tau: Time constants of the currents, (neurons,).
+        preferred: Inputs that are preferred in turn.
+        rng: Source of all draws.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
-    first, second = layer_spikes(model, x)
-    group = model.first("mem1")
-    rate = (np.bincount(group, second.mean((0, 1))) / np.maximum(np.bincount(group), 1))[group]
-    always = rate > DEAD[1]
-    stays = always & (group == group[always.argmax()])
-    dead = np.flatnonzero((rate < DEAD[0]) | (always & ~stays))
-    active = np.setdiff1d(np.arange(rate.size), dead)
-    if not dead.size or not active.size:
-        return 0
-    with torch.no_grad():
-        w = {name: value.numpy().astype(np.float64) for name, value in model.weights()._asdict().items()}
-        for name in ("w_rec", "w_out"):
-            if always.any():
-                w[name][:, stays] = w[name][:, always].sum(1, keepdims=True) / stays.sum()
-            w[name][:, dead] = 0.0
-        tau = model.shared("mem1", np.exp(-1.0 / np.exp(rng.uniform(0.0, math.log(100.0), rate.size))))
-        for name in ("syn1", "mem1"):
-            model.set_taus(name, tau[dead], dead)
-    for row in dead:
-        for name, sources in (("w_ff", np.arange(first.shape[2])), ("w_rec", active)):
-            w[name][row] = 0.0
-            chosen = rng.choice(sources, min(10, sources.size), replace=False)
-            w[name][row, chosen] = rng.normal(size=chosen.size)
-    for name in ("w_ff", "w_rec"):
-        w[name] = model.shared(name, w[name])
-    drive = np.concatenate([first, second], 2) @ np.hstack([w["w_ff"], w["w_rec"]])[dead].T
-    current = filtered(drive, tau[dead])
-    scale = np.ones(rate.size)
-    scale[dead] = drive_scale(current, (0.1, 0.5), rng)
-    for name in ("w_ff", "w_rec"):
-        model.set_weights(name, w[name] * model.shared("mem1", scale)[:, None])
-    model.set_weights("w_out", w["w_out"])
-    if "w_after" in model.matrices:
-        w["w_after"][dead] = AFTER_SPIKE
-        model.set_weights("w_after", w["w_after"])
-    model.constrain()
-    return int(dead.size)
+    every, shape = np.arange(tau.size), (tau.size, x.shape[-1])
+    directions = rng.normal(size=shape) * (rng.random(shape) < 0.3)
+    directions[every, every % preferred] += np.where(every // preferred % 2 == 0, -2.0, 2.0)
+    gain = np.exp(rng.uniform(math.log(0.05), math.log(0.5), (tau.size, 1)))
+    deviation = np.maximum(x.reshape(-1, shape[1]).std(0), 1e-3)
+    return (
+        directions / np.linalg.norm(directions, axis=1, keepdims=True) / deviation * gain * (1 - tau[:, None])
+    )
+
+
+def read_some(row: NDArray[np.float64], sources: NDArray[np.int64], rng: np.random.Generator) -> None:
+    """Draw a hidden neuron's weights from a few of the sources; the others in `row` stay."""
+    chosen = rng.choice(sources, min(FAN_IN, sources.size), replace=False)
+    row[chosen] = rng.normal(size=chosen.size)
+
+
+def sparse_recurrence(neurons: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Weak weights of a tenth of the connections among hidden neurons."""
+    shape = (neurons, neurons)
+    return rng.normal(size=shape) * (rng.random(shape) < 0.1) * 0.02
 
 
 def initialise_taus(

@@ -8,23 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import BrokenExecutor, Executor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+from rich.table import Column, Table
+
 from estimators.metrics import attitude_error, flaw_of
 from estimators.networks.network import create_network
-from quadsim.runs.files import alone, drop_parts, read_json, write_csv, write_json
+from quadsim.runs.files import alone, drop_parts, read_json, write_json, write_whole
 from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 
 from .config import TrainConfig, make_config
-from .cross_domain import TEST, TRAIN, Score, plot, table
 from .data import flights_of, load_training_flights
-from .loop import DIVERGED, INTERRUPTED, run
+from .loop import DIVERGED, INTERRUPTED, run, task_of
 from .run_folder import claim, contents_of
 
 Progress = Callable[[int, int, str], None]
 """progress(epochs done, most epochs, a text with the number of folds done)."""
+
+
+TRAIN, TEST = "(train)", "(test)"
+"""What a network was tested on, of its own domain: its training flights and its held-out ones."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +58,13 @@ def kfold(
     executor: Executor | None = None,
     progress: Progress | None = None,
     **choices: Any,
-) -> list[Score]:
-    """Train and score every fold of every domain and model; write `kfold.csv`, `table1.csv` and `kfold.png`.
+) -> pd.DataFrame:
+    """Train and score every fold of every domain and model; write `kfold.csv` and `table1.csv`.
 
     A run that was stopped continues: each fold resumes from its checkpoint, and a finished one is read back.
+    The table has a row for each fold's network and each set of flights: the mean absolute error of roll and
+    pitch over complete flights from an unknown initial attitude, the standard deviation of the flights'
+    errors [deg], the best epoch, and what is wrong with the estimates (`estimators.metrics.flaw_of`).
 
     Args:
         domains: Datasets; with more than one, each fold is also tested on all the others.
@@ -77,20 +86,18 @@ def kfold(
     out = Path(out)
     jobs = _jobs(domains, out, models, preset, folds, choices)
     with alone(out):
-        return _train_and_score(jobs, out, workers, executor, progress)
+        drop_parts(out)
+        for job in jobs:  # report a mistake in any of them before the first is trained
+            claim(job.out, job.config)
+        scores = _all_folds(jobs, workers, executor, progress)
+        for name, content in (("kfold.csv", scores), ("table1.csv", table(scores))):
+            write_whole(out / name, content.to_csv(index=False))
+    return scores
 
 
-def _train_and_score(
-    jobs: Sequence[Job],
-    out: Path,
-    workers: int | None,
-    executor: Executor | None,
-    progress: Progress | None,
-) -> list[Score]:
-    drop_parts(out)
-    for job in jobs:  # report a mistake in any of them before the first is trained
-        claim(job.out, job.config)
-
+def _all_folds(
+    jobs: Sequence[Job], workers: int | None, executor: Executor | None, progress: Progress | None
+) -> pd.DataFrame:
     def tick(running: Iterable[int] = ()) -> None:
         if progress:
             done = [(job.out / "scores.json").is_file() for job in jobs]
@@ -102,40 +109,84 @@ def _train_and_score(
     arguments = {k: (job, tick) if here else (job,) for k, job in enumerate(jobs)}
     try:
         results = run_jobs(run_fold, arguments, workers, executor, tick=tick)
-        scores = [score for _, of_fold in results for score in of_fold]
+        scores = pd.DataFrame([score for _, of_fold in results for score in of_fold])
     except BrokenExecutor as error:
         raise ChildProcessError(WORKER_DIED) from error
-    scores.sort(key=lambda s: (s.model, s.trained_on, s.fold))
-    write_csv(out / "kfold.csv", scores)
-    write_csv(out / "table1.csv", table(scores))
-    plot(out / "kfold.png", scores)
-    return scores
+    return scores.sort_values(["model", "trained_on", "fold"], kind="stable", ignore_index=True)
 
 
-def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[Score]:
+def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[dict[str, Any]]:
     """Train one fold, or continue it, and score its best weights; a finished fold is read back."""
-    train, validation, test = flights_of(job.config)
-    claim(job.out, job.config, contents_of(job.config, train, validation))
+    claim(job.out, job.config, contents_of(job.config, task_of(job.config, job.out).contents()))
     if (done := _finished(job)) is not None:
         return done
     result = run(job.config, job.out, lambda epoch, config: progress() if progress else None)
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
     others = {name: load_training_flights([path]) for name, path in job.others.items()}
+    train, _, test = flights_of(job.config)
     scores, model = [], job.config.model
     for name, flights in {TRAIN: train, TEST: test, **others}.items():
         network = create_network(model, flights.rate_hz, result.weights)
         network.reset(len(flights))
         estimate = network.sequence(flights.gyro, flights.accel)
         error, flaw = attitude_error(estimate, flights.roll_pitch), flaw_of(estimate, flights.roll_pitch)
-        if result.reason.startswith(DIVERGED):
-            flaw = result.reason
-        size, epoch = len(flights), result.best.epoch + 1
         scores.append(
-            Score(model, job.domain, job.config.fold, name, size, error.mean, error.sd, epoch, flaw)
+            {
+                "model": model,
+                "trained_on": job.domain,
+                "fold": job.config.fold,
+                "tested_on": name,
+                "flights": len(flights),
+                "error_deg": error.mean,
+                "flight_sd_deg": error.sd,
+                "epoch": result.best.epoch + 1,
+                "flaw": result.reason if result.reason.startswith(DIVERGED) else flaw,
+            }
         )
-    write_json(job.out / "scores.json", [asdict(score) for score in scores])
+    write_json(job.out / "scores.json", scores)
     return scores
+
+
+def table(scores: pd.DataFrame) -> pd.DataFrame:
+    """The paper's Table 1: mean and standard deviation over the folds, and how many have a flaw.
+
+    Flawed folds count, with 180° where there is no angle.
+    """
+    groups = scores.groupby(["model", "trained_on", "tested_on"], sort=False)
+    cells = groups["error_deg"].agg(folds="size", mean_deg="mean", sd_deg="std")
+    return cells.assign(flawed=groups["flaw"].agg(lambda flaws: int((flaws != "").sum()))).reset_index()
+
+
+def terminal_table(cells: pd.DataFrame) -> Table:
+    """Table 1: a row for each model and domain that it was trained on, a column for each test."""
+    own = {TRAIN: "its training flights", TEST: "its unseen flights"}
+    tested = list(dict.fromkeys(cells.tested_on))
+    texts = [
+        f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}" + f" ({cell.flawed} flawed)" * (cell.flawed > 0)
+        for cell in cells.itertuples()
+    ]
+    wide = cells.assign(text=texts).pivot(index=["model", "trained_on"], columns="tested_on", values="text")
+    headings = (Column(own.get(name, f"all of {name}"), justify="right") for name in tested)
+    title = f"Mean absolute error of roll and pitch, mean ± SD over {cells.folds.iloc[0]} folds, °"
+    out = Table("model", "trained on", *headings, title=title)
+    for (model, domain), row in wide[tested].fillna("").iterrows():
+        out.add_row(model, domain, *row)
+    return out
+
+
+def best(cells: pd.DataFrame) -> pd.Series:
+    """The entry of `table` with the smallest error on unseen flights, of those without a flawed fold.
+
+    Raises:
+        ValueError: Every model has one in every domain.
+    """
+    own = cells[cells.tested_on == TEST]
+    sound = own[own.flawed == 0]
+    if sound.empty:
+        folds = ", ".join(f"{c.model} on {c.trained_on}: {c.flawed} of {c.folds}" for c in own.itertuples())
+        raise ValueError(f"no network can be ranked; folds with a flaw: {folds} (see kfold.csv)")
+    return sound.loc[sound.mean_deg.idxmin()]
 
 
 def _jobs(
@@ -163,13 +214,13 @@ def _jobs(
     return jobs
 
 
-def _finished(job: Job) -> list[Score] | None:
+def _finished(job: Job) -> list[dict[str, Any]] | None:
     """The scores of a fold that is done, if they are for the same domains."""
     try:
-        scores = [Score(**row) for row in read_json(job.out / "scores.json")]
-    except (FileNotFoundError, ValueError, TypeError):
+        scores = read_json(job.out / "scores.json")
+    except (FileNotFoundError, ValueError):
         return None
-    return scores if [s.tested_on for s in scores] == [TRAIN, TEST, *job.others] else None
+    return scores if [s["tested_on"] for s in scores] == [TRAIN, TEST, *job.others] else None
 
 
 def _epochs(out: Path) -> int:

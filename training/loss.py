@@ -18,16 +18,16 @@ def total_cost(estimate: Tensor, target: Tensor, rates: Tensor, config: TrainCon
     """What an update minimises: the sum of all losses, each times its weight in the configuration [rad²].
 
     Args:
-        estimate: Outputs, shape (n, T, 2) [rad], or up, shape (n, T, 3).
-        target: The true ones.
+        estimate: Outputs, shape (n, T, 2) [rad], or up, or scaled angular acceleration, shape (n, T, 3).
+        target: What they should be.
         rates: Spikes per neuron and step of the encoding and of the hidden layer, shape (2,).
         config: Of the run.
     """
     excess = (rates - torch.tensor(config.rate_targets)).clamp(min=0.0).sum()
-    return attitude_loss(estimate, target, config.huber_threshold) + config.rate_cost * excess
+    return error_loss(estimate, target, config.huber_threshold) + config.rate_cost * excess
 
 
-def attitude_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -> Tensor:
+def error_loss(estimate: Tensor, target: Tensor, huber_threshold: float = 0.0) -> Tensor:
     """Mean square error over roll and pitch [rad²]; both (n, T, 2), or up, (n, T, 3).
 
     The norm of a small error of up is that of roll and pitch together, and half its square their mean square.

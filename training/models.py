@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,33 +10,32 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from estimators.analysis.ablation import connected_neurons
 from estimators.networks.forward import MATRICES, TIME_CONSTANTS, Weights
 from estimators.networks.symmetry import weight_sharing
 from estimators.networks.weights_file import (
     EXPONENTS,
     NetworkConfig,
     NetworkOutputs,
-    Outputs,
     SetPointScaling,
     expected_shapes,
     number_of,
 )
 from estimators.spiking import quantise_decay, quantise_weights
 
-from .config import Parametrisation
+from .config import TrainConfig
 from .fused import Fused
 
 WEIGHT_MAX = 127 / 128
 """Largest weight of either sign on the chip."""
 CURRENT_MAX, CURRENT_EVERY = 384.0, 8
 """Largest current, three quarters of the chip's 24 bits; every eighth step is checked."""
-LAYERS = {"w_in": (0, None), "w_ff": (1, 0), "w_rec": (1, 1), "w_out": (None, 1)}
-LAYERS |= {"w_after": (1, None), "syn_after": (1,)}
-LAYERS |= {f"{tau}{layer}": (index,) for tau in ("syn", "mem") for layer, index in enumerate((0, 1, None))}
-"""For each axis of a parameter the layer whose neurons it counts: 0 encoding, 1 hidden."""
+ROWS = {"w_in": 0, "syn0": 0, "mem0": 0, "syn1": 1, "mem1": 1, "syn_after": 1}
+ROWS |= {"w_ff": 1, "w_rec": 1, "w_after": 1}
+"""For parameters with a row for each neuron of a layer: 0 encoding, 1 hidden."""
 MEMBRANE = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1", "w_after": "mem1", "w_out": "mem2"}
 """Membrane time constants of the neurons that a matrix leads to."""
+OUTPUT_SCALES: dict[NetworkOutputs, float] = {"roll-pitch": 1.0, "up": 1 / 128, "angular-acceleration": 32.0}
+"""Radians, parts of a unit vector or rad/s² for an output potential of 1.0 of a new network."""
 LEAST_DECAY = 1 / 4096
 """Of a current or membrane, in a step."""
 
@@ -46,7 +44,7 @@ class AttSNN(nn.Module):
     """The spiking network.
 
     Its time constants are trained as logits of τ and its weights in units of their row's, or both as in the
-    paper's published code: see `training.config.TrainingRecipe.parametrisation`.
+    paper's published code: see `training.config.Optimisation.logits`.
 
     Args:
         encoding: Neurons of the encoding layer.
@@ -57,7 +55,7 @@ class AttSNN(nn.Module):
         outputs: Roll and pitch, or up; of a controller, with 9 inputs, angular acceleration.
         finest_exponent: Of the weights into a hidden neuron on the chip, 0 or less.
         after_spike: Whether hidden neurons have after-spike currents.
-        parametrisation: What the parameters are.
+        logits: What the parameters are.
     """
 
     w_in: Tensor
@@ -75,13 +73,14 @@ class AttSNN(nn.Module):
         outputs: NetworkOutputs = "roll-pitch",
         finest_exponent: int = 0,
         after_spike: bool = False,
-        parametrisation: Parametrisation = "logits",
+        logits: bool = True,
     ) -> None:
         """Allocate the parameters; `training.init` fills them."""
         super().__init__()
         self.kernels, self.output_scale, self.finest_exponent = kernels, output_scale, finest_exponent
         self.outputs: NetworkOutputs = outputs
-        self.parametrisation: Parametrisation = parametrisation
+        self.logits = logits
+        self.frozen: dict[str, Tensor] = {}
         network = NetworkConfig(
             model="att-snn",
             encoding=encoding,
@@ -110,7 +109,7 @@ class AttSNN(nn.Module):
     def set_weights(self, name: str, values: NDArray[np.floating]) -> None:
         """Set a weight matrix, and its rows' scales to their root mean square."""
         w = torch.tensor(values, dtype=torch.float32)
-        if self.normalised:
+        if not self.logits:
             with torch.no_grad():
                 getattr(self, name).copy_(w / (1.0 - self.tau(MEMBRANE[name])).reshape(-1, 1))
             return
@@ -123,27 +122,22 @@ class AttSNN(nn.Module):
             getattr(self, f"{name}_scale").copy_(scale)
             getattr(self, name).copy_(w / scale)
 
-    @property
-    def normalised(self) -> bool:
-        """Whether weights are parameters times 1 − τ_mem of the neuron that they lead to."""
-        return self.parametrisation == "decays"
-
     def _units(self, name: str) -> Tensor:
         """Weights for a parameter of 1, a row for each neuron that they lead to."""
         scale = getattr(self, f"{name}_scale")
-        return scale * (1.0 - self.tau(MEMBRANE[name])).reshape(-1, 1) if self.normalised else scale
+        return scale if self.logits else scale * (1.0 - self.tau(MEMBRANE[name])).reshape(-1, 1)
 
     def set_taus(self, name: str, values: NDArray[np.floating], where: Any = slice(None)) -> None:
         """Set time constants of a kind, or of some of its neurons, before the weights that they scale."""
         tau = torch.tensor(values)
-        raw = torch.log(tau / (1 - tau)) if self.parametrisation == "logits" else 1 - tau
+        raw = torch.log(tau / (1 - tau)) if self.logits else 1 - tau
         with torch.no_grad():
             getattr(self, name)[where] = raw.to(torch.float32)
 
     def tau(self, name: str) -> Tensor:
         """Time constants of a kind."""
         value = getattr(self, name)
-        return torch.sigmoid(value) if self.parametrisation == "logits" else 1.0 - value
+        return torch.sigmoid(value) if self.logits else 1.0 - value
 
     def shared(self, name: str, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """The values of a parameter in which entries that share a weight have that of the first of them."""
@@ -175,19 +169,30 @@ class AttSNN(nn.Module):
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Make shared weights equal and pruned ones 0; clip all to the range where they can be trained."""
+        """Make shared weights equal and missing ones 0, clip all to their range; frozen ones stay."""
         for name in self.sharing:
             getattr(self, name).copy_(
                 torch.from_numpy(self.shared(name, getattr(self, name).detach().numpy()))
             )
-        logits = self.parametrisation == "logits"
         for name in self.taus:
-            getattr(self, name).clamp_(*((-6.0, math.log(4095.0)) if logits else (LEAST_DECAY, 1.0)))
+            getattr(self, name).clamp_(*((-6.0, math.log(4095.0)) if self.logits else (LEAST_DECAY, 1.0)))
         for name in self.matrices:
             w = getattr(self, name).mul_(getattr(self, f"{name}_connected"))
             if self.kernels.quantised:
                 limit = WEIGHT_MAX / self._units(name)
                 w.copy_(torch.minimum(torch.maximum(w, -limit), limit))
+        for name, value in self.frozen.items():
+            getattr(self, name)[: len(value)] = value
+
+    def freeze(self, encoding: int, hidden: int) -> None:
+        """Keep all values of the first neurons of both layers as they are, whatever the optimiser does."""
+        for name in ROWS.keys() & {*self.matrices, *self.taus}:
+            if rows := (encoding, hidden)[ROWS[name]]:
+                values = getattr(self, name).detach()
+                self.frozen[name] = values[:rows].clone()
+                mask = torch.ones_like(values)
+                mask[:rows] = 0.0
+                getattr(self, name).register_hook(lambda gradient, mask=mask: gradient * mask)
 
     @torch.no_grad()
     def limit_currents(self) -> None:
@@ -209,91 +214,32 @@ class AttSNN(nn.Module):
             for name in names:
                 getattr(self, name).mul_(weaker[:, None])
 
-    def select(self, name: str, values: Tensor, neurons: Sequence[NDArray[np.int64]]) -> Tensor:
-        """`values`, of the shape of a parameter or of its scale, for some neurons of both layers alone."""
-        for axis, layer in enumerate(LAYERS[name]):
-            if layer is not None and values.shape[axis] > 1:
-                values = values.index_select(axis, torch.from_numpy(neurons[layer]))
-        return values
-
-    @torch.no_grad()
-    def subset(self, neurons: Sequence[NDArray[np.int64]]) -> AttSNN:
-        """The network of these neurons of both layers alone; its windows continue from the last ones here."""
-        encoding, hidden = neurons
-        kernels = self.kernels.connected(encoding, hidden)
-        sizes, symmetric = (encoding.size, hidden.size), bool(self.sharing)
-        how = (self.output_scale, symmetric, self.outputs, self.finest_exponent, "w_after" in self.matrices)
-        smaller = AttSNN(*sizes, kernels, *how, self.parametrisation)
-        smaller.load_state_dict(
-            {
-                name: self.select(name.removesuffix("_connected").removesuffix("_scale"), value, neurons)
-                for name, value in self.state_dict().items()
-            }
-        )
-        return smaller
-
-    @property
-    def connected_neurons(self) -> list[NDArray[np.int64]]:
-        """Neurons of both layers that an input reaches and that reach an output."""
-        connected = [getattr(self, f"{name}_connected").numpy() for name in MATRICES[:4]]
-        return connected_neurons(connected, [self.first("mem0"), self.first("mem1")])
-
     @torch.no_grad()
     def disconnect_zeros(self) -> None:
         """Remove every connection whose weight is 0."""
         for name in self.matrices:
             getattr(self, f"{name}_connected").copy_(getattr(self.weights(), name) != 0)
 
-    @property
-    def parameter_count(self) -> int:
-        """Connections and time constants."""
-        connections = (int(getattr(self, f"{name}_connected").sum()) for name in self.matrices)
-        return sum(connections) + self.time_constants
 
-    @property
-    def time_constants(self) -> int:
-        """Number of time constants."""
-        return sum(getattr(self, name).numel() for name in self.taus)
-
-
-def prune_connections(model: AttSNN, squared_gradients: Mapping[str, Tensor], most: int) -> None:
-    """Remove the connections with the smallest effect on the loss until at most `most` parameters are left.
-
-    The effect of a weight is the rise of the loss without it, to second order and with the mean square of its
-    gradient in place of the curvature, w² E[g²] / 2 ("optimal brain damage", LeCun, Denker & Solla 1990, with
-    the empirical Fisher information). Connections that share a weight go together.
-
-    Args:
-        model: To change.
-        squared_gradients: Mean square of the gradient of each entry of the weight matrices.
-        most: Connections and time constants.
-    """
-    effects, sizes, firsts = [], [], []
-    for name in model.matrices:
-        connected = getattr(model, f"{name}_connected").numpy().ravel()
-        first = model.first(name)
-        w, g2 = (
-            values.detach().numpy().ravel().astype(np.float64)
-            for values in (getattr(model, name), squared_gradients[name])
-        )
-        effects.append(np.bincount(first, w * w * g2 * connected, connected.size))
-        sizes.append(np.bincount(first, connected, connected.size))
-        firsts.append(first)
-    effect, size = np.concatenate(effects), np.concatenate(sizes)
-    order = np.argsort(-effect, kind="stable")
-    stays = np.zeros(effect.size, bool)
-    stays[order] = np.cumsum(size[order]) <= most - model.time_constants
-    parts = np.split(stays, np.cumsum([first.size for first in firsts])[:-1])
-    for name, first, part in zip(model.matrices, firsts, parts, strict=True):
-        connected = getattr(model, f"{name}_connected")
-        connected &= torch.from_numpy(part[first]).reshape(connected.shape)
-    model.constrain()
+def new_att_snn(config: TrainConfig, given: tuple[int, int] = (0, 0)) -> AttSNN:
+    """The network of a run, all connections and no values, after `given` neurons of both layers."""
+    return AttSNN(
+        given[0] + config.encoding,
+        given[1] + config.hidden,
+        Fused(config.quantised, config.recurrent_delay, config.threads),
+        OUTPUT_SCALES[config.outputs],
+        config.symmetric,
+        config.outputs,
+        config.finest_exponent,
+        config.after_spike,
+        config.method.logits,
+    )
 
 
 class AttRNN(nn.Module):
     """The non-spiking twin: two GRU layers and a linear output (roll and pitch, Euler angles; or up)."""
 
-    def __init__(self, hidden: int = 100, outputs: Outputs = "roll-pitch") -> None:
+    def __init__(self, hidden: int = 100, outputs: NetworkOutputs = "roll-pitch") -> None:
         """Build with PyTorch's own initial weights."""
         super().__init__()
         self.gru = nn.GRU(6, hidden, num_layers=2, batch_first=True)
@@ -318,8 +264,3 @@ class AttRNN(nn.Module):
     @torch.no_grad()
     def constrain(self) -> None:
         """Do nothing: any weight is allowed."""
-
-    @property
-    def parameter_count(self) -> int:
-        """Weights and biases."""
-        return sum(parameter.numel() for parameter in self.parameters())

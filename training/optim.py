@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,26 +15,20 @@ from estimators.networks.forward import TIME_CONSTANTS
 
 from .config import TrainingRecipe
 
+LOOKAHEAD_K, LOOKAHEAD_ALPHA = 6, 0.5
+"""Steps of the fast weights for one of the slow, and its size as a share of the distance, as in the paper."""
+
 
 class Lookahead:
     """Every k steps of the fast weights slow += α (fast - slow), and then fast = slow.
 
     Args:
         optimizer: Moves the fast weights, which are the parameters themselves.
-        k: Steps of the fast weights for one of the slow weights.
-        alpha: Step of the slow weights, in (0, 1].
-
-    Raises:
-        ValueError: k or alpha out of range.
     """
 
-    def __init__(self, optimizer: Optimizer, k: int = 6, alpha: float = 0.5) -> None:
+    def __init__(self, optimizer: Optimizer) -> None:
         """Begin with slow weights equal to the fast ones."""
-        if k < 1:
-            raise ValueError(f"k: {k}, should be at least 1")
-        if not 0.0 < alpha <= 1.0:
-            raise ValueError(f"alpha: {alpha}, should be in (0, 1]")
-        self.optimizer, self.k, self.alpha = optimizer, k, alpha
+        self.optimizer = optimizer
         self.steps = 0
         self.slow = [p.detach().clone() for p in self._fast()]
 
@@ -55,16 +49,10 @@ class Lookahead:
         """One step of the fast weights and, every k, one of the slow."""
         self.optimizer.step()
         self.steps += 1
-        if self.steps % self.k == 0:
+        if self.steps % LOOKAHEAD_K == 0:
             for slow, fast in zip(self.slow, self._fast(), strict=True):
-                slow += self.alpha * (fast - slow)
+                slow += LOOKAHEAD_ALPHA * (fast - slow)
                 fast.copy_(slow)
-
-    @torch.no_grad()
-    def restart(self) -> None:
-        """Set the slow weights to the fast ones, after these were changed by hand."""
-        for slow, fast in zip(self.slow, self._fast(), strict=True):
-            slow.copy_(fast)
 
     @contextmanager
     def evaluated(self) -> Iterator[None]:
@@ -82,32 +70,14 @@ class Lookahead:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that a resumed run needs, the fast optimiser's state included."""
-        counters = {"steps": self.steps, "k": self.k, "alpha": self.alpha}
-        return {"optimizer": self.optimizer.state_dict(), "slow": [p.clone() for p in self.slow], **counters}
+        slow = [p.clone() for p in self.slow]
+        return {"optimizer": self.optimizer.state_dict(), "slow": slow, "steps": self.steps}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from the result of `state_dict`."""
         self.optimizer.load_state_dict(state["optimizer"])
         self.slow = [p.clone() for p in state["slow"]]
-        self.steps, self.k, self.alpha = state["steps"], state["k"], state["alpha"]
-
-
-def resized_state(
-    state: dict[str, Any], change: Callable[[int, torch.Tensor], torch.Tensor]
-) -> dict[str, Any]:
-    """The state of Lookahead around Adam for parameters of other shapes.
-
-    Args:
-        state: Result of `Lookahead.state_dict`.
-        change: From the number of a parameter and something of its shape to the same of its new shape.
-    """
-    inner = state["optimizer"]
-    moments = {
-        k: {name: v.clone() if name == "step" else change(k, v) for name, v in of_parameter.items()}
-        for k, of_parameter in inner["state"].items()
-    }
-    slow = [change(k, value) for k, value in enumerate(state["slow"])]
-    return state | {"optimizer": inner | {"state": moments}, "slow": slow}
+        self.steps = state["steps"]
 
 
 def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
@@ -115,18 +85,18 @@ def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
 
     The factors differ between layers since a common change of many weights adds up over the neurons.
     """
-    encoding, hidden, output = config.layer_steps
+    encoding, hidden, output = config.method.layer_steps
     steps = {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_after": hidden, "w_out": output}
     for name, parameter in model.named_parameters():
         parameter.requires_grad_(not (config.fixed_taus and name in TIME_CONSTANTS))
     groups = [{"params": [p], "step": steps.get(name, 1.0)} for name, p in model.named_parameters()]
-    adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.adam_beta2))
-    return Lookahead(adam, config.lookahead_k, config.lookahead_alpha)
+    adam = torch.optim.Adam(groups, lr=config.optimiser_lr, betas=(0.9, config.method.adam_beta2))
+    return Lookahead(adam)
 
 
 def learning_rate(config: TrainingRecipe, update: int) -> float:
     """Learning rate of an update, counted from 0 over all epochs."""
-    if config.decay == "none":
+    if not config.method.cosine:
         return config.optimiser_lr
     share = update / (config.epochs * config.batches)
     return config.optimiser_lr * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))

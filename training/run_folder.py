@@ -1,4 +1,4 @@
-"""The files of a run: configuration, log, checkpoint, best weights and loss curve."""
+"""The files of a run: configuration, checkpoint, weights and loss curve."""
 
 from __future__ import annotations
 
@@ -14,16 +14,12 @@ import numpy as np
 import torch
 from pydantic import ValidationError
 
-from estimators.analysis.ablation import connected
-from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Tensors, load_network, save_network
+from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Tensors, load_network
 from estimators.spiking import weight_exponents
-from quadsim.config.toml import Strict
-from quadsim.runs.files import drop_parts, save_figure, write_csv, write_whole
+from quadsim.runs.files import drop_parts, save_figure, write_whole
 from quadsim.runs.fingerprint import code_digest
-from quadsim.runs.record import commit
 
-from .config import TrainConfig, TrainingRecipe
-from .data import TrainingFlights
+from .config import TrainConfig
 from .models import AttRNN, AttSNN
 
 
@@ -33,28 +29,41 @@ class Epoch:
 
     epoch: int
     updates: int
-    train_rmse_deg: float
-    """Root mean square error over the windows of the epoch."""
-    val_mse: float
-    """Mean square error on the validation flights [rad²], which chooses the best epoch; of up half the mean
-    square of the inclination error, which is the same for small tilts."""
-    val_error_deg: float
-    """Mean absolute error of roll and pitch over complete validation flights, unknown initial attitude."""
-    val_settled_deg: float
-    """The same without the first 5 s."""
-    val_inclination_deg: float
-    """Root mean square of the inclination error over them."""
+    train_loss: float
+    """Mean square error over the windows of the epoch [rad²; of a controller in units of its error scale]."""
     rate_encoding: float
     """Spikes per neuron and step while training."""
     rate_hidden: float
     learning_rate: float
-    parameters: int
-    """Connections and time constants (att-rnn: weights and biases)."""
+    validation: dict[str, float]
+    """Figures of merit on the validation flights, see `validate` of the task."""
     seconds: float
     """Time of training so far."""
 
+    @property
+    def score(self) -> float:
+        """The first of the figures, which chooses the best epoch."""
+        return next(iter(self.validation.values()))
 
-def claim(out: Path, config: Strict, contents: dict[str, str] | None = None) -> None:
+    def rank(self) -> float:
+        """The best epoch has the least."""
+        return self.score if math.isfinite(self.score) else math.inf
+
+    def __str__(self) -> str:
+        """The figures of merit, for people."""
+        shown = (
+            f"{name.removesuffix('_deg')} {value:.2f}°" if name.endswith("_deg") else f"{name} {value:.4g}"
+            for name, value in self.validation.items()
+        )
+        return ", ".join(shown)
+
+    def row(self) -> dict[str, float]:
+        """The numbers by column of `log.csv`."""
+        own = asdict(self)
+        return own | {f"validation_{name}": value for name, value in own.pop("validation").items()}
+
+
+def claim(out: Path, config: TrainConfig, contents: dict[str, str] | None = None) -> None:
     """Make the folder this run's; `contents` are digests by `contents_of`, None: they are not compared.
 
     Raises:
@@ -66,7 +75,7 @@ def claim(out: Path, config: Strict, contents: dict[str, str] | None = None) -> 
     file, text = out / "config.json", config.model_dump_json(indent=2)
     if file.is_file():
         try:
-            before = type(config).model_validate_json(file.read_text(encoding="utf-8"))
+            before = TrainConfig.model_validate_json(file.read_text(encoding="utf-8"))
         except ValidationError:
             raise ValueError(
                 f"{out}: holds a run of another version of quadsim, choose another folder"
@@ -83,22 +92,23 @@ def claim(out: Path, config: Strict, contents: dict[str, str] | None = None) -> 
     write_whole(file, json.dumps(contents, indent=2))
 
 
-def contents_of(config: TrainConfig, flights: TrainingFlights, validation: TrainingFlights) -> dict[str, str]:
-    """Digests of what a run reads, so that a run on other files is refused."""
-    digests = {"data": flights.digest(), "validation": validation.digest()}
-    digests["code"] = code_digest("training.loop")
-    if config.init:
-        digest = hashlib.blake2b(digest_size=16)
-        for name, tensor in sorted(load_network(config.init)[1].items()):
-            digest.update(name.encode() + tensor.tobytes())
-        digests["init"] = digest.hexdigest()
+def contents_of(config: TrainConfig, flights: dict[str, str]) -> dict[str, str]:
+    """Digests of what a run reads, its flights' among them, so that a run on other files is refused."""
+    digests = flights | {"code": code_digest("training.loop")}
+    for name, path in (("init", config.init), ("estimator", config.control.estimator)):
+        if path:
+            network, tensors = load_network(path)
+            digest = hashlib.blake2b(network.model_dump_json(exclude={"training"}).encode(), digest_size=16)
+            for tensor, value in sorted(tensors.items()):
+                digest.update(tensor.encode() + value.tobytes())
+            digests[name] = digest.hexdigest()
     return digests
 
 
 def exported(
     model: AttSNN | AttRNN, config: TrainConfig, rate_hz: float, note: dict[str, Any]
 ) -> tuple[NetworkConfig, Tensors]:
-    """The network as an estimator runs it: its configuration and tensors for `save_network`."""
+    """The network as it is run: its configuration and tensors for `save_network`."""
     spiking = isinstance(model, AttSNN)
     network = NetworkConfig(
         model=config.model,
@@ -111,7 +121,8 @@ def exported(
         after_spike=config.after_spike and spiking,
         steps_per_sample=config.steps_per_sample if spiking else 1,
         outputs=config.outputs,
-        output_scale=config.output_scale if spiking else 1.0,
+        output_scale=model.output_scale if spiking else 1.0,
+        set_point=config.control.set_point if config.controls else None,
         training=note,
     )
     if not spiking:
@@ -119,7 +130,7 @@ def exported(
     return network, spiking_tensors(model, config)
 
 
-def spiking_tensors(model: AttSNN, config: TrainingRecipe) -> Tensors:
+def spiking_tensors(model: AttSNN, config: TrainConfig) -> Tensors:
     """The tensors of a spiking network for `save_network`."""
     with torch.no_grad():
         arrays = {name: w.numpy() for name, w in model.weights()._asdict().items() if w.numel()}
@@ -135,41 +146,23 @@ def spiking_tensors(model: AttSNN, config: TrainingRecipe) -> Tensors:
     return {name: np.rint(value).astype(np.int16) for name, value in (mantissas | taus | exps).items()}
 
 
-def save_best(
-    out: Path, model: AttSNN | AttRNN, config: TrainConfig, flights: TrainingFlights, note: dict[str, Any]
-) -> None:
-    """Write `best.safetensors`; of a pruned network only the neurons that are still connected.
-
-    `note` is what the file says of the training, besides its configuration, code and number of flights.
-    """
-    code = {"config": json.loads(config.model_dump_json()), "commit": commit()}
-    note = code | {"training_flights": len(flights), "vehicles": list(flights.vehicles)} | note
-    network, tensors = exported(model, config, flights.rate_hz, note)
-    if config.prunes:
-        network, tensors = connected(network, tensors)
-    save_network(out / "best.safetensors", network, tensors)
-
-
 def save_checkpoint(out: Path, state: dict[str, Any]) -> None:
     """Write `checkpoint.pt`; by way of memory, since PyTorch reports a full disk as a failed writer."""
     torch.save(state, buffer := io.BytesIO())
     write_whole(out / "checkpoint.pt", buffer.getvalue())
 
 
-def write_log(out: Path, history: list[Epoch]) -> None:
-    """A row of `log.csv` for each epoch."""
-    write_csv(out / "log.csv", [asdict(epoch) for epoch in history])
-
-
 def plot(out: Path, history: list[Epoch]) -> None:
-    """Training and validation loss over the epochs (the paper's Fig. 4)."""
+    """Training loss and the score over the epochs (the paper's Fig. 4)."""
     from matplotlib.figure import Figure
 
-    axes = (figure := Figure(figsize=(7, 4))).subplots()
-    epochs = [e.epoch + 1 for e in history]
-    axes.semilogy(epochs, [math.radians(e.train_rmse_deg) ** 2 for e in history], label="training windows")
-    axes.semilogy(epochs, [e.val_mse for e in history], label="validation flights")
-    axes.set(xlabel="epoch", ylabel="mean square error [rad²]")
-    axes.legend()
-    axes.grid(alpha=0.3)
+    figure = Figure(figsize=(7, 5), layout="constrained")
+    epochs, score = [e.epoch + 1 for e in history], next(iter(history[0].validation))
+    curves = {"training windows, loss": [e.train_loss for e in history]}
+    curves[f"validation flights, {score}"] = [e.score for e in history]
+    for axes, (label, values) in zip(figure.subplots(2, sharex=True), curves.items(), strict=True):
+        axes.semilogy(epochs, values)
+        axes.set(ylabel=label)
+        axes.grid(alpha=0.3)
+    axes.set(xlabel="epoch")
     save_figure(out / "curve.png", figure, dpi=150, bbox_inches="tight")

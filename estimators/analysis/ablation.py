@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +19,6 @@ Bools = NDArray[np.bool_]
 OF_HIDDEN = ("syn1", "mem1", "w_after", "syn_after", *EXPONENTS.values())
 """Tensors with a row for each hidden neuron and no column for any other."""
 CRITERIA = ("activity", "magnitude", "contribution", "random")
-
-
-@dataclass(frozen=True)
-class Pruned:
-    """A network on the way, errors on the validation flights from an unknown start."""
-
-    removed: float
-    """Share of all encoding and hidden neurons that are removed."""
-    encoding: int
-    hidden: int
-    parameters: int
-    cut_deg: float
-    """Error right after the cut."""
-    tuned_deg: float
-    """Error after training on."""
-    weights: Path
 
 
 def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> tuple[Array, Array]:

@@ -1,6 +1,5 @@
 """Stages of networks: trained by the paper's recipe, or by ours, until a rule ends it."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,19 @@ def train(folder: Path, inputs: Inputs, *, data: Names, validation: Names, **cho
     if result.reason == "interrupted":
         raise KeyboardInterrupt
     log = np.atleast_1d(np.genfromtxt(folder / "log.csv", delimiter=",", names=True))
+    best = result.best
     numbers = {
         "updates": log["updates"].tolist(),
-        "train_mse": (np.radians(log["train_rmse_deg"]) ** 2).tolist(),
-        "val_mse": log["val_mse"].tolist(),
+        "train_mse": log["train_loss"].tolist(),
+        "val_mse": log["validation_loss"].tolist(),
         "seconds": float(log["seconds"][-1]),
-        "best": asdict(result.best),
+        "best": {
+            "epoch": best.epoch,
+            "val_mse": best.score,
+            "val_error_deg": best.validation["error_deg"],
+            "rate_encoding": best.rate_encoding,
+            "rate_hidden": best.rate_hidden,
+        },
         "reason": result.reason,
     }
     write_numbers(folder, numbers)

@@ -25,7 +25,6 @@ class Kind(StrEnum):
     EXTERNALS = "externals"
     RECIPES = "recipes"
     PRESETS = "presets"
-    CONTROL = "control"
     TUNING = "tuning"
     WEIGHTS = "weights"
 
@@ -39,7 +38,6 @@ HOW = {
     Kind.EXTERNALS: "quadsim bench --external NAME, or a TOML file",
     Kind.RECIPES: "quadsim generate --recipe NAME, or a TOML file",
     Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
-    Kind.CONTROL: "quadsim train --task control --preset NAME, or a TOML file",
     Kind.TUNING: "--tuning NAME, or a file of quadsim tune",
     Kind.WEIGHTS: "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.toml import merged, preset_names
 from ..runs.console import Bar, pool_of, progress_bar
 from ..runs.console import output as console
 from ..runs.pool import process_count
@@ -17,15 +16,12 @@ from .options import (
     Pool,
     Preset,
     Search,
-    Task,
     fields_of,
     time_left,
 )
 
 if TYPE_CHECKING:
     from training.config import TrainConfig
-    from training.control.config import ControlConfig
-    from training.control.loop import ControlEpoch
 
 TRAINED = ("model", "preset", "data", "validation", "folds", "fold", "seed", "out", "progress")
 """Fields of a training that have options of their own, or follow from others."""
@@ -35,15 +31,11 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
     data: Annotated[
         list[Path] | None,
-        typer.Option(help="Dataset to train on; again to mix several, or with --folds for another domain."),
-    ] = None,
-    task: Annotated[
-        Task,
         typer.Option(
-            help="attitude; or control: an attitude controller, by imitation in flights of its own, with the "
-            "presets of quadsim list control; separate is the default."
+            help="Dataset to train on; again to mix several, or with --folds for another domain. "
+            "A controller has none."
         ),
-    ] = "attitude",
+    ] = None,
     model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",
     preset: Preset = "paper",
     validation: Annotated[
@@ -67,35 +59,25 @@ def train(
 
     Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the
     same command continues a run that stopped. The default preset is the paper's recipe; hummingbird is more
-    accurate for one airframe and IMU, best for any IMU.
+    accurate for one airframe and IMU, best for any IMU; control-attitude and control-separate train attitude
+    controllers, by imitation in flights of their own.
 
-    With --folds it writes the paper's Table 1 (table1.csv), every fold (kfold.csv, kfold.png), and a run
-    folder for each; folds run side by side, on --workers.
+    With --folds it writes the paper's Table 1 (table1.csv), every fold (kfold.csv), and a run folder for
+    each; folds run side by side, on --workers.
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
 
     Example: quadsim train --data data/train.zarr --data data/train-px4.zarr --folds 5 --out runs/kfold
     """
-    if task == "control":
-        if data or validation or folds or model != "att-snn":
-            raise ValueError(
-                "--task control flies itself: leave out --data, --validation, --folds and --model"
-            )
-        _train_controller(out, "separate" if preset == "paper" else preset, epochs, set_, seed)
-        return
-    if preset in preset_names("control"):
-        raise ValueError(f"--preset {preset} is one of controllers: add --task control")
-    if not data:
-        raise ValueError("--data: at least one dataset to train on is required, as quadsim generate makes it")
     choices = fields_of(set_, *TRAINED, "workers", "executor")
     if epochs is not None:
         choices["epochs"] = epochs
     if validation:
         choices["validation"] = tuple(map(str, validation))
     if folds:
-        _cross_validate(out, data, model, preset, folds, workers, choices | {"seed": seed})
+        _cross_validate(out, data or [], model, preset, folds, workers, choices | {"seed": seed})
     else:
-        _train_network(out, data, model, preset, choices | {"seed": seed})
+        _train_network(out, data or [], model, preset, choices | {"seed": seed})
 
 
 def _train_network(out: Path, data: list[Path], model: str, preset: str, choices: dict[str, object]) -> None:
@@ -103,58 +85,25 @@ def _train_network(out: Path, data: list[Path], model: str, preset: str, choices
     from training.loop import train as train_network
     from training.run_folder import Epoch
 
-    with progress_bar(f"train {model}", "epochs") as bar:
+    with progress_bar(f"train {preset}", "epochs") as bar:
 
         def progress(epoch: Epoch, config: "TrainConfig") -> None:
             bar(epoch.epoch + 1, config.epochs)
-            inclination = f" (inclination {epoch.val_inclination_deg:.2f}°)" * (config.outputs == "up")
             console.print(
-                f"epoch {epoch.epoch + 1}: training RMSE {epoch.train_rmse_deg:.2f}°, "
-                f"validation {epoch.val_error_deg:.2f}°{inclination}, spike rates {epoch.rate_encoding:.3f} "
-                f"{epoch.rate_hidden:.3f}, {time_left(epoch.seconds, epoch.epoch + 1, config.epochs)} left",
+                f"epoch {epoch.epoch + 1}: training loss {epoch.train_loss:.4g}, validation {epoch}, "
+                f"spike rates {epoch.rate_encoding:.3f} {epoch.rate_hidden:.3f}, "
+                f"{time_left(epoch.seconds, epoch.epoch + 1, config.epochs)} left",
                 highlight=False,
             )
 
         result = train_network(model, tuple(map(str, data)), out, preset, progress, **choices)
+    best = result.best
     console.print(
-        f"{result.weights}: validation error {result.best.val_error_deg:.2f}° "
-        f"at epoch {result.best.epoch + 1}; {result.reason}",
-        soft_wrap=True,
+        f"{result.weights}: validation {best} at epoch {best.epoch + 1}; {result.reason}", soft_wrap=True
     )
     if result.before is not None:
         helped = "it helped" if result.helped else "it did not help, keep the weights you had"
-        before, after = (math.degrees(math.sqrt(mse)) for mse in (result.before, result.best.val_mse))
-        console.print(f"RMSE before {before:.2f}°, after {after:.2f}°: {helped}", soft_wrap=True)
-    if result.reason == INTERRUPTED:
-        raise KeyboardInterrupt
-
-
-def _train_controller(out: Path, preset: str, epochs: int | None, set_: list[str] | None, seed: int) -> None:
-    from training.control.loop import train_controller
-    from training.loop import INTERRUPTED
-
-    choices = fields_of(set_, "preset", "seed", "out", "progress")
-    if epochs is not None:
-        choices = merged(choices, {"learning": {"epochs": epochs}})
-    with progress_bar("train controller", "epochs") as bar:
-
-        def progress(epoch: "ControlEpoch", config: "ControlConfig") -> None:
-            done, total = epoch.epoch + 1, config.learning.epochs
-            bar(done, total)
-            console.print(
-                f"epoch {done}: round {epoch.round}, loss {epoch.train_loss:.3f}, tracking error "
-                f"{epoch.tracking_deg:.2f}° (teacher {epoch.teacher_deg:.2f}°), {epoch.crashes} of "
-                f"{config.validation_flights} crashed, as 90°, {time_left(epoch.seconds, done, total)} left",
-                highlight=False,
-            )
-
-        result = train_controller(out, preset, progress, seed=seed, **choices)
-    best = result.best
-    console.print(
-        f"{result.weights}: tracking error {best.tracking_deg:.2f}°, teacher {best.teacher_deg:.2f}°, at "
-        f"epoch {best.epoch + 1}; {result.reason}",
-        soft_wrap=True,
-    )
+        console.print(f"loss before {result.before:.4g}, after {best.score:.4g}: {helped}", soft_wrap=True)
     if result.reason == INTERRUPTED:
         raise KeyboardInterrupt
 
@@ -168,24 +117,19 @@ def _cross_validate(
     workers: str | None,
     choices: dict[str, Any],
 ) -> None:
-    from training.cross_domain import best as best_of
-    from training.cross_domain import table, terminal_table
-    from training.kfold import kfold
+    from training.kfold import best as best_of
+    from training.kfold import kfold, table, terminal_table
 
     with pool_of(workers) as (count, executor), progress_bar("folds", "epochs") as progress:
         scores = kfold(data, out, [model], preset, folds, count, executor, progress, **choices)
     cells = table(scores)
     console.print(terminal_table(cells))
     for score in scores:
-        if score.flaw:
-            where = f"fold {score.fold} of {score.model} on {score.trained_on}, tested on {score.tested_on}"
-            console.print(f"{where}: {score.flaw}", soft_wrap=True, markup=False)
-    best = best_of(cells)
-    console.print(
-        f"{out / 'table1.csv'}: {best.model} on unseen flights of {best.trained_on}: "
-        f"{best.mean_deg:.2f} ± {best.sd_deg:.2f}° over {best.folds} folds",
-        soft_wrap=True,
-    )
+        if score["flaw"]:
+            where = "fold {fold} of {model} on {trained_on}, tested on {tested_on}".format(**score)
+            console.print(f"{where}: {score['flaw']}", soft_wrap=True, markup=False)
+    best = "{model} on unseen flights of {trained_on}: {mean_deg:.2f} ± {sd_deg:.2f}° over {folds} folds"
+    console.print(f"{out / 'table1.csv'}: {best.format(**best_of(cells))}", soft_wrap=True)
 
 
 def tune(

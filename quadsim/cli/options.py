@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
-Task = Literal["attitude", "control"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 
 
@@ -48,7 +47,7 @@ Preset = Annotated[
     str,
     typer.Option(
         help="paper: its recipe; best: that of the shipped networks, for any IMU; hummingbird: one airframe; "
-        "tune: logs; or a TOML file. Of --task control: see quadsim list control."
+        "tune: logs; control-attitude, control-separate: controllers; or a TOML file."
     ),
 ]
 Fields = Annotated[

@@ -7,7 +7,6 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
-from estimators.analysis.ablation import Pruned
 from estimators.evaluation.comparison import EvaluationRow
 from estimators.loihi.chip import LIMITS, ChipCore
 
@@ -262,16 +261,6 @@ def plain_table(rows: Sequence[tuple[str, str]]) -> Table:
     for row in rows:
         table.add_row(*row)
     return table
-
-
-def stages_table(stages: Sequence[Pruned]) -> Table:
-    """A network pruned step by step: its size, and its error after the cut and after training on."""
-    rows = []
-    for s in stages:
-        errors = f"{s.cut_deg:.2f}", f"{s.tuned_deg:.2f}"
-        rows.append((f"{100 * s.removed:.0f} %", f"{s.encoding} + {s.hidden}", f"{s.parameters}", *errors))
-    title = "Pruned: error of roll and pitch from an unknown start, °"
-    return _table(title, ["removed", "neurons"], ["parameters", "after the cut", "trained on"], rows)
 
 
 def _entry(row: CellRow) -> Text:

@@ -7,10 +7,7 @@ from estimators.analysis.encoding_study import manipulations, preferred, respons
 from estimators.evaluation.flights import load_flights
 from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking
 from estimators.networks.symmetry import OPERATIONS
-from estimators.networks.weights_file import load_network, parameters, shipped_network
-from quadsim.dataset.generation import generate
-from quadsim.flight.recipe import flight_config, load_recipe
-from training.pruning import prune
+from estimators.networks.weights_file import shipped_network
 
 
 @pytest.fixture(scope="module")
@@ -86,24 +83,3 @@ def test_tuning_curves_find_what_a_neuron_follows(seen, activity):
     curves = tuning_curves(type(activity)(**{**vars(activity), "spikes": spikes}), seen)
     np.testing.assert_array_equal(preferred(curves)[:4], [0, 1, 2, 3])
     assert np.all(np.diff(curves["roll"].rates[0]) > -0.1)
-
-
-@pytest.mark.slow
-def test_pruning_trains_on_and_counts_what_is_gone(tmp_path):
-    config = flight_config(load_recipe("hummingbird"))
-    data, check = (
-        (str(generate(config, 4, 4.0, tmp_path / f"{seed}.zarr", seed=seed, workers=1)),) for seed in (3, 4)
-    )
-    stages = prune(
-        data, check, tmp_path / "out", 0.5, 2,
-        epochs=1, batches=2, batch_size=4, window_s=0.5, windows_per_stream=2,
-    )  # fmt: skip
-    whole, *fewer = [s.encoding + s.hidden for s in stages]
-    assert stages[0].removed == 0.0
-    for stage, size, share in zip(stages[1:], fewer, (0.25, 0.5), strict=True):
-        assert stage.removed == pytest.approx(1 - size / whole)
-        assert share <= stage.removed < share + 0.1
-    config, tensors = load_network(stages[-1].weights)
-    assert (config.encoding, config.hidden) == (stages[-1].encoding, stages[-1].hidden)
-    assert stages[-1].parameters == parameters(tensors)
-    assert stages[-1].tuned_deg < stages[-1].cut_deg * 1.5

@@ -16,7 +16,7 @@ from quadsim.rotation import roll_pitch_of_up
 from training.config import make_config
 from training.fused import Fused
 from training.init import initialise_from_data
-from training.models import AttSNN, prune_connections
+from training.models import OUTPUT_SCALES, AttSNN
 from training.run_folder import exported
 
 G = 9.81
@@ -35,13 +35,13 @@ def network(encoding, hidden, seed=0, outputs="roll-pitch"):
         hidden,
         Fused(),
         symmetric=True,
-        output_scale=config.output_scale,
+        output_scale=OUTPUT_SCALES[outputs],
         outputs=outputs,
         finest_exponent=config.finest_exponent,
         after_spike=config.after_spike,
     )
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
-    initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed, fan_in=8)
+    initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed)
     return model, *exported(model, config, 200.0, {})
 
 
@@ -51,12 +51,10 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
     """The estimate of a network with few connections is the same to the last bit, and stays symmetric."""
     model, _, _ = network(encoding, hidden, seed)
     rng = np.random.default_rng(seed)
-    squares = {
-        name: torch.from_numpy(model.shared(name, rng.random(tuple(getattr(model, name).shape)) ** 20))
-        for name in model.matrices
-    }
-    constants = model.time_constants
-    prune_connections(model, squares, constants + int(share * (model.parameter_count - constants)))
+    for name in model.matrices:
+        drawn = model.shared(name, rng.random(tuple(getattr(model, name).shape)))
+        getattr(model, f"{name}_connected").mul_(torch.from_numpy(drawn < share))
+    model.constrain()
     whole = exported(model, recipe(encoding, hidden, seed), 200.0, {})
     fewer = connected(*whole)
     assert fewer[0].encoding <= encoding

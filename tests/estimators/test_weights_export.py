@@ -226,7 +226,7 @@ def flown(tmp_path_factory):
     return flights.gyro.values.astype(float), flights.accel.values.astype(float)
 
 
-NAMES = ("att-snn", "att-snn-hummingbird", "att-snn-paper", "control-merged", "random")
+NAMES = ("att-snn", "att-snn-hummingbird", "att-snn-paper", "control-separate", "random")
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -76,7 +76,7 @@ with alone(Path("busy")):
         "paper --only table2",
         "evaluate --data flights.zarr --estimator mahony",
         "train --data flights.zarr",
-        "train --task control",
+        "train --preset control-attitude",
         "train --data flights.zarr --folds 2",
         "report att-snn --data flights.zarr",
     ],

@@ -87,24 +87,6 @@ def test_windows_that_go_on_are_one_long_window_but_for_sequences_that_are_reset
     np.testing.assert_allclose(joined[1, 80:], anew[1], rtol=0, atol=atol)
 
 
-def test_windows_go_on_without_neurons_that_reach_nothing():
-    weights, x = random_weights(12, 10), random_input(3, 80)
-    encoding, hidden = np.arange(0, 12, 2), np.arange(1, 10)
-    with torch.no_grad():
-        weights.w_ff[:, 1::2], weights.w_rec[:, 0], weights.w_out[:, 0] = 0.0, 0.0, 0.0
-    kernels = Fused()
-    whole = kernels.forward(x, weights)[0].detach()[:, 40:]
-    kernels.forward(x[:, :40], weights)
-    w = weights
-    fewer = Weights(
-        w.w_in[encoding], w.w_ff[hidden][:, encoding], w.w_rec[hidden][:, hidden], w.w_out[:, hidden],
-        w.w_after[hidden], w.syn0[encoding], w.mem0[encoding], w.syn1[hidden], w.mem1[hidden], w.syn2, w.mem2,
-        w.syn_after[hidden],
-    )  # fmt: skip
-    going_on = kernels.connected(encoding, hidden).forward(x[:, 40:], fewer, np.zeros(3, bool))[0]
-    np.testing.assert_array_equal(going_on.detach(), whole)
-
-
 def test_windows_go_on_with_neurons_whose_potential_is_at_the_chip_s_limit():
     weights, x = random_weights(12, 10), random_input(3, 1200)
     with torch.no_grad():

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +28,8 @@ from quadsim.trajectory.reference import reference
 from quadsim.vehicle import GRAVITY, Vehicle, randomise
 from quadsim.wind import wind_series
 
-from .config import ControlConfig, Excitation
+from ..config import ControlSettings
+from .excitation import STANDARD, Excitation, rotor_effect, set_point_excitation, torque_excitation
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -121,7 +121,7 @@ class Pilot:
         disturbance: Array,
         student: SpikingController | None,
         by_student: NDArray[np.bool_],
-        config: ControlConfig,
+        config: ControlSettings,
     ) -> None:
         n = len(jumps)
         self.excitation, self.chirps, self.disturbance = jumps + chirps, chirps, disturbance
@@ -181,12 +181,13 @@ class Pilot:
 
 
 def fly(
-    config: ControlConfig,
+    config: ControlSettings,
     flights: FlightConfig,
     seeds: Sequence[np.random.SeedSequence],
     student: SpikingController | None = None,
     teacher_share: float = 0.0,
     rate_hz: float = 200.0,
+    excitation: Excitation = STANDARD,
 ) -> ControlFlights:
     """Fly, and label by the teacher.
 
@@ -197,6 +198,7 @@ def fly(
         student: Who flies; None: the teacher.
         teacher_share: Share of the time at which the teacher flies all the same.
         rate_hz: Samples per second.
+        excitation: What is added to the flights.
     """
     n, steps = len(seeds), round(config.flight_s * rate_hz)
     draws = [np.random.default_rng(child(seed, EXCITATION)) for seed in seeds]
@@ -205,7 +207,7 @@ def fly(
     if flights.wind:
         wind = wind_series(flights.wind, n, steps, rate_hz, [child(seed, AIR) for seed in seeds])
     vehicles = [_vehicle(flights, child(seed, BODY)) for seed in seeds]
-    added, size = config.excitation, np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
+    added, size = excitation, np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
     added_motion = [set_point_excitation(added, steps, rate_hz, rng) for rng in draws]
     pilot = Pilot(
         steps,
@@ -287,61 +289,6 @@ def thrust_axis(quat: Array) -> Array:
     """The body's z axis in world axes, (n, 3)."""
     w, x, y, z = quat.T
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
-
-
-class SetPointExcitation(NamedTuple):
-    """What is added to a flight's set-points of roll, pitch [rad] and yaw rate [rad/s]."""
-
-    jumps: Array
-    """Steps, (T, 3)."""
-    chirps: Array
-    """Sines of rising or falling frequency that swell and fade, (T, 3)."""
-
-
-def set_point_excitation(
-    added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator
-) -> SetPointExcitation:
-    """Steps and chirps of roll and pitch, steps of the yaw rate, for a flight of some samples."""
-    out, k = SetPointExcitation(np.zeros((steps, 3)), np.zeros((steps, 3))), 0
-    (low, high), tilt = added.step_s, math.radians(added.step_deg)
-    while k < steps:
-        kind = rng.random()
-        length = max(1, round(rate_hz * math.exp(rng.uniform(math.log(low), math.log(high)))))
-        part = slice(k, min(k + length, steps))
-        if kind > added.still + 0.6 * (1.0 - added.still):
-            length *= 3
-            part = slice(k, min(k + length, steps))
-            time = np.arange(part.stop - part.start) / rate_hz
-            low_hz, high_hz = map(math.log, added.chirp_hz)
-            f0, f1 = np.exp(rng.uniform(low_hz, high_hz, 2))
-            phase = 2.0 * math.pi * (f0 * time + 0.5 * (f1 - f0) * time**2 * rate_hz / length)
-            wave = np.sin(phase) * np.sin(math.pi * rate_hz / length * time)
-            out.chirps[part, :2] = wave[:, None] * rng.uniform(-1.0, 1.0, 2) * math.radians(added.chirp_deg)
-        elif kind > added.still:
-            out.jumps[part] = rng.uniform(-1.0, 1.0, 3) * [tilt, tilt, added.yaw_rate]
-        k += length
-    return out
-
-
-def torque_excitation(added: Excitation, steps: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Pulses and slowly varying noise of angular acceleration, (steps, 3) [rad/s²]."""
-    from scipy.signal import lfilter  # takes half a second
-
-    decay = math.exp(-1.0 / (rate_hz * math.exp(rng.uniform(math.log(0.03), math.log(0.3)))))
-    white = rng.normal(size=(steps, 3)) * math.sqrt(1.0 - decay**2)
-    out = added.noise * rng.uniform() * np.asarray(lfilter([1.0], [1.0, -decay], white, axis=0))
-    k = 0
-    while k < steps:
-        k += round(rate_hz * rng.uniform(0.5, 4.0))
-        length = round(rate_hz * rng.uniform(0.02, 0.15))
-        out[k : k + length] += added.pulse * rng.uniform(-1.0, 1.0, 3)
-        k += length
-    return out * [1.0, 1.0, 0.1]
-
-
-def rotor_effect(added: Excitation, rotors: int, rng: np.random.Generator) -> Array:
-    """Thrust of each rotor over its nominal one, (rotors,)."""
-    return rng.uniform(added.battery, 1.0) * (1.0 - added.rotor_spread * rng.uniform(0.0, 1.0, rotors))
 
 
 def _turns(share: float, steps: int, rate_hz: float, rng: np.random.Generator) -> NDArray[np.bool_]:

@@ -1,0 +1,97 @@
+import pytest
+
+from quadsim.cli.options import fields_of
+from quadsim.config.toml import load_toml, preset_names
+from training.config import Preset, TrainConfig, make_config
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        (
+            {"preset": "fast"},
+            r'unknown preset "fast"; did you mean "best"\? valid: best, control-a.*, tune, or a path',
+        ),
+        ({"epoch": 3}, 'unknown key "epoch"; did you mean "epochs"'),
+        ({"batch_size": 0}, r"training: batch_size = 0: should be 1 to"),
+        ({"rate_targets": [0.1, -1]}, r"training: rate_targets\[1\] = -1: should be 0 to"),
+        ({"inputs": {"gyros": 4.0}}, r'unknown key "inputs\.gyros"; did you mean "gyro"\?'),
+        ({"data": ()}, "data: at least one dataset to train on is required"),
+        ({"data": ("x.zarr", "./x.zarr")}, "a dataset is given twice"),
+        (
+            {"augmentation": {"vibration": (3.0, 1.0)}},
+            r"vibration = .*should be the least and then the largest",
+        ),
+        ({"augmentation": {"accel_noise": -1}}, r"augmentation\.accel_noise = -1"),
+        ({"gyro_noise": 0.5}, r'did you mean "augmentation\.gyro_noise"'),
+        (
+            {"later_windows": ((0.5, 1.0), (0.2, 2.0))},
+            r"shares \[0.5, 0.2\], each should be above the one before",
+        ),
+        ({"symmetric": True, "hidden": 4}, r"symmetric: layers of 100 and 4 neurons, at least 8"),
+        ({"model": "att-rnn", "hidden": 4}, r"att-rnn: layers of 100 and 4 units, should be equal"),
+        ({"preset": "tune"}, "preset tune continues from weights"),
+    ],
+)
+def test_bad_choices_give_one_clear_line(choices, message):
+    with pytest.raises(ValueError, match=message) as error:
+        make_config(**{"data": "x.zarr"} | choices)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        ({"outputs": "roll-pitch"}, "outputs: the weights of init have up, it cannot be roll-pitch"),
+        ({"hidden": 20}, r"hidden: the weights of init have \d+, it cannot be 20"),
+        ({"init": "att-snn-paper", "symmetric": True}, "symmetric: att-snn-paper does not share its weights"),
+        (
+            {"init": "att-rnn", "model": "att-snn"},
+            "model: the weights of init have att-rnn, it cannot be att-snn",
+        ),
+    ],
+)
+def test_what_the_weights_have_cannot_be_chosen_again(choices, message):
+    with pytest.raises(ValueError, match=message):
+        make_config("best", **{"data": "x.zarr", "init": "att-snn"} | choices)
+
+
+@pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
+@pytest.mark.parametrize("name", preset_names("presets"))
+def test_every_shipped_preset_loads(name, model):
+    preset = load_toml(name, "presets", Preset)
+    if preset.outputs == "angular-acceleration":
+        pytest.skip("a controller is an Att-SNN")
+    config = make_config(name, data="x", model=model, **({"init": model} if preset.needs_init else {}))
+    assert config.preset == name
+
+
+def test_a_preset_of_the_user_s_is_a_file(tmp_path):
+    mine = tmp_path / "mine.toml"
+    mine.write_text("epochs = 7\n[augmentation]\ngyro_bias = 0.02\n[att-rnn]\nepochs = 9\n")
+    config = make_config(mine, data="x", augmentation={"accel_bias": 0.3})
+    bias = config.augmentation
+    assert (config.epochs, bias.gyro_bias, bias.accel_bias, bias.accel_noise) == (7, 0.02, 0.3, 0.004)
+    assert make_config(str(mine), data="x", model="att-rnn").epochs == 9
+    mine.write_text("[augmentation]\ngyro_bia = 0.02\n")
+    with pytest.raises(
+        ValueError, match=r'mine\.toml: unknown key "augmentation\.gyro_bia"; did you mean "gyro'
+    ):
+        make_config(mine, data="x")
+
+
+def test_every_field_is_documented():
+    assert all(field.description for field in TrainConfig.model_fields.values())
+
+
+def test_a_setting_of_a_table_leaves_its_other_keys():
+    whole = make_config(data="x")
+    changed = make_config(data="x", augmentation={"gyro_noise": 0.5})
+    assert changed.augmentation.gyro_noise == 0.5
+    rest = changed.augmentation.model_dump() | {"gyro_noise": whole.augmentation.gyro_noise}
+    assert rest == whole.augmentation.model_dump()
+
+
+def test_dotted_settings_of_the_command_line_add_up():
+    found = fields_of(["augmentation.gyro_noise=0.5", "augmentation.accel_noise=0.25", "epochs=3"])
+    assert found == {"augmentation": {"gyro_noise": 0.5, "accel_noise": 0.25}, "epochs": 3}

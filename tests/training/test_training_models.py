@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+import torch
+
+from estimators.networks.weights_file import load_network
+from training.fused import Fused
+from training.init import initialise_from_data, initialise_from_weights, initialise_random
+from training.models import CURRENT_MAX, OUTPUT_SCALES, AttSNN
+
+
+def test_a_sensor_upside_down_is_within_the_range_of_the_outputs():
+    model = AttSNN(24, 24, Fused(), OUTPUT_SCALES["up"], outputs="up")
+    x = np.round(np.random.default_rng(0).normal(size=(2, 600, 6)).cumsum(1) * 20) / 1024
+    initialise_from_data(model, x, np.broadcast_to([0.0, 0.0, -1.0], (2, 600, 3)), seed=0)
+    up = model(torch.from_numpy(x))[0].detach().numpy()[:, 300:].mean((0, 1))
+    np.testing.assert_allclose(up, [0.0, 0.0, -1.0], atol=0.2)
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_currents_that_would_leave_the_chip_s_range_are_brought_back(symmetric):
+    rng = np.random.default_rng(0)
+    x = torch.from_numpy(np.round(rng.normal(size=(2, 2000, 6)) * 1024) / 1024)
+    model = AttSNN(16, 16, Fused(), symmetric=symmetric)
+    model.set_weights("w_in", rng.normal(0, 0.2, (16, 6)))
+    model.set_weights("w_ff", -np.abs(rng.normal(0, 0.3, (16, 16))))
+    with torch.no_grad():
+        model.syn1.fill_(8.0)  # remembered for 3000 steps
+    model.constrain()
+
+    def currents():
+        with torch.no_grad():
+            model(x)
+        return model.kernels._last.traces[0].u1
+
+    assert currents().max() > 400  # what should only be negative has wrapped round
+    for _ in range(10):
+        currents()
+        model.limit_currents()
+        model.constrain()
+    assert currents().max() <= 0.0
+    assert -1.05 * CURRENT_MAX < currents().min() < -0.2 * CURRENT_MAX
+    for name in model.sharing:
+        w = getattr(model, name).detach().numpy()
+        np.testing.assert_array_equal(model.shared(name, w), w)
+    with torch.no_grad():
+        model.w_ff.mul_(0.5)  # and what is far from the ends is left as it is
+    kept = model.w_ff.clone()
+    currents()
+    model.limit_currents()
+    assert torch.equal(kept, model.w_ff)
+
+
+@pytest.mark.parametrize("logits", [False, True])
+def test_limits_of_the_chip_leave_weights_that_fit_it_as_they_are(logits):
+    network, _ = load_network("att-snn-hummingbird")
+    sizes = network.encoding, network.hidden, Fused(quantised=True, recurrent_delay=1)
+    how = {"outputs": network.outputs, "logits": logits}
+    model = AttSNN(*sizes, finest_exponent=-6, after_spike=True, **how)
+    initialise_from_weights(model, "att-snn-hummingbird")
+    before = model.weights()
+    model.constrain()
+    for value, kept in zip(before, model.weights(), strict=True):
+        torch.testing.assert_close(kept, value, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("logits", [False, True])
+def test_a_weight_can_be_trained_to_the_ends_of_the_chips_range_and_no_further(logits):
+    model = AttSNN(8, 8, Fused(quantised=True, recurrent_delay=1), logits=logits)
+    initialise_random(model, 0)
+    with torch.no_grad():
+        model.w_ff.mul_(1e6)
+        model.w_in.mul_(-1e6)
+    model.constrain()
+    weights = model.weights()
+    assert (
+        set(weights.w_ff.abs().unique().tolist()) == set(weights.w_in.abs().unique().tolist()) == {127 / 128}
+    )
+
+
+def test_frozen_neurons_keep_their_values_and_have_no_gradient():
+    model = AttSNN(12, 10, Fused(), after_spike=True)
+    initialise_random(model, 0)
+    model.freeze(4, 3)
+    before = {name: value.detach().clone() for name, value in model.named_parameters()}
+    model(torch.ones(1, 50, 6, dtype=torch.float64))[0].square().sum().backward()
+    frozen = {"w_in": 4, "syn0": 4, "mem0": 4, "w_out": 0, "syn2": 0, "mem2": 0}
+    with torch.no_grad():
+        for name, value in model.named_parameters():
+            rows = frozen.get(name, 3)
+            assert not value.grad[:rows].any(), name
+            value += 0.01
+    model.constrain()
+    for name, value in model.named_parameters():
+        rows = frozen.get(name, 3)
+        assert torch.equal(value[:rows], before[name][:rows]), name
+        assert not torch.equal(value[rows:], before[name][rows:]), name

@@ -1,0 +1,348 @@
+import csv
+import errno
+import json
+import os
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from plain_network import Plain
+
+from estimators.networks.network import NetworkEstimator, OnLoihi, create_network
+from estimators.networks.symmetry import is_symmetric
+from estimators.networks.weights_file import EXPONENTS, load_network
+from quadsim.dataset.generation import generate
+from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.runs.record import commit
+from training import loop
+from training.attitude import AttitudeTask
+from training.config import make_config
+from training.data import load_training_flights, network_inputs, windows
+from training.loop import train
+from training.loss import finished, total_cost
+from training.run_folder import claim
+
+TINY = {
+    "preset": "best", "epochs": 3, "batches": 4, "batch_size": 4, "window_s": 0.5, "windows_per_stream": 2,
+    "encoding": 20, "hidden": 16,
+}  # fmt: skip
+
+
+def weights_of(folder):
+    return load_network(folder / "best.safetensors")[1]
+
+
+def same(a, b):
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name])
+
+
+def killed_and_resumed(out, after=1, **choices):
+    """A run that is killed after an epoch and resumes; the epochs since then."""
+
+    def die(epoch, config):
+        if epoch.epoch == after:
+            raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        train(out=out, progress=die, **choices)
+    rows = []
+    train(out=out, progress=lambda epoch, config: rows.append(epoch.epoch), **choices)
+    return rows
+
+
+def test_tiny_run_learns_and_leaves_its_files(dataset, tmp_path):
+    rows = []
+    changes = {
+        "initialisation": "random",
+        "epochs": 8,
+        "batches": 40,
+        "windows_per_stream": 6,
+        "rate_cost": 0.0,
+    }
+    changes |= {"outputs": "roll-pitch"}
+    result = train(data=dataset, out=tmp_path, progress=lambda row, _: rows.append(row), **TINY | changes)
+    assert rows[-1].train_loss < 0.8 * rows[0].train_loss
+    assert result.best.score == min(row.validation["loss"] for row in rows)
+    with (tmp_path / "log.csv").open() as file:
+        assert [float(row["validation_error_deg"]) for row in csv.DictReader(file)] == [
+            row.validation["error_deg"] for row in rows
+        ]
+    assert (tmp_path / "curve.png").stat().st_size > 1000
+    config, _ = load_network(result.weights)
+    assert config.training["epoch"] == result.best.epoch + 1
+    assert config.training["vehicles"] == ["hummingbird"]
+    est = create_network("att-snn-loihi", weights=result.weights)
+    assert est.update(np.zeros((1, 3)), np.array([[0.0, 0.0, 9.81]])).shape == (1, 2)
+
+
+@pytest.mark.parametrize("outputs", ["roll-pitch", "up"])
+@pytest.mark.parametrize("model", ["att-snn", "att-rnn"])
+def test_a_killed_run_resumes_to_the_same_weights(dataset, tmp_path, model, outputs):
+    """Across a change of the windows' length, too."""
+    choices = TINY | {"data": dataset, "model": model, "hidden": 20, "outputs": outputs}
+    choices |= {"later_windows": ((0.5, 1.0),)}
+    train(out=tmp_path / "whole", **choices)
+    assert killed_and_resumed(tmp_path / "cut", **choices) == [2]
+    whole, cut = (torch.load(tmp_path / run / "checkpoint.pt", weights_only=True) for run in ("whole", "cut"))
+    for name in whole["model"]:
+        np.testing.assert_array_equal(whole["model"][name], cut["model"][name])
+    same(weights_of(tmp_path / "whole"), weights_of(tmp_path / "cut"))
+    claim(tmp_path / "cut", make_config(**choices, threads=2))  # another number of threads is the same run
+    assert make_config(**choices).window_s_in(1) < make_config(**choices).window_s_in(2)
+
+
+def test_a_run_on_up_is_judged_by_the_inclination_and_goes_on(dataset, tmp_path):
+    rows = []
+    more = {"batches": 30, "window_s": 1.0, "rate_cost": 0.0}
+    result = train(
+        data=dataset, out=tmp_path / "run", progress=lambda row, _: rows.append(row), **TINY | more
+    )
+    for row in rows:
+        assert row.score == pytest.approx(np.radians(row.validation["inclination_deg"]) ** 2 / 2)
+    config, tensors = load_network(result.weights)
+    assert (config.outputs, len(tensors["w_out"])) == ("up", 3)
+    for name, exponents in EXPONENTS.items():  # the finest steps that hold the largest weight into a neuron
+        largest = np.abs(tensors[name]).max(1)
+        assert (largest[tensors[exponents] > -6] >= 127).all()
+        assert tensors[exponents].min() < 0
+    assert is_symmetric(tensors)
+    est = create_network("att-snn-loihi", weights=result.weights)
+    flights = load_training_flights([dataset])
+    est.reset(len(flights))
+    est.sequence(flights.gyro, flights.accel)
+    assert est.up[:, 2].mean() > 0.3  # towards the unit vector, of zero at the start
+    little = {"epochs": 1, "batches": 2, "batch_size": 4, "window_s": 0.5, "optimiser_lr": 0.3}
+    on = train(data=dataset, out=tmp_path / "on", preset="tune", init=str(result.weights), **little)
+    config, tuned = load_network(on.weights)
+    assert (config.outputs, config.encoding, config.hidden) == ("up", 20, 16)
+    assert on.before == pytest.approx(result.best.score, rel=1e-3)
+    assert on.helped == (on.best.score < on.before)
+    assert (result.before, result.helped) == (None, True)
+    for name in ("w_in", "w_ff", "w_rec", "w_out"):  # no connection grows
+        assert not tuned[name][tensors[name] == 0].any()
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        (
+            "config.json",
+            {"of_before": 1.0},
+            "holds a run of another version of quadsim, choose another folder$",
+        ),
+        ("config.json", {"epochs": 9}, "holds a run with another configuration, choose another folder$"),
+        ("contents.json", {"data": "of others"}, r"holds a run on other files \(data changed\)"),
+        ("contents.json", {"init": "of others"}, r"holds a run on other files \(init changed\)"),
+        ("contents.json", {"code": "of others"}, r"holds a run on other files \(code changed\)"),
+    ],
+)
+def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path, file, change, message):
+    choices = {"data": dataset, "out": tmp_path, "preset": "tune", "init": "att-snn-hummingbird", "epochs": 1}
+    choices |= {"batches": 1, "batch_size": 1, "window_s": 0.1}
+    train(**choices)
+    before = json.loads((tmp_path / file).read_text())
+    assert change.keys() - before.keys() <= {"of_before"}
+    (tmp_path / file).write_text(json.dumps(before | change))
+    with pytest.raises(ValueError, match=message):
+        train(**choices)
+
+
+def test_what_a_run_reads_has_digests_of_its_own(dataset, tmp_path):
+    other = generate(
+        flight_config(load_recipe("hummingbird")), 5, 4.0, tmp_path / "o.zarr", seed=9, workers=1
+    )
+    found = [AttitudeTask(make_config(data=path)).contents() for path in (dataset, dataset, other)]
+    assert found[0] == found[1]
+    assert all(found[0][name] != found[2][name] for name in ("data", "validation"))
+    slow = generate(
+        flight_config(load_recipe("hummingbird")), 3, 4.0, tmp_path / "s.zarr", rate_hz=100.0, workers=1
+    )
+    with pytest.raises(ValueError, match="validation at 100 Hz, but the data are at 200 Hz"):
+        train(data=dataset, validation=slow, out=tmp_path / "run", **TINY)
+    with pytest.raises(ValueError, match="data at 100 Hz, but the weights of init are for 200 Hz"):
+        train(data=slow, out=tmp_path / "run", preset="tune", init="att-snn")
+
+
+def test_files_that_are_not_there_are_named(dataset, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.zarr"):
+        train(data=tmp_path / "none.zarr", out=tmp_path / "run")
+    with pytest.raises(FileNotFoundError, match=r"no such weights file; shipped: att-rnn, att-rnn-paper, "):
+        train(data=dataset, out=tmp_path / "run", init="att-ssn")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_checkpoint_of_another_version_is_refused_in_one_line(dataset, tmp_path):
+    choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
+    train(**choices)
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    more = state["model"] | {"w_more": torch.zeros(2, 6)}
+    less = {name: value for name, value in state["model"].items() if name != "w_in_connected"}
+    for model in (more, less):
+        torch.save(state | {"model": model}, tmp_path / "checkpoint.pt")
+        with pytest.raises(ValueError, match="checkpoint is of another version of quadsim"):
+            train(**choices)
+
+
+def test_ctrl_c_keeps_the_best_weights(dataset, tmp_path):
+    def interrupt(epoch, config):
+        raise KeyboardInterrupt
+
+    result = train(data=dataset, out=tmp_path, progress=interrupt, **TINY)
+    assert result.reason == "interrupted"
+    assert result.weights.is_file()
+
+
+def test_a_loss_that_is_not_a_number_stops_the_run(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "error_loss", lambda estimate, *_: estimate.sum() * float("nan"))
+    with pytest.raises(ValueError, match="the loss is nan at epoch 0, update 0"):
+        train(data=dataset, out=tmp_path, **TINY)
+
+
+def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tmp_path, monkeypatch):
+    def spoil(self):
+        self.w_out.data[:] = float("nan")
+
+    rows = []
+
+    def after_one(epoch, config):
+        rows.append(epoch)
+        monkeypatch.setattr(loop.AttSNN, "constrain", spoil)
+
+    result = train(data=dataset, out=tmp_path, progress=after_one, **TINY | {"batches": 1})
+    assert result.reason == "training diverged: the weights are not finite after epoch 1"
+    assert (result.best.epoch, len(rows)) == (0, 1)
+    load_network(result.weights)
+
+
+def test_a_run_that_stopped_early_has_nothing_left_to_do(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "finished", lambda losses: "enough" if len(losses) >= 2 else None)
+    choices = TINY | {"data": dataset, "out": tmp_path}
+    assert train(**choices | {"out": tmp_path / "to-the-end"}).reason == "all 3 epochs done"
+    first = train(**choices | {"optimisation": "paper"})
+    log = (tmp_path / "log.csv").read_text()
+    assert train(**choices | {"optimisation": "paper"}) == first
+    assert first.reason == "enough"
+    assert (tmp_path / "log.csv").read_text() == log
+
+
+def test_stopping_rules_of_the_paper():
+    falling = list(np.linspace(1, 0.5, 60))
+    assert finished(falling) is None
+    assert finished([*falling, *[0.6] * 50]) == "the lowest validation loss is 50 epochs old"
+    assert "20-epoch average" in str(finished([*falling, *[0.9] * 20]))
+    assert finished([1.0] * 50) is None
+    assert finished([1.0] * 51) == "the lowest validation loss is 50 epochs old"
+    assert finished([1.0] * 20 + [1.09] * 20) is None
+    assert "20-epoch average" in str(finished([1.0] * 20 + [1.11] * 20))
+
+
+def test_fixed_time_constants_stay_and_do_not_count_in_the_gradients_norm(dataset, tmp_path):
+    choices = TINY | {"preset": "paper", "windows_per_stream": 1, "fixed_taus": True, "data": dataset}
+    train(out=tmp_path, **choices)
+    tensors = weights_of(tmp_path)
+    for name in ("syn0", "mem0", "syn1", "mem1", "syn2", "mem2"):
+        assert np.unique(tensors[name]).size == 1
+    config = make_config(**choices)
+    model = loop.Training(config, AttitudeTask(config)).model
+    frozen = {name for name, p in model.named_parameters() if not p.requires_grad}
+    assert frozen == {"syn0", "mem0", "syn1", "mem1", "syn2", "mem2"}
+
+
+def test_a_full_disk_names_the_file_and_leaves_no_part(dataset, tmp_path, monkeypatch):
+    choices = TINY | {"data": dataset, "out": tmp_path, "epochs": 1}
+    train(**choices)
+    before = (tmp_path / "best.safetensors").read_bytes()
+    write = Path.write_bytes
+
+    def full(path, data):
+        write(path, data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match=r"No space left on device: .*config\.json"):
+        train(**choices)
+    assert (tmp_path / "best.safetensors").read_bytes() == before
+    assert not [each for each in os.listdir(tmp_path) if "part" in each]
+
+
+# --- several network steps for each sample ----------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def with_steps(request, dataset):
+    """A run of some network steps for each sample, in float64, and its first batches."""
+    changes = {
+        "outputs": "roll-pitch",
+        "symmetric": False,
+        "rate_cost": 0.5,
+        "steps_per_sample": request.param,
+    }
+    config = make_config(data=dataset, **TINY | changes)
+    task = AttitudeTask(config)
+    training = loop.Training(config, task)
+    training.model.double()
+    return training, list(windows(task.flights, config, 100, (0, 1)))
+
+
+def chip_of(training):
+    """The network so far on the emulated chip."""
+    with torch.no_grad():
+        network, tensors = loop.exported(training.model, training.config, 200.0, {})
+    return NetworkEstimator(OnLoihi(network, tensors), 200.0)
+
+
+def test_the_trainers_forward_pass_is_the_chips_after_the_last_step_of_each_sample(with_steps):
+    training, batches = with_steps
+    steps, chip, state = training.config.steps_per_sample, chip_of(training), training._input_state
+    chip.reset(len(batches[0].gyro))
+    continued = 0
+    for batch in batches:
+        chip.restart(np.flatnonzero(batch.reset))
+        state[batch.reset] = 0.0
+        outputs = training.model(network_inputs(training.config, batch, state), batch.reset)[0]
+        assert outputs.shape[1] == steps * batch.gyro.shape[1]
+        estimate = chip.sequence(batch.gyro, batch.accel)
+        np.testing.assert_array_equal(outputs.detach()[:, steps - 1 :: steps], estimate)
+        assert estimate.std() > 0.01
+        continued += np.sum(~batch.reset)
+    assert continued > 0
+
+
+def test_an_update_descends_the_error_of_the_chips_estimates(with_steps):
+    """Its loss is theirs, and its gradient that of PyTorch's autograd through the plain network."""
+    training, (batch, *_) = with_steps
+    config, steps = training.config, training.config.steps_per_sample
+    target, plain = torch.from_numpy(batch.target), deepcopy(training.model)
+    plain.kernels = Plain()
+    every, rates = plain(network_inputs(config, batch))
+    total_cost(every[:, steps - 1 :: steps], target, rates, config).backward()
+    torch.nn.utils.clip_grad_norm_(plain.parameters(), config.method.clip)
+    chip = chip_of(training)
+    chip.reset(len(batch.gyro))
+    error = np.mean((chip.sequence(batch.gyro, batch.accel) - batch.target) ** 2)
+    assert training._update(batch)[0] == pytest.approx(error, rel=1e-12)
+    for (name, mine), theirs in zip(training.model.named_parameters(), plain.parameters(), strict=True):
+        scale = float(theirs.grad.abs().max())
+        assert scale > 0, name
+        np.testing.assert_allclose(mine.grad / scale, theirs.grad / scale, rtol=0, atol=1e-10, err_msg=name)
+
+
+def test_a_run_with_two_steps_a_sample_is_validated_as_it_flies(dataset, tmp_path):
+    changes = {"outputs": "roll-pitch", "symmetric": False, "steps_per_sample": 2}
+    result = train(data=dataset, out=tmp_path, **TINY | changes)
+    assert load_network(result.weights)[0].steps_per_sample == 2
+    flights = AttitudeTask(make_config(data=dataset, **TINY)).validation
+    chip = create_network("att-snn-loihi", weights=result.weights)
+    chip.reset(len(flights))
+    error = chip.sequence(flights.gyro, flights.accel) - flights.roll_pitch
+    assert result.best.score == pytest.approx(np.mean(error**2), rel=1e-9)
+
+
+def test_a_run_without_git_names_no_commit(monkeypatch):
+    assert commit()
+    monkeypatch.setenv("PATH", "")
+    assert commit() == ""
