@@ -205,7 +205,8 @@ class TrainConfig(TrainingRecipe):
         if self.model == "att-rnn" and self.encoding != self.hidden:
             raise ValueError(f"att-rnn: {layers} units, should be equal")
         least = len(OPERATIONS)
-        if self.model == "att-snn" and self.symmetric and min(self.encoding, self.hidden) < least:
+        few = min(self.encoding, self.hidden) < least and not self.init
+        if self.model == "att-snn" and self.symmetric and few:
             raise ValueError(
                 f"symmetric: {layers} neurons, at least {least} of each share weights; give more, or "
                 "symmetric=false"

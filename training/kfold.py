@@ -117,8 +117,8 @@ def _all_folds(
 
 def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[dict[str, Any]]:
     """Train one fold, or continue it, and score its best weights; a finished fold is read back."""
-    claim(job.out, job.config, contents_of(job.config, task_of(job.config, job.out).contents()))
     if (done := _finished(job)) is not None:
+        claim(job.out, job.config, contents_of(job.config, task_of(job.config, job.out).contents()))
         return done
     result = run(job.config, job.out, lambda epoch, config: progress() if progress else None)
     if result.reason == INTERRUPTED:
