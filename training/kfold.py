@@ -17,7 +17,7 @@ from rich.table import Column, Table
 
 from estimators.metrics import attitude_error, flaw_of
 from estimators.networks.network import create_network
-from quadsim.runs.files import alone, drop_parts, read_json, write_json, write_whole
+from quadsim.runs.files import alone, drop_parts, read_json, write_csv, write_json
 from quadsim.runs.pool import WORKER_DIED, process_count, run_jobs
 
 from .config import TrainConfig, make_config
@@ -27,7 +27,8 @@ from .run_folder import claim, contents_of
 
 Progress = Callable[[int, int, str], None]
 """progress(epochs done, most epochs, a text with the number of folds done)."""
-
+Rows = list[dict[str, Any]]
+"""Rows of a table, by column."""
 
 TRAIN, TEST = "(train)", "(test)"
 """What a network was tested on, of its own domain: its training flights and its held-out ones."""
@@ -58,7 +59,7 @@ def kfold(
     executor: Executor | None = None,
     progress: Progress | None = None,
     **choices: Any,
-) -> pd.DataFrame:
+) -> Rows:
     """Train and score every fold of every domain and model; write `kfold.csv` and `table1.csv`.
 
     A run that was stopped continues: each fold resumes from its checkpoint, and a finished one is read back.
@@ -91,13 +92,13 @@ def kfold(
             claim(job.out, job.config)
         scores = _all_folds(jobs, workers, executor, progress)
         for name, content in (("kfold.csv", scores), ("table1.csv", table(scores))):
-            write_whole(out / name, content.to_csv(index=False))
+            write_csv(out / name, content)
     return scores
 
 
 def _all_folds(
     jobs: Sequence[Job], workers: int | None, executor: Executor | None, progress: Progress | None
-) -> pd.DataFrame:
+) -> Rows:
     def tick(running: Iterable[int] = ()) -> None:
         if progress:
             done = [(job.out / "scores.json").is_file() for job in jobs]
@@ -109,13 +110,13 @@ def _all_folds(
     arguments = {k: (job, tick) if here else (job,) for k, job in enumerate(jobs)}
     try:
         results = run_jobs(run_fold, arguments, workers, executor, tick=tick)
-        scores = pd.DataFrame([score for _, of_fold in results for score in of_fold])
+        scores = [score for _, of_fold in results for score in of_fold]
     except BrokenExecutor as error:
         raise ChildProcessError(WORKER_DIED) from error
-    return scores.sort_values(["model", "trained_on", "fold"], kind="stable", ignore_index=True)
+    return sorted(scores, key=lambda s: (s["model"], s["trained_on"], s["fold"]))
 
 
-def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[dict[str, Any]]:
+def run_fold(job: Job, progress: Callable[[], None] | None = None) -> Rows:
     """Train one fold, or continue it, and score its best weights; a finished fold is read back."""
     if (done := _finished(job)) is not None:
         claim(job.out, job.config, contents_of(job.config, task_of(job.config, job.out).contents()))
@@ -148,45 +149,47 @@ def run_fold(job: Job, progress: Callable[[], None] | None = None) -> list[dict[
     return scores
 
 
-def table(scores: pd.DataFrame) -> pd.DataFrame:
+def table(scores: Rows) -> Rows:
     """The paper's Table 1: mean and standard deviation over the folds, and how many have a flaw.
 
     Flawed folds count, with 180° where there is no angle.
     """
-    groups = scores.groupby(["model", "trained_on", "tested_on"], sort=False)
-    cells = groups["error_deg"].agg(folds="size", mean_deg="mean", sd_deg="std")
-    return cells.assign(flawed=groups["flaw"].agg(lambda flaws: int((flaws != "").sum()))).reset_index()
+    found = pd.DataFrame(scores)
+    found["flawed"] = found["flaw"] != ""
+    groups = found.groupby(["model", "trained_on", "tested_on"], sort=False)
+    columns = {"folds": ("fold", "size"), "mean_deg": ("error_deg", "mean"), "sd_deg": ("error_deg", "std")}
+    return groups.agg(**columns, flawed=("flawed", "sum")).reset_index().to_dict("records")
 
 
-def terminal_table(cells: pd.DataFrame) -> Table:
-    """Table 1: a row for each model and domain that it was trained on, a column for each test."""
-    own = {TRAIN: "its training flights", TEST: "its unseen flights"}
-    tested = list(dict.fromkeys(cells.tested_on))
-    texts = [
-        f"{cell.mean_deg:.2f} ± {cell.sd_deg:.2f}" + f" ({cell.flawed} flawed)" * (cell.flawed > 0)
-        for cell in cells.itertuples()
-    ]
-    wide = cells.assign(text=texts).pivot(index=["model", "trained_on"], columns="tested_on", values="text")
-    headings = (Column(own.get(name, f"all of {name}"), justify="right") for name in tested)
-    title = f"Mean absolute error of roll and pitch, mean ± SD over {cells.folds.iloc[0]} folds, °"
-    out = Table("model", "trained on", *headings, title=title)
-    for (model, domain), row in wide[tested].fillna("").iterrows():
-        out.add_row(model, domain, *row)
-    return out
-
-
-def best(cells: pd.DataFrame) -> pd.Series:
+def best(cells: Rows) -> dict[str, Any]:
     """The entry of `table` with the smallest error on unseen flights, of those without a flawed fold.
 
     Raises:
         ValueError: Every model has one in every domain.
     """
-    own = cells[cells.tested_on == TEST]
-    sound = own[own.flawed == 0]
-    if sound.empty:
-        folds = ", ".join(f"{c.model} on {c.trained_on}: {c.flawed} of {c.folds}" for c in own.itertuples())
+    own = [cell for cell in cells if cell["tested_on"] == TEST]
+    sound = [cell for cell in own if not cell["flawed"]]
+    if not sound:
+        folds = ", ".join("{model} on {trained_on}: {flawed} of {folds}".format(**cell) for cell in own)
         raise ValueError(f"no network can be ranked; folds with a flaw: {folds} (see kfold.csv)")
-    return sound.loc[sound.mean_deg.idxmin()]
+    return min(sound, key=lambda cell: cell["mean_deg"])
+
+
+def terminal_table(cells: Rows) -> Table:
+    """Table 1: a row for each model and domain that it was trained on, a column for each test."""
+    tested = list(dict.fromkeys(cell["tested_on"] for cell in cells))
+    rows = {(cell["model"], cell["trained_on"]): {} for cell in cells}
+    for cell in cells:
+        flawed = " ({flawed} flawed)" if cell["flawed"] else ""
+        error = ("{mean_deg:.2f} ± {sd_deg:.2f}" + flawed).format(**cell)
+        rows[cell["model"], cell["trained_on"]][cell["tested_on"]] = error
+    own = {TRAIN: "its training flights", TEST: "its unseen flights"}
+    headings = (Column(own.get(name, f"all of {name}"), justify="right") for name in tested)
+    title = f"Mean absolute error of roll and pitch, mean ± SD over {cells[0]['folds']} folds, °"
+    out = Table("model", "trained on", *headings, title=title)
+    for (model, domain), errors in rows.items():
+        out.add_row(model, domain, *(errors.get(name, "") for name in tested))
+    return out
 
 
 def _jobs(
@@ -214,7 +217,7 @@ def _jobs(
     return jobs
 
 
-def _finished(job: Job) -> list[dict[str, Any]] | None:
+def _finished(job: Job) -> Rows | None:
     """The scores of a fold that is done, if they are for the same domains."""
     try:
         scores = read_json(job.out / "scores.json")

@@ -156,13 +156,12 @@ def plot(out: Path, history: list[Epoch]) -> None:
     """Training loss and the score over the epochs (the paper's Fig. 4)."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 5), layout="constrained")
-    epochs, score = [e.epoch + 1 for e in history], next(iter(history[0].validation))
-    curves = {"training windows, loss": [e.train_loss for e in history]}
-    curves[f"validation flights, {score}"] = [e.score for e in history]
-    for axes, (label, values) in zip(figure.subplots(2, sharex=True), curves.items(), strict=True):
-        axes.semilogy(epochs, values)
-        axes.set(ylabel=label)
+    above, below = (figure := Figure(figsize=(7, 5), layout="constrained")).subplots(2, sharex=True)
+    epochs = [e.epoch + 1 for e in history]
+    above.semilogy(epochs, [e.train_loss for e in history])
+    above.set(ylabel="loss on training windows")
+    below.semilogy(epochs, [e.score for e in history])
+    below.set(ylabel=f"{next(iter(history[0].validation))} on validation flights", xlabel="epoch")
+    for axes in (above, below):
         axes.grid(alpha=0.3)
-    axes.set(xlabel="epoch")
     save_figure(out / "curve.png", figure, dpi=150, bbox_inches="tight")
