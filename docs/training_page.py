@@ -19,7 +19,7 @@ from estimators.metrics import attitude_error
 from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking, real_weights
 from estimators.networks.symmetry import weight_sharing
 from estimators.networks.weights_file import Tensors, load_network, parameters, shipped_names
-from training.config import TrainConfig, make_config
+from training.config import make_config
 from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K
 
 Array = NDArray[np.float64]
