@@ -52,7 +52,7 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
     model, _, _ = network(encoding, hidden, seed)
     rng = np.random.default_rng(seed)
     for name in model.matrices:
-        drawn = model.shared(name, rng.random(tuple(getattr(model, name).shape)))
+        drawn = np.abs(model.shared(name, rng.random(tuple(getattr(model, name).shape))))
         getattr(model, f"{name}_connected").mul_(torch.from_numpy(drawn < share))
     model.constrain()
     whole = exported(model, recipe(encoding, hidden, seed), 200.0, {})
