@@ -34,7 +34,7 @@ SOLVED_TAUS = {
 AFTER_SPIKE = -0.02
 """Its after-spike weights: a little adaptation."""
 FAN_IN = 25
-"""Encoders that each of its hidden neurons reads."""
+"""Encoders that each hidden neuron of a solved network reads."""
 
 
 def initialise_random(model: AttSNN, seed: int) -> None:
@@ -64,6 +64,7 @@ def initialise_from_data(
     target: NDArray[np.floating],
     seed: int,
     steps_per_sample: int = 1,
+    fan_in: int = FAN_IN,
 ) -> None:
     """Solve, not train, a network: a leaky integrator over random features of the input.
 
@@ -78,6 +79,7 @@ def initialise_from_data(
         target: Of the outputs, shape (n, T, outputs).
         seed: Of the random directions.
         steps_per_sample: Network steps for each sample: the slow time constants are that much longer.
+        fan_in: Encoders that each hidden neuron reads.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     initialise_taus(model, SOLVED_TAUS, rng, steps_per_sample)
@@ -85,7 +87,7 @@ def initialise_from_data(
     w_in = random_encoders(x, model.tau("syn0").detach().numpy(), 5, rng)  # none for the vertical force alone
     w_ff = np.zeros((h1, h0))
     for row in w_ff:
-        read_some(row, np.arange(h0), rng)
+        read_some(row, np.arange(h0), rng, fan_in)
     w_rec = sparse_recurrence(h1, rng)
     model.set_weights("w_in", w_in)
     model.constrain()
@@ -142,9 +144,11 @@ def random_encoders(
     )
 
 
-def read_some(row: NDArray[np.float64], sources: NDArray[np.int64], rng: np.random.Generator) -> None:
+def read_some(
+    row: NDArray[np.float64], sources: NDArray[np.int64], rng: np.random.Generator, fan_in: int = FAN_IN
+) -> None:
     """Draw a hidden neuron's weights from a few of the sources; the others in `row` stay."""
-    chosen = rng.choice(sources, min(FAN_IN, sources.size), replace=False)
+    chosen = rng.choice(sources, min(fan_in, sources.size), replace=False)
     row[chosen] = rng.normal(size=chosen.size)
 
 

@@ -41,7 +41,7 @@ def network(encoding, hidden, seed=0, outputs="roll-pitch"):
         after_spike=config.after_spike,
     )
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
-    initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed)
+    initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed, fan_in=8)
     return model, *exported(model, config, 200.0, {})
 
 
