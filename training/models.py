@@ -34,8 +34,9 @@ ROWS |= {"w_ff": 1, "w_rec": 1, "w_after": 1}
 """For parameters with a row for each neuron of a layer: 0 encoding, 1 hidden."""
 MEMBRANE = {"w_in": "mem0", "w_ff": "mem1", "w_rec": "mem1", "w_after": "mem1", "w_out": "mem2"}
 """Membrane time constants of the neurons that a matrix leads to."""
-OUTPUT_SCALES: dict[NetworkOutputs, float] = {"roll-pitch": 1.0, "up": 1 / 128, "angular-acceleration": 32.0}
-"""Radians, parts of a unit vector or rad/s² for an output potential of 1.0 of a new network."""
+PAPER_SCALE, SOLVED_SCALE, CONTROL_SCALE = 1.0, 1 / 128, 32.0
+"""Radians, parts of a unit vector or rad/s² for an output potential of 1.0 of a new network. The slow outputs
+of a solved attitude estimator need the small one: their weights would be below a step of the chip's."""
 LEAST_DECAY = 1 / 4096
 """Of a current or membrane, in a step."""
 
@@ -223,11 +224,12 @@ class AttSNN(nn.Module):
 
 def new_att_snn(config: TrainConfig, given: tuple[int, int] = (0, 0)) -> AttSNN:
     """The network of a run, all connections and no values, after `given` neurons of both layers."""
+    scale = SOLVED_SCALE if config.initialisation == "solved" else PAPER_SCALE
     return AttSNN(
         given[0] + config.encoding,
         given[1] + config.hidden,
         Fused(config.quantised, config.recurrent_delay, config.threads),
-        OUTPUT_SCALES[config.outputs],
+        CONTROL_SCALE if config.controls else scale,
         config.symmetric,
         config.outputs,
         config.finest_exponent,

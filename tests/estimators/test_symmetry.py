@@ -16,7 +16,7 @@ from quadsim.rotation import roll_pitch_of_up
 from training.config import make_config
 from training.fused import Fused
 from training.init import initialise_from_data
-from training.models import OUTPUT_SCALES, AttSNN
+from training.models import SOLVED_SCALE, AttSNN
 from training.run_folder import exported
 
 G = 9.81
@@ -35,7 +35,7 @@ def network(encoding, hidden, seed=0, outputs="roll-pitch"):
         hidden,
         Fused(),
         symmetric=True,
-        output_scale=OUTPUT_SCALES[outputs],
+        output_scale=SOLVED_SCALE,
         outputs=outputs,
         finest_exponent=config.finest_exponent,
         after_spike=config.after_spike,

@@ -5,11 +5,11 @@ import torch
 from estimators.networks.weights_file import load_network
 from training.fused import Fused
 from training.init import initialise_from_data, initialise_from_weights, initialise_random
-from training.models import CURRENT_MAX, OUTPUT_SCALES, AttSNN
+from training.models import CURRENT_MAX, SOLVED_SCALE, AttSNN
 
 
 def test_a_sensor_upside_down_is_within_the_range_of_the_outputs():
-    model = AttSNN(24, 24, Fused(), OUTPUT_SCALES["up"], outputs="up")
+    model = AttSNN(24, 24, Fused(), SOLVED_SCALE, outputs="up")
     x = np.round(np.random.default_rng(0).normal(size=(2, 600, 6)).cumsum(1) * 20) / 1024
     initialise_from_data(model, x, np.broadcast_to([0.0, 0.0, -1.0], (2, 600, 3)), seed=0)
     up = model(torch.from_numpy(x))[0].detach().numpy()[:, 300:].mean((0, 1))
