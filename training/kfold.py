@@ -45,10 +45,6 @@ class Job:
     out: Path
 
 
-FOLDED = ("model", "preset", "data", "validation", "folds", "fold", "seed")
-"""Fields that a cross-validation sets itself, or has an argument for."""
-
-
 def kfold(
     domains: Sequence[str | Path],
     out: str | Path,
