@@ -169,9 +169,10 @@ def check(pages: Sequence[Page]) -> list[str]:
     """Pages that were edited since they were made; prints those that are older than their code."""
     edited = []
     for page in pages:
-        stamp = read_stamp(page.path)
-        if page.digest(split(page.path.read_text("utf-8"))[1]) != stamp["text"]:
-            edited.append(f"{page.path.name}: edited since it was made; {stamp['command']}")
+        text = page.path.read_text("utf-8")
+        stamp = STAMP.search(text)
+        if stamp is None or page.digest(split(text)[1]) != stamp["text"]:
+            edited.append(f"{page.path.name}: edited since it was made; python docs/pages.py {page.name}")
         elif stamp["code"] != page.code:
             print(f"{page.path.name}: made at {stamp['commit']}, older than its code")
     return edited
