@@ -19,11 +19,12 @@ import numpy as np
 
 import estimators
 import quadsim  # noqa: F401  registers the environment
-from quadsim.engine import vehicle_model
 from quadsim.flight.mission import Mission
+from quadsim.flight.recipe import Recipe
 from quadsim.flight.scenario import load_scenario
-from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
+from quadsim.motion.engine import vehicle_model
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import fly
 
@@ -127,7 +128,7 @@ def cell(estimator: str, n: int = 20) -> Job:
 
 def all_jobs() -> dict[str, Job]:
     """What is timed, by name; the first two are those that ratios are to."""
-    config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.0)
+    config = Recipe(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.0)
     seeds = np.random.SeedSequence(0).spawn(64)
     model = vehicle_model(config.vehicle, 1 / RATE, "RK4", contact=False)
     on_mujoco = config.model_copy(update={"engine": "mujoco"})

@@ -30,7 +30,7 @@ from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.flights import load_flights
 from estimators.metrics import Summary, attitude_error
 from quadsim.estimator import AttitudeEstimator
-from quadsim.imu.spec import load_imu
+from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.imu.stream import simulate_imu_with_bias
 from quadsim.rotation import quat_rotate_inverse, wxyz_from_xyzw
 from quadsim.runs.files import replace
@@ -43,6 +43,7 @@ Make = Callable[[Vehicle], AttitudeEstimator]
 """Makes an estimator for an airframe."""
 
 RATE_HZ = 200.0
+ADIS16448 = load_imu("adis16448")
 WARMUP_S, DURATION_S = 4.0, 60.0
 """Simulated before recording, and recorded [s]."""
 AIRFRAMES: dict[str, dict[str, Any]] = {
@@ -207,24 +208,24 @@ def stored(plan: Plan, file: Path) -> dict[str, Array]:
 
 
 @cache
-def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
+def foreign(airframe: str, data: Path, imu: ImuSpec = ADIS16448) -> xr.Dataset:
     """RotorPy's flights of an airframe as one of our datasets.
 
     Args:
         airframe: One of `AIRFRAMES`.
         data: Folder of the datasets; flights are stored in `rotorpy/` in it.
-        imu: A shipped IMU, which is switched on when recording begins.
+        imu: The IMU, which is switched on when recording begins.
     """
     plans = PLANS[airframe]
     jobs = {plan: (plan, data / "rotorpy" / f"{airframe}-{plan.seed}.npz") for plan in plans}
     flown = dict(run_jobs(stored, jobs))
     truth = {name: np.stack([flown[plan][name] for plan in plans]) for name in flown[plans[0]]}
-    spec, seeds = load_imu(imu), [np.random.SeedSequence(plan.seed) for plan in plans]
+    seeds = [np.random.SeedSequence(plan.seed) for plan in plans]
     motion = truth["ang_vel"], truth["specific_force"]
-    readings = simulate_imu_with_bias(spec, *motion, RATE_HZ, seeds, rotor_vel=truth["rotor_vel"])
+    readings = simulate_imu_with_bias(imu, *motion, RATE_HZ, seeds, rotor_vel=truth["rotor_vel"])
     last = {"quat": "quat_axis", "rotor_vel": "rotor"}
     everything = truth | dict(zip(("gyro", "accel", "gyro_bias", "accel_bias"), readings, strict=True))
-    config = {"vehicle": vehicle(airframe).model_dump(mode="json"), "imu": spec.model_dump(mode="json")}
+    config = {"vehicle": vehicle(airframe).model_dump(mode="json"), "imu": imu.model_dump(mode="json")}
     return xr.Dataset(
         {name: (("flight", "time", last.get(name, "axis")), values) for name, values in everything.items()},
         {"wind_model": ("flight", [plan.wind for plan in plans])},
@@ -235,7 +236,7 @@ def foreign(airframe: str, data: Path, imu: str = "adis16448") -> xr.Dataset:
 def foreign_error(
     make: Make,
     data: Path,
-    imu: str = "adis16448",
+    imu: ImuSpec = ADIS16448,
     *,
     measure: Callable[[Array, Array], Summary] = attitude_error,
     known: bool = False,
@@ -246,7 +247,7 @@ def foreign_error(
     Args:
         make: Makes the estimator, given RotorPy's constants of the airframe.
         data: Folder of the datasets.
-        imu: A shipped IMU.
+        imu: The IMU.
         measure: From estimate and truth (n, T, 2) [rad] to the error of each flight.
         known: Whether the initial attitude is given.
         count: Flights of each airframe, or all.
@@ -259,7 +260,7 @@ def foreign_error(
     return float(np.mean(np.concatenate(errors)))
 
 
-def foreign_cell(name: str, make: Make, data: Path, imu: str = "adis16448", **how: Any) -> str:
+def foreign_cell(name: str, make: Make, data: Path, imu: ImuSpec = ADIS16448, **how: Any) -> str:
     """`foreign_error` as tables show it, of a network with that of the silenced network beside it."""
     text = f"{foreign_error(make, data, imu, **how):.2f}"
     twin = silenced_twin(name)

@@ -11,7 +11,7 @@ from pages import Page, Parts, row
 from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import FlightConfig, flight_config, load_recipe
+from quadsim.flight.recipe import Recipe, load_recipe
 from quadsim.identify import Flight, Identified, flights_of, identify, noise_in_flight
 from quadsim.identify.model import UNITS, constant, with_constants
 from quadsim.identify.noise import RESTING, at_rest, in_the_air
@@ -27,12 +27,12 @@ LOGS = ("log10", "log15", "log16")
 DRAWN = "log15"
 
 
-def config_of(airframe: str, trajectory: str) -> FlightConfig:
+def config_of(airframe: str, trajectory: str) -> Recipe:
     """Still air and the ADIS16448, on the trajectory of a recipe."""
-    config = flight_config(load_recipe("hummingbird"))
+    config = load_recipe("hummingbird")
     changes = {
         "vehicle": load_vehicle(airframe),
-        "trajectory": flight_config(load_recipe(trajectory)).trajectory,
+        "trajectory": load_recipe(trajectory).trajectory,
     }
     return config.model_copy(update=changes)
 

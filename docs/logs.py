@@ -27,7 +27,8 @@ from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
+from quadsim.flight.scenario import changed
 from quadsim.imu.spec import load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.logs.allan import calibrate, draw
@@ -57,7 +58,7 @@ ROUGH = (("robust", "hummingbird", 40), ("robust", "px4-quad", 41), ("robust", "
 
 def info(folder: Path) -> str:
     """`quadsim report` on a flight that has lost samples."""
-    data = generate(flight_config(load_recipe("hummingbird")), 1, 20.0, folder / "x.zarr", seed=1, workers=1)
+    data = generate(load_recipe("hummingbird"), 1, 20.0, folder / "x.zarr", seed=1, workers=1)
     csv = export(data, folder / "flight", "csv") / "flight_000" / "mav0" / "imu0" / "data.csv"
     rows = csv.read_text().splitlines(keepends=True)
     csv.write_text("".join(rows[:1000] + rows[1050:2000] + rows[2001:3000] + rows[3001:]))
@@ -176,9 +177,9 @@ def simulated_rows(data: Path) -> list[str]:
 
 def flights(data: Path, recipe: str, vehicle: str, seed: int) -> tuple[Path, str]:
     """Flights on which nothing is trained, and their vehicle; those of an earlier run if they are there."""
-    chosen = load_recipe(recipe).model_copy(update={"vehicle": vehicle})
+    chosen = changed(load_recipe(recipe), {"vehicle": vehicle})
     path = data / f"docs-{recipe}-{vehicle}.zarr"
-    return generate(flight_config(chosen), FLIGHTS, 100.0, path, seed=seed, workers=1), vehicle
+    return generate(chosen, FLIGHTS, 100.0, path, seed=seed, workers=1), vehicle
 
 
 def rmse(est: AttitudeEstimator, path: Path, bias: Array) -> float:

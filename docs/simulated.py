@@ -11,7 +11,8 @@ from estimators.evaluation.flights import Flights
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
+from quadsim.flight.scenario import changed
 
 DURATION_S = 100.0
 
@@ -46,8 +47,8 @@ def simulated(name: str, data: Path) -> xr.Dataset:
     made = SETS[name]
     recipe = load_recipe(made.recipe)
     if made.imu is not None:
-        recipe = recipe.model_copy(update={"imu": made.imu})
-    path = generate(flight_config(recipe), made.flights, DURATION_S, data / f"{name}.zarr", seed=made.seed)
+        recipe = changed(recipe, {"imu": made.imu})
+    path = generate(recipe, made.flights, DURATION_S, data / f"{name}.zarr", seed=made.seed)
     return open_dataset(path)
 
 

@@ -12,7 +12,7 @@ from scipy.signal import welch
 from quadsim.control.gains import loop_margins
 from quadsim.dataset.figures import STYLE, plot
 from quadsim.dataset.generation import generate
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.imu.spec import Sensor, load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.plant import Plant
@@ -106,7 +106,7 @@ def margin_rows() -> list[str]:
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     matplotlib.rcParams.update(STYLE)
-    config = flight_config(load_recipe("hummingbird"))
+    config = load_recipe("hummingbird")
     flights = page.root / "docs" / "img" / "flights.png"
     plot(generate(config, 8, 100.0, given.data / "docs-flights.zarr", seed=0), flights)
     reduce_colours(flights, 48)

@@ -26,7 +26,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 import quadsim  # noqa: F401  registers the environment
-from quadsim.control.cascade import Level
+from quadsim.control.records import Level
 from quadsim.dataset.figures import STYLE
 from quadsim.flight.scenario import load_scenario
 from quadsim.runs.files import save_figure, write_csv

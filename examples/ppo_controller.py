@@ -34,7 +34,7 @@ from estimators.control.controller import SpikingController
 from estimators.control.weights import ControllerWeights, load_controller, save_controller
 from estimators.networks.network import real_weights
 from quadsim.flight.loop import FlightLoop
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 from quadsim.seeding import child
@@ -81,7 +81,7 @@ class Flights:
 
     def __init__(self, n: int, seed: int, inertia: float = INERTIA) -> None:
         self.n, self.seed, self.inertia = n, seed, inertia
-        self.recipe = flight_config(load_recipe("control"))
+        self.recipe = load_recipe("control")
 
     def begin(self) -> None:
         """Draw vehicles and set-points, and start."""

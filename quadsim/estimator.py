@@ -38,11 +38,6 @@ class Readings(NamedTuple):
         """Call an `update` or a `sequence` with the sensors beside the IMU that it accepts."""
         return update(self.gyro, self.accel, **{name: getattr(self, name) for name in accepted})
 
-    def give_copies(self, update: Callable[..., Array], accepted: Iterable[str]) -> Array:
-        """`give` copies, which a user's code may keep or change."""
-        others = {name: None if (each := getattr(self, name)) is None else each.copy() for name in accepted}
-        return update(self.gyro.copy(), self.accel.copy(), **others)
-
 
 OTHERS = Readings._fields[2:]
 """Sensors beside the IMU."""
@@ -68,13 +63,18 @@ def accepted_sensors(update: Callable[..., object]) -> tuple[str, ...]:
 
 
 def roll_pitch_of(returned: object, shape: tuple[int, ...], name: str, call: str = "update") -> Array:
-    """What an estimator returned, as roll and pitch [rad] in double precision.
+    """What an estimator returned, as roll and pitch [rad] in double precision, see `numbers_of`."""
+    return numbers_of(returned, shape, f"{name}: {call}", "roll and pitch [rad]")
+
+
+def numbers_of(returned: object, shape: tuple[int, ...], call: str, what: str) -> Array:
+    """What a user's code returned, in double precision.
 
     Args:
         returned: An array, or what makes one.
-        shape: The shape that it must have, (n, 2) or (n, T, 2).
-        name: Of the estimator, for the message.
-        call: What returned it.
+        shape: The shape that it must have.
+        call: What returned it, for the message.
+        what: What it must be, for the message.
 
     Raises:
         ValueError: It has another shape, is masked, or does not hold real numbers.
@@ -85,8 +85,8 @@ def roll_pitch_of(returned: object, shape: tuple[int, ...], name: str, call: str
     kind = "masked" if isinstance(returned, np.ma.MaskedArray) else str(array.dtype)
     if kind == "masked" or array.dtype.kind not in "fiu" or array.shape != shape:
         raise ValueError(
-            f"{name}: {call} returns a {kind} array of shape {array.shape}; roll and pitch [rad], real "
-            f"numbers of shape {shape}, are required"
+            f"{call} returns a {kind} array of shape {array.shape}; {what}, real numbers of shape {shape}, "
+            "are required"
         )
     return array.astype(np.float64)
 

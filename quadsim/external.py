@@ -78,7 +78,7 @@ class ExternalSensor:
         """Replace the true position, velocity and yaw of the next sample by the newest available measurement.
 
         Args:
-            state: (n,) records of `quadsim.control.cascade.MEASURED`; `k` = 0 resets a vehicle.
+            state: (n,) records of `quadsim.control.records.MEASURED`; `k` = 0 resets a vehicle.
         """
         if _deliver(self._sensors, self._noise, self._queue, state):
             self._draw(np.flatnonzero(self._sensors["next_noise"] == BLOCK))

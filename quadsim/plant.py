@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import ENGINES, SAMPLE_RATE, Engine
-from .engine import MujocoEngine, is_free_body, vehicle_model
-from .free_body import advance
+from .motion.engine import MujocoEngine, is_free_body, vehicle_model
+from .motion.free_body import advance
+from .motion.rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
 from .rotation import euler_core, rotate_inverse_core
-from .rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
 from .runs.compiled import njit
 from .vehicle import GRAVITY, Vehicle
 
@@ -137,7 +137,7 @@ class Plant:
         integrator: A MuJoCo integrator: "RK4", or "implicitfast", "Euler", "implicit".
         contact: Whether the ground can be touched: take-off, landing, crashes.
         engine: "mujoco"; "compiled", MuJoCo's RK4 of a free body, compiled; "auto", compiled where it can be.
-        records: (n,) records of `quadsim.rotors.vehicle_dtype` to use, for loops with larger records.
+        records: (n,) records of `quadsim.motion.rotors.vehicle_dtype` to use, for loops with larger records.
 
     Raises:
         ValueError: For a rate or a number of vehicles that is not positive, an unknown integrator or engine,
@@ -247,16 +247,15 @@ class Plant:
         """
         command = _rows("rotor_vel_cmd", rotor_vel_cmd, self.rotor_vel.shape, 0.0)
         self.wind[:] = _rows("wind", wind, (self.n, 3), 0.0)
-        if self.engine is None:
-            fly_all(self.vehicles, command, self.substeps)
-        else:
-            self.finish_move(command)
+        self.move(command)
         update_truth_all(self.vehicles)
         return self.state()
 
-    def finish_move(self, rotor_vel_cmd: Array) -> None:
-        """Move all vehicles over a sample by MuJoCo; specific force and angular acceleration stay behind."""
-        assert self.engine is not None
+    def move(self, rotor_vel_cmd: Array) -> None:
+        """Move all vehicles over a sample; specific force and angular acceleration stay behind."""
+        if self.engine is None:
+            fly_all(self.vehicles, rotor_vel_cmd, self.substeps)
+            return
         for i in range(self.substeps):
             if i:
                 update_truth_all(self.vehicles)

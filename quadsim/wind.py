@@ -7,8 +7,7 @@ has the standard deviation and the spectrum of the continuous process at any rat
 """
 
 import csv
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -17,12 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.special import gammainc
 
-from .config.ranges import SAMPLE_RATE, WIND, Between, Duration, Heading, Instant, Rising, Speed, Wind
+from .config.ranges import SAMPLE_RATE, WIND, Between, Duration, Instant, Rising, Speed, Wind
 from .config.toml import Strict, read_text
 from .runs.compiled import njit
 from .seeding import Seed, child, vehicle_seeds
 
 Array = NDArray[np.float64]
+Seeds = Sequence[np.random.SeedSequence]
 
 FOOT = 0.3048
 LOW_ALTITUDE = (10.0 * FOOT, 1000.0 * FOOT)
@@ -38,6 +38,10 @@ class Constant(Strict):
     velocity: Wind
     """Velocity of the air in world axes [m/s]."""
 
+    def series(self, time: Array) -> Array:
+        """Velocity of the air (T, 3) at times (T,) [s]."""
+        return np.broadcast_to(self.velocity, (*time.shape, 3))
+
 
 class Gust(Strict):
     """A 1−cosine gust (MIL-F-8785C 3.7.3): up, hold, and down again as it came."""
@@ -52,6 +56,15 @@ class Gust(Strict):
     hold: Instant | None = None
     """Time at the peak [s]; left out, the gust stays, as in the specification."""
 
+    def series(self, time: Array) -> Array:
+        """Velocity V_m / 2 (1 − cos(π (t − start) / rise)) while it rises (T, 3) at times (T,) [s]."""
+        elapsed = time - self.start
+        strength = 0.5 * (1.0 - np.cos(np.pi * np.clip(elapsed / self.rise, 0.0, 1.0)))
+        if self.hold is not None:
+            fallen = np.clip((elapsed - self.rise - self.hold) / self.rise, 0.0, 1.0)
+            strength *= 0.5 * (1.0 + np.cos(np.pi * fallen))
+        return strength[..., None] * np.array(self.velocity)
+
 
 class Dryden(Strict):
     """Dryden turbulence at low altitude (MIL-F-8785C), with zero mean."""
@@ -63,8 +76,11 @@ class Dryden(Strict):
     """Height above ground [m]; 3.05 m to 304.8 m are used."""
     wind_20ft: Speed
     """Wind speed at 20 ft [m/s], the strength: 7.7 light, 15.4 moderate, 23.2 severe."""
-    heading_deg: Heading = 0.0
-    """Direction of flight through the air, counter-clockwise from world x [deg]."""
+
+    def flights(self, time: Array, rate_hz: float, seeds: Seeds) -> Array:
+        """Velocity of the air (n, T, 3), a flight for each seed."""
+        numbers = self.airspeed, self.altitude, self.wind_20ft
+        return dryden(len(seeds), time.size, rate_hz, *numbers, seed=seeds)
 
 
 class Sinusoid(Strict):
@@ -76,6 +92,15 @@ class Sinusoid(Strict):
     period_s: Annotated[tuple[Duration, Duration], Rising]
     """Range of the periods [s], which are drawn log-uniformly."""
 
+    def flights(self, time: Array, rate_hz: float, seeds: Seeds) -> Array:
+        """Velocity A sin(2π t / T + φ) (n, T, 3), a flight for each seed, φ drawn uniformly."""
+        randoms = [np.random.default_rng(child(each, 0)) for each in seeds]
+        low, high = np.log(self.period_s)
+        period = np.exp([random.uniform(low, high, 3) for random in randoms])
+        phase = np.array([random.uniform(0.0, 2.0 * np.pi, 3) for random in randoms])
+        angle = 2.0 * np.pi * time[:, None] / period[:, None] + phase[:, None]
+        return np.array(self.amplitude) * np.sin(angle)
+
 
 class WindRecording(Strict):
     """Wind measured over time: a CSV file with the header `t,x,y,z` [s, m/s], linear between its rows."""
@@ -84,33 +109,16 @@ class WindRecording(Strict):
     path: str
     """The file; before its first row and after its last one these hold."""
 
+    def series(self, time: Array) -> Array:
+        """Velocity of the air (T, 3) at times (T,) [s]."""
+        times, winds = read_recording(self.path)
+        return np.stack([np.interp(time, times, column) for column in winds.T], axis=-1)
+
 
 WindSpec: TypeAlias = Annotated[
     Constant | Gust | Dryden | Sinusoid | WindRecording, Field(discriminator="kind")
 ]
 """Any wind of a TOML file, by its `kind`: "constant", "gust", "dryden", "sinusoid" or "file"."""
-
-
-def gust_one_minus_cosine(
-    time: ArrayLike, velocity: ArrayLike, start: float, rise: float, hold: float | None = None
-) -> Array:
-    """A 1−cosine gust, V_m / 2 (1 − cos(π (t − start) / rise)) while it rises (MIL-F-8785C 3.7.3).
-
-    Args:
-        time: Any shape (...) [s].
-        velocity: Velocity at the peak V_m, shape (3,) [m/s].
-        start: When it begins [s].
-        rise: Time from nothing to the peak [s].
-        hold: Time at the peak, after which it falls as it rose [s]; None for ever.
-
-    Returns:
-        Velocity of the air, shape (..., 3) [m/s].
-    """
-    elapsed = np.asarray(time, dtype=np.float64) - start
-    strength = 0.5 * (1.0 - np.cos(np.pi * np.clip(elapsed / rise, 0.0, 1.0)))
-    if hold is not None:
-        strength *= 0.5 * (1.0 + np.cos(np.pi * np.clip((elapsed - rise - hold) / rise, 0.0, 1.0)))
-    return strength[..., None] * np.asarray(velocity, dtype=np.float64)
 
 
 def dryden_scales(altitude: ArrayLike, wind_20ft: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -136,7 +144,6 @@ _TURBULENCE = np.dtype(
         ("l11", "f8", 3),  # Cholesky factor of the noise that one step adds
         ("l21", "f8", 3),
         ("l22", "f8", 3),
-        ("direction", "f8", 2),  # cosine and sine of the heading
         ("state", "f8", 5),  # u, v₁, v₂, w₁, w₂ of the next sample
     ],
     align=True,
@@ -144,22 +151,19 @@ _TURBULENCE = np.dtype(
 
 
 @njit(cache=True)
-def _add_turbulence(random, vehicles, vehicle, out):
-    """Add the turbulence of one vehicle to `out` (steps, 3) [m/s].
+def _add_turbulence(random, turbulence, out):
+    """Add turbulence, a record (1,), to `out` (steps, 3) [m/s], flying along x.
 
     Along the flight path H_u = σ √(2L/πV) / (1 + T s): x ← e^{−τ} x + √(1 − e^{−2τ}) n, output σ x. Across it
     H_v,w = σ √(L/πV) (1 + √3 T s) / (1 + T s)²: with x = (y, T ẏ) the transition over one step is
     Φ = e^{−τ} [[1 + τ, τ], [−τ, 1 − τ]] and the stationary covariance I (output σ/2 (x₁ + √3 x₂)), so the
     noise of one step has the covariance I − Φ Φᵀ, which is what Van Loan's integral gives.
     """
-    p = vehicles[vehicle]
+    p = turbulence[0]
     x = p.state
-    along, across = p.direction[0], p.direction[1]
     for step in range(out.shape[0]):
-        u = p.scale[0] * x[0]
-        v = p.scale[1] * (x[1] + 1.7320508075688772 * x[2])
-        out[step, 0] += along * u - across * v
-        out[step, 1] += across * u + along * v
+        out[step, 0] += p.scale[0] * x[0]
+        out[step, 1] += p.scale[1] * (x[1] + 1.7320508075688772 * x[2])
         out[step, 2] += p.scale[2] * (x[3] + 1.7320508075688772 * x[4])
         x[0] = p.decay[0] * x[0] + p.l11[0] * random.standard_normal()
         for axis in range(1, 3):
@@ -171,7 +175,7 @@ def _add_turbulence(random, vehicles, vehicle, out):
 
 
 def _turbulence(tau: Array) -> NDArray[np.void]:
-    """Records (n,) with transition and noise of one step, tau = dt / T (n, 3)."""
+    """Record (1,) with transition and noise of one step, tau = dt / T (1, 3)."""
     p, decay = np.zeros(len(tau), _TURBULENCE), np.exp(-tau)
     p["tau"], p["decay"] = tau, decay  # nothing below cancels where tau is small
     p["l11"] = np.sqrt(gammainc(3.0, 2.0 * tau))  # 1 − e^{−2τ} (1 + 2τ + 2τ²)
@@ -182,14 +186,7 @@ def _turbulence(tau: Array) -> NDArray[np.void]:
 
 
 def dryden(
-    n: int,
-    steps: int,
-    rate_hz: float,
-    airspeed: ArrayLike,
-    altitude: ArrayLike,
-    wind_20ft: ArrayLike,
-    seed: Seed,
-    heading: ArrayLike = 0.0,
+    n: int, steps: int, rate_hz: float, airspeed: float, altitude: float, wind_20ft: float, seed: Seed
 ) -> Array:
     """Dryden turbulence of zero mean, exact at any rate and stationary from the first sample (MIL-F-8785C).
 
@@ -197,11 +194,10 @@ def dryden(
         n: Number of vehicles.
         steps: Number of samples.
         rate_hz: Samples per second.
-        airspeed: Speed through the air, one or (n,) [m/s]; at least 1 m/s is used.
-        altitude: Height above ground, one or (n,) [m]; 3.05 m to 304.8 m are used.
-        wind_20ft: Wind speed at 20 ft, one or (n,) [m/s].
+        airspeed: Speed through the air, along world x [m/s]; at least 1 m/s is used.
+        altitude: Height above ground [m]; 3.05 m to 304.8 m are used.
+        wind_20ft: Wind speed at 20 ft [m/s].
         seed: Whole number, seed sequence, or one seed sequence per vehicle.
-        heading: Direction of flight through the air, counter-clockwise from world x, one or (n,) [rad].
 
     Returns:
         Velocity of the air in world axes, shape (n, steps, 3) [m/s].
@@ -212,41 +208,19 @@ def dryden(
     if n < 1 or steps < 0:
         raise ValueError(f"n={n}, steps={steps}; need n ≥ 1 and steps ≥ 0")
     SAMPLE_RATE.of("rate_hz", rate_hz)
-    speed = np.maximum(_per_vehicle("airspeed", airspeed, n), MIN_AIRSPEED)
-    height, strength = _per_vehicle("altitude", altitude, n), _per_vehicle("wind_20ft", wind_20ft, n)
-    length_u, length_w, sigma_u, sigma_w = dryden_scales(height, strength)
-    lengths = np.stack([length_u, length_u, length_w], axis=-1)
-    angle = _per_vehicle("heading", heading, n, lowest=-np.inf)
-    vehicles = _turbulence(speed[:, None] / (lengths * rate_hz))
-    vehicles["scale"] = np.stack([sigma_u, sigma_u / 2.0, sigma_w / 2.0], axis=-1)
-    vehicles["direction"] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    for name, value in (("airspeed", airspeed), ("altitude", altitude), ("wind_20ft", wind_20ft)):
+        if not 0.0 <= value < np.inf:
+            raise ValueError(f"{name} is {value}; it must be a finite number from 0 up")
+    length_u, length_w, sigma_u, sigma_w = dryden_scales(altitude, wind_20ft)
+    lengths = np.array([[length_u, length_u, length_w]])
+    turbulence = _turbulence(max(airspeed, MIN_AIRSPEED) / (lengths * rate_hz))
+    turbulence["scale"] = sigma_u, sigma_u / 2.0, sigma_w / 2.0
     wind = np.zeros((n, steps, 3))
     for vehicle, parent in enumerate(vehicle_seeds(seed, n)):
         random = np.random.default_rng(child(parent, 0))
-        vehicles["state"][vehicle] = random.standard_normal(5)
-        _add_turbulence(random, vehicles, vehicle, wind[vehicle])
+        turbulence["state"] = random.standard_normal(5)
+        _add_turbulence(random, turbulence, wind[vehicle])
     return wind
-
-
-def sinusoid(time: Array, amplitude: ArrayLike, period_s: tuple[float, float], seed: Seed, n: int) -> Array:
-    """Sinusoids A sin(2π t / T + φ) of n vehicles, T drawn log-uniformly and φ uniformly on each axis.
-
-    Args:
-        time: Shape (T,) [s].
-        amplitude: A on each axis, shape (3,) [m/s].
-        period_s: Range of T [s].
-        seed: Whole number, seed sequence, or one seed sequence per vehicle.
-        n: Number of vehicles.
-
-    Returns:
-        Velocity of the air in world axes, shape (n, T, 3) [m/s].
-    """
-    randoms = [np.random.default_rng(child(each, 0)) for each in vehicle_seeds(seed, n)]
-    low, high = np.log(period_s)
-    period = np.exp([random.uniform(low, high, 3) for random in randoms])
-    phase = np.array([random.uniform(0.0, 2.0 * np.pi, 3) for random in randoms])
-    angle = 2.0 * np.pi * time[:, None] / period[:, None] + phase[:, None]
-    return np.asarray(amplitude, dtype=np.float64) * np.sin(angle)
 
 
 def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, seed: Seed) -> Array:
@@ -262,17 +236,11 @@ def wind_series(specs: Sequence[WindSpec], n: int, steps: int, rate_hz: float, s
     wind, time = np.zeros((n, steps, 3)), np.arange(steps) / rate_hz
     parents, drawn = vehicle_seeds(seed, n), 0
     for spec in specs:
-        if not isinstance(spec, Dryden | Sinusoid):
-            wind += _function_of_time(spec)(time)
-            continue
-        seeds, drawn = [child(each, drawn) for each in parents], drawn + 1
-        if isinstance(spec, Sinusoid):
-            wind += sinusoid(time, spec.amplitude, spec.period_s, seeds, n)
-            continue
-        heading = np.radians(spec.heading_deg)
-        wind += dryden(
-            n, steps, rate_hz, spec.airspeed, spec.altitude, spec.wind_20ft, seed=seeds, heading=heading
-        )
+        if isinstance(spec, Dryden | Sinusoid):
+            wind += spec.flights(time, rate_hz, [child(each, drawn) for each in parents])
+            drawn += 1
+        else:
+            wind += spec.series(time)
     return wind
 
 
@@ -311,30 +279,3 @@ def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
     if len(numbers) != 4 or not np.all(np.isfinite(numbers)):
         raise ValueError(f'{path}, line {line}: "{",".join(row)}" is not four finite numbers t,x,y,z')
     return numbers
-
-
-def _function_of_time(spec: Constant | Gust | WindRecording) -> Callable[[Array], Array]:
-    """Wind (..., 3) [m/s] at times (...) [s] of a wind that is the same for every seed."""
-    match spec:
-        case Constant():
-            return lambda time: np.broadcast_to(spec.velocity, (*time.shape, 3))
-        case Gust():
-            return partial(
-                gust_one_minus_cosine,
-                velocity=spec.velocity,
-                start=spec.start,
-                rise=spec.rise,
-                hold=spec.hold,
-            )
-        case WindRecording():
-            times, winds = read_recording(spec.path)
-            return lambda time: np.stack([np.interp(time, times, column) for column in winds.T], axis=-1)
-
-
-def _per_vehicle(name: str, value: ArrayLike, n: int, lowest: float = 0.0) -> Array:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape not in ((), (1,), (n,)) or not np.all(np.isfinite(array) & (array >= lowest)):
-        raise ValueError(
-            f"{name} is {value}; it must be one finite number or {n} of them, from {lowest:g} up"
-        )
-    return np.broadcast_to(array, (n,))

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import estimators
 from quadsim.dataset.generation import generate
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.runs.files import write_csv
 
 from .bench.offline import OfflineRow, offline_errors, table_of
@@ -66,7 +66,7 @@ def demo(
     """
     out = Path(out).expanduser()
     names = [name for name in estimators.names() if name not in SLOW]
-    recipe, path = flight_config(load_recipe("hummingbird")), out / "flights.zarr"
+    recipe, path = load_recipe("hummingbird"), out / "flights.zarr"
     with stage("generate", "flights") as bar:
         generate(recipe, flights, DURATION_S, path, seed=seed, workers=workers, progress=bar, overwrite=True)
     with stage("fly", "cells") as bar:

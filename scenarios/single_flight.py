@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import estimators
-from quadsim.film import Marks, film
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario
-from quadsim.render import replay
+from quadsim.pictures.film import Marks, film
+from quadsim.pictures.render import replay
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 

@@ -10,6 +10,7 @@ import pytest
 
 from estimators import create
 from estimators.evaluation.flights import vehicle_of
+from quadsim.imu.spec import load_imu
 from quadsim.rotation import (
     euler_from_quat,
     quat_from_rotvec,
@@ -122,7 +123,7 @@ def test_waypoints_begin_at_rest_and_last_long_enough(foreign):
 
 
 def test_in_hover_the_accelerometer_reads_gravity_upwards(foreign, hovering, tmp_path):
-    dataset = foreign.foreign("hummingbird", tmp_path, "perfect")
+    dataset = foreign.foreign("hummingbird", tmp_path, load_imu("perfect"))
     np.testing.assert_allclose(dataset["accel"], np.broadcast_to(-GRAVITY, (1, 100, 3)), atol=1e-6)
     np.testing.assert_array_equal(dataset["gyro"], dataset["ang_vel"])
     assert vehicle_of(dataset) == foreign.vehicle("hummingbird")

@@ -16,7 +16,6 @@ from quadsim.config.ranges import Between, Delay, Force, Frequency, Rising, Shar
 from quadsim.config.toml import Strict
 from quadsim.imu.kernel import white_noise_sd
 from quadsim.runs.compiled import njit
-from quadsim.vehicle import GRAVITY
 
 Array = NDArray[np.floating]
 
@@ -24,8 +23,6 @@ VIBRATION_HZ = (60.0, 250.0)
 """Range of the frequency of a rotor, which the sampling folds."""
 WANDER_HZ = 3.0
 """Standard deviation of that frequency within a stream."""
-HAND_HELD_HZ = 1.0
-"""Corner of the accelerations of a hand-held sensor."""
 
 RateError = Annotated[float, Between(0.0, 10.0, "rad/s")]
 ForceError = Annotated[float, Between(0.0, 50.0, "m/s²")]
@@ -73,8 +70,6 @@ class Augmentation(Strict):
     """Share of the streams that lose samples."""
     drop_max: Share = 0.0
     """Largest share of a stream's samples that it loses, each by itself."""
-    hand_held: Share = 0.0
-    """Share of the streams with a hand-held sensor: the same attitudes, but no thrust in the force."""
 
 
 def augment(
@@ -109,8 +104,6 @@ def augment(
         ang_vel = _rotate(turn, ang_vel) * reflect * mirror
         specific_force = _rotate(turn, specific_force) * reflect
         up = _rotate(turn, up) * reflect
-    if augmentation.hand_held > 0:
-        specific_force = _hand_held(specific_force, up, augmentation.hand_held, rate_hz, rng)
     if augmentation.lever_arm_max > 0:
         specific_force = specific_force + _lever_arm(ang_vel, augmentation.lever_arm_max, rate_hz, rng)
     both = np.stack([ang_vel, specific_force])  # (2, n, T, 3)
@@ -155,21 +148,6 @@ def _lever_arm(ang_vel: Array, largest: float, rate_hz: float, rng: np.random.Ge
     arm = arm.astype(ang_vel.dtype)
     change = np.diff(ang_vel, axis=1, prepend=ang_vel[:, :1]) * ang_vel.dtype.type(rate_hz)
     return np.cross(change, arm) + np.cross(ang_vel, np.cross(ang_vel, arm))
-
-
-def _hand_held(
-    specific_force: Array, up: Array, share: float, rate_hz: float, rng: np.random.Generator
-) -> Array:
-    """Replace the thrust of some streams by gravity's reaction and low-passed accelerations of zero mean."""
-    rows = np.flatnonzero(rng.random(len(up)) < share)
-    acceleration = rng.standard_normal((rows.size, *up.shape[1:]), dtype=np.float32)
-    step = float(-np.expm1(-2 * np.pi * HAND_HELD_HZ / rate_hz))
-    for _ in range(2):
-        _low_pass(acceleration, np.full(rows.size, step))
-    acceleration /= max(float(acceleration.std()), 1e-9) if acceleration.size else 1.0
-    out = specific_force.copy()
-    out[rows] = GRAVITY * up[rows] + acceleration * rng.uniform(0, 2, (rows.size, 1, 1)).astype(np.float32)
-    return out
 
 
 def _vibration(

@@ -9,8 +9,7 @@ from pydantic import TypeAdapter
 
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import flight_config, load_recipe
-from quadsim.flight.simulate import FlightConfig
+from quadsim.flight.recipe import Recipe, load_recipe
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.trajectory.specs import Trajectory
 
@@ -25,7 +24,7 @@ def fly(
     folder: Path, inputs: Inputs, *, domain: str, trajectory: dict[str, Any] | None = None, **settings: Any
 ) -> None:
     """Generate flights of a domain, or on another trajectory with its vehicle; settings: of `generate`."""
-    config: FlightConfig = flight_config(load_recipe(DOMAINS[domain]))
+    config: Recipe = load_recipe(DOMAINS[domain])
     if trajectory:
         flown = TypeAdapter(Trajectory).validate_json(json.dumps(trajectory))
         config = config.model_copy(update={"trajectory": flown})

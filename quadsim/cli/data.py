@@ -33,12 +33,12 @@ def generate(
     """
     from ..dataset.generation import generate as generate_dataset
     from ..dataset.reading import dataset_info
-    from ..flight.recipe import Recipe, flight_config, load_recipe
+    from ..flight.recipe import Recipe, load_recipe
 
     changes = fields_of(set_)
     rate = parse({name: changes.pop(name) for name in ("rate",) if name in changes}, Sampling, "--set").rate
     changed = merged(load_recipe(recipe).model_dump(mode="json"), changes)
-    config = flight_config(parse(changed, Recipe, "--set"))
+    config = parse(changed, Recipe, "--set")
     with pool_of(workers) as (count, executor), progress_bar("generate", "flights") as progress:
         path = generate_dataset(
             config,

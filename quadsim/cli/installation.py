@@ -27,14 +27,14 @@ def compile_code() -> None:
 
     from ..dataset.generation import generate
     from ..dataset.reading import dataset_info
-    from ..flight.recipe import flight_config, load_recipe
+    from ..flight.recipe import load_recipe
 
     names = [name for name in estimators.names() if "filterpy" not in name]
     recipes = ("hummingbird", "windy")
 
     def simulate(folder: Path) -> None:
         for name in recipes:
-            dataset_info(generate(flight_config(load_recipe(name)), 4, 2.0, folder / name, workers=1))
+            dataset_info(generate(load_recipe(name), 4, 2.0, folder / name, workers=1))
 
     def fly(folder: Path) -> None:
         changes = ScenarioChanges(duration_s=0.1)

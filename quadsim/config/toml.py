@@ -34,7 +34,7 @@ def preset_names(folder: str) -> list[str]:
 
 
 def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
-    """Load a preset or a user's TOML file into a model.
+    """Load a preset or a user's TOML file into a model; paths in one of a flight count from its folder.
 
     Args:
         source: Name of a preset, or a path: anything that ends in `.toml` or contains a directory.
@@ -46,7 +46,8 @@ def load_toml(source: str | Path, folder: str, model: type[Model]) -> Model:
     """
     file = _find(source, folder)
     label = f"{folder}/{source}" if _is_preset(source) else str(source)
-    return parse(read_toml(read_text(file, label), label), model, label)
+    of_flights = folder in ("recipes", "scenarios") and not _is_preset(source)
+    return parse(read_toml(read_text(file, label), label), model, label, file.parent if of_flights else None)
 
 
 def read_toml(text: str, label: str) -> dict[str, Any]:
@@ -65,38 +66,23 @@ def read_toml(text: str, label: str) -> dict[str, Any]:
         raise ValueError(f"{label}: not valid TOML: {str(error).split(';')[0]}") from error
 
 
-def located(found: Model, source: str | Path) -> Model:
-    """A model with the relative paths in it taken from the folder of the file that it was loaded from.
+def _located(value: Any, folder: Path, key: str = "") -> Any:
+    """A file's tables with the relative paths in them taken from its folder.
 
-    Paths are texts in the fields `vehicle`, `imu` and `external`, unless they are names of presets, and in
-    the fields `path` and `function` of a part.
-
-    Args:
-        found: What `load_toml` made of it.
-        source: Name of a preset, which has no such paths, or a path.
+    Paths are texts in the keys `vehicle`, `imu` and `external`, unless they are names of presets, and in the
+    keys `path` and `function`.
     """
-    folder = Path(source).expanduser().parent
-    return found if _is_preset(source) else _located(found, folder)
-
-
-def _located(value: Any, folder: Path) -> Any:
-    if isinstance(value, tuple):
-        return tuple(_located(each, folder) for each in value)
-    if not isinstance(value, BaseModel):
-        return value
-    changes = {}
-    for name in type(value).model_fields:
-        inner = getattr(value, name)
-        if isinstance(inner, str):
-            if (
-                name == "path"
-                or (name == "function" and ".py:" in inner)
-                or (name in ("vehicle", "imu", "external") and not _is_preset(inner))
-            ):
-                changes[name] = str(folder / Path(inner).expanduser())
-        elif (moved := _located(inner, folder)) is not inner:
-            changes[name] = moved
-    return value.model_copy(update=changes) if changes else value
+    if isinstance(value, dict):
+        return {name: _located(inner, folder, name) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_located(inner, folder) for inner in value]
+    if isinstance(value, str) and (
+        key == "path"
+        or (key == "function" and ".py:" in value)
+        or (key in ("vehicle", "imu", "external") and not _is_preset(value))
+    ):
+        return str(folder / Path(value).expanduser())
+    return value
 
 
 def _is_preset(source: str | Path) -> bool:
@@ -131,18 +117,20 @@ def read_text(path: Path, label: str = "", most_mb: float = 1.0) -> str:
         raise ValueError(f"{label}: cannot be read: {error.strerror}") from error
 
 
-def parse(data: dict[str, object], model: type[Model], label: str) -> Model:
+def parse(data: dict[str, object], model: type[Model], label: str, folder: Path | None = None) -> Model:
     """Build a model from the tables of a TOML file; numbers in quotes and the like are not converted.
 
     Args:
         data: Content of the file.
         model: Model to build.
         label: What to call the data in an error, usually the file's name.
+        folder: Where relative paths in them begin; None leaves them as they are.
 
     Raises:
         ValueError: One line with the label, the key, its value and what is allowed.
     """
     try:
+        data = data if folder is None else _located(data, folder)
         return model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise ValueError(f"{label}: {describe(error, model)}") from error

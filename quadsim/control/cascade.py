@@ -18,8 +18,6 @@ state comes from an external position sensor.
 """
 
 import math
-from functools import cache
-from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,35 +25,9 @@ from numpy.typing import NDArray
 from ..rotation import from_euler_core, rotate_core, rotate_inverse_core
 from ..runs.compiled import njit
 from ..vehicle import GRAVITY, Gains, Vehicle
+from .records import ATTITUDE, POSITION, RATE, ROTOR, SET_POINT, Command, Level, controller_dtype
 
 Array = NDArray[np.float64]
-Command: TypeAlias = NDArray[Any]
-"""Floats, (n, width of the level), or records, (n,)."""
-Level = Literal["position", "velocity", "attitude", "rate", "rotor"]
-LEVELS: tuple[Level, ...] = get_args(Level)
-POSITION, VELOCITY, ATTITUDE, RATE, ROTOR = range(5)
-
-SET_POINT = np.dtype(
-    [
-        ("position", "f8", 3),
-        ("velocity", "f8", 3),
-        ("acceleration", "f8", 3),
-        ("yaw", "f8"),
-        ("yaw_rate", "f8"),
-    ]
-)
-"""What the position level follows, world axes; the velocity level takes its velocity and yaw."""
-MEASURED = np.dtype(
-    [
-        ("k", "i8"),  # count of samples since the vehicle started
-        ("position", "f8", 3),  # world [m]
-        ("velocity", "f8", 3),  # world [m/s]
-        ("yaw", "f8"),
-        ("roll_pitch", "f8", 2),  # estimated [rad]
-        ("gyro", "f8", 3),  # body rate, the last valid sample [rad/s]
-    ]
-)
-"""The state of a vehicle as its controller gets it."""
 
 MAX_TILT = math.radians(60.0)
 MAX_SPEED_ERROR = 5.0  # m/s that the position error may ask for
@@ -64,36 +36,6 @@ MAX_YAW_RATE = 2.0  # rad/s that the yaw error may ask for
 MAX_WIND_ACCELERATION = 6.0  # m/s², bound of the velocity integral: holds against 12 m/s of wind
 MAX_TRIM = 0.2  # bound of the rate integral over the largest angular acceleration
 IDLE = 0.05  # lowest rotor speed commanded in flight, over the highest
-
-
-@cache
-def controller_dtype(rotors: int) -> np.dtype:
-    """The record of one controller: its constants, its command, and its state."""
-    return np.dtype(
-        [
-            ("dt", "f8"),
-            ("gains", [(name, "f8") for name in Gains.model_fields]),
-            ("mass", "f8"),
-            ("inertia", "f8", 3),
-            ("max_ang_acc", "f8", 3),
-            ("max_rotor_vel", "f8"),
-            ("per_thrust", "f8", rotors),  # squared rotor speeds that make a unit of thrust,
-            ("per_roll", "f8", rotors),  # and of torque
-            ("per_pitch", "f8", rotors),
-            ("per_yaw", "f8", rotors),
-            ("attitude_cmd", "f8", 3),  # roll, pitch, yaw [rad]
-            ("rate_cmd", "f8", 3),  # body axes [rad/s]
-            ("thrust_cmd", "f8"),  # per mass [m/s²]
-            ("rotor_vel_cmd", "f8", rotors),  # the result [rad/s]
-            ("thrust_axis", "f8", 3),  # commanded by the levels above the rate, world axes
-            ("wind_acc", "f8", 3),  # integral of the velocity error, world axes [m/s²]
-            ("ang_acc_cmd", "f8", 3),  # commanded, body axes [rad/s²]
-            ("trim", "f8", 3),  # integral of the rate error, body axes [rad/s²]
-            ("last_axis", "f8", 3),  # thrust axis of the last set-point, world axes
-            ("has_last_axis", "i8"),
-        ],
-        align=True,
-    )
 
 
 @njit(cache=True)

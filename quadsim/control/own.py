@@ -10,10 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..estimator import numbers_of
 from ..own import named_errors
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
-from .cascade import ATTITUDE, ROTOR, actuate, attitude_set_point
+from .cascade import actuate, attitude_set_point
+from .records import ATTITUDE, ROTOR
 
 Array = NDArray[np.float64]
 
@@ -69,12 +71,11 @@ class InnerLoop:
     Args:
         controller: It.
         records: (n,) records with the fields `set_point`, `measured` and `controller`.
-        name: Of the controller, for messages.
     """
 
-    def __init__(self, controller: AttitudeController, records: NDArray[np.void], name: str = "") -> None:
+    def __init__(self, controller: AttitudeController, records: NDArray[np.void]) -> None:
         self.controller, self.records = controller, records
-        self.name = name or type(controller).__name__
+        self.name = type(controller).__name__
         self.set_point = np.zeros((len(records), 4))
         """Of the last sample, (n, 4)."""
         self._accel = np.zeros((len(records), 3))
@@ -112,25 +113,17 @@ class InnerLoop:
         guide_all(level, self.records, self.set_point)
         measured = self.records["measured"]
         self._accel = np.where(np.isfinite(accel), accel, self._accel)
-        given = (self.set_point, measured["gyro"], self._accel, measured["roll_pitch"])
+        given = self.set_point, measured["gyro"], self._accel, measured["roll_pitch"]
+        call = f"controller {self.name}: update"
         try:
-            returned = self.controller.update(*(np.array(each) for each in given))
-            action = np.asarray(returned)
+            returned = self.controller.update(*map(np.array, given))
         except (Exception, SystemExit) as error:  # whatever a user's class does
-            raise ValueError(
-                f"controller {self.name}: update ends with {type(error).__name__}: {error}"
-            ) from error
-        if action.shape != self.set_point.shape:
-            raise ValueError(
-                f"controller {self.name}: update returns an array of shape {action.shape}; angular "
-                f"acceleration [rad/s²] and thrust per mass [m/s²], {self.set_point.shape}, are required"
-            )
-        if action.dtype.kind not in "fiu" or isinstance(returned, np.ma.MaskedArray):
-            kind = "masked" if isinstance(returned, np.ma.MaskedArray) else action.dtype
-            raise ValueError(f"controller {self.name}: update returns a {kind} array, not real numbers")
+            raise ValueError(f"{call} ends with {type(error).__name__}: {error}") from error
+        what = "angular acceleration [rad/s²] and thrust per mass [m/s²]"
+        action = numbers_of(returned, self.set_point.shape, call, what)
         if not np.isfinite(action).all():
-            raise ValueError(f"controller {self.name}: update returns numbers that are not finite")
-        actuate_all(self.records, action.astype(np.float64, copy=False))
+            raise ValueError(f"{call} returns numbers that are not finite")
+        actuate_all(self.records, action)
         return ROTOR
 
 

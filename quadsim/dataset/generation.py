@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..config.ranges import steps_of
-from ..flight.simulate import FlightConfig
+from ..flight.recipe import Recipe
 from ..held_out import unreserved
 from ..runs.files import alone, drop_parts
 from ..runs.fingerprint import code_digest
@@ -32,7 +32,7 @@ ATTEMPTS = 4  # a worker may die this often
 
 
 def generate(
-    config: FlightConfig,
+    config: Recipe,
     flights: int,
     duration_s: float,
     out: str | Path,
@@ -88,7 +88,7 @@ def generate(
     return out
 
 
-def _plan(config: FlightConfig, flights: int, duration_s: float, seed: int, rate_hz: float) -> Plan:
+def _plan(config: Recipe, flights: int, duration_s: float, seed: int, rate_hz: float) -> Plan:
     return Plan(
         quadsim_version=version("quadsim"),
         seed=unreserved(_at_least("seed", seed, 0)),

@@ -29,7 +29,8 @@ from zarr.errors import ZarrUserWarning
 
 from ..config.ranges import Between, SampleRate
 from ..config.toml import Strict
-from ..flight.simulate import FlightConfig, simulate_flights
+from ..flight.recipe import Recipe
+from ..flight.simulate import simulate_flights
 from ..imu.spec import ImuSpec
 from ..runs.files import write_json, write_whole
 from ..runs.fingerprint import content_digest
@@ -103,7 +104,7 @@ class Plan(Strict):
     rate_hz: SampleRate
     code: str = ""
     """Digest of the code that simulates; none where the numbers are a sensor's."""
-    config: FlightConfig | Recorded
+    config: Recipe | Recorded
 
     @property
     def labels(self) -> dict[str, list[str]]:
@@ -187,7 +188,7 @@ def fly_batch(plan: Plan, folder: Path, flights: Sequence[int]) -> Sequence[int]
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not seen by a worker: the workers must share a file system")
-    assert isinstance(plan.config, FlightConfig)
+    assert isinstance(plan.config, Recipe)
     seeds = [np.random.SeedSequence(plan.seed, spawn_key=(flight,)) for flight in flights]
     log = simulate_flights(plan.config, seeds, plan.steps, plan.rate_hz)
     values = {name: np.asarray(log[name], dtype="<f4") for name in VARIABLES}

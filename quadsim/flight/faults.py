@@ -1,38 +1,30 @@
 """Faults: what goes wrong with sensors and vehicle in flight, each a small model chosen by `kind` in TOML.
 
 Sensor faults act on the readings of gyroscope and accelerometer after the IMU's own errors; they do not
-depend on the estimator. Vehicle faults act on the plant. Everything random is drawn from the flight's own
-seed.
+depend on the estimator. Those of the vehicle are in `vehicle_faults`. Everything random is drawn from the
+flight's own seed.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from ..config.ranges import (
-    Arm,
-    Between,
-    Duration,
-    Force,
-    ForceVector,
-    Frequency,
-    Instant,
-    Mass,
-    RateDeg,
-    Share,
-)
+from ..config.ranges import Between, Duration, Force, ForceVector, Frequency, Instant, RateDeg, Share
 from ..config.toml import Strict
 from ..estimator import Readings
 from ..imu.spec import ImuSpec
-from ..plant import Plant
 from ..seeding import Seed, child, vehicle_seeds
-from ..vehicle import MAX_ROTORS
+from .vehicle_faults import LeverArm, PayloadDrop, VehicleFault
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Corrupt: TypeAlias = Callable[[Readings, Counts], None]
+"""corrupt(readings, k): change samples (n, ·) in place, each vehicle at its own count k (n,)."""
+Randoms = list[np.random.Generator]
+"""One for each vehicle."""
 BiasDeg: TypeAlias = Annotated[float, Between(-4000.0, 4000.0, "°/s")]
 
 
@@ -50,6 +42,16 @@ class OnSensor(OnAxes):
     """Sensor that it acts on."""
 
 
+def _biased(gyro: ArrayLike, accel: ArrayLike, share: Callable[[Counts], Array]) -> Corrupt:
+    """Add to the biases, of which so much is there at each count of samples."""
+
+    def corrupt(readings: Readings, k: Counts) -> None:
+        readings.gyro[:] += share(k)[:, None] * np.asarray(gyro)
+        readings.accel[:] += share(k)[:, None] * np.asarray(accel)
+
+    return corrupt
+
+
 class GyroBiasStep(Strict):
     """The gyroscope's bias jumps."""
 
@@ -58,6 +60,10 @@ class GyroBiasStep(Strict):
     """Change of the bias, body axes [deg/s]."""
     at_s: Instant = 5.0
     """When [s]."""
+
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        start = round(self.at_s * rate_hz)
+        return _biased(np.radians(self.bias_deg), np.zeros(3), lambda k: (k >= start).astype(np.float64))
 
 
 class AccelBiasStep(Strict):
@@ -68,6 +74,10 @@ class AccelBiasStep(Strict):
     """Change of the bias, body axes [m/s²]."""
     at_s: Instant = 5.0
     """When [s]."""
+
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        start = round(self.at_s * rate_hz)
+        return _biased(np.zeros(3), self.bias, lambda k: (k >= start).astype(np.float64))
 
 
 class Vibration(OnAxes):
@@ -83,6 +93,17 @@ class Vibration(OnAxes):
     at_s: Instant = 0.0
     """From when on [s]."""
 
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        start, step = round(self.at_s * rate_hz), 2 * np.pi * self.frequency_hz / rate_hz
+        phase = np.stack([random.uniform(0, 2 * np.pi, 6) for random in randoms])
+
+        def corrupt(readings: Readings, k: Counts) -> None:
+            wave = (k >= start)[:, None] * np.sin(step * k[:, None] + phase)
+            readings.gyro[:] += np.radians(self.gyro_deg) * wave[:, :3]
+            readings.accel[:] += self.accel * wave[:, 3:]
+
+        return corrupt
+
 
 class Dropout(OnSensor):
     """Samples are lost: each with a probability, for a time of its own length. The estimator gets NaN."""
@@ -94,6 +115,19 @@ class Dropout(OnSensor):
     """Length of a dropout [s]; 0 for single samples."""
     at_s: Instant = 0.0
     """From when on [s]."""
+
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        start, length = round(self.at_s * rate_hz), max(round(self.length_s * rate_hz), 1)
+        left = np.zeros(len(randoms), dtype=np.int64)
+
+        def corrupt(readings: Readings, k: Counts) -> None:
+            left[k == 0] = 0
+            begins = np.array([random.random() < self.probability for random in randoms])
+            left[begins & (left == 0) & (k >= start)] = length
+            readings.gyro[left > 0] = readings.accel[left > 0] = np.nan
+            np.maximum(left - 1, 0, out=left)
+
+        return corrupt
 
 
 class Stuck(OnSensor):
@@ -107,6 +141,19 @@ class Stuck(OnSensor):
     every_s: Duration | None = None
     """Again after so long [s]; left out, once."""
 
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        start, length = round(self.at_s * rate_hz), max(round(self.length_s * rate_hz), 1)
+        period = np.inf if self.every_s is None else max(round(self.every_s * rate_hz), length + 1)
+        last = Readings(np.zeros((len(randoms), 3)), np.zeros((len(randoms), 3)))
+
+        def corrupt(readings: Readings, k: Counts) -> None:
+            stuck = (k >= start) & (k > 0) & ((k - start) % period < length)
+            for now, before in ((readings.gyro, last.gyro), (readings.accel, last.accel)):
+                now[stuck] = before[stuck]
+                before[:] = now
+
+        return corrupt
+
 
 class Saturation(OnAxes):
     """The measuring range is smaller than the motion."""
@@ -116,6 +163,16 @@ class Saturation(OnAxes):
     """Largest body rate that can be read [deg/s]."""
     accel: Annotated[float, Between(0.1, 1000.0, "m/s²")] | None = None
     """Largest specific force that can be read [m/s²]."""
+
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        rate = np.inf if self.gyro_deg is None else np.radians(self.gyro_deg)
+        force = np.inf if self.accel is None else self.accel
+
+        def corrupt(readings: Readings, k: Counts) -> None:
+            np.clip(readings.gyro, -rate, rate, out=readings.gyro)
+            np.clip(readings.accel, -force, force, out=readings.accel)
+
+        return corrupt
 
 
 class BiasRamp(Strict):
@@ -131,13 +188,10 @@ class BiasRamp(Strict):
     length_s: Duration = 10.0
     """How long it takes [s]."""
 
-
-class LeverArm(Strict):
-    """The IMU sits off the centre of mass, and nobody says so."""
-
-    kind: Literal["lever-arm"]
-    position: Arm
-    """Where, on top of the IMU's own, from the centre of mass in body axes [m]."""
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        start, length = round(self.at_s * rate_hz), self.length_s * rate_hz
+        rate = np.radians(self.gyro_deg)
+        return _biased(rate, self.accel, lambda k: np.clip((k - start) / length, 0.0, 1.0))
 
 
 class Delay(OnSensor):
@@ -147,59 +201,24 @@ class Delay(OnSensor):
     delay_s: Annotated[float, Between(0.0, 1.0, "s")]
     """By how much; rounded to whole samples [s]."""
 
+    def _corrupt(self, rate_hz: float, randoms: Randoms) -> Corrupt:
+        line = np.zeros((round(self.delay_s * rate_hz) + 1, len(randoms), 6))
 
-class PayloadDrop(Strict):
-    """The vehicle starts with a payload that its controller does not know of, and drops it."""
+        def corrupt(readings: Readings, k: Counts) -> None:
+            slots, rows = len(line), np.arange(len(k))
+            now = np.hstack([readings.gyro, readings.accel])
+            line[:, k == 0] = now[k == 0]
+            line[k % slots, rows] = now
+            oldest = line[(k + 1) % slots, rows]
+            readings.gyro[:], readings.accel[:] = oldest[:, :3], oldest[:, 3:]
 
-    kind: Literal["payload-drop"]
-    mass: Mass
-    """Mass of the payload [kg]."""
-    at_s: Instant = 5.0
-    """When it falls [s]."""
-
-
-class RotorLoss(Strict):
-    """One rotor gives less thrust from some time on: a chipped blade, a tired motor."""
-
-    kind: Literal["rotor-loss"]
-    rotor: Annotated[int, Between(0, MAX_ROTORS - 1)] = 0
-    """Which, in the order of the vehicle's file."""
-    effect: Share = 0.7
-    """Thrust left, as a share of a healthy rotor's."""
-    at_s: Instant = 5.0
-    """When [s]."""
-
-
-class LowBattery(Strict):
-    """All rotors fade as the battery does."""
-
-    kind: Literal["low-battery"]
-    effect: Share = 0.7
-    """Thrust left at the end, as a share."""
-    at_s: Instant = 2.0
-    """When it begins to fade [s]."""
-    fade_s: Duration = 10.0
-    """How long that takes [s]."""
-
-
-class GroundEffect(Strict):
-    """Near the ground the rotors give more thrust for the same speed: 1 / (1 − (R / 4z)²) times as much.
-
-    R is the rotors' radius, z the height of the centre of mass, at least R / 2. Cheeseman & Bennett, "The
-    effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021 (1955), in hover.
-    """
-
-    kind: Literal["ground-effect"]
+        return corrupt
 
 
 SensorFault: TypeAlias = (
     GyroBiasStep | AccelBiasStep | BiasRamp | Vibration | Dropout | Stuck | Saturation | Delay
 )
-VehicleFault: TypeAlias = PayloadDrop | RotorLoss | LowBattery | GroundEffect | LeverArm
 Fault: TypeAlias = Annotated[SensorFault | VehicleFault, Field(discriminator="kind")]
-
-Corrupt: TypeAlias = Callable[[Readings, NDArray[np.int64]], None]
-"""corrupt(readings, k): change samples (n, ·) in place, each vehicle at its own count k (n,)."""
 
 
 def sensor_faults(
@@ -218,13 +237,13 @@ def sensor_faults(
     seeds = vehicle_seeds(seed, n)
     chain = [
         _on_part(
-            fault, _corruption(fault, rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
+            fault, fault._corrupt(rate_hz, [np.random.default_rng(child(each, index)) for each in seeds])
         )
         for index, fault in enumerate(faults)
         if isinstance(fault, SensorFault)
     ]
 
-    def corrupt(readings: Readings, k: NDArray[np.int64]) -> None:
+    def corrupt(readings: Readings, k: Counts) -> None:
         for link in chain:
             link(readings, k)
 
@@ -272,57 +291,6 @@ def _label(fault: SensorFault | VehicleFault) -> str:
     return " ".join([fault.kind.replace("-", " "), *parts])
 
 
-class VehicleFaults:
-    """What the faults do to the plant: `apply` before every step, with every vehicle's count of samples."""
-
-    def __init__(self, faults: Sequence[SensorFault | VehicleFault], plant: Plant) -> None:
-        """Take the faults of the vehicle out of all; `any` tells whether there are some.
-
-        Raises:
-            ValueError: If a rotor fails that the vehicle does not have.
-        """
-        rotors = plant.rotor_vel.shape[1]
-        for fault in faults:
-            if isinstance(fault, RotorLoss) and fault.rotor >= rotors:
-                raise ValueError(f"faults: rotor = {fault.rotor}: this vehicle has rotors 0 to {rotors - 1}")
-        self._plant = plant
-        self._payloads = [fault for fault in faults if isinstance(fault, PayloadDrop)]
-        self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery | GroundEffect)]
-        self.any = bool(self._payloads or self._rotors)
-        self._empty = plant.vehicles["mass"].copy()
-        self._mass = self._empty
-
-    def restart(self, ids: NDArray[np.int64]) -> None:
-        """Give some vehicles the mass and the rotors that they have before `apply`."""
-        if self._payloads:
-            self._mass = self._mass.copy()
-            self._mass[ids] = self._empty[ids]
-            self._plant.set_mass(self._mass)
-        self._plant.rotor_effect[ids] = 1.0
-
-    def apply(self, k: NDArray[np.int64]) -> None:
-        """Set masses and rotors to what they are during the step from sample k (n,) on."""
-        time = k / self._plant.rate_hz
-        if self._payloads:
-            mass = self._empty + sum(fault.mass * (time < fault.at_s) for fault in self._payloads)
-            if not np.array_equal(mass, self._mass):
-                self._plant.set_mass(mass)
-                self._mass = mass
-        if self._rotors:
-            effect = self._plant.rotor_effect
-            effect[:] = 1.0
-            for fault in self._rotors:
-                if isinstance(fault, RotorLoss):
-                    effect[time >= fault.at_s, fault.rotor] *= fault.effect
-                elif isinstance(fault, GroundEffect):
-                    radius = self._plant.vehicle.frame.prop_radius
-                    height = np.maximum(self._plant.position[:, 2], radius / 2)
-                    effect /= (1.0 - (radius / (4.0 * height)) ** 2)[:, None]
-                else:
-                    faded = np.clip((time - fault.at_s) / fault.fade_s, 0.0, 1.0)
-                    effect *= 1.0 - (1.0 - fault.effect) * faded[:, None]
-
-
 def _on_part(fault: SensorFault, corrupt: Corrupt) -> Corrupt:
     """The same on the sensor and the axes of the fault alone."""
     sensor = getattr(fault, "sensor", "both")
@@ -331,101 +299,9 @@ def _on_part(fault: SensorFault, corrupt: Corrupt) -> Corrupt:
     if not (gyro.any() or accel.any()):
         return corrupt
 
-    def corrupt_part(readings: Readings, k: NDArray[np.int64]) -> None:
+    def corrupt_part(readings: Readings, k: Counts) -> None:
         before = readings.gyro[:, gyro], readings.accel[:, accel]
         corrupt(readings, k)
         readings.gyro[:, gyro], readings.accel[:, accel] = before
 
     return corrupt_part
-
-
-def _corruption(fault: SensorFault, rate_hz: float, random: list[np.random.Generator]) -> Corrupt:
-    """What one fault does to the readings of vehicles with these random numbers, one generator each."""
-    n = len(random)
-    start = 0 if isinstance(fault, Saturation | Delay) else round(fault.at_s * rate_hz)
-    length = max(round(fault.length_s * rate_hz), 1) if isinstance(fault, Dropout | Stuck) else 0
-    match fault:
-        case GyroBiasStep():
-            return partial(_add_bias, start, np.radians(fault.bias_deg), np.zeros(3))
-        case BiasRamp():
-            change = np.radians(fault.gyro_deg), np.array(fault.accel)
-            return partial(_ramp_bias, start, fault.length_s * rate_hz, *change)
-        case AccelBiasStep():
-            return partial(_add_bias, start, np.zeros(3), np.array(fault.bias))
-        case Vibration():
-            phase = np.stack([rng.uniform(0, 2 * np.pi, 6) for rng in random])
-            return partial(_vibrate, fault, start, 2 * np.pi * fault.frequency_hz / rate_hz, phase)
-        case Dropout():
-            return partial(_drop, fault.probability, start, length, np.zeros(n, dtype=np.int64), random)
-        case Stuck():
-            period = np.inf if fault.every_s is None else max(round(fault.every_s * rate_hz), length + 1)
-            return partial(_repeat, start, length, period, Readings(np.zeros((n, 3)), np.zeros((n, 3))))
-        case Saturation():
-            rate = np.inf if fault.gyro_deg is None else np.radians(fault.gyro_deg)
-            return partial(_saturate, rate, np.inf if fault.accel is None else fault.accel)
-        case Delay():
-            return partial(_delay, np.zeros((round(fault.delay_s * rate_hz) + 1, n, 6)))
-
-
-def _add_bias(
-    start: int, gyro_bias: Array, accel_bias: Array, readings: Readings, k: NDArray[np.int64]
-) -> None:
-    on = (k >= start)[:, None]
-    readings.gyro[:] += on * gyro_bias
-    readings.accel[:] += on * accel_bias
-
-
-def _ramp_bias(
-    start: int, length: float, gyro: Array, accel: Array, readings: Readings, k: NDArray[np.int64]
-) -> None:
-    share = np.clip((k - start) / length, 0.0, 1.0)[:, None]
-    readings.gyro[:] += share * gyro
-    readings.accel[:] += share * accel
-
-
-def _vibrate(
-    fault: Vibration, start: int, rate: float, phase: Array, readings: Readings, k: NDArray[np.int64]
-) -> None:
-    wave = (k >= start)[:, None] * np.sin(rate * k[:, None] + phase)
-    readings.gyro[:] += np.radians(fault.gyro_deg) * wave[:, :3]
-    readings.accel[:] += fault.accel * wave[:, 3:]
-
-
-def _drop(
-    probability: float,
-    start: int,
-    length: int,
-    left: NDArray[np.int64],
-    random: list[np.random.Generator],
-    readings: Readings,
-    k: NDArray[np.int64],
-) -> None:
-    left[k == 0] = 0
-    begins = np.array([rng.random() < probability for rng in random])
-    left[begins & (left == 0) & (k >= start)] = length
-    readings.gyro[left > 0] = readings.accel[left > 0] = np.nan
-    np.maximum(left - 1, 0, out=left)
-
-
-def _repeat(
-    start: int, length: int, period: float, last: Readings, readings: Readings, k: NDArray[np.int64]
-) -> None:
-    stuck = (k >= start) & (k > 0) & ((k - start) % period < length)
-    for now, before in ((readings.gyro, last.gyro), (readings.accel, last.accel)):
-        now[stuck] = before[stuck]
-        before[:] = now
-
-
-def _saturate(rate: float, force: float, readings: Readings, k: NDArray[np.int64]) -> None:
-    np.clip(readings.gyro, -rate, rate, out=readings.gyro)
-    np.clip(readings.accel, -force, force, out=readings.accel)
-
-
-def _delay(line: Array, readings: Readings, k: NDArray[np.int64]) -> None:
-    """Delay by the length of the line (samples + 1, n, 6), less one sample."""
-    slots, rows = len(line), np.arange(len(k))
-    now = np.hstack([readings.gyro, readings.accel])
-    line[:, k == 0] = now[k == 0]
-    line[k % slots, rows] = now
-    oldest = line[(k + 1) % slots, rows]
-    readings.gyro[:], readings.accel[:] = oldest[:, :3], oldest[:, 3:]

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from ..config.ranges import Between, Rising
 from ..config.toml import Strict
@@ -25,16 +24,14 @@ Slope = Annotated[float, Between(0.0, 30.0, "°")]
 class GroundStart(Strict):
     """A start on the ground; each flight draws its own numbers."""
 
-    stand_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
-        default=(1.0, 5.0), description="Range of the time at rest with rotors that stand [s]."
-    )
-    spin_up_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
-        default=(0.5, 3.0), description="Range of the time in which they reach their speed of flight [s]."
-    )
-    lift_off_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
-        default=(0.5, 1.5), description="Range of the time from rest to the motion of the flight [s]."
-    )
-    slope_deg: Slope = Field(default=4.0, description="Largest slope of the ground [deg].")
+    stand_s: Annotated[tuple[Stretch, Stretch], Rising] = (1.0, 5.0)
+    """Range of the time at rest with rotors that stand [s]."""
+    spin_up_s: Annotated[tuple[Stretch, Stretch], Rising] = (0.5, 3.0)
+    """Range of the time in which they reach their speed of flight [s]."""
+    lift_off_s: Annotated[tuple[Stretch, Stretch], Rising] = (0.5, 1.5)
+    """Range of the time from rest to the motion of the flight [s]."""
+    slope_deg: Slope = 4.0
+    """Largest slope of the ground [deg]."""
 
 
 def start_on_ground(

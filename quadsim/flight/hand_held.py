@@ -10,7 +10,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from ..config.ranges import Between, Rising
 from ..config.toml import Strict
@@ -41,18 +40,14 @@ UP = np.array([0.0, 0.0, 1.0])
 class HandHeld(Strict):
     """An IMU that is moved by hand; each flight draws its own root mean squares, log-uniformly."""
 
-    rate_deg_s: Annotated[tuple[Turn, Turn], Rising] = Field(
-        default=(20.0, 200.0), description="Range of the root mean square of the body rate, per axis [deg/s]."
-    )
-    acceleration: Annotated[tuple[Push, Push], Rising] = Field(
-        default=(0.3, 6.0), description="Range of that of the acceleration, per axis [m/s²]."
-    )
-    move_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
-        default=(5.0, 30.0), description="Range of the length of a motion [s]."
-    )
-    rest_s: Annotated[tuple[Stretch, Stretch], Rising] = Field(
-        default=(1.0, 8.0), description="Range of the length of a rest [s]."
-    )
+    rate_deg_s: Annotated[tuple[Turn, Turn], Rising] = (20.0, 200.0)
+    """Range of the root mean square of the body rate, per axis [deg/s]."""
+    acceleration: Annotated[tuple[Push, Push], Rising] = (0.3, 6.0)
+    """Range of that of the acceleration, per axis [m/s²]."""
+    move_s: Annotated[tuple[Stretch, Stretch], Rising] = (5.0, 30.0)
+    """Range of the length of a motion [s]."""
+    rest_s: Annotated[tuple[Stretch, Stretch], Rising] = (1.0, 8.0)
+    """Range of the length of a rest [s]."""
 
 
 def move_by_hand(spec: HandHeld, steps: int, rate_hz: float, seeds: Seeds) -> dict[str, Array]:

@@ -1,65 +1,87 @@
 """Recipes: what a dataset's flights are made of, as a TOML file of names and numbers."""
 
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
 
 from ..config.ranges import Between, Engine
-from ..config.toml import Strict, load_toml, located
-from ..imu.spec import load_imu
+from ..config.toml import Model, Strict, load_toml, parse
+from ..imu.spec import ImuSpec, load_imu
 from ..trajectory.specs import Mix, Trajectory
-from ..vehicle import Randomisation, load_vehicle
+from ..vehicle import Randomisation, Vehicle, load_vehicle
 from ..wind import WindSpec
 from .ground import GroundStart
 from .hand_held import HandHeld
-from .simulate import AttitudeError, FlightConfig
+
+
+class AttitudeError(Strict):
+    """Errors in the roll and pitch that the controller gets, as an estimator in the loop would make them.
+
+    First-order Gauss-Markov on each angle. The vehicle then swings as it does on a real estimator.
+    """
+
+    sd_deg: Annotated[float, Between(0.0, 15.0, "°")] = 0.0
+    """Standard deviation [deg]."""
+    time_s: Annotated[float, Between(1e-3, 60.0, "s")] = 0.3
+    """Correlation time [s]."""
+
+    def series(
+        self, n_steps: int, rate_hz: float, seeds: Sequence[np.random.SeedSequence]
+    ) -> NDArray[np.float64]:
+        """Errors of roll and pitch of one flight per seed, (n, steps, 2) [rad], stationary from the start."""
+        from scipy.signal import lfilter  # takes half a second
+
+        white = np.stack([np.random.default_rng(seed).normal(size=(n_steps, 2)) for seed in seeds])
+        decay = math.exp(-1.0 / (rate_hz * self.time_s))
+        white[:, 1:] *= math.sqrt(1.0 - decay**2)
+        return math.radians(self.sd_deg) * np.asarray(lfilter([1.0], [1.0, -decay], white, axis=1))
+
+
+def _by_name(load: Callable[[str], Model], model: type[Model]) -> BeforeValidator:
+    """Read in what is given by its name."""
+
+    def read(given: Any) -> Any:
+        if isinstance(given, str):
+            return load(given)
+        return parse(given, model, model.__name__) if isinstance(given, dict) else given
+
+    return BeforeValidator(read)
 
 
 class Recipe(Strict):
-    """A kind of flight to generate: a domain for training and testing."""
+    """A kind of flight to generate: a domain for training and testing, stored whole in every dataset."""
 
-    description: str = Field(description="What these flights are for, in a sentence.")
-    vehicle: str = Field(default="hummingbird", description="A shipped vehicle, or the path of a TOML file.")
-    imu: str = Field(default="adis16448", description="A shipped IMU, or the path of a TOML file.")
-    trajectory: Trajectory = Field(default=Mix(), description="What to fly.")
-    wind: tuple[WindSpec, ...] = Field(default=(), description="Winds, added up.")
-    randomisation: Randomisation = Field(
-        default=Randomisation(), description="Spread of the vehicle's numbers."
+    description: str = Field(default="", exclude=True)
+    """What these flights are for, in a sentence."""
+    vehicle: Annotated[Vehicle, _by_name(load_vehicle, Vehicle)] = Field(
+        default="hummingbird", validate_default=True
     )
-    attitude_error: AttitudeError = Field(
-        default=AttitudeError(), description="Error of the roll and pitch that the controller gets."
-    )
-    hand_held: HandHeld | None = Field(
-        default=None, description="Motion by hand, in place of a flight: the IMU alone, rotors at rest."
-    )
-    ground: GroundStart | None = Field(
-        default=None, description="A start at rest on the ground, before the flight; its end falls away."
-    )
-    engine: Engine = Field(
-        default="auto", description='Integrator of the motion: "mujoco", "compiled", or "auto".'
-    )
-    warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = Field(
-        default=4.0, description="Simulated before recording [s]."
-    )
+    """A shipped vehicle, or the path of a TOML file."""
+    imu: Annotated[ImuSpec, _by_name(load_imu, ImuSpec)] = Field(default="adis16448", validate_default=True)
+    """A shipped IMU, or the path of a TOML file."""
+    trajectory: Trajectory = Mix()
+    """What to fly."""
+    wind: tuple[WindSpec, ...] = ()
+    """Winds, added up."""
+    randomisation: Randomisation = Randomisation()
+    """Spread of the vehicle's numbers."""
+    attitude_error: AttitudeError = AttitudeError()
+    """Error of the roll and pitch that the controller gets."""
+    hand_held: HandHeld | None = None
+    """Motion by hand, in place of a flight: the IMU alone, rotors at rest."""
+    ground: GroundStart | None = None
+    """A start at rest on the ground, before the flight; its end falls away."""
+    engine: Engine = "auto"
+    """What integrates the motion: "mujoco", "compiled" (its scheme for free flight), or "auto"."""
+    warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0
+    """Simulated before recording, so that flights begin in motion [s]."""
 
 
 def load_recipe(source: str | Path) -> Recipe:
     """Read a recipe: a shipped name ("hummingbird") or a TOML file, from whose folder its paths count."""
-    return located(load_toml(source, "recipes", Recipe), source)
-
-
-def flight_config(recipe: Recipe) -> FlightConfig:
-    """The recipe with its vehicle and IMU read in: everything a flight depends on, in one model."""
-    return FlightConfig(
-        vehicle=load_vehicle(recipe.vehicle),
-        imu=load_imu(recipe.imu),
-        trajectory=recipe.trajectory,
-        wind=recipe.wind,
-        randomisation=recipe.randomisation,
-        attitude_error=recipe.attitude_error,
-        hand_held=recipe.hand_held,
-        ground=recipe.ground,
-        engine=recipe.engine,
-        warmup_s=recipe.warmup_s,
-    )
+    return load_toml(source, "recipes", Recipe)

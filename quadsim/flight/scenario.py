@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import ValidationError, model_validator
 
 from ..config.ranges import Between, Coordinate, Distance, Engine, Position, RateDeg, Speed
-from ..config.toml import Strict, describe, load_toml, located, preset_names
+from ..config.toml import Model, Strict, describe, load_toml, preset_names
 from ..trajectory.specs import Hover, Trajectory
 from ..wind import WindSpec
 from .faults import Fault
@@ -91,19 +91,19 @@ def load_scenario(source: str | Path) -> Scenario:
     Raises:
         ValueError: One line with the file, the key, its value and what is allowed.
     """
-    return located(load_toml(source, "scenarios", Scenario), source)
+    return load_toml(source, "scenarios", Scenario)
 
 
-def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """A scenario with some of its fields changed, and checked.
+def changed(spec: Model, changes: Mapping[str, Any]) -> Model:
+    """A scenario or a recipe with some of its fields changed, and checked.
 
     Raises:
         ValueError: A value that the field cannot have.
     """
     try:
-        return Scenario.model_validate(scenario.model_dump() | dict(changes))
+        return type(spec).model_validate(spec.model_dump() | dict(changes))
     except ValidationError as error:
-        raise ValueError(describe(error, Scenario)) from error
+        raise ValueError(describe(error, type(spec))) from error
 
 
 def scenario_names() -> list[str]:

@@ -74,7 +74,7 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     """Fit thrust, drag and lag of the rotors, drag of the frame and inertia of a vehicle to its flights.
 
     Both sides of Newton's and Euler's equations are low-passed alike, at 12 Hz: the accelerometer and the
-    derivative of the gyroscope on one side, `quadsim.rotors` on the other. Mass and geometry are the
+    derivative of the gyroscope on one side, `quadsim.motion.rotors` on the other. Mass and geometry are the
     start's: flights tell force per mass alone. Each flight has a bias of the accelerometer of its own.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
+from ..motion.rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
 from ..runs.compiled import njit
 from ..vehicle import Vehicle
 from .signals import Flight

@@ -54,7 +54,6 @@ class Lissajous(Strict):
         default=(1, 2, 1), description="Frequencies over the basic one."
     )
     period_s: Manoeuvre = Field(default=6.0, description="Period of the basic frequency [s].")
-    yaw_along: bool = Field(default=False, description="Turn the nose into the direction of flight.")
 
 
 class Waypoints(Strict):
@@ -140,16 +139,6 @@ class Mix(Strict):
         return self
 
 
-class Doublets(Strict):
-    """Tilt one way, then the other, on roll and pitch in turn: the identification manoeuvre."""
-
-    kind: Literal["doublets"] = "doublets"
-    position: Position = Field(default=(0.0, 0.0, 5.0), description="Start [m].")
-    tilt_deg: PeakTilt = Field(default=30.0, description="Peak tilt [deg].")
-    swing_s: Manoeuvre = Field(default=1.2, description="Length of one doublet [s].")
-    pause_s: Instant = Field(default=1.0, description="Hover between doublets [s].")
-
-
 class SetPointFile(Strict):
     """A user's set-points: CSV with columns t, x, y, z and optionally yaw [s, m, rad]; splined between."""
 
@@ -168,6 +157,6 @@ class OwnFunction(Strict):
 
 
 Trajectory = Annotated[
-    Hover | Step | Move | Lissajous | Waypoints | Mix | Doublets | SetPointFile | OwnFunction,
+    Hover | Step | Move | Lissajous | Waypoints | Mix | SetPointFile | OwnFunction,
     Field(discriminator="kind"),
 ]

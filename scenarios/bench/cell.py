@@ -16,8 +16,9 @@ from estimators.metrics import RANGE, flaw_of
 from estimators.registry import is_weights
 from estimators.tuned import load_tuning
 from quadsim.estimator import receives_truth
-from quadsim.flight.mission import CAUSES, Mission
+from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
+from quadsim.flight.world import CAUSES
 from quadsim.runs.files import read_json
 from quadsim.runs.fingerprint import content_digest
 from quadsim.seeding import vehicle_seeds

@@ -146,7 +146,7 @@ METRICS = tuple(Metric(*row) for row in (
 def write_row(loops, last_command, row):
     """Write one sample of n flights into `row` (n,), and the command into `last_command` (n, rotors).
 
-    loops: (n,) records of `quadsim.flight.loop.loop_dtype`.
+    loops: (n,) records of `quadsim.flight.world.loop_dtype`.
     """
     for i in range(row.shape[0]):
         out, p, c, target = row[i], loops[i].vehicle, loops[i].controller, loops[i].flight.target

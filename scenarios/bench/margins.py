@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.control.cascade import MEASURED, SET_POINT, Controller, follow_attitude
+from quadsim.control.cascade import Controller, follow_attitude
 from quadsim.control.own import AttitudeController, MakeController
+from quadsim.control.records import MEASURED, SET_POINT
 from quadsim.estimator import AttitudeEstimator
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadsim.render import Image, View, still
+from quadsim.pictures.render import Image, View, still
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import Vehicle, load_vehicle
 

@@ -21,7 +21,7 @@ from estimators.networks.network import OnLoihi
 from estimators.networks.weights_file import shipped_network
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.imu import load_imu
 from quadsim.rotation import quat_from_euler
 
@@ -32,7 +32,7 @@ FLIGHTS, EACH, NEURONS, TIMES, STEPS = 8, 12, 40, np.array([40, 200]), 200
 def simulated(tmp_path_factory):
     """Flights of 20 s with everything that there is to decode."""
     path = tmp_path_factory.mktemp("decoding") / "flights.zarr"
-    return open_dataset(generate(flight_config(load_recipe("hummingbird")), FOLDS, 20.0, path, seed=5))
+    return open_dataset(generate(load_recipe("hummingbird"), FOLDS, 20.0, path, seed=5))
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from estimators.filters.imm_model import (
 from estimators.metrics import absolute_error, inclination_error
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.imu.spec import RotorVibration
 from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample
@@ -70,7 +70,7 @@ def in_the_hand(seconds=20.0, speed=0.3):
 def flights(tmp_path_factory):
     """Ten aggressive flights of a Hummingbird, and the attitude that is true."""
     path = tmp_path_factory.mktemp("imm") / "flights.zarr"
-    data = open_dataset(generate(flight_config(load_recipe("varied")), 10, 30.0, path, seed=71, workers=1))
+    data = open_dataset(generate(load_recipe("varied"), 10, 30.0, path, seed=71, workers=1))
     gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
     return gyro, accel, roll_pitch_from_quat(quat)
 
@@ -84,7 +84,7 @@ def flight(flights):
 @pytest.fixture(scope="module")
 def shaken_data(tmp_path_factory):
     """A dataset of four flights with strong rotor vibration."""
-    config = flight_config(load_recipe("varied"))
+    config = load_recipe("varied")
     vibration = RotorVibration(rotor_vel=453.0, gyro=(0.05, 0.05, 0.02), accel=(2.0, 2.0, 5.0))
     config = config.model_copy(update={"imu": config.imu.model_copy(update={"vibration": vibration})})
     path = tmp_path_factory.mktemp("imm") / "shaken.zarr"

@@ -10,7 +10,7 @@ from estimators.networks.network import NetworkEstimator, OnLoihi, Recurrent, Sp
 from estimators.networks.weights_file import NetworkConfig, load_network
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 
 FACTOR = 3.0
 """Least ratio of the silenced error to the network's error."""
@@ -22,7 +22,7 @@ CORES = {"att-snn": Spiking, "att-snn-loihi": OnLoihi, "att-rnn": Recurrent}
 @pytest.fixture(scope="module")
 def validation(tmp_path_factory):
     """Four flights of 30 s, of the paper's domain."""
-    config = flight_config(load_recipe("hummingbird"))
+    config = load_recipe("hummingbird")
     path = tmp_path_factory.mktemp("alone") / "flights.zarr"
     return load_flights([open_dataset(generate(config, 4, 30.0, path, seed=SEED, workers=1))])
 

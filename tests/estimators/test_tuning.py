@@ -27,7 +27,7 @@ from estimators.tuning.search import (
     tune,
     write_tuning,
 )
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 
 
 def bowl(x):
@@ -336,7 +336,7 @@ def test_an_estimator_that_no_parameters_make_sound_is_refused(flights, own, nam
 
 
 def test_a_dataset_that_does_not_say_its_imu_tunes_ekf_drag_with_the_defaults(flights):
-    config = json.loads(flight_config(load_recipe("hummingbird")).model_dump_json())
+    config = json.loads(load_recipe("hummingbird").model_dump_json())
     imu = config["imu"]
     assert imu_constants("ekf-drag", flights.assign_attrs(config=json.dumps(config))) == {
         "bias_sigma": imu["gyro"]["turn_on"],

@@ -27,7 +27,7 @@ from estimators.networks.weights_file import (
 from estimators.spiking import Weights, forward
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 
 
 def random_snn(config, seed=0):
@@ -222,7 +222,7 @@ def snntorch_network(graph):
 def flown(tmp_path_factory):
     """Readings of a simulated flight of 3 s, (1, 600, 3) twice."""
     path = tmp_path_factory.mktemp("nir") / "flights.zarr"
-    flights = open_dataset(generate(flight_config(load_recipe("hummingbird")), 1, 3.0, path, seed=8))
+    flights = open_dataset(generate(load_recipe("hummingbird"), 1, 3.0, path, seed=8))
     return flights.gyro.values.astype(float), flights.accel.values.astype(float)
 
 

@@ -20,13 +20,14 @@ from quadsim.dataset import store as dataset_store
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import dataset_info, open_dataset, split_flights, verify
 from quadsim.dataset.store import VARIABLES, partial_folder
-from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.flight.recipe import Recipe
+from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import load_vehicle
 
 FLIGHTS, DURATION, STEPS = 7, 0.5, 100
-CONFIG = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.5)
+CONFIG = Recipe(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_coordinates_label_flight_time_and_components(finished):
 
 def test_configuration_seed_and_rate_are_inside(finished):
     attributes = open_dataset(finished).attrs
-    assert FlightConfig.model_validate_json(attributes["config"]) == CONFIG
+    assert Recipe.model_validate_json(attributes["config"]) == CONFIG
     assert (attributes["seed"], attributes["rate_hz"], attributes["duration_s"]) == (0, 200.0, DURATION)
 
 
@@ -201,10 +202,10 @@ def test_a_killed_run_resumes_and_leaves_no_process_behind(tmp_path):
     script = """
 import sys
 from quadsim import dataset
-from quadsim.flight.simulate import FlightConfig
+from quadsim.flight.recipe import Recipe
 
 dataset.BATCH_FLIGHTS = 1
-dataset.generate(FlightConfig.model_validate_json(sys.argv[2]), 40, 1.0, sys.argv[1], workers=2)
+dataset.generate(Recipe.model_validate_json(sys.argv[2]), 40, 1.0, sys.argv[1], workers=2)
 """
     out = tmp_path / "killed.zarr"
     run = subprocess.Popen(

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from quadsim.engine import is_free_body, mjcf, vehicle_model
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import load_scenario
 from quadsim.flight.simulate import simulate_flights
-from quadsim.free_body import advance, dexp_inverse
+from quadsim.motion.engine import is_free_body, mjcf, vehicle_model
+from quadsim.motion.free_body import advance, dexp_inverse
 from quadsim.plant import Plant
 from quadsim.rotation import quat_from_rotvec, quat_multiply
 from quadsim.runs.compiled import njit
@@ -89,7 +89,7 @@ def test_free_bodies_part_no_faster_than_mujoco_parts_from_itself_rounded_once_m
 
 @pytest.mark.parametrize("recipe", ["hummingbird", "px4", "robust", "windy"])
 def test_flights_of_20_s_agree_to_1e_12(recipe):
-    config = flight_config(load_recipe(recipe))
+    config = load_recipe(recipe)
     by_engine = [
         simulate_flights(config.model_copy(update={"engine": each}), vehicle_seeds(0, 8), 4000)
         for each in ("mujoco", "compiled")
@@ -99,7 +99,7 @@ def test_flights_of_20_s_agree_to_1e_12(recipe):
 
 
 def test_flights_of_ten_minutes_agree_to_1e_9():
-    config = flight_config(load_recipe("hummingbird"))
+    config = load_recipe("hummingbird")
     by_engine = [
         simulate_flights(config.model_copy(update={"engine": each}), vehicle_seeds(1, 1), 120_000)
         for each in ("mujoco", "compiled")

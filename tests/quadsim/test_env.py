@@ -10,10 +10,10 @@ from gymnasium.utils.env_checker import check_env
 
 import estimators
 import quadsim  # noqa: F401  registers the environment
-from quadsim.control.cascade import LEVELS
-from quadsim.env import ACTION_SCALE, OBSERVATION_LIMIT, OnePerVehicle
+from quadsim.control.records import LEVELS
+from quadsim.env.spaces import ACTION_SCALE, OBSERVATION_LIMIT
 from quadsim.flight.scenario import Crash, Scenario, Start, load_scenario
-from quadsim.render import Scene
+from quadsim.pictures.render import Scene
 from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import load_vehicle
 
@@ -139,25 +139,10 @@ def test_time_truncates():
     assert ends == [(False, False)] * 19 + [(False, True)]
 
 
-def test_same_seed_same_flight_and_other_seed_other_noise():
-    def gyro(seed):
-        env = gymnasium.make(ID, scenario=SHORT)
-        env.reset(seed=seed)
-        return env.step(np.zeros(4))[0][14:]
-
-    np.testing.assert_array_equal(gyro(1), gyro(1))
-    assert not np.array_equal(gyro(1), gyro(2))
-
-
-def test_estimator_copies_fly_like_one_batched_estimator():
-    random = np.random.default_rng(1)
-    gyro, accel = random.normal(0, 0.3, (20, 4, 3)), random.normal((0, 0, 9.81), 1, (20, 4, 3))
-    batched, copies = estimators.create("mahony"), OnePerVehicle(estimators.create("mahony"))
-    start = random.normal(0, 0.1, (4, 2))
-    batched.reset(4, roll_pitch=start)
-    copies.reset(4, roll_pitch=start)
-    for g, a in zip(gyro, accel, strict=True):
-        np.testing.assert_array_equal(copies.update(g, a), batched.update(g, a))
+def test_another_seed_has_other_noise():
+    env = gymnasium.make(ID, scenario=SHORT)
+    gyro = [(env.reset(seed=seed), env.step(np.zeros(4))[0][14:])[1] for seed in (1, 2)]
+    assert not np.array_equal(*gyro)
 
 
 def test_observation_never_leaves_its_space():
@@ -292,46 +277,28 @@ def test_an_estimator_that_cannot_be_copied_is_refused_in_words():
         gymnasium.make(ID, estimator=Held(200.0))
 
 
-class WithoutKnownStart(Still):
-    """Its reset has another argument."""
-
-    def reset(self, n=1, attitude=None):
-        """Start."""
-        self.n = n
-
-
-class Three(Still):
-    """It also estimates yaw."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        return np.zeros((self.n, 3))
+def still(name, **methods):
+    """Such an estimator with other methods."""
+    made = type(name, (Still,), {"__module__": __name__, **methods})
+    globals()[name] = made  # as test_env:name
+    return made
 
 
-class NoRate(Still):
-    """Made with no argument."""
-
-    def __init__(self):
-        super().__init__(200.0)
-
-
-class Failing(Still):
-    """Its update raises an error."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        raise KeyError("gain")
+def failing(self, gyro, accel):
+    raise KeyError("gain")
 
 
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (WithoutKnownStart, "unexpected keyword argument 'roll_pitch'"),
-        (Three, r"float64 array of shape \(3, 3\); roll and pitch \[rad\], real numbers of shape \(3, 2\)"),
-        (NoRate, "with one argument, rate_hz"),
-        (Failing, "end with KeyError: 'gain'"),
+        (still("OtherArgument", reset=lambda self, n=1, attitude=None: None),
+         "unexpected keyword argument 'roll_pitch'"),
+        (still("Three", update=lambda self, gyro, accel: np.zeros((self.n, 3))),
+         r"float64 array of shape \(3, 3\); roll and pitch \[rad\], real numbers of shape \(3, 2\)"),
+        (still("NoRate", __init__=lambda self: None), "with one argument, rate_hz"),
+        (still("Failing", update=failing), "end with KeyError: 'gain'"),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_estimator_is_said_before_the_first_flight(made, said):
     with pytest.raises(ValueError, match=f"{made.__name__}.*{said}"):
         gymnasium.make(ID, estimator=made)
@@ -339,54 +306,37 @@ def test_what_is_no_estimator_is_said_before_the_first_flight(made, said):
         estimators.create(f"test_env:{made.__name__}")
 
 
-class Exits(Still):
-    """It ends the process, in the loop alone."""
+def later(change):
+    """An `update` that is level for three samples, and then changed."""
 
     def update(self, gyro, accel):
-        """Take a sample."""
-        if self.updates > 3:
-            raise SystemExit(0)
-        return super().update(gyro, accel)
-
-
-class LaterWrong(Still):
-    """It returns one column from the fourth sample on."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        found = super().update(gyro, accel)
-        return found if self.updates < 4 else found[:, :1]
-
-
-class LaterComplex(LaterWrong):
-    """It returns complex numbers from the fourth sample on."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
         found = Still.update(self, gyro, accel)
-        return found if self.updates < 4 else found + 0j
+        return found if self.updates < 4 else change(found)
+
+    return update
 
 
-class ExitsAtReset(Still):
-    """It ends the process when it is reset in the loop."""
+def end(*_):
+    raise SystemExit(0)
 
-    def reset(self, n=1, roll_pitch=None):
-        """Start."""
-        super().reset(n)
-        if self.updates:
-            raise SystemExit(0)
+
+def reset_once(self, n=1, roll_pitch=None):
+    Still.reset(self, n)
+    if self.updates:
+        end()
 
 
 @pytest.mark.parametrize("n", [None, 2])
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (Exits, "update ends with SystemExit: 0"),
-        (LaterWrong, r"update returns a float64 array of shape \((1|2), 1\)"),
-        (LaterComplex, "update returns a complex128 array"),
-        (ExitsAtReset, "reset ends with SystemExit: 0"),
+        (still("Exits", update=later(end)), "update ends with SystemExit: 0"),
+        (still("Wrong", update=later(lambda found: found[:, :1])),
+         r"update returns a float64 array of shape \((1|2), 1\)"),
+        (still("Complex", update=later(lambda found: found + 0j)), "update returns a complex128 array"),
+        (still("ExitsAtReset", reset=reset_once), "reset ends with SystemExit: 0"),
     ],
-)
+)  # fmt: skip
 def test_what_an_estimator_does_in_flight_is_said_in_one_line(n, made, said):
     env = gymnasium.make(ID, estimator=made).unwrapped if n is None else None
     env = env or gymnasium.make_vec(ID, num_envs=n, estimator=made)

@@ -12,7 +12,8 @@ from quadsim.dataset.export import FORMATS, export, timestamps
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.dataset.store import DIGESTS, VARIABLES, Recorded
-from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.flight.recipe import Recipe
+from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.runs.files import read_json, write_json
 from quadsim.runs.fingerprint import content_digest
@@ -22,7 +23,7 @@ FLIGHTS, STEPS, ENDS = 3, 60, [60, 25, 60]
 IMU = load_imu("adis16448").model_copy(
     update={"lever_arm": (0.01, 0.02, 0.03), "mounting_deg": (0.0, 0.0, 90.0)}
 )
-CONFIG = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=IMU, warmup_s=0.0)
+CONFIG = Recipe(vehicle=load_vehicle("hummingbird"), imu=IMU, warmup_s=0.0)
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,12 @@ import pytest
 from quadsim.dataset import store as dataset_store
 from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
-from quadsim.flight.simulate import FlightConfig, simulate_flights
+from quadsim.flight.recipe import Recipe
+from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.vehicle import load_vehicle
 
-CONFIG = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.5)
+CONFIG = Recipe(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.5)
 
 
 @pytest.fixture(scope="module")

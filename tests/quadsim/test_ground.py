@@ -5,7 +5,7 @@ import pytest
 
 from quadsim.config.toml import describe
 from quadsim.flight.ground import GroundStart
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import RotorVibration, load_imu
 from quadsim.rotation import quat_rotate, roll_pitch_from_quat
@@ -18,7 +18,7 @@ STAND = {"stand_s": (1.0, 1.5), "spin_up_s": (0.5, 1.0), "lift_off_s": (0.5, 1.0
 
 @pytest.fixture(scope="module")
 def config():
-    config = flight_config(load_recipe("take-off"))
+    config = load_recipe("take-off")
     return config.model_copy(update={"ground": GroundStart(**STAND), "warmup_s": 2.0})
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadsim.flight.hand_held import PACE_HZ, SHIFT_HZ, HandHeld, move_by_hand
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.flight.simulate import simulate_flights
 from quadsim.rotation import quat_conjugate, quat_multiply, quat_rotate
 from quadsim.vehicle import GRAVITY
@@ -91,7 +91,7 @@ def test_a_motion_of_a_minute_peaks_at_four_times_its_root_mean_square(long_move
 
 
 def test_a_recipe_of_the_hand_has_no_rotors_and_one_seed_a_flight():
-    config = flight_config(load_recipe("hand-held"))
+    config = load_recipe("hand-held")
     both, one = simulate_flights(config, seeds(2), 400), simulate_flights(config, seeds(2)[1:], 400)
     np.testing.assert_array_equal(both["gyro"][1], one["gyro"][0])
     assert not np.any(both["rotor_vel"])

@@ -7,7 +7,7 @@ from quadsim.cli import main
 from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.identify import Flight, flights_of, identify, noise_in_flight
 from quadsim.identify.model import UNITS, constant, lagged, predicted, with_constants
 from quadsim.identify.noise import at_rest, in_the_air
@@ -20,8 +20,8 @@ TRUE = load_vehicle("hummingbird")
 def data(tmp_path_factory):
     """An aggressive and a fast flight."""
     folder = tmp_path_factory.mktemp("identify")
-    config = flight_config(load_recipe("hummingbird"))
-    fast = config.model_copy(update={"trajectory": flight_config(load_recipe("cruise")).trajectory})
+    config = load_recipe("hummingbird")
+    fast = config.model_copy(update={"trajectory": load_recipe("cruise").trajectory})
     each = ((config, "a"), (fast, "b"))
     return [generate(one, 1, 40.0, folder / f"{name}.zarr", seed=77, workers=1) for one, name in each]
 
@@ -62,8 +62,7 @@ def test_commanded_speeds_lag_as_in_the_simulator(flights):
 
 
 def test_what_hover_does_not_tell_keeps_its_value_and_is_named(tmp_path):
-    recipe = load_recipe("calm")
-    config = flight_config(recipe)
+    config = load_recipe("calm")
     path = generate(config, 1, 12.0, tmp_path / "calm.zarr", seed=1, workers=1)
     start = with_constants(config.vehicle, {"frame.drag_area.2": 0.5})
     found = identify(flights_of(open_dataset(path)), start)

@@ -11,7 +11,7 @@ from quadsim.cli import app
 from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
-from quadsim.flight.simulate import FlightConfig
+from quadsim.flight.recipe import Recipe
 from quadsim.imu.spec import ImuSpec, load_imu
 from quadsim.imu.stream import simulate_imu
 from quadsim.logs import read_log, read_log_and_report, read_recording
@@ -67,7 +67,7 @@ def consistent(log) -> None:
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
     """A flight of three seconds with a clean IMU, as a dataset."""
-    config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=load_imu("perfect"), warmup_s=0.0)
+    config = Recipe(vehicle=load_vehicle("hummingbird"), imu=load_imu("perfect"), warmup_s=0.0)
     return generate(config, 1, 3.0, tmp_path_factory.mktemp("logs") / "x.zarr", seed=5, workers=1)
 
 
@@ -85,7 +85,7 @@ def test_an_exported_flight_is_read_back(flight, tmp_path, format):
 
 def test_the_mounting_in_an_exported_folder_is_undone(tmp_path):
     imu = load_imu("perfect").model_copy(update={"mounting_deg": (0.0, 0.0, 90.0)})
-    config = FlightConfig(vehicle=load_vehicle("hummingbird"), imu=imu, warmup_s=0.0)
+    config = Recipe(vehicle=load_vehicle("hummingbird"), imu=imu, warmup_s=0.0)
     data = generate(config, 1, 1.0, tmp_path / "x.zarr", seed=5, workers=1)
     log = read_log(export(data, tmp_path / "out", "csv"))
     np.testing.assert_allclose(log["gyro"][0], open_dataset(data)["ang_vel"][0], atol=1e-5)

@@ -18,7 +18,7 @@ from quadsim.config.toml import Strict, parse
 from quadsim.dataset import store as dataset_store
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import dataset_info
-from quadsim.flight.recipe import Recipe, flight_config
+from quadsim.flight.recipe import Recipe
 from quadsim.flight.scenario import Scenario
 from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import ImuSpec
@@ -145,7 +145,7 @@ def test_flights_that_all_leave_the_range_of_the_model_are_an_error_in_words(tmp
         return log
 
     monkeypatch.setattr(dataset_store, "simulate_flights", diverging)
-    config = flight_config(Recipe(description="x"))
+    config = Recipe(description="x")
     path = generate(config, 2, 0.1, tmp_path / "x.zarr", workers=1)
     with pytest.raises(ValueError, match="none of 2 flights has a valid sample"):
         dataset_info(path)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from quadsim.config.toml import preset_names
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
+from quadsim.flight.scenario import changed
 from quadsim.flight.simulate import simulate_flights
 from quadsim.rotation import quat_rotate_inverse
 from quadsim.vehicle import load_vehicle, randomise
@@ -18,8 +19,7 @@ def seeds(n, seed=0):
 
 
 def simulate(recipe, n, duration_s, **changes):
-    config = flight_config(load_recipe(recipe).model_copy(update=changes))
-    return simulate_flights(config, seeds(n), round(duration_s * RATE))
+    return simulate_flights(changed(load_recipe(recipe), changes), seeds(n), round(duration_s * RATE))
 
 
 @pytest.mark.parametrize("recipe", preset_names("recipes"))

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from quadsim.config.toml import preset_names
-from quadsim.film import Marks, film
 from quadsim.flight.scenario import Scenario
-from quadsim.render import NO_OPENGL, WIND_SCALE, Scene, View, quadrotor_geoms, still
+from quadsim.pictures.film import Marks, film
+from quadsim.pictures.render import NO_OPENGL, WIND_SCALE, Scene, View, still
+from quadsim.pictures.shapes import quadrotor_geoms
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import fly_cell
@@ -124,7 +125,7 @@ def import_module(name, package=None):
         raise ImportError("not here")
     return real(name, package)
 importlib.import_module = import_module
-from quadsim.render import Scene
+from quadsim.pictures.render import Scene
 from quadsim.vehicle import load_vehicle
 try:
     Scene(load_vehicle("hummingbird"), width=64, height=64).close()

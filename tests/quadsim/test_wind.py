@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy import linalg, signal
 
 from quadsim.config.toml import Strict, load_toml
+from quadsim.seeding import vehicle_seeds
 from quadsim.wind import (
     Constant,
     Dryden,
@@ -15,9 +16,7 @@ from quadsim.wind import (
     _turbulence,
     dryden,
     dryden_scales,
-    gust_one_minus_cosine,
     read_recording,
-    sinusoid,
     wind_series,
 )
 
@@ -51,11 +50,7 @@ def test_dryden_spectrum_matches_the_specification(axis):
 
 
 def test_dryden_scales_at_20_metres():
-    length_u, length_w, sigma_u, sigma_w = dryden_scales(20.0, 15.0)
-    assert length_u == pytest.approx(116.1, abs=0.05)
-    assert length_w == pytest.approx(20.0)
-    assert sigma_u == pytest.approx(2.696, abs=0.0005)
-    assert sigma_w == pytest.approx(1.5)
+    assert dryden_scales(20.0, 15.0) == pytest.approx((116.06, 20.0, 2.6955, 1.5), rel=1e-4)
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 5.0, 50.0, 500.0])
@@ -93,19 +88,6 @@ def test_a_vehicle_has_the_same_wind_in_any_batch(n):
     assert not np.array_equal(alone[0], dryden(2, 50, 200.0, 5.0, 10.0, 8.0, seed=9)[1])
 
 
-def test_vehicles_can_have_their_own_strength():
-    both = dryden(2, 40, 200.0, [5.0, 9.0], [10.0, 30.0], [8.0, 2.0], seed=1, heading=[0.0, 1.0])
-    for vehicle, (speed, height, strength, heading) in enumerate([(5, 10, 8, 0), (9, 30, 2, 1)]):
-        alone = dryden(2, 40, 200.0, speed, height, strength, seed=1, heading=heading)[vehicle]
-        assert np.array_equal(both[vehicle], alone)
-
-
-def test_heading_turns_the_flight_path_about_the_vertical():
-    north = dryden(3, 30, 100.0, 5.0, 10.0, 8.0, seed=2, heading=np.pi / 2)
-    east = dryden(3, 30, 100.0, 5.0, 10.0, 8.0, seed=2)
-    assert north == pytest.approx(np.stack([-east[..., 1], east[..., 0], east[..., 2]], axis=-1))
-
-
 def test_airspeed_and_altitude_are_held_in_the_range_of_the_model():
     assert np.array_equal(
         dryden(1, 9, 9.0, 0.0, 0.0, 5.0, seed=0), dryden(1, 9, 9.0, 1.0, 3.048, 5.0, seed=0)
@@ -131,13 +113,14 @@ def test_no_parameters_make_the_wind_infinite(airspeed, altitude, strength, rate
 
 def test_gust_rises_holds_and_falls():
     time = np.array([0.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0])
-    wind = gust_one_minus_cosine(time, [8.0, 0.0, -4.0], start=1.0, rise=1.0, hold=1.0)
+    wind = Gust(velocity=(8.0, 0.0, -4.0), start=1.0, rise=1.0, hold=1.0).series(time)
     assert wind[:, 0] == pytest.approx([0.0, 0.0, 4.0, 8.0, 8.0, 8.0, 4.0, 0.0, 0.0])
     assert wind[:, 2] == pytest.approx(-wind[:, 0] / 2.0)
 
 
 def test_gust_without_hold_stays_as_the_specification_has_it():
-    assert gust_one_minus_cosine(1e6, [8.0, 0.0, 0.0], start=1.0, rise=1.0).tolist() == [8.0, 0.0, 0.0]
+    stays = Gust(velocity=(8.0, 0.0, 0.0), start=1.0, rise=1.0)
+    assert stays.series(np.array([1e6])).tolist() == [[8.0, 0.0, 0.0]]
 
 
 SPECS = [
@@ -209,7 +192,7 @@ def test_missing_recording_is_one_clear_line(tmp_path):
         ({"rate_hz": float("nan")}, "rate_hz = nan"),
         ({"airspeed": -1.0}, "airspeed is -1"),
         ({"altitude": float("inf")}, "altitude is inf"),
-        ({"wind_20ft": [1.0, 2.0]}, "wind_20ft is"),
+        ({"wind_20ft": float("nan")}, "wind_20ft is nan"),
         ({"seed": -1}, "seed is -1"),
         ({"seed": "x"}, "seed is 'x'"),
         ({"seed": np.random.SeedSequence(0).spawn(2)}, "2 seeds for 1"),
@@ -252,12 +235,13 @@ def test_scenario_holds_a_list_of_winds(tmp_path):
 
 def test_sinusoids_have_their_amplitude_and_periods_and_each_flight_its_own():
     time = np.arange(0, 400, 0.05)
-    wind = sinusoid(time, (3.0, 2.0, 0.0), (2.0, 5.0), 4, 20)
+    spec = Sinusoid(amplitude=(3.0, 2.0, 0.0), period_s=(2.0, 5.0))
+    wind = spec.flights(time, 20.0, vehicle_seeds(4, 20))
     np.testing.assert_allclose(np.abs(wind).max(1), [[3.0, 2.0, 0.0]] * 20, atol=0.01)
     frequency = np.fft.rfftfreq(time.size, 0.05)[np.abs(np.fft.rfft(wind[:, :, :2], axis=1)).argmax(1)]
     assert ((1 / frequency > 1.95) & (1 / frequency < 5.1)).all()
     assert np.unique(frequency).size > 20
-    np.testing.assert_array_equal(wind[3], sinusoid(time, (3.0, 2.0, 0.0), (2.0, 5.0), 4, 4)[3])
+    np.testing.assert_array_equal(wind[3], spec.flights(time, 20.0, vehicle_seeds(4, 4))[3])
 
 
 def test_a_sinusoid_beside_turbulence_draws_from_a_stream_of_its_own():

@@ -10,7 +10,7 @@ import pytest
 from estimators.tuning.search import SearchSettings, tune
 from quadsim.cli import main
 from quadsim.dataset.generation import generate
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.held_out import SEEDS, load_held_out, releases, unreserved
 from scenarios.bench.axes import AXES
 from scenarios.bench.held_out import suite
@@ -67,7 +67,7 @@ RESERVED = rf"seed {NEWEST.seed + 7} is of the held-out suite"
 
 def test_nothing_that_learns_takes_a_reserved_seed_from_python(tmp_path):
     with pytest.raises(ValueError, match=RESERVED):
-        generate(flight_config(load_recipe("hummingbird")), 1, 1.0, tmp_path / "x.zarr", NEWEST.seed + 7)
+        generate(load_recipe("hummingbird"), 1, 1.0, tmp_path / "x.zarr", NEWEST.seed + 7)
     with pytest.raises(ValueError, match=RESERVED):
         train(data="x.zarr", out=tmp_path / "run", seed=NEWEST.seed + 7)
     with pytest.raises(ValueError, match=RESERVED):

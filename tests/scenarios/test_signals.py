@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import estimators
-from quadsim.flight.faults import GyroBiasStep, PayloadDrop, Stuck, fault_spans
+from quadsim.flight.faults import GyroBiasStep, Stuck, fault_spans
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
+from quadsim.flight.vehicle_faults import PayloadDrop
 from quadsim.rotation import euler_from_quat, quat_from_euler, quat_normalize
 from quadsim.wind import Constant
 from scenarios.bench.cell import CELL, fly, make_cell

@@ -122,14 +122,3 @@ def test_readings_are_low_passed_and_delayed():
     assert set(np.argmax(gyro[..., 0] > 0.5, axis=1)) == {200, 201, 202, 203, 204}
     gyro, _, _ = augment(step, step, step, Augmentation(low_pass_hz=(10.0, 10.0), **plain), 200.0, rng)
     assert gyro[0, 200 + 3, 0] == pytest.approx(1 - np.exp(-2 * np.pi * 10 * 4 / 200), abs=1e-3)
-
-
-def test_hand_held_sensors_measure_gravity_along_the_true_vertical():
-    rng = np.random.default_rng(0)
-    roll = np.full((50, 2000), 0.5, np.float32)
-    up = np.stack([np.zeros_like(roll), np.sin(roll), np.cos(roll)], -1)
-    thrust = np.zeros_like(up)
-    thrust[..., 2] = 9.81
-    plain = Augmentation(hand_held=1.0, accel_bias=0.0, accel_noise=0.0)
-    _, accel, _ = augment(np.zeros_like(up), thrust, up, plain, 200.0, rng)
-    np.testing.assert_allclose(accel.mean(axis=(0, 1)), 9.81 * up[0, 0], atol=0.1)

@@ -9,8 +9,8 @@ from estimators.control.controller import SpikingController
 from estimators.control.weights import load_controller
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import load_network
-from quadsim.control.cascade import SET_POINT
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.control.records import SET_POINT
+from quadsim.flight.recipe import load_recipe
 from quadsim.rotation import quat_from_euler
 from quadsim.seeding import child
 from quadsim.trajectory.specs import Hover
@@ -45,7 +45,7 @@ def first_windows(flights, config):
 
 @pytest.fixture(scope="module")
 def recipe():
-    return flight_config(load_recipe("control"))
+    return load_recipe("control")
 
 
 def seeds(n, key=0):

@@ -14,7 +14,7 @@ from estimators.networks.network import NetworkEstimator
 from quadsim.cli import main
 from quadsim.cli.options import time_left
 from quadsim.dataset.generation import generate
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from training import kfold as kfold_module
 from training.config import make_config
 from training.data import flights_of, fold_split, load_training_flights
@@ -31,7 +31,7 @@ TINY = {
 def domains(tmp_path_factory):
     folder = tmp_path_factory.mktemp("domains")
     return [
-        generate(flight_config(load_recipe(name)), 4, 3.0, folder / f"{file}.zarr", seed=5, workers=1)
+        generate(load_recipe(name), 4, 3.0, folder / f"{file}.zarr", seed=5, workers=1)
         for name, file in (("hummingbird", "train"), ("px4", "px4"))
     ]
 

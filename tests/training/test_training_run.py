@@ -14,7 +14,7 @@ from estimators.networks.network import NetworkEstimator, OnLoihi, create_networ
 from estimators.networks.symmetry import is_symmetric
 from estimators.networks.weights_file import EXPONENTS, load_network
 from quadsim.dataset.generation import generate
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.runs.record import commit
 from training import loop
 from training.attitude import AttitudeTask
@@ -152,15 +152,11 @@ def test_the_folder_of_another_run_is_refused_in_one_line(dataset, tmp_path, fil
 
 
 def test_what_a_run_reads_has_digests_of_its_own(dataset, tmp_path):
-    other = generate(
-        flight_config(load_recipe("hummingbird")), 5, 4.0, tmp_path / "o.zarr", seed=9, workers=1
-    )
+    other = generate(load_recipe("hummingbird"), 5, 4.0, tmp_path / "o.zarr", seed=9, workers=1)
     found = [AttitudeTask(make_config(data=path)).contents() for path in (dataset, dataset, other)]
     assert found[0] == found[1]
     assert all(found[0][name] != found[2][name] for name in ("data", "validation"))
-    slow = generate(
-        flight_config(load_recipe("hummingbird")), 3, 4.0, tmp_path / "s.zarr", rate_hz=100.0, workers=1
-    )
+    slow = generate(load_recipe("hummingbird"), 3, 4.0, tmp_path / "s.zarr", rate_hz=100.0, workers=1)
     with pytest.raises(ValueError, match="validation at 100 Hz, but the data are at 200 Hz"):
         train(data=dataset, validation=slow, out=tmp_path / "run", **TINY)
     with pytest.raises(ValueError, match="data at 100 Hz, but the weights of init are for 200 Hz"):

@@ -12,21 +12,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.control.controller import SpikingController, follow, gravity_of
-from quadsim.control.cascade import MAX_TRIM, POSITION, follow_attitude
+from quadsim.control.cascade import MAX_TRIM, follow_attitude
+from quadsim.control.records import POSITION
 from quadsim.flight.loop import FlightLoop
-from quadsim.flight.recipe import FlightConfig
-from quadsim.imu.spec import ImuSpec
+from quadsim.flight.mission import planned
+from quadsim.flight.recipe import Recipe
 from quadsim.rotation import quat_from_euler, quat_from_rotvec, quat_multiply
 from quadsim.runs.compiled import njit
 from quadsim.seeding import child
-from quadsim.trajectory.reference import reference
-from quadsim.vehicle import GRAVITY, Vehicle, randomise
-from quadsim.wind import wind_series
+from quadsim.vehicle import GRAVITY, randomise
 
 from ..config import ControlSettings
 from .excitation import STANDARD, Excitation, rotor_effect, set_point_excitation, torque_excitation
@@ -90,7 +90,7 @@ def with_motion(targets: NDArray[np.void], added: Array, yaw: Array) -> NDArray[
     """Targets (n,) whose thrust axis turns by what is added to roll and pitch, too.
 
     Args:
-        targets: Records of `quadsim.control.cascade.SET_POINT`.
+        targets: Records of `quadsim.control.records.SET_POINT`.
         added: Roll and pitch, small, in the first two columns, (n, k) [rad].
         yaw: Headings that they are added at, (n,) [rad].
     """
@@ -182,7 +182,7 @@ class Pilot:
 
 def fly(
     config: ControlSettings,
-    flights: FlightConfig,
+    flights: Recipe,
     seeds: Sequence[np.random.SeedSequence],
     student: SpikingController | None = None,
     teacher_share: float = 0.0,
@@ -202,11 +202,9 @@ def fly(
     """
     n, steps = len(seeds), round(config.flight_s * rate_hz)
     draws = [np.random.default_rng(child(seed, EXCITATION)) for seed in seeds]
-    target = reference(flights.trajectory, steps, rate_hz, [child(seed, MOTION) for seed in seeds])
-    wind = np.zeros((n, steps, 3))
-    if flights.wind:
-        wind = wind_series(flights.wind, n, steps, rate_hz, [child(seed, AIR) for seed in seeds])
-    vehicles = [_vehicle(flights, child(seed, BODY)) for seed in seeds]
+    motion, air = ([child(seed, part) for seed in seeds] for part in (MOTION, AIR))
+    plans = planned(flights.trajectory, flights.wind, steps, rate_hz, motion, air)
+    draw = partial(randomise, flights.vehicle, flights.randomisation)
     added, size = excitation, np.stack([rng.uniform() ** 2 for rng in draws])[:, None]
     added_motion = [set_point_excitation(added, steps, rate_hz, rng) for rng in draws]
     pilot = Pilot(
@@ -218,54 +216,36 @@ def fly(
         np.stack([_turns(1.0 - teacher_share, steps, rate_hz, rng) for rng in draws]),
         config,
     )
-    loop = _loop(flights.vehicle, vehicles, rate_hz, flights.imu, [child(seed, IMU) for seed in seeds], pilot)
+    loop = FlightLoop(
+        [draw(np.random.default_rng(child(seed, BODY))) for seed in seeds],
+        n,
+        rate_hz=rate_hz,
+        imu=flights.imu,
+        seed=[child(seed, IMU) for seed in seeds],
+        nominal=flights.vehicle,
+        controller=lambda rate_hz, vehicle: pilot,
+    )
     effect = np.stack([rotor_effect(added, len(flights.vehicle.rotors), rng) for rng in draws])
     pilot.attach(loop)
     tilts = np.stack([rng.uniform(-1.0, 1.0, 3) for rng in draws])
     tilts = math.radians(added.start_tilt_deg) * size * tilts * [1.0, 1.0, 0.0] / math.sqrt(2.0)
-    heading = quat_from_euler(0.0, 0.0, target["yaw"][:, 0])
-    start = {
-        "position": target["position"][:, 0],
-        "velocity": target["velocity"][:, 0],
-        "quat": quat_multiply(heading, quat_from_rotvec(tilts)),
-    }
-    loop.reset(**start)
+    first = plans["target"][:, 0]
+    heading = quat_from_euler(0.0, 0.0, first["yaw"])
+    loop.reset(first["position"], first["velocity"], quat_multiply(heading, quat_from_rotvec(tilts)))
     loop.plant.rotor_effect[:] = effect
     end, squares = np.full(n, steps), np.zeros(n)
     for k in range(steps):
-        loop.move("position", target[:, k], wind[:, k])
+        target = plans["target"][:, k]
+        loop.move("position", target, plans["wind"][:, k])
         error = thrust_axis_error(pilot.wanted, loop.plant.quat, loop.plant.yaw)
         squares += np.where(end == steps, error**2, 0.0)
-        down = _down(loop, target[:, k])
+        down = _down(loop, target)
         if down.size:
             end[down] = np.minimum(end[down], k)
-            loop.restart(down, position=target["position"][down, k], velocity=target["velocity"][down, k])
+            loop.reset(target["position"][down], target["velocity"][down], ids=down)
         loop.sense()
     error_deg = np.degrees(np.sqrt(squares / np.maximum(end, 1)))
     return ControlFlights(**pilot.log, end=end, error_deg=error_deg, rate_hz=rate_hz)
-
-
-def _vehicle(flights: FlightConfig, seed: np.random.SeedSequence) -> Vehicle:
-    return randomise(flights.vehicle, flights.randomisation, np.random.default_rng(seed))
-
-
-def _loop(
-    nominal: Vehicle,
-    vehicles: Sequence[Vehicle],
-    rate_hz: float,
-    imu: ImuSpec,
-    seeds: Sequence[np.random.SeedSequence],
-    pilot: Pilot,
-) -> FlightLoop:
-    return FlightLoop(
-        vehicles,
-        len(vehicles),
-        rate_hz=rate_hz,
-        imu=imu,
-        seed=seeds,
-        nominal=nominal,
-        controller=lambda rate_hz, vehicle: pilot,
-    )
 
 
 def _down(loop: FlightLoop, target: NDArray[np.void]) -> NDArray[np.int64]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from estimators.control.controller import SpikingController
 from estimators.networks.weights_file import NetworkConfig, Tensors
-from quadsim.flight.recipe import flight_config, load_recipe
+from quadsim.flight.recipe import load_recipe
 from quadsim.runs.files import write_whole
 from quadsim.seeding import child
 
@@ -48,7 +48,7 @@ class ControlTask:
 
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.config, self.out = config, out
-        self.recipe = flight_config(load_recipe(config.control.recipe))
+        self.recipe = load_recipe(config.control.recipe)
         self.scale = config.control.error_scale
         self.estimator = given_estimator(config)
         self.rounds: list[ControlFlights] = []

@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .runs.compiled import njit
-from .vehicle import AIR_DENSITY, Vehicle
+from ..runs.compiled import njit
+from ..vehicle import AIR_DENSITY, Vehicle
 
 
 @cache

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..vehicle import Vehicle
 from .render import Scene, View
-from .vehicle import Vehicle
 
 
 class Marks(NamedTuple):

@@ -7,10 +7,10 @@ algebra, q = q₀ ⊗ exp(u), u' = dexp⁻¹(ω). `quadsim.plant` chooses betwee
 
 import math
 
-from .rotation import rotate_core
+from ..rotation import rotate_core
+from ..runs.compiled import njit
+from ..vehicle import GRAVITY
 from .rotors import angular_acceleration
-from .runs.compiled import njit
-from .vehicle import GRAVITY
 
 
 @njit(cache=True)
@@ -97,7 +97,7 @@ def advance(p):
     """Move one body by a step under a force and a moment that are constant in body axes.
 
     Args:
-        p: Record of `quadsim.rotors.vehicle_dtype`: position, quat, velocity and ang_vel move on.
+        p: Record of `quadsim.motion.rotors.vehicle_dtype`: position, quat, velocity and ang_vel move on.
     """
     h, moment, q = p.dt, (p.moment[0], p.moment[1], p.moment[2]), unit(p.quat)
     v1 = p.velocity[0], p.velocity[1], p.velocity[2]

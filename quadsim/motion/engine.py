@@ -7,9 +7,9 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from .runs.compiled import njit
-from .runs.fingerprint import ASSETS
-from .vehicle import GRAVITY, Vehicle
+from ..runs.compiled import njit
+from ..runs.fingerprint import ASSETS
+from ..vehicle import GRAVITY, Vehicle
 
 # the engine would otherwise write a file into the working directory for every vehicle that diverges
 mujoco.set_mju_user_warning(logging.getLogger(__name__).info)
@@ -51,7 +51,7 @@ def vehicle_model(vehicle: Vehicle, timestep: float, integrator: str, contact: b
 
 
 def is_free_body(model: mujoco.MjModel) -> bool:
-    """Whether a model is one rigid body in free flight, as `quadsim.free_body` integrates it."""
+    """Whether a model is one rigid body in free flight, as `quadsim.motion.free_body` integrates it."""
     option = model.opt
     return (
         (model.nbody, model.njnt, model.nv, model.neq, model.ntendon) == (2, 1, 6, 0, 0)
@@ -69,7 +69,7 @@ class MujocoEngine:
 
     Args:
         model: The model of one vehicle, its six actuators the wrench in body axes.
-        vehicles: (n,) records of `quadsim.rotors.vehicle_dtype`; masses and inertias are theirs.
+        vehicles: (n,) records of `quadsim.motion.rotors.vehicle_dtype`; masses and inertias are theirs.
         contact: Whether the ground can be touched.
     """
 

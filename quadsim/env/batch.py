@@ -1,0 +1,247 @@
+"""The environment of n quadrotors that are stepped as one batch."""
+
+import time
+from pathlib import Path
+from typing import Any, NoReturn
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from ..config.ranges import SAMPLE_RATE
+from ..config.toml import nearest
+from ..control.own import MakeController
+from ..control.records import ATTITUDE, LEVELS, Level
+from ..flight.mission import Mission
+from ..flight.scenario import Scenario, changed
+from ..flight.world import FLYING
+from ..pictures.render import Image, Scene, View, Window
+from .made import Made, controller_for, made_for, scenario_for
+from .spaces import OBSERVATION, OBSERVATION_SPACE, action_scale, observe, to_command
+
+Array = NDArray[np.float64]
+MOST = 100_000
+"""Environments in a batch."""
+FPS = 50
+"""Pictures per second of flight in a window."""
+OPTIONS = ("scenario", "wind")
+"""Of `reset`."""
+
+
+class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+    """n quadrotors stepped as one batch; spaces, reward and arguments are those of `QuadrotorEnv`."""
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's own attribute)
+        "render_modes": ["rgb_array", "human"],
+        "render_fps": FPS,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        estimator: Made = None,
+        scenario: Scenario | str = "hover",
+        level: Level = "attitude",
+        rate_hz: float = 200.0,
+        duration_s: float | None = None,
+        render_mode: str | None = None,
+        controller: str | Path | MakeController | None = None,
+    ) -> None:
+        if level not in LEVELS:
+            raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
+        if render_mode not in (None, "rgb_array", "human"):
+            raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, human, or None')
+        SAMPLE_RATE.of("rate_hz", rate_hz)
+        if not isinstance(num_envs, int) or not 1 <= num_envs <= MOST:
+            raise ValueError(f"num_envs = {num_envs!r}: a whole number from 1 to {MOST} is allowed")
+        self.metadata = {**self.metadata, "render_fps": rate_hz}
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self._scenario = self._flown = scenario_for(scenario)
+        self._made, self._controller = estimator, controller_for(controller)
+        if self._controller is not None and LEVELS.index(level) > ATTITUDE:
+            raise ValueError(f'level "{level}" is below the attitude controller: leave controller out')
+        self._rate_hz, self._duration_s = rate_hz, duration_s
+        self._level: Level = level
+        self.mission = self._mission(self._scenario)
+        self.scale = action_scale(level, self.mission.vehicle)
+        self.single_observation_space = OBSERVATION_SPACE
+        self.single_action_space = Box(-1.0, 1.0, self.scale.shape, np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._random: list[np.random.Generator] = []
+        self.done = np.zeros(num_envs, dtype=bool)
+        self._scene: Scene | None = None
+        self._window: Window | None = None
+        self._shown_at = 0.0
+
+    def _mission(self, scenario: Scenario) -> Mission:
+        made = made_for(self._made, scenario, self._rate_hz)
+        return Mission(scenario, made, self.num_envs, self._rate_hz, self._duration_s, self._controller)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin all episodes, with the options of `QuadrotorEnv`."""
+        super().reset(seed=_whole(seed))
+        afresh = self._choose(options) or seed is not None or not self._random
+        if seed is not None or not self._random:
+            first = int(self.np_random.integers(2**31)) if seed is None else seed
+            self._random = [np_random(first + i)[0] for i in range(self.num_envs)]
+        every = np.arange(self.num_envs)
+        if afresh:
+            self.mission.begin(self._seeds(every))
+        else:
+            self.mission.restart(every, self._seeds(every))
+            self.mission.sense()
+        self.done[:] = False
+        return self._observe()[0], self._masked(self.hidden())
+
+    def _choose(self, options: dict[str, Any] | None) -> bool:
+        """Take the scenario that options ask for, or the environment's own; whether it is another one.
+
+        Raises:
+            ValueError: An unknown option, or a value that it cannot have.
+        """
+        given = dict(options or {})
+        for key in given.keys() - OPTIONS:
+            raise ValueError(f'reset has no option "{key}"; {nearest(str(key), OPTIONS)}')
+        scenario = scenario_for(given.get("scenario", self._scenario))
+        if "wind" in given:
+            wind = np.asarray(given["wind"], dtype=np.float64)
+            if wind.shape != (3,):
+                raise ValueError(f"wind has shape {wind.shape}; it must be (3,) [m/s]")
+            scenario = changed(scenario, {"wind": ({"kind": "constant", "velocity": tuple(wind.tolist())},)})
+        if scenario == self._flown:
+            return False
+        mission = self._mission(scenario)
+        if len(mission.vehicle.rotors) != len(self.mission.vehicle.rotors):
+            raise ValueError(f"{scenario.vehicle} has another number of rotors: make another environment")
+        self.close_extras()
+        self.mission, self._flown = mission, scenario
+        return True
+
+    def _seeds(self, ids: NDArray[np.int64]) -> list[np.random.SeedSequence]:
+        """Seeds of the next flights of some vehicles."""
+        return [np.random.SeedSequence(self._random[i].integers(2**32, size=4).tolist()) for i in ids]
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Advance one sample with actions (n, numbers); episodes that ended in the last step restart."""
+        actions = shaped(actions, (self.num_envs, *self.scale.shape))
+        observation, reward, crashed, over = self.advance(actions)
+        info = self._masked(self.hidden())
+        if crashed.any():
+            info |= {"cause": self.mission.cause.copy(), "_cause": crashed.copy()}
+        return observation, reward, crashed, over, info
+
+    def advance(
+        self, actions: Array
+    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """`step` without information: observations, rewards, terminations and truncations, new arrays.
+
+        Raises:
+            ValueError: An action is not finite, or there was no reset.
+        """
+        if not self._random:
+            raise ValueError("step was called before reset")
+        mission = self.mission
+        index, hover = LEVELS.index(self._level), mission.vehicle.hover_rotor_vel
+        if not to_command(index, actions, self.scale, hover, mission.records):
+            raise ValueError("an action is not a finite number; has the policy diverged?")
+        mission.move(self._level)
+        if self.done.any():
+            again = np.flatnonzero(self.done)
+            mission.restart(again, self._seeds(again))
+        mission.sense()
+        if self.render_mode == "human":
+            self._show()
+        observation, reward = self._observe()
+        reward[self.done] = 0.0
+        crashed, over = mission.cause != FLYING, mission.k >= mission.steps
+        self.done = crashed | over
+        return observation, reward, crashed, over
+
+    def _observe(self) -> tuple[NDArray[np.float32], Array]:
+        """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
+        records, reward = np.zeros(self.num_envs, OBSERVATION), np.empty(self.num_envs)
+        observe(self.mission.records, records, reward)
+        return records.view(np.float32).reshape(self.num_envs, -1), reward
+
+    def hidden(self) -> dict[str, NDArray[Any]]:
+        """What agents do not see, new arrays of n rows; see the table of `QuadrotorEnv`."""
+        mission, loop = self.mission, self.mission.loop
+        plant, target = loop.plant, mission.target
+        estimate = loop.measured_state["roll_pitch"].copy()
+        return {
+            "attitude": np.column_stack([plant.roll_pitch, plant.yaw]),
+            "estimate": estimate,
+            "attitude_error": np.abs(estimate - plant.roll_pitch).mean(axis=1),
+            "position": plant.position.copy(),
+            "velocity": plant.velocity.copy(),
+            "wind": mission.air.copy(),
+            "rotor_vel": plant.rotor_vel.copy(),
+            "position_cost": np.sum((target["position"] - plant.position) ** 2, axis=1),
+            "velocity_cost": 0.1 * np.sum((target["velocity"] - plant.velocity) ** 2, axis=1),
+        }
+
+    def _masked(self, rows: dict[str, NDArray[Any]]) -> dict[str, Any]:
+        """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
+        return rows | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in rows}
+
+    def render(self) -> tuple[Image, ...] | None:
+        """A picture of every vehicle; None without a render mode, or in a window, which shows the first."""
+        if self.render_mode != "rgb_array":
+            return None
+        plant, self._scene = self.mission.loop.plant, self._scene or Scene(self.mission.vehicle)
+        views = [View((x, y, z), distance=1.6) for x, y, z in plant.position]
+        places = zip(plant.position, plant.quat, views, strict=True)
+        return tuple(self._scene.draw(*place) for place in places)
+
+    def _show(self) -> None:
+        """Move the first vehicle in the window, and wait until real time has caught up."""
+        mission = self.mission
+        if mission.k[0] % max(round(self._rate_hz / FPS), 1):
+            return
+        if self._window is None:
+            self._window = Window(mission.vehicle)
+        self._window.show(mission.loop.plant.position[0], mission.loop.plant.quat[0])
+        time.sleep(max(self._shown_at + 1 / FPS - time.perf_counter(), 0.0))
+        self._shown_at = time.perf_counter()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the scene and shut the window."""
+        for each in (self._scene, self._window):
+            if each is not None:
+                each.close()
+        self._scene = self._window = None
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: the arrays are views of the engine's memory, which a copy lacks."""
+        raise TypeError(
+            "an environment in flight cannot be copied or pickled, for its arrays are views of the engine's "
+            "memory; make another one with the same arguments and reset it with the same seed"
+        )
+
+
+def shaped(action: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """An action as floats.
+
+    Raises:
+        ValueError: It has another shape.
+    """
+    action = np.asarray(action, dtype=np.float64)
+    if action.shape != shape:
+        raise ValueError(f"an action has shape {action.shape}; it must be {shape}")
+    return action
+
+
+def _whole(seed: int | None) -> int | None:
+    if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
+        raise ValueError(f"seed = {seed!r}: a whole number from 0 on is allowed")
+    return seed

@@ -1,0 +1,192 @@
+"""The environment of one quadrotor."""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..control.own import MakeController
+from ..control.records import Level
+from ..flight.scenario import Scenario
+from ..flight.world import CAUSES
+from ..pictures.render import Image
+from .batch import FPS, QuadrotorVectorEnv, shaped
+from .made import Made
+
+
+class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
+    """A quadrotor in MuJoCo that sees its roll and pitch through an attitude estimator.
+
+    ## Description
+
+    The vehicle flies a scenario (`quadsim.flight.scenario`): a trajectory of set-points, with wind, sensor
+    errors and faults. A cascaded controller flies it on the estimate; the action enters that cascade at the
+    level of your choice, so that an agent may correct the set-point, or do all of the control itself. One
+    step is one sample, 5 ms at the default 200 Hz. The closed-loop benchmark flies the very same `Mission`.
+
+    ## Action space
+
+    `Box(-1, 1, (4,), float32)`, for the four numbers below; 0 is always "nothing special". At level `rotor`
+    there are as many numbers as the scenario's vehicle has rotors, each a speed ω_h + a (ω_max − ω_h).
+
+    | level    | 0              | 1               | 2            | 3                          |
+    |----------|----------------|-----------------|--------------|----------------------------|
+    | position | Δx, ±1 m       | Δy, ±1 m        | Δz, ±1 m     | Δyaw, ±π                   |
+    | velocity | Δv_x, ±3 m/s   | Δv_y, ±3 m/s    | Δv_z, ±3 m/s | Δyaw, ±π                   |
+    | attitude | roll, ±0.6 rad | pitch, ±0.6 rad | Δyaw, ±π     | thrust per mass, g (1 + a) |
+    | rate     | p, ±6 rad/s    | q, ±6 rad/s     | r, ±2 rad/s  | thrust per mass, g (1 + a) |
+    | rotor    | first rotor    | second          | …            | …                          |
+
+    Δ is relative to the scenario's set-point, world axes; the zero action at level `position` flies the
+    scenario as the benchmark does. ω_h is the hover speed, rotors in the order of the vehicle's file.
+
+    ## Observation space
+
+    `Box((17,), float32)`, clipped to its limits:
+
+    | num   | observation                          | limit    |
+    |-------|--------------------------------------|----------|
+    | 0–2   | set-point minus position, world      | 100 m    |
+    | 3–5   | set-point minus velocity, world      | 50 m/s   |
+    | 6–8   | acceleration of the set-point, world | 50 m/s²  |
+    | 9–10  | estimated roll and pitch             | π rad    |
+    | 11    | set-point yaw minus yaw              | π rad    |
+    | 12–13 | cosine and sine of yaw               | 1        |
+    | 14–16 | gyroscope, body axes                 | 50 rad/s |
+
+    Roll and pitch come from the estimator under test alone; position, velocity and yaw from the scenario's
+    external sensor, with its noise, rate and delay (`quadsim.external`).
+
+    ## Reward
+
+    1 / (1 + ‖e_p‖² + 0.1 ‖e_v‖²) in each step, with e_p [m] and e_v [m/s] the true errors of position and
+    velocity, free of what the external sensor adds; 0 in the step of a crash. 1 is perfect.
+
+    ## Starting state
+
+    As the scenario says: at its first set-point, displaced or tilted as drawn for the seed.
+
+    ## Episode end
+
+    - Termination: a crash by the scenario's criteria (by default a tilt above 75°, the ground, or 10 m from
+      the set-point); `info["cause"]` tells which, in words; in the batched twin by their index in
+      `quadsim.flight.world.CAUSES`.
+    - Truncation: the scenario's duration is over.
+
+    ## Information
+
+    What `reset` and `step` return last: a dictionary of numbers that the agent does not see. In the batched
+    twin each has a row for every vehicle.
+
+    | key              | shape    | meaning                                                             |
+    |------------------|----------|---------------------------------------------------------------------|
+    | `attitude`       | (3,)     | true roll, pitch and yaw [rad]                                      |
+    | `estimate`       | (2,)     | estimated roll and pitch [rad]                                      |
+    | `attitude_error` | ()       | mean absolute error of roll and pitch [rad]                         |
+    | `position`       | (3,)     | true, world axes [m]                                                |
+    | `velocity`       | (3,)     | true, world axes [m/s]                                              |
+    | `wind`           | (3,)     | world axes [m/s]                                                    |
+    | `rotor_vel`      | (rotors,)| rotor speeds [rad/s]                                                |
+    | `position_cost`  | ()       | ‖e_p‖² of the reward [m²]                                           |
+    | `velocity_cost`  | ()       | 0.1 ‖e_v‖² of the reward                                            |
+    | `cause`          | ()       | why it crashed, in the last step of an episode                      |
+
+    ## Options of `reset`
+
+    `reset(options={"scenario": ..., "wind": (x, y, z)})` flies another scenario, by name, file or `Scenario`,
+    or with a constant wind [m/s] in place of the scenario's, until the next `reset`.
+
+    ## Arguments
+
+    | argument      | default    | meaning                                                                |
+    |---------------|------------|------------------------------------------------------------------------|
+    | `estimator`   | None       | source of roll and pitch; None for the true ones                       |
+    | `scenario`    | "hover"    | a `Scenario`, the name of a shipped one or the path of a TOML file     |
+    | `level`       | "attitude" | where the action enters the controller                                 |
+    | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
+    | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
+    | `render_mode` | None       | "rgb_array" for pictures, "human" for MuJoCo's viewer                  |
+    | `controller`  | None       | attitude controller of your own, see `quadsim.control.own`; or weights |
+
+    `metadata["render_fps"]` is `rate_hz`, so that gymnasium's RecordVideo, which draws every step, plays in
+    real time (it needs moviepy: `pip install 'quadsim[video]'`).
+
+    `gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, ...)` makes the batched twin: sub-environment i
+    is, number for number, this environment reset with `seed + i`. It restarts finished episodes in the next
+    step.
+
+    `estimator` is a name or weights, as in `estimators.create`, "module:Class", a function of `rate_hz` that
+    makes one, or an `AttitudeEstimator`, which is copied: no two environments share one.
+
+    ## Version history
+
+    - v0: first version.
+    """
+
+    # gymnasium declares this as a variable of instances
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium's own attribute)
+
+    def __init__(
+        self,
+        estimator: Made = None,
+        scenario: Scenario | str = "hover",
+        level: Level = "attitude",
+        rate_hz: float = 200.0,
+        duration_s: float | None = None,
+        render_mode: str | None = None,
+        controller: str | Path | MakeController | None = None,
+    ) -> None:
+        self._batch = QuadrotorVectorEnv(
+            1, estimator, scenario, level, rate_hz, duration_s, render_mode, controller
+        )
+        self.metadata = {**self.metadata, "render_fps": rate_hz}
+        self.render_mode = render_mode
+        self.observation_space = self._batch.single_observation_space
+        self.action_space = self._batch.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode, with the options of the class's docstring.
+
+        Raises:
+            ValueError: An unknown option, or a value that it cannot have.
+        """
+        observation, info = self._batch.reset(seed=seed, options=options)
+        super().reset(seed=seed)
+        return observation[0], _first(info)
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Fly one sample with an action.
+
+        Raises:
+            ValueError: An action of another shape or that is not finite, or the episode is over.
+        """
+        if self._batch.done[0]:
+            raise ValueError("the episode is over; call reset to begin another")
+        actions = shaped(action, self._batch.scale.shape)[None]
+        observation, reward, crashed, over = self._batch.advance(actions)
+        info = _first(self._batch.hidden())
+        if crashed[0]:
+            info["cause"] = CAUSES[self._batch.mission.cause[0]]
+        return observation[0], reward.item(), crashed.item(), over.item(), info
+
+    def render(self) -> Image | None:
+        """A picture of the vehicle, (540, 960, 3); None without a render mode, or in a window."""
+        pictures = self._batch.render()
+        return None if pictures is None else pictures[0]
+
+    def close(self) -> None:
+        """Free what rendering took."""
+        self._batch.close_extras()
+
+
+def _first(rows: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """The only row of each array, masks left out; a number where it is one."""
+    return {
+        key: values[0] if values.ndim > 1 else values[0].item()
+        for key, values in rows.items()
+        if not key.startswith("_")
+    }

@@ -1,0 +1,107 @@
+"""Actions and observations of the environments: their sizes, and their numbers in the records of a flight."""
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from ..control.records import ATTITUDE, POSITION, RATE, ROTOR, VELOCITY, Level
+from ..flight.world import FLYING
+from ..runs.compiled import njit
+from ..vehicle import GRAVITY, Vehicle
+
+OBSERVATION = np.dtype(
+    [
+        ("position_error", "f4", 3),
+        ("velocity_error", "f4", 3),
+        ("acceleration", "f4", 3),
+        ("roll_pitch", "f4", 2),
+        ("yaw_error", "f4"),
+        ("heading", "f4", 2),
+        ("gyro", "f4", 3),
+    ]
+)
+"""One observation, see the table of `QuadrotorEnv`."""
+POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, RATE_LIMIT = 100.0, 50.0, 50.0, 50.0
+OBSERVATION_LIMIT = np.repeat(
+    [POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, np.pi, 1.0, RATE_LIMIT], [3, 3, 3, 3, 2, 3]
+)
+"""Largest value of each observation; what is larger is clipped."""
+ACTION_SCALE: dict[Level, tuple[float, ...]] = {
+    "position": (1.0, 1.0, 1.0, np.pi),
+    "velocity": (3.0, 3.0, 3.0, np.pi),
+    "attitude": (0.6, 0.6, np.pi, GRAVITY),
+    "rate": (6.0, 6.0, 2.0, GRAVITY),
+    "rotor": (1.0,),
+}
+"""What an action of 1 means at each level; each rotor: from hover speed to the highest."""
+
+
+OBSERVATION_SPACE = Box(
+    -OBSERVATION_LIMIT.astype(np.float32), OBSERVATION_LIMIT.astype(np.float32), dtype=np.float32
+)
+"""Of one vehicle."""
+
+
+def action_scale(level: Level, vehicle: Vehicle) -> NDArray[np.float64]:
+    """What an action of 1 means in each of its numbers."""
+    scale = np.array(ACTION_SCALE[level])
+    if level == "rotor":
+        span = vehicle.motor.omega_max - vehicle.hover_rotor_vel
+        scale = np.repeat(scale, len(vehicle.rotors)) * span
+    return scale
+
+
+@njit(cache=True)
+def to_command(level, action, scale, hover_rotor_vel, loops):
+    """Write the commands of actions (n, numbers) to the loops; False if an action is not finite."""
+    u = np.empty(scale.size)
+    for i in range(action.shape[0]):
+        wanted, out, c = loops[i].flight.target, loops[i].set_point, loops[i].controller
+        for j in range(scale.size):
+            if not np.isfinite(action[i, j]):
+                return False
+            u[j] = min(max(action[i, j], -1.0), 1.0) * scale[j]
+        if level == POSITION:
+            for j in range(3):
+                out.position[j] = wanted.position[j] + u[j]
+            out.yaw = wanted.yaw + u[3]
+        elif level == VELOCITY:
+            for j in range(3):
+                out.velocity[j] = wanted.velocity[j] + u[j]
+            out.yaw = wanted.yaw + u[3]
+        elif level == ATTITUDE:
+            c.attitude_cmd[0], c.attitude_cmd[1], c.attitude_cmd[2] = u[0], u[1], wanted.yaw + u[2]
+            c.thrust_cmd = GRAVITY + u[3]
+        elif level == RATE:
+            c.rate_cmd[0], c.rate_cmd[1], c.rate_cmd[2] = u[0], u[1], u[2]
+            c.thrust_cmd = GRAVITY + u[3]
+        elif level == ROTOR:
+            for j in range(scale.size):
+                c.rotor_vel_cmd[j] = hover_rotor_vel + u[j]
+    return True
+
+
+@njit(cache=True)
+def _clip(value, limit):
+    return min(max(value, -limit), limit)
+
+
+@njit(cache=True)
+def observe(loops, observation, reward):
+    """Write observations (n,) and rewards (n,); see the tables of `QuadrotorEnv`."""
+    for i in range(observation.shape[0]):
+        out, wanted, m, p = observation[i], loops[i].flight.target, loops[i].measured, loops[i].vehicle
+        distance = speed = 0.0  # squared errors
+        for j in range(3):
+            out.position_error[j] = _clip(wanted.position[j] - m.position[j], POSITION_LIMIT)
+            out.velocity_error[j] = _clip(wanted.velocity[j] - m.velocity[j], VELOCITY_LIMIT)
+            out.acceleration[j] = _clip(wanted.acceleration[j], ACCELERATION_LIMIT)
+            out.gyro[j] = _clip(m.gyro[j], RATE_LIMIT)
+            distance += (wanted.position[j] - p.position[j]) ** 2
+            speed += (wanted.velocity[j] - p.velocity[j]) ** 2
+        out.roll_pitch[0] = _clip(m.roll_pitch[0], np.pi)
+        out.roll_pitch[1] = _clip(m.roll_pitch[1], np.pi)
+        error = wanted.yaw - m.yaw
+        out.yaw_error = np.arctan2(np.sin(error), np.cos(error))
+        out.heading[0], out.heading[1] = np.cos(m.yaw), np.sin(m.yaw)
+        reward[i] = 1.0 / (1.0 + distance + 0.1 * speed) if loops[i].flight.cause == FLYING else 0.0

@@ -1,0 +1,118 @@
+"""Faults of the vehicle: its mass, its rotors, the place of its IMU; what they do to the plant."""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.ranges import Arm, Between, Duration, Instant, Mass, Share
+from ..config.toml import Strict
+from ..plant import Plant
+from ..vehicle import MAX_ROTORS
+
+
+class LeverArm(Strict):
+    """The IMU sits off the centre of mass, and nobody says so."""
+
+    kind: Literal["lever-arm"]
+    position: Arm
+    """Where, on top of the IMU's own, from the centre of mass in body axes [m]."""
+
+
+class PayloadDrop(Strict):
+    """The vehicle starts with a payload that its controller does not know of, and drops it."""
+
+    kind: Literal["payload-drop"]
+    mass: Mass
+    """Mass of the payload [kg]."""
+    at_s: Instant = 5.0
+    """When it falls [s]."""
+
+
+class RotorLoss(Strict):
+    """One rotor gives less thrust from some time on: a chipped blade, a tired motor."""
+
+    kind: Literal["rotor-loss"]
+    rotor: Annotated[int, Between(0, MAX_ROTORS - 1)] = 0
+    """Which, in the order of the vehicle's file."""
+    effect: Share = 0.7
+    """Thrust left, as a share of a healthy rotor's."""
+    at_s: Instant = 5.0
+    """When [s]."""
+
+
+class LowBattery(Strict):
+    """All rotors fade as the battery does."""
+
+    kind: Literal["low-battery"]
+    effect: Share = 0.7
+    """Thrust left at the end, as a share."""
+    at_s: Instant = 2.0
+    """When it begins to fade [s]."""
+    fade_s: Duration = 10.0
+    """How long that takes [s]."""
+
+
+class GroundEffect(Strict):
+    """Near the ground the rotors give more thrust for the same speed: 1 / (1 − (R / 4z)²) times as much.
+
+    R is the rotors' radius, z the height of the centre of mass, at least R / 2. Cheeseman & Bennett, "The
+    effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021 (1955), in hover.
+    """
+
+    kind: Literal["ground-effect"]
+
+
+VehicleFault: TypeAlias = PayloadDrop | RotorLoss | LowBattery | GroundEffect | LeverArm
+
+
+class VehicleFaults:
+    """What the faults do to the plant: `apply` before every step, with every vehicle's count of samples."""
+
+    def __init__(self, faults: Sequence[Strict], plant: Plant) -> None:
+        """Take the faults of the vehicle out of all; `any` tells whether there are some.
+
+        Raises:
+            ValueError: If a rotor fails that the vehicle does not have.
+        """
+        rotors = plant.rotor_vel.shape[1]
+        for fault in faults:
+            if isinstance(fault, RotorLoss) and fault.rotor >= rotors:
+                raise ValueError(f"faults: rotor = {fault.rotor}: this vehicle has rotors 0 to {rotors - 1}")
+        self._plant = plant
+        self._payloads = [fault for fault in faults if isinstance(fault, PayloadDrop)]
+        self._rotors = [fault for fault in faults if isinstance(fault, RotorLoss | LowBattery | GroundEffect)]
+        self.any = bool(self._payloads or self._rotors)
+        self._empty = plant.vehicles["mass"].copy()
+        self._mass = self._empty
+
+    def restart(self, ids: NDArray[np.int64]) -> None:
+        """Give some vehicles the mass and the rotors that they have before `apply`."""
+        if self._payloads:
+            self._mass = self._mass.copy()
+            self._mass[ids] = self._empty[ids]
+            self._plant.set_mass(self._mass)
+        self._plant.rotor_effect[ids] = 1.0
+
+    def apply(self, k: NDArray[np.int64]) -> None:
+        """Set masses and rotors to what they are during the step from sample k (n,) on."""
+        time = k / self._plant.rate_hz
+        if self._payloads:
+            mass = self._empty + sum(fault.mass * (time < fault.at_s) for fault in self._payloads)
+            if not np.array_equal(mass, self._mass):
+                self._plant.set_mass(mass)
+                self._mass = mass
+        if self._rotors:
+            effect = self._plant.rotor_effect
+            effect[:] = 1.0
+            for fault in self._rotors:
+                if isinstance(fault, RotorLoss):
+                    effect[time >= fault.at_s, fault.rotor] *= fault.effect
+                elif isinstance(fault, GroundEffect):
+                    radius = self._plant.vehicle.frame.prop_radius
+                    height = np.maximum(self._plant.position[:, 2], radius / 2)
+                    effect /= (1.0 - (radius / (4.0 * height)) ** 2)[:, None]
+                else:
+                    faded = np.clip((time - fault.at_s) / fault.fade_s, 0.0, 1.0)
+                    effect *= 1.0 - (1.0 - fault.effect) * faded[:, None]
