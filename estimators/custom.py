@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from quadsim.estimator import AttitudeEstimator, receives_truth, roll_pitch_of
-from quadsim.own import is_own, load_own, own_files
+from quadsim.own import is_own, load_own, named_errors, own_files
 from quadsim.vehicle import GRAVITY
 
 from .filters.algorithm import Parameter
@@ -53,12 +53,9 @@ def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) ->
         ValueError: No such module or class, or it is no estimator.
     """
     made, given = load_own(name, GROUP), dict(values or {})
-    try:
+    arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in given)])
+    with named_errors(f"{name} is made with {arguments}, and", passing=()):
         est = made(rate_hz, **given)
-    except (Exception, SystemExit) as error:  # whatever a user's class does
-        kind = "" if isinstance(error, TypeError) else f"{type(error).__name__}: "
-        arguments = ", ".join(["one argument, rate_hz", *(f"{key}=" for key in given)])
-        raise ValueError(f"{name} is made with {arguments}: {kind}{error}") from error
     if not hasattr(est, "rate_hz"):
         est.rate_hz = rate_hz
     return tried(name, est)
@@ -72,17 +69,13 @@ def tried(name: str, est: AttitudeEstimator) -> AttitudeEstimator:
     """
     if missing := [each for each in ("reset", "update") if not callable(getattr(est, each, None))]:
         raise ValueError(f"{name} is no estimator: it has no {' and no '.join(missing)}")
-    try:
+    calls = "reset(n=3, roll_pitch=None) or update(gyro, accel), each (3, 3),"
+    with named_errors(f"{name}: {calls}", passing=()):
         est.reset(n=3, roll_pitch=None)
         if (observe := getattr(est, "observe", None)) is not None and receives_truth(est):
             observe(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
         result = est.update(np.zeros((3, 3)), np.tile([0.0, 0.0, GRAVITY], (3, 1)))
         result = np.asanyarray(result)
-    except (Exception, SystemExit) as error:  # whatever a user's class does
-        raise ValueError(
-            f"{name}: reset(n=3, roll_pitch=None) and update(gyro, accel), each (3, 3), end with "
-            f"{type(error).__name__}: {error}"
-        ) from error
     roll_pitch_of(result, (3, 2), name)
     return est
 

@@ -157,14 +157,16 @@ def _forget(files: Iterable[Path]) -> None:
 
 
 @contextmanager
-def named_errors(what: str) -> Iterator[None]:
+def named_errors(what: str, passing: type[Exception] | tuple[()] = ValueError) -> Iterator[None]:
     """Turn whatever a user's code raises into a ValueError that says what failed, `SystemExit` too.
 
-    A ValueError stays as it is, and so does Ctrl-C.
+    Args:
+        what: What ends with the error.
+        passing: What stays as it is; Ctrl-C always does.
     """
     try:
         yield
-    except ValueError:
+    except passing:
         raise
     except (Exception, SystemExit) as error:
         raise ValueError(f"{what} ends with {type(error).__name__}: {error}") from error

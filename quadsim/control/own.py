@@ -53,13 +53,8 @@ def made(make: MakeController, rate_hz: float, vehicle: Vehicle) -> AttitudeCont
         ValueError: It cannot, or what it makes is no controller.
     """
     name = getattr(make, "__name__", type(make).__name__)
-    try:
+    with named_errors(f"controller {name} is made with (rate_hz, vehicle), and"):
         controller = make(rate_hz, vehicle)
-    except ValueError:
-        raise
-    except (Exception, SystemExit) as error:  # whatever a user's function does
-        kind = type(error).__name__
-        raise ValueError(f"controller {name} is made with (rate_hz, vehicle): {kind}: {error}") from error
     if missing := [each for each in ("reset", "update") if not callable(getattr(controller, each, None))]:
         raise ValueError(f"{name} makes no attitude controller: it has no {' and no '.join(missing)}")
     return controller
@@ -115,10 +110,8 @@ class InnerLoop:
         self._accel = np.where(np.isfinite(accel), accel, self._accel)
         given = self.set_point, measured["gyro"], self._accel, measured["roll_pitch"]
         call = f"controller {self.name}: update"
-        try:
+        with named_errors(call, passing=()):
             returned = self.controller.update(*map(np.array, given))
-        except (Exception, SystemExit) as error:  # whatever a user's class does
-            raise ValueError(f"{call} ends with {type(error).__name__}: {error}") from error
         what = "angular acceleration [rad/s²] and thrust per mass [m/s²]"
         action = numbers_of(returned, self.set_point.shape, call, what)
         if not np.isfinite(action).all():

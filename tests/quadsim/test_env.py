@@ -296,7 +296,7 @@ def failing(self, gyro, accel):
         (still("Three", update=lambda self, gyro, accel: np.zeros((self.n, 3))),
          r"float64 array of shape \(3, 3\); roll and pitch \[rad\], real numbers of shape \(3, 2\)"),
         (still("NoRate", __init__=lambda self: None), "with one argument, rate_hz"),
-        (still("Failing", update=failing), "end with KeyError: 'gain'"),
+        (still("Failing", update=failing), "ends with KeyError: 'gain'"),
     ],
 )  # fmt: skip
 def test_what_is_no_estimator_is_said_before_the_first_flight(made, said):
