@@ -60,7 +60,7 @@ def load_own(name: str, group: str = "") -> Any:
     return found
 
 
-def own_file(name: str, group: str = "") -> Path | None:
+def _file_of(name: str, group: str) -> Path | None:
     """The file that an object of a user's comes from, without running it; None where there is none."""
     if name in entry_points_of(group):
         name = entry_points_of(group)[name].value
@@ -80,14 +80,8 @@ def own_files(name: str, group: str = "") -> list[Path]:
     Imports are followed to modules beside the file, in its package and in folders on Python's path, but not
     to what is installed, Python's own, or the product's.
     """
-    file = own_file(name, group)
+    file = _file_of(name, group)
     return _with_imports(file.absolute()) if file else []
-
-
-def absolute(name: str) -> str:
-    """The name with its file's whole path, so that it means the same in every directory."""
-    module, colon, attribute = name.rpartition(":")
-    return f"{Path(module).absolute()}{colon}{attribute}" if module.endswith(".py") else name
 
 
 @cache

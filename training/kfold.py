@@ -6,7 +6,7 @@ training flights, on its test flights, and on all flights of every other domain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,7 +95,7 @@ def kfold(
 def _all_folds(
     jobs: Sequence[Job], workers: int | None, executor: Executor | None, progress: Progress | None
 ) -> Rows:
-    def tick(running: Iterable[int] = ()) -> None:
+    def tick() -> None:
         if progress:
             done = [(job.out / "scores.json").is_file() for job in jobs]
             epochs = [job.config.epochs if d else _epochs(job.out) for job, d in zip(jobs, done, strict=True)]

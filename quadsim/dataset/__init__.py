@@ -1,6 +1,6 @@
 """Datasets: a recipe goes in, labelled xarray/Zarr flights come out; checks, figures and export."""
 
 from .generation import generate
-from .reading import dataset_info, open_dataset, split_flights, verify
+from .reading import dataset_info, open_dataset, verify
 
-__all__ = ["dataset_info", "generate", "open_dataset", "split_flights", "verify"]
+__all__ = ["dataset_info", "generate", "open_dataset", "verify"]

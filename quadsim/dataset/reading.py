@@ -1,15 +1,14 @@
-"""Open, check, summarise and split a dataset."""
+"""Open, check and summarise a dataset."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ..rotation import quat_rotate, roll_pitch_from_quat
 from . import integrity
-from .generation import Progress, _at_least
+from .generation import Progress
 from .store import PER_FLIGHT
 
 
@@ -120,26 +119,3 @@ def dataset_info(path: str | Path) -> dict[str, object]:
         "quadsim_version": dataset.attrs["quadsim_version"],
         "config": json.loads(dataset.attrs["config"]),
     }
-
-
-def split_flights(
-    n: int, seed: int = 0, fractions: tuple[float, float, float] = (0.7, 0.2, 0.1)
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Split flights at random into training, validation and test sets, none of them empty.
-
-    Args:
-        n: Number of flights, at least 3.
-        seed: Seed of the shuffle.
-        fractions: Shares of the three sets; they add up to 1.
-
-    Returns:
-        Numbers of the flights of each set, ascending.
-    """
-    _at_least("flights", n, 3)
-    if min(fractions) <= 0 or abs(sum(fractions) - 1) > 1e-9:
-        raise ValueError(f"fractions = {fractions}: three positive shares that add up to 1 are allowed")
-    validation = min(max(1, round(n * fractions[1])), n - 2)
-    test = min(max(1, round(n * fractions[2])), n - validation - 1)
-    shuffled = np.random.default_rng(seed).permutation(n)
-    train, rest = np.split(shuffled, [n - validation - test])
-    return np.sort(train), np.sort(rest[:validation]), np.sort(rest[validation:])

@@ -5,12 +5,12 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import contextmanager, nullcontext
 from multiprocessing.connection import wait
-from typing import Any, TypeVar
+from typing import TypeVar
 
 CLUSTER_LOST = "the cluster was lost; finished work stays: give the same command again"
 WORKER_DIED = "a worker process died (out of memory, or killed); finished work stays: rerun to go on"
@@ -23,8 +23,6 @@ POLL_S = 1.0
 
 Key = TypeVar("Key")
 Result = TypeVar("Result")
-Startable = Callable[[Iterable[Any], Iterable[Any]], Iterable[Any]]
-Tick = Callable[[Iterable[Any]], None]
 
 
 def run_jobs(
@@ -32,8 +30,7 @@ def run_jobs(
     jobs: Mapping[Key, tuple],
     workers: int | None = None,
     executor: Executor | None = None,
-    startable: Startable = lambda waiting, running: waiting,
-    tick: Tick | None = None,
+    tick: Callable[[], None] | None = None,
 ) -> Generator[tuple[Key, Result]]:
     """Call a function for every job, and yield the key of each job with its result as they end.
 
@@ -42,24 +39,23 @@ def run_jobs(
         jobs: Arguments by key.
         workers: Processes, by default one for each CPU; 1 stays in this process and runs the jobs in order.
         executor: Where to run in place of processes of our own.
-        startable: Keys that may start now, of those that are waiting, given those that are running.
-        tick: Called now and then with the keys that are running.
+        tick: Called at the beginning, at the end, and now and then.
 
     Raises:
         BrokenExecutor: A worker process died.
         ChildProcessError: The executor's cluster was lost.
     """
     workers = process_count(workers, len(jobs))
+    if tick:
+        tick()
     if executor is None and workers == 1:
         for key, job in jobs.items():
-            if tick:
-                tick([key])
             yield key, function(*job)
-        if tick:
-            tick([])
+            if tick:
+                tick()
         return
     with nullcontext(executor) if executor is not None else worker_pool(workers) as pool:
-        for key, result in _submit(pool, function, jobs, startable, tick):
+        for key, result in _submit(pool, function, jobs, tick):
             if isinstance(result, BaseException):
                 raise result
             yield key, result
@@ -105,22 +101,17 @@ def _submit(
     executor: Executor,
     function: Callable[..., Result],
     jobs: Mapping[Key, tuple],
-    startable: Startable = lambda waiting, running: waiting,
-    tick: Tick | None = None,
+    tick: Callable[[], None] | None = None,
 ) -> Iterator[tuple[Key, Result | BaseException]]:
     """Run jobs on an executor; yields the exception in place of the result where a job failed."""
-    waiting, running = dict(jobs), dict[Future[Result], Key]()
+    running = {executor.submit(function, *job): key for key, job in jobs.items()}
     try:
-        while waiting or running:
-            for key in list(startable(waiting, running.values())):
-                running[executor.submit(function, *waiting.pop(key))] = key
-            if tick:
-                tick(running.values())
+        while running:
             for future in wait_for(running, POLL_S if tick else None, "FIRST_COMPLETED").done:
                 error = future.exception()
                 yield running.pop(future), future.result() if error is None else error
-        if tick:
-            tick([])
+            if tick:
+                tick()
     except CancelledError as error:
         raise ChildProcessError(CLUSTER_LOST) from error
     finally:

@@ -10,15 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zarr
-from hypothesis import given
-from hypothesis import strategies as st
 from processes import alive, await_true, children
 
 from quadsim.dataset import generation as dataset
 from quadsim.dataset import integrity
 from quadsim.dataset import store as dataset_store
 from quadsim.dataset.generation import generate
-from quadsim.dataset.reading import dataset_info, open_dataset, split_flights, verify
+from quadsim.dataset.reading import dataset_info, open_dataset, verify
 from quadsim.dataset.store import VARIABLES, partial_folder
 from quadsim.flight.recipe import Recipe
 from quadsim.flight.simulate import simulate_flights
@@ -450,7 +448,7 @@ def test_a_diverging_flight_ends_with_a_reason_and_holds_its_last_sample(tmp_pat
     assert dataset_info(tmp_path / "x.zarr")["flights_ended_early"] == 3
 
 
-# --- summary and split ---
+# --- summary ---
 
 
 def test_info_states_spread_over_all_samples(finished):
@@ -472,25 +470,6 @@ def test_tilt_of_a_known_attitude(tmp_path, monkeypatch):
     info = dataset_info(generate(CONFIG, 1, DURATION, tmp_path / "x.zarr", workers=1))
     assert info["max_tilt_deg"] == pytest.approx(40, abs=1e-3)
     assert info["roll_sd_deg"] == pytest.approx(0, abs=1e-3)
-
-
-@given(n=st.integers(3, 300), seed=st.integers(0, 2**32))
-def test_a_split_uses_every_flight_once_and_leaves_no_set_empty(n, seed):
-    sets = split_flights(n, seed)
-    assert sorted(np.concatenate(sets)) == list(range(n))
-    assert all(len(each) for each in sets)
-    assert all(np.array_equal(a, b) for a, b in zip(sets, split_flights(n, seed), strict=True))
-
-
-def test_the_papers_split_of_35_flights():
-    assert [len(each) for each in split_flights(35, 0)] == [24, 7, 4]
-
-
-def test_a_split_needs_three_flights_and_shares_that_add_up():
-    with pytest.raises(ValueError, match="flights = 2"):
-        split_flights(2)
-    with pytest.raises(ValueError, match="add up to 1"):
-        split_flights(10, 0, (0.5, 0.2, 0.1))
 
 
 # --- damage ---
