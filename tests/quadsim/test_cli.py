@@ -4,9 +4,7 @@ import subprocess
 import sys
 from functools import partial
 
-import numpy as np
 import pytest
-from safetensors.numpy import save_file
 from typer.main import get_command
 
 from estimators.networks.weights_file import shipped_network
@@ -208,15 +206,6 @@ def test_malformed_toml_names_the_line(quadsim, tmp_path):
     assert code == 2
     assert "mine.toml" in err
     assert "line 1" in err
-
-
-def test_weights_of_the_wrong_shape_are_refused(quadsim, tmp_path):
-    from estimators import create
-
-    path = tmp_path / "wrong.safetensors"
-    save_file({"w": np.zeros((3, 2))}, path)
-    with pytest.raises(ValueError, match=r"wrong\.safetensors"):
-        create("att-snn", weights=path)
 
 
 def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(quadsim, dataset, tmp_path):
