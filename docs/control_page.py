@@ -35,7 +35,8 @@ from scenarios.bench.cell import fly_cell
 from scenarios.bench.controllers import CASCADED, controller_of
 from scenarios.bench.flight_metrics import CellRow
 from scenarios.bench.margins import Cascade, Margins, margins
-from scenarios.bench.runner import Results, bench
+from scenarios.bench.results import Results
+from scenarios.bench.runner import bench
 from scenarios.bench.settings import FlightSettings
 
 sys.path.insert(0, str(ROOT / "examples"))

@@ -8,7 +8,6 @@ from pages import ROOT
 from PIL import Image
 
 from quadsim.vehicle import load_vehicle
-from scenarios.bench.settings import ScenarioChanges
 from scenarios.report.flight_picture import flight_picture
 from scenarios.single_flight import fly_scenario
 
@@ -28,7 +27,7 @@ def picture(out: Path) -> None:
 
 def video(out: Path) -> None:
     """A figure of eight, small; a browser starts to play it before it has the whole file."""
-    changes = ScenarioChanges(duration_s=VIDEO_S)
+    changes = {"duration_s": VIDEO_S}
     flown = fly_scenario("figure-8", ESTIMATOR, out / "figure-8", changes=changes, video=True)
     path = ROOT / "docs" / "img" / "flight.mp4"
     coded = ["-c:v", "libx264", "-preset", "slow", "-crf", str(QUALITY), "-pix_fmt", "yuv420p"]

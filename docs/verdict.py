@@ -4,95 +4,88 @@ A run that is cut short resumes, as `quadsim bench` does.
 """
 
 from argparse import Namespace
-from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
 from pages import Page, Parts, row
 
-import estimators
+from estimators.appearance import looks
 from quadsim.dataset.figures import STYLE
-from quadsim.flight.scenario import Scenario
 from quadsim.held_out import HeldOut, load_held_out, releases
 from quadsim.runs.console import progress_bar
-from scenarios.bench.axes import (
-    ALL,
-    AXES,
-    SCENARIOS,
-    Combination,
-    Effect,
-    advice,
-    choices,
-    design,
-    effects,
-    headline,
-    ranking,
-    scenario_of,
-    worst_level,
-)
-from scenarios.bench.held_out import suite
+from scenarios.bench.controllers import default_estimators
+from scenarios.bench.experiment import load_experiment
 from scenarios.bench.recommendation import Recommendation, save_recommendation
-from scenarios.bench.runner import Results, bench, identical
+from scenarios.bench.results import Results, shown_once
+from scenarios.bench.runner import bench
 from scenarios.bench.settings import FlightSettings
-from scenarios.demo import SLOW
-from scenarios.report.axes_figure import axes_figure
+from scenarios.bench.verdict import Verdict, verdict
 
 OUT = Path(__file__).parents[1] / "reports" / "verdict"
-FLIGHTS = 4
-"""Of each estimator in each combination of the design."""
+HELD_OUT, AXES = load_experiment("held-out"), load_experiment("axes")
 
 
-def fly(name: str, scenarios: dict[str, Scenario], seeds: int, seed: int) -> Results:
-    """A benchmark of all estimators in a folder of its own."""
-    names = [each for each in estimators.names() if each not in SLOW]
-    with progress_bar(name, "cells") as progress:
-        return bench(scenarios, names, OUT / name, FlightSettings(seeds, seed), progress=progress)
+def fly(name: str) -> Results:
+    """An experiment of all estimators in a folder of its own."""
+    experiment = load_experiment(name)
+    settings = FlightSettings(experiment.seeds, experiment.seed or 0)
+    with progress_bar(name, "cells") as bar:
+        return bench(
+            None, default_estimators(), OUT / name, settings, experiment=experiment, progress=bar
+        )  # fmt: skip
 
 
-def standing_rows(found: Sequence[Effect]) -> list[str]:
-    """Estimators over all flights, from best to worst."""
-    whole = {e.estimator: e for e in found if e.axis == ALL}
-    rows = []
-    for name in ranking(found):
-        each, worst = whole[name], worst_level(found, name)
-        assert worst is not None
-        low, high = 100 * each.crash_low, 100 * each.crash_high
-        rows.append(
-            row(
-                each.estimator,
-                f"{each.crashes} of {each.flights}",
-                f"{low:.0f}–{high:.0f} %",
-                _error(each),
-                each.failed or "–",
-                f"{worst.axis}: {worst.level}",
-                f"{worst.crashes} of {worst.flights}, {_error(worst)}",
-            )
-        )
-    return rows
+def standing_rows(judged: Verdict) -> list[str]:
+    """The table of a verdict, with its heading."""
+    headings = ["estimator", *judged.standings[0].texts]
+    rows = [row(each.estimator, *each.texts.values()) for each in judged.standings]
+    return [row(*headings), "|---" * len(headings) + "|", *rows]
 
 
-def _error(each: Effect) -> str:
-    if each.error_deg is None:
-        return "–"
-    return f"{each.error_deg:.2f}" + ("" if each.low is None else f" ({each.low:.2f}–{each.high:.2f})")
-
-
-def level_rows(found: Sequence[Effect], axis: str) -> list[str]:
+def level_rows(results: Results, axis: str) -> list[str]:
     """A table of one axis, with its heading: estimators against levels."""
-    levels = list(dict.fromkeys(e.level for e in found if e.axis == axis))
-    of = {(e.estimator, e.level): e for e in found if e.axis == axis}
-    names = list(dict.fromkeys(e.estimator for e in found if e.axis == axis and not e.unranked))
+    levels = list(dict.fromkeys(level for of, level, _ in results.by_level if of == axis))
     lines = [row(axis, *levels), "|---" * (len(levels) + 1) + "|"]
-    for name in names:
+    for name in (each for each in results.estimators if each not in results.unranked):
         cells = []
         for level in levels:
-            each = of[name, level]
-            crashed = f" ✕{each.crashes}" if each.crashes else ""
+            each = results.by_level[axis, level, name]
             error = "–" if each.error_deg is None else f"{each.error_deg:.2f}"
-            cells.append(f"{error}{crashed}" if each.flights else "does not fly")
+            cells.append(error + f" ✕{each.crashes}" * bool(each.crashes) if each.flights else "does not fly")
         lines.append(row(name, *cells))
     return [*lines, ""]
+
+
+def draw_levels(results: Results) -> Figure:
+    """Mean errors at each level of each axis; open markers: some flights crashed."""
+    axes = list(dict.fromkeys(axis for axis, _, _ in results.by_level))
+    appearance = looks(name for name in results.estimators if name not in results.unranked)
+    figure = Figure(figsize=(11.0, 9.6), layout="constrained")
+    panels = figure.subplots(3, 2, sharey=True).ravel()
+    for panel, axis in zip(panels, axes, strict=True):
+        levels = list(dict.fromkeys(level for of, level, _ in results.by_level if of == axis))
+        for k, (name, look) in enumerate(appearance.items()):
+            shift = 0.7 * ((k + 0.5) / len(appearance) - 0.5)
+            for x, level in enumerate(levels):
+                each = results.by_level[axis, level, name]
+                face = "white" if each.crashes else look.colour
+                panel.plot(
+                    x + shift, each.error_deg or np.nan, look.marker, color=look.colour, markersize=5,
+                    markerfacecolor=face, label=name if (panel is panels[0] and x == 0) else None,
+                )  # fmt: skip
+        panel.set_xticks(range(len(levels)), [fill(level, 14) for level in levels], fontsize="small")
+        panel.set_title(axis, fontsize="medium", loc="left")
+        panel.set_yscale("log")
+        panel.set_yticks([1, 2, 5, 10], ["1", "2", "5", "10"])
+        panel.minorticks_off()
+    figure.supylabel("error [°]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    figure.suptitle("Mean error of flights without a crash; open markers: some flights crashed")
+    return figure
 
 
 def ranges(held_out: HeldOut) -> list[str]:
@@ -104,33 +97,21 @@ def ranges(held_out: HeldOut) -> list[str]:
         "lap of the figure of eight": "{}–{} s".format(*held_out.period_s),
         "largest tilt of random manoeuvres": "{}–{}°".format(*held_out.tilt_deg),
     }
-    return [
-        row(*each) for each in (said | {axis: ", ".join(levels) for axis, levels in AXES.items()}).items()
-    ]
-
-
-def lines_of(combinations: Sequence[Combination], results: Results) -> list[str]:
-    """The advice as a list."""
-    return [f"- {line}" for line in advice(combinations, results)]
+    levels = {axis: ", ".join(of) for axis, of in AXES.axes.items()}
+    return [row(*each) for each in (said | levels).items()]
 
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     held_out = load_held_out(releases()[-1])
-    drawn = suite(held_out)
-    unseen = fly("held-out", {k: s for k, (_, s) in drawn.items()}, held_out.flights, held_out.seed)
-    new = [combination for combination, _ in drawn.values()]
-    combinations = design()
-    looked_at = fly("axes", {each.name: scenario_of(each) for each in combinations}, FLIGHTS, 0)
-    found = effects(combinations, looked_at)
-    sentence = headline(choices(new, unseen), new)
-    command, today = "quadsim bench --held-out", date.today().isoformat()
+    unseen, looked_at = verdict(fly("held-out")), shown_once(fly("axes"))[0]
+    judged, sentence = verdict(looked_at), unseen.headline
+    command, today = "quadsim bench --experiment held-out", date.today().isoformat()
     save_recommendation(
         Recommendation(release=held_out.release, command=command, date=today, sentence=sentence)
     )
     with matplotlib.rc_context(STYLE):
-        page.save(axes_figure(found), "verdict-axes.png", dpi=110, colours=128)
-    same = ", ".join(f"`{name}` flew exactly as `{other}`" for name, other in identical(unseen).items())
+        page.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
     return {
         "release": held_out.release,
         "seed": str(held_out.seed),
@@ -138,13 +119,12 @@ def values(page: Page, given: Namespace) -> Parts:
         "flights": str(held_out.flights),
         "ranges": ranges(held_out),
         "recommendation": sentence,
-        "advice": lines_of(new, unseen),
-        "standings": standing_rows(effects(new, unseen)),
-        "same": f"{same}; it is shown once." if same else "",
-        "cells": str(len(combinations)),
-        "cell_flights": str(FLIGHTS),
-        "flown_in": ", ".join(f"`{name}`" for name in SCENARIOS),
-        "axes_advice": lines_of(combinations, looked_at),
-        "axes_standings": standing_rows(found),
-        "levels": [line for axis in [*AXES, "scenario"] for line in level_rows(found, axis)],
+        "advice": [f"- {line}" for line in unseen.lines],
+        "standings": standing_rows(unseen),
+        "cells": str(AXES.combinations),
+        "cell_flights": str(AXES.seeds),
+        "flown_in": ", ".join(f"`{name}`" for name in AXES.scenarios),
+        "axes_advice": [f"- {line}" for line in judged.lines],
+        "axes_standings": standing_rows(judged),
+        "levels": [line for axis in [*AXES.axes, "scenario"] for line in level_rows(looked_at, axis)],
     }

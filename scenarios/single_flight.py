@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import estimators
 from quadsim.flight.mission import Mission
-from quadsim.flight.scenario import load_scenario
+from quadsim.flight.scenario import changed, load_scenario
 from quadsim.pictures.film import Marks, film
 from quadsim.pictures.render import replay
 from quadsim.rotation import quat_from_euler
@@ -16,9 +16,10 @@ from quadsim.runs.files import write_csv
 
 from .bench.cell import fly, make_cell
 from .bench.controllers import controller_of, estimator_of, make_controller
-from .bench.runner import NO_CHANGES, Results, check_controllers
+from .bench.results import Results
+from .bench.runner import NO_CHANGES, Changes, check_controllers
 from .bench.series import decimation
-from .bench.settings import FlightSettings, ScenarioChanges
+from .bench.settings import FlightSettings
 from .bench.signals import SignalLog
 from .report.page import ClosedLoopSection, write_report
 
@@ -41,7 +42,7 @@ def fly_scenario(
     estimator: str,
     out: str | Path,
     settings: FlightSettings = ONE_FLIGHT,
-    changes: ScenarioChanges = NO_CHANGES,
+    changes: Changes = NO_CHANGES,
     *,
     flight: int = 0,
     video: bool = False,
@@ -55,7 +56,7 @@ def fly_scenario(
         out: Folder for `report.html`, `flight.csv` and `flight.mp4`.
         settings: Seeds, sample rate, tuning; the files show the first flight.
         changes: Fields that replace those of the scenario.
-        flight: Number of the first flight, as in the flights.csv of a benchmark of the same seed.
+        flight: Number of the first flight, as in the flights.parquet of a benchmark of the same seed.
         video: Whether to make a video of the first flight.
         view: Whether to show the first flight in MuJoCo's viewer, in real time, until it is closed.
 
@@ -67,7 +68,7 @@ def fly_scenario(
     """
     if flight < 0:
         raise ValueError(f"flight is {flight}; flights count from 0")
-    scenario, name = changes.of(load_scenario(source)), Path(source).name.removesuffix(".toml")
+    scenario, name = changed(load_scenario(source), changes), Path(source).name.removesuffix(".toml")
     rate_hz = settings.rate_hz
     parts = {"vehicle": scenario.vehicle, "imu": scenario.imu}
     made = estimators.create(estimator_of(estimator), rate_hz, tuning=settings.tuning, **parts)
@@ -93,7 +94,7 @@ def fly_scenario(
             problem = error
     section = ClosedLoopSection(results, film=film_path)
     title = f"{name} with attitude from {estimator}"
-    report = write_report(out / "report.html", section, title=title, csv=["flight.csv"], focus=estimator)
+    report = write_report(out / "report.html", section, title=title, files=["flight.csv"], focus=estimator)
     if problem:
         raise problem
     if view:

@@ -35,7 +35,7 @@ HOW = {
     Kind.CONTROLLERS: "--controller NAME; also weights, or your own: file.py:make, module:make",
     Kind.VEHICLES: "--vehicle NAME, or a TOML file",
     Kind.IMUS: "--imu NAME, or a TOML file",
-    Kind.EXTERNALS: "quadsim bench --external NAME, or a TOML file",
+    Kind.EXTERNALS: "quadsim bench --set external=NAME, or a TOML file",
     Kind.RECIPES: "quadsim generate --recipe NAME, or a TOML file",
     Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
     Kind.TUNING: "--tuning NAME, or a file of quadsim tune",

@@ -22,7 +22,7 @@ def compile_code() -> None:
 
     import estimators
     from scenarios.bench.runner import bench
-    from scenarios.bench.settings import FlightSettings, ScenarioChanges
+    from scenarios.bench.settings import FlightSettings
     from training.loop import train
 
     from ..dataset.generation import generate
@@ -37,7 +37,7 @@ def compile_code() -> None:
             dataset_info(generate(load_recipe(name), 4, 2.0, folder / name, workers=1))
 
     def fly(folder: Path) -> None:
-        changes = ScenarioChanges(duration_s=0.1)
+        changes = {"duration_s": 0.1}
         for n in (1, 2):
             bench(["hover", "take-off"], names, folder / f"bench-{n}", FlightSettings(n), changes, workers=1)
             env = gymnasium.make_vec("quadsim/Quadrotor-v0", num_envs=n, estimator="mahony")

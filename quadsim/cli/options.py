@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from ..config.ranges import Between, Engine
 from ..config.toml import Strict, merged, parse
-from ..runs.console import output
-
-if TYPE_CHECKING:
-    from scenarios.bench.axes import Combination
-    from scenarios.bench.runner import Results
 
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
@@ -111,35 +105,15 @@ class Conditions(Sampling):
     tuning: str | None = None
     """None takes the parameters shipped for the vehicle."""
 
+    def changes(self, duration_s: float | None) -> dict[str, object]:
+        """Fields that replace those of every scenario."""
+        given = self.model_dump(exclude={"rate", "tuning"}) | {"duration_s": duration_s}
+        return {name: value for name, value in given.items() if value is not None}
+
 
 def conditions_of(texts: Sequence[str] | None) -> Conditions:
     """Conditions given by `--set`; an unknown name is an error that lists those there are."""
     return parse(fields_of(texts), Conditions, "--set")
-
-
-def warn_of(results: Results) -> None:
-    """Warn of filters tuned for another vehicle or IMU, and of faults that never came."""
-    late = [
-        f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {start:g} s"
-        for name, scenario in results.scenarios.items()
-        for fault in scenario.faults
-        if (start := getattr(fault, "at_s", 0.0)) >= scenario.duration_s
-    ]
-    for line in [*results.warnings, *late]:
-        output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
-
-
-def headline(path: Path, results: Results, combinations: Sequence[Combination] = ()) -> str:
-    """Path of the report, and its verdict; of a design what to fly on which condition."""
-    from scenarios.bench import axes
-    from scenarios.bench.runner import shown_once
-    from scenarios.bench.verdict import verdict
-
-    if combinations:
-        return f"{path}: {axes.headline(axes.choices(combinations, results), combinations)}"
-    results = shown_once(results)[0]
-    judged = verdict(results)
-    return "\n".join([f"{path}: {judged.headline}", *judged.lines])
 
 
 def time_left(seconds: float, done: int, total: int) -> str:

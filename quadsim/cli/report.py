@@ -10,7 +10,7 @@ from ..runs.console import output as console
 from ..runs.console import progress_bar
 from ..runs.files import alone
 from .logs import show_log, show_mount
-from .options import Imu, Mount, Truth, headline
+from .options import Imu, Mount, Truth
 
 
 def report(
@@ -64,6 +64,7 @@ def report(
     Example: quadsim report flight.ulg --find-mount best
     """
     from estimators.networks.weights_file import END, shipped_names
+    from scenarios.verbs import report_benchmark
 
     place = Path(path).expanduser()
     given = {"--out": out, "--verify": verify, "--data": data}
@@ -76,7 +77,7 @@ def report(
         _report_dataset(place, verify, out)
     elif (place / "bench.json").exists():
         _refuse_others(given, "a benchmark", "--out")
-        _report_benchmark(place, out)
+        report_benchmark(place, out)
     elif place.exists():
         _refuse_others(given, "a log", "--mount", "--truth", "--imu", "--find-mount")
         if find_mount is None:
@@ -91,21 +92,6 @@ def _refuse_others(given: dict[str, object], what: str, *allowed: str) -> None:
     for name, value in given.items():
         if value and name not in allowed:
             raise ValueError(f"{name} is not for {what}, which takes {', '.join(allowed)}")
-
-
-def _report_benchmark(folder: Path, out: Path | None) -> None:
-    from scenarios.bench.breaking import load_points
-    from scenarios.bench.runner import load_results
-    from scenarios.report.publish import designed, publish, publish_axes
-
-    results = load_results(folder)
-    if combinations := designed(folder, results):
-        page = publish_axes(folder, results, combinations, out)
-    else:
-        reported = (folder / "breaking.csv").exists()  # by the run that these results are of
-        points = [each for each in load_points(folder) if reported and each.estimator in results.estimators]
-        page = publish(folder, results, points, out)[0]
-    console.print(headline(page, results, combinations), soft_wrap=True, markup=False)
 
 
 def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:

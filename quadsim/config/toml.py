@@ -173,7 +173,7 @@ def nearest(name: str, valid: Iterable[str]) -> str:
 
 def shipped_folder(folder: str) -> Path:
     """Where the presets of a kind are: beside this package, whatever the working directory holds."""
-    return ROOT / "scenarios" if folder == "scenarios" else ASSETS / folder
+    return (ROOT if folder.startswith("scenarios") else ASSETS) / folder
 
 
 def _find(source: str | Path, folder: str) -> Path:
@@ -186,7 +186,7 @@ def _find(source: str | Path, folder: str) -> Path:
         raise ValueError(f"{source}: {reason}; presets: {', '.join(preset_names(folder)) or 'none'}")
     if source in preset_names(folder):
         return shipped_folder(folder) / f"{source}.toml"
-    kind = folder.removesuffix("s")
+    kind = Path(folder).name.removesuffix("s")
     raise ValueError(
         f'unknown {kind} "{source}"; {nearest(str(source), preset_names(folder))}, or a path to a .toml'
     )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+import estimators
 from estimators.control.controller import LOIHI, create_controller, is_controller
 from estimators.networks.weights_file import END, shipped_controllers
 from quadsim.config.toml import nearest
@@ -17,11 +18,18 @@ GROUP = "quadsim.controllers"
 MARK = " @ "
 TRUTH = "truth"
 """The estimator that returns the true attitude."""
+SLOW = ("ukf-filterpy",)
+"""Flies where it is asked for alone: the numbers of the compiled filter, in ten times the time."""
 
 
-def contenders(estimators: Sequence[str], controllers: Sequence[str]) -> list[str]:
+def default_estimators() -> list[str]:
+    """The estimators that are flown where none are chosen."""
+    return [name for name in estimators.names() if name not in SLOW]
+
+
+def contenders(names: Sequence[str], controllers: Sequence[str]) -> list[str]:
     """Every estimator with every controller."""
-    return [contender(estimator, each) for each in controllers or [CASCADED] for estimator in estimators]
+    return [contender(estimator, each) for each in controllers or [CASCADED] for estimator in names]
 
 
 def contender(estimator: str, controller: str = CASCADED) -> str:

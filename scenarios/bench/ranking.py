@@ -1,15 +1,29 @@
-"""Rank contenders that flew the same flights: survival first, errors only where all compared ones survived.
+"""Rank contenders that flew the same flights, and compare two of them on the very same flights.
 
-A flight that crashes early has a small error until then, so errors of different flights are never compared.
+Survival ranks first, and errors only count where all compared ones survived: a flight that crashes early has
+a small error until then. Seed i of a scenario is the same start, wind, sensor noise and faults for every
+estimator, so that paired differences cancel them. A pair of which one crashed has no difference in error;
+such pairs are counted separately.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from .flight_metrics import FlightRow
 
+Array = NDArray[np.float64]
+
+PAIRED = ("error_deg", "attitude_deg", "position_m")
+"""Metrics that are compared."""
+ALL = "all"
+"""Means all scenarios together."""
 Flight = tuple[str, int]
 """Scenario and seed."""
 Flown = Mapping[Flight, FlightRow]
@@ -57,27 +71,13 @@ def by_contender(flights: Sequence[FlightRow]) -> dict[str, dict[Flight, FlightR
     return found
 
 
-def mean_over_scenarios(errors: Mapping[Flight, float]) -> float:
-    """Mean over scenarios of the mean over their flights."""
-    by_scenario: dict[str, list[float]] = {}
-    for (scenario, _), error in errors.items():
-        by_scenario.setdefault(scenario, []).append(error)
-    return float(np.mean([np.mean(each) for each in by_scenario.values()]))
-
-
-def ranked(
-    flown: Mapping[str, Flown],
-    planned: Collection[Flight],
-    metric: str = "error_deg",
-    average: Callable[[Mapping[Flight, float]], float] = mean_over_scenarios,
-) -> list[Place]:
+def ranked(flown: Mapping[str, Flown], planned: Collection[Flight], metric: str = "error_deg") -> list[Place]:
     """Contenders from best to worst: by the share of flights survived, the time to the crash, the error.
 
     Args:
         flown: The flights of each contender.
         planned: The flights that every contender was to fly.
         metric: What counts as the error, a field of `FlightRow` [deg].
-        average: Of the errors of several flights.
     """
     alike: dict[tuple[int, float], list[str]] = {}
     for name, rows in flown.items():
@@ -87,20 +87,12 @@ def ranked(
     places = []
     for (count, seconds), names in sorted(alike.items(), reverse=True):
         common = [flight for flight in planned if all(survives(flown[name], flight) for name in names)]
-        places += sorted(
-            (
-                Place(
-                    name,
-                    len(planned),
-                    count,
-                    sum(flight not in flown[name] for flight in planned),
-                    seconds,
-                    _error(flown[name], common, metric, average),
-                )
-                for name in names
-            ),
-            key=lambda place: place.error,
-        )
+        found = []
+        for name in names:
+            missing = sum(flight not in flown[name] for flight in planned)
+            error = _mean_over_scenarios(flown[name], common, metric)
+            found.append(Place(name, len(planned), count, missing, seconds, error))
+        places += sorted(found, key=lambda place: place.error)
     return places
 
 
@@ -131,8 +123,79 @@ def listed(names: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
-def _error(
-    rows: Flown, common: Collection[Flight], metric: str, average: Callable[[Mapping[Flight, float]], float]
-) -> float:
-    known = {flight: value for flight in common if (value := getattr(rows[flight], metric)) is not None}
-    return average(known) if known and len(known) == len(common) else np.inf
+def _mean_over_scenarios(rows: Flown, common: Collection[Flight], metric: str) -> float:
+    """Mean over scenarios of the mean over their flights; infinite without any, or where one is not known."""
+    by_scenario: dict[str, list[float]] = {}
+    for flight in common:
+        value = getattr(rows[flight], metric)
+        by_scenario.setdefault(flight[0], []).append(np.inf if value is None else value)
+    return float(np.mean([np.mean(each) for each in by_scenario.values()])) if by_scenario else np.inf
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """Two estimators, one metric and one scenario."""
+
+    scenario: str
+    """`ALL` for all together."""
+    metric: str
+    estimator: str
+    versus: str
+    pairs: int
+    """Seeds on which neither crashed."""
+    difference: float | None
+    """Mean of `estimator` minus `versus`; None without pairs."""
+    low: float | None
+    """Ends of the interval; None with fewer than two pairs."""
+    high: float | None
+    crashed_alone: int
+    """Flights that only `estimator` crashed."""
+    versus_crashed_alone: int
+
+
+def paired_differences(flights: Sequence[FlightRow], level: float = 0.95) -> list[PairRow]:
+    """Every two estimators on the same seeds of each scenario, and of all together.
+
+    The interval of a `level` is Student's over seeds; for all scenarios a seed's difference is first averaged
+    over them, for its flights share their sensor noise.
+    """
+    scenarios = list(dict.fromkeys(f.scenario for f in flights))
+    names = list(dict.fromkeys(f.estimator for f in flights))
+    seeds = list(dict.fromkeys(f.seed for f in flights))
+    shape = len(scenarios), len(names), len(seeds)
+    values, crashed = {key: np.full(shape, np.nan) for key in PAIRED}, np.zeros(shape, dtype=bool)
+    for f in flights:
+        at = scenarios.index(f.scenario), names.index(f.estimator), seeds.index(f.seed)
+        crashed[at] = bool(f.cause)
+        for key in PAIRED:
+            value = getattr(f, key)
+            values[key][at] = np.nan if crashed[at] or value is None else value
+    rows: list[PairRow] = []
+    for a, b in combinations(range(len(names)), 2):
+        alone = [(crashed[:, i] & ~crashed[:, j]).sum(axis=1) for i, j in ((a, b), (b, a))]
+        for key in PAIRED:
+            difference = values[key][:, a] - values[key][:, b]
+            parts = [(ALL, _mean_over_rows(difference), [each.sum() for each in alone])]
+            parts += [(s, difference[i], [each[i] for each in alone]) for i, s in enumerate(scenarios)]
+            rows += [
+                PairRow(scenario, key, names[a], names[b], *_interval(part, level), int(own), int(other))
+                for scenario, part, (own, other) in parts
+            ]
+    return rows
+
+
+def _mean_over_rows(difference: Array) -> Array:
+    count = np.isfinite(difference).sum(axis=0)
+    return np.where(count > 0, np.nansum(difference, axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _interval(difference: Array, level: float) -> tuple[int, float | None, float | None, float | None]:
+    """Number of pairs, mean, and the ends of its interval."""
+    known = difference[np.isfinite(difference)]
+    n = known.size
+    if n < 2:
+        return n, float(known[0]) if n else None, None, None
+    mean = float(known.sum()) / n
+    sd = math.sqrt(((known - mean) ** 2).sum() / (n - 1))
+    half = float(stdtrit(n - 1, 0.5 + 0.5 * level)) * sd / math.sqrt(n)
+    return n, mean, mean - half, mean + half

@@ -1,4 +1,4 @@
-"""The verdict of a benchmark in words: which estimator or controller to fly there, and how others compare."""
+"""The verdict of a benchmark: a sorted table, and one sentence that says what to fly there."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -9,16 +9,16 @@ import numpy as np
 
 from quadsim.flight.scenario import Scenario
 
-from .controllers import CASCADED, TRUTH, controller_of, estimator_of
-from .flight_metrics import CellRow
-from .offline import UNRANKED
-from .pairs import ALL, PairRow, paired_differences
-from .ranking import Place, by_contender, listed, ranked, winners
+from .controllers import CASCADED, controller_of, estimator_of
+from .flight_metrics import CellRow, wilson
+from .ranking import ALL, PairRow, Place, by_contender, listed, paired_differences, ranked, winners
 from .recommendation import recommendation
-from .runner import Results
+from .results import Results, Total, shown_once, totals_of
 
 FEW = 5
 """Flights of each estimator in a scenario below which the headline warns that they are few."""
+MOST_NAMED = 3
+"""Scenarios that the headline names; more are counted."""
 
 
 class Measure(NamedTuple):
@@ -35,101 +35,66 @@ TRACKING = Measure("attitude_deg", "tracking error")
 
 
 class Standing(NamedTuple):
-    """One contender of the ranking."""
+    """A row of the table."""
 
     estimator: str
-    grade: str  #: "flies" or "crashes"
-    text: str
+    crashed: bool  #: or did not run everywhere
+    texts: dict[str, str]  #: by the heading of their column
 
 
 class Verdict(NamedTuple):
-    """The answer, in words."""
+    """The answer."""
 
     headline: str
     lines: list[str]
     standings: list[Standing]  #: from best to worst, then those that are not ranked
 
 
-class Total(NamedTuple):
-    """A contender over all its scenarios."""
+class Choice(NamedTuple):
+    """What to fly in some scenarios."""
 
-    flights: int
-    crashes: int
-    estimate: float  #: mean over scenarios of the estimate's error [deg]; infinite where none was measured
-    attitude: float  #: the same of the attitude tracking
-    error: float  #: that of both which ranks
-    failed: int  #: cells that did not run
+    places: list[Place]  #: the contenders that are ranked and flew, from best to worst
+    best: list[Place]  #: the first, and those that do not differ from it significantly
+    lost: list[str]  #: scenarios in which none of them survived a flight
 
 
-def verdict(results: Results, focus: str = "") -> Verdict:
-    """Rank the contenders of a benchmark; say which to fly in its scenarios, then describe `focus` if it ran.
+def verdict(results: Results) -> Verdict:
+    """Rank the contenders of a benchmark, and say which to fly in its scenarios.
 
     Paired differences on the same seeds decide which errors are not significantly larger than the best.
-
-    Args:
-        results: Of `bench`.
-        focus: A contender that is described besides the best.
     """
-    rows, measure = results.rows, measure_of(results.estimators)
-    totals, unranked = totals_of(rows), results.unranked
-    lost = lost_scenarios(results)
-    places = places_of(results, lost)
-    order = [place.name for place in places]
-    others = [name for name in results.estimators if name not in order and name not in unranked]
-    standings = [
-        _standing(name, totals[name], rows, measure, unranked.get(name, ""))
-        for name in [*order, *others, *unranked]
-    ]
-    if not places:
-        return Verdict(_nobody(totals, results.references), [], standings)
-    best, compared = places[0], [*order, *others]
-    headline = (
-        _alone(best.name, totals[best.name], measure)
-        if len(compared) == 1
-        else _headline(places, results, lost, measure)
+    partial = results.partial
+    results, same = shown_once(results)
+    measure, whole = measure_of(results.estimators), choice(results, list(results.scenarios))
+    table = _table(results, whole.places, measure)
+    if not whole.places:
+        return Verdict(*_nobody(results), table)
+    lines = [same] if same else []
+    if results.experiment.conditions:
+        headline, found = _by_condition(results, measure, whole.lost, partial)
+        lines += found
+    else:
+        lines.append(conditions(results.scenarios))
+        headline = _headline(results, whole, measure)
+    if partial:
+        lines.append(f"This is not the recommendation of the release: {partial} were flown.")
+    if partial or not results.experiment.held_out:
+        lines.append(recommendation().elsewhere)
+    return Verdict(headline, lines, table)
+
+
+def choice(results: Results, scenarios: Sequence[str]) -> Choice:
+    """What to fly in some of the scenarios; those that nobody survives do not count."""
+    measure, unranked = measure_of(results.estimators), results.unranked
+    flights = [f for f in results.flights if f.scenario in scenarios and f.estimator not in unranked]
+    safe = {flight.scenario for flight in flights if not flight.cause}
+    planned = [flight for flight in results.planned if flight[0] in scenarios]
+    places = ranked(
+        by_contender(flights), [flight for flight in planned if flight[0] in safe] or planned, measure.key
     )
-    kept = [row for row in rows if row.scenario not in lost]
-    whole = [place.name for place in places if not totals[place.name].failed]
-    truth = totals.get(TRUTH)
-    lines = [_elsewhere(results.scenarios), _by_worst(whole, kept, measure)]
-    if truth and best.whole and 0 < truth.attitude < np.inf:
-        ratio = totals[best.name].attitude / truth.attitude
-        lines.append(
-            f"The attitude tracking error of {said(best.name, measure)} is {ratio:.2f} × that "
-            f"{_reference(measure)}."
-        )
-    if focus in order[1:]:
-        lines.append(_sentence(focus, totals[focus], truth, measure))
-    if unranked.keys() - {TRUTH}:
-        lines.append(f"Not ranked: {'; '.join(f'{name} {why}' for name, why in unranked.items())}.")
-    return Verdict(headline, list(filter(None, lines)), standings)
-
-
-def places_of(results: Results, lost: Iterable[str] = ()) -> list[Place]:
-    """The contenders that are ranked and flew, from best to worst, without the scenarios that all lost."""
-    unranked = results.unranked
-    flown = {name: rows for name, rows in by_contender(results.flights).items() if name not in unranked}
-    planned = [(scenario, seed) for scenario, seed in results.planned if scenario not in lost]
-    return ranked(flown, planned or results.planned, measure_of(results.estimators).key)
-
-
-def lost_scenarios(results: Results) -> list[str]:
-    """Scenarios in which no flight of a ranked contender survived."""
-    unranked = results.unranked
-    safe = {f.scenario for f in results.flights if not f.cause and f.estimator not in unranked}
-    return [name for name in results.scenarios if name not in safe]
-
-
-def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
-    """Every contender over all its scenarios, in the order of the rows."""
-    names = dict.fromkeys(row.estimator for row in rows)
-    measure = measure_of(names)
-    return {name: total([row for row in rows if row.estimator == name], measure) for name in names}
-
-
-def on_truth(name: str) -> bool:
-    """Whether a contender flies on the attitude of the shipped estimator that returns the truth."""
-    return estimator_of(name) == TRUTH
+    pairs = [] if len(places) < 2 else paired_differences(flights)
+    best = winners(places, lambda first, other: _worse(first, other, pairs, measure))
+    return Choice(places, best, [name for name in scenarios if name not in safe])
 
 
 def measure_of(names: Iterable[str]) -> Measure:
@@ -148,16 +113,13 @@ def said(name: str, measure: Measure) -> str:
     return f"{'the cascade' if controller == CASCADED else controller} on {estimator_of(name)}"
 
 
-def worst_row(rows: Sequence[CellRow], estimator: str, measure: Measure = ERROR) -> CellRow | None:
-    """The scenario with an estimator's most crashes, or else its largest error; None where it did not fly."""
-    own = [row for row in rows if row.estimator == estimator and row.flights]
-    return max(own, key=lambda row: _loss(row, measure), default=None)
+def shown(error_deg: float | None) -> str:
+    """An error in words."""
+    return "not measured" if error_deg is None or np.isinf(error_deg) else f"{error_deg:.2f}°"
 
 
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
-    """What the scenarios have in common, and how many differ, in a sentence; empty without scenarios."""
-    if not scenarios:
-        return ""
+    """What the scenarios have in common, and how many differ, in a sentence."""
     aspects: dict[str, Callable[[Scenario], str]] = {
         "airframe": lambda s: Path(s.vehicle).stem,
         "its drag": _drag,
@@ -168,133 +130,179 @@ def conditions(scenarios: Mapping[str, Scenario]) -> str:
         aspect: Counter(of(scenario) for scenario in scenarios.values()).most_common()
         for aspect, of in aspects.items()
     }
-    return f"Conditions: {'; '.join(f'{aspect} {_levels(levels)}' for aspect, levels in found.items())}."
+    return f"Conditions: {'; '.join(f'{aspect} {_counted(levels)}' for aspect, levels in found.items())}."
 
 
-def offline_verdict(rows: Sequence[Mapping[str, object]]) -> Verdict:
-    """The verdict on recorded flights alone: the smallest error from an unknown initial attitude."""
-    rows = [row for row in rows if not row.get(UNRANKED)]
-    rows = [row for row in rows if row.get("start") != "known"] or rows
-    for key in ("mean_deg", "median_deg"):
-        rated = {
-            str(row["estimator"]): value for row in rows if isinstance(value := row.get(key), int | float)
+# --- the table ------------------------------------------------------------------------------------
+
+
+def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[Standing]:
+    unranked, totals, levels = results.unranked, totals_of(results.rows), results.by_level
+    order = [place.name for place in places]
+    left_out = [name for name in results.estimators if name not in order and name not in unranked]
+    behind = _behind(results, order, measure)
+    rows = []
+    for name in [*order, *left_out, *unranked]:
+        own = totals[name]
+        worst = max(
+            ((axis, row) for (axis, _, each), row in levels.items() if each == name and row.flights),
+            key=lambda each: (each[1].crash_rate or 0.0, getattr(each[1], measure.key) or 0.0),
+            default=None,
+        )
+        note = f"not ranked: it {unranked[name]}" if name in unranked else ""
+        if own.failed:
+            why = next(cell.reason for cell in results.cells if cell.estimator == name and cell.reason)
+            note = "; ".join(filter(None, (note, f"did not run in {_count(own.failed, 'scenario')}: {why}")))
+        low, high = wilson(own.crashes, own.flights)
+        texts = {
+            "rank": str(order.index(name) + 1) if name in order else "–",
+            "crashed": f"{own.crashes} of {own.flights} ({100 * low:.0f}–{100 * high:.0f} %)",
+            "error [°]": _number(own.error_deg),
+            "tracking [°]": _number(own.attitude_deg),
+            "behind the best [°]": behind.get(name, "–"),
+            "command change [rad/s]": _number(own.jitter),
+            "at worst": described(*worst, measure) if worst else "–",
+            "note": note,
         }
-        if rated:
-            best = min(rated, key=lambda name: rated[name])
-            return Verdict(f"Smallest error on recorded flights: {best}, {rated[best]:.2f}°.", [], [])
-    return Verdict("Recorded flights", [], [])
+        if measure == ERROR:
+            del texts["command change [rad/s]"]
+        rows.append(Standing(name, bool(own.crashes or own.failed), texts))
+    return rows
 
 
-def total(rows: Sequence[CellRow], measure: Measure = ERROR) -> Total:
-    """Add up an estimator's rows."""
-    simulated = [row for row in rows if not row.reason]
-    known = {
-        each.key: [v for row in simulated if (v := getattr(row, each.key)) is not None]
-        for each in (ERROR, TRACKING)
-    }
-    means = {key: float(np.mean(values or [np.inf])) for key, values in known.items()}
-    flights, crashes = (sum(getattr(row, key) or 0 for row in simulated) for key in ("flights", "crashes"))
-    estimate, attitude = means[ERROR.key], means[TRACKING.key]
-    return Total(flights, crashes, estimate, attitude, means[measure.key], len(rows) - len(simulated))
+def described(axis: str, row: CellRow, measure: Measure = ERROR) -> str:
+    """A level with its crashes and error: "storm, 2 of 10 crashed, 3.10°"."""
+    level = row.scenario if axis == "scenario" else f"{axis}: {row.scenario}"
+    crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
+    return f"{level}, {crashes}{shown(getattr(row, measure.key))}"
 
 
-def shown(error_deg: float) -> str:
-    """An error in words; an infinite one is none at all."""
-    return f"{error_deg:.2f}°" if np.isfinite(error_deg) else "not measured"
+def _behind(results: Results, order: Sequence[str], measure: Measure) -> dict[str, str]:
+    """The paired difference of each contender from the best, with half its 95 % interval."""
+    flights = [flight for flight in results.flights if flight.estimator in order]
+    found = {}
+    for row in paired_differences(flights) if len(order) > 1 else []:
+        if (row.scenario, row.metric) == (ALL, measure.key) and order[0] in (row.estimator, row.versus):
+            if row.difference is None:
+                continue
+            other, sign = (row.versus, -1) if row.estimator == order[0] else (row.estimator, 1)
+            half = "" if row.low is None or row.high is None else f" ± {(row.high - row.low) / 2:.2f}"
+            found[other] = f"{sign * row.difference:+.2f}{half}"
+    return found
 
 
-def _nobody(totals: Mapping[str, Total], references: Iterable[str]) -> str:
-    """The headline where nothing that is ranked flew."""
-    if any(totals[name].flights for name in references):
-        return "Nothing is compared: only estimators that receive the true attitude ran."
-    return (
-        "No estimator ran." if not any(each.flights for each in totals.values()) else "No estimator is fit."
+# --- the sentence ---------------------------------------------------------------------------------
+
+
+def _nobody(results: Results) -> tuple[str, list[str]]:
+    """Headline and advice where nothing that is ranked flew."""
+    reasons = {cell.estimator: f"did not run ({cell.reason})" for cell in results.cells if cell.reason}
+    flaws = {name: why for name, why in results.unranked.items() if name not in results.references}
+    if any(flight.estimator in results.references for flight in results.flights) and not {**reasons, **flaws}:
+        return "Nothing is compared: only estimators that receive the true attitude ran.", []
+    what = "No estimator is fit" if flaws else "No estimator ran"
+    why = "; ".join(f"{name} {reason}" for name, reason in {**reasons, **flaws}.items())
+    advice = (
+        "Estimates are roll and pitch in rad at every sample. Fly one that ships beside: --estimator eskf."
     )
+    return f"{what}: {why}.", [advice]
 
 
-def _reference(measure: Measure) -> str:
-    return "of the cascade on the true attitude" if measure == TRACKING else "with the true attitude"
+def _headline(results: Results, whole: Choice, measure: Measure) -> str:
+    """What to fly in these scenarios, and why."""
+    unranked, totals = results.unranked, totals_of(results.rows)
+    compared = [name for name in results.estimators if name not in unranked]
+    if len(compared) == 1:
+        return _alone(compared[0], totals[compared[0]], measure)
+    left = [name for name in results.scenarios if name not in whole.lost]
+    if not left:
+        return f"No estimator survives {_where(whole.lost, 'any of these')}."
+    text, seeds = recommended(whole, measure), results.settings.seeds
+    if seeds == 1 and (alike := sum(place.whole for place in whole.places)) > 1:
+        text = (
+            f"{said(whole.places[0].name, measure)} has the smallest {measure.name}, "
+            f"{shown(whole.places[0].error)}, of the {alike} that did not crash; one flight in each scenario "
+            "is too few to recommend it."
+        )
+    elif seeds < FEW and len(whole.best) > 1:
+        text += f" {_count(seeds, 'flight')} of each in a scenario cannot show small differences."
+    where = f"in {_where(left, 'these')} {text}"
+    if whole.lost:
+        return f"No estimator survives {_where(whole.lost, 'any of')}; {where}"
+    return where[0].upper() + where[1:]
+
+
+def _by_condition(
+    results: Results, measure: Measure, lost: Sequence[str], partial: str
+) -> tuple[str, list[str]]:
+    """The headline with a clause for each condition of the experiment, and a line for each."""
+    clauses, unfit, names, lines = [], [], {}, []
+    for condition in results.experiment.conditions:
+        part = [k for k, levels in results.levels.items() if levels[condition.axis] in condition.levels]
+        found = choice(results, part)
+        lines.append(f"{condition.name}: {recommended(found, measure) if found.best else 'none flew.'}")
+        if not found.best or not found.best[0].fit:
+            unfit.append(condition.clause)
+            continue
+        first = found.best[0]
+        named = listed([said(place.name, measure) for place in found.best], "or")
+        named += "" if first.whole else f" ({first.lost})"
+        names[named] = None
+        clauses.append(f"{named} {condition.clause}")
+    if not clauses:
+        return "No estimator is fit to fly on these conditions.", lines
+    fly = "Fly" if results.experiment.held_out else f"On these {len(results.scenarios)} combinations fly"
+    if partial:
+        fly = f"On a part of the held-out suite ({partial}) fly"
+    if lost:
+        survived_by_none = f"No estimator survives {_where(lost, 'any of')}"
+        fly = f"{survived_by_none}; elsewhere {fly[0].lower()}{fly[1:]}"
+    if len(names) == 1 and not unfit:
+        return f"{fly} {next(iter(names))}, {results.experiment.always}.", lines
+    rest = f"; no estimator is fit to fly {listed(unfit, 'or')}" if unfit else ""
+    return f"{fly} {', '.join(clauses)}{rest}.", lines
+
+
+def recommended(found: Choice, measure: Measure = ERROR) -> str:
+    """What to fly and why, as the end of a sentence."""
+    first, best = found.best[0], found.best
+    names = listed([said(place.name, measure) for place in best], "or")
+    flights, error = _count(first.flights, "flight"), shown(first.error)
+    if not first.fit:
+        return f"no estimator is fit to fly: {names} {first.lost}, the others in more."
+    if len(best) > 1:
+        crashes = f"none of them crashed in {flights}" if first.whole else f"each {first.lost}"
+        most = shown(max(place.error for place in best))
+        return (
+            f"fly {names}; {crashes}, and the {measure.name} of the others, up to {most}, is not "
+            f"significantly larger than that of {said(first.name, measure)}, {error}."
+        )
+    if not first.whole:
+        own = f"its {measure.name} is {error} in the others"
+        return f"fly {names}, though it {first.lost}; no other survived more, and {own}."
+    alike = sum(place.whole for place in found.places)
+    if alike == 1:
+        survives = f"to survive all {flights}" if first.flights > 1 else "to survive"
+        only = survives if len(found.places) > 1 else f"that ran, with no crash in {flights}"
+        return f"fly {names}, the only one {only}; its {measure.name} is {error}."
+    of_those = "" if alike == len(found.places) else f" of the {alike} that survived all"
+    return f"fly {names}, with no crash in {flights} and the smallest {measure.name}{of_those}, {error}."
 
 
 def _alone(name: str, own: Total, measure: Measure) -> str:
     """What happened, where there is nothing to compare with."""
-    name = said(name, measure)
+    name, error = said(name, measure), shown(getattr(own, measure.key))
+    failed = f"; {_count(own.failed, 'scenario')} did not run" if own.failed else ""
     if own.flights == 1:
-        if own.crashes:
-            return f"{name} crashed{_failed(own)}."
-        return f"{name} did not crash: {measure.name} {shown(own.error)}{_failed(own)}."
+        return (
+            f"{name} crashed{failed}."
+            if own.crashes
+            else f"{name} did not crash: {measure.name} {error}{failed}."
+        )
     crashes = f"crashed in {own.crashes} of" if own.crashes else "no crash in"
     of_those = " in the others" if own.crashes else ""
-    error = "" if own.crashes == own.flights else f", {measure.name} {shown(own.error)}{of_those}"
-    return f"{name}: {crashes} {own.flights} flights{error}{_failed(own)}."
-
-
-def _failed(own: Total) -> str:
-    return f"; {own.failed} scenario{'s' if own.failed > 1 else ''} did not run" if own.failed else ""
-
-
-def _headline(
-    places: Sequence[Place],
-    results: Results,
-    lost: Sequence[str],
-    measure: Measure,
-) -> str:
-    """What to fly in these scenarios, and why."""
-    left = [name for name in results.scenarios if name not in lost]
-    if not left:
-        return f"No estimator survives {_where(lost, 'any of these')}."
-    compared = {place.name for place in places}
-    pairs = paired_differences([flight for flight in results.flights if flight.estimator in compared])
-    best = winners(places, lambda first, other: _worse(first, other, pairs, measure))
-    text, seeds = recommended(best, places, measure), results.settings.seeds
-    if seeds == 1 and (alike := sum(place.whole for place in places)) > 1:
-        text = (
-            f"{said(places[0].name, measure)} has the smallest {measure.name}, {shown(places[0].error)}, of "
-            f"the {alike} that did not crash; one flight in each scenario is too few to recommend it."
-        )
-    elif seeds < FEW and len(best) > 1:
-        text += f" {_flights(seeds)} of each in a scenario cannot show small differences."
-    where = _where(left, "these")
-    if lost:
-        return f"No estimator survives {_where(lost, 'any of')}; in {where} {text}"
-    return f"In {where} {text}"
-
-
-def _flights(count: int) -> str:
-    return f"{count} flight{'s' if count != 1 else ''}"
-
-
-def _where(names: Sequence[str], which: str) -> str:
-    return listed(names) if len(names) < 4 else f"{which} {len(names)} scenarios"
-
-
-def recommended(best: Sequence[Place], places: Sequence[Place], measure: Measure = ERROR) -> str:
-    """What to fly and why, as the end of a sentence.
-
-    Args:
-        best: The best, and those that are not significantly worse, as `ranking.winners` gives them.
-        places: All that were compared, from best to worst.
-        measure: What ranked.
-    """
-    first, names = best[0], listed([said(place.name, measure) for place in best], "or")
-    flights, error = _flights(first.flights), shown(first.error)
-    if not first.fit:
-        return f"no estimator is fit to fly: {names} {first.lost}, the others in more."
-    if len(best) > 1:
-        errors = [place.error for place in best]
-        crashes = f"none of them crashed in {flights}" if first.whole else f"each {first.lost}"
-        span = f"{shown(min(errors))} to {shown(max(errors))}"
-        return f"fly {names}; {crashes}, and the differences in {measure.name} ({span}) are not significant."
-    if not first.whole:
-        own = f"its {measure.name} is {error} in the others"
-        return f"fly {names}, though it {first.lost}; no other survived more, and {own}."
-    alike = sum(place.whole for place in places)
-    if alike == 1:
-        survives = f"to survive all {flights}" if first.flights > 1 else "to survive"
-        only = survives if len(places) > 1 else f"that ran, with no crash in {flights}"
-        return f"fly {names}, the only one {only}; its {measure.name} is {error}."
-    of_those = "" if alike == len(places) else f" of the {alike} that survived all"
-    return f"fly {names}, with no crash in {flights} and the smallest {measure.name}{of_those}, {error}."
+    error = "" if own.crashes == own.flights else f", {measure.name} {error}{of_those}"
+    return f"{name}: {crashes} {own.flights} flights{error}{failed}."
 
 
 def _worse(first: str, other: str, pairs: Sequence[PairRow], measure: Measure) -> bool:
@@ -307,42 +315,16 @@ def _worse(first: str, other: str, pairs: Sequence[PairRow], measure: Measure) -
     return False
 
 
-def _elsewhere(scenarios: Mapping[str, Scenario]) -> str:
-    """On what conditions the verdict holds, and what to fly on others."""
-    return f"{conditions(scenarios)} {recommendation().elsewhere}" if scenarios else ""
+def _count(count: int, what: str) -> str:
+    return f"{count} {what}{'s' if count != 1 else ''}"
 
 
-def _by_worst(simulated: Sequence[str], rows: Sequence[CellRow], measure: Measure) -> str:
-    """What the worst scenario of each says, in place of the mean; empty with a single scenario."""
-    worst = {name: each for name in simulated if (each := worst_row(rows, name, measure))}
-    if len({row.scenario for row in rows}) < 2 or not worst:
-        return ""
-    first, best = simulated[0], min(worst, key=lambda name: _loss(worst[name], measure))
-    own = said(first, measure)
-    if len(worst) == 1:
-        return f"Its worst scenario is {described(worst[first], measure)}."
-    if best == first:
-        best_too = f"{own.replace('the cascade', 'The cascade')} is also the best by its worst scenario"
-        return f"{best_too}, {described(worst[first], measure)}."
-    return (
-        f"By the worst scenario {said(best, measure)} is the best: {described(worst[best], measure)}; of "
-        f"{own} it is {described(worst[first], measure)}."
-    )
+def _where(names: Sequence[str], which: str) -> str:
+    return listed(names) if len(names) <= MOST_NAMED else f"{which} {len(names)} scenarios"
 
 
-def described(row: CellRow, measure: Measure = ERROR) -> str:
-    """A scenario with its crashes and error: "storm, 2 of 10 crashed, 3.10°"."""
-    crashes = f"{row.crashes} of {row.flights} crashed, " if row.crashes else ""
-    return f"{row.scenario}, {crashes}{shown(_value(row, measure))}"
-
-
-def _loss(row: CellRow, measure: Measure) -> tuple[float, float]:
-    return row.crash_rate or 0.0, round(_value(row, measure), 3)
-
-
-def _value(row: CellRow, measure: Measure) -> float:
-    value = getattr(row, measure.key)
-    return np.inf if value is None else value
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
 
 
 def _drag(scenario: Scenario) -> str:
@@ -358,40 +340,7 @@ def _initial(scenario: Scenario) -> str:
     return f"given {error:g}° wrong" if error else "given"
 
 
-def _levels(levels: Sequence[tuple[str, int]]) -> str:
+def _counted(levels: Sequence[tuple[str, int]]) -> str:
     if len(levels) == 1:
         return levels[0][0]
-    return ", ".join(f"{level} in {times} scenario{'s' if times > 1 else ''}" for level, times in levels)
-
-
-def _sentence(name: str, each: Total, truth: Total | None, measure: Measure) -> str:
-    crashes = f"{each.crashes} crash{'es' if each.crashes > 1 else ''}" if each.crashes else "no crash"
-    text = f"{said(name, measure)}: {crashes} in {_flights(each.flights)}, {measure.name} {shown(each.error)}"
-    if truth and 0 < truth.attitude < np.inf and each.attitude < np.inf:
-        ratio = each.attitude / truth.attitude
-        what = "" if measure == TRACKING else "attitude tracking error "
-        text += f", {what}{ratio:.2f} × that {_reference(measure)}"
-    return text + "."
-
-
-def _standing(
-    name: str, each: Total, rows: Sequence[CellRow], measure: Measure, why_unranked: str
-) -> Standing:
-    own = [row for row in rows if row.estimator == name and row.crashes]
-    crashed = [f"{row.scenario} ({row.crashes} of {row.flights})" for row in own]
-    if not each.flights:
-        return Standing(name, "crashes", "did not run")
-    text = f"crashed in {', '.join(crashed)}" if crashed else f"no crash in {_flights(each.flights)}"
-    text += f" · {measure.name} {shown(each.error)}"
-    worst = worst_row(rows, name, measure)
-    several = len({row.scenario for row in rows}) > 1
-    if several and worst and getattr(worst, measure.key) is not None and not crashed and not why_unranked:
-        text += f" · at worst {shown(_value(worst, measure))} in {worst.scenario}"
-    changes = [row.jitter for row in rows if row.estimator == name and row.jitter]
-    if measure == TRACKING and changes:
-        text += f" · command jitter {np.mean(changes):.1f} rad/s"
-    if each.failed:
-        text += _failed(each).replace(";", " ·")
-    if why_unranked:
-        text += f" · not ranked: it {why_unranked}"
-    return Standing(name, "crashes" if crashed or each.failed or why_unranked else "flies", text)
+    return ", ".join(f"{level} in {_count(times, 'scenario')}" for level, times in levels)

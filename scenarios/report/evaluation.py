@@ -1,10 +1,12 @@
 """Estimators compared on a dataset: a table, a CSV, pictures and a page, `quadsim evaluate --data`."""
 
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import estimators
 from estimators.evaluation import figures
-from estimators.evaluation.comparison import evaluate
+from estimators.evaluation.comparison import EvaluationRow, evaluate
 from estimators.evaluation.flights import imu_of, vehicle_of
 from estimators.registry import needs_vehicle, tuned_elsewhere
 from quadsim.dataset.reading import open_dataset
@@ -13,13 +15,25 @@ from quadsim.runs.files import save_figure
 
 from .contenders import Contenders
 from .page import OfflineSection, write_report
-from .terminal import EVALUATION_METHOD, evaluation_columns, evaluation_notes, evaluation_table
+from .terminal import rows_table
 
+NONE: Mapping[str, Path] = {}
 FIGURES = {
     "violins": figures.violins,
     "error-over-time": figures.error_over_time,
     "convergence": figures.settling,
 }
+
+
+METHOD = (
+    "Errors are the mean absolute error of roll and pitch of each flight; median, mean and SD are over "
+    "flights, the interval of the mean is a bootstrap's, 95 %. Silenced: the mean error of the same network "
+    "with output weights of zero. Behind the best: the paired difference of each flight from the best "
+    "estimator's; tied where its interval reaches zero. 20° to 2°: after a start in an "
+    "unknown tilt of 20°, when the median start's inclination error stays below 2°; a dash is never. "
+    "Networks are never given the initial attitude: they have no row with a known start. A reference "
+    "receives the true attitude and is not ranked, nor is an estimator that failed or has a flaw."
+)
 
 
 def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flights: int, seed: int) -> None:
@@ -44,21 +58,85 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flig
     notes = [*evaluation_notes(done.rows), *tuned_elsewhere(made, contenders.tuning, airframe, imu)]
     page = write_report(
         out / "report.html",
-        offline=OfflineSection(evaluation_columns(done.rows), " ".join([caption, *notes]), pictures),
+        offline=recorded_section(done.rows, " ".join([caption, *notes]), pictures),
         title="Attitude estimators on recorded flights",
-        footer=EVALUATION_METHOD,
-        csv=["evaluation.csv"],
+        footer=METHOD,
+        files=["evaluation.csv"],
     )
-    output.print(evaluation_table(done.rows, caption))
+    output.print(rows_table(columns(done.rows), caption))
     for note in notes:
         output.print(note, soft_wrap=True)
-    rated = [row for row in done.rows if row.initial == "unknown" and not row.unranked]
-    last = f"{page}"
+    output.print(f"{page}: {headline(done.rows)}", soft_wrap=True)
+
+
+def recorded_section(
+    rows: Sequence[EvaluationRow], caption: str, pictures: Mapping[str, Path] = NONE
+) -> OfflineSection:
+    """The section of a report."""
+    found = headline(rows)
+    return OfflineSection(columns(rows), caption, pictures, f"On recorded flights {found}.")
+
+
+def headline(rows: Sequence[EvaluationRow]) -> str:
+    """Whose error is the smallest from an unknown start, and from whose it does not differ significantly."""
+    rated = [row for row in rows if row.initial == "unknown" and not row.unranked]
     if not rated:
-        last += ": no estimator with an unknown start is ranked"
-    else:
-        best = min(rated, key=lambda row: row.behind_deg)
-        tied = [r.estimator for r in rated if r.tied and r is not best and r.flights == best.flights]
-        last += f": the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
-        last += f", not significantly different from {', '.join(tied)}" if tied else ""
-    output.print(last, soft_wrap=True)
+        return "no estimator with an unknown start is ranked"
+    best = min(rated, key=lambda row: row.behind_deg)
+    tied = [row.estimator for row in rated if row.tied and row is not best and row.flights == best.flights]
+    text = f"the smallest error from an unknown start is {best.estimator}'s, {best.mean_deg:.2f}°"
+    return text + (f", not significantly different from {', '.join(tied)}" if tied else "")
+
+
+def columns(rows: Sequence[EvaluationRow]) -> list[dict[str, object]]:
+    """The rows as tables show them; what is not known is None."""
+    return [
+        {
+            "estimator": row.estimator,
+            "start": row.initial,
+            "median [°]": _known(row.median_deg),
+            "mean [°]": _known(row.mean_deg),
+            "95 %": f"{row.mean_low_deg:.2f}–{row.mean_high_deg:.2f}",
+            "SD [°]": _known(row.sd_deg),
+            "silenced [°]": _known(row.silenced_deg),
+            "behind the best [°]": row.behind,
+            "inclination [°]": _known(row.inclination_rmse_deg),
+            "20° to 2° [s]": _known(row.settle_20_s),
+            "45° to 2° [s]": _known(row.settle_45_s),
+            "time [µs]": _known(row.runtime_ns / 1e3),
+        }
+        for row in rows
+    ]
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
+    """What the table does not say by itself."""
+    notes = []
+    most = max(row.flights for row in rows)
+    fewer = {row.estimator: row.flights for row in rows if 0 < row.flights < most}
+    if fewer:
+        flights = ", ".join(f"{name} on the first {count}" for name, count in fewer.items())
+        notes.append(f"Slow ones were run on fewer flights: {flights}; --slow-flights changes that.")
+    missing = max(row.missing for row in rows)
+    if missing > 0:
+        notes.append(
+            f"{missing} samples were missing or beyond any sensor's range; estimators went on from their "
+            "predictions there."
+        )
+    flaws: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        if row.flaw:
+            flaws.setdefault((row.estimator, row.flaw), []).append(row.initial)
+    for (name, flaw), starts in flaws.items():
+        counted = " Each of these counts as 180°." * any(
+            r.without_number > 0.0 for r in rows if r.flaw == flaw
+        )
+        notes.append(f"{name} is not ranked ({' and '.join(starts)} start): it {flaw.rstrip('.')}.{counted}")
+    if references := dict.fromkeys(row.estimator for row in rows if row.unranked == "reference"):
+        verbs = ("receives", "is") if len(references) == 1 else ("receive", "are")
+        notes.append(f"{', '.join(references)} {verbs[0]} the true attitude and {verbs[1]} not ranked.")
+    return notes

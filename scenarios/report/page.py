@@ -2,41 +2,39 @@
 
 import base64
 import json
+import os
 import posixpath
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 
 import imageio.v3 as imageio
-import numpy as np
 
-from estimators.appearance import Look, looks
+from estimators.appearance import looks
 from quadsim.flight.faults import fault_spans
 from quadsim.runs.files import write_whole
-from quadsim.runs.record import RunRecord
+from quadsim.runs.record import RunRecord, load_record
 from quadsim.vehicle import load_vehicle
 
-from ..bench.breaking import DISTURBANCES, BreakingPoint
-from ..bench.cell import Cell
 from ..bench.controllers import TRUTH
-from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, CellRow, Metric
-from ..bench.pairs import ALL, PAIRED, PairRow
-from ..bench.runner import Results, identical, shown_once
+from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, Metric
+from ..bench.ranking import ALL, PAIRED, PairRow, paired_differences
+from ..bench.results import Results, hours, mean_of, shown_once, totals_of
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.settings import FlightSettings
 from ..bench.signals import SHARED
-from ..bench.verdict import ERROR, measure_of, offline_verdict, totals_of, verdict
-from .flight_picture import Picture
-from .provenance import provenance
+from ..bench.verdict import ERROR, Verdict, measure_of, verdict
+from .flight_picture import Picture, cover
 from .template import render
 
 SHOWN = 4
 """Estimators drawn at first in the time plots."""
+TIMED = 450
+"""Flights in time that are in the page, the same estimators in every scenario,"""
 DETAILED = 120
-"""Flights whose signals are in the page, the same estimators in every scenario: with them, 30 scenarios × 14
-estimators stay below 5 MB."""
+"""and those whose signals are: with them, 30 scenarios × 14 estimators stay below 5 MB."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,6 @@ class ClosedLoopSection:
     """A benchmark, as the report shows it."""
 
     results: Results
-    pairs: Sequence[PairRow] = ()
-    points: Sequence[BreakingPoint] = ()
     still: Picture | None = None
     """Picture for the top."""
     film: Path | None = None
@@ -61,6 +57,31 @@ class OfflineSection:
     caption: str = "Estimators run over recorded flights, without a loop."
     pictures: Mapping[str, Path] = field(default_factory=dict)
     """PNG files to show below the table, by title."""
+    headline: str = "Recorded flights"
+    """Of a report without a benchmark."""
+
+
+def publish(folder: str | Path, results: Results, path: Path | None = None) -> tuple[Path, str]:
+    """Write the report of a benchmark's folder.
+
+    Args:
+        folder: Where `bench` wrote its tables, to which the report links.
+        results: What it returned.
+        path: The report, by default report.html in the folder.
+
+    Returns:
+        The report, and why there is no picture; empty if there is one.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    folder = Path(folder).expanduser()
+    page = (path or folder / "report.html").expanduser()
+    still, note = cover(results.cells)
+    tables = [folder / "results.csv", folder / "flights.parquet"]
+    links = [Path(os.path.relpath(table, page.parent)).as_posix() for table in tables]
+    section = ClosedLoopSection(results, still)
+    return write_report(page, section, files=links, record=load_record(folder)), note
 
 
 def write_report(
@@ -69,7 +90,7 @@ def write_report(
     offline: OfflineSection | None = None,
     *,
     title: str = "",
-    csv: Sequence[str] = (),
+    files: Sequence[str] = (),
     footer: str = "",
     focus: str = "att-snn-loihi",
     record: RunRecord | None = None,
@@ -81,9 +102,9 @@ def write_report(
         closed_loop: Results of a benchmark.
         offline: Results on recorded flights.
         title: Heading; empty: the question that the report answers.
-        csv: Files beside the report to link to.
+        files: Files beside the report to link to.
         footer: How it was made.
-        focus: The estimator that the verdict describes besides the best, if it ran.
+        focus: An estimator whose flights are shown at first, besides the best.
         record: Of the run, for the foot.
 
     Raises:
@@ -92,113 +113,72 @@ def write_report(
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
     closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
-    about = provenance(closed_loop.results, record)
-    closed_loop, focus, same = _once(closed_loop, focus)
-    results, still, offline = closed_loop.results, closed_loop.still, offline or OfflineSection(())
-    rows = results.rows
-    judged = verdict(results, focus) if rows else offline_verdict(offline.rows)
+    offline = offline or OfflineSection(())
+    judged = verdict(closed_loop.results) if closed_loop.results.cells else Verdict(offline.headline, [], [])
+    results, _ = shown_once(closed_loop.results)
+    measure, metrics = measure_of(results.estimators), _metrics(results)
     ranked = [standing.estimator for standing in judged.standings]
     place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
     recorded = [str(row.get("estimator")) for row in offline.rows]
     names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
-    flights = PageFlights.of(results, order)
-    measure = measure_of(results.estimators)
-    controllers = measure != ERROR
-    question = f"Which {'estimator and controller' if controllers else 'attitude estimator'} to fly"
+    flights, pairs = PageFlights.of(results, order), paired_differences(results.flights)
+    contender = "estimator" if measure == ERROR else "estimator and controller"
+    still, film = closed_loop.still, closed_loop.film
     context = {
-        "title": title or question,
-        "kicker": "closed loop" if rows else "recorded flights",
+        "title": title or f"Which {contender} to fly",
+        "kicker": "closed loop" if results.cells else "recorded flights",
         "verdict": judged,
-        "same": same,
-        "warnings": results.warnings,
-        "rows": sorted(rows, key=lambda row: place[row.scenario, row.estimator]),
-        "metrics": _metrics(results),
-        "contender": "Estimator @ controller" if controllers else "Estimator",
+        "results": results,
+        "rows": sorted(results.rows, key=lambda row: place[row.scenario, row.estimator]),
+        "metrics": metrics,
+        "contender": contender.capitalize(),
         "measure": measure.name,
-        "scenarios": [{"name": n, "description": s.description} for n, s in results.scenarios.items()],
         "ranked": ranked,
-        "totals": totals_of(rows),
-        "lookup": {(row.scenario, row.estimator): row for row in rows},
-        "pairs": bool(closed_loop.pairs),
-        "paired": [metric for metric in _metrics(results) if metric.key in PAIRED],
-        "breaking": _breaking(closed_loop.points),
-        "offline": _offline_table(offline.rows),
-        "offline_caption": offline.caption,
-        "pictures": {
-            name.replace("-", " "): base64.b64encode(each.read_bytes()).decode()
-            for name, each in offline.pictures.items()
-        },
-        "still": still
-        and base64.b64encode(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)).decode(),
-        "still_caption": still.caption if still else "",
-        "film": closed_loop.film and base64.b64encode(closed_loop.film.read_bytes()).decode(),
-        "csv": list(csv),
-        "footer": footer or _footer(results),
-        "provenance": about,
+        "totals": totals_of(results.rows),
+        "axes": _axes(results),
+        "pairs": bool(pairs),
+        "paired": [metric for metric in metrics if metric.key in PAIRED],
+        "points": {(point.estimator, point.sweep): point for point in results.points},
+        "offline": offline,
+        "pictures": {name: _encoded(each.read_bytes()) for name, each in offline.pictures.items()},
+        "still": still and _encoded(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)),
+        "caption": still.caption if still else "",
+        "film": film and _encoded(film.read_bytes()),
+        "files": files,
+        "footer": footer,
+        "record": record,
+        "wall": record and hours(record.wall_s),
         "script": script("report/js/report.js"),
-        "payload": _payload(closed_loop, rows, names, order, ranked, flights, looks([*names, *recorded])),
         "flights": compress_flights(flights.packed),
         **uplot(),
     }
-    return write_whole(Path(path).expanduser(), render("report/report.html", **context))
+    data: dict[str, object] = {
+        "estimators": list(dict.fromkeys(names)),
+        "looks": {name: look._asdict() for name, look in looks([*names, *recorded]).items()},
+        "ranked": ranked,
+        "scenarios": list(results.scenarios),
+        "shown": order[:SHOWN],
+        "metrics": [vars(metric) for metric in metrics],
+    }
+    if results.cells:
+        data |= _closed_loop_data(results, flights, pairs)
+        data["levels"] = {"|".join(key): vars(row) for key, row in results.by_level.items()}
+        data["best"] = next((name for name in ranked if name not in results.unranked), None)
+    payload = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return write_whole(Path(path).expanduser(), render("report/report.html", payload=payload, **context))
 
 
-def _once(section: ClosedLoopSection, focus: str) -> tuple[ClosedLoopSection, str, str]:
-    """A benchmark without the estimators that flew exactly as another, what is in focus, and who they are."""
-    same = identical(section.results)
-    results, said = shown_once(section.results)
-    pairs = [pair for pair in section.pairs if not same.keys() & {pair.estimator, pair.versus}]
-    points = [point for point in section.points if point.estimator not in same]
-    return replace(section, results=results, pairs=pairs, points=points), same.get(focus, focus), said
+def _axes(results: Results) -> dict[str, list[str]]:
+    """Each axis with its levels; without axes "scenario" alone."""
+    found: dict[str, dict[str, None]] = {}
+    for axis, level, _ in results.by_level:
+        found.setdefault(axis, {})[level] = None
+    return {axis: list(levels) for axis, levels in found.items()}
 
 
-def _footer(results: Results) -> str:
-    if not results.cells:
-        return ""
-    s = results.settings
-    return (
-        f"{s.seeds} flight{'s' if s.seeds > 1 else ''} in each cell, from the root seed {s.seed}, "
-        f"at {s.rate_hz:g} Hz. Flight i of every estimator has the same wind, sensor noise and start. Roll "
-        "and pitch come from the estimator, position, velocity and yaw from an external sensor: "
-        f"{', '.join(sorted({scenario.external for scenario in results.scenarios.values()}))}."
-    )
-
-
-def _breaking(points: Sequence[BreakingPoint]) -> dict[str, object]:
-    """Disturbances as columns, estimators as rows, each entry with the length of its bar."""
-    kinds = {key: DISTURBANCES[key] for key in DISTURBANCES if any(p.disturbance == key for p in points)}
-    scale = {key: max([p.flies_at or 0.0 for p in points if p.disturbance == key] or [0.0]) for key in kinds}
-    found = {(p.estimator, p.disturbance): p for p in points}
-
-    def entry(point: BreakingPoint | None, most: float) -> dict[str, object]:
-        if point is None:
-            return {"text": "–", "value": None, "share": 0.0, "title": ""}
-        level = point.flies_at or 0.0
-        value = None if point.reason else point.crashes_at or 2 * level
-        title = point.reason or f"{point.cause}, of {point.seeds} flights"
-        return {"text": point.text, "value": value, "share": level / most if most else 0.0, "title": title}
-
-    names = dict.fromkeys(point.estimator for point in points)
-    rows = [{"estimator": n, "entries": [entry(found.get((n, k)), scale[k]) for k in kinds]} for n in names]
-    return {"kinds": list(kinds.values()), "rows": rows}
-
-
-def _offline_table(rows: Sequence[Mapping[str, object]]) -> dict[str, object] | None:
-    if not rows:
-        return None
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    numeric = {k: all(isinstance(row.get(k), int | float | np.number | None) for row in rows) for k in keys}
-    columns = [{"key": key, "label": _label(key), "numeric": numeric[key]} for key in keys]
-    return {"columns": columns, "rows": [{key: row.get(key) for key in keys} for row in rows]}
-
-
-def _label(key: str) -> str:
-    """Heading for a key: `mean_deg` becomes "mean [deg]"."""
-    for unit in ("deg", "m", "s", "ms", "us"):
-        if key.endswith(f"_{unit}"):
-            return f"{key.removesuffix(f'_{unit}').replace('_', ' ')} [{unit}]"
-    return key.replace("_", " ")
+def _encoded(file: bytes) -> str:
+    return base64.b64encode(file).decode()
 
 
 @dataclass(frozen=True)
@@ -218,8 +198,8 @@ class PageFlights:
     @classmethod
     def of(cls, results: Results, order: Sequence[str]) -> "PageFlights":
         """Those of a benchmark; `order` has the estimators whose signals are wanted most first."""
-        most = DETAILED // max(len(results.scenarios), 1)
-        detailed = sorted(order, key=lambda name: name == TRUTH)[:most]
+        wanted = sorted(order, key=lambda name: name == TRUTH)
+        timed, detailed = (wanted[: most // max(len(results.scenarios), 1)] for most in (TIMED, DETAILED))
         longest: dict[str, FlightSeries] = {}
         for cell in results.cells:
             if cell.series and cell.series.signals:
@@ -227,7 +207,9 @@ class PageFlights:
                 longest[cell.scenario] = max(before, cell.series, key=lambda series: series.samples)
         return cls(
             [
-                cell.series and _with_signals(cell.series, cell.estimator in detailed)
+                _with_signals(cell.series, cell.estimator in detailed)
+                if cell.series and cell.estimator in timed
+                else None
                 for cell in results.cells
             ],
             {
@@ -248,62 +230,45 @@ def _metrics(results: Results) -> list[Metric]:
     return sorted(METRICS, key=lambda metric: metric.key != first) if results.cells else []
 
 
-def _payload(
-    closed_loop: ClosedLoopSection,
-    rows: Sequence[CellRow],
-    names: Sequence[str],
-    order: Sequence[str],
-    ranked: Sequence[str],
-    flights: PageFlights,
-    drawn: Mapping[str, Look],
-) -> str:
-    results = closed_loop.results
+def _closed_loop_data(results: Results, flights: PageFlights, pairs: Sequence[PairRow]) -> dict[str, object]:
+    """What the charts show of a benchmark."""
     low, high = ERROR_DECADES
-    data: dict[str, object] = {
-        "estimators": list(dict.fromkeys(names)),
-        "looks": {name: look._asdict() for name, look in drawn.items()},
-        "ranked": list(ranked),
-        "scenarios": list(results.scenarios),
-        "shown": order[:SHOWN],
-        "metrics": [vars(metric) for metric in _metrics(results)],
-        "edges": {"low": low, "high": high, "bins": ERROR_BINS},
+    rows = {name: [row for row in results.rows if row.estimator == name] for name in results.estimators}
+    means = {
+        n: {m.key: mean_of([getattr(r, m.key) for r in own]) for m in METRICS} for n, own in rows.items()
     }
-    if results.cells:
-        vehicle = load_vehicle(next(iter(results.scenarios.values())).vehicle)
-        data |= {
-            "cells": {
-                f"{cell.scenario}|{cell.estimator}": _cell(cell, row, series)
-                for cell, row, series in zip(results.cells, rows, flights.cells, strict=True)
-            },
-            "shared": {scenario: _described(series) for scenario, series in flights.shared.items()},
-            "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
-            "pairs": _pairs(closed_loop.pairs),
-            "all": ALL,
-            "best": next((name for name in ranked if name not in results.unranked), None),
-            "series_seed": 0,
-            "hubs": vehicle.hubs.tolist(),
-            "prop_radius": vehicle.frame.prop_radius,
-        }
-    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return {
+        "edges": {"low": low, "high": high, "bins": ERROR_BINS},
+        "cells": {
+            f"{cell.scenario}|{cell.estimator}": {
+                "histogram": cell.histogram,
+                "series": series and _described(series),
+            }
+            for cell, series in zip(results.cells, flights.cells, strict=True)
+        },
+        "means": means,
+        "shared": {scenario: _described(series) for scenario, series in flights.shared.items()},
+        "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
+        "pairs": _pairs([row for row in pairs if row.scenario == ALL or not results.levels]),
+        "all": ALL,
+        "series_seed": 0,
+        "bodies": {n: _body(s.vehicle) for n, s in results.scenarios.items()},
+    }
+
+
+def _body(name: str) -> dict[str, object]:
+    vehicle = load_vehicle(name)
+    return {"hubs": vehicle.hubs.tolist(), "prop_radius": vehicle.frame.prop_radius}
 
 
 def _pairs(pairs: Sequence[PairRow]) -> dict[str, list]:
-    """Compact: "metric|scenario" to lists of estimator, versus, difference, low, high, pairs, crashes."""
+    """Compact: "metric|scenario" to lists of estimator, versus, pairs, difference, low, high, crashes."""
     out: dict[str, list] = {}
     for row in pairs:
-        entry = (
-            row.estimator, row.versus, row.difference, row.low, row.high, row.pairs, row.crashed_alone,
-            row.versus_crashed_alone,
-        )  # fmt: skip
+        _, _, *entry = asdict(row).values()
         numbers = [round(v, 5) if isinstance(v, float) else v for v in entry]
         out.setdefault(f"{row.metric}|{row.scenario}", []).append(numbers)
     return out
-
-
-def _cell(cell: Cell, row: CellRow, series: FlightSeries | None) -> dict[str, object]:
-    """What the charts show of a cell."""
-    values = {metric.key: getattr(row, metric.key) for metric in METRICS}
-    return {"values": values, "histogram": cell.histogram, "series": series and _described(series)}
 
 
 def _described(series: FlightSeries) -> dict[str, object]:

@@ -15,8 +15,8 @@ from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.truth import Truth
 from quadsim.rotation import roll_pitch_from_quat
-from scenarios.bench.verdict import offline_verdict
-from scenarios.report.terminal import evaluation_columns, evaluation_notes, evaluation_table
+from scenarios.report.evaluation import columns, evaluation_notes, headline
+from scenarios.report.terminal import rows_table
 
 
 class _Failing:
@@ -232,10 +232,10 @@ def test_what_cannot_be_ranked_is_listed_and_is_not_the_best(flights, made):
     assert any(note.startswith("bad ") for note in notes)
     for draw in (violins, error_over_time, settling):
         draw(done)
-    evaluation_table(done.rows, "t")
-    shown = evaluation_columns(done.rows)
-    assert offline_verdict(shown).headline.startswith("Smallest error on recorded flights: mahony")
-    assert all(each["mean_deg"] is None or each["mean_deg"] >= 0.0 for each in shown)
+    shown = columns(done.rows)
+    assert rows_table(shown).row_count == len(shown)
+    assert headline(done.rows).startswith("the smallest error from an unknown start is mahony's")
+    assert all(each["mean [°]"] is None or each["mean [°]"] >= 0.0 for each in shown)
     with (
         pytest.raises(ValueError, match="no estimator ran: bad did not run")
         if np.isnan(rows["bad", "unknown"].mean_deg)

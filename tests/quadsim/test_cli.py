@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from functools import partial
 
 import pytest
 from typer.main import get_command
@@ -12,7 +11,6 @@ from quadsim.cli import app, main
 from quadsim.cli.catalogue import Kind
 from quadsim.cli.options import pair_of
 from quadsim.runs.record import load_record
-from scenarios.bench.axes import design
 
 VERBS = [
     "generate",
@@ -170,7 +168,8 @@ def test_every_verb_has_help_of_its_own():
         (["fly", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "missing.toml"], "missing.toml"),
-        (["bench", "--scenario", "hover", "--breaking-point", "rain"], "rain"),
+        (["bench", "--scenario", "hover", "--experiment", "rain"], "breaking-points"),
+        (["bench", "--experiment", "held-out", "--seed", "1"], "seed of its own"),
         (["bench", "--scenario", "hover", "--set", "external=vicon"], "vicon"),
         (["report", "missing"], "missing"),
         (["paper", "--out", "x", "--only", "fig12"], "fig"),
@@ -270,7 +269,7 @@ def test_a_verb_has_at_most_eight_options_beside_the_common_ones():
     common = {"--out", "--seed", "--set", "--help"}
     for verb, command in get_command(app).commands.items():
         options = {each.opts[0] for each in command.params if each.param_type_name == "option"} - common
-        assert len(options) <= 8 or verb in ("bench", "evaluate"), verb
+        assert len(options) <= 8 or verb == "evaluate", verb
 
 
 @pytest.mark.parametrize(
@@ -281,20 +280,33 @@ def test_a_setting_is_read_as_toml_or_as_it_stands(text, pair):
     assert pair_of(text) == pair
 
 
-def test_bench_finds_breaking_points_and_reports_them_again(quadsim, tmp_path):
-    flown = ["--scenario", "hover", "--estimator", "truth", "--seeds", 1, "--duration", 0.5, "--workers", 1]
-    code, out, _ = quadsim("bench", *flown, "--breaking-point", "wind", "--out", tmp_path)
+WIND = """description = "Wind."
+scenarios = ["hover"]
+[sweeps.wind]
+label = "Constant wind"
+help = "Wind."
+scenario = "hover"
+fields = { wind = [{ kind = "constant", velocity = [1.0, 0.0, 0.0] }] }
+scaled = "wind.0.velocity"
+most = 4.0
+tolerance = 0.25
+"""
+
+
+def test_bench_flies_an_experiment_of_the_users_and_reports_it_again(quadsim, tmp_path):
+    (tmp_path / "wind.toml").write_text(WIND)
+    flown = ["--estimator", "truth", "--seeds", 1, "--duration", 0.5, "--workers", 1, "--out", tmp_path]
+    code, out, _ = quadsim("bench", "--experiment", tmp_path / "wind.toml", *flown)
     assert code == 0
-    assert "> 64" in out
-    assert {path.name for path in tmp_path.glob("*.csv")} == {"results.csv", "flights.csv", "breaking.csv"}
-    assert "Breaking points: least" in (tmp_path / "report.html").read_text()
-    (tmp_path / "report.html").unlink()
+    assert "> 4" in out
+    assert {"results.csv", "flights.parquet", "bench.json"} < {path.name for path in tmp_path.iterdir()}
+    first = (tmp_path / "report.html").read_text()
+    assert "Breaking points: least" in first
     assert quadsim("report", tmp_path)[0] == 0
-    assert "Breaking points: least" in (tmp_path / "report.html").read_text()
+    assert (tmp_path / "report.html").read_text() == first
     assert quadsim("report", tmp_path, "--out", tmp_path / "else" / "a.html")[0] == 0
     assert 'href="../results.csv"' in (tmp_path / "else" / "a.html").read_text()
-    assert quadsim("bench", *flown, "--out", tmp_path)[0] == 0
-    assert quadsim("report", tmp_path)[0] == 0  # of the last run, which looked for none
+    assert quadsim("bench", "--scenario", "hover", *flown)[0] == 0
     assert "Breaking points: least" not in (tmp_path / "report.html").read_text()
 
 
@@ -313,28 +325,6 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(quadsi
     assert quadsim("report", tmp_path)[0] == 0
     assert load_record(tmp_path) == written
     assert written.date in (tmp_path / "report.html").read_text()
-
-
-def test_a_designed_bench_has_the_report_by_condition_and_is_reported_again(quadsim, tmp_path, monkeypatch):
-    monkeypatch.setattr("scenarios.bench.axes.design", partial(design, cells=4))
-    flown = ["--estimator", "truth", "--estimator", "mahony", "--seeds", 1, "--duration", 0.3, "--workers", 1]
-    code, out, _ = quadsim("bench", "--axes", *flown, "--out", tmp_path)
-    assert code == 0
-    assert (
-        "report.html: On these 4 combinations fly mahony, whether the airframe's drag is known or not." in out
-    )
-    assert "warning" not in out
-    first = (tmp_path / "report.html").read_text()
-    assert "Combinations flown" in first
-    assert quadsim("report", tmp_path)[0] == 0
-    assert (tmp_path / "report.html").read_text() == first
-
-
-def test_a_breaking_point_that_cannot_be_is_refused_before_anything_is_flown(quadsim, tmp_path):
-    flown = ["--scenario", "hover", "--estimator", "truth", "--seeds", 1, "--duration", 3, "--workers", 1]
-    code, _, err = quadsim("bench", *flown, "--breaking-point", "bias", "--out", tmp_path / "out")
-    assert (code, (tmp_path / "out").exists()) == (2, False)
-    assert "begins at 6 s" in err
 
 
 def test_ctrl_c_in_a_training_keeps_its_weights_and_exits_as_interrupted(quadsim, tmp_path, monkeypatch):
@@ -363,10 +353,3 @@ def test_a_fault_after_the_end_of_the_flight_is_warned_of(quadsim):
     code, out, err = quadsim("fly", "gyro-bias-step", "--estimator", "mahony", "--duration", 0.5)
     assert code == 0
     assert "gyro-bias-step ends at 0.5 s, before its fault gyro-bias-step at 6 s" in (out + err)
-
-
-@pytest.mark.parametrize("kind", ["--axes", "--held-out"])
-def test_conditions_are_not_flown_with_the_truth_alone(quadsim, kind):
-    code, _, err = quadsim("bench", kind, "--estimator", "truth", "--out", "b")
-    assert code == 2
-    assert "give one besides truth" in err

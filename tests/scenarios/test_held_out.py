@@ -12,13 +12,13 @@ from quadsim.cli import main
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
 from quadsim.held_out import SEEDS, load_held_out, releases, unreserved
-from scenarios.bench.axes import AXES
-from scenarios.bench.held_out import suite
+from scenarios.bench.experiment import draw, load_experiment
 from scenarios.bench.runner import bench
-from scenarios.bench.settings import FlightSettings, ScenarioChanges
+from scenarios.bench.settings import FlightSettings
 from training.loop import train
 
 NEWEST = load_held_out(releases()[-1])
+SUITE = load_experiment("held-out")
 LEARNING = (
     ["generate", "--out", "x.zarr"],
     ["train", "--data", "x.zarr"],
@@ -33,15 +33,26 @@ def test_the_newest_suite_is_of_this_version():
 
 
 def test_it_is_the_same_whenever_it_is_drawn_and_covers_every_level():
-    drawn = suite(NEWEST)
-    assert len(drawn) == NEWEST.scenarios
-    assert drawn == suite(NEWEST)
-    for axis, levels in AXES.items():
-        assert {combination.levels[axis] for combination, _ in drawn.values()} == set(levels)
-    wind = [np.linalg.norm(scenario.wind[0].velocity) for _, scenario in drawn.values()]
+    drawn = SUITE.cases()
+    assert (SUITE.seed, SUITE.seeds, len(drawn)) == (NEWEST.seed, NEWEST.flights, NEWEST.scenarios)
+    assert drawn == SUITE.cases()
+    for axis, levels in SUITE.axes.items():
+        assert {case.levels[axis] for case in drawn.values()} == set(levels)
+    wind = [np.linalg.norm(case.scenario.wind[0].velocity) for case in drawn.values()]
     assert NEWEST.wind[0] <= min(wind) < max(wind) <= NEWEST.wind[1]
-    other = suite(NEWEST.model_copy(update={"seed": NEWEST.seed + 1}))
-    assert [s for _, s in other.values()] != [s for _, s in drawn.values()]
+    other = draw(NEWEST.model_copy(update={"seed": NEWEST.seed + 1}), SUITE.axes)
+    assert [case.scenario for case in other.values()] != [case.scenario for case in drawn.values()]
+
+
+def test_it_is_that_of_the_release_to_the_last_digit():
+    """Drawn when the release was: a change would make the recommendation that of other flights."""
+    cases = SUITE.cases()
+    assert cases["held-out-00"].scenario.trajectory.max_tilt_deg == 37.00590131857726
+    assert cases["held-out-31"].scenario.trajectory.period_s == 8.037293930849359
+    assert cases["held-out-31"].scenario.wind[1].wind_20ft == 7.947397188567952
+    assert cases["held-out-31"].levels["IMU"] == "bias of 4 °/s"
+    speeds = [np.linalg.norm(case.scenario.wind[0].velocity) for case in cases.values()]
+    assert sum(speeds) == pytest.approx(222.4675982163063, rel=1e-12)
 
 
 def test_a_reserved_seed_is_refused_and_its_neighbours_are_not():
@@ -76,10 +87,12 @@ def test_nothing_that_learns_takes_a_reserved_seed_from_python(tmp_path):
 
 
 def test_the_held_out_suite_itself_is_flown_with_its_seed(tmp_path):
-    name, (_, scenario) = next(iter(suite(NEWEST).items()))
-    changes = ScenarioChanges(duration_s=0.1)
-    results = bench({name: scenario}, ["truth"], tmp_path, FlightSettings(1, NEWEST.seed), changes, workers=1)
+    name, case = next(iter(SUITE.cases().items()))
+    changes, settings = {"duration_s": 0.1}, FlightSettings(1, NEWEST.seed)
+    results = bench({name: case.scenario}, ["truth"], tmp_path, settings, changes, workers=1)
     assert [cell.reason for cell in results.cells] == [""]
+    with pytest.raises(ValueError, match="has scenarios of its own"):
+        bench(["hover"], ["truth"], tmp_path, settings, experiment=SUITE)
 
 
 def test_no_file_that_was_made_by_learning_names_a_reserved_seed():

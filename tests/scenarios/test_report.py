@@ -7,30 +7,31 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from accessibility import findings
+from flown import benchmark, crash
 
 import estimators
 from estimators.appearance import look
 from quadsim.flight.faults import GyroBiasStep
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
+from quadsim.runs.record import RunRecord
 from quadsim.wind import Constant
-from scenarios.bench.breaking import BreakingPoint
 from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
+from scenarios.bench.experiment import load_experiment
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
-from scenarios.bench.offline import UNRANKED, OfflineRow, table_of
-from scenarios.bench.pairs import paired_differences
-from scenarios.bench.runner import Results
+from scenarios.bench.results import Results
+from scenarios.bench.search import BreakingPoint
 from scenarios.bench.series import decimation, unpack_series
 from scenarios.bench.settings import FlightSettings
 from scenarios.bench.signals import SHARED, SignalLog
-from scenarios.bench.verdict import offline_verdict
 from scenarios.report.flight_picture import Picture
 from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
 
+BREAKING = load_experiment("breaking-points")
 OFFLINE = [
-    {"estimator": "truth", "start": "known", "mean_deg": 0.0, UNRANKED: "reference"},
-    {"estimator": "mahony", "start": "known", "mean_deg": 2.5},
-    {"estimator": "ekf", "start": "known", "note": "no weights <here>"},
+    {"estimator": "truth", "start": "known", "mean [°]": 0.0, "note": ""},
+    {"estimator": "mahony", "start": "known", "mean [°]": 2.5, "note": ""},
+    {"estimator": "ekf", "start": "known", "mean [°]": None, "note": "no weights <here>"},
 ]
 
 
@@ -64,21 +65,24 @@ def results():
         cells.append(Cell(name, "ekf", "", "", flights, cells[0].histogram, cells[0].series))
         cells.append(failed_cell(name, "vqf", "", "no weights <here>"))
     names = ["truth", "mahony", "ekf", "vqf"]
-    return Results({"calm": scenario, "storm": scenario}, names, FlightSettings(2), cells)
+    points = [
+        BreakingPoint("wind", "truth", 64.0),
+        BreakingPoint("wind", "mahony", 9.75, 10.0, "tilted over"),
+        BreakingPoint("wind", "ekf", 19.75, 20.0, "tilted over"),
+        BreakingPoint("wind", "vqf", reason="no weights <here>"),
+    ]
+    wind_alone = BREAKING.model_copy(update={"sweeps": {"wind": BREAKING.sweeps["wind"]}})
+    scenarios = {"calm": scenario, "storm": scenario}
+    return Results(scenarios, names, FlightSettings(2), cells, wind_alone, points=points)
 
 
 @pytest.fixture(scope="module")
 def report(results, tmp_path_factory):
     picture = Picture(np.full((90, 160, 3), 128, dtype=np.uint8), 'A "picture" & its caption')
     path = tmp_path_factory.mktemp("report") / "report.html"
-    points = [
-        BreakingPoint("wind", "truth", "m/s", 64.0, None, "", 2, ""),
-        BreakingPoint("wind", "mahony", "m/s", 9.75, 10.0, "tilted over", 2, ""),
-        BreakingPoint("wind", "vqf", "m/s", None, None, "", 2, "no weights <here>"),
-    ]
-    pairs = paired_differences(results.flights)
-    section = ClosedLoopSection(results, pairs, points, picture)
-    return write_report(path, section, OfflineSection(OFFLINE), csv=["results.csv"], focus="ekf")
+    section = ClosedLoopSection(results, picture)
+    offline = OfflineSection(OFFLINE, headline="On recorded flights mahony is best.")
+    return write_report(path, section, offline, files=["results.csv"], focus="ekf")
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -116,8 +120,9 @@ def test_text_of_users_is_escaped(report):
 
 
 def test_report_of_recorded_flights_alone(tmp_path):
-    text = write_report(tmp_path / "r.html", offline=OfflineSection(OFFLINE)).read_text()
-    assert "Smallest error on recorded flights" in text
+    section = OfflineSection(OFFLINE, headline="On recorded flights mahony is best.")
+    text = write_report(tmp_path / "r.html", offline=section).read_text()
+    assert "On recorded flights mahony is best." in text
     assert "<canvas" not in text
 
 
@@ -258,11 +263,9 @@ def test_estimators_that_flew_exactly_alike_are_shown_once(results, tmp_path):
     twice = [*results.cells, *(renamed(cell) for cell in results.cells if cell.estimator == "ekf")]
     names = [*results.estimators, "ekf-two"]
     twin = Results(results.scenarios, names, results.settings, twice)
-    pairs = paired_differences(twin.flights)
-    text = write_report(tmp_path / "r.html", ClosedLoopSection(twin, pairs), focus="ekf-two").read_text()
+    text = write_report(tmp_path / "r.html", ClosedLoopSection(twin), focus="ekf-two").read_text()
     assert "ekf-two flew exactly as ekf: shown once." in text
     assert text.count("ekf-two") == 1
-    assert "ekf: 2 crashes in 4 flights" in text  # in focus under the name that is shown
 
 
 def test_pairs_compare_with_the_chosen_estimator(page):
@@ -275,9 +278,9 @@ def test_pairs_compare_with_the_chosen_estimator(page):
 
 
 def test_breaking_points_sort_with_the_open_end_last(page):
-    assert column(page, 2, "#breaking table") == ["> 64", "10", "did not run"]
+    assert column(page, 2, "#breaking table") == ["10", "20", "did not run", "> 64"]
     page.locator("#breaking th button").nth(1).click()
-    assert column(page, 1, "#breaking table") == ["mahony", "truth", "vqf"]
+    assert column(page, 1, "#breaking table") == ["mahony", "ekf", "truth", "vqf"]
 
 
 def test_a_cell_of_the_map_chooses_the_flight(page):
@@ -395,15 +398,16 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
             cells.append(replace(results.cells[1], **own, flights=flights))
         cells[-1] = failed_cell(scenario, names[-1], "", HOSTILE[0])
     described = Scenario(description=HOSTILE[1], duration_s=2.0)
-    hostile = Results(dict.fromkeys(HOSTILE[:3], described), names, FlightSettings(2), cells)
-    points = [BreakingPoint("wind", name, "m/s", 1.0, 2.0, name, 2, name) for name in names]
+    points = [BreakingPoint("wind", name, 1.0, 2.0, name, name) for name in names]
+    scenarios = dict.fromkeys(HOSTILE[:3], described)
+    hostile = Results(scenarios, names, FlightSettings(2), cells, results.experiment, points=points)
     recorded = [{"estimator": name, "note": name, "start": name, "mean_deg": 1.0} for name in names]
     path = write_report(
         tmp_path / "report.html",
-        ClosedLoopSection(hostile, paired_differences(hostile.flights), points),
+        ClosedLoopSection(hostile),
         OfflineSection(recorded, HOSTILE[0]),
         title=HOSTILE[4],
-        csv=[HOSTILE[2]],
+        files=[HOSTILE[2]],
         focus=names[0],
         footer=HOSTILE[4],
     )
@@ -426,12 +430,54 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
     page.close()
 
 
-def test_recorded_flights_rank_no_reference_and_no_flaw():
-    rows = [
-        OfflineRow("mahony", "level", mean_deg=2.0),
-        OfflineRow("peek", "level", mean_deg=0.0, reference=True),
-        OfflineRow("level", "level", mean_deg=1.0, flaw="returned the same roll and pitch at every sample"),
+# --- a designed benchmark -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    """Four levels of drag, which vqf flies worse and worse; the truth, and one that needs the vehicle."""
+    axes = load_experiment("axes")
+    levels = {
+        f"axes-{k}": {axis: list(of)[k % len(of)] for axis, of in axes.axes.items()} | {"scenario": "hover"}
+        for k in range(4)
+    }
+    outcomes = {
+        "truth": [[0.0, 0.0]] * 4,
+        "imm": [[1.0, 1.1]] * 4,
+        "vqf": [[2.0, crash(5.0)], [3.0, 3.1], [4.0, 4.1], [5.0, 5.1]],
+        "ekf-drag": [[0.5, 0.6], [0.5, 0.6], [0.5, 0.6], "needs a vehicle"],
+    }
+    flown = {name: dict(zip(levels, own, strict=True)) for name, own in outcomes.items()}
+    results = benchmark(flown, experiment=axes, levels=levels)
+    record = RunRecord("9.9.9", "abc1234", "quadsim bench", "2031-01-01 00:00:00", 3600.0)
+    path = tmp_path_factory.mktemp("axes") / "report.html"
+    return write_report(path, ClosedLoopSection(results), record=record)
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_every_axis_has_a_table_that_shows_its_levels(browser, designed, width):
+    page, noise = browser.new_page(viewport={"width": width, "height": 900}), []
+    page.on("pageerror", lambda error: noise.append(str(error)))
+    page.goto(designed.as_uri())
+    assert page.locator("#map table").count() == 6
+    assert page.locator("#map table").nth(2).locator("thead th").all_inner_texts()[2:] == list(
+        load_experiment("axes").axes["drag"]
+    )
+    rows = page.locator("#map table").nth(2).locator('td[data-level][data-estimator="vqf"]')
+    assert [text.split() for text in rows.all_inner_texts()] == [
+        ["2.00", "✕", "1/2"],
+        ["3.05"],
+        ["4.05"],
+        ["5.05"],
     ]
-    assert offline_verdict(table_of(rows)).headline.endswith("mahony, 2.00°.")
-    assert [each[UNRANKED] for each in table_of(rows)][:2] == ["", "reference"]
-    assert UNRANKED not in table_of(rows[:1])[0]
+    failed = page.locator('#map td[data-level="drag|not known|ekf-drag"]')
+    assert (failed.inner_text().strip(), failed.get_attribute("title")) == ("failed", "needs a vehicle")
+    assert page.locator("#standings tbody tr").last.locator("th").inner_text() == "truth"
+    for part in ("quadsim 9.9.9, commit abc1234", "2031-01-01 00:00:00 UTC, after 60.0 min"):
+        assert part in page.locator("#provenance").inner_text()
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    for _ in ("light", "dark"):
+        assert findings(page) == []
+        page.locator("#theme").click()
+    assert noise == []
+    page.close()

@@ -1,59 +1,19 @@
 """The verdict: which estimators are recommended, which are never ranked, and the lines below the headline."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
-import numpy as np
+from flown import benchmark, crash, flight
 
 from quadsim.flight.scenario import Scenario, Start
-from scenarios.bench.cell import Cell, failed_cell
-from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
-from scenarios.bench.offline import UNRANKED
+from scenarios.bench.experiment import load_experiment
 from scenarios.bench.ranking import by_contender, ranked, winners
 from scenarios.bench.recommendation import FILE, Recommendation, recommendation, save_recommendation
-from scenarios.bench.runner import Results
-from scenarios.bench.settings import FlightSettings
-from scenarios.bench.verdict import offline_verdict, shown, verdict
-from scenarios.report.terminal import closed_loop_table
-
-WHOLE_S = 20.0
-
-
-def crash(at_s, error=0.1):
-    """A flight that crashes, with a small error until then."""
-    return at_s, error
-
-
-def flight(scenario, name, seed, outcome):
-    at_s, error = outcome if isinstance(outcome, tuple) else (None, outcome)
-    numbers = dict.fromkeys(each.name for each in fields(FlightMetrics))
-    numbers |= {"error_deg": error, "attitude_deg": 2 * error, "jitter": 5.0}
-    return FlightRow(scenario, name, seed, "tilted over" * (at_s is not None), at_s or WHOLE_S, **numbers)
-
-
-def benchmark(outcomes, references=("truth",), flaws=None, scenarios=None):
-    """Results with these flights: {contender: {scenario: [error or crash(...) of each seed, or why not]}}."""
-    names = list(dict.fromkeys(scenario for each in outcomes.values() for scenario in each))
-    cells, seeds = [], 1
-    for scenario in names:
-        for name, own in outcomes.items():
-            if isinstance(flown := own[scenario], str):
-                cells.append(failed_cell(scenario, name, "", flown))
-                continue
-            seeds = len(flown)
-            flights = [flight(scenario, name, seed, each) for seed, each in enumerate(flown)]
-            reference = name.split(" @ ")[0] in references
-            flaw = (flaws or {}).get(name, "")
-            cells.append(Cell(scenario, name, "", "", flights, [], None, reference, flaw))
-    known = scenarios or {name: Scenario(description="") for name in names}
-    return Results(known, list(outcomes), FlightSettings(seeds), cells)
-
-
-def judged(results, focus=""):
-    return verdict(results, focus)
+from scenarios.bench.verdict import shown, verdict
+from scenarios.report.terminal import standings_table
 
 
 def order(results):
-    return [standing.estimator for standing in judged(results).standings]
+    return [standing.estimator for standing in verdict(results).standings]
 
 
 # --- who is better --------------------------------------------------------------------------------
@@ -85,9 +45,9 @@ def test_errors_are_compared_on_flights_that_all_compared_survived():
 def test_a_flight_that_did_not_run_counts_as_lost():
     results = benchmark({"x": {"a": [3.0, 3.0], "b": [3.0, 3.0]}, "y": {"a": [1.0, 1.0], "b": "no weights"}})
     assert order(results) == ["x", "y"]
-    found = judged(results)
+    found = verdict(results)
     assert found.headline == ("In a and b fly x, the only one to survive all 4 flights; its error is 3.00°.")
-    assert found.standings[1].text.endswith("1 scenario did not run")
+    assert found.standings[1].texts["note"] == "did not run in 1 scenario: no weights"
 
 
 def test_winners_end_at_the_first_that_is_worse():
@@ -107,15 +67,15 @@ def test_where_nobody_survives_no_estimator_is_recommended_there():
     }  # fmt: skip
     calm = {"ekf-drag": [0.5, 0.52, 0.51, 0.5], "imm": [0.9] * 4, "vqf": [0.8] * 4, "att-snn": [1.5] * 4}
     results = benchmark({name: {"gyrofail": lost[name], "hover": calm[name]} for name in lost})
-    found = judged(results)
+    found = verdict(results)
     assert found.headline == (
         "No estimator survives gyrofail; in hover fly ekf-drag, with no crash in 4 flights and the smallest "
         "error, 0.51°."
     )
     assert [each.estimator for each in found.standings] == ["ekf-drag", "vqf", "imm", "att-snn"]
-    assert "not measured" not in found.standings[0].text
+    assert found.standings[0].texts["error [°]"] == "0.51"
     nowhere = benchmark({name: {"gyrofail": each} for name, each in lost.items()})
-    assert judged(nowhere).headline == "No estimator survives gyrofail."
+    assert verdict(nowhere).headline == "No estimator survives gyrofail."
     assert order(nowhere) == ["ekf-drag", "vqf", "imm", "att-snn"]
 
 
@@ -123,7 +83,7 @@ def test_the_headline_says_that_a_recommended_estimator_crashed():
     results = benchmark(
         {"x": {"a": [crash(5.0), 1.0, 1.0, 2.0]}, "y": {"a": [crash(5.0), crash(9.0), 0.1, 0.1]}}
     )
-    assert judged(results).headline == (
+    assert verdict(results).headline == (
         "In a fly x, though it crashed in 1 of 4 flights; no other survived more, and its error is 1.33° in "
         "the others."
     )
@@ -131,7 +91,7 @@ def test_the_headline_says_that_a_recommended_estimator_crashed():
 
 def test_an_estimator_that_crashes_in_most_flights_is_not_recommended():
     results = benchmark({"x": {"a": [crash(5.0), crash(5.0), 1.0]}, "y": {"a": [crash(5.0)] * 3}})
-    assert judged(results).headline == (
+    assert verdict(results).headline == (
         "In a no estimator is fit to fly: x crashed in 2 of 3 flights, the others in more."
     )
 
@@ -141,9 +101,10 @@ def test_estimators_that_do_not_differ_significantly_from_the_best_are_all_named
         {"x": {"a": [1.0, 1.0, 1.0, 1.0]}, "y": {"a": [1.4, 0.8, 1.4, 0.8]}, "z": {"a": [1.3, 0.9, 1.3, 1.0]},
          "far": {"a": [3.0, 3.1, 3.0, 3.1]}}
     )  # fmt: skip
-    assert judged(results).headline == (
-        "In a fly x, y or z; none of them crashed in 4 flights, and the differences in error (1.00° to "
-        "1.12°) are not significant. 4 flights of each in a scenario cannot show small differences."
+    assert verdict(results).headline == (
+        "In a fly x, y or z; none of them crashed in 4 flights, and the error of the others, up to 1.12°, is "
+        "not significantly larger than that of x, 1.00°. 4 flights of each in a scenario cannot show small "
+        "differences."
     )
 
 
@@ -155,7 +116,7 @@ def test_an_estimator_in_a_tie_is_never_worse_than_one_that_is_left_out():
             "noisy": {"a": [0.3, 3.0, 0.3, 3.0]},  # worse in the mean, not significantly
         }
     )
-    assert judged(results).headline == (
+    assert verdict(results).headline == (
         "In a fly best, with no crash in 4 flights and the smallest error, 1.00°."
     )
 
@@ -164,7 +125,7 @@ def test_only_those_without_a_crash_are_compared_by_their_error():
     results = benchmark(
         {"x": {"a": [1.0, 1.0]}, "y": {"a": [2.0, 2.0]}, "z": {"a": [crash(5.0, 0.01), 0.01]}}
     )
-    assert judged(results).headline == (
+    assert verdict(results).headline == (
         "In a fly x, with no crash in 2 flights and the smallest error of the 2 that survived all, 1.00°."
     )
 
@@ -172,14 +133,14 @@ def test_only_those_without_a_crash_are_compared_by_their_error():
 def test_many_scenarios_are_counted_and_few_are_named():
     flown = {name: [1.0, 1.1] for name in "abcde"}
     results = benchmark({"x": flown, "y": {name: [2.0, 2.1] for name in flown}})
-    assert judged(results).headline.startswith("In these 5 scenarios fly x, with no crash in 10 flights")
+    assert verdict(results).headline.startswith("In these 5 scenarios fly x, with no crash in 10 flights")
     few = benchmark({"x": {"a": [1.0, 1.1], "b": [1.0, 1.1]}, "y": {"a": [2.0, 2.1], "b": [2.0, 2.1]}})
-    assert judged(few).headline.startswith("In a and b fly x")
+    assert verdict(few).headline.startswith("In a and b fly x")
 
 
 def test_one_flight_recommends_nothing():
     results = benchmark({"x": {"a": [1.0]}, "y": {"a": [2.0]}, "z": {"a": [crash(5.0)]}})
-    assert judged(results).headline == (
+    assert verdict(results).headline == (
         "In a x has the smallest error, 1.00°, of the 2 that did not crash; one flight in each scenario is "
         "too few to recommend it."
     )
@@ -187,11 +148,11 @@ def test_one_flight_recommends_nothing():
 
 def test_who_did_not_run_is_no_rival():
     results = benchmark({"x": {"a": [1.0, 1.1]}, "y": {"a": "no weights"}})
-    assert judged(results).headline == (
+    assert verdict(results).headline == (
         "In a fly x, the only one that ran, with no crash in 2 flights; its error is 1.05°."
     )
     alone = benchmark({"x": {"a": [1.0, 1.1], "b": "no idea"}})
-    assert judged(alone).headline == "x: no crash in 2 flights, error 1.05°; 1 scenario did not run."
+    assert verdict(alone).headline == "x: no crash in 2 flights, error 1.05°; 1 scenario did not run."
 
 
 # --- what is never ranked -------------------------------------------------------------------------
@@ -202,12 +163,12 @@ def test_what_receives_the_truth_is_a_reference_whatever_its_name():
         {"est.py:Peek": {"a": [0.0, 0.0]}, "mahony": {"a": [1.0, 1.1]}, "vqf": {"a": [2.0, 2.1]}},
         references=("est.py:Peek",),
     )
-    found = judged(results)
+    found = verdict(results)
     assert found.headline.startswith("In a fly mahony")
     assert [each.estimator for each in found.standings] == ["mahony", "vqf", "est.py:Peek"]
-    assert found.standings[-1].text.endswith("not ranked: it received the true attitude")
+    assert found.standings[-1].texts["note"] == "not ranked: it received the true attitude"
     alone = benchmark({"est.py:Peek": {"a": [0.0]}}, references=("est.py:Peek",))
-    assert judged(alone).headline == (
+    assert verdict(alone).headline == (
         "Nothing is compared: only estimators that receive the true attitude ran."
     )
 
@@ -218,39 +179,32 @@ def test_an_estimate_that_never_changes_is_not_ranked():
         {"level": {"a": [0.1, 0.1]}, "mahony": {"a": [1.0, 1.1]}, "vqf": {"a": [2.0, 2.1]}},
         flaws={"level": why},
     )
-    found = judged(results)
+    found = verdict(results)
     assert found.headline.startswith("In a fly mahony")
-    assert found.standings[-1].text.endswith(f"not ranked: it {why}")
-    assert f"Not ranked: level {why}." in found.lines
+    assert found.standings[-1].texts["note"] == f"not ranked: it {why}"
 
 
 def test_controllers_are_ranked_by_tracking_and_none_on_the_truth_is_a_candidate():
     errors = {"truth": 0.5, "truth @ c": 0.75, "x": 1.5, "x @ c": 1.0}  # tracking is twice as much
     results = benchmark({name: {"a": [error] * 2} for name, error in errors.items()})
-    found = judged(results)
+    found = verdict(results)
     assert found.headline == (
         "In a fly c on x, with no crash in 2 flights and the smallest tracking error, 2.00°."
     )
     assert [each.estimator for each in found.standings] == ["x @ c", "x", "truth", "truth @ c"]
-    assert found.standings[-1].text == (
-        "no crash in 2 flights · tracking error 1.50° · command jitter 5.0 rad/s · not ranked: it received "
-        "the true attitude"
-    )
-    assert (
-        "The attitude tracking error of c on x is 2.00 × that of the cascade on the true attitude."
-        in found.lines
-    )
+    assert found.standings[-1].texts["command change [rad/s]"] == "5.00"
+    assert found.standings[-1].texts["note"] == "not ranked: it received the true attitude"
 
 
 def test_on_the_truth_alone_all_controllers_are_compared_and_the_cascade_may_win():
     errors = {"truth": 0.5, "truth @ c": 0.75, "truth @ d": 0.6}
-    found = judged(benchmark({name: {"a": [error] * 2} for name, error in errors.items()}))
+    found = verdict(benchmark({name: {"a": [error] * 2} for name, error in errors.items()}))
     assert found.headline.startswith("In a fly the cascade on truth, with no crash in 2 flights")
     assert [each.estimator for each in found.standings] == ["truth", "truth @ d", "truth @ c"]
 
 
 def test_of_a_controller_alone_the_tracking_error_counts():
-    assert judged(benchmark({"truth @ c": {"a": [0.75]}})).headline.endswith("tracking error 1.50°.")
+    assert verdict(benchmark({"truth @ c": {"a": [0.75]}})).headline.endswith("tracking error 1.50°.")
     both = benchmark({"x @ c": {"a": [0.2]}, "y @ c": {"a": [0.1]}})
     assert order(both)[0] == "y @ c"  # two estimators are compared as such
 
@@ -260,20 +214,33 @@ def test_of_a_controller_alone_the_tracking_error_counts():
 
 def test_one_estimator_is_described_and_not_compared():
     flown = {"a": [crash(5.0), crash(5.0), 1.0], "b": [2.0, 2.0, 2.0]}
-    found = judged(benchmark({"truth": {"a": [0.1] * 3, "b": [0.1] * 3}, "x": flown}))
+    found = verdict(benchmark({"truth": {"a": [0.1] * 3, "b": [0.1] * 3}, "x": flown}))
     assert found.headline == "x: crashed in 2 of 6 flights, error 1.50° in the others."
-    assert "Its worst scenario is a, 2 of 3 crashed, 1.00°." in found.lines
-    assert judged(benchmark({"x": {"b": [2.0, 2.0]}})).headline == "x: no crash in 2 flights, error 2.00°."
-    assert judged(benchmark({"x": {"b": [crash(5.0)]}})).headline == "x crashed."
-    assert judged(benchmark({"x": {"b": [2.0]}})).headline == "x did not crash: error 2.00°."
+    assert found.standings[0].texts["at worst"] == "a, 2 of 3 crashed, 1.00°"
+    assert verdict(benchmark({"x": {"b": [2.0, 2.0]}})).headline == "x: no crash in 2 flights, error 2.00°."
+    assert verdict(benchmark({"x": {"b": [crash(5.0)]}})).headline == "x crashed."
+    assert verdict(benchmark({"x": {"b": [2.0]}})).headline == "x did not crash: error 2.00°."
 
 
 def test_estimators_that_did_not_run_come_last():
-    found = judged(benchmark({"x": {"a": "no weights"}, "y": {"a": [crash(5.0)] * 2}}))
-    assert [each.text for each in found.standings] == [
-        "crashed in a (2 of 2) · error not measured", "did not run",
-    ]  # fmt: skip
-    assert judged(benchmark({"x": {"a": "no weights"}})).headline == "No estimator ran."
+    found = verdict(benchmark({"x": {"a": "no weights"}, "y": {"a": [crash(5.0)] * 2}}))
+    assert [(each.estimator, each.texts["rank"]) for each in found.standings] == [("y", "1"), ("x", "–")]
+    assert found.standings[1].texts["note"] == "did not run in 1 scenario: no weights"
+
+
+def test_where_no_estimator_is_fit_each_has_its_reason_and_there_is_advice():
+    """A constant, one that does not run, and the truth: nothing is left to recommend."""
+    why = "returned the same roll and pitch at every sample"
+    results = benchmark(
+        {"level": {"a": [0.1, 0.1]}, "broken": {"a": "no weights"}, "truth": {"a": [0.0, 0.0]}},
+        flaws={"level": why},
+    )
+    found = verdict(results)
+    assert found.headline == f"No estimator is fit: broken did not run (no weights); level {why}."
+    assert "--estimator eskf" in found.lines[0]
+    assert verdict(benchmark({"x": {"a": "no weights"}})).headline == (
+        "No estimator ran: x did not run (no weights)."
+    )
 
 
 # --- the lines below ------------------------------------------------------------------------------
@@ -286,7 +253,7 @@ def test_every_verdict_says_on_what_condition_it_holds_and_what_to_fly_elsewhere
         "b": given.model_copy(update={"drag_factor": 2.0}),
         "c": given.model_copy(update={"start": Start(), "vehicle_known": False}),
     }
-    line = judged(benchmark({"x": {name: [1.0] for name in "abc"}}, scenarios=scenarios)).lines[0]
+    line = " ".join(verdict(benchmark({"x": {k: [1.0] for k in "abc"}}, scenarios=scenarios)).lines)
     for part in (
         "Conditions: airframe hummingbird; its drag known in 1 scenario, 2 times what is known in 1 "
         "scenario, not known in 1 scenario; IMU adis16448; initial attitude given in 2 scenarios, not given "
@@ -296,28 +263,32 @@ def test_every_verdict_says_on_what_condition_it_holds_and_what_to_fly_elsewhere
         assert part in line
 
 
-def test_the_worst_scenario_is_named():
-    results = benchmark({"x": {"a": [0.5], "b": [4.0]}, "y": {"a": [2.5], "b": [3.0]}})
-    found = judged(results)
-    assert "By the worst scenario y is the best: b, 3.00°; of x it is b, 4.00°." in found.lines
-    assert found.standings[1].text == "no crash in 2 flights · error 2.75° · at worst 3.00° in b"
+def test_the_table_has_the_worst_scenario_and_the_paired_difference_from_the_best():
+    results = benchmark(
+        {
+            "x": {"a": [0.5, 0.6], "b": [4.0, 4.1]},
+            "y": {"a": [2.5, 2.6], "b": [3.0, 3.1]},
+            "z": {"a": [crash(5.0)] * 2, "b": [1.0] * 2},
+        }
+    )
+    x, y, z = verdict(results).standings
+    assert (x.texts["behind the best [°]"], y.texts["behind the best [°]"]) == ("–", "+0.50 ± 0.00")
+    assert (x.texts["at worst"], y.texts["at worst"]) == ("b, 4.05°", "b, 3.05°")
+    assert (z.texts["crashed"], z.texts["at worst"]) == (
+        "2 of 4 (15–85 %)",
+        "a, 2 of 2 crashed, not measured",
+    )
 
 
-def test_the_estimator_in_focus_is_described_and_compared_with_the_truth():
-    results = benchmark({"truth": {"a": [0.5] * 2}, "x": {"a": [1.0] * 2}, "y": {"a": [crash(5.0), 2.0]}})
-    assert judged(results, focus="y").lines[1:] == [
-        "The attitude tracking error of x is 2.00 × that with the true attitude.",
-        "y: 1 crash in 2 flights, error 2.00°, attitude tracking error 4.00 × that with the true attitude.",
+def test_console_and_report_have_the_tracking_error_beside_that_of_the_estimate():
+    judged = verdict(benchmark({"x": {"a": [1.0, 2.0]}, "y": {"a": [crash(5.0), 3.0]}}))
+    assert [(s.texts["error [°]"], s.texts["tracking [°]"]) for s in judged.standings] == [
+        ("1.50", "3.00"),
+        ("3.00", "6.00"),
     ]
-
-
-def test_the_terminal_has_the_tracking_error_beside_that_of_the_estimate():
-    few = closed_loop_table(benchmark({"x": {"a": [1.0, 2.0]}, "y": {"a": [crash(5.0), 3.0]}}))
-    assert [str(cell) for cell in few.columns[1].cells] == ["1.50 | 3.00", "3.00 | 6.00 ✕ 1/2"]
-    names = [f"s{k}" for k in range(8)]
-    many = closed_loop_table(benchmark({"x": {n: [1.0] for n in names}, "y": {n: [2.0] for n in names}}))
-    columns = {column.header: [str(cell) for cell in column.cells] for column in many.columns}
-    assert (columns["error"], columns["tracking"]) == (["1.00", "2.00"], ["2.00", "4.00"])
+    columns = {str(c.header): [str(cell) for cell in c.cells] for c in standings_table(judged).columns}
+    for heading in judged.standings[0].texts:
+        assert columns[heading] == [standing.texts[heading] for standing in judged.standings]
 
 
 def test_a_network_on_an_airframe_that_it_was_not_trained_on_is_warned_of():
@@ -341,16 +312,8 @@ def test_the_recommendation_is_read_back_as_it_was_written(monkeypatch, tmp_path
     recommendation.cache_clear()
 
 
-def test_recorded_flights_have_a_verdict_of_their_own():
-    rows = [
-        {"estimator": "truth", "start": "known", "mean_deg": 0.0, UNRANKED: "reference"},
-        {"estimator": "mahony", "start": "known", "mean_deg": 2.5},
-    ]
-    assert offline_verdict(rows).headline == "Smallest error on recorded flights: mahony, 2.50°."
-    flawed = [{"estimator": "x", "start": "known", "mean_deg": 0.1, UNRANKED: "returned ..."}, *rows]
-    assert offline_verdict(flawed).headline == "Smallest error on recorded flights: mahony, 2.50°."
-    assert offline_verdict(flawed[:2]).headline == "Recorded flights"
-    assert shown(np.inf) == "not measured"
+def test_an_error_in_words():
+    assert [shown(each) for each in (1.0, None, float("inf"))] == ["1.00°", "not measured", "not measured"]
 
 
 def test_every_page_of_results_states_the_one_recommendation():
@@ -358,3 +321,91 @@ def test_every_page_of_results_states_the_one_recommendation():
     for page in ("README.md", "docs/verdict.md", "docs/closed-loop.md"):
         text = " ".join((root / page).read_text("utf-8").split())
         assert recommendation().sentence in text, page
+
+
+# --- by condition ---------------------------------------------------------------------------------
+
+AXES = load_experiment("axes")
+DRAG = list(AXES.axes["drag"])
+
+
+def designed(outcomes, experiment=AXES, **options):
+    """Results with a scenario for each level of drag."""
+    first = {axis: next(iter(levels)) for axis, levels in AXES.axes.items()} | {"scenario": "hover"}
+    levels = {f"axes-{k}": first | {"drag": level} for k, level in enumerate(DRAG)}
+    flown = {name: dict(zip(levels, own, strict=True)) for name, own in outcomes.items()}
+    return benchmark(flown, experiment=experiment, levels=levels, **options)
+
+
+def test_the_headline_has_a_clause_for_each_condition():
+    good, poor = [1.0, 1.1, 1.0, 1.1], [3.0, 3.1, 3.0, 3.1]
+    found = verdict(designed({"drag": [good, poor, poor, "no vehicle"], "imm": [poor, good, good, good]}))
+    assert found.headline == (
+        "On these 4 combinations fly drag where the airframe's drag is known, imm where it is half or twice "
+        "that, imm where it is not known."
+    )
+    assert found.lines[:3] == [
+        "With the airframe's drag known: fly drag, with no crash in 4 flights and the smallest error, 1.05°.",
+        "With drag that is half or twice what is known: fly imm, with no crash in 8 flights and the smallest "
+        "error, 1.05°.",
+        "On an airframe whose drag is not known: fly imm, the only one that ran, with no crash in 4 flights; "
+        "its error is 1.05°.",
+    ]
+    assert found.lines[-1] == recommendation().elsewhere
+    alone = verdict(designed({"imm": [good] * 4, "vqf": [poor] * 4}))
+    assert alone.headline == ("On these 4 combinations fly imm, whether the airframe's drag is known or not.")
+    at_worst = verdict(designed({"drag": [good, poor, poor, good], "imm": [good] * 4})).standings[1]
+    assert at_worst.texts["at worst"] == "drag: half of what is known, 3.05°"
+
+
+def test_no_estimator_that_crashes_in_most_flights_is_recommended_on_any_condition():
+    lost = [crash(5.0)] * 4
+    results = designed({"imm": [lost] * 4, "vqf": [lost] * 4})
+    assert verdict(results).headline == "No estimator is fit to fly on these conditions."
+    results = designed({"imm": [[1.0, 1.0, crash(5.0), 1.0], lost, lost, lost], "vqf": [lost] * 4})
+    assert verdict(results).headline == (
+        "No estimator survives axes-1, axes-2 and axes-3; elsewhere on these 4 combinations fly imm (crashed "
+        "in 1 of 4 flights) where the airframe's drag is known; no estimator is fit to fly where it is half "
+        "or twice that or where it is not known."
+    )
+
+
+def test_a_crash_weighs_more_than_any_error():
+    results = designed({"imm": [[9.0] * 12] * 4, "vqf": [[0.1] * 11 + [crash(5.0)]] * 4})
+    assert verdict(results).headline.startswith("On these 4 combinations fly imm, whether")
+
+
+def test_an_estimator_that_flies_exactly_as_another_is_shown_once():
+    results = benchmark({"a": {"s": [1.0, 2.0]}, "b": {"s": [1.0, 2.0]}, "c": {"s": [1.0, 2.5]}})
+    found = verdict(results)
+    assert order(results) == ["a", "c"]
+    assert found.lines[0] == "b flew exactly as a: shown once."
+    failed = benchmark({name: {"s": [1.0, 2.0], "t": why} for name, why in (("a", "x"), ("b", "y"))})
+    assert order(failed) == ["a", "b"]  # they failed for other reasons
+
+
+def test_a_part_of_the_held_out_suite_is_not_the_recommendation(monkeypatch):
+    suite = load_experiment("held-out")
+    cases = suite.cases()
+    monkeypatch.setattr("scenarios.bench.results.default_estimators", lambda: ["imm", "vqf"])
+    flown = {"imm": {name: [1.0] * 4 for name in cases}, "vqf": {name: [2.0, 2.1] * 2 for name in cases}}
+    whole = benchmark(
+        flown,
+        scenarios={name: case.scenario for name, case in cases.items()},
+        experiment=suite,
+        levels={name: case.levels for name, case in cases.items()},
+    )
+    found = verdict(whole)
+    assert found.headline == "Fly imm, whether the airframe's drag is known or not."
+    assert not any("recommendation" in line or "In general" in line for line in found.lines)
+    only_imm = [cell for cell in whole.cells if cell.estimator == "imm"]
+    shorter = {k: s.model_copy(update={"duration_s": 1.0}) for k, s in whole.scenarios.items()}
+    for part, missing in (
+        (replace(whole, estimators=["imm"], cells=only_imm), "1 of its 2 estimators"),
+        (replace(whole, settings=replace(whole.settings, seeds=1)), "1 of its 4 flights in each scenario"),
+        (replace(whole, scenarios=shorter), "0 of its 48 scenarios"),
+    ):  # fmt: skip
+        found = verdict(part)
+        assert found.headline.startswith(f"On a part of the held-out suite ({missing}) fly imm")
+        assert f"This is not the recommendation of the release: {missing} were flown." in found.lines
+        assert found.lines[-1] == recommendation().elsewhere

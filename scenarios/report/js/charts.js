@@ -9,10 +9,9 @@ export const CHARTS = [drawMap, drawViolins, drawForest];
 
 function drawMap() {
   const metric = data.metrics.find((m) => m.key === $("map-metric").value);
-  const valuesOf = (e, scenarios) => scenarios.map((s) => cell(s, e)?.values).filter(Boolean);
   const cells = all(".heat tbody td").map((td) => {
-    const found = valuesOf(td.dataset.estimator, td.dataset.scenario === undefined ? data.scenarios : [td.dataset.scenario]);
-    return [td, meanOf(found.map((v) => v[metric.key])), found.some((v) => v.crash_rate > 0)];
+    const found = td.dataset.level === undefined ? data.means[td.dataset.estimator] : data.levels[td.dataset.level];
+    return [td, found[metric.key], found.crash_rate > 0];
   });
   const positive = cells.map(([, value]) => value).filter((v) => v > 0);
   const [low, high] = [Math.log(Math.min(...positive)), Math.log(Math.max(...positive))];
@@ -24,11 +23,6 @@ function drawMap() {
     const t = metric.key.endsWith("rate") ? value : value > 0 && high > low ? (Math.log(value) - low) / (high - low) : 0;
     td.style.setProperty("--t", known ? t.toFixed(3) : 0);
   }
-}
-
-function meanOf(values) {
-  const known = values.filter((v) => v !== null && v !== undefined);
-  return known.length ? known.reduce((a, b) => a + b, 0) / known.length : null;
 }
 
 function drawViolins() {
@@ -65,7 +59,7 @@ function label(name, x, y) {
 function drawForest() {
   if (!$("pairs")) return;
   const base = $("pairs-base").value, unit = $("pairs-metric").selectedOptions[0].dataset.unit;
-  const rows = (data.pairs[$("pairs-metric").value + "|" + $("pairs-scenario").value] ?? []).flatMap(([a, b, mean, low, high, n, only, other]) =>
+  const rows = (data.pairs[$("pairs-metric").value + "|" + $("pairs-scenario").value] ?? []).flatMap(([a, b, n, mean, low, high, only, other]) =>
     a === base ? [[b, mean === null ? null : -mean, high === null ? null : -high, low === null ? null : -low, n, other, only]]
       : b === base ? [[a, mean, low, high, n, only, other]] : []).sort((x, y) => (x[1] ?? Infinity) - (y[1] ?? Infinity));
   const ends = rows.flatMap(([, mean, low, high]) => mean === null ? [] : [low ?? mean, high ?? mean]);

@@ -10,7 +10,7 @@ import { drawTraces, showAll, showTime } from "./traces.js";
 
 function closedLoop() {
   for (const select of [...all("select.scenario"), ...["spread-scenario", "table-scenario", "pairs-scenario"].map($)])
-    for (const name of data.scenarios) select?.add(new Option(name, name));
+    if (select && select.dataset.whole === undefined) for (const name of data.scenarios) select.add(new Option(name, name));
   const focus = data.estimators.filter((name) => data.shown.includes(name));
   for (const name of focus) state.shown.add(name);
   for (const name of data.estimators) $("inside").add(new Option(name, name, false, name === state.inside));

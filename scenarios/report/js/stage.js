@@ -38,10 +38,10 @@ export function drawStage() {
   const body = (here, angles, stroke, front, alpha, ghost) => {
     const rotate = rotation(...angles.map((angle) => angle * RAD));
     const place = (x, y, z) => { const r = rotate(x * big, y * big, z * big); return [here[0] + r[0], here[1] + r[1], here[2] + r[2]]; };
-    for (const [x, y, z] of data.hubs) {
+    for (const [x, y, z] of data.bodies[state.scenario].hubs) {
       path([place(0, 0, 0), place(x, y, z)], x > 0.5 * Math.hypot(x, y) ? front : stroke, ghost ? 6 : 3.5, alpha);
       const ring = [];
-      for (let a = 0; a <= 16; a++) ring.push(place(x + data.prop_radius * Math.cos(a * Math.PI / 8), y + data.prop_radius * Math.sin(a * Math.PI / 8), z));
+      for (let a = 0; a <= 16; a++) ring.push(place(x + data.bodies[state.scenario].prop_radius * Math.cos(a * Math.PI / 8), y + data.bodies[state.scenario].prop_radius * Math.sin(a * Math.PI / 8), z));
       path(ring, stroke, 1.5, alpha);
       if (ghost) { pen.globalAlpha = 0.7 * alpha; pen.fillStyle = stroke; pen.fill(); pen.globalAlpha = 1; }
     }
@@ -49,7 +49,7 @@ export function drawStage() {
   /* The chosen vehicle and its ghost, large, in the corner. */
   const closeUp = (name, s) => {
     const j = Math.min(k, s.x.length - 1), side = Math.min(170, 0.4 * width), foot = width < 500 ? 30 : 10;
-    const scale = (0.36 * side) / (big * (Math.max(...data.hubs.map(([x, y]) => Math.hypot(x, y))) + data.prop_radius));
+    const scale = (0.36 * side) / (big * (Math.max(...data.bodies[state.scenario].hubs.map(([x, y]) => Math.hypot(x, y))) + data.bodies[state.scenario].prop_radius));
     project = (x, y, z) => {
       const v = sa * x + ca * y;
       return [10 + side / 2 + scale * (ca * x - sa * y), height - foot - 0.42 * side - scale * (se * v + ce * z)];

@@ -1,0 +1,233 @@
+"""Experiments: grids of scenarios, conditions and seeds, as TOML files in `scenarios/experiments`.
+
+A design over axes is a Latin hypercube (McKay, Beckman & Conover 1979), of which scipy keeps the one that
+covers pairs of axes most evenly: every level is flown equally often, beside every level of the others about
+equally often, so that the mean over the flights of a level is its main effect.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+from scipy.stats import qmc
+
+from quadsim.config.ranges import Between
+from quadsim.config.toml import Strict, load_toml
+from quadsim.flight.scenario import Scenario, changed, load_scenario, scenario_names
+from quadsim.held_out import HeldOut, load_held_out, releases
+
+FOLDER = "scenarios/experiments"
+Levels = Mapping[str, str]
+"""Axis to level."""
+
+
+class Condition(Strict):
+    """Levels of an axis for which the verdict has a clause of its own."""
+
+    name: str
+    """Begins its line, "With the airframe's drag known"."""
+    clause: str
+    """Its end of the headline, "where the airframe's drag is known"."""
+    axis: str
+    levels: tuple[str, ...]
+
+
+class Sweep(Strict):
+    """One number of a scenario, whose least value with a crash is searched by bisection from 0."""
+
+    label: str
+    unit: str = ""
+    help: str
+    scenario: str
+    """Shipped scenario whose fields are changed."""
+    fields: dict[str, Any]
+    """What replaces those of the scenario at the level 1."""
+    scaled: str
+    """The number or vector in them that is multiplied by the level, as "faults.0.bias_deg"."""
+    most: Annotated[float, Between(0.0, 1e6)]
+    """Largest level."""
+    tolerance: Annotated[float, Between(1e-6, 1e6)]
+    """Width of the bracket at which the bisection ends."""
+
+    def at(self, level: float, changes: Mapping[str, Any]) -> Scenario:
+        """The scenario at a level.
+
+        Raises:
+            ValueError: A value that a field cannot have, or a fault that begins after the end.
+        """
+        scenario = changed(
+            load_scenario(self.scenario), {**_scaled(self.fields, self.scaled.split("."), level), **changes}
+        )
+        for fault in scenario.faults:
+            if (start := getattr(fault, "at_s", 0.0)) >= scenario.duration_s:
+                raise ValueError(
+                    f"{self.label}: it begins at {start:g} s, and flights last {scenario.duration_s:g} s; "
+                    "give a longer duration"
+                )
+        return scenario
+
+
+class Experiment(Strict):
+    """What is flown, besides the estimators."""
+
+    description: str
+    scenarios: tuple[str, ...] = ()
+    """Shipped names or paths; all that ship where left out."""
+    seeds: Annotated[int, Between(1, 10_000)] = 10
+    """Flights of each estimator in each scenario."""
+    seed: int | None = None
+    """Seed of everything random, where it may not be chosen."""
+    axes: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
+    """Of each axis its levels, and the fields of a scenario that they set; faults are added to its own."""
+    combinations: Annotated[int, Between(0, 100_000)] = 0
+    """Combinations of levels and scenarios that are flown."""
+    conditions: tuple[Condition, ...] = ()
+    always: str = ""
+    """End of the headline where the same is best on all conditions, "whether ... is known or not"."""
+    sweeps: dict[str, Sweep] = Field(default_factory=dict)
+    like: str = ""
+    """Experiment whose axes and conditions it has."""
+    held_out: bool = False
+    """Whether scenarios, seed and flights are those of the newest held-out suite."""
+
+    def cases(self, scenarios: Sequence[str | Path] | None = None) -> "dict[str, Case]":
+        """What is flown, by name, in these scenarios or in its own.
+
+        Raises:
+            ValueError: No such scenario, one that a level does not fit, or two of one name.
+        """
+        if self.held_out:
+            if scenarios:
+                raise ValueError("the held-out suite has scenarios of its own: leave --scenario out")
+            return draw(load_held_out(releases()[-1]), self.axes)
+        sources = (self.scenarios or scenario_names()) if scenarios is None else scenarios
+        if self.axes:
+            return self._design(sources)
+        found: dict[str, Case] = {}
+        for source in sources:
+            name = Path(source).name.removesuffix(".toml")
+            if name in found:
+                raise ValueError(f'two scenarios are called "{name}"; give one of the files another name')
+            found[name] = Case(load_scenario(source), {})
+        return found
+
+    def _design(self, scenarios: Sequence[str | Path], seed: int = 0) -> "dict[str, Case]":
+        axes = {axis: list(levels) for axis, levels in self.axes.items()} | {"scenario": list(scenarios)}
+        counts = np.array([len(levels) for levels in axes.values()])
+        if self.combinations < counts.max():
+            raise ValueError(f"combinations = {self.combinations}: an axis has {counts.max()} levels")
+        sampler = qmc.LatinHypercube(len(axes), optimization="random-cd", rng=np.random.default_rng(seed))
+        places = np.floor(sampler.random(self.combinations) * counts).astype(int).tolist()
+        width, found = len(str(self.combinations - 1)), {}
+        for number, place in enumerate(places):
+            levels = {axis: str(own[k]) for (axis, own), k in zip(axes.items(), place, strict=True)}
+            base = load_scenario(levels["scenario"])
+            found[f"axes-{number:0{width}}"] = Case(with_levels(base, levels, self.axes), levels)
+        return found
+
+
+class Case(NamedTuple):
+    """One scenario of an experiment."""
+
+    scenario: Scenario
+    levels: Levels  #: of each axis, "scenario" among them; empty without axes
+
+
+SUITE = Experiment(description="Scenarios as they stand.")
+
+
+def load_experiment(source: str | Path) -> Experiment:
+    """A shipped experiment by its name, or the one in a TOML file.
+
+    Raises:
+        ValueError: One line with the file, the key, its value and what is allowed.
+    """
+    found = load_toml(source, FOLDER, Experiment)
+    update: dict[str, Any] = {}
+    if found.like:
+        other = load_experiment(found.like)
+        update |= {key: getattr(other, key) for key in ("axes", "conditions", "always")}
+    if found.held_out:
+        suite = load_held_out(releases()[-1])
+        update |= {"seeds": suite.flights, "seed": suite.seed}
+    return found.model_copy(update=update)
+
+
+def with_levels(base: Scenario, levels: Levels, axes: Mapping[str, Mapping[str, Any]]) -> Scenario:
+    """A scenario with what levels of axes set; faults are added to its own.
+
+    Raises:
+        ValueError: A level that does not fit.
+    """
+    fields, said = base.model_dump(), []
+    for axis, level in levels.items():
+        if axis not in axes:
+            continue
+        said.append(f"{axis}: {level}")
+        for name, value in axes[axis][level].items():
+            if name == "faults":
+                fields[name] = (*fields[name], *value)
+            elif isinstance(value, Mapping):
+                fields[name] = {**fields[name], **value}
+            else:
+                fields[name] = value
+    return changed(base, fields | {"description": f"{base.description.rstrip('.')}; {'; '.join(said)}."})
+
+
+# --- the held-out suite ---------------------------------------------------------------------------
+
+KINDS = ("hover", "figure of eight", "random manoeuvres")
+DURATION_S = 20.0
+HEIGHT_M = 12.0
+
+
+def draw(held_out: HeldOut, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, Case]:
+    """The scenarios of a held-out suite, with their levels; the kind of flight is that of "scenario"."""
+    width = len(str(held_out.scenarios - 1))
+    return {
+        f"held-out-{k:0{width}}": _draw(held_out, [held_out.seed, k], axes) for k in range(held_out.scenarios)
+    }
+
+
+def _draw(held_out: HeldOut, seed: list[int], axes: Mapping[str, Mapping[str, Any]]) -> Case:
+    rng = np.random.default_rng(seed)
+    kind = str(rng.choice(KINDS))
+    levels = {axis: str(rng.choice(list(of_axis))) for axis, of_axis in axes.items()}
+    course, wind = rng.uniform(-np.pi, np.pi), rng.uniform(*held_out.wind)
+    air: list[dict[str, Any]] = [
+        {"kind": "constant", "velocity": (wind * np.cos(course), wind * np.sin(course), 0.0)}
+    ]
+    strength = rng.uniform(*held_out.wind_20ft)
+    if rng.random() < 0.5:
+        turbulence = {"airspeed": max(wind, 1.0), "altitude": HEIGHT_M, "wind_20ft": strength}
+        air.append({"kind": "dryden", **turbulence})
+    trajectory = _trajectory(kind, rng.uniform(*held_out.period_s), rng.uniform(*held_out.tilt_deg))
+    base = Scenario(
+        description=f"{kind}; wind of {wind:.1f} m/s{', turbulent' if len(air) > 1 else ''}",
+        duration_s=DURATION_S,
+        external="motion-capture",
+    )
+    base = changed(base, {"wind": air, "trajectory": trajectory})
+    return Case(with_levels(base, levels, axes), levels | {"scenario": kind})
+
+
+def _trajectory(kind: str, period_s: float, tilt_deg: float) -> dict[str, Any]:
+    place = (0.0, 0.0, HEIGHT_M)
+    if kind == "hover":
+        return {"kind": "hover", "position": place}
+    if kind == "figure of eight":
+        eight = {"amplitude": (3.0, 1.5, 0.0), "ratio": (1, 2, 0), "period_s": period_s}
+        return {"kind": "lissajous", "position": place, **eight}
+    return {"kind": "mix", "position": place, "max_tilt_deg": tilt_deg, "min_tilt_deg": 0.5 * tilt_deg}
+
+
+def _scaled(value: Any, path: Sequence[str], level: float) -> Any:
+    """A nested value in which the number or vector at a path is multiplied by a level."""
+    if not path:
+        return [level * each for each in value] if isinstance(value, list | tuple) else level * value
+    key, *rest = path
+    if isinstance(value, Mapping):
+        return {**value, key: _scaled(value[key], rest, level)}
+    return [_scaled(each, rest, level) if str(k) == key else each for k, each in enumerate(value)]

@@ -1,0 +1,277 @@
+"""The results of a benchmark: its flights, their table and index in a folder, and who flew exactly alike."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from estimators.registry import training_misfit, tuning_misfit
+from quadsim.flight.scenario import Scenario
+from quadsim.runs.files import read_json, write_csv, write_json
+from quadsim.runs.files import replace as replace_file
+
+from .cell import CELL, Cell, file_name, load_cell, tuning_of
+from .controllers import CASCADED, controller_of, default_estimators, estimator_of
+from .experiment import SUITE, Experiment, Levels
+from .flight_metrics import CellRow, FlightRow, summarise
+from .ranking import by_contender
+from .search import BreakingPoint
+from .settings import FlightSettings
+
+
+@dataclass(frozen=True)
+class Results:
+    """Results of a benchmark: cells in the order of scenarios, then estimators."""
+
+    scenarios: dict[str, Scenario]
+    estimators: list[str]
+    settings: FlightSettings
+    cells: list[Cell]
+    experiment: Experiment = SUITE
+    levels: Mapping[str, Levels] = field(default_factory=dict)
+    """Of each scenario its level of every axis; empty without axes."""
+    points: Sequence[BreakingPoint] = ()
+
+    @cached_property
+    def rows(self) -> list[CellRow]:
+        """One row per cell."""
+        return [cell.row for cell in self.cells]
+
+    @property
+    def references(self) -> set[str]:
+        """Contenders that were fed the true attitude, which no vehicle has.
+
+        Where only such ones flew, with other controllers than the cascade, there are none: controllers are
+        compared.
+        """
+        found = {cell.estimator for cell in self.cells if cell.receives_truth}
+        compared = found == set(self.estimators) and {*map(controller_of, found)} != {CASCADED}
+        return set() if compared else found
+
+    @property
+    def unranked(self) -> dict[str, str]:
+        """Contenders that are not ranked, and why, to follow their name in a sentence."""
+        flaws = {cell.estimator: cell.flaw for cell in self.cells if cell.flaw}
+        return {name: "received the true attitude" for name in sorted(self.references)} | flaws
+
+    @property
+    def planned(self) -> list[tuple[str, int]]:
+        """Scenario and seed of every flight that each contender was to fly."""
+        return [(name, seed) for name in self.scenarios for seed in range(self.settings.seeds)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was tuned or trained for another vehicle or IMU, and faults that begin after the end."""
+        late = [
+            f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {start:g} s"
+            for name, scenario in self.scenarios.items()
+            for fault in scenario.faults
+            if (start := getattr(fault, "at_s", 0.0)) >= scenario.duration_s
+        ]
+        return [*self._tuned_elsewhere, *self._trained_elsewhere, *late]
+
+    @property
+    def _trained_elsewhere(self) -> list[str]:
+        parts = [each for name in self.estimators for each in (estimator_of(name), controller_of(name))]
+        found: dict[str, dict[str, None]] = {}
+        for vehicle, part in product(dict.fromkeys(s.vehicle for s in self.scenarios.values()), parts):
+            if trained := training_misfit(part, vehicle):
+                text = f"on {trained}, not on the {Path(vehicle).stem}, which was simulated"
+                found.setdefault(text, {})[part] = None
+        return [f"Trained {text}: {', '.join(who)}." for text, who in found.items()]
+
+    @property
+    def _tuned_elsewhere(self) -> list[str]:
+        tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
+        simulated_with = dict.fromkeys((s.vehicle, s.imu) for s in self.scenarios.values())
+        for (vehicle, imu), name in product(simulated_with, self.estimators):
+            if other := tuning_misfit(estimator_of(name), tuning_of(name, tuning), vehicle, imu):
+                simulated = f"{Path(vehicle).stem} with {Path(imu).stem}"
+                found.setdefault(f"for {other}, not for {simulated}, which was simulated", {})[name] = None
+        return [
+            f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of it, then --set tuning=FILE."
+            for text, who in found.items()
+        ]
+
+    @property
+    def partial(self) -> str:
+        """What of the held-out suite is missing, in words; empty if nothing is, or of another experiment."""
+        if not self.experiment.held_out:
+            return ""
+        release, whole = self.experiment.cases(), default_estimators()
+        flown = {cell.estimator for cell in self.cells if not cell.reason} & {*whole}
+        same = [name for name, case in release.items() if self.scenarios.get(name) == case.scenario]
+        counts = {
+            "estimators": (len(flown), len(whole)),
+            "flights in each scenario": (self.settings.seeds, self.experiment.seeds),
+            "scenarios": (len(same), len(release)),
+        }
+        return ", ".join(f"{n} of its {most} {what}" for what, (n, most) in counts.items() if n < most)
+
+    @cached_property
+    def flights(self) -> list[FlightRow]:
+        """One row per flight."""
+        return [flight for cell in self.cells for flight in cell.flights]
+
+    @cached_property
+    def by_level(self) -> dict[tuple[str, str, str], CellRow]:
+        """All flights of a contender at a level, by axis, level and contender; "scenario" is an axis too."""
+        axes: dict[str, dict[str, list[str]]] = {}
+        for name in self.scenarios:
+            for axis, level in (self.levels.get(name) or {"scenario": name}).items():
+                axes.setdefault(axis, {}).setdefault(level, []).append(name)
+        of = {axis: list(levels) for axis, levels in self.experiment.axes.items()}  # in the order of the file
+        flights = by_contender(self.flights)
+        reasons = {(cell.scenario, cell.estimator): cell.reason for cell in self.cells}
+        found = {}
+        for axis, levels in axes.items():
+            for level in sorted(levels, key=lambda each: of[axis].index(each) if axis in of else 0):
+                for name in self.estimators:
+                    own = [f for key, f in flights.get(name, {}).items() if key[0] in levels[level]]
+                    why = next(filter(None, (reasons.get((each, name), "") for each in levels[level])), "")
+                    found[axis, level, name] = summarise(level, name, "" if own else why, own)
+        return found
+
+    @property
+    def cost(self) -> str:
+        """What all flights took, those of earlier runs among them, in words."""
+        flights, cpu_s = self.flights, sum(cell.cpu_s for cell in self.cells)
+        text = f"{len(flights)} flight{'s' if len(flights) != 1 else ''}"
+        text += f", {hours(sum(flight.flown_s for flight in flights))} in the air"
+        return f"{text}; {hours(cpu_s)} of processor time" if cpu_s else text
+
+
+def identical(results: Results) -> dict[str, str]:
+    """Estimators whose flights equal those of one before them to the last digit, and which one.
+
+    A reference stands for no estimator; what did not run failed for the same reason.
+    """
+    references = results.references
+    flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators if name not in references}
+    for flight in results.flights:
+        if flight.estimator not in references:
+            flown[flight.estimator].append(replace(flight, estimator=""))
+    reasons = {name: tuple(cell.reason for cell in results.cells if cell.estimator == name) for name in flown}
+    first: dict[tuple[object, ...], str] = {}
+    found = {}
+    for name, flights in flown.items():
+        if flights and (earlier := first.setdefault((*flights, reasons[name]), name)) != name:
+            found[name] = earlier
+    return found
+
+
+def shown_once(results: Results) -> tuple[Results, str]:
+    """Results without the estimators that flew exactly as another, and a line that names them."""
+    same = identical(results)
+    kept = replace(
+        results,
+        estimators=[name for name in results.estimators if name not in same],
+        cells=[cell for cell in results.cells if cell.estimator not in same],
+    )
+    said = "; ".join(f"{name} flew exactly as {other}" for name, other in same.items())
+    return kept, f"{said}: shown once." if same else ""
+
+
+class Total(NamedTuple):
+    """A contender over all its scenarios; errors are means over scenarios, None where none was measured."""
+
+    flights: int
+    crashes: int
+    error_deg: float | None
+    attitude_deg: float | None
+    jitter: float | None
+    failed: int  #: scenarios that did not run
+
+
+def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
+    """Every contender over all its scenarios, in the order of the rows."""
+    found = {}
+    for name in dict.fromkeys(row.estimator for row in rows):
+        own = [row for row in rows if row.estimator == name]
+        flights, crashes = (sum(getattr(r, key) or 0 for r in own) for key in ("flights", "crashes"))
+        means = {
+            key: mean_of([getattr(r, key) for r in own]) for key in ("error_deg", "attitude_deg", "jitter")
+        }
+        found[name] = Total(flights, crashes, **means, failed=sum(bool(r.reason) for r in own))
+    return found
+
+
+def mean_of(values: Sequence[float | None]) -> float | None:
+    """Mean of what is known."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def load_results(out: str | Path) -> Results:
+    """The results of an earlier `bench` in its folder.
+
+    Raises:
+        ValueError: If there are none, or not all of them.
+    """
+    out = Path(out).expanduser()
+    try:
+        index = read_json(out / "bench.json")
+        scenarios = {
+            name: Scenario.model_validate_json(json.dumps(s)) for name, s in index["scenarios"].items()
+        }
+        names, settings = index["estimators"], FlightSettings(**index["settings"])
+        experiment = Experiment.model_validate_json(json.dumps(index["experiment"]))
+        points = [BreakingPoint(**each) for each in index["points"]]
+        failed = {(f["scenario"], f["estimator"]): CELL.validate_python(f) for f in index["failed"]}
+        fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
+        levels = dict(index["levels"])
+    except FileNotFoundError:
+        raise ValueError(f"{out}: no benchmark results (there is no bench.json)") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{out / 'bench.json'}: not the index of a benchmark: {error}") from error
+    cells = []
+    for pair in [(s, e) for s in scenarios for e in names]:
+        cell = failed.get(pair) or load_cell(cell_path(out, *pair))
+        if cell is None or cell.fingerprint != fingerprints.get(pair):
+            wrong = "of another run than the rest" if cell else "missing or damaged"
+            raise ValueError(f"{cell_path(out, *pair)}: {wrong}; run the benchmark again")
+        cells.append(cell)
+    return Results(scenarios, names, settings, cells, experiment, levels, points)
+
+
+def cell_path(out: Path, scenario: str, estimator: str) -> Path:
+    """File of a cell."""
+    return out / "cells" / f"{scenario}--{file_name(estimator)}.json"
+
+
+def save_results(out: Path, results: Results) -> None:
+    """Write the tables, and the index that `load_results` reads."""
+    flights = [asdict(each) | _columns(results.levels.get(each.scenario, {})) for each in results.flights]
+    replace_file(out / "flights.parquet", lambda part: pd.DataFrame(flights).to_parquet(part, index=False))
+    write_csv(out / "results.csv", results.rows)
+    index = {
+        "version": version("quadsim"),
+        "settings": asdict(results.settings),
+        "scenarios": {name: each.model_dump(mode="json") for name, each in results.scenarios.items()},
+        "estimators": results.estimators,
+        "experiment": results.experiment.model_dump(mode="json"),
+        "levels": dict(results.levels),
+        "points": [asdict(point) for point in results.points],
+        "fingerprints": [[cell.scenario, cell.estimator, cell.fingerprint] for cell in results.cells],
+        "failed": [asdict(cell) for cell in results.cells if cell.reason],
+    }
+    write_json(out / "bench.json", index)
+
+
+def _columns(levels: Levels) -> dict[str, str]:
+    """Levels as columns of the table, whose column "scenario" has the name of the combination."""
+    return {"base scenario" if axis == "scenario" else axis: level for axis, level in levels.items()}
+
+
+def hours(seconds: float) -> str:
+    """A duration: "12 s", "3.4 min", "6.2 h"."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 6000.0 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,150 @@
+"""The bodies of the verbs `bench`, `report` and `demo`: they fly, print and write."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from estimators.evaluation.comparison import evaluate
+from quadsim.dataset.generation import generate
+from quadsim.dataset.reading import open_dataset
+from quadsim.flight.recipe import load_recipe
+from quadsim.runs.console import output, pool_of, progress_bar
+from quadsim.runs.files import alone
+from quadsim.runs.record import recorded
+
+from .bench.controllers import SLOW, contenders, default_estimators
+from .bench.experiment import load_experiment
+from .bench.results import Results, load_results
+from .bench.runner import NO_CHANGES, Changes, bench
+from .bench.settings import FlightSettings
+from .bench.verdict import verdict
+from .report.evaluation import columns, recorded_section
+from .report.flight_picture import cover
+from .report.page import ClosedLoopSection, publish, write_report
+from .report.terminal import breaking_table, rows_table, standings_table
+
+DEMO = ("hover", "step", "wind-gust", "initial-tilt")
+"""Scenarios of the demonstration."""
+DEMO_S = 30.0
+"""Length of its generated flights [s]."""
+SLOW_FLIGHTS = 1
+"""Of these, those that filterpy's filters are scored on."""
+
+
+def run_bench(
+    out: Path,
+    experiment: str = "suite",
+    scenarios: Sequence[str] | None = None,
+    names: Sequence[str] | None = None,
+    controllers: Sequence[str] = (),
+    changes: Changes = NO_CHANGES,
+    *,
+    seeds: int | None = None,
+    seed: int | None = None,
+    rate_hz: float = 200.0,
+    tuning: str | None = None,
+    workers: str | None = None,
+) -> None:
+    """Fly an experiment, write its tables and report, and print the verdict.
+
+    Args:
+        out: Folder for the results.
+        experiment: A shipped experiment or a TOML file.
+        scenarios: In place of the experiment's.
+        names: Estimators; all but slow ones if left out.
+        controllers: Attitude controllers, each with every estimator.
+        changes: Fields that replace those of every scenario.
+        seeds: Flights in each cell, in place of the experiment's.
+        seed: Seed of everything random.
+        rate_hz: Samples per second.
+        tuning: Tuned parameters of filters.
+        workers: Processes, by default one for each CPU; or the address of a Dask scheduler.
+
+    Raises:
+        ValueError: For a bad argument or file, or where no cell ran.
+        OSError: If the results cannot be written.
+    """
+    chosen = load_experiment(experiment)
+    if chosen.seed is not None and seed is not None:
+        raise ValueError(f"{experiment} has a seed of its own: leave --seed out")
+    settings = FlightSettings(seeds or chosen.seeds, chosen.seed or seed or 0, rate_hz, tuning)
+    if not names:
+        output.print(f"Without {', '.join(SLOW)}, slower than all others together; --estimator NAME chooses.")
+    flown = contenders(names or default_estimators(), controllers)
+    with alone(out):
+        with recorded(out), pool_of(workers) as (count, executor), progress_bar("fly", "cells") as progress:
+            results = bench(
+                scenarios or None, flown, out, settings, changes,
+                experiment=chosen, workers=count, executor=executor, progress=progress,
+            )  # fmt: skip
+        page, note = publish(out, results)
+    for line in filter(None, (note, f"{results.cost}.")):
+        output.print(line, soft_wrap=True, markup=False)
+    say(page, results)
+    if all(cell.reason for cell in results.cells):
+        raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
+
+
+def report_benchmark(folder: Path, out: Path | None = None) -> None:
+    """Write the report of finished closed-loop flights again.
+
+    Raises:
+        ValueError: If there are none.
+    """
+    results = load_results(folder)
+    say(publish(folder, results, out)[0], results)
+
+
+def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers: int | None = None) -> Path:
+    """Generate a few flights, score every estimator on them, fly it through four scenarios, write the report.
+
+    Args:
+        out: Folder for everything.
+        flights: Flights to generate.
+        seeds: Flights of each estimator in each scenario.
+        seed: Seed of everything random.
+        workers: Processes, by default one for each CPU.
+
+    Raises:
+        ValueError: For a bad argument.
+        OSError: If a file cannot be written.
+    """
+    names, recipe = default_estimators(), load_recipe("hummingbird")
+    path = out.expanduser() / "flights.zarr"
+    with alone(out):
+        with progress_bar("generate", "flights") as bar:
+            generate(recipe, flights, DEMO_S, path, seed=seed, workers=workers, progress=bar, overwrite=True)
+        with progress_bar("evaluate", "runs") as bar:
+            scored = evaluate(open_dataset(path), names, slow_flights=SLOW_FLIGHTS, progress=bar)
+        with progress_bar("fly", "cells") as bar:
+            results = bench(DEMO, names, out, FlightSettings(seeds, seed), workers=workers, progress=bar)
+        caption = f"{flights} generated flights of {DEMO_S:g} s, without a loop."
+        output.print(rows_table(columns(scored.rows), caption))
+        still, note = cover(results.cells)
+        page = write_report(
+            out.expanduser() / "report.html",
+            ClosedLoopSection(results, still),
+            recorded_section(scored.rows, caption),
+            files=["results.csv", "flights.parquet"],
+        )
+    if note:
+        output.print(note, soft_wrap=True)
+    say(page, results)
+    return page
+
+
+def say(page: Path, results: Results) -> None:
+    """Print the verdict: its table, its sentence after the path of the report, and what holds for both."""
+    judged = verdict(results)
+    output.print(standings_table(judged))
+    if results.points:
+        output.print(breaking_table(results))
+    if not results.experiment.axes:  # whose point are vehicles and IMUs that nobody tuned for
+        warn(results)
+    for line in [f"{page}: {judged.headline}", *judged.lines]:
+        output.print(line, soft_wrap=True, markup=False)
+
+
+def warn(results: Results) -> None:
+    """Print what speaks against the results."""
+    for line in results.warnings:
+        output.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
