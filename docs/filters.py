@@ -14,7 +14,7 @@ from pages import Page, Parts, row
 from simulated import DURATION_S, SETS, simulated
 
 from estimators import create, names
-from estimators.evaluation.comparison import Evaluation, evaluate
+from estimators.evaluation.comparison import Evaluation, behind_the_best, evaluate
 from estimators.evaluation.figures import settling, violins
 from estimators.evaluation.flights import Flights, load_flights, vehicle_of
 from estimators.metrics import attitude_error, inclination_error
@@ -99,7 +99,8 @@ def result_rows(done: Evaluation, domain: str, data: Path) -> list[str]:
         settled = [f"{s:.1f}" if np.isfinite(s) else "never" for s in (each.settle_20_s, each.settle_45_s)]
         name = each.estimator + ("*" if each.flights < max(other.flights for other in done.rows) else "")
         mean = f"{each.mean_deg:.2f} ({each.mean_low_deg:.2f}–{each.mean_high_deg:.2f})"
-        numbers = [f"{each.median_deg:.2f}", mean, f"{each.sd_deg:.2f}", each.silenced, each.behind]
+        silenced = f"{each.silenced_deg:.2f}" if np.isfinite(each.silenced_deg) else "–"
+        numbers = [f"{each.median_deg:.2f}", mean, f"{each.sd_deg:.2f}", silenced, behind_the_best(each)]
         rotorpy = rotorpy_cell(each.estimator, each.initial, domain, data)
         rows.append(row(name, each.initial, *numbers, f"{each.inclination_rmse_deg:.2f}", rotorpy, *settled))
     return rows

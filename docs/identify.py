@@ -12,10 +12,10 @@ from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import Recipe, load_recipe
-from quadsim.identify import Flight, Identified, flights_of, identify, noise_in_flight
+from quadsim.identify import Flight, Identified, flights_of, identify
 from quadsim.identify.model import UNITS, constant, with_constants
-from quadsim.identify.noise import RESTING, at_rest, in_the_air
-from quadsim.identify.report import draw_fit, draw_noise
+from quadsim.identify.noise import spectra_at_rest, spectra_in_flight
+from quadsim.identify.report import SENSORS, draw_fit, draw_noise
 from quadsim.vehicle import Vehicle, load_vehicle
 
 AIRFRAMES = ("hummingbird", "px4-quad", "crazyflie")
@@ -60,13 +60,10 @@ def constant_rows(found: dict[str, Identified]) -> Iterator[str]:
     for name in UNITS:
         cells = []
         for airframe, result in found.items():
-            each = next(one for one in result.constants if one.path == name)
-            true = constant(load_vehicle(airframe), name)
-            if not true:
-                cells.append(f"{each.fitted:.1g} (is 0)")
-            else:
-                used = "" if each.identified else ", not used"
-                cells.append(f"{each.fitted / true - 1:+.1%} (± {each.half_width / true:.1%}{used})")
+            each, true = result.constants.loc[name], constant(load_vehicle(airframe), name)
+            used = "" if each.identified else ", not used"
+            error = f"{each.fitted / true - 1:+.1%} (± {each.half_width / true:.1%}{used})" if true else ""
+            cells.append(error or f"{each.fitted:.1g} (is 0)")
         yield row(f"`{name}`", *cells)
 
 
@@ -76,28 +73,23 @@ def real(path: Path) -> Flight:
         grid = np.arange(log["t"][0], log["t"][-1], 1e-3)
         columns = [np.interp(grid, log["t"], column) for name in ("gyro", "acc") for column in log[name].T]
     signals = np.stack(columns, axis=1)
-    return Flight(1000.0, signals[:, :3], signals[:, 3:], None, None, None)
+    return Flight(1000.0, signals[:, :3], signals[:, 3:])
 
 
 def recording_rows(folder: Path, page: Page) -> Iterator[str]:
     """Noise at rest, noise and vibration in flight, of each recording."""
     for name in LOGS:
         flight = real(folder / "crazyflie-imu" / f"{name}.npz")
-        rest, air = at_rest(flight), in_the_air(flight)
-        if rest is None:
+        still, shaken = spectra_at_rest(flight), spectra_in_flight(flight)
+        if still is None:
             raise SystemExit(f"{name}: no rest")
-        still = [noise_in_flight(each, 1000.0, RESTING) for each in (rest.gyro, rest.accel)]
-        shaken = [noise_in_flight(each, 1000.0) for each in (air.gyro, air.accel)]
-        for sensor, unit, a, b in zip(
-            ("gyroscope", "accelerometer"), ("rad/s", "m/s²"), still, shaken, strict=True
-        ):
+        for (sensor, unit), a, b in zip(SENSORS, still, shaken, strict=True):
             line = f"{b.line.max():.2g} {unit} at {b.line_hz:.0f} Hz" if np.isfinite(b.line_hz) else "none"
-            noise = [f"{np.sqrt((each.noise**2).mean()):.2g}" for each in (a, b)]
-            yield row(
-                name, sensor, f"{noise[0]} → {noise[1]} {unit}/√Hz", f"{b.shaking.max():.2g} {unit}", line
-            )
+            at_rest, flying = (f"{np.sqrt((each.noise**2).mean()):.2g}" for each in (a, b))
+            noise = f"{at_rest} → {flying} {unit}/√Hz"
+            yield row(name, sensor, noise, f"{b.shaking.max():.2g} {unit}", line)
         if name == DRAWN:
-            page.save(draw_noise(shaken[0], shaken[1], (still[0], still[1])), "identify-noise.png")
+            page.save(draw_noise(shaken, still), "identify-noise.png")
 
 
 def values(page: Page, given: Namespace) -> Parts:

@@ -1,8 +1,5 @@
 """Measure what the page on real logs says: `python docs/pages.py logs` writes logs.md."""
 
-import os
-import subprocess
-import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -11,17 +8,15 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import xarray as xr
-from foreign import DESCRIPTION, foreign_error
 from numpy.typing import NDArray
 from pages import ROOT, Page, Parts, row
 from recordings import BROAD, PHANTOM4, VQF_DEFAULTS, recordings, score, vqf_with_defaults
 
-from estimators import create, run
+from estimators import create
 from estimators.evaluation.beliefs import Beliefs, beliefs
-from estimators.evaluation.comparison import made_of, silenced_twin
-from estimators.evaluation.logs import KNOWN, RAW, LogScores, draw_log
+from estimators.evaluation.comparison import made_of
+from estimators.evaluation.logs import KNOWN, RAW, LogScores
 from estimators.filters.imm_model import MODELS
-from estimators.metrics import Summary, inclination_rmse
 from quadsim.dataset.export import export
 from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
@@ -31,21 +26,15 @@ from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import changed
 from quadsim.imu.spec import load_imu
 from quadsim.imu.stream import simulate_imu
+from quadsim.logs import read_log
 from quadsim.logs.allan import calibrate, draw
-from quadsim.logs.log_report import AGREEMENT, UPRIGHT
+from quadsim.logs.log_report import AGREEMENT, UPRIGHT, show_report
 from quadsim.logs.recording import Recording
-from quadsim.logs.resample import resample
 from quadsim.rotation import roll_pitch_from_quat
+from quadsim.runs.console import output
 
 Array = NDArray[np.float64]
 RATE = 200.0
-BIAS_DEG = (4.1, -1.2, -1.6)
-"""A gyroscope's bias as uncalibrated sensors have it [°/s]."""
-SHOWN = {
-    BROAD: ("10_undisturbed_slow_translation_A", (60.0, 100.0)),
-    PHANTOM4: ("horizontal_02", (5.0, 25.0)),
-}
-"""Recording that is drawn, and the part of it [s]."""
 FILTERS = ("imm", "vqf", "eskf", "mahony")
 NETS = ("att-snn", "att-rnn")
 FLIGHTS = 4
@@ -62,30 +51,9 @@ def info(folder: Path) -> str:
     csv = export(data, folder / "flight", "csv") / "flight_000" / "mav0" / "imu0" / "data.csv"
     rows = csv.read_text().splitlines(keepends=True)
     csv.write_text("".join(rows[:1000] + rows[1050:2000] + rows[2001:3000] + rows[3001:]))
-    command = [sys.executable, "-m", "quadsim.cli", "report", "flight"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
-    return "\n".join(line.rstrip() for line in done.stdout.rstrip().splitlines())
-
-
-def resampling_rows() -> list[str]:
-    """How much of a tone is lost, or folds down."""
-    lines = []
-    for rate in (100.0, 200.0, 285.7, 500.0, 1000.0):
-        cells = []
-        for tone in (10.0, 60.0, 130.0, 190.0):
-            if tone > 0.45 * rate:
-                cells.append("–")
-                continue
-            time = np.arange(round(8 * rate)) / rate
-            wave = np.sin(2 * np.pi * tone * time)[:, None] * np.ones(3)
-            even, _ = resample(Recording("tone", "", time, wave, wave), RATE)
-            grid, found = even["time"].to_numpy(), even["gyro"].to_numpy()[0, :, 0]
-            expected = np.sin(2 * np.pi * tone * grid) if tone < 0.45 * RATE else 0.0
-            error = np.sqrt(np.mean((found - expected)[200:-200] ** 2) * 2)
-            cells.append(f"{100 * error:.2f} %")
-        lines.append(row(f"{rate:g} Hz", *cells))
-    return lines
+    with output.capture() as shown:
+        show_report(Path("flight"), read_log(folder / "flight").attrs["log"])
+    return "\n".join(line.rstrip() for line in shown.get().rstrip().splitlines())
 
 
 def made() -> dict[str, AttitudeEstimator]:
@@ -109,11 +77,13 @@ def believed_rows(scores: Mapping[str, LogScores], data: Path) -> list[str]:
     lines = []
     for name, its in scores.items():
         found = [
-            (each, its.truth[log][None], its.counted[log][None]) for (log, _), each in its.beliefs.items()
+            (each, log.truth[None], log.counted[None])
+            for log in its.logs.values()
+            for each in log.beliefs.values()
         ]
         lines.append(believed_row(f"{name}, real", found))
     for recipe, vehicle, seed in (*SIMULATED, *ROUGH):
-        flown = open_dataset(flights(data, recipe, vehicle, seed)[0])
+        flown = open_dataset(flights(data, recipe, vehicle, seed))
         gyro, accel, quat = (flown[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
         its = beliefs(create("imm", RATE), gyro, accel)
         assert its is not None
@@ -155,44 +125,11 @@ def calibration_rows(page: Page) -> list[str]:
     return lines
 
 
-def simulated_rows(data: Path) -> list[str]:
-    """Estimators on other sensors and airframes, and on RotorPy's; `ekf-drag` knows each vehicle."""
-    clean, windy = ([flights(data, *each)] for each in SIMULATED)
-    rough = [flights(data, *each) for each in ROUGH]
-    sets = [(clean, np.zeros(3)), (windy, np.zeros(3)), (windy, np.radians(BIAS_DEG)), (rough, np.zeros(3))]
-    lines = []
-    for name in ("ekf-drag", *FILTERS, *NETS):
-        cells = []
-        for paths, bias in sets:
-            errors = [rmse(made_of([name], RATE, vehicle=v)[name], path, bias) for path, v in paths]
-            cells.append(f"{np.mean(errors):.2f}")
-        rotorpy = foreign_error(lambda v, n=name: made_of([n], RATE, vehicle=v)[n], data, measure=settled)
-        lines.append(row(name, *cells, f"{rotorpy:.2f}"))
-    twin = silenced_twin(NETS[0])
-    assert twin is not None
-    cells = [f"{np.mean([rmse(twin, path, bias) for path, _ in paths]):.2f}" for paths, bias in sets]
-    rotorpy = foreign_error(lambda _: twin, data, measure=settled)
-    return [*lines, row("*networks, silenced*", *cells, f"{rotorpy:.2f}")]
-
-
-def flights(data: Path, recipe: str, vehicle: str, seed: int) -> tuple[Path, str]:
-    """Flights on which nothing is trained, and their vehicle; those of an earlier run if they are there."""
+def flights(data: Path, recipe: str, vehicle: str, seed: int) -> Path:
+    """Flights on which nothing is trained; those of an earlier run if they are there."""
     chosen = changed(load_recipe(recipe), {"vehicle": vehicle})
     path = data / f"docs-{recipe}-{vehicle}.zarr"
-    return generate(chosen, FLIGHTS, 100.0, path, seed=seed, workers=1), vehicle
-
-
-def rmse(est: AttitudeEstimator, path: Path, bias: Array) -> float:
-    """Inclination RMSE over the flights of a dataset, after 3 s [deg]."""
-    data = open_dataset(path)
-    gyro, accel, quat = (data[name].to_numpy().astype(float) for name in ("gyro", "accel", "quat"))
-    return settled(run(est, gyro + bias, accel), roll_pitch_from_quat(quat)).mean
-
-
-def settled(estimate: Array, truth: Array) -> Summary:
-    """Inclination RMSE after 3 s of each flight [deg], from roll and pitch (n, T, 2) [rad]."""
-    skip = round(SETTLED_S * RATE)
-    return inclination_rmse(estimate[:, skip:], truth[:, skip:])
+    return generate(chosen, FLIGHTS, 100.0, path, seed=seed, workers=1)
 
 
 def seconds(logs: Sequence[xr.Dataset]) -> str:
@@ -205,14 +142,10 @@ def values(page: Page, given: Namespace) -> Parts:
     matplotlib.rcParams.update(STYLE)
     sets = recordings(given.recordings)
     scores = {name: score(name, logs, made()) for name, logs in sets.items()}
-    for name, (log, part) in SHOWN.items():
-        file = name.lower().replace(" ", "") + ".png"
-        page.save(draw_log(scores[name], log, part), file, dpi=100, colours=48)
     with tempfile.TemporaryDirectory() as folder:
         example = info(Path(folder))
     return {
         "info": example,
-        "resampling": resampling_rows(),
         "columns": (ROOT / "docs" / "columns.toml").read_text().rstrip(),
         "broad": recorded_rows(scores[BROAD]),
         "broad_count": str(len(sets[BROAD])),
@@ -224,10 +157,6 @@ def values(page: Page, given: Namespace) -> Parts:
         "believed": believed_rows(scores, given.data),
         "vqf": ", ".join(f"{key} {value:g}" for key, value in VQF_DEFAULTS.items()),
         "calibration": calibration_rows(page),
-        "simulated": simulated_rows(given.data),
-        "simulated_count": str(FLIGHTS),
-        "rotorpy": DESCRIPTION,
         "agreement": f"{AGREEMENT:g}",
         "upright": f"{UPRIGHT:g}",
-        "bias": ", ".join(f"{each:g}" for each in BIAS_DEG),
     }

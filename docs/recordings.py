@@ -8,17 +8,15 @@ by the sensor's own filter).
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
 from estimators import create
 from estimators.evaluation.logs import LogScores, score_logs
 from quadsim.estimator import AttitudeEstimator
 from quadsim.logs import read_log
-from quadsim.logs.recording import Recording
-from quadsim.logs.resample import resample
 
 BROAD, PHANTOM4 = "BROAD", "Phantom 4"
+FOLDERS = {BROAD: "broad", PHANTOM4: "phantom4"}
 SKIP_S = {BROAD: 3.0, PHANTOM4: 5.0}
 """Time at the start of a recording that is not scored [s]."""
 WITHIN_DEG = 180.0
@@ -38,26 +36,12 @@ def recordings(folder: Path) -> dict[str, list[xr.Dataset]]:
     Raises:
         SystemExit: A set is not in the folder.
     """
-    sets = {
-        BROAD: sorted((folder / "broad").glob("*.npz")),
-        PHANTOM4: sorted((folder / "phantom4").glob("*.npz")),
-    }
+    sets = {name: sorted((folder / place).glob("*.npz")) for name, place in FOLDERS.items()}
     if missing := [name for name, paths in sets.items() if not paths]:
         raise SystemExit(
             f"{folder}: no recordings of {', '.join(missing)}; give their folder with --recordings"
         )
-    return {
-        BROAD: [read_log(path, RATE_HZ) for path in sets[BROAD]],
-        PHANTOM4: [read_phantom4(path) for path in sets[PHANTOM4]],
-    }
-
-
-def read_phantom4(path: Path) -> xr.Dataset:
-    """One flight; its sensor's axes have z up, as ours."""
-    with np.load(path) as file:
-        time, gyro, accel, quat = (file[name].astype(float) for name in ("t", "gyro", "acc", "quat"))
-    kind, truth = "Phantom 4 flight", "the attitude by the sensor's own filter"
-    return resample(Recording(path.stem, kind, time, gyro, accel, truth, time, quat), RATE_HZ)[0]
+    return {name: [read_log(path, RATE_HZ) for path in paths] for name, paths in sets.items()}
 
 
 def score(name: str, logs: Sequence[xr.Dataset], estimators: Mapping[str, AttitudeEstimator]) -> LogScores:

@@ -46,32 +46,22 @@ class Beliefs:
         """Median of the standard deviation of roll and pitch [deg]."""
         return float(np.degrees(np.median(self.sigma)))
 
-    def coverage(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> float:
-        """Share of true rolls and pitches within the 95 % interval; NaN if none is known.
+    def interval(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> "Interval":
+        """The 95 % interval beside the error, over the angles that are known; NaN if none is.
 
         Args:
             truth: Roll and pitch of all samples (n, T, 2) [rad]; NaN where they are not known.
             counted: Samples that count (n, T); None for all.
         """
-        error, known = self._error(truth, counted)
-        return float((error <= NORMAL_95 * self.sigma)[known].mean()) if known.any() else float("nan")
-
-    def interval(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> "Interval":
-        """The 95 % interval beside the error, over the angles that are known. Arguments as in `coverage`."""
-        error, known = self._error(truth, counted)
-        if not known.any():
-            return Interval(float("nan"), float("nan"), float("nan"))
-        rmse = float(np.degrees(np.sqrt(np.mean(error[known] ** 2))))
-        sigma = float(np.degrees(np.median(self.sigma[known])))
-        return Interval(self.coverage(truth, counted), sigma, rmse)
-
-    def _error(self, truth: Array, counted: NDArray[np.bool_] | None) -> tuple[Array, NDArray[np.bool_]]:
-        """Errors of roll and pitch (n, k, 2) [rad], and which of them are known and count."""
         error = np.radians(absolute_error(self.roll_pitch, truth[:, self.samples]))
         known = np.isfinite(error)
         if counted is not None:
             known &= counted[:, self.samples, None]
-        return error, known
+        if not known.any():
+            return Interval(float("nan"), float("nan"), float("nan"))
+        inside = (error <= NORMAL_95 * self.sigma)[known].mean()
+        rmse, sigma = np.degrees([np.sqrt(np.mean(error[known] ** 2)), np.median(self.sigma[known])])
+        return Interval(float(inside), float(sigma), float(rmse))
 
 
 class Interval(NamedTuple):

@@ -1,12 +1,13 @@
 """Offline comparison of estimators on recorded flights, from an unknown and from a known initial attitude."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -17,7 +18,6 @@ from quadsim.vehicle import Vehicle
 
 from ..metrics import (
     Summary,
-    absolute_error,
     attitude_error,
     flaw_of,
     inclination_error,
@@ -32,7 +32,7 @@ from .flights import Flights, Initial, load_flights, vehicle_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
-"""progress(runs done, runs in all, estimator that is next)."""
+"""progress(estimators done, estimators in all, the one that is next)."""
 
 TILTS_DEG = (20.0, 45.0)
 """Tilts in which estimators that take themselves to be level are started, to time their recovery."""
@@ -43,91 +43,62 @@ SETTLED_DEG = 2.0
 BLOCK_S = 0.5
 """Error over time is averaged over blocks of this length."""
 
-
-@dataclass(frozen=True)
-class EvaluationRow:
-    """One line of the table. Errors are of roll and pitch pooled, one mean absolute error a sequence."""
-
-    estimator: str
-    initial: str
-    """Whether the initial attitude was given: "known" or "unknown". Networks are never given it."""
-    median_deg: float
-    """Over sequences, like mean and SD."""
-    mean_deg: float
-    sd_deg: float
-    mean_low_deg: float
-    """Ends of the bootstrap 95 % confidence interval of the mean."""
-    mean_high_deg: float
-    silenced_deg: float
-    """Of a network: mean with its output weights at zero; NaN for other estimators."""
-    behind_deg: float
-    """Mean over sequences of the error less that of the best estimator with the same start."""
-    behind_low_deg: float
-    """Ends of the bootstrap interval of that: paired, so it is narrower than the means' own suggest."""
-    behind_high_deg: float
-    inclination_rmse_deg: float
-    """Mean over sequences of the inclination error's RMS."""
-    settle_20_s: float
-    """Started in an unknown tilt of 20°: time after which the median start stays below 2°; NaN: never."""
-    settle_45_s: float
-    """The same from 45°."""
-    runtime_ns: float
-    """Run time per sample of `run` over all flights."""
-    flights: int
-    """Flights it was run on."""
-    missing: int
-    """Samples of these that were missing or refused in part or whole, and bridged."""
-    without_number: float
-    """Share of estimates that are no finite number or no angle, each counted as an error of 180°."""
-    reference: bool = False
-    """Whether it receives the true attitude."""
-    flaw: str = ""
-    """What is wrong with its estimates, or why it has none; empty if nothing."""
-
-    @property
-    def unranked(self) -> str:
-        """Why it is not ranked; empty if it is."""
-        return "reference" if self.reference and np.isfinite(self.mean_deg) else self.flaw
-
-    @property
-    def tied(self) -> bool:
-        """Whether it is not significantly different from the best (the paired interval includes 0)."""
-        return not self.unranked and self.behind_low_deg <= 0.0
-
-    @property
-    def behind(self) -> str:
-        """The paired difference from the best estimator with its interval, as tables show it."""
-        if self.unranked:
-            return "reference" if self.unranked == "reference" else "not ranked"
-        if self.behind_low_deg == self.behind_high_deg == 0.0:
-            return "the best"
-        text = f"{self.behind_deg:.2f} ({self.behind_low_deg:.2f}–{self.behind_high_deg:.2f})"
-        return f"tied {text}" if self.tied else text
-
-    @property
-    def silenced(self) -> str:
-        """The error of the silenced network, as tables show it; a dash for other estimators."""
-        return "–" if np.isnan(self.silenced_deg) else f"{self.silenced_deg:.2f}"
+COLUMNS = {
+    "estimator": "Name, or path of a network's weights.",
+    "initial": 'Whether the initial attitude was given: "known" or "unknown". Networks are never given it.',
+    "median_deg": "Mean absolute error of roll and pitch, pooled, of a sequence; median over sequences.",
+    "mean_deg": "Mean over sequences,",
+    "sd_deg": "standard deviation,",
+    "mean_low_deg": "and ends of the bootstrap 95 % confidence interval of the mean.",
+    "mean_high_deg": "",
+    "silenced_deg": "Of a network: mean with its output weights at zero; NaN for other estimators.",
+    "behind_deg": "Mean over sequences of the error less that of the best estimator with the same start,",
+    "behind_low_deg": "and ends of its bootstrap interval: paired, so narrower than the means' own suggest.",
+    "behind_high_deg": "",
+    "inclination_rmse_deg": "Mean over sequences of the inclination error's RMS.",
+    "settle_20_s": "From an unknown tilt of 20°: time until the median start stays below 2°; NaN: never.",
+    "settle_45_s": "The same from 45°.",
+    "runtime_ns": "Run time per sample of `run` over all flights.",
+    "flights": "Flights it was run on.",
+    "missing": "Samples of these that were missing or refused in part or whole, and bridged.",
+    "without_number": "Share of estimates that are no finite number or no angle; each counts as 180°.",
+    "reference": "Whether it receives the true attitude.",
+    "flaw": "What is wrong with its estimates, or why it has none; empty if nothing.",
+    "unranked": "Why it is not ranked: a reference, or its flaw; empty if it is.",
+    "tied": "Whether it does not differ significantly from the best (the paired interval includes 0).",
+}
+"""Columns of the table, a row for each estimator and start."""
 
 
 @dataclass
 class Evaluation:
     """The table, and what its figures are drawn from; keys are (estimator, initial)."""
 
-    rows: list[EvaluationRow] = field(default_factory=list)
+    table: pd.DataFrame = field(default_factory=pd.DataFrame)
+    """The columns are those of `COLUMNS`."""
     sequences: dict[tuple[str, str], Array] = field(default_factory=dict)
     """Mean absolute error of each sequence (n,) [deg]."""
-    time_s: Array = field(default_factory=lambda: np.empty(0))
-    """Centres of the blocks of `over_time`."""
-    over_time: dict[tuple[str, str], Array] = field(default_factory=dict)
-    """Mean absolute error in each block of each sequence (n, blocks) [deg]."""
     settling: dict[tuple[str, float], Array] = field(default_factory=dict)
     """(estimator, tilt) to the median over starts of the inclination error in each block [deg]."""
-    rate_hz: float = 0.0
+
+    @property
+    def rows(self) -> list[Any]:
+        """Rows of the table, with its columns as attributes."""
+        return list(self.table.itertuples(index=False))
 
     def write_csv(self, path: Path) -> None:
-        """Write the table, one line a row, the header being the fields of `EvaluationRow`."""
-        write_csv(path, self.rows)
+        """Write the table."""
+        write_csv(path, self.table.to_dict("records"))
+
+
+def behind_the_best(row: Any) -> str:
+    """The paired difference of a row from the best estimator with its interval, as tables show it."""
+    if row.unranked:
+        return "reference" if row.unranked == "reference" else "not ranked"
+    if row.behind_low_deg == row.behind_high_deg == 0.0:
+        return "the best"
+    text = f"{row.behind_deg:.2f} ({row.behind_low_deg:.2f}–{row.behind_high_deg:.2f})"
+    return f"tied {text}" if row.tied else text
 
 
 def evaluate(
@@ -138,7 +109,7 @@ def evaluate(
     settle_s: float = 40.0,
     slow_flights: int | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = lambda *_: None,
 ) -> Evaluation:
     """Run estimators over the flights of a dataset and compare them with the truth.
 
@@ -155,54 +126,71 @@ def evaluate(
         settle_s: Time that an estimator started in a tilt is given to recover [s].
         slow_flights: Flights that filterpy's slow estimators are run on; None for all.
         seed: Of the bootstrap and of the choice of those starts.
-        progress: Called before every run.
+        progress: Called before every estimator.
 
     Raises:
         ValueError: For a dataset that is not one, an unknown estimator, or where every estimator fails.
     """
-    progress = progress or (lambda *_: None)
     flights = load_flights([dataset])
-    rate_hz = flights.rate_hz
-    made = (
-        estimators
-        if isinstance(estimators, Mapping)
-        else made_of(estimators, rate_hz, vehicle=vehicle_of(dataset))
-    )
-    result = Evaluation(time_s=_block_times(flights.gyro.shape[1], rate_hz), rate_hz=rate_hz)
-    steps = min(round(settle_s * rate_hz), flights.gyro.shape[1])
-    measured: list[dict[str, Any]] = []
-    starts = {name: _starts_of(est, initial) for name, est in made.items()}
-    runs, done = sum(len(TILTS_DEG) + len(each) for each in starts.values()), 0
-    for name, est in made.items():
+    steps, rate_hz = flights.gyro.shape[1], flights.rate_hz
+    made = estimators
+    if not isinstance(made, Mapping):
+        made = made_of(made, rate_hz, vehicle=vehicle_of(dataset))
+    result = Evaluation()
+    rows: list[dict[str, Any]] = []
+    for k, (name, est) in enumerate(made.items()):
+        progress(k, len(made), name)
         flown = flights.first(slow_flights) if slow_flights and name in FILTERPY else flights
-        steps_done = iter(range(done, runs))
-        done += len(TILTS_DEG) + len(starts[name])
-
-        def advance(name: str = name, steps_done: Iterator[int] = steps_done) -> None:
-            progress(next(steps_done), runs, name)
-
+        starts: list[Initial] = [
+            s for s in initial if s == "unknown" or not isinstance(est, NetworkEstimator)
+        ]
         try:
-            measured += _measured(name, est, flown, starts[name], steps, seed, result, advance)
+            rows += _evaluated(name, est, flown, starts, min(round(settle_s * rate_hz), steps), seed, result)
         except ValueError as error:
-            measured += [_failed(name, start, receives_truth(est), error) for start in starts[name]]
-    progress(runs, runs, "")
-    if measured and not result.sequences:
-        flaws = dict.fromkeys(f"{each['estimator']} {each['flaw']}" for each in measured)
+            failed = {"estimator": name, "reference": receives_truth(est), "flights": 0, "missing": 0}
+            rows += [failed | {"initial": s, "flaw": f"did not run: {error}"} for s in starts]
+    progress(len(made), len(made), "")
+    if rows and not result.sequences:
+        flaws = dict.fromkeys(f"{each['estimator']} {each['flaw']}" for each in rows)
         raise ValueError(f"no estimator ran: {'; '.join(flaws)}")
-    ranked = {
-        (each["estimator"], each["initial"]): result.sequences[each["estimator"], each["initial"]]
-        for each in measured
-        if not (each["reference"] or each["flaw"])
-    }
-    for each in measured:
-        own = result.sequences.get((each["estimator"], each["initial"]))
-        behind, low, high = _behind(own, ranked, each["initial"], seed)
-        row = EvaluationRow(**each, behind_deg=behind, behind_low_deg=low, behind_high_deg=high)
-        result.rows.append(row)
+    for each in rows:
+        each["unranked"] = "reference" if each["reference"] and each["flights"] else each["flaw"]
+    ranked = {(r["estimator"], r["initial"]) for r in rows if not r["unranked"]}
+    for each in rows:
+        behind = _behind(result.sequences, each["estimator"], each["initial"], ranked, seed)
+        each |= dict(zip(("behind_deg", "behind_low_deg", "behind_high_deg"), behind, strict=True))
+        each["tied"] = not each["unranked"] and behind[1] <= 0.0
+    result.table = pd.DataFrame(rows, columns=list(COLUMNS))
     return result
 
 
-def _measured(
+def measured(est: AttitudeEstimator, flights: Flights) -> tuple[Array, dict[str, Any]]:
+    """Estimates (n, T, 2) [rad] of an estimator, and what of it tables say: errors a sequence, and flaws.
+
+    Raises:
+        ValueError: It does not run, or its `sequence` does not give the estimates of its `update`.
+    """
+    others, truth = flights.readings.others, flights.truth
+    streamed = streamed_once(est, flights.gyro, flights.accel, flights.start, **others)
+    begin = time.perf_counter()
+    estimate = _run(est, flights)
+    runtime = (time.perf_counter() - begin) / truth[..., 0].size * 1e9
+    require_same(est, estimate, streamed)
+    of_run = {"runtime_ns": runtime, "missing": missing_samples(est), "reference": receives_truth(est)}
+    return estimate, errors_of(estimate, truth) | of_run
+
+
+def errors_of(estimate: Array, truth: Array) -> dict[str, Any]:
+    """Errors a sequence of roll and pitch (n, T, 2) [rad] over samples whose truth is known, and flaws."""
+    return {
+        "absolute": attitude_error(estimate, truth),
+        "inclination": inclination_rmse(estimate, truth),
+        "without_number": share_without_number(estimate, truth),
+        "flaw": flaw_of(estimate, truth),
+    }
+
+
+def _evaluated(
     name: str,
     est: AttitudeEstimator,
     flown: Flights,
@@ -210,64 +198,28 @@ def _measured(
     steps: int,
     seed: int,
     result: Evaluation,
-    advance: Callable[[], None],
 ) -> list[dict[str, Any]]:
-    """Fields of one estimator's rows; what figures are drawn from goes to the result."""
+    """One estimator's rows; what figures are drawn from goes to the result."""
     short = flown.map(lambda each: each[:, :3])
     for start in starts:
         _run(est, short.known() if start == "known" else short)  # compiles
-    curves = []
-    for tilt in TILTS_DEG:
-        advance()
-        curves.append(_settling(est, tilted_starts(flown, tilt, steps, seed)))
-    without = silenced_twin(name, result.rate_hz)
-    rows, errors, over_time = [], {}, {}
+    curves = {tilt: _settling(est, tilted_starts(flown, tilt, steps, seed)) for tilt in TILTS_DEG}
+    without = silenced_twin(name, flown.rate_hz)
+    rows, errors = [], {}
     for start in starts:
-        advance()
         chosen = flown.known() if start == "known" else flown
-        streamed = streamed_once(est, chosen.gyro, chosen.accel, chosen.start, **chosen.readings.others)
-        begin = time.perf_counter()
-        estimate = _run(est, chosen)
-        runtime = (time.perf_counter() - begin) / chosen.truth[..., 0].size * 1e9
-        require_same(est, estimate, streamed)
-        error = attitude_error(estimate, chosen.truth)
+        found = measured(est, chosen)[1]
+        error, inclination = found.pop("absolute"), found.pop("inclination")
         low, high = error.mean_interval(seed=seed)
         silent = np.nan if without is None else attitude_error(_run(without, chosen), chosen.truth).mean
         errors[name, start] = error.sequences
-        over_time[name, start] = _blocks(estimate, chosen.truth, result.time_s.size)
-        rows.append(
-            {
-                "estimator": name,
-                "initial": start,
-                "median_deg": error.median,
-                "mean_deg": error.mean,
-                "sd_deg": error.sd,
-                "mean_low_deg": low,
-                "mean_high_deg": high,
-                "silenced_deg": silent,
-                "inclination_rmse_deg": inclination_rmse(estimate, chosen.truth).mean,
-                "settle_20_s": _time_below(curves[0]),
-                "settle_45_s": _time_below(curves[1]),
-                "runtime_ns": runtime,
-                "flights": len(chosen.gyro),
-                "missing": missing_samples(est),
-                "without_number": share_without_number(estimate, chosen.truth),
-                "reference": receives_truth(est),
-                "flaw": flaw_of(estimate, chosen.truth),
-            }
-        )
-    result.settling |= {(name, tilt): curve for tilt, curve in zip(TILTS_DEG, curves, strict=True)}
+        found |= {"estimator": name, "initial": start, "flights": len(chosen.gyro), "silenced_deg": silent}
+        found |= {"median_deg": error.median, "mean_deg": error.mean, "sd_deg": error.sd}
+        found |= {"mean_low_deg": low, "mean_high_deg": high, "inclination_rmse_deg": inclination.mean}
+        rows.append(found | {f"settle_{tilt:g}_s": _time_below(curve) for tilt, curve in curves.items()})
+    result.settling |= {(name, tilt): curve for tilt, curve in curves.items()}
     result.sequences |= errors
-    result.over_time |= over_time
     return rows
-
-
-def _failed(name: str, start: str, reference: bool, error: ValueError) -> dict[str, Any]:
-    """Fields of the row of an estimator that did not run."""
-    known: dict[str, Any] = {"estimator": name, "initial": start, "reference": reference}
-    known |= {"flights": 0, "missing": 0, "flaw": f"did not run: {error}"}
-    behind = {"behind_deg", "behind_low_deg", "behind_high_deg"}
-    return known | {f.name: np.nan for f in fields(EvaluationRow) if f.name not in known.keys() | behind}
 
 
 def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) -> Flights | None:
@@ -314,10 +266,6 @@ def silenced_twin(name: str, rate_hz: float = 200.0) -> NetworkEstimator | None:
     return NetworkEstimator(core(config, silenced(config, tensors)), rate_hz)
 
 
-def _starts_of(est: AttitudeEstimator, initial: Sequence[Initial]) -> list[Initial]:
-    return [start for start in initial if start == "unknown" or not isinstance(est, NetworkEstimator)]
-
-
 def _run(est: AttitudeEstimator, flights: Flights) -> Array:
     others = flights.readings.others
     return run_quietly(est, flights.gyro, flights.accel, flights.start, flights.quat, **others)
@@ -328,9 +276,9 @@ def _settling(est: AttitudeEstimator, pieces: Flights | None) -> Array:
     if pieces is None:
         return np.empty(0)
     error = inclination_error(_run(est, pieces), pieces.truth)
-    blocks = _block_times(error.shape[1], pieces.rate_hz).size
+    blocks = error.shape[1] // max(1, round(BLOCK_S * pieces.rate_hz))
     means = [np.nanmean(part, axis=1) for part in np.array_split(error, blocks, axis=1)]
-    return np.asarray(np.nanmedian(np.stack(means, axis=1), axis=0), np.float64)
+    return np.asarray(np.nanmedian(means, axis=1), np.float64)
 
 
 def _time_below(curve: Array) -> float:
@@ -341,23 +289,16 @@ def _time_below(curve: Array) -> float:
     return 0.0 if above.size == 0 else (float(above[-1]) + 1.0) * BLOCK_S
 
 
-def _block_times(steps: int, rate_hz: float) -> Array:
-    size = max(1, round(BLOCK_S * rate_hz))
-    return (np.arange(steps // size, dtype=np.float64) + 0.5) * size / rate_hz
-
-
-def _blocks(estimate: Array, truth: Array, blocks: int) -> Array:
-    """Mean absolute error in each block (n, blocks); the last takes what is missing at a known start."""
-    error = absolute_error(estimate, truth).mean(axis=-1)
-    parts = np.array_split(error, blocks, axis=1)
-    return np.stack([np.asarray(np.nanmean(part, axis=1), np.float64) for part in parts], axis=1)
-
-
 def _behind(
-    own: Array | None, ranked: Mapping[tuple[str, str], Array], start: str, seed: int
+    sequences: Mapping[tuple[str, str], Array],
+    name: str,
+    start: str,
+    ranked: set[tuple[str, str]],
+    seed: int,
 ) -> tuple[float, float, float]:
     """Difference from the best estimator of the same start on the flights of both, with its interval."""
-    rivals = [error for (_, at), error in ranked.items() if at == start]
+    own = sequences.get((name, start))
+    rivals = [error for key, error in sequences.items() if key in ranked and key[1] == start]
     if own is None or not rivals:
         return np.nan, np.nan, np.nan
     most = max(error.size for error in rivals)

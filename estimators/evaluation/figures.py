@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
@@ -17,8 +16,6 @@ PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 PLAIN_FEW = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
 PANELS = 4
 """Panels beside each other."""
-MOST_BANDS = 6
-"""Lines that may have a band; more bands hide the lines."""
 
 
 def violins(evaluation: Evaluation) -> Figure:
@@ -46,21 +43,6 @@ def violins(evaluation: Evaluation) -> Figure:
     axes.yaxis.set_minor_formatter(PLAIN_FEW)
     axes.grid(axis="y", which="both", alpha=0.3)
     axes.legend(frameon=False)
-    return figure
-
-
-def error_over_time(evaluation: Evaluation, initial: str = "unknown") -> Figure:
-    """Absolute error of roll and pitch over time: the median flight, and the middle half if lines are few."""
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    axes = figure.subplots()
-    names = _shown(evaluation, (name for name, start in evaluation.over_time if start == initial))
-    for name, look in looks(names).items():
-        error = evaluation.over_time[name, initial]
-        low, middle, high = np.nanquantile(error, [0.25, 0.5, 0.75], axis=0)
-        axes.plot(evaluation.time_s, middle, label=name, **look.line)
-        if len(names) <= MOST_BANDS:
-            axes.fill_between(evaluation.time_s, low, high, color=look.colour, alpha=0.12, linewidth=0.0)
-    _finish(axes, f"absolute error, {initial} start [°]")
     return figure
 
 
@@ -106,13 +88,5 @@ def _blocks(curve: Array) -> Array:
 
 def _shown(evaluation: Evaluation, names: Iterable[str]) -> list[str]:
     """Each name once, without references, whose error of nothing has no place on a logarithmic axis."""
-    references = {row.estimator for row in evaluation.rows if row.reference}
+    references = set(evaluation.table.estimator[evaluation.table.reference])
     return [name for name in dict.fromkeys(names) if name not in references]
-
-
-def _finish(axes: Axes, label: str, legend: bool = True) -> None:
-    axes.set(xlabel="time [s]", ylabel=label, yscale="log")
-    axes.yaxis.set_major_formatter(PLAIN)
-    axes.grid(which="both", alpha=0.3)
-    if legend and axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))

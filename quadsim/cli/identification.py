@@ -1,22 +1,12 @@
 """`quadsim identify`: a vehicle's constants, and what its sensors add, from flights or at rest."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from ..runs.console import output
-from ..runs.files import save_figure
 from .logs import calibrate_imu
 from .options import Imu, Mount
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from ..identify import Flight
-
-AXES = ("x", "y", "z")
 
 
 def identify(
@@ -62,88 +52,6 @@ def identify(
     if still:
         calibrate_imu(files, out, gravity, mount, imu, bias_only)
         return
-    from ..identify import flights_of
-    from ..identify import identify as fit
-    from ..identify.report import draw_fit, write_vehicle
-    from ..vehicle import load_vehicle
+    from ..identify.report import identify_files
 
-    start = load_vehicle(vehicle)
-    if out.suffix != ".toml":
-        raise ValueError(f"{out}: a vehicle file ends in .toml")
-    found_in = {file: flights_of(_read(file, rate, mount)) for file in files}
-    for file, each in found_in.items():
-        if not each:
-            raise ValueError(f"{file}: no 5 s without a missing sample")
-    flights = [flight for each in found_in.values() for flight in each]
-    _show_noise(flights, out)
-    turning = [flight for flight in flights if flight.has_rotors]
-    for file, each in found_in.items():
-        if turning and not any(flight.has_rotors for flight in each):
-            output.print(f"{file}: no rotor speeds in rad/s, left out", style="yellow", markup=False)
-    if not turning:
-        output.print(
-            f"no rotor speeds in rad/s: noise and vibration alone, and no {out}", style="yellow", markup=False
-        )
-        return
-    found = fit(turning, start)
-    table = Table("constant", "unit", "start", "fitted", "± (95 %)", "used")
-    for each in found.constants:
-        used = "yes" if each.identified else "no"
-        width = f"{each.half_width / each.fitted:.1%}" if each.identified else f"{each.half_width:.2g}"
-        table.add_row(each.path, each.unit, f"{each.start:.4g}", f"{each.fitted:.4g}", width, used)
-    output.print(table)
-    for line in found.missing:
-        output.print(f"not identified: {line}", style="yellow", markup=False, soft_wrap=True)
-    write_vehicle(found, out, [str(file) for file in files])
-    picture = save_figure(out.with_suffix(".png"), draw_fit(found), dpi=120)
-    low = found.explained.min()
-    output.print(
-        f"{out}: for --vehicle {out}; the model explains {low:.1%} or more of each signal ({picture})",
-        soft_wrap=True,
-        highlight=False,
-    )
-
-
-def _read(file: Path, rate_hz: float, mount: str | None) -> "xr.Dataset":
-    """A dataset, or a log as one."""
-    if file.suffix == ".zarr":
-        from ..dataset.reading import open_dataset
-
-        return open_dataset(file)
-    from ..logs import read_log
-
-    return read_log(file, rate_hz, mount=mount)
-
-
-def _show_noise(flights: "list[Flight]", out: Path) -> None:
-    """Table and picture of noise and vibration of the longest flight."""
-    from ..identify.noise import RESTING, at_rest, in_the_air, noise_in_flight
-    from ..identify.report import draw_noise
-
-    longest = max(flights, key=lambda flight: len(flight.gyro))
-    air, rest = in_the_air(longest), at_rest(longest)
-    sensors = [noise_in_flight(each, air.rate_hz) for each in (air.gyro, air.accel)]
-    still = (
-        None
-        if rest is None
-        else [noise_in_flight(each, rest.rate_hz, RESTING) for each in (rest.gyro, rest.accel)]
-    )
-    table = Table("in flight", "unit", *AXES)
-    for k, (name, unit) in enumerate((("gyroscope", "rad/s"), ("accelerometer", "m/s²"))):
-        each = sensors[k]
-        table.add_row(f"{name}, RMS above 25 Hz", unit, *(f"{value:.3g}" for value in each.shaking))
-        table.add_row(
-            f"{name}, density at 25 to 60 Hz", f"{unit}/√Hz", *(f"{value:.3g}" for value in each.noise)
-        )
-        if still is not None:
-            table.add_row(
-                f"{name}, noise at rest", f"{unit}/√Hz", *(f"{value:.3g}" for value in still[k].noise)
-            )
-        if each.line_hz == each.line_hz:
-            table.add_row(
-                f"{name}, line at {each.line_hz:.0f} Hz", unit, *(f"{value:.3g}" for value in each.line)
-            )
-    output.print(table)
-    figure = draw_noise(sensors[0], sensors[1], None if still is None else (still[0], still[1]))
-    picture = save_figure(out.with_name(f"{out.stem}-noise.png"), figure, dpi=120)
-    output.print(f"{picture}: spectra of the readings", soft_wrap=True, highlight=False)
+    identify_files(files, vehicle, out, rate, mount)

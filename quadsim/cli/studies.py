@@ -20,10 +20,9 @@ def evaluate(
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Estimator: a name or your module:Class; again for more. All if left out."),
-    ] = None,
-    weights: Annotated[
-        list[str] | None, typer.Option(help="Weights file to score too, named by its path; again for more.")
+        typer.Option(
+            help="Estimator: a name, weights or your module:Class; again for more. All if left out."
+        ),
     ] = None,
     within: Annotated[
         float, typer.Option(min=1, max=180, help="With --logs: largest true inclination scored, in °.")
@@ -43,9 +42,6 @@ def evaluate(
             "A dataset's own when left out; a log has none."
         ),
     ] = None,
-    slow_flights: Annotated[
-        int, typer.Option(min=1, help="Flights for filterpy's filters, hundreds of times as slow as others.")
-    ] = 4,
     out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the report.")] = Path(
         "reports/evaluate"
     ),
@@ -59,9 +55,9 @@ def evaluate(
 
     Each is also compared with the best one flight by flight; those that are not significantly different from
     it are tied. Beside a network's error stands that of the same network silenced: with output weights of
-    zero. Writes evaluation.csv, the violins, the error over time and the convergence as PNG, and report.html;
-    of real logs logs.csv with a row "level" that shows how hard the log is, a picture each, and report.html:
-    traces of readings, attitudes and errors on one time axis.
+    zero. Writes evaluation.csv, the violins and the convergence as PNG, and report.html; of real logs
+    logs.csv with a row "level" that shows how hard the log is, and report.html: traces of readings,
+    attitudes and errors on one time axis.
 
     Rotor speeds that a dataset or a log holds are given to the estimators that use them: of those that ship,
     imm.
@@ -72,7 +68,7 @@ def evaluate(
         raise ValueError("one of --data and --logs is required")
     from scenarios.report.contenders import Contenders
 
-    contenders = Contenders(estimator, weights or [], tuning, vehicle)
+    contenders = Contenders(estimator, tuning, vehicle)
     if logs:
         import numpy as np
 
@@ -88,7 +84,7 @@ def evaluate(
     from scenarios.report.evaluation import evaluate_dataset
 
     with alone(out):
-        evaluate_dataset(data, contenders, out, slow_flights=slow_flights, seed=seed)
+        evaluate_dataset(data, contenders, out, seed=seed)
 
 
 def paper(

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
 from ..vehicle import Vehicle
 from .model import DRAG, LAGS, UNITS, constant, lagged, predicted, with_constants
-from .signals import BAND_HZ, Flight, low_passed, settled
+from .signals import BAND_HZ, Flight, below_band
 
 Array = NDArray[np.float64]
 
@@ -31,30 +33,14 @@ TYPICAL = {"motor.rotor_drag": 1e-4, "motor.rolling_moment": 1e-6, "frame.drag_a
 
 
 @dataclass(frozen=True)
-class Constant:
-    """One constant before and after."""
-
-    path: str
-    """In the vehicle file."""
-    unit: str
-    start: float
-    fitted: float
-    half_width: float
-    """Of its 95 % interval."""
-
-    @property
-    def identified(self) -> bool:
-        """Whether the flights tell it well enough to be used."""
-        return self.half_width <= SURE * abs(self.fitted)
-
-
-@dataclass(frozen=True)
 class Identified:
     """What flights say of a vehicle."""
 
     vehicle: Vehicle
     """With the constants that are identified; the others are as at the start."""
-    constants: tuple[Constant, ...]
+    constants: pd.DataFrame
+    """By their path in the vehicle file: unit, start, fitted, half_width of the 95 % interval, and whether
+    they are identified well enough to be used."""
     missing: tuple[str, ...]
     """What could not be fitted, and why."""
     measured: tuple[Array, ...]
@@ -93,56 +79,44 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     speeds = [_speeds(flight, start) for flight in flights]
     if any(each.shape[1] != len(start.rotors) for each in speeds):
         raise ValueError(f"{start.name} has {len(start.rotors)} rotors, the flights {speeds[0].shape[1]}")
-    names, missing = _wanted(flights, start)
+    names, missing = _wanted(flights)
     measured = [_measured(flight) for flight in flights]
     scale = np.array([_scale(start, name) for name in names])
-    first = np.array([constant(start, name) for name in names]) / scale
 
     def modelled(x: Array) -> list[Array]:
         vehicle = with_constants(start, dict(zip(names, (x[: len(names)] * scale).tolist(), strict=True)))
         biases = x[len(names) :].reshape(-1, 3)
         return [
-            settled(low_passed(predicted(vehicle, flight, speed), flight.rate_hz), flight.rate_hz)
-            + np.concatenate([bias, np.zeros(3)])
+            below_band(predicted(vehicle, flight, speed), flight.rate_hz) + np.append(bias, np.zeros(3))
             for flight, speed, bias in zip(flights, speeds, biases, strict=True)
         ]
 
-    def residuals(x: Array, sigma: Array) -> Array:
-        apart = [(a - b) / sigma for a, b in zip(modelled(x), measured, strict=True)]
-        prior = x[len(names) :] / BIAS_SD * np.sqrt(_per_independent(flights[0]))  # against as many samples
-        return np.concatenate([*(each.ravel() for each in apart), prior])
+    def errors(x: Array) -> Array:
+        return np.concatenate([a - b for a, b in zip(modelled(x), measured, strict=True)])
 
-    x = np.concatenate([first, np.zeros(3 * len(flights))])
-    least = [0.0 if name in DRAG else LEAST for name in names]
-    low = np.concatenate([least, np.full(3 * len(flights), -np.inf)])
+    def residuals(x: Array, sigma: Array) -> Array:
+        correlated = flights[0].rate_hz / (2.0 * BAND_HZ)  # samples for each independent one below the band
+        return np.append(errors(x) / sigma, x[len(names) :] / BIAS_SD * np.sqrt(correlated))
+
+    x = np.append([constant(start, name) for name in names] / scale, np.zeros(3 * len(flights)))
+    low = np.append([0.0 if name in DRAG else LEAST for name in names], np.full(3 * len(flights), -np.inf))
     sigma = np.mean([np.diff(each, axis=0).std(axis=0) for each in measured], axis=0) + 1e-9
-    jacobian = found_residuals = np.empty(0)
+    found: Any = None
     for _ in range(ROUNDS):
-        found = least_squares(
-            residuals, np.maximum(x, low), bounds=(low, np.inf), args=(sigma,), x_scale="jac"
-        )
-        x, jacobian, found_residuals = found.x, found.jac, found.fun
-        apart = np.concatenate([a - b for a, b in zip(modelled(x), measured, strict=True)])
-        sigma = np.maximum(apart.std(axis=0), 1e-9)
-    half = _half_widths(jacobian, found_residuals, round(6 * flights[0].rate_hz))[: len(names)] * scale
-    constants = [
-        Constant(name, UNITS[name], constant(start, name), float(value), float(width))
-        for name, value, width in zip(names, x[: len(names)] * scale, half, strict=True)
-    ]
-    constants += _lags(flights, start)
-    known = {each.path: each.fitted for each in constants if each.identified}
+        x = np.maximum(x, low)
+        found = least_squares(residuals, x, bounds=(low, np.inf), args=(sigma,), x_scale="jac")
+        x, sigma = found.x, np.maximum(errors(found.x).std(axis=0), 1e-9)
+    half = _half_widths(found.jac, found.fun, round(6 * flights[0].rate_hz))[: len(names)]
+    fits = [_table(start, names, x[: len(names)] * scale, half * scale), *_lags(flights, start)]
+    constants = pd.concat(fits).reindex([path for path in UNITS if any(path in fit.index for fit in fits)])
     missing += [
-        f"{each.path}: {_told(each)}, so it stays {each.start:.4g}"
-        for each in constants
-        if not each.identified
+        f"{row.Index}: {_told(row)}, so it stays {row.start:.4g}"
+        for row in constants.itertuples()
+        if not row.identified
     ]
+    vehicle = with_constants(start, constants.loc[constants.identified, "fitted"].to_dict())
     return Identified(
-        with_constants(start, known),
-        tuple(sorted(constants, key=lambda each: list(UNITS).index(each.path))),
-        tuple(missing),
-        tuple(measured),
-        tuple(modelled(x)),
-        flights[0].rate_hz,
+        vehicle, constants, tuple(missing), tuple(measured), tuple(modelled(x)), flights[0].rate_hz
     )
 
 
@@ -154,7 +128,7 @@ def _speeds(flight: Flight, start: Vehicle) -> Array:
     raise ValueError("no rotor speeds: a vehicle's constants need them, measured or commanded, in rad/s")
 
 
-def _wanted(flights: Sequence[Flight], start: Vehicle) -> tuple[list[str], list[str]]:
+def _wanted(flights: Sequence[Flight]) -> tuple[list[str], list[str]]:
     """Constants to fit, and why not the others."""
     names, missing = [name for name in UNITS if name not in LAGS], []
     if any(flight.air_vel is None for flight in flights):
@@ -173,19 +147,19 @@ def _scale(start: Vehicle, name: str) -> float:
 def _measured(flight: Flight) -> Array:
     """Specific force and angular acceleration below the band, (T, 6)."""
     ang_acc = np.gradient(flight.gyro, 1.0 / flight.rate_hz, axis=0)
-    both = np.concatenate([flight.accel, ang_acc], axis=1)
-    return settled(low_passed(both, flight.rate_hz), flight.rate_hz)
+    return below_band(np.concatenate([flight.accel, ang_acc], axis=1), flight.rate_hz)
 
 
-def _per_independent(flight: Flight) -> float:
-    """Samples for each that is independent of the others below the band."""
-    return flight.rate_hz / (2.0 * BAND_HZ)
+def _table(start: Vehicle, names: Sequence[str], fitted: Array, half_width: Array) -> pd.DataFrame:
+    found = {"unit": [UNITS[name] for name in names], "start": [constant(start, name) for name in names]}
+    table = pd.DataFrame(found | {"fitted": fitted, "half_width": half_width}, index=list(names))
+    return table.assign(identified=table.half_width <= SURE * table.fitted.abs())
 
 
-def _told(each: Constant) -> str:
-    if np.isinf(each.half_width):
+def _told(row: Any) -> str:
+    if np.isinf(row.half_width):
         return "these flights do not tell it"
-    return f"{each.fitted:.3g} ± {each.half_width:.2g} {each.unit} is not told well enough"
+    return f"{row.fitted:.3g} ± {row.half_width:.2g} {row.unit} is not told well enough"
 
 
 def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
@@ -212,21 +186,17 @@ def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:
     return np.where(blind, np.inf, half)
 
 
-def _lags(flights: Sequence[Flight], start: Vehicle) -> list[Constant]:
-    """Time constants of the rotors, from commanded and actual speeds."""
-    both = [flight for flight in flights if flight.rotor_vel is not None and flight.rotor_vel_cmd is not None]
+def _lags(flights: Sequence[Flight], start: Vehicle) -> list[pd.DataFrame]:
+    """Time constants of the rotors, from commanded and actual speeds; none if no flight has both."""
+    both = [(f, f.rotor_vel) for f in flights if f.rotor_vel is not None and f.rotor_vel_cmd is not None]
     if not both:
         return []
     begin = np.array([constant(start, name) for name in LAGS])
 
     def residuals(x: Array) -> Array:
         vehicle = with_constants(start, dict(zip(LAGS, (x * begin).tolist(), strict=True)))
-        return np.concatenate([(lagged(vehicle, f, f.rotor_vel[0]) - f.rotor_vel).ravel() for f in both])  # pyright: ignore
+        return np.concatenate([(lagged(vehicle, f, speeds[0]) - speeds).ravel() for f, speeds in both])
 
     found = least_squares(residuals, np.ones(2), bounds=(1e-2, 1e2))
-    second = round(both[0].rate_hz) * both[0].gyro.shape[1]
-    half = _half_widths(found.jac, found.fun, second) * begin
-    return [
-        Constant(name, UNITS[name], float(old), float(new), float(width))
-        for name, old, new, width in zip(LAGS, begin, found.x * begin, half, strict=True)
-    ]
+    second = 3 * round(both[0][0].rate_hz)
+    return [_table(start, LAGS, found.x * begin, _half_widths(found.jac, found.fun, second) * begin)]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +30,7 @@ UNITS = {
     "frame.drag_area.2": "m²",
 }
 """Constants that can be fitted, by their path in a vehicle file."""
-TURNING = ("motor.k_m", "inertia.0", "inertia.1", "inertia.2", "motor.rolling_moment")
-"""Those that show in the rotation alone."""
-DRAG = (
-    "motor.rotor_drag",
-    "motor.rolling_moment",
-    "frame.drag_area.0",
-    "frame.drag_area.1",
-    "frame.drag_area.2",
-)
+DRAG = ("motor.rotor_drag", "motor.rolling_moment", *(f"frame.drag_area.{k}" for k in range(3)))
 """Those that need the velocity against the air."""
 LAGS = ("motor.tau_up", "motor.tau_down")
 """Those that need commanded and actual rotor speeds."""
@@ -46,28 +38,23 @@ LAGS = ("motor.tau_up", "motor.tau_down")
 
 def constant(vehicle: Vehicle, path: str) -> float:
     """A constant by its path."""
-    part: Any = vehicle
-    for key in path.split("."):
-        part = part[int(key)] if key.isdigit() else getattr(part, key)
-    return float(part)
+    name, _, index = path.rpartition(".")
+    return float(attrgetter(name)(vehicle)[int(index)] if index.isdigit() else attrgetter(path)(vehicle))
 
 
-def with_constants(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
+def with_constants(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
     """The vehicle with other constants, not validated."""
-    content = vehicle.model_dump()
-    for path, value in values.items():
-        *parents, last = path.split(".")
-        part: Any = content
-        for key in parents:
-            if isinstance(part[key], tuple):
-                part[key] = list(part[key])
-            part = part[key]
-        part[int(last) if last.isdigit() else last] = value
-    motor = vehicle.motor.model_copy(update=content["motor"])
-    frame = vehicle.frame.model_copy(update={"drag_area": tuple(content["frame"]["drag_area"])})
-    return vehicle.model_copy(
-        update={"motor": motor, "frame": frame, "inertia": tuple(content["inertia"]), "controller": None}
+    every = {path: values.get(path, constant(vehicle, path)) for path in UNITS}
+    motor = {path.split(".")[1]: value for path, value in every.items() if path.startswith("motor.")}
+    inertia, drag_area = (
+        tuple(value for path, value in every.items() if path.startswith(f"{name}."))
+        for name in ("inertia", "frame.drag_area")
     )
+    changed = {
+        "motor": vehicle.motor.model_copy(update=motor),
+        "frame": vehicle.frame.model_copy(update={"drag_area": drag_area}),
+    }
+    return vehicle.model_copy(update=changed | {"inertia": inertia, "controller": None})
 
 
 def predicted(vehicle: Vehicle, flight: Flight, rotor_vel: Array) -> Array:

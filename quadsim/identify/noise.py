@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt, welch
 
+from ..dataset.stretches import blocks_of, longest_stretch
 from .signals import Flight
 
 Array = NDArray[np.float64]
@@ -27,8 +28,8 @@ REST_S = 3
 """Fewest seconds of rest whose spectrum is shown."""
 
 
-class InFlight(NamedTuple):
-    """Of one sensor, its three axes together where one number stands for them."""
+class Spectrum(NamedTuple):
+    """Noise and vibration of the three axes of one sensor."""
 
     frequency: Array
     """(F,) [Hz]."""
@@ -44,7 +45,7 @@ class InFlight(NamedTuple):
     """Amplitude of that line (3,) [unit]."""
 
 
-def noise_in_flight(signal: Array, rate_hz: float, band: tuple[float, float] = FLYING) -> InFlight:
+def spectrum(signal: Array, rate_hz: float, band: tuple[float, float] = FLYING) -> Spectrum:
     """Noise and vibration of readings.
 
     Args:
@@ -60,10 +61,9 @@ def noise_in_flight(signal: Array, rate_hz: float, band: tuple[float, float] = F
     inner = (frequency > ABOVE_HZ) & (frequency < 0.45 * rate_hz)
     ratio = np.where(inner, total / np.maximum(around, 1e-300), 0.0)
     peak = int(ratio.argmax())
-    near = slice(max(peak - 3, 0), peak + 4)
-    power = density[near].sum(axis=0) * step
+    power = density[max(peak - 3, 0) : peak + 4].sum(axis=0) * step
     found = bool(ratio[peak] > STANDS_OUT)
-    return InFlight(
+    return Spectrum(
         frequency,
         density,
         sosfiltfilt(highpass, signal, axis=0).std(axis=0),
@@ -73,29 +73,28 @@ def noise_in_flight(signal: Array, rate_hz: float, band: tuple[float, float] = F
     )
 
 
-def in_the_air(flight: Flight) -> Flight:
-    """The part in which the vehicle flies; all of it where it never rests."""
-    busy = np.flatnonzero(~_still(flight))
-    return _part(flight, int(busy[0]), int(busy[-1]) + 1) if len(busy) else flight
+def spectra_in_flight(flight: Flight) -> tuple[Spectrum, Spectrum]:
+    """Gyroscope and accelerometer from the first to the last second that is not at rest."""
+    second, still = round(flight.rate_hz), _still(flight)
+    busy = np.flatnonzero(~still)
+    air = flight.part(int(busy[0]) * second, int(busy[-1] + 1) * second) if len(busy) else flight
+    return spectrum(air.gyro, air.rate_hz), spectrum(air.accel, air.rate_hz)
 
 
-def at_rest(flight: Flight) -> Flight | None:
-    """The longest part of 3 s and more in which it rests, or None."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], _still(flight).astype(np.int8), [0]]))).reshape(-1, 2)
-    start, end = max(edges.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
-    return _part(flight, start, end) if end - start >= REST_S else None
+def spectra_at_rest(flight: Flight) -> tuple[Spectrum, Spectrum] | None:
+    """Gyroscope and accelerometer over the longest rest of 3 s and more; None if there is none."""
+    second = round(flight.rate_hz)
+    start, end = longest_stretch(_still(flight))
+    if end - start < REST_S:
+        return None
+    rest = flight.part(start * second, end * second)
+    return spectrum(rest.gyro, rest.rate_hz, RESTING), spectrum(rest.accel, rest.rate_hz, RESTING)
 
 
 def _still(flight: Flight) -> NDArray[np.bool_]:
     """Whether each second rests: its readings shake no more than a sensor's own noise."""
-    second = round(flight.rate_hz)
-    count = len(flight.accel) // second
     gyro, accel = (
-        values[: count * second].reshape(count, second, 3).std(axis=1).max(axis=1)
+        blocks_of(values, round(flight.rate_hz)).std(axis=1).max(axis=1)
         for values in (flight.gyro, flight.accel)
     )
     return (gyro < STILL_GYRO) & (accel < STILL_ACCEL)
-
-
-def _part(flight: Flight, start_s: int, end_s: int) -> Flight:
-    return flight.part(slice(round(start_s * flight.rate_hz), round(end_s * flight.rate_hz)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
+from ..dataset.reading import open_dataset
+from ..dataset.stretches import longest_stretch
+from ..logs import read_log
 from ..rotation import quat_rotate_inverse
 
 Array = NDArray[np.float64]
@@ -30,11 +33,11 @@ class Flight(NamedTuple):
     """(T, 3) [rad/s]."""
     accel: Array
     """Specific force (T, 3) [m/s²]."""
-    rotor_vel: Array | None
+    rotor_vel: Array | None = None
     """(T, rotors) [rad/s]."""
-    rotor_vel_cmd: Array | None
+    rotor_vel_cmd: Array | None = None
     """Commanded up to each sample, from the one before (T, rotors) [rad/s]."""
-    air_vel: Array | None
+    air_vel: Array | None = None
     """Velocity against the air, body axes (T, 3) [m/s]."""
 
     @property
@@ -42,46 +45,53 @@ class Flight(NamedTuple):
         """Whether rotor speeds are known, measured or commanded."""
         return self.rotor_vel is not None or self.rotor_vel_cmd is not None
 
-    def part(self, cut: slice) -> Flight:
-        """Some of its samples."""
-        kept = {
-            name: None if x is None else x[cut] for name, x in self._asdict().items() if name != "rate_hz"
-        }
-        return self._replace(**kept)
+    def part(self, start: int, end: int) -> Flight:
+        """The samples from `start` until before `end`."""
+        return Flight(self.rate_hz, *(None if each is None else each[start:end] for each in self[1:]))  # pyright: ignore
+
+
+def read_flights(file: Path, log_rate_hz: float = 500.0, mount: str | None = None) -> list[Flight]:
+    """Flights of a dataset, or of a log that is read at a rate.
+
+    Raises:
+        ValueError: None is long enough.
+    """
+    dataset = file.suffix == ".zarr"
+    flights = flights_of(open_dataset(file) if dataset else read_log(file, log_rate_hz, mount=mount))
+    if not flights:
+        raise ValueError(f"{file}: no {SHORTEST_S:g} s without a missing sample")
+    return flights
 
 
 def flights_of(data: xr.Dataset) -> list[Flight]:
     """Signals of each flight of a dataset or of a log, as `read_log` returns it.
 
     Of each, the longest part in which no sample is missing. Velocity is that of the data, else the derivative
-    of the position, less the wind where the data know it; it needs an attitude.
+    of the position, less the wind where the data know it; it needs an attitude. Signals that the data hold as
+    zeros or NaN alone are not known.
     """
-    found = []
+    found, rate_hz = [], float(data.attrs["rate_hz"])
     for k in range(data.sizes["flight"]):
-        one = data.isel(flight=k)
-        steps = int(one["valid_steps"])
-        held = {str(name): one[name].to_numpy().astype(float)[:steps] for name in one.data_vars}
-        flight = Flight(
-            float(data.attrs["rate_hz"]),
-            held["gyro"],
-            held["accel"],
-            held.get("rotor_vel"),
-            held.get("rotor_vel_cmd"),
-            _air_velocity(held, float(data.attrs["rate_hz"])),
-        )
-        found += _whole(_without_unknown(flight))
+        one = data.isel(flight=k, time=slice(int(data["valid_steps"][k])))
+        held = {str(name): one[name].to_numpy().astype(float) for name in one.data_vars}
+        others = (held.get("rotor_vel"), held.get("rotor_vel_cmd"), _air_velocity(held, rate_hz))
+        known = [each if each is not None and np.nan_to_num(each).any() else None for each in others]
+        flight = Flight(rate_hz, held["gyro"], held["accel"], *known)
+        arrays = [each for each in flight[1:] if each is not None]
+        start, end = longest_stretch(np.isfinite(np.concatenate(arrays, axis=1)).all(axis=1))
+        if end - start >= SHORTEST_S * rate_hz:
+            found.append(flight.part(start, end))
     return found
 
 
-def low_passed(signal: Array, rate_hz: float, band_hz: float = BAND_HZ) -> Array:
-    """Without what is above the band, and without delay; (T, ·)."""
-    return sosfiltfilt(butter(4, band_hz, fs=rate_hz, output="sos"), signal, axis=0)
-
-
-def settled(signal: Array, rate_hz: float) -> Array:
-    """Without the ends, where the low-pass has not settled."""
+def below_band(signal: Array, rate_hz: float) -> Array:
+    """A signal (T, ·) without what is above the band, without delay, and without the ends."""
     cut = round(SETTLE_S * rate_hz)
-    return signal[cut : len(signal) - cut]
+    return _low_passed(signal, rate_hz)[cut : len(signal) - cut]
+
+
+def _low_passed(signal: Array, rate_hz: float) -> Array:
+    return sosfiltfilt(butter(4, BAND_HZ, fs=rate_hz, output="sos"), signal, axis=0)
 
 
 def _air_velocity(held: dict[str, Array], rate_hz: float) -> Array | None:
@@ -90,28 +100,7 @@ def _air_velocity(held: dict[str, Array], rate_hz: float) -> Array | None:
     if "velocity" in held:
         velocity = held["velocity"]
     elif "position" in held and np.isfinite(held["position"]).all():
-        velocity = np.gradient(low_passed(held["position"], rate_hz), 1.0 / rate_hz, axis=0)
+        velocity = np.gradient(_low_passed(held["position"], rate_hz), 1.0 / rate_hz, axis=0)
     else:
         return None
     return quat_rotate_inverse(held["quat"], velocity - held.get("wind", np.zeros(3)))
-
-
-def _without_unknown(flight: Flight) -> Flight:
-    """Signals that the data hold as zeros or NaN alone are not known."""
-    return flight._replace(
-        **{
-            name: None
-            for name in ("rotor_vel", "rotor_vel_cmd", "air_vel")
-            if (values := getattr(flight, name)) is not None and not np.nan_to_num(values).any()
-        }
-    )
-
-
-def _whole(flight: Flight) -> Iterable[Flight]:
-    """The longest part in which nothing is missing; none that is too short."""
-    arrays = [values for values in flight[1:] if values is not None]
-    good = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in arrays])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]]))).reshape(-1, 2)
-    start, end = max(edges.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
-    if end - start >= SHORTEST_S * flight.rate_hz:
-        yield flight.part(slice(start, end))

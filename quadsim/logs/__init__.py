@@ -6,23 +6,21 @@ from pathlib import Path
 
 import xarray as xr
 
+from .cleaning import split
 from .log_report import LogReport
-from .mounting import Mount, mounted
 from .readers.broad import read_broad
-from .readers.euroc import euroc_folder, euroc_sequences, read_euroc
+from .readers.euroc import euroc_folder, read_euroc
 from .readers.rosbag import read_rosbag
 from .readers.table import read_table
 from .readers.ulog import read_ulog
 from .readers.usdlog import is_usdlog, read_usdlog
-from .recording import Recording
-from .resample import resample, split
+from .recording import Recording, mount_matrix, mounted
+from .resample import resample
 
 __all__ = [
     "LogReport",
     "Recording",
-    "euroc_sequences",
     "read_log",
-    "read_log_and_report",
     "read_parts",
     "read_recording",
     "refused",
@@ -38,7 +36,7 @@ def read_log(
     path: str | Path,
     rate_hz: float = 200.0,
     *,
-    mount: Mount | None = None,
+    mount: str | None = None,
     truth: str | None = None,
     imu: str | None = None,
 ) -> xr.Dataset:
@@ -53,53 +51,34 @@ def read_log(
 
     Returns:
         One flight with gyro [rad/s] and accel [m/s²] in FLU body axes, NaN in the log's gaps; quat (body to
-        world, z up), NaN where it is not known; `scored`, where the log wants to be scored; and the report as
-        attribute `log`.
+        world, z up), NaN where it is not known; `scored`, where the log wants to be scored; and the
+        `LogReport` as attribute `log`.
 
     Raises:
         FileNotFoundError: There is nothing at the path.
         ValueError: One line: an unknown format, a damaged log, or a choice that the log does not offer.
     """
-    return read_log_and_report(path, rate_hz, mount=mount, truth=truth, imu=imu)[0]
+    return resample(read_recording(path, mount=mount, truth=truth, imu=imu), rate_hz)[0]
 
 
-def read_log_and_report(
-    path: str | Path,
-    rate_hz: float = 200.0,
-    *,
-    mount: Mount | None = None,
-    truth: str | None = None,
-    imu: str | None = None,
-) -> tuple[xr.Dataset, LogReport]:
-    """As `read_log`, and what was found."""
-    return resample(read_recording(path, mount=mount, truth=truth, imu=imu), rate_hz)
+def read_parts(log: Recording, rate_hz: float = 200.0) -> list[xr.Dataset]:
+    """As `read_log`, every part of a recording that long gaps cut; parts too short are left out."""
+    parts = split(log)
+    names = [log.name if len(parts) == 1 else f"{log.name}, part {k + 1}" for k in range(len(parts))]
+    return [resample(replace(part, name=name), rate_hz)[0] for part, name in zip(parts, names, strict=True)]
 
 
-def read_parts(
-    path: str | Path,
-    rate_hz: float = 200.0,
-    *,
-    mount: Mount | None = None,
-    truth: str | None = None,
-    imu: str | None = None,
-) -> list[tuple[xr.Dataset, LogReport]]:
-    """As `read_log_and_report`, every part of a log that long gaps cut; parts too short are left out."""
-    parts = split(read_recording(path, mount=mount, truth=truth, imu=imu))
-    names = [part.name if len(parts) == 1 else f"{part.name}, part {k + 1}" for k, part in enumerate(parts)]
-    return [resample(replace(part, name=name), rate_hz) for part, name in zip(parts, names, strict=True)]
-
-
-def refused(reports: Iterable[tuple[str | Path, LogReport]], force: bool = False) -> list[str]:
+def refused(reports: Iterable[LogReport], force: bool = False) -> list[str]:
     """What cannot be right in logs, a sentence each.
 
     Args:
-        reports: Paths of logs, and what reading them, or a part of them, found.
+        reports: What reading them, or parts of them, found.
         force: Whether they are used all the same.
 
     Raises:
         ValueError: The first of them, and how many more there are, unless they are used all the same.
     """
-    faults = list(dict.fromkeys(f"{path}: {fault}" for path, report in reports for fault in report.faults))
+    faults = list(dict.fromkeys(f"{report.path}: {fault}" for report in reports for fault in report.faults))
     if faults and not force:
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise ValueError(f"{faults[0]}{more}; --force uses it all the same")
@@ -107,7 +86,7 @@ def refused(reports: Iterable[tuple[str | Path, LogReport]], force: bool = False
 
 
 def read_recording(
-    path: str | Path, *, mount: Mount | None = None, truth: str | None = None, imu: str | None = None
+    path: str | Path, *, mount: str | None = None, truth: str | None = None, imu: str | None = None
 ) -> Recording:
     """As `read_log`, on the log's own stamps."""
     path = Path(path).expanduser()
@@ -120,7 +99,7 @@ def read_recording(
             raise
         raise ValueError(f"{path}: cannot be read: {error}") from error
     log = replace(log, path=str(path))
-    return log if mount is None else mounted(log, mount)
+    return log if mount is None else mounted(log, mount_matrix(mount))
 
 
 def _read(path: Path, truth: str | None, imu: str | None) -> Recording:

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
-from ..runs.files import write_whole
+from ..dataset.stretches import blocks_of, longest_stretch
+from ..runs.console import print_table, say
+from ..runs.files import save_figure, write_whole
 from ..vehicle import GRAVITY
+from .cleaning import longest_part
 from .recording import Array, Recording
-from .resample import longest_part
 
 BIAS_S, NOISE_S, WALK_S = 3.0, 10.0, 60.0
 """Shortest stretches at rest that give a bias, a white noise density and a bias random walk [s]."""
@@ -48,7 +50,7 @@ class SensorNoise:
     """Correlation time τ of that walk [s]."""
     resolved: bool
     """Whether the log is long enough to tell τ; if not, it is a lower bound."""
-    bias: tuple[float, float, float]
+    bias: Array
     """Mean of each axis over the log; the accelerometer's along gravity alone."""
     bias_sd: float
     """Standard deviation of an axis of that mean by white noise, 1/√T of the samples' own."""
@@ -58,10 +60,6 @@ class SensorNoise:
     """Averaging times (k,) [s]."""
     deviation: Array
     """Allan deviation (k,), axes pooled."""
-
-    def model(self) -> Array:
-        """The fitted model's Allan deviation at `times`."""
-        return np.sqrt(model_variance(self.times, self.noise or 0.0, self.random_walk, self.time_constant))
 
 
 @dataclass(frozen=True)
@@ -158,30 +156,29 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only:
     if max(rates) > 1.02 * min(rates):
         raise ValueError(f"logs at {min(rates):.1f} to {max(rates):.1f} Hz; one rate is required")
     rate = float(np.mean(rates))
-    gyros = [log.gyro[part] for log, part in zip(logs, stretches, strict=True)]
-    accels = [log.accel[part] for log, part in zip(logs, stretches, strict=True)]
-    means = np.stack([gyro.mean(axis=0) for gyro in gyros])
-    # A level is unknown to a sensor at rest: only the length of what it reads tells of its bias.
+    gyros, accels = ([getattr(log, sensor)[part] for log, part in zip(logs, stretches, strict=True)]
+                     for sensor in ("gyro", "accel"))  # fmt: skip
     down = np.stack([accel.mean(axis=0) for accel in accels])
     length = np.linalg.norm(down, axis=1, keepdims=True)
-    for log, found in zip(logs, length[:, 0], strict=True):
+    for log, gyro, accel, found in zip(logs, gyros, accels, length[:, 0], strict=True):
         if not 0.9 * gravity <= found <= 1.1 * gravity:
             raise ValueError(
                 f"{log.name}: at rest it reads a specific force of {found:.4g} m/s², and gravity is "
                 f"{gravity:g}: look at its unit (g, mg?)"
             )
-    for log, gyro, accel in zip(logs, gyros, accels, strict=True):
         if not bias_only and not (np.ptp(gyro, axis=0).any() and np.ptp(accel, axis=0).any()):
             raise ValueError(
                 f"{log.name}: at rest it reads the same numbers all the time: no noise to measure"
             )
-    along = down / length * (length - gravity)
-    longest = 0.0 if bias_only else max(len(gyro) for gyro in gyros) / rate
+    # A level is unknown to a sensor at rest: only the length of what it reads tells of its bias.
+    along, means = down / length * (length - gravity), np.stack([gyro.mean(axis=0) for gyro in gyros])
+    longest = max(len(gyro) for gyro in gyros) / rate
+    analysed = 0.0 if bias_only else longest
     return Calibration(
-        gyro=_fitted(gyros, rate, longest, means, float(np.sqrt(np.mean(means**2)))),
-        accel=_fitted(accels, rate, longest, along, float(np.sqrt(np.mean((length - gravity) ** 2)))),
+        gyro=_fitted(gyros, rate, analysed, means, float(np.sqrt(np.mean(means**2)))),
+        accel=_fitted(accels, rate, analysed, along, float(np.sqrt(np.mean((length - gravity) ** 2)))),
         still_s=sum(len(gyro) for gyro in gyros) / rate,
-        longest_s=max(len(gyro) for gyro in gyros) / rate,
+        longest_s=longest,
         logs=tuple(log.name for log in logs),
         rate_hz=rate,
     )
@@ -195,31 +192,22 @@ def still_stretch(log: Recording) -> slice:
     """
     period = float(np.median(np.diff(log.time)))
     second = max(1, round(1.0 / period))
-    count = len(log.time) // second
-    quiet = np.zeros(count, bool)
-    if count > 1:
-        whole = np.diff(log.time[: count * second : second], append=log.time[count * second - 1] + period)
-        means = [
-            values[: count * second].reshape(count, second, 3).mean(axis=1)
-            for values in (log.gyro, log.accel)
-        ]
-        centres = [np.median(each[_calmest(log, second, count)], axis=0) for each in means]
-        quiet = np.abs(whole - second * period) < 0.2 * second * period
-        for values, limit in ((log.gyro, SHAKE_GYRO), (log.accel, SHAKE_ACCEL)):
-            shakes = values[: count * second].reshape(count, second, 3).std(axis=1)
-            quiet &= (shakes < limit).all(axis=1)
-        for each, centre, limit in zip(means, centres, (STILL_GYRO, STILL_ACCEL), strict=True):
-            near = np.abs(each - median_filter(each, (61, 1), mode="nearest")) < limit
-            quiet &= (near & (np.abs(each - centre) < DRIFT * limit)).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
-    runs = edges.reshape(-1, 2)
-    longest = max(runs, key=lambda run: run[1] - run[0], default=np.array([0, 0]))
-    if (longest[1] - longest[0]) * second * period < 0.99 * BIAS_S:
-        found = (longest[1] - longest[0]) * second * period
+    lengths = np.diff(np.append(log.time, log.time[-1] + period)[::second])
+    quiet = np.abs(lengths - second * period) < 0.2 * second * period
+    sensors = ((log.gyro, STILL_GYRO, SHAKE_GYRO), (log.accel, STILL_ACCEL, SHAKE_ACCEL))
+    calm = np.argsort(blocks_of(log.gyro, second).std(axis=1).sum(axis=1))[: max(1, len(quiet) // 4)]
+    for values, most, shake in sensors if len(quiet) else ():
+        blocks = blocks_of(values, second)
+        means = blocks.mean(axis=1)
+        near = np.abs(means - median_filter(means, (61, 1), mode="nearest")) < most
+        near &= np.abs(means - np.median(means[calm], axis=0)) < DRIFT * most
+        quiet &= (near & (blocks.std(axis=1) < shake)).all(axis=1)
+    start, end = longest_stretch(quiet)
+    if (found := (end - start) * second * period) < 0.99 * BIAS_S:
         raise ValueError(
             f"{log.name}: at rest for {found:.0f} s at a stretch; at least {BIAS_S:g} s are required"
         )
-    return slice(int(longest[0]) * second, int(longest[1]) * second)
+    return slice(start * second, end * second)
 
 
 def write_imu(calibration: Calibration, out: Path) -> None:
@@ -246,12 +234,6 @@ def write_imu(calibration: Calibration, out: Path) -> None:
     write_whole(out, "\n".join(lines) + "\n")
 
 
-def _calmest(log: Recording, second: int, count: int) -> NDArray[np.int64]:
-    """The quarter of the seconds that vary least."""
-    spread = log.gyro[: count * second].reshape(count, second, 3).std(axis=1).sum(axis=1)
-    return np.argsort(spread)[: max(1, count // 4)]
-
-
 def _fitted(
     signals: Sequence[Array], rate_hz: float, longest_s: float, bias: Array, turn_on: float
 ) -> SensorNoise:
@@ -259,8 +241,7 @@ def _fitted(
 
     As much of it as the longest of them allows, `longest_s` [s].
     """
-    x, y, z = bias.mean(axis=0)
-    mean = (float(x), float(y), float(z))
+    mean = bias.mean(axis=0)
     white = np.mean([signal.var(axis=0).mean() / len(signal) for signal in signals])
     bias_sd = float(np.sqrt(white / len(signals)))
     if longest_s < NOISE_S:
@@ -316,8 +297,35 @@ def draw(calibration: Calibration) -> Figure:
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     for axes, (name, unit, sensor) in zip(figure.subplots(1, 2), calibration.sensors, strict=True):
         axes.loglog(sensor.times, sensor.deviation, "o", ms=3.5, label="log")
-        axes.loglog(sensor.times, sensor.model(), lw=1.5, label="fitted model")
+        noise, walk, tau = sensor.noise or 0.0, sensor.random_walk, sensor.time_constant
+        fitted = np.sqrt(model_variance(sensor.times, noise, walk, tau))
+        axes.loglog(sensor.times, fitted, lw=1.5, label="fitted model")
         axes.set(xlabel="averaging time, s", ylabel=f"Allan deviation, {unit}", title=name)
         axes.grid(True, which="both", alpha=0.25)
         axes.legend()
     return figure
+
+
+def show_calibration(found: Calibration, out: Path | None) -> None:
+    """Print a calibration, and write its IMU file and picture: `identify --still`."""
+    rows = []
+    for (name, unit, sensor), seen in zip(found.sensors, ("", ", along gravity"), strict=True):
+        values = (f"{value:+.5f}" for value in sensor.bias)
+        rows.append((f"{name}{seen}, {unit}", *values, f"{sensor.bias_sd:.5f}"))
+    print_table(rows, ("sensor", "bias x", "y", "z", "1 SD by noise"))
+    if out is None:
+        rates = ", ".join(f"{math.degrees(value):+.3f}" for value in found.gyro.bias)
+        say(f"{', '.join(found.logs)}: gyroscope bias ({rates}) °/s, from {found.still_s:.0f} s at rest")
+        return
+    write_imu(found, out)
+    save_figure(out.with_suffix(".png"), draw(found), dpi=130)
+    rows = []
+    for name, sensor in (("gyro, rad/s", found.gyro), ("accel, m/s²", found.accel)):
+        tau = f"{'' if sensor.resolved else '> '}{sensor.time_constant:.0f}" if sensor.random_walk else "-"
+        noise = "-" if sensor.noise is None else f"{sensor.noise:.4g}"
+        walk = f"{sensor.random_walk:.4g}" if sensor.random_walk else "-"
+        rows.append((name, noise, walk, tau, f"{sensor.turn_on:.3g}"))
+    print_table(rows, ("sensor", "noise density", "bias random walk", "time constant, s", "turn-on bias"))
+    for line in found.lacking:
+        say(f"! {line}")
+    say(f"{out}: an IMU from {found.still_s:.0f} s at rest; quadsim generate --set imu={out}")

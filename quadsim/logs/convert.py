@@ -10,7 +10,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..dataset import store as dataset_store
+from ..dataset.reading import open_dataset
 from ..dataset.store import LABELS, VARIABLES, Plan, Recorded, partial_folder
+from ..dataset.stretches import stretches
+from ..runs.console import say
 from ..runs.files import alone
 from .recording import Array
 
@@ -18,7 +21,7 @@ READ = {"gyro": "gyro", "accel": "accel", "ang_vel": "gyro", "specific_force": "
 """Variable of a dataset to the one of a log that it repeats: nobody knows the true rate and force."""
 
 
-def convert(logs: Sequence[xr.Dataset], out: str | Path, piece_s: float = 20.0) -> Path:
+def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Path:
     """Cut logs into pieces of one length in which nothing is missing, and write them as flights.
 
     Args:
@@ -32,7 +35,7 @@ def convert(logs: Sequence[xr.Dataset], out: str | Path, piece_s: float = 20.0) 
     Raises:
         ValueError: No piece without a gap and with a known attitude, or `out` exists.
     """
-    out = Path(out).expanduser().absolute()
+    out = out.expanduser().absolute()
     with alone(out):
         return _convert(logs, out, piece_s)
 
@@ -79,12 +82,11 @@ def _pieces(log: xr.Dataset, steps: int) -> list[xr.Dataset]:
     """Pieces without anything missing, one after the other."""
     one = log.isel(flight=0)
     whole = np.logical_and.reduce([np.isfinite(one[name]).all(axis=-1) for name in ("gyro", "accel", "quat")])
-    pieces = []
-    for run in np.split(np.arange(whole.size), np.flatnonzero(np.diff(whole)) + 1):
-        if whole[run[0]]:
-            starts = range(run[0], run[-1] + 2 - steps, steps)
-            pieces += [one.isel(time=slice(start, start + steps)) for start in starts]
-    return pieces
+    return [
+        one.isel(time=slice(first, first + steps))
+        for start, end in stretches(whole)
+        for first in range(start, end + 1 - steps, steps)
+    ]
 
 
 def _has_rotors(piece: xr.Dataset) -> bool:
@@ -102,3 +104,10 @@ def _values(piece: xr.Dataset, steps: int, held: set[str]) -> dict[str, NDArray[
         return np.zeros((steps, len(LABELS[VARIABLES[name].dim])))
 
     return {name: np.ascontiguousarray(values(name), "<f4") for name in VARIABLES}
+
+
+def show_converted(logs: Sequence[xr.Dataset], out: Path, piece_s: float) -> None:
+    """Print how much of logs became a dataset: `quadsim export --format zarr`."""
+    pieces = open_dataset(out).sizes["flight"]
+    total = sum(float(log.attrs["duration_s"]) for log in logs)
+    say(f"{out}: {pieces} pieces of {piece_s:g} s, {100 * pieces * piece_s / total:.0f} % of {total:.0f} s")

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from ..dataset.stretches import blocks_of, stretches
+from .cleaning import MOVES, held, least_steps
 from .recording import Array
 from .truth_bias import BiasOverTime, bias_over_time
 from .truth_delay import LONG_S
@@ -34,8 +36,6 @@ RUN_S = 0.01
 NEAR, PILED = 8.0, 0.5
 """Share of the readings within `NEAR` least steps of a limit that are equal to it: at the rounded top of a
 smooth motion it is a third at most."""
-MOVES = 10.0
-"""Another axis moves by a standard deviation of this many of its least steps."""
 CLIPPED_S = 0.1
 """Least time at the end of the range [s]."""
 
@@ -79,8 +79,7 @@ class SensorFault(NamedTuple):
 
 def find_faults(
     time: Array,
-    gyro: Array,
-    accel: Array,
+    readings: Array,
     stuck: NDArray[np.bool_],
     *,
     even_gyro: Array,
@@ -91,19 +90,18 @@ def find_faults(
 
     Args:
         time: Stamps of the readings as recorded (T,) [s].
-        gyro: Readings as recorded (T, 3) [rad/s].
-        accel: Specific force as recorded (T, 3) [m/s²].
-        stuck: Samples of each axis at which it repeats one number (T, 6), gyroscope first.
+        readings: Of the gyroscope [rad/s] and of the accelerometer [m/s²] as recorded (T, 6).
+        stuck: Samples of each axis at which it repeats one number (T, 6).
         even_gyro: Evenly sampled angular rate (N, 3) [rad/s]; NaN where missing.
         quat: True attitude quat_WB at the even samples (N, 4); NaN where not known.
         rate_hz: Even samples per second.
     """
     since = time - time[0]
-    saturated = list(saturations(since, gyro, accel, stuck))
+    saturated = list(saturations(since, readings, stuck))
     found = [
         *saturated,
         *(fault for fault in stuck_axes(since, stuck) if not any(_within(fault, each) for each in saturated)),
-        *vibrations(since, gyro, accel),
+        *vibrations(since, readings[:, :3], readings[:, 3:]),
         *bias_jumps(even_gyro, quat, rate_hz),
     ]
     return tuple(sorted(found, key=lambda fault: fault.start_s))
@@ -113,51 +111,42 @@ def stuck_axes(time: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
     """Runs of samples at which an axis, or all of a sensor, repeats one number while another moves."""
     found: dict[tuple[Sensor, int, int], str] = {}
     for sensor, axis, part in _axes(stuck):
-        for start, end in _runs(part):
+        for start, end in stretches(part):
             found[sensor, start, end] = found.get((sensor, start, end), "") + axis
     for (sensor, start, end), axes in found.items():
-        lasts = time[end - 1] - time[start]
+        ends = float(time[start]), float(time[end - 1])
         text = f"the {sensor}'s {', '.join(axes)} {'repeats' if len(axes) == 1 else 'repeat'} one number for"
         others = "another axis" if len(axes) < 3 else "the other sensor"
-        yield SensorFault(
-            "stuck axis", sensor, axes, float(time[start]), float(time[end - 1]),
-            f"{text} {lasts:.1f} s while {others} moves: left out of scores",
-        )  # fmt: skip
+        text += f" {ends[1] - ends[0]:.1f} s while {others} moves: left out of scores"
+        yield SensorFault("stuck axis", sensor, axes, *ends, text)
 
 
-def saturations(time: Array, gyro: Array, accel: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
+def saturations(time: Array, readings: Array, stuck: NDArray[np.bool_]) -> Iterator[SensorFault]:
     """Axes whose readings pile up at a limit that they never exceed, while another axis moves."""
-    readings = np.concatenate([gyro, accel], axis=1)
     period = float(np.median(np.diff(time)))
     for (sensor, axis, values), (*_, still) in zip(_axes(readings), _axes(stuck), strict=True):
-        others = gyro if sensor == "gyroscope" else accel
+        others = readings[:, :3] if sensor == "gyroscope" else readings[:, 3:]
         parts = [part for sign in (1.0, -1.0) for part in _clipped(sign * values, others, still, period)]
         if not parts:
             continue
         starts, ends, totals = zip(*parts, strict=True)
-        limits = sorted({float(values[start]) for start in starts})
         shown = " and ".join(
             f"{limit:.3g} m/s²" if sensor == "accelerometer" else f"{np.degrees(limit):.4g} °/s"
-            for limit in limits
+            for limit in sorted({float(values[start]) for start in starts})
         )
-        text = (
-            f"the {sensor}'s {axis} repeats {shown} for {sum(totals):.1f} s in all and reads nothing beyond"
-        )
-        yield SensorFault(
-            "saturation", sensor, axis, float(time[min(starts)]), float(time[max(ends) - 1]),
-            f"{text}: the end of its range",
-        )  # fmt: skip
+        text = f"the {sensor}'s {axis} repeats {shown} for {sum(totals):.1f} s in all"
+        text += " and reads nothing beyond: the end of its range"
+        start, end = float(time[min(starts)]), float(time[max(ends) - 1])
+        yield SensorFault("saturation", sensor, axis, start, end, text)
 
 
 def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
     """Vibration of the accelerometer that sets in while the vehicle moves, and lasts."""
     rate_hz = 1.0 / float(np.median(np.diff(time)))
     size = max(round(BLOCK_S * rate_hz), 1)
-    count = len(time) // size
-    if count * BLOCK_S < MOVING_S + LASTS_S:
+    blocks = blocks_of(fast_part(accel, rate_hz), size)
+    if (count := len(blocks)) * BLOCK_S < MOVING_S + LASTS_S:
         return
-    fast = accel - uniform_filter1d(accel, max(round(SLOW_S * rate_hz), 1), axis=0)
-    blocks = fast[: count * size].reshape(count, size, 3)
     level = np.linalg.norm(NORMAL * np.median(np.abs(blocks), axis=1), axis=1)  # taps do not count
     moving = _moving(gyro, rate_hz, size, count)
     lasting = median_filter(level, 2 * round(0.5 * LASTS_S / BLOCK_S) + 1, mode="nearest")
@@ -176,11 +165,14 @@ def vibrations(time: Array, gyro: Array, accel: Array) -> Iterator[SensorFault]:
             )
             text = f"the accelerometer vibrates by {rms:.1f} m/s² RMS above 20 Hz"
             stop = time[-1] if end == count else time[end * size]
-            yield SensorFault(
-                "vibration", "accelerometer", "xyz", float(time[k * size]), float(stop),
-                f"{text}, by {quiet:.1f} m/s² before",
-            )  # fmt: skip
+            ends, text = (float(time[k * size]), float(stop)), f"{text}, by {quiet:.1f} m/s² before"
+            yield SensorFault("vibration", "accelerometer", "xyz", *ends, text)
         k = end + before
+
+
+def fast_part(accel: Array, rate_hz: float) -> Array:
+    """A specific force (T, 3) less its mean over a twentieth of a second: what is above 20 Hz."""
+    return accel - uniform_filter1d(accel, max(round(SLOW_S * rate_hz), 1), axis=0)
 
 
 def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault]:
@@ -208,17 +200,16 @@ def bias_jumps(gyro: Array, quat: Array, rate_hz: float) -> Iterator[SensorFault
             found.append((start, len(bias), largest, "xyz"[axis]))
     groups: list[list[tuple[int, int, float, str]]] = []
     for each in sorted(found):
-        if groups and (each[0] - groups[-1][0][0]) * LONG_S <= TOGETHER_S:
-            groups[-1].append(each)
-        else:
-            groups.append([each])
+        if not groups or (each[0] - groups[-1][0][0]) * LONG_S > TOGETHER_S:
+            groups.append([])
+        groups[-1].append(each)
     for group in groups:
         sizes = sorted((axis, np.degrees(step)) for *_, step, axis in group)
         shown = " and ".join(f"{size:+.1f} °/s about {axis}" for axis, size in sizes)
         text = f"the gyroscope's bias jumps by {shown}, against turns of the true attitude over {LONG_S:g} s"
-        axes = "".join(sorted(axis for *_, axis in group))
         end = max(end for _, end, *_ in group)
         last = (len(gyro) - 1) / rate_hz if end == len(bias) else end * LONG_S
+        axes = "".join(axis for axis, _ in sizes)
         yield SensorFault("bias jump", "gyroscope", axes, group[0][0] * LONG_S, last, text)
 
 
@@ -269,27 +260,20 @@ def _clipped(
     values: Array, sensor: Array, stuck: NDArray[np.bool_], period: float
 ) -> Iterator[tuple[int, int, float]]:
     """First sample, end and total time [s] of the parts of an axis (T,) that are clipped from above."""
-    steps = np.abs(np.diff(values))
-    near = NEAR * min(steps[steps > 0].tolist(), default=np.inf)
-    held = np.concatenate([[False], (sensor[1:] == sensor[:-1]).all(axis=1)])
-    edges = np.concatenate([[0], np.flatnonzero(steps > 0) + 1, [len(values)]])
-    long = np.diff(edges) >= max(round(RUN_S / period), 2)
-    long &= ~held[np.minimum(edges[:-1] + 1, len(held) - 1)]
+    near, least = NEAR * least_steps(values[:, None])[0], MOVES * least_steps(sensor)
+    frozen = np.append((sensor[1:] == sensor[:-1]).all(axis=1), False)
+    long = held(values[:, None], max(round(RUN_S / period), 2))
     levels, counts = np.unique(values, return_counts=True)
-    limits = np.intersect1d(values[edges[:-1]][long], levels[counts * period >= CLIPPED_S])
-    least = [min(each[each > 0].tolist(), default=np.inf) for each in np.abs(np.diff(sensor, axis=0)).T]
+    often = levels[counts * period >= CLIPPED_S]
+    limits = np.intersect1d([values[start] for start, _ in long if not frozen[start]], often)
     for limit in limits[limits > np.median(values)]:
         at = values == limit
-        for first, last in _runs(values <= limit):
+        for first, last in stretches(values <= limit):
             if at[first:last].sum() * period < CLIPPED_S:
                 continue
-            close = [(first + a, first + b) for a, b in _runs(values[first:last] > limit - near)]
+            close = [(first + a, first + b) for a, b in stretches(values[first:last] > limit - near)]
             piled = [(a, b) for a, b in close if at[a:b].mean() >= PILED]
-            runs = [
-                (a, b)
-                for a, b in piled
-                if (sensor[max(a - 1, 0) : b + 1].std(axis=0) > MOVES * np.array(least)).any()
-            ]
+            runs = [(a, b) for a, b in piled if (sensor[max(a - 1, 0) : b + 1].std(axis=0) > least).any()]
             total = sum(int(at[a:b].sum()) for a, b in runs) * period
             alone = len(runs) == 1 and (limit < values.max() or stuck[runs[0][0] : runs[0][1]].any())
             if total >= CLIPPED_S and not alone:
@@ -317,9 +301,3 @@ def _axes(values: NDArray) -> Iterator[tuple[Sensor, str, NDArray]]:
     for k, sensor in enumerate(sensors):
         for axis, column in zip("xyz", values[:, 3 * k : 3 * k + 3].T, strict=True):
             yield sensor, axis, column
-
-
-def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First sample and end of each run of true."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int))).reshape(-1, 2)
-    return [(int(start), int(end)) for start, end in edges]

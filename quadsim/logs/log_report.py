@@ -2,15 +2,17 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from ..runs.console import print_table, say
+from .cleaning import LONGEST_GAP_S
 from .faults import SensorFault
-from .recording import TruthAxes
-from .truth_delay import Agreement
+from .mean_force import Level, Rest
+from .recording import TruthAxes, mount_text
+from .truth_delay import Alignment
 
-LONGEST_GAP_S = 30.0
-"""A longer gap ends a recording, and what follows is another part of it."""
 SLOW_HZ = 90.0
 """Below this rate the samples lack motion of a vehicle, and a warning is given."""
 WEIGHTS = (7.0, 13.0)
@@ -57,7 +59,7 @@ CLOCK_BACK_MS = 100
 """How far a clock goes back before it is reported [ms]."""
 FAILING = "a calibration does not correct a sensor that fails: look at its supply, mount and wiring"
 """Advice where a fault begins inside the log."""
-AXES = tuple(f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz")
+AXES = [f"the {sensor}'s {axis}" for sensor in ("gyroscope", "accelerometer") for axis in "xyz"]
 
 
 @dataclass(frozen=True)
@@ -66,76 +68,60 @@ class LogReport:
 
     format: str
     truth: str
+    truth_axes: TruthAxes
+    """Axes whose attitude the truth is."""
+    path: str
+    """The file, as it was given."""
+    notes: tuple[str, ...]
+    parts: int
+    """Parts into which gaps of more than half a minute cut the log; the longest is the one that was read."""
     samples: int
     duration_s: float
     source_rate_hz: float
     jitter_ms: float
     """Standard deviation of the time between samples, gaps and lost samples left out."""
-    stamps_back: int
-    """Samples left out because their stamp is not after the one before."""
-    clock_back_ms: int
-    """How far the clock goes back at most [ms]."""
     gaps: int
     gap_s: float
     """Total length of what is missing in them [s]."""
     longest_gap_s: float
     lost: int
     """Single samples lost, which were interpolated."""
+    missing: int
+    """Samples that are not finite numbers."""
+    stamps_back: int
+    """Samples left out because their stamp is not after the one before."""
+    clock_back_ms: int
+    """How far the clock goes back at most [ms]."""
     repeated: int
     """Samples equal to the one before on all six axes."""
     saturated: int
     """Samples with an axis stuck at the end of its range."""
-    missing: int
-    """Samples that are not finite numbers."""
+    still: tuple[str, ...]
+    """Sensors, or axes of one, that read the same number all the time."""
     sensor_faults: tuple[SensorFault, ...]
     """Faults that begin inside the log."""
-    stuck: tuple[int, ...]
-    """Samples left out of each axis of gyroscope and accelerometer, at which it repeats one number."""
     truth_rate_hz: float
     truth_share: float
     """Share of the even samples at which the attitude is known."""
-    gravity: tuple[float, float, float] | None
-    """Mean specific force, turned to the world by the truth [m/s²]: (0, 0, 9.81) where frames agree."""
-    truth_delay_s: float | None
-    """How late the truth is, by its body rates [s]; None where there is too little motion."""
-    agreement: float | None
-    """Correlation of the truth's body rates with the gyroscope's, that delay taken out."""
-    slope: float | None
-    """The gyroscope's rates over the truth's: 1 where units agree."""
-    rotated_agreement: float | None
-    """Correlation under the rotation of the gyroscope's axes that fits the truth best."""
-    turned: Agreement | None
-    """Whether the truth turns as the gyroscope does; None where there is too little motion."""
-    tilt_deg: float | None
-    """Angle between the mean specific force, in hover where there is any, and body z [deg]; None where no
-    second is complete, or a truth of the body shows it better."""
-    level_mount: str
-    """Roll and pitch of a mount that brings that mean force to body z, as `--mount` takes them; or empty."""
-    tilt_sd_deg: float
-    """Standard deviation of that mean's direction [deg]."""
-    rest_s: float
-    """Longest stretch at rest, by the turn of the vertical that the gyroscope reads in it [s],"""
-    rest_rate: float
-    """and its mean rate across the vertical there, the bias [rad/s]."""
     truth_norm: float | None
     """Median length of the truth's quaternions as recorded."""
+    gravity: tuple[float, ...] | None
+    """Mean specific force, turned to the world by the truth [m/s²]: (0, 0, 9.81) where frames agree."""
+    aligned: Alignment | None
+    """How the truth turns beside the gyroscope; None where there is too little motion."""
+    level: Level | None
+    """Where the specific force points; None where no second is complete, or a truth of the body shows it
+    better."""
+    rest: Rest | None
+    """The stretch at rest over which the vertical turns most by the gyroscope."""
     weight: float
     """Median length of the specific force [m/s²]: near 9.8 in flight and in the hand."""
-    vibration: float
-    """Root mean square of the specific force above 20 Hz [m/s²]."""
     upright: float
     """Its mean along body z, over that length: near 1 in a flight."""
-    still: tuple[str, ...]
-    """Sensors, or axes of one, that read the same number all the time."""
-    parts: int
-    """Parts into which gaps of more than half a minute cut the log; the longest is the one that was read."""
+    vibration: float
+    """Root mean square of the specific force above 20 Hz [m/s²]."""
     filter_hz: float | None
     """−6 dB corner of the anti-alias filter; None where there was none to apply."""
-    truth_axes: TruthAxes
-    """Axes whose attitude the truth is."""
-    path: str
-    """The file, as it was given."""
-    notes: tuple[str, ...]
 
     @property
     def faults(self) -> list[str]:
@@ -170,44 +156,43 @@ class LogReport:
 
     def _rate_faults(self) -> Iterator[str]:
         """A gyroscope in another unit: by its slope over the truth, or where there is none at rest."""
-        turned = self.rest_s * self.rest_rate
-        if self.slope is None:
-            if self.rest_rate > REST_RATE and turned > REST_TURN:
+        if self.aligned is None:
+            seconds, rate = self.rest or (0, 0.0)
+            if rate > REST_RATE and seconds * rate > REST_TURN:
                 yield (
-                    f"at rest for {self.rest_s:.0f} s, the gyroscope reads {self.rest_rate:.3g} rad/s across "
-                    f"the vertical, which would turn it by {np.degrees(turned):.0f}°: is it in deg/s "
+                    f"at rest for {seconds} s, the gyroscope reads {rate:.3g} rad/s across "
+                    f"the vertical, which would turn it by {np.degrees(seconds * rate):.0f}°: is it in deg/s "
                     '(gyro.unit = "deg/s")?'
                 )
             return
         low, high = SLOPES
-        r = max(self.rotated_agreement or 1.0, 1e-3)
+        slope, r = self.aligned.slope, max(self.aligned.rotated_agreement, 1e-3)
         if "the gyroscope" in self.still:
             return
-        if self.slope > NO_TURN:
+        if slope > NO_TURN:
             yield "the truth hardly turns where the gyroscope does"
-        elif r * self.slope > high or self.slope / r < low:  # whatever the noise of both
+        elif r * slope > high or slope / r < low:  # whatever the noise of both
             known = {
                 180 / np.pi: 'in deg/s (gyro.unit = "deg/s"), or the truth in rad',
                 np.pi / 180: 'in rad/s (gyro.unit = "rad/s"), or the truth in deg',
                 10.0: "ten times too large",
             }
             yield (
-                f"the gyroscope reads {self.slope:.3g} times the rate at which the truth turns (slope): "
-                f"{_unit_of(self.slope, known, r)}"
+                f"the gyroscope reads {slope:.3g} times the rate at which the truth turns (slope): "
+                f"{_unit_of(slope, known, r)}"
             )
 
     def _frame_faults(self) -> Iterator[str]:
         """A truth that is no attitude, or of other axes than the readings."""
         if self.truth_norm is not None and abs(self.truth_norm - 1.0) > UNIT_NORM:
             yield f"the truth's quaternions have a length of {self.truth_norm:.3g}, not 1"
-        if (found := self.turned) is None:
-            pass
-        elif not self._agrees:
+        found = self.aligned and self.aligned.turned
+        if found and not self._agrees:
             fault = f"the truth does not turn as the gyroscope does (correlation {found.agreement:.2f})"
             by = f"; with the IMU rotated by {found.rotation_deg:.0f}° it does ({found.rotated:.2f})"
             mounting = f"{by}: {self._mend_of_truth}" if found.rotated > MOUNTED_AGREEMENT else ""
             yield f"{fault}: look at frame and mount{mounting}"
-        elif min(found.axes) < AGREEMENT:
+        elif found and min(found.axes) < AGREEMENT:
             worst = int(np.argmin(found.axes))
             yield (
                 f"the gyroscope's {'xyz'[worst]} does not read how the truth turns about that axis "
@@ -246,16 +231,14 @@ class LogReport:
 
     def _frame_warnings(self) -> Iterator[str]:
         """A truth that is missing or late, or an IMU that is mounted in another way."""
+        found, mean, rest = self.aligned, self.level, self.rest
         if self.truth == "none":
             yield UNSCORED
-            if self.rest_s >= LEAST_REST_S and self.rest_rate > LARGE_BIAS:
-                rate = f"{np.degrees(self.rest_rate):.1f} °/s across the vertical"
+            if rest and rest.seconds >= LEAST_REST_S and rest.rate > LARGE_BIAS:
+                rate = f"{np.degrees(rest.rate):.1f} °/s across the vertical"
                 failing = any(fault.sensor == "gyroscope" for fault in self.sensor_faults)
-                mend = f"`quadsim identify {self.path or 'LOG'} --still --bias-only`"
-                yield (
-                    f"at rest for {self.rest_s:.0f} s, the gyroscope reads {rate}, a large bias: "
-                    f"{FAILING if failing else mend}"
-                )
+                mend = FAILING if failing else f"`quadsim identify {self.path or 'LOG'} --still --bias-only`"
+                yield f"at rest for {rest.seconds} s, the gyroscope reads {rate}, a large bias: {mend}"
             if self.vibration > VIBRATION:
                 yield (
                     f"the accelerometer vibrates by {self.vibration:.1f} m/s² RMS above 20 Hz, and above "
@@ -266,24 +249,23 @@ class LogReport:
         if GRAVITY_TOLERANCE < self._off_gravity <= GRAVITY_WRONG:
             yield self._where_gravity
         if not self.faults:
-            found = self.turned
-            if found and found.gain > MOUNTED_GAIN and found.common > MOUNTED_AGREEMENT:
-                turned = f"the gyroscope rotated by {found.rotation_deg:.0f}°"
+            if found and found.turned.gain > MOUNTED_GAIN and found.turned.common > MOUNTED_AGREEMENT:
+                turned = f"the gyroscope rotated by {found.turned.rotation_deg:.0f}°"
                 yield f"the truth turns as {turned} does: {self._mend_of_truth}"
-            if self.tilt_deg is not None and self.tilt_deg > TILT_DEG + 2 * self.tilt_sd_deg:
-                yield f"the mean specific force is {self.tilt_deg:.1f}° from body z: {self._mend}"
-        if self.truth_delay_s is not None and abs(self.truth_delay_s) > DELAY_TOLERANCE_S and self._agrees:
-            ms, which = abs(self.truth_delay_s) * 1e3, "late" if self.truth_delay_s > 0 else "early"
+            if mean and mean.tilt_deg > TILT_DEG + 2 * mean.sd_deg:
+                yield f"the mean specific force is {mean.tilt_deg:.1f}° from body z: {self._mend}"
+        if found and abs(found.delay_s) > DELAY_TOLERANCE_S and self._agrees:
+            ms, which = abs(found.delay_s) * 1e3, "late" if found.delay_s > 0 else "early"
             yield f"the truth is {ms:.0f} ms {which}: scores count that as errors of the estimators"
 
     @property
     def _agrees(self) -> bool:
-        return self.turned is None or self.turned.agreement >= AGREEMENT
+        return self.aligned is None or self.aligned.turned.agreement >= AGREEMENT
 
     @property
     def _off_gravity(self) -> float:
         """Distance of the mean force in the world from gravity [m/s²]; 0 where it is not known."""
-        return float(np.linalg.norm(np.array(self.gravity or (0.0, 0.0, 9.81)) - (0.0, 0.0, 9.81)))
+        return float(np.linalg.norm(np.subtract(self.gravity or (0.0, 0.0, 9.81), (0.0, 0.0, 9.81))))
 
     @property
     def _where_gravity(self) -> str:
@@ -296,21 +278,55 @@ class LogReport:
 
     @property
     def _mend(self) -> str:
-        about = f', about --mount "{self.level_mount}"' if (self.tilt_deg or 0.0) > FAR_DEG else ""
+        far = self.level is not None and self.level.tilt_deg > FAR_DEG
+        about = f', about --mount "{mount_text(self.level.mount)}"' if self.level and far else ""
         command = f"quadsim report {self.path or 'LOG'} --find-mount best"
         return f"`{command}` estimates the --mount that corrects it{about}"
 
     @property
     def far_from_level(self) -> str:
         """Of a log that is further from level than flights are, what corrects it; else empty."""
-        if self.tilt_deg is None or self.tilt_deg <= FAR_DEG:
+        if self.level is None or self.level.tilt_deg <= FAR_DEG:
             return ""
-        return f"the mean specific force is {self.tilt_deg:.0f}° from body z: {self._mend}"
+        return f"the mean specific force is {self.level.tilt_deg:.0f}° from body z: {self._mend}"
 
     @property
     def _mend_of_truth(self) -> str:
         """The same where the truth is the body's; a mount rotates one of the IMU with it."""
         return self._mend if self.truth_axes == "body" else "is the truth the IMU's (truth_axes)?"
+
+
+def show_report(path: Path, report: LogReport) -> None:
+    """Print what a log holds, what is odd about it, and what was taken for the truth."""
+    rows = {
+        "format": report.format,
+        "samples": f"{report.samples} in {report.duration_s:.2f} s",
+        "sample rate": f"{report.source_rate_hz:.2f} Hz, {report.jitter_ms:.3f} ms SD from step to step",
+        "brought to": "200 Hz, "
+        + (f"low-pass at {report.filter_hz:g} Hz" if report.filter_hz else "nothing to filter"),
+        "gaps": f"{report.gaps}, {report.gap_s:.3f} s in all, longest {report.longest_gap_s:.3f} s",
+        "single samples lost": report.lost,
+        "stamps not after the last": report.stamps_back,
+        "repeated samples": report.repeated,
+        "saturated samples": report.saturated,
+        "samples not numbers": report.missing,
+        "truth": report.truth,
+        "truth known": f"{100 * report.truth_share:.1f} % of the time, at {report.truth_rate_hz:.1f} Hz",
+    }
+    if report.gravity is not None:
+        x, y, z = report.gravity
+        rows["mean force in the world"] = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s²"
+    if (found := report.aligned) is not None:
+        rows["truth late by"] = f"{1e3 * found.delay_s:.1f} ms, correlation {found.agreement:.3f}"
+        rows["gyroscope over truth"] = f"{found.slope:.3f}"
+    share = f"{100 * report.upright:.0f} % of it along body z"
+    rows["specific force"] = f"median {report.weight:.2f} m/s², {share}"
+    print_table([*rows.items(), *(("note", note) for note in report.notes)])
+    for warning in report.warnings:
+        say(f"! {warning}")
+    count = len(report.warnings)
+    verdict = "nothing odd" if not count else f"{count} {'thing' if count == 1 else 'things'} to know"
+    say(f"{path}: {report.duration_s:.1f} s, {verdict}")
 
 
 def _unit_of(ratio: float, known: Mapping[float, str], r: float = 1.0) -> str:

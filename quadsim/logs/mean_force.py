@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..dataset.stretches import blocks_of
+from ..rotation import matrix_from_quat, quat_from_roll_pitch, roll_pitch_of_up
 from ..vehicle import GRAVITY
 from .recording import Array
 
@@ -33,6 +35,13 @@ class Level(NamedTuple):
         """Angle between the mean force and z [deg]."""
         return float(np.degrees(np.arctan2(np.hypot(*self.force[:2]), self.force[2])))
 
+    @property
+    def mount(self) -> Array:
+        """The rotation without a change of heading that brings the mean force to body z (3, 3)."""
+        roll, pitch = roll_pitch_of_up(self.force)
+        steep = np.hypot(*self.force[1:]) < 0.02 * abs(self.force[0])  # x is up or down: any roll is the same
+        return matrix_from_quat(quat_from_roll_pitch([0.0 if steep else roll, pitch]))
+
 
 class Rest(NamedTuple):
     """A stretch at rest."""
@@ -53,8 +62,7 @@ def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
     Returns:
         The mean; None where no second is without missing samples.
     """
-    second = round(rate_hz)
-    rates, forces = (x[: len(x) // second * second].reshape(-1, second, 3) for x in (gyro, accel))
+    rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
     complete = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(forces).all(axis=(1, 2))
     rates, forces = rates[complete], forces[complete].mean(axis=1)
     if not len(forces):
@@ -85,8 +93,7 @@ def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
     Returns:
         The stretch; None where there is none.
     """
-    second = round(rate_hz)
-    rates, forces = (x[: len(x) // second * second].reshape(-1, second, 3) for x in (gyro, accel))
+    rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
     means, rates = forces.mean(axis=1), rates.mean(axis=1)
     size = np.linalg.norm(means, axis=1)
     steady = np.isfinite(rates).all(axis=1) & (np.linalg.norm(forces.std(axis=1), axis=1) < REST_SHARE * size)

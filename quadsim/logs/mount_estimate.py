@@ -1,16 +1,18 @@
 """Estimate how the IMU is mounted, from how the truth turns or from where the force points in hover."""
 
+import math
 import warnings
+from pathlib import Path
 from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..rotation import matrix_from_quat, quat_from_roll_pitch, quat_rotate_inverse
+from ..rotation import quat_rotate_inverse
+from ..runs.console import print_table, say
 from ..vehicle import GRAVITY
 from .mean_force import Level, level
-from .mounting import Mount, mount_matrix
-from .recording import Array, Recording
+from .recording import Array, Recording, mount_matrix, mount_text
 from .resample import resample
 from .truth_delay import turns_at_delay
 
@@ -34,25 +36,19 @@ class MountEstimate(NamedTuple):
     levelled: bool = False
     """Whether the tilt is that of the mean force, because the bias hides a part of the IMU's tilt."""
 
-    @property
-    def angle_deg(self) -> float:
-        """Angle of the rotation [deg]."""
-        return float(np.degrees(Rotation.from_matrix(self.body_from_imu).magnitude()))
 
-
-def mount_from_level(found: Level) -> MountEstimate:
+def mount_from_level(found: Level | None) -> MountEstimate:
     """The mounting at which the mean force is along body z; its heading is taken as zero.
 
-    roll = atan2(f_y, f_z), pitch = atan2(−f_x, √(f_y² + f_z²)), the attitude of a sensor at rest. The
-    standard deviation is that of the mean and of an accelerometer's bias.
+    The standard deviation is that of the mean and of an accelerometer's bias.
     """
-    x, y, z = found.force
-    across = float(np.hypot(y, z))
-    steep = across < 0.02 * abs(x)  # x is up or down: any roll is the same
-    roll, pitch = 0.0 if steep else float(np.arctan2(y, z)), float(np.arctan2(-x, across))
-    by = f"the mean force of {found.seconds} s " + ("of hover" if found.hover else "in motion")
+    if found is None:
+        raise ValueError("no second without missing samples")
+    if found.sd_deg > LARGEST_SD_DEG:
+        raise ValueError(f"the mean force has no steady direction: {found.sd_deg:.0f}° (1 SD)")
+    by = f"the mean force of {found.seconds} s {'of hover' if found.hover else 'in motion'}"
     sd = float(np.hypot(found.sd_deg, np.degrees(BIAS / GRAVITY)))
-    return MountEstimate(matrix_from_quat(quat_from_roll_pitch([roll, pitch])), (sd, sd, np.inf), by)
+    return MountEstimate(found.mount, (sd, sd, np.inf), by)
 
 
 def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
@@ -75,9 +71,7 @@ def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
         raise ValueError("the truth and the gyroscope turn too little together: fly rolls and pitches")
     measured, true, span = rates
     count = len(true) // span
-    with warnings.catch_warnings(
-        action="ignore", category=UserWarning
-    ):  # of an axis without motion: see below
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # an axis without motion: see below
         found = Rotation.align_vectors(true, measured, return_sensitivity=True)
     rotation, distance, sensitivity = cast("tuple[Rotation, float, Array]", found)
     sd = np.degrees(np.sqrt(np.diag(sensitivity) * distance**2 / (3 * count)))
@@ -104,25 +98,22 @@ def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEst
     known = np.isfinite(accel).all(axis=1) & np.isfinite(quat).all(axis=1)
     force = accel[known].mean(axis=0)
     gravity = quat_rotate_inverse(quat[known], np.array([0.0, 0.0, GRAVITY])).mean(axis=0)
-    mounted = found.body_from_imu @ force
-    bias = (mounted - gravity)[:2]
+    mounted_force = found.body_from_imu @ force
+    bias = (mounted_force - gravity)[:2]
     found = found._replace(accel_bias=bias)
     hidden = np.linalg.norm(bias) > np.linalg.norm((force - gravity)[:2])
     if not hidden or np.linalg.norm(gravity) < 0.5 * GRAVITY:
         return found
-    axis = np.cross(mounted, gravity)
+    axis = np.cross(mounted_force, gravity)
     sine = float(np.linalg.norm(axis))
-    levelling = Rotation.from_rotvec(axis / max(sine, 1e-12) * np.arctan2(sine, float(mounted @ gravity)))
-    x, y, z = found.sd_deg
-    tilt = float(np.degrees(levelling.magnitude()))
-    return found._replace(
-        body_from_imu=levelling.as_matrix() @ found.body_from_imu,
-        sd_deg=(float(np.hypot(x, tilt)), float(np.hypot(y, tilt)), z),
-        levelled=True,
-    )
+    tilt = np.arctan2(sine, float(mounted_force @ gravity))
+    levelling = Rotation.from_rotvec(axis / max(sine, 1e-12) * tilt)
+    sd = np.hypot(found.sd_deg, np.degrees([tilt, tilt, 0.0]))
+    body_from_imu = levelling.as_matrix() @ found.body_from_imu
+    return found._replace(body_from_imu=body_from_imu, sd_deg=tuple(sd.tolist()), levelled=True)
 
 
-def estimate_mount(log: Recording, given: Mount | None = None, from_level: bool = False) -> MountEstimate:
+def estimate_mount(log: Recording, given: str | None = None, from_level: bool = False) -> MountEstimate:
     """The mounting of an IMU, from a true attitude of the body where there is one, else from the mean force.
 
     Args:
@@ -140,12 +131,30 @@ def estimate_mount(log: Recording, given: Mount | None = None, from_level: bool 
         if np.isfinite(quat).any() and log.truth_axes == "body" and not from_level:
             found = with_accel_bias(mount_from_truth(gyro, quat, rate_hz), accel, quat)
         else:
-            mean = level(gyro, accel, rate_hz)
-            if mean is None:
-                raise ValueError("no second without missing samples")
-            if mean.sd_deg > LARGEST_SD_DEG:
-                raise ValueError(f"the mean force has no steady direction: {mean.sd_deg:.0f}° (1 SD)")
-            found = mount_from_level(mean)
+            found = mount_from_level(level(gyro, accel, rate_hz))
     except ValueError as error:
         raise ValueError(f"{log.path or log.name}: {error}") from None
     return found if given is None else found._replace(body_from_imu=found.body_from_imu @ mount_matrix(given))
+
+
+def show_estimate(path: Path, found: MountEstimate) -> None:
+    """Print an estimated mounting, its uncertainty and the `--mount` that gives it."""
+    x, y, z = found.sd_deg
+    angle = np.degrees(Rotation.from_matrix(found.body_from_imu).magnitude())
+    rows = {
+        "from": found.by,
+        "rotation": f"{angle:.2f}°",
+        "1 SD about body x, y": f"{x:.2f}°, {y:.2f}°",
+        "1 SD about body z": f"{z:.2f}°" if z < math.inf else "the heading does not show",
+    }
+    if found.accel_bias is not None:
+        x, y = found.accel_bias
+        rows["accelerometer bias, body x, y"] = f"{x:+.2f}, {y:+.2f} m/s²"
+    print_table(rows.items())
+    if found.accel_bias is None:
+        text = "the log cannot separate the accelerometer's bias from a tilt of the IMU"
+        say(f"! {text}: the mount takes both together")
+    elif found.levelled:
+        text = "the accelerometer's bias hides a part of the IMU's tilt: the mount takes both together"
+        say(f"! {text}, so that no filter's error rises")
+    say(f'{path}: --mount "{mount_text(found.body_from_imu)}"')

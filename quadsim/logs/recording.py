@@ -1,13 +1,23 @@
-"""What a log holds before it is resampled, and how its frames become ours (body FLU, world z up)."""
+"""What a log holds before it is resampled, and how its axes become ours (body FLU, world z up)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from ..rotation import swap_enu_flu_ned_frd, swap_enu_ned, swap_flu_frd
+from ..rotation import (
+    matrix_from_quat,
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_matrix,
+    quat_multiply,
+    swap_enu_flu_ned_frd,
+    swap_enu_ned,
+    swap_flu_frd,
+)
 
 Array = NDArray[np.float64]
 AxesConvention = Literal["flu", "frd"]
@@ -18,6 +28,14 @@ sensor or the autopilot, a dataset whose body frame is the IMU's)."""
 
 IN_BODY_AXES = ("mag",)
 """Sensors beside the IMU that measure a vector in its axes."""
+FORMS = (
+    'body axes as IMU axes ("z,-y,x"), Euler angles in degrees ("rpy 0 20 90"), a quaternion w x y z '
+    "(4 numbers), or a matrix by rows (9 numbers)"
+)
+TOLERANCE = 0.01
+"""A quaternion's length and a matrix' products of columns may differ from a rotation's by this: rounding."""
+OWN_ESTIMATE = "own estimate, which is no independent truth"
+"""What a reader says of an attitude by the sensor or the autopilot."""
 
 
 class Track(NamedTuple):
@@ -60,6 +78,13 @@ class Recording:
     sensors: Mapping[str, Track] = field(default_factory=dict)
     """Sensors beside the IMU, by their name and in their unit in `quadsim.estimator.Readings`."""
 
+    def with_truth(
+        self, truth: str, time: Array, quat: Array, position: Array | None = None, own_axes: bool = False
+    ) -> "Recording":
+        """The log with a true attitude; `own_axes` where it is of the IMU's own axes."""
+        axes: TruthAxes = "imu" if own_axes else "body"
+        return replace(self, truth=truth, truth_time=time, quat=quat, position=position, truth_axes=axes)
+
     def with_vectors(self, body_from_log: Array) -> Mapping[str, Track]:
         """The sensors, their vectors rotated by a matrix (3, 3) from the log's axes."""
         return {
@@ -81,13 +106,85 @@ def from_frd(log: Recording) -> Recording:
     )
 
 
-def table(name: str, columns: Sequence[ArrayLike]) -> Array:
-    """Columns of a log as (T, len(columns)) numbers.
+def mount_matrix(mount: str) -> Array:
+    """Rotation from IMU to body axes, (3, 3): body vector = matrix @ IMU vector.
+
+    Args:
+        mount: Words separated by commas or spaces, one of
+            body x, y, z as axes of the IMU, such as "z,-y,x" for an IMU with x up and z forward;
+            roll, pitch and yaw of the IMU with respect to the body in degrees (intrinsic z-y'-x''), such as
+            "rpy 0 20 90";
+            the quaternion (w, x, y, z) from IMU to body axes;
+            the nine numbers of the matrix by rows.
 
     Raises:
-        ValueError: The columns differ in length.
+        ValueError: None of these, or no rotation.
     """
-    values = [np.asarray(column, np.float64).ravel() for column in columns]
-    if len({value.size for value in values}) != 1:
-        raise ValueError(f"{name}: {len(values)} columns of one length are required")
-    return np.stack(values, axis=1)
+    words = mount.replace(",", " ").split()
+    if words and all(word.lstrip("+-") in ("x", "y", "z") for word in words):
+        axes = {sign + axis: row for axis, one in zip("xyz", np.eye(3), strict=True)
+                for sign, row in (("", one), ("+", one), ("-", -one))}  # fmt: skip
+        matrix = np.array([axes[word] for word in words])
+        if matrix.shape != (3, 3) or abs(np.linalg.det(matrix)) < 0.5:
+            raise ValueError(f'mount "{mount}": three different axes are required, for example "z,-y,x"')
+        return _rotation(matrix, mount)
+    is_euler = words[:1] == ["rpy"]
+    try:
+        numbers = np.array([float(word) for word in words[is_euler:]])
+    except ValueError:
+        raise ValueError(f'mount "{mount}": should be {FORMS}') from None
+    if is_euler:
+        if len(numbers) != 3 or not np.isfinite(numbers).all():
+            raise ValueError(f'mount "{mount}": rpy takes roll, pitch and yaw, such as "rpy 0 20 90"')
+        return matrix_from_quat(quat_from_euler(*np.radians(numbers)))
+    if numbers.size == 4:
+        length = float(np.linalg.norm(numbers))
+        if not abs(length - 1.0) <= TOLERANCE:
+            raise ValueError(f"mount {mount}: a quaternion of length {length:.3g}, and a rotation's is 1")
+        return matrix_from_quat(numbers / length)
+    if numbers.size != 9:
+        raise ValueError(f'mount "{mount}": {numbers.size} numbers; should be {FORMS}')
+    return _rotation(numbers.reshape(3, 3), mount)
+
+
+def _rotation(matrix: Array, mount: str) -> Array:
+    """The rotation next to a matrix of rounded numbers."""
+    error = np.abs(matrix @ matrix.T - np.eye(3)).max() if np.isfinite(matrix).all() else np.inf
+    if error > TOLERANCE:
+        text = f"no rotation: matrix times its transpose is off the identity by {error:.2g}"
+        raise ValueError(f"mount {mount}: {text}")
+    if np.linalg.det(matrix) < 0:
+        raise ValueError(f"mount {mount}: a mirror image, not a rotation: turn one sign")
+    return matrix if error == 0.0 else np.asarray(Rotation.from_matrix(matrix).as_matrix())
+
+
+def mount_text(body_from_imu: Array) -> str:
+    """A rotation (3, 3) as `--mount` takes it: axes where it is a permutation, else Euler angles [deg]."""
+    nearest = np.rint(body_from_imu)
+    if np.abs(body_from_imu - nearest).max() < 1e-6:
+        return ",".join(("-" if row.min() < 0 else "") + "xyz"[np.abs(row).argmax()] for row in nearest)
+    yaw, pitch, roll = Rotation.from_matrix(body_from_imu).as_euler("ZYX", degrees=True)
+    return "rpy " + " ".join(f"{round(float(angle), 2) + 0.0:.2f}" for angle in (roll, pitch, yaw))
+
+
+def mounted(log: Recording, body_from_imu: Array) -> Recording:
+    """A log of an IMU that is mounted in another way, in body axes.
+
+    Readings are rotated from IMU to body axes. So is the attitude where it is the IMU's own
+    (`Recording.truth_axes`); an attitude of the body is left as it is.
+
+    Args:
+        log: In IMU axes.
+        body_from_imu: Rotation from IMU to body axes (3, 3).
+    """
+    quat = log.quat
+    if quat is not None and log.truth_axes == "imu":
+        quat = quat_multiply(quat, quat_conjugate(quat_from_matrix(body_from_imu)))
+    return replace(
+        log,
+        gyro=log.gyro @ body_from_imu.T,
+        accel=log.accel @ body_from_imu.T,
+        quat=quat,
+        notes=(*log.notes, f"IMU mounted {mount_text(body_from_imu)}"),
+        sensors=log.with_vectors(body_from_imu),
+    )

@@ -86,16 +86,15 @@ def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
     left, top, right = fit[peak - 1 : peak + 2]
     bend = left - 2 * top + right
     beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    rotated = max(range(fit.size), key=lambda k: crosses[k].rotated_agreement)
-    best = crosses[rotated]
-    turned = max((_agreement(each, peak - most, rotated - most) for each in (rates, long)), key=_common)
+    rotated = int(np.argmax([each.rotated_agreement for each in crosses]))
+    both = [_agreement(each, peak - most, rotated - most) for each in (rates, long)]
     return Alignment(
-        float((peak - most + beside) / rate_hz), float(top), best.rotated_agreement, best.slope, turned
+        delay_s=float((peak - most + beside) / rate_hz),
+        agreement=float(top),
+        rotated_agreement=crosses[rotated].rotated_agreement,
+        slope=crosses[rotated].slope,
+        turned=max(both, key=lambda each: each.common),
     )
-
-
-def _common(found: Agreement) -> float:
-    return found.common
 
 
 def _agreement(rates: Turns, lag: int, rotated_lag: int) -> Agreement:
@@ -156,7 +155,7 @@ def turns_at_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Arr
         if (rates := turns(gyro, quat, rate_hz, span_s)) is None:
             return None
         most, crosses = _at_all_delays(rates, rate_hz)
-        best = max(range(len(crosses)), key=lambda k: crosses[k].rotated_agreement)
+        best = int(np.argmax([each.rotated_agreement for each in crosses]))
         a, b = _shifted(rates.measured, rates.true, best - most)
         found.append((crosses[best].common, a / crosses[best].slope, b, rates.span))
     return max(found, key=lambda each: each[0])[1:]

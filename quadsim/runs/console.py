@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import Protocol
@@ -16,10 +16,27 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
+from rich.text import Text
 
 output = Console(
     width=None if sys.stdout.isatty() else 110, emoji=False
 )  # a file or a pipe has no width of its own
+
+
+def say(line: object, style: str | None = None) -> None:
+    """Print a line as it is: it holds no markup, no number is coloured, and it is not wrapped."""
+    output.print(str(line), style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def print_table(
+    rows: Iterable[Iterable[object]], headings: Sequence[str] = (), title: str | None = None
+) -> None:
+    """Print rows of cells below headings, or without any."""
+    table = Table(*headings, title=title, show_header=bool(headings))
+    for row in rows:
+        table.add_row(*(Text(str(cell)) for cell in row))
+    output.print(table)
 
 
 class Bar(Protocol):

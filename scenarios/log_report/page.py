@@ -7,16 +7,16 @@ import base64
 import json
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from estimators.appearance import looks
-from estimators.evaluation.logs import FAULT_COLOURS, KNOWN, LEVEL, RAW, LogScores
+from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores, ScoredLog
 from estimators.metrics import inclination_error
+from quadsim.dataset.stretches import stretches
 from quadsim.runs.files import write_whole
 
 from ..report.page import script, uplot
@@ -31,21 +31,25 @@ SHOWN = 3
 """Estimators drawn at first."""
 MISSING = -32768
 """The integer of a number that is missing."""
+FAULT_COLOURS = {
+    "bias jump": "#cc79a7",
+    "stuck axis": "#7f7f7f",
+    "saturation": "#e69f00",
+    "vibration": "#d55e00",
+}
+"""Kind of fault to the colour of its band."""
 
 
-def write_log_report(
-    path: Path, logs: Sequence[xr.Dataset], scores: LogScores, warnings: Sequence[str] = ()
-) -> Path:
+def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()) -> Path:
     """Write the report of `quadsim evaluate --logs`.
 
     Args:
         path: HTML file to write.
-        logs: The logs that were scored.
         scores: From `score_logs`.
         warnings: Lines about the logs, shown below the verdict.
     """
     channels: list[NDArray[np.int16]] = []
-    described = {str(log.attrs["source"]): _log(log, scores, channels) for log in logs}
+    described = {name: _log(log, channels) for name, log in scores.logs.items()}
     names = [name for name in scores.estimators if name != LEVEL]
     appearance = {name: look._asdict() for name, look in looks(names).items()}
     data = {"estimators": sorted(names), "looks": appearance, "shown": names[:SHOWN], "logs": described}
@@ -56,7 +60,7 @@ def write_log_report(
         verdict=log_verdict(scores),
         warnings=warnings,
         logs=list(described),
-        rows=_table(scores) if scores.scored else [],
+        rows=_table(scores),
         faulty=scores.faulty,
         scored=scores.scored,
         compared=_compared(scores),
@@ -70,22 +74,22 @@ def write_log_report(
 
 def _table(scores: LogScores) -> list[dict[str, object]]:
     """A row for each estimator: means over the logs, and the raw error on each log [deg]."""
-    on_log = {(row.estimator, row.log): row.inclination_rmse_deg for row in scores.rows if row.bias == RAW}
+    on_log = scores.on_logs()
     return [
         {
             "estimator": name,
             "means": [scores.mean(name, RAW), scores.mean(name, KNOWN), scores.silenced(name)],
-            "logs": [on_log[name, log] for log in scores.scored],
+            "logs": [float(on_log.at[name, log]) for log in scores.scored],
         }
         for name in scores.estimators
-        if any(row.estimator == name for row in scores.rows)
+        if name in on_log.index
     ]
 
 
 def _compared(scores: LogScores) -> list[dict[str, object]]:
     """Of each log without truth: a row for each estimator, its force and its difference from every other."""
     tables = []
-    for log, found in scores.comparisons.items():
+    for log, found in scores.compared.items():
         both = dict(found.apart) | {(b, a): apart for (a, b), apart in found.apart.items()}
         names = sorted(found.force, key=lambda name: found.force[name])
         rows = [
@@ -96,62 +100,48 @@ def _compared(scores: LogScores) -> list[dict[str, object]]:
     return tables
 
 
-def _log(log: xr.Dataset, scores: LogScores, channels: list[NDArray[np.int16]]) -> dict[str, object]:
+def _log(log: ScoredLog, channels: list[NDArray[np.int16]]) -> dict[str, object]:
     """What the page says of a log; its traces are appended to the channels, in the order of their scales."""
-    title, rate = str(log.attrs["source"]), float(log.attrs["rate_hz"])
-    every = max(1, math.ceil(log.sizes["time"] / MOST_SAMPLES))
+    rate, steps = log.flights.rate_hz, len(log.truth)
+    every = max(1, math.ceil(steps / MOST_SAMPLES))
     scales: dict[str, float] = {}
-
-    def add(name: str, values: Array) -> None:
+    for name, values in _traces(log):
         integers, scales[name] = _integers(values[::every])
         channels.append(integers)
-
-    for sensor, factor in (("gyro", 180.0 / math.pi), ("accel", 1.0)):
-        for k, axis in enumerate("xyz"):
-            add(f"{sensor} {axis}", factor * log[sensor].to_numpy()[0, :, k].astype(float))
-    truth = scores.truth[title]
-    for k, angle in enumerate(("roll", "pitch") if title not in scores.comparisons else ()):
-        add(f"{angle}|truth", np.degrees(truth[:, k]))
-    estimated = [name for name in sorted(scores.estimators) if (title, name) in scores.estimates]
-    for name in estimated:
-        estimate = scores.estimates[title, name]
-        for k, angle in enumerate(("roll", "pitch")):
-            add(f"{angle}|{name}", np.degrees(estimate[:, k]))
-        if title not in scores.comparisons:
-            add(f"error|{name}", inclination_error(estimate, truth))
-    for name, believed in (
-        (name, found) for (whose, name), found in scores.beliefs.items() if whose == title
-    ):
-        latest = np.searchsorted(believed.samples, np.arange(log.sizes["time"]), side="right") - 1
-        probability = believed.probability[0, np.maximum(latest, 0)]
-        for k, model in enumerate(believed.models):
-            add(f"model|{model}", probability[:, k])
-        if title in scores.comparisons:
-            for k, angle in enumerate(("roll", "pitch")):
-                add(f"sigma|{name}, {angle}", np.degrees(believed.sigma[0, np.maximum(latest, 0), k]))
-    counted = scores.counted[title][::every]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~counted, [False]]).astype(int))).reshape(-1, 2)
+    uncounted = stretches(~log.counted[::every])
+    done = "scored" if log.comparison is None else "compared"
+    note = f"{steps / rate:.0f} s at {rate:g} Hz, {log.counted_s:.0f} s {done}; {log.bias_text}"
     return {
         "dt": every / rate,
-        "samples": len(counted),
+        "samples": len(log.counted[::every]),
         "scales": scales,
-        "uncounted": (edges * every / rate).round(3).tolist(),
-        "faults": [
-            [fault.sentence, fault.start_s, fault.end_s, FAULT_COLOURS[fault.kind]]
-            for fault in scores.faults.get(title, ())
-        ],
-        "note": _note(log, scores, title, every),
+        "uncounted": (np.array(uncounted).reshape(-1, 2) * every / rate).round(3).tolist(),
+        "faults": [[f.sentence, f.start_s, f.end_s, FAULT_COLOURS[f.kind]] for f in log.faults],
+        "note": note + (f"; one sample of {every} is drawn" if every > 1 else "") + ".",
     }
 
 
-def _note(log: xr.Dataset, scores: LogScores, title: str, every: int) -> str:
-    rate = float(log.attrs["rate_hz"])
-    done = "compared" if title in scores.comparisons else "scored"
-    text = (
-        f"{log.sizes['time'] / rate:.0f} s at {rate:g} Hz, {scores.counted[title].sum() / rate:.0f} s {done}"
-    )
-    text += f"; {scores.bias_text(title)}"
-    return text + (f"; one sample of {every} is drawn" if every > 1 else "") + "."
+def _traces(log: ScoredLog) -> Iterator[tuple[str, Array]]:
+    """Names and values of what is drawn of a log, (T,)."""
+    for k, axis in enumerate("xyz"):
+        yield f"gyro {axis}", np.degrees(log.flights.gyro[0, :, k])
+    for k, axis in enumerate("xyz"):
+        yield f"accel {axis}", log.flights.accel[0, :, k]
+    angles, scored = ("roll", "pitch"), log.comparison is None
+    for k, angle in enumerate(angles if scored else ()):
+        yield f"{angle}|truth", np.degrees(log.truth[:, k])
+    for name, estimate in sorted(log.estimates.items()):
+        for k, angle in enumerate(angles):
+            yield f"{angle}|{name}", np.degrees(estimate[:, k])
+        if scored:
+            yield f"error|{name}", inclination_error(estimate, log.truth)
+    for name, believed in log.beliefs.items():
+        latest = np.searchsorted(believed.samples, np.arange(len(log.truth)), side="right") - 1
+        latest = np.maximum(latest, 0)
+        for k, model in enumerate(believed.models):
+            yield f"model|{model}", believed.probability[0, latest, k]
+        for k, angle in enumerate(() if scored else angles):
+            yield f"sigma|{name}, {angle}", np.degrees(believed.sigma[0, latest, k])
 
 
 def _integers(values: Array) -> tuple[NDArray[np.int16], float]:

@@ -3,10 +3,11 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import estimators
 from estimators.evaluation import figures
-from estimators.evaluation.comparison import EvaluationRow, evaluate
+from estimators.evaluation.comparison import behind_the_best, evaluate
 from estimators.evaluation.flights import imu_of, vehicle_of
 from estimators.registry import needs_vehicle, tuned_elsewhere
 from quadsim.dataset.reading import open_dataset
@@ -20,11 +21,11 @@ from .terminal import rows_table
 NONE: Mapping[str, Path] = {}
 FIGURES = {
     "violins": figures.violins,
-    "error-over-time": figures.error_over_time,
     "convergence": figures.settling,
 }
 
-
+SLOW_FLIGHTS = 4
+"""Flights that filterpy's filters are run on, which are hundreds of times as slow as others."""
 METHOD = (
     "Errors are the mean absolute error of roll and pitch of each flight; median, mean and SD are over "
     "flights, the interval of the mean is a bootstrap's, 95 %. Silenced: the mean error of the same network "
@@ -36,14 +37,13 @@ METHOD = (
 )
 
 
-def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flights: int, seed: int) -> None:
+def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, seed: int) -> None:
     """Compare estimators on the flights of a dataset, and write and print the results.
 
     Args:
         data: The dataset.
         contenders: The estimators.
         out: Folder for evaluation.csv, report.html and the pictures.
-        slow_flights: Flights that slow estimators are run on.
         seed: Of the bootstrap.
     """
     flights = open_dataset(data)
@@ -51,7 +51,7 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flig
     every = [name for name in estimators.names() if airframe is not None or not needs_vehicle(name)]
     made = contenders.create(every, float(flights.attrs["rate_hz"]), airframe, imu)
     with progress_bar("evaluate", "runs") as bar:
-        done = evaluate(flights, made, slow_flights=slow_flights, seed=seed, progress=bar)
+        done = evaluate(flights, made, slow_flights=SLOW_FLIGHTS, seed=seed, progress=bar)
     done.write_csv(out / "evaluation.csv")
     pictures = {n: save_figure(out / f"{n}.png", draw(done), dpi=130) for n, draw in FIGURES.items()}
     caption = f"{flights.sizes['flight']} flights of {data}, without a loop."
@@ -70,14 +70,14 @@ def evaluate_dataset(data: Path, contenders: Contenders, out: Path, *, slow_flig
 
 
 def recorded_section(
-    rows: Sequence[EvaluationRow], caption: str, pictures: Mapping[str, Path] = NONE
+    rows: Sequence[Any], caption: str, pictures: Mapping[str, Path] = NONE
 ) -> OfflineSection:
     """The section of a report."""
     found = headline(rows)
     return OfflineSection(columns(rows), caption, pictures, f"On recorded flights {found}.")
 
 
-def headline(rows: Sequence[EvaluationRow]) -> str:
+def headline(rows: Sequence[Any]) -> str:
     """Whose error is the smallest from an unknown start, and from whose it does not differ significantly."""
     rated = [row for row in rows if row.initial == "unknown" and not row.unranked]
     if not rated:
@@ -88,7 +88,7 @@ def headline(rows: Sequence[EvaluationRow]) -> str:
     return text + (f", not significantly different from {', '.join(tied)}" if tied else "")
 
 
-def columns(rows: Sequence[EvaluationRow]) -> list[dict[str, object]]:
+def columns(rows: Sequence[Any]) -> list[dict[str, object]]:
     """The rows as tables show them; what is not known is None."""
     return [
         {
@@ -99,7 +99,7 @@ def columns(rows: Sequence[EvaluationRow]) -> list[dict[str, object]]:
             "95 %": f"{row.mean_low_deg:.2f}–{row.mean_high_deg:.2f}",
             "SD [°]": _known(row.sd_deg),
             "silenced [°]": _known(row.silenced_deg),
-            "behind the best [°]": row.behind,
+            "behind the best [°]": behind_the_best(row),
             "inclination [°]": _known(row.inclination_rmse_deg),
             "20° to 2° [s]": _known(row.settle_20_s),
             "45° to 2° [s]": _known(row.settle_45_s),
@@ -113,14 +113,14 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def evaluation_notes(rows: Sequence[EvaluationRow]) -> list[str]:
+def evaluation_notes(rows: Sequence[Any]) -> list[str]:
     """What the table does not say by itself."""
     notes = []
     most = max(row.flights for row in rows)
     fewer = {row.estimator: row.flights for row in rows if 0 < row.flights < most}
     if fewer:
         flights = ", ".join(f"{name} on the first {count}" for name, count in fewer.items())
-        notes.append(f"Slow ones were run on fewer flights: {flights}; --slow-flights changes that.")
+        notes.append(f"Slow ones were run on fewer flights: {flights}.")
     missing = max(row.missing for row in rows)
     if missing > 0:
         notes.append(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from estimators import create, run
-from estimators.evaluation.comparison import evaluate, silenced_twin, tilted_starts
-from estimators.evaluation.figures import error_over_time, settling, violins
+from estimators.evaluation.comparison import behind_the_best, evaluate, silenced_twin, tilted_starts
+from estimators.evaluation.figures import settling, violins
 from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error, inclination_error
 from estimators.truth import Truth
@@ -91,7 +91,7 @@ def test_an_estimator_that_fails_half_way_does_not_win(flights):
         "failing is not ranked (unknown start): it returned roll or pitch that is not a finite number"
         in notes
     )
-    assert (failing.behind, mahony.behind) == ("not ranked", "the best")
+    assert (behind_the_best(failing), behind_the_best(mahony)) == ("not ranked", "the best")
 
 
 class Plain:
@@ -112,20 +112,19 @@ class Plain:
         return self.angle
 
 
-class Huge(Plain):
-    """Angles that any wrap at double precision makes 0."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        return np.full((len(gyro), 2), 1e20)
+def updating(name, update):
+    """An estimator with another update."""
+    return type(name, (Plain,), {"update": lambda self, gyro, accel: update(Plain.update(self, gyro, accel))})
 
 
-class Constant(Plain):
-    """Level."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        return np.zeros((len(gyro), 2))
+Huge = updating("Huge", lambda angles: np.full_like(angles, 1e20))  # any wrap at double precision makes it 0
+Constant = updating("Constant", np.zeros_like)
+Exits = updating("Exits", lambda _: sys.exit(0))
+Raises = updating("Raises", lambda _: {}["x"])
+Column = updating("Column", lambda angles: angles[:, :1])  # would broadcast
+Complex = updating("Complex", lambda angles: angles + 0j)
+Masked = updating("Masked", lambda angles: np.ma.masked_array(angles, True))
+Almost = updating("Almost", lambda angles: 1e-6 * angles)  # moves by a millionth of what the vehicle does
 
 
 class Peek(Plain):
@@ -138,46 +137,6 @@ class Peek(Plain):
     def update(self, gyro, accel):
         """Take a sample."""
         return self.truth
-
-
-class Exits(Plain):
-    """Ends the process."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        sys.exit(0)
-
-
-class Raises(Plain):
-    """Fails."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        raise KeyError("x")
-
-
-class Column(Plain):
-    """One angle of each vehicle, which would broadcast."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        return gyro[:, :1]
-
-
-class Complex(Plain):
-    """Complex angles."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        return super().update(gyro, accel) + 0j
-
-
-class Masked(Plain):
-    """Masked angles."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        return np.ma.masked_array(super().update(gyro, accel), True)
 
 
 class Faster(Plain):
@@ -206,14 +165,6 @@ class Late(Same):
         return out
 
 
-class Almost(Plain):
-    """Moves by a millionth of what the vehicle does."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        return 1e-6 * super().update(gyro, accel)
-
-
 HOSTILE = [Huge, Constant, Almost, Peek, Exits, Raises, Column, Complex, Masked, Faster, Late]
 
 
@@ -224,13 +175,13 @@ def test_what_cannot_be_ranked_is_listed_and_is_not_the_best(flights, made):
     rows = {(row.estimator, row.initial): row for row in done.rows}
     for start in ("unknown", "known"):
         assert rows["bad", start].unranked
-        assert rows["bad", start].behind in ("reference", "not ranked")
+        assert behind_the_best(rows["bad", start]) in ("reference", "not ranked")
         assert not rows["bad", start].tied
-        assert rows["mahony", start].behind == "the best"
+        assert behind_the_best(rows["mahony", start]) == "the best"
         assert rows["mahony", start].behind_deg == 0.0
     notes = evaluation_notes(done.rows)
     assert any(note.startswith("bad ") for note in notes)
-    for draw in (violins, error_over_time, settling):
+    for draw in (violins, settling):
         draw(done)
     shown = columns(done.rows)
     assert rows_table(shown).row_count == len(shown)
@@ -313,12 +264,6 @@ def test_an_estimator_that_changes_what_it_is_given_changes_nothing_else(flights
     assert [row.mean_deg for row in alone] == [row.mean_deg for row in after if row.estimator == "mahony"]
 
 
-def test_error_over_time_averages_to_the_sequence_error(evaluation):
-    for key, blocks in evaluation.over_time.items():
-        assert blocks.shape == (4, evaluation.time_s.size)
-        np.testing.assert_allclose(blocks.mean(axis=1), evaluation.sequences[key], rtol=2e-3)
-
-
 @pytest.mark.parametrize("tilt", [5.0, 20.0])
 def test_recovery_starts_in_the_tilt_it_says(flights, tilt):
     pieces = tilted_starts(load_flights([flights]), tilt, 1000)
@@ -368,8 +313,7 @@ def test_a_network_has_its_silenced_error_beside_it_and_no_known_start(flights):
     ]  # fmt: skip
     truth = roll_pitch_from_quat(flights.quat.values)
     assert rows[0].silenced_deg == pytest.approx(attitude_error(np.zeros_like(truth), truth).mean)
-    assert rows[0].silenced == f"{rows[0].silenced_deg:.2f}"
-    assert all(np.isnan(row.silenced_deg) and row.silenced == "–" for row in rows[1:])
+    assert all(np.isnan(row.silenced_deg) for row in rows[1:])
 
 
 def test_table_goes_to_csv(evaluation, tmp_path):
@@ -382,9 +326,7 @@ def test_table_goes_to_csv(evaluation, tmp_path):
 
 
 def test_figures_are_drawn(evaluation, tmp_path):
-    for k, figure in enumerate(
-        (violins(evaluation), error_over_time(evaluation, "known"), settling(evaluation))
-    ):
+    for k, figure in enumerate((violins(evaluation), settling(evaluation))):
         figure.savefig(tmp_path / f"{k}.png")
         assert (tmp_path / f"{k}.png").stat().st_size > 5_000
 
@@ -429,21 +371,3 @@ def test_filters_on_real_recordings_with_optical_truth(broad):
     assert np.mean(errors["vqf"]) < 1.0
     assert np.mean(errors["madgwick"]) < 2.5
     assert np.mean(errors["ekf"]) < 3.0
-
-
-class Careless:
-    """An estimator that changes what it is given."""
-
-    def reset(self, n=1, roll_pitch=None):
-        """Start."""
-
-    def update(self, gyro, accel):
-        """Take a sample."""
-        gyro[:], accel[:] = np.nan, np.nan
-        return np.zeros((len(gyro), 2))
-
-
-def test_an_estimator_that_changes_its_input_changes_that_of_no_other(flights):
-    alone = evaluate(flights, {"mahony": create("mahony")}).rows
-    after = evaluate(flights, {"careless": Careless(), "mahony": create("mahony")}).rows
-    assert [row.mean_deg for row in alone] == [row.mean_deg for row in after if row.estimator == "mahony"]

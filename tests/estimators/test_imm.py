@@ -375,9 +375,9 @@ def test_evaluate_gives_imm_the_rotor_speeds_of_a_log(shaken):
     gyro, accel, rotors = (log[name].to_numpy() for name in ("gyro", "accel", "rotor_vel"))
     scores = score_logs([log], {"imm": imm()})
     given = run(imm(), gyro, accel, rotor_vel=rotors)[0]
-    np.testing.assert_array_equal(scores.estimates["mine", "imm"], given)
+    np.testing.assert_array_equal(scores.logs["mine"].estimates["imm"], given)
     assert np.abs(given - run(imm(), gyro, accel)[0]).max() > 1e-3
-    believed = scores.beliefs["mine", "imm"]
+    believed = scores.logs["mine"].beliefs["imm"]
     np.testing.assert_array_equal(believed.roll_pitch[0], given[believed.samples])
 
 
@@ -388,7 +388,7 @@ def test_the_truth_is_within_the_95_percent_interval_as_often_as_it_should(fligh
     gyro, accel, truth = flight
     found = beliefs(imm(), gyro, accel)
     assert found is not None
-    assert found.coverage(truth) > 0.9
+    assert found.interval(truth).inside > 0.9
     late = np.degrees(found.sigma[:, 200:])
     assert 0.1 < late.mean() < 3.0  # an interval of ±180° would hold it as well
 
@@ -415,7 +415,7 @@ def test_sigma_grows_under_vibration(flight):
         found = beliefs(imm(), gyro, force)
         assert found is not None
         sigma.append(np.median(found.sigma[:, 200:]))
-        assert found.coverage(truth) > 0.85
+        assert found.interval(truth).inside > 0.85
     assert sigma[1] > 1.5 * sigma[0]
 
 

@@ -163,7 +163,7 @@ def test_every_verb_has_help_of_its_own():
         (["train", "--data", "missing.zarr", "--out", "run", "--folds", "2"], "missing.zarr"),
         (["tune", "--estimator", "mahony", "--data", "missing.zarr", "--out", "x.toml"], "missing.zarr"),
         (["evaluate", "--data", "missing.zarr"], "missing.zarr"),
-        (["evaluate", "--logs", "missing.csv", "--weights", "missing.safetensors"], "missing"),
+        (["evaluate", "--logs", "missing.csv", "--estimator", "missing.safetensors"], "missing"),
         (["fly", "hoover"], "hover"),
         (["fly", "hover", "--estimator", "mahoni"], "mahony"),
         (["bench", "--scenario", "hover", "--estimator", "mahoni"], "mahony"),
@@ -224,7 +224,6 @@ def test_tuning_writes_the_whole_command_and_evaluation_reads_the_values(quadsim
     assert {each.name for each in (tmp_path / "scores").iterdir()} == {
         "evaluation.csv",
         "violins.png",
-        "error-over-time.png",
         "convergence.png",
         "report.html",
     }

@@ -8,9 +8,8 @@ from quadsim.dataset.export import export
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
-from quadsim.identify import Flight, flights_of, identify, noise_in_flight
+from quadsim.identify import Flight, flights_of, identify, noise, spectrum
 from quadsim.identify.model import UNITS, constant, lagged, predicted, with_constants
-from quadsim.identify.noise import at_rest, in_the_air
 from quadsim.vehicle import load_vehicle
 
 TRUE = load_vehicle("hummingbird")
@@ -31,6 +30,10 @@ def flights(data):
     return [flight for path in data for flight in flights_of(open_dataset(path))]
 
 
+def unsure(found):
+    return set(found.constants.index[~found.constants.identified])
+
+
 def guess(factor):
     return with_constants(TRUE, {name: constant(TRUE, name) * factor for name in UNITS})
 
@@ -38,12 +41,10 @@ def guess(factor):
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 def test_constants_come_back_within_five_per_cent_from_noisy_flights(flights, factor):
     found = identify(flights, guess(factor))
-    assert {each.path for each in found.constants} == set(UNITS)
-    for each in found.constants:
-        if each.identified:
-            assert each.fitted == pytest.approx(constant(TRUE, each.path), rel=0.05), each.path
-    unsure = {each.path for each in found.constants if not each.identified}
-    assert unsure <= {"frame.drag_area.0", "frame.drag_area.1", "frame.drag_area.2"}
+    assert list(found.constants.index) == list(UNITS)
+    for path, fitted in found.constants.fitted[found.constants.identified].items():
+        assert fitted == pytest.approx(constant(TRUE, path), rel=0.05), path
+    assert unsure(found) <= {"frame.drag_area.0", "frame.drag_area.1", "frame.drag_area.2"}
     assert found.explained.min() > 0.98
 
 
@@ -77,9 +78,7 @@ def test_what_nothing_excites_is_not_identified(flights):
     ]
     met = [flight._replace(rotor_vel=flight.rotor_vel_cmd) for flight in met]
     found = identify(met, TRUE)
-    assert {"motor.tau_up", "motor.tau_down"} <= {
-        each.path for each in found.constants if not each.identified
-    }
+    assert {"motor.tau_up", "motor.tau_down"} <= unsure(found)
     assert any(line.startswith("motor.tau_up: these flights do not tell it") for line in found.missing)
     assert found.vehicle.motor.tau_up == TRUE.motor.tau_up
 
@@ -92,7 +91,7 @@ def test_flights_of_two_rates_are_refused(flights):
 def test_without_attitude_the_drag_is_not_fitted_and_without_speeds_nothing(flights):
     blind = [flight._replace(air_vel=None) for flight in flights]
     found = identify(blind, TRUE)
-    assert not any("drag" in each.path for each in found.constants)
+    assert not any("drag" in path for path in found.constants.index)
     assert "drag: it needs attitude and position or velocity" in found.missing
     with pytest.raises(ValueError, match="no rotor speeds"):
         identify([flight._replace(rotor_vel=None, rotor_vel_cmd=None) for flight in flights], TRUE)
@@ -108,20 +107,24 @@ def test_noise_and_a_line_are_those_that_were_added():
     time = np.arange(60_000) / rate
     signal = rng.normal(0, density * np.sqrt(rate), (60_000, 3))
     signal[:, 1] += line * np.sin(2 * np.pi * 181.0 * time)
-    found = noise_in_flight(signal, rate)
+    found = spectrum(signal, rate)
     np.testing.assert_allclose(found.noise, density, rtol=0.1)
     assert found.line_hz == pytest.approx(181.0, abs=0.5)
     assert found.line[1] == pytest.approx(line, rel=0.1)
 
 
-def test_a_flight_is_parted_into_rest_and_air():
+def test_a_flight_is_parted_into_rest_and_air(monkeypatch):
     rng = np.random.default_rng(0)
     shakes = np.repeat([1.0, 30.0], [2000, 2000])[:, None]
     gyro, accel = rng.normal(0, 1e-3, (4000, 3)) * shakes, rng.normal(0, 0.02, (4000, 3)) * shakes
-    flight = Flight(200.0, gyro, accel, None, None, None)
-    assert len(at_rest(flight).gyro) == 2000
-    assert len(in_the_air(flight).gyro) == 2000
-    assert at_rest(flight.part(slice(2000, 4000))) is None
+    flight = Flight(200.0, gyro, accel)
+    monkeypatch.setattr(noise, "spectrum", lambda signal, rate, band=noise.FLYING: (signal, band))
+    found = *noise.spectra_at_rest(flight), *noise.spectra_in_flight(flight)
+    np.testing.assert_array_equal(
+        [each for each, _ in found], [gyro[:2000], accel[:2000], gyro[2000:], accel[2000:]]
+    )
+    assert [band for _, band in found] == [noise.RESTING] * 2 + [noise.FLYING] * 2
+    assert noise.spectra_at_rest(flight.part(2000, 4000)) is None
 
 
 def test_the_command_writes_a_vehicle_and_pictures(data, tmp_path, monkeypatch, capsys):

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reported import reported
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from quadsim.cli import app
-from quadsim.logs import read_log_and_report, read_recording
+from quadsim.logs import read_recording
 from quadsim.logs.mount_estimate import estimate_mount
-from quadsim.logs.mounting import mount_matrix, mount_text, mounted
-from quadsim.logs.recording import Recording
+from quadsim.logs.recording import Recording, mount_matrix, mount_text, mounted
 from quadsim.logs.resample import resample
 from quadsim.rotation import (
     matrix_from_quat,
@@ -37,8 +37,6 @@ def test_angles_a_quaternion_a_matrix_and_numbers_are_the_same_rotation():
         "rpy 10 -20 130",
         "rpy 10, -20, 130",
         f"{w} {x} {y} {z}",
-        (w, x, y, z),
-        BODY_FROM_IMU.tolist(),
         " ".join(str(each) for each in BODY_FROM_IMU.ravel()),
     ):
         np.testing.assert_allclose(mount_matrix(written), BODY_FROM_IMU, atol=1e-12)
@@ -50,7 +48,7 @@ def test_axes_are_rows_and_a_pitch_of_90_degrees_has_its_x_axis_down():
 
 
 def test_a_matrix_of_rounded_numbers_is_made_a_rotation():
-    matrix = mount_matrix(np.round(BODY_FROM_IMU, 3).tolist())
+    matrix = mount_matrix(" ".join(f"{each:.3f}" for each in BODY_FROM_IMU.ravel()))
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(matrix, BODY_FROM_IMU, atol=1e-3)
 
@@ -58,7 +56,7 @@ def test_a_matrix_of_rounded_numbers_is_made_a_rotation():
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1))
 @settings(max_examples=50, deadline=None)
 def test_what_is_printed_is_read_back_to_a_hundredth_of_a_degree(q):
-    matrix = mount_matrix(tuple(np.array(q) / np.linalg.norm(q)))
+    matrix = matrix_from_quat(np.array(q) / np.linalg.norm(q))
     again = mount_matrix(mount_text(matrix))
     assert np.degrees(Rotation.from_matrix(again @ matrix.T).magnitude()) < 0.02
 
@@ -120,7 +118,7 @@ def test_a_mount_rotates_the_attitude_only_where_it_is_the_imus(truth_axes):
         Recording(
             "x", "x", time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, "x", time, recorded, truth_axes
         ),
-        "rpy 10 -20 130",
+        BODY_FROM_IMU,
     )
     np.testing.assert_allclose(log.gyro, gyro, atol=1e-12)
     np.testing.assert_allclose(matrix_from_quat(log.quat), matrix_from_quat(quat), atol=1e-12)
@@ -128,13 +126,13 @@ def test_a_mount_rotates_the_attitude_only_where_it_is_the_imus(truth_axes):
 
 
 @pytest.mark.parametrize(
-    "written", ['"rpy 10 -20 130"', str(np.round(BODY_FROM_IMU, 9).tolist()), None], ids=str
+    "written", ["rpy 10 -20 130", " ".join(f"{each:.9f}" for each in BODY_FROM_IMU.ravel()), None], ids=str
 )
 def test_a_column_map_takes_any_mount(tmp_path, written):
     time, gyro, accel, quat = tilting(2.0)
     rows = np.column_stack([time, gyro @ BODY_FROM_IMU, accel @ BODY_FROM_IMU, quat])
     np.savetxt(tmp_path / "x.csv", rows, "%.12g", delimiter=",", header="t,p,q,r,x,y,z,a,b,c,d", comments="")
-    (tmp_path / "x.toml").write_text(COLUMNS + ("" if written is None else f"mount = {written}\n") + TABLES)
+    (tmp_path / "x.toml").write_text(COLUMNS + ("" if written is None else f'mount = "{written}"\n') + TABLES)
     log = read_recording(tmp_path / "x.toml", mount="rpy 10 -20 130" if written is None else None)
     np.testing.assert_allclose(log.gyro, gyro, atol=1e-7)
     np.testing.assert_allclose(log.accel, accel, atol=1e-7)
@@ -201,7 +199,7 @@ def test_a_hover_gives_roll_and_pitch_and_a_given_mount_the_heading():
     np.testing.assert_allclose(found.body_from_imu, mount_matrix("rpy 10 -20 0"), atol=1e-9)
     assert found.by == "the mean force of 10 s of hover"
     given = "rpy 0 0 130"
-    refined = estimate_mount(mounted(log, given), given)
+    refined = estimate_mount(mounted(log, mount_matrix(given)), given)
     np.testing.assert_allclose(refined.body_from_imu @ still[0], GRAVITY, atol=1e-9)
     assert angle_between(refined.body_from_imu, BODY_FROM_IMU) < 15.0
 
@@ -234,11 +232,11 @@ def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
     tmp_path, make_flights, truth_axes
 ):
     path = write_csv(tmp_path, recorded(make_flights, truth_axes, late_s=0.0))
-    odd = read_log_and_report(path)[1].warnings
+    odd = reported(path)[1].warnings
     assert any(f"quadsim report {path} --find-mount best" in line for line in odd)
     printed = CliRunner().invoke(app, ["report", path, "--find-mount", "best"], catch_exceptions=False).output
     mount = printed.split('--mount "')[1].split('"')[0]
-    log, report = read_log_and_report(path, mount=mount)
+    log, report = reported(path, mount=mount)
     assert report.warnings == []
     tilt = np.abs(log["accel"].to_numpy()[0].mean(axis=0)[:2])
     assert tilt.max() < 1.0
@@ -247,8 +245,8 @@ def test_the_command_that_a_tilted_log_names_prints_the_mount_that_mends_it(
 @pytest.mark.parametrize("truth_axes", ["imu", "none"])
 def test_a_log_that_is_far_from_level_names_its_mount_and_the_command(tmp_path, make_flights, truth_axes):
     flight = recorded(make_flights, "imu", noise=0.0, late_s=0.0)
-    upright = mounted(flight, "rpy 10 -20 130")
-    path = write_csv(tmp_path, replace(mounted(upright, "rpy 0 -90 0")))
+    upright = mounted(flight, mount_matrix("rpy 10 -20 130"))
+    path = write_csv(tmp_path, replace(mounted(upright, mount_matrix("rpy 0 -90 0"))))
     if truth_axes == "none":
         text = (tmp_path / "x.toml").read_text()
         (tmp_path / "x.toml").write_text(
@@ -274,9 +272,11 @@ def test_evaluate_says_that_a_log_is_tilted_before_its_table(tmp_path, make_flig
 
 def test_a_heading_of_the_mounting_that_gravity_does_not_show_is_said(make_flights):
     flight = recorded(make_flights)
-    upright = mounted(flight, BODY_FROM_IMU.tolist())
+    upright = mounted(flight, BODY_FROM_IMU)
     assert read_warnings(upright) == []
-    assert any("rotated by 20° does" in line for line in read_warnings(mounted(upright, "rpy 0 0 20")))
+    assert any(
+        "rotated by 20° does" in line for line in read_warnings(mounted(upright, mount_matrix("rpy 0 0 20")))
+    )
 
 
 def read_warnings(log: Recording) -> list[str]:

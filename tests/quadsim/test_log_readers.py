@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from reported import reported
 
 from quadsim.dataset.reading import open_dataset
-from quadsim.logs import read_log, read_log_and_report, read_recording
+from quadsim.logs import read_log, read_recording
 from quadsim.logs.convert import convert
 from quadsim.logs.readers.usdlog import read_usdlog
 from quadsim.logs.resample import resample
@@ -50,7 +51,7 @@ def test_a_usd_log_that_is_cut_off_is_read_up_to_there(tmp_path):
     whole = path.read_bytes()
     path.write_bytes(whole[:-100])
     assert read_recording(path).time.size == 398
-    report = read_log_and_report(path)[1]
+    report = reported(path)[1]
     (line,) = [warning for warning in report.warnings if warning.startswith("damaged")]
     event = 10 + 4 * len(IMU + QUAT + RPM)
     assert (
@@ -65,7 +66,7 @@ def test_a_usd_log_with_a_bad_checksum_is_read_whole_and_said(tmp_path):
     data[-1] ^= 1
     path.write_bytes(data)
     assert read_recording(path).time.size == 400
-    report = read_log_and_report(path)[1]
+    report = reported(path)[1]
     assert (
         "damaged: bad checksum, all events were read, some of their numbers may be wrong" in report.warnings
     )
@@ -79,7 +80,7 @@ def test_a_usd_log_with_an_unknown_event_is_read_up_to_it(tmp_path):
     data[at] ^= 0xFF
     path.write_bytes(data)
     assert read_recording(path).time.size == 300
-    report = read_log_and_report(path)[1]
+    report = reported(path)[1]
     assert f"damaged: no event at byte {at} of {len(data)}, read up to there" in report.warnings
 
 
@@ -152,7 +153,7 @@ def test_a_usd_log_whose_sensors_are_events_of_their_own_is_read(tmp_path, rates
 
 
 def test_where_one_event_of_a_usd_log_is_missing_nothing_is_interpolated(tmp_path):
-    data, report = read_log_and_report(write_usd_events(tmp_path / "log00", (500.0, 500.0), gap=(1e6, 2e6)))
+    data, report = reported(write_usd_events(tmp_path / "log00", (500.0, 500.0), gap=(1e6, 2e6)))
     assert report.longest_gap_s == pytest.approx(1.0, abs=0.01)
     missing = np.isnan(data["accel"][0]).any(axis=1).to_numpy()
     assert missing.sum() == pytest.approx(200, abs=2)

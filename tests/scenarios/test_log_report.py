@@ -9,7 +9,7 @@ import pytest
 
 from estimators import create
 from estimators.evaluation.beliefs import Beliefs, Interval
-from estimators.evaluation.logs import RAW, LogScores, compare_logs, draw_log, score_logs
+from estimators.evaluation.logs import RAW, LogScores, score_logs
 from quadsim.logs.faults import SensorFault
 from quadsim.logs.recording import Recording
 from quadsim.logs.resample import resample
@@ -35,7 +35,7 @@ def scored():
     logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
     scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
     zero, probability = np.zeros((1, 1, 2)), np.array([[[0.25, 0.75]]])
-    scores.beliefs["calm & <quiet>", "imm"] = Beliefs(
+    scores.logs["calm & <quiet>"].beliefs["imm"] = Beliefs(
         ("drag", "hand"), np.array([1000]), zero, zero + 1.0, probability
     )
     return logs, scores
@@ -43,7 +43,7 @@ def scored():
 
 @pytest.fixture(scope="module")
 def report(scored, tmp_path_factory):
-    return write_log_report(tmp_path_factory.mktemp("report") / "report.html", *scored, ["mount it <so>"])
+    return write_log_report(tmp_path_factory.mktemp("report") / "report.html", scored[1], ["mount it <so>"])
 
 
 def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
@@ -57,7 +57,7 @@ def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
 
 
 def test_verdict_says_when_nothing_beats_a_level_guess(scored):
-    scores = replace(scored[1], rows=[replace(row, inclination_rmse_deg=10.0) for row in scored[1].rows])
+    scores = replace(scored[1], table=scored[1].table.assign(inclination_rmse_deg=10.0))
     assert log_verdict(scores).headline.startswith("No estimator is much better than a level guess (10.00°)")
 
 
@@ -68,24 +68,30 @@ FAULTS = {
 }
 
 
+def with_faults(scores: LogScores, **faults: tuple[SensorFault, ...]) -> LogScores:
+    logs = {name: replace(each, faults=faults.get(name, ())) for name, each in scores.logs.items()}
+    return replace(scores, logs=logs)
+
+
 @pytest.mark.parametrize("kind", FAULTS)
 def test_means_and_headline_are_without_faulty_logs(scored, kind):
-    scores = replace(scored[1], faults={"biased": (FAULTS[kind],)})
-    alone = {r.estimator: r.inclination_rmse_deg for r in scores.rows if r.log != "biased" and r.bias == RAW}
+    scores = with_faults(scored[1], biased=(FAULTS[kind],))
+    on_log = scores.on_logs()
+    alone = on_log["calm & <quiet>"].to_dict()
     assert {name: scores.mean(name, RAW) for name in alone} == pytest.approx(alone)
     found, best = log_verdict(scores), min(alone, key=lambda name: alone[name])
     smallest = f"{best}, {alone[best]:.2f}° inclination RMSE"
     assert found.headline == f"Smallest error: {smallest}, over the logs without a fault."
     assert "1 of 2 logs has a fault of a sensor: means and headline are without biased." in found.lines
     (said,) = [line for line in found.lines if FAULTS[kind].sentence in line]
-    smallest = min(scores.on_log("biased", name, RAW) for name in alone if name != "level")
+    smallest = on_log["biased"].drop("level").min()
     assert f"The smallest error on it is {smallest:.2f}°" in said
 
 
 def test_a_sensor_that_fails_is_not_to_be_calibrated(scored):
-    sound, failing = log_verdict(scored[1]), {}
-    failing["biased"] = failing["calm & <quiet>"] = (FAULTS["bias jump"],)
-    faulty = log_verdict(replace(scored[1], faults=failing))
+    sound = log_verdict(scored[1])
+    failing = dict.fromkeys(scored[1].logs, (FAULTS["bias jump"],))
+    faulty = log_verdict(with_faults(scored[1], **failing))
     assert any("Calibrate it" in line for line in sound.lines)
     assert not any("Calibrate it" in line for line in faulty.lines)
     assert any("Calibration does not cure a bias that jumps" in line for line in faulty.lines)
@@ -94,20 +100,11 @@ def test_a_sensor_that_fails_is_not_to_be_calibrated(scored):
     assert any(line.startswith("A fault of a sensor begins in every log") for line in faulty.lines)
 
 
-def test_faults_are_bands_with_a_legend(scored):
-    scores = replace(scored[1], faults={"biased": tuple(FAULTS.values())})
-    figure = draw_log(scores, "biased")
-    (legend,) = figure.legends
-    assert {text.get_text() for text in legend.get_texts()} == {fault.name for fault in FAULTS.values()}
-    assert all(len(axes.patches) == 2 for axes in figure.axes)
-    assert draw_log(scores, "calm & <quiet>").legends == []
-
-
 def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
     jumped = log("jumped", bias=math.radians(3.0) * (np.arange(8000) > 4000))
     scores = score_logs([jumped], ["mahony"], within_deg=90.0)
-    assert [fault.kind for fault in scores.faults["jumped"]] == ["bias jump"]
-    assert {row.faults for row in scores.rows} == {"bias jump, gyroscope x"}
+    assert [fault.kind for fault in scores.logs["jumped"].faults] == ["bias jump"]
+    assert set(scores.table.faults) == {"bias jump, gyroscope x"}
 
 
 @pytest.mark.parametrize(
@@ -146,7 +143,7 @@ def test_page_needs_nothing_else_and_escapes_what_is_the_user_s(report):
 
 def test_long_logs_are_decimated(tmp_path):
     logs = [log("long", seconds=(MOST_SAMPLES + 100) / 200.0)]
-    page = write_log_report(tmp_path / "r.html", logs, score_logs(logs, ["complementary"]))
+    page = write_log_report(tmp_path / "r.html", score_logs(logs, ["complementary"]))
     assert "every 2th sample is drawn" not in page.read_text()
     assert "one sample of 2 is drawn" in page.read_text()
 
@@ -168,10 +165,22 @@ def page(request, browser, report):
     page.close()
 
 
+def test_faults_are_bands_with_a_sentence(browser, scored, tmp_path):
+    scores = with_faults(scored[1], biased=tuple(FAULTS.values()))
+    page = browser.new_page()
+    page.goto(write_log_report(tmp_path / "r.html", scores).as_uri())
+    page.wait_for_selector(".uplot")
+    page.select_option("#log", "biased")
+    assert page.evaluate("log.faults.map((each) => each.slice(1, 3))") == [[12, 40], [5, 9]]
+    said = page.inner_text("#faults")
+    assert all(fault.evidence in said for fault in FAULTS.values())
+    page.close()
+
+
 def test_traces_are_those_of_the_log(page, scored):
     logs, scores = scored
     found = np.array(page.evaluate("data.logs['biased'].trace['roll|truth']"), float)
-    np.testing.assert_allclose(found, np.degrees(scores.truth["biased"][:, 0]), atol=1e-3)
+    np.testing.assert_allclose(found, np.degrees(scores.logs["biased"].truth[:, 0]), atol=1e-3)
     found = np.array(page.evaluate("data.logs['biased'].trace['gyro x']"), float)
     np.testing.assert_allclose(found, np.degrees(logs[1]["gyro"].to_numpy()[0, :, 0]), atol=2e-3)
 
@@ -191,12 +200,12 @@ def test_another_log_and_another_estimator_are_drawn(page):
 
 
 def test_a_log_without_truth_is_drawn(browser, tmp_path):
-    blank, scores = log("blank"), LogScores()
+    blank = log("blank")
     blank["quat"][:] = np.nan
-    compare_logs(scores, [blank], {name: create(name) for name in ("imm", "mahony", "vqf")})
+    scores = score_logs([blank], {name: create(name) for name in ("imm", "mahony", "vqf")})
     page, noise = browser.new_page(), []
     page.on("pageerror", lambda error: noise.append(str(error)))
-    page.goto(write_log_report(tmp_path / "r.html", [blank], scores).as_uri())
+    page.goto(write_log_report(tmp_path / "r.html", scores).as_uri())
     page.wait_for_selector(".uplot")
     titles = page.evaluate("panels().filter((panel) => panel.lines.length).map((panel) => panel.title)")
     assert titles[2:] == ["roll [°]", "pitch [°]", "probability of imm's models", "standard deviation [°]"]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..recording import Array, Recording
-from .needs import needed
+from . import needed
 
 RATE_HZ = 2000.0 / 7.0
 """Sample rate of the benchmark, where a file does not say."""
@@ -28,12 +28,11 @@ def read_broad(path: Path) -> Recording:
     time = np.asarray(content.get("t", np.arange(steps) / rate), np.float64).ravel()
     if found["quat"] is None:
         return Recording(path.stem, "IMU's arrays", time, gyro, acc)
-    quat = _rows(found["quat"], 4)
     valid = np.asarray(content.get("valid", np.ones(steps)), bool).ravel()
     return Recording(
         path.stem, "BROAD trial", time, gyro, acc,
-        truth="opt_quat: OptiTrack", truth_time=time, quat=np.where(valid[:, None], quat, np.nan),
-        truth_axes="imu",
+        truth="opt_quat: OptiTrack", truth_time=time, truth_axes="imu",
+        quat=np.where(valid[:, None], _rows(found["quat"], 4), np.nan),
         marked=np.asarray(content.get("movement", np.ones(steps)), bool).ravel(),
         notes=("hand-moved, not flown",),
     )  # fmt: skip

@@ -47,21 +47,18 @@ def read_euroc(path: Path, truth: str | None = None) -> Recording:
     body_from_sensor = _rotation(folder / "imu0" / "sensor.yaml")
     gyro, accel = (imu[:, part] @ body_from_sensor.T for part in (slice(1, 4), slice(4, 7)))
     notes = [] if np.allclose(body_from_sensor, np.eye(3)) else ["IMU turned into body axes by its T_BS"]
-    name, time = path.name if path.name != "mav0" else path.parent.name, imu[:, 0] * 1e-9
+    name = path.name if path.name != "mav0" else path.parent.name
+    log = Recording(name, "EuRoC (ASL) CSV", imu[:, 0] * 1e-9, gyro, accel, notes=tuple(notes))
     chosen = truth or next((each for each in TRUTHS if (folder / each / "data.csv").is_file()), None)
     if chosen is None:
-        return Recording(name, "EuRoC (ASL) CSV", time, gyro, accel, notes=tuple(notes))
+        return log
     poses = _numbers(folder / chosen / "data.csv", 8)
     quat = poses[:, 4:8]
     if chosen == "vicon0":  # q_RS of the marker frame; the others are of the body itself
         turn = quat_from_matrix(_rotation(folder / chosen / "sensor.yaml"))
         quat = quat_multiply(quat, quat_conjugate(turn))
-    return Recording(
-        name, "EuRoC (ASL) CSV", time, gyro, accel,
-        truth=f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}",
-        truth_time=poses[:, 0] * 1e-9, quat=quat, truth_axes="imu",
-        position=poses[:, 1:4], notes=tuple(notes),
-    )  # fmt: skip
+    kind = f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}"
+    return log.with_truth(kind, poses[:, 0] * 1e-9, quat, poses[:, 1:4], own_axes=True)
 
 
 def _numbers(file: Path, least: int) -> Array:

@@ -1,20 +1,19 @@
 """ROS 1 and ROS 2 bags, through rosbags: FLU body axes in an ENU world, as REP 103 has it."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..recording import Recording
-from .needs import needed
+from ..recording import OWN_ESTIMATE, Recording
+from . import needed
 
 IMU = "sensor_msgs/msg/Imu"
-POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
-    "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (m.pose.pose.position, m.pose.pose.orientation),
-    "geometry_msgs/msg/TransformStamped": lambda m: (m.transform.translation, m.transform.rotation),
-    "nav_msgs/msg/Odometry": lambda m: (m.pose.pose.position, m.pose.pose.orientation),
+POSES = {
+    "geometry_msgs/msg/PoseStamped": ("pose", "position", "orientation"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose", "position", "orientation"),
+    "geometry_msgs/msg/TransformStamped": ("transform", "translation", "rotation"),
+    "nav_msgs/msg/Odometry": ("pose.pose", "position", "orientation"),
 }
 """Messages that hold a pose, the most likely motion capture first, and where in them it is."""
 
@@ -32,66 +31,59 @@ def read_rosbag(path: Path, imu: str | None = None, truth: str | None = None) ->
     stores = needed("rosbags.typesys", "logs")
     default = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
     in_folder = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
-    bag = path.parent if in_folder else path
+    readings, poses, own = [], [], []
     try:
-        with highlevel.AnyReader([bag], default_typestore=default) as reader:
+        with highlevel.AnyReader([path.parent if in_folder else path], default_typestore=default) as reader:
             imu_topic = _topic(reader, path, imu, [IMU])
             if imu_topic is None:
                 raise ValueError(f"{path}: no topic of {IMU}; topics: {_all_topics(reader)}")
             pose_topic = _topic(reader, path, truth, list(POSES))
-            read = _Read()
             wanted = [each for each in reader.connections if each.topic in (imu_topic, pose_topic)]
-            for connection, stamp, raw in reader.messages(connections=wanted):
+            for connection, received, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
-                read.add(message, connection.topic == imu_topic, connection.msgtype, stamp)
+                stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 or received * 1e-9
+                if connection.topic != imu_topic:
+                    poses.append((stamp, *_pose(message, connection.msgtype)))
+                    continue
+                readings.append((stamp, *_xyz(message.angular_velocity), *_xyz(message.linear_acceleration)))
+                q = message.orientation
+                if message.orientation_covariance[0] != -1.0 and abs(q.w) + sum(map(abs, _xyz(q))) > 0.5:
+                    own.append((stamp, q.w, *_xyz(q)))
     except highlevel.AnyReaderError as error:
         raise ValueError(f"{path}: {error}") from error
-    return read.recording(path, imu_topic, pose_topic)
+    time, gyro, accel = _columns(readings, 1, 3, 3)
+    log = Recording(path.name, "ROS bag", time[:, 0], gyro, accel, notes=(f"IMU from {imu_topic}",))
+    if poses:
+        time, position, quat = _columns(poses, 1, 3, 4)
+        return log.with_truth(f"{pose_topic}: poses", time[:, 0], quat, position)
+    if own:
+        time, quat = _columns(own, 1, 4)
+        return log.with_truth(f"{imu_topic}: the sensor's {OWN_ESTIMATE}", time[:, 0], quat, own_axes=True)
+    return log
 
 
-class _Read:
-    """What has been read of a bag so far."""
+def _pose(message: Any, kind: str) -> tuple[float, ...]:
+    """Position and quaternion (w, x, y, z)."""
+    place, position, orientation = POSES[kind]
+    for name in place.split("."):
+        message = getattr(message, name)
+    q = getattr(message, orientation)
+    return (*_xyz(getattr(message, position)), q.w, *_xyz(q))
 
-    def __init__(self) -> None:
-        self.imu: list[tuple[float, ...]] = []
-        self.pose: list[tuple[float, ...]] = []
-        self.own: list[tuple[float, ...]] = []
 
-    def add(self, message: Any, is_imu: bool, kind: str, received: int) -> None:
-        stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 or received * 1e-9
-        if not is_imu:
-            p, q = POSES[kind](message)
-            self.pose.append((stamp, p.x, p.y, p.z, q.w, q.x, q.y, q.z))
-            return
-        w, f, q = message.angular_velocity, message.linear_acceleration, message.orientation
-        self.imu.append((stamp, w.x, w.y, w.z, f.x, f.y, f.z))
-        if message.orientation_covariance[0] != -1.0 and abs(q.w) + abs(q.x) + abs(q.y) + abs(q.z) > 0.5:
-            self.own.append((stamp, q.w, q.x, q.y, q.z))
+def _xyz(vector: Any) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
-    def recording(self, path: Path, imu_topic: str, pose_topic: str | None) -> Recording:
-        imu = np.array(self.imu, np.float64)
-        truth, truth_time, quat, position = "none", None, None, None
-        if pose_topic is not None and self.pose:
-            poses = np.array(self.pose, np.float64)
-            truth, truth_time = f"{pose_topic}: poses", poses[:, 0]
-            quat, position = poses[:, 4:8], poses[:, 1:4]
-        elif self.own:
-            own = np.array(self.own, np.float64)
-            truth_time, quat = own[:, 0], own[:, 1:]
-            truth = f"{imu_topic}: the sensor's own estimate, which is no independent truth"
-        return Recording(
-            path.name, "ROS bag", imu[:, 0], imu[:, 1:4], imu[:, 4:7], truth=truth, truth_time=truth_time,
-            quat=quat, truth_axes="imu" if position is None else "body", position=position,
-            notes=(f"IMU from {imu_topic}",),
-        )  # fmt: skip
+
+def _columns(rows: list[tuple[float, ...]], *widths: int) -> list[np.ndarray]:
+    return np.split(np.array(rows, np.float64), np.cumsum(widths)[:-1], axis=1)
 
 
 def _topic(reader: Any, path: Path, asked: str | None, kinds: list[str]) -> str | None:
-    if asked is not None:
-        if not any(each.topic == asked and each.msgtype in kinds for each in reader.connections):
-            raise ValueError(f'{path}: no topic "{asked}" of the right kind; topics: {_all_topics(reader)}')
-        return asked
-    found = [each for each in reader.connections if each.msgtype in kinds]
+    """The topic asked for, or else that of the first kind with the most messages; None if there is none."""
+    found = [each for each in reader.connections if each.msgtype in kinds and asked in (None, each.topic)]
+    if asked is not None and not found:
+        raise ValueError(f'{path}: no topic "{asked}" of the right kind; topics: {_all_topics(reader)}')
     found.sort(key=lambda each: (kinds.index(each.msgtype), -each.msgcount, each.topic))
     return found[0].topic if found else None
 

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,30 +12,35 @@ from pydantic import model_validator
 from ...config.ranges import Between, SampleRate
 from ...config.toml import Strict, load_toml, nearest
 from ...rotation import quat_conjugate, quat_from_euler, wxyz_from_xyzw
-from ..mounting import mount_matrix, mounted
-from ..recording import Array, AxesConvention, Recording, Track, TruthAxes, from_frd
+from ..recording import (
+    Array,
+    AxesConvention,
+    Recording,
+    Track,
+    TruthAxes,
+    from_frd,
+    mount_matrix,
+    mounted,
+)
 
 Column = str | Annotated[int, Between(0, 9999)]
 """A name in the header, or a number counted from 0."""
-Three = tuple[Column, Column, Column]
-Four = tuple[Column, Column, Column, Column]
-
-Component = Annotated[float, Between(-1.1, 1.1)]
-"""Of a quaternion or a rotation matrix, rounding included."""
-
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-RATES = {"rad/s": 1.0, "deg/s": math.pi / 180}
-FORCES = {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3}
-SPEEDS = {"rad/s": 1.0, "rpm": math.pi / 30}
-FIELDS = {"T": 1.0, "uT": 1e-6, "G": 1e-4}
-ANGLES = {"rad": 1.0, "deg": math.pi / 180}
+UNITS = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "gyro": {"rad/s": 1.0, "deg/s": math.pi / 180},
+    "accel": {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+    "euler": {"rad": 1.0, "deg": math.pi / 180},
+    "rotor_vel": {"rad/s": 1.0, "rpm": math.pi / 30},
+    "mag": {"T": 1.0, "uT": 1e-6, "G": 1e-4},
+}
+"""Units of each part of a map, the first if none is given, in SI units."""
 
 
 class Time(Strict):
     """Stamps: a column, or a rate where there is none."""
 
     column: Column | None = None
-    unit: Literal["s", "ms", "us", "ns"] = "s"
+    unit: str = "s"
     rate_hz: SampleRate | None = None
     """Samples per second of a file without stamps."""
 
@@ -45,49 +51,27 @@ class Time(Strict):
         return self
 
 
-class Gyro(Strict):
-    """The three columns of the gyroscope."""
-
-    columns: Three
-    unit: Literal["rad/s", "deg/s"] = "rad/s"
-
-
-class Accel(Strict):
-    """The three columns of the accelerometer."""
-
-    columns: Three
-    unit: Literal["m/s^2", "g", "mg"] = "m/s^2"
-    negate: bool = False
-    """The file holds gravity (at rest it points down) in place of specific force."""
-
-
-class Rotors(Strict):
-    """The columns of the rotor speeds, one a rotor."""
+class Sensor(Strict):
+    """The columns of a sensor, or of roll, pitch and yaw (intrinsic z-y'-x'')."""
 
     columns: tuple[Column, ...]
-    unit: Literal["rad/s", "rpm"] = "rad/s"
+    unit: str | None = None
+    """One of `UNITS`."""
 
 
-class Mag(Strict):
-    """The three columns of the magnetometer."""
+class Accel(Sensor):
+    """The three columns of the accelerometer."""
 
-    columns: Three
-    unit: Literal["T", "uT", "G"] = "T"
+    negate: bool = False
+    """The file holds gravity (at rest it points down) in place of specific force."""
 
 
 class Quat(Strict):
     """True attitude as a quaternion."""
 
-    columns: Four
+    columns: tuple[Column, Column, Column, Column]
     order: Literal["wxyz", "xyzw"] = "wxyz"
     direction: Literal["body_to_world", "world_to_body"] = "body_to_world"
-
-
-class Euler(Strict):
-    """True attitude as roll, pitch and yaw, intrinsic z-y'-x''."""
-
-    columns: Three
-    unit: Literal["rad", "deg"] = "rad"
 
 
 class Table(Strict):
@@ -102,24 +86,31 @@ class Table(Strict):
     """Rows before that."""
     frame: AxesConvention = "flu"
     """flu: body forward-left-up, world z up; frd: forward-right-down in north-east-down."""
-    mount: str | tuple[Component, ...] | tuple[tuple[Component, ...], ...] = "x,y,z"
-    """Rotation from IMU axes to those of the frame: axes "z,-y,x", angles "rpy 0 20 90" [deg], a quaternion
-    [w, x, y, z] or a matrix of three rows."""
+    mount: str = "x,y,z"
+    """Rotation from IMU axes to those of the frame, as `mount_matrix` takes it."""
     truth_axes: TruthAxes = "body"
     """Whose attitude the file holds: of the frame already, or of the IMU, which the mount rotates too."""
     time: Time
-    gyro: Gyro
+    gyro: Sensor
     accel: Accel
     quat: Quat | None = None
-    euler: Euler | None = None
-    position: Three | None = None
+    euler: Sensor | None = None
+    """True attitude as roll, pitch and yaw, intrinsic z-y'-x''."""
+    position: tuple[Column, Column, Column] | None = None
     """Columns of the position [m]."""
-    rotor_vel: Rotors | None = None
-    mag: Mag | None = None
+    rotor_vel: Sensor | None = None
+    """One column a rotor."""
+    mag: Sensor | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "Table":
         mount_matrix(self.mount)
+        for name, units in UNITS.items():
+            part: Time | Sensor | None = getattr(self, name)
+            if part is not None and part.unit not in (None, *units):
+                raise ValueError(f'{name}.unit = "{part.unit}": should be {" or ".join(units)}')
+            if isinstance(part, Sensor) and name != "rotor_vel" and len(part.columns) != 3:
+                raise ValueError(f"{name}.columns: {len(part.columns)}; three are required")
         if self.quat is not None and self.euler is not None:
             raise ValueError("one of quat and euler is required, not both")
         return self
@@ -140,37 +131,30 @@ def read_table(path: Path) -> Recording:
         raise FileNotFoundError(f"{path}: file = {spec.file}: no such file")
     names, values = _rows(file, spec)
 
-    def columns(wanted: tuple[Column, ...]) -> Array:
+    def columns(wanted: Sequence[Column]) -> Array:
         return values[:, [_index(file, names, values.shape[1], each) for each in wanted]]
 
+    def read(name: str) -> Array:
+        part: Sensor = getattr(spec, name)
+        return columns(part.columns) * UNITS[name][part.unit or next(iter(UNITS[name]))]
+
+    time = np.arange(len(values)) / (spec.time.rate_hz or 1.0)
     if spec.time.column is not None:
-        time = columns((spec.time.column,))[:, 0] * TIMES[spec.time.unit]
-    else:
-        time = np.arange(len(values)) / (spec.time.rate_hz or 1.0)
-    gyro = columns(spec.gyro.columns) * RATES[spec.gyro.unit]
-    accel = columns(spec.accel.columns) * FORCES[spec.accel.unit] * (-1 if spec.accel.negate else 1)
-    quat, truth = None, "none"
+        time = columns([spec.time.column])[:, 0] * UNITS["time"][spec.time.unit]
+    sensors = {name: Track(time, read(name)) for name in ("rotor_vel", "mag") if getattr(spec, name)}
+    accel, notes = read("accel") * (-1 if spec.accel.negate else 1), (f"columns by {path.name}",)
+    log = Recording(path.stem, "CSV", time, read("gyro"), accel, notes=notes, sensors=sensors)
+    position = columns(spec.position) if spec.position else None
+    own_axes = spec.truth_axes == "imu"
     if spec.quat is not None:
-        quat, truth = columns(spec.quat.columns), "the quaternion of the file"
+        quat = columns(spec.quat.columns)
         quat = wxyz_from_xyzw(quat) if spec.quat.order == "xyzw" else quat
         quat = quat_conjugate(quat) if spec.quat.direction == "world_to_body" else quat
+        log = log.with_truth("the quaternion of the file", time, quat, position, own_axes)
     elif spec.euler is not None:
-        angles = columns(spec.euler.columns) * ANGLES[spec.euler.unit]
-        quat, truth = quat_from_euler(*angles.T), "roll, pitch and yaw of the file"
-    sensors = {}
-    if spec.rotor_vel is not None:
-        sensors["rotor_vel"] = Track(time, columns(spec.rotor_vel.columns) * SPEEDS[spec.rotor_vel.unit])
-    if spec.mag is not None:
-        sensors["mag"] = Track(time, columns(spec.mag.columns) * FIELDS[spec.mag.unit])
-    known = np.full(len(values), False) if quat is None else np.isfinite(quat).all(axis=1)
-    log = Recording(
-        path.stem, "CSV", time, gyro, accel, truth=truth,
-        truth_time=None if quat is None else time[known], quat=None if quat is None else quat[known],
-        truth_axes=spec.truth_axes,
-        position=None if quat is None or spec.position is None else columns(spec.position)[known],
-        notes=(f"columns by {path.name}",), sensors=sensors,
-    )  # fmt: skip
-    log = log if spec.mount == "x,y,z" else mounted(log, spec.mount)
+        quat = quat_from_euler(*read("euler").T)
+        log = log.with_truth("roll, pitch and yaw of the file", time, quat, position, own_axes)
+    log = log if spec.mount == "x,y,z" else mounted(log, mount_matrix(spec.mount))
     return from_frd(log) if spec.frame == "frd" else log
 
 

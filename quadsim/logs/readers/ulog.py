@@ -3,15 +3,14 @@
 import errno
 import io
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..recording import Array, Recording, Track, from_frd, table
-from .needs import needed
+from ..recording import OWN_ESTIMATE, Array, Recording, Track, from_frd
+from . import needed
 
 OWN = "vehicle_attitude"
 """The autopilot's estimate: it is of the axes in which the IMU is logged."""
@@ -19,11 +18,11 @@ TRUTHS = {
     "vehicle_attitude_groundtruth": "the simulator's truth",
     "vehicle_mocap_odometry": "motion capture",
     "vehicle_visual_odometry": "visual odometry or motion capture",
-    OWN: "the autopilot's own estimate, which is no independent truth",
+    OWN: f"the autopilot's {OWN_ESTIMATE}",
 }
 """Topics that hold an attitude `q` (FRD body in NED world), the best first."""
-
-
+Topics = Mapping[str, Mapping[str, Any]]
+"""Topic to its fields."""
 MAGNETOMETERS = {
     "vehicle_magnetometer": [f"magnetometer_ga[{k}]" for k in range(3)],
     "sensor_mag": ["x", "y", "z"],
@@ -57,68 +56,55 @@ def read_ulog(path: Path, truth: str | None = None) -> Recording:
     ulog = needed("pyulog", "logs").ULog
     log = ulog(Bounded(path))
     topics = {each.name: each.data for each in reversed(log.data_list)}  # the first instance of each
-    notes = []
     if "sensor_combined" in topics:
-        data = topics["sensor_combined"]
-        gyro = table("sensor_combined", [data[f"gyro_rad[{k}]"] for k in range(3)])
-        accel = table("sensor_combined", [data[f"accelerometer_m_s2[{k}]"] for k in range(3)])
-        notes.append("IMU from sensor_combined")
+        source, note = "sensor_combined", "IMU from sensor_combined"
+        gyro = _columns(topics, source, "gyro_rad", 3)
+        accel = _columns(topics, source, "accelerometer_m_s2", 3)
     elif "vehicle_imu" in topics:
-        data = topics["vehicle_imu"]
-        dt = np.asarray(data["delta_angle_dt"], np.float64)[:, None] * 1e-6
-        dv = np.asarray(data["delta_velocity_dt"], np.float64)[:, None] * 1e-6
-        gyro = table("vehicle_imu", [data[f"delta_angle[{k}]"] for k in range(3)]) / dt
-        accel = table("vehicle_imu", [data[f"delta_velocity[{k}]"] for k in range(3)]) / dv
-        notes.append("IMU from the increments of vehicle_imu")
+        source, note = "vehicle_imu", "IMU from the increments of vehicle_imu"
+        gyro, accel = (
+            _columns(topics, source, name, 3) / _seconds(topics[source][f"{name}_dt"])[:, None]
+            for name in ("delta_angle", "delta_velocity")
+        )
     else:
-        raise ValueError(
-            f"{path}: neither sensor_combined nor vehicle_imu; topics: {', '.join(sorted(topics))}"
-        )
-    if log.dropouts:
-        notes.append(
-            f"{len(log.dropouts)} dropouts of the logger, {sum(d.duration for d in log.dropouts)} ms"
-        )
+        text = "neither sensor_combined nor vehicle_imu; topics: "
+        raise ValueError(f"{path}: {text}{', '.join(sorted(topics))}")
+    lost = f"{len(log.dropouts)} dropouts of the logger, {sum(d.duration for d in log.dropouts)} ms"
     sensors = _sensors(topics)
-    recorded = Recording(
-        path.name, "PX4 ULog", _seconds(data["timestamp"]), gyro, accel,
-        notes=(*notes, *(f"{name} from the log" for name in sensors)), sensors=sensors,
-    )  # fmt: skip
+    notes = (note, *([lost] if log.dropouts else []), *(f"{name} from the log" for name in sensors))
+    time = _seconds(topics[source]["timestamp"])
+    found = Recording(path.name, "PX4 ULog", time, gyro, accel, notes=notes, sensors=sensors)
     chosen = truth or next((name for name in TRUTHS if name in topics), None)
     if chosen is None:
-        return from_frd(recorded)
+        return from_frd(found)
     if chosen not in topics:
         raise ValueError(f'{path}: no topic "{chosen}"; topics: {", ".join(sorted(topics))}')
-    found = topics[chosen]
-    stamps = found.get("timestamp_sample", found["timestamp"])
-    quat = table(chosen, [found[f"q[{k}]"] for k in range(4)])
-    return from_frd(
-        replace(
-            recorded,
-            truth=f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}",
-            truth_time=_seconds(stamps),
-            quat=quat,
-            truth_axes="imu" if chosen == OWN else "body",
-        )
-    )
+    stamps = topics[chosen].get("timestamp_sample", topics[chosen]["timestamp"])
+    kind, quat = f"{chosen}: {TRUTHS.get(chosen, 'as asked for')}", _columns(topics, chosen, "q", 4)
+    return from_frd(found.with_truth(kind, _seconds(stamps), quat, own_axes=chosen == OWN))
 
 
 def _seconds(stamps: ArrayLike) -> Array:
     return np.asarray(stamps, np.float64) * 1e-6
 
 
-def _sensors(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Track]:
+def _columns(topics: Topics, topic: str, name: str, count: int) -> Array:
+    """A field of a topic with several values, (T, count)."""
+    return np.stack([np.asarray(topics[topic][f"{name}[{k}]"], np.float64) for k in range(count)], axis=1)
+
+
+def _sensors(topics: Topics) -> dict[str, Track]:
     """Rotor speeds and magnetic field, where the log has them; the rotors in the order of PX4's outputs."""
     found = {}
-    if "esc_status" in topics:
-        esc = topics["esc_status"]
-        count = int(np.max(esc.get("esc_count", 0), initial=0))
-        rpm = [esc[field] for k in range(count) if (field := f"esc[{k}].esc_rpm") in esc]
-        if rpm:
-            speeds = np.abs(table("esc_status", rpm)) * (np.pi / 30)
-            found["rotor_vel"] = Track(_seconds(esc["timestamp"]), speeds)
+    esc = topics.get("esc_status", {})
+    count = int(np.max(esc.get("esc_count", 0), initial=0))
+    rpm = [esc[field] for k in range(count) if (field := f"esc[{k}].esc_rpm") in esc]
+    if rpm:
+        speeds = np.abs(np.stack(rpm, axis=1).astype(np.float64)) * (np.pi / 30)
+        found["rotor_vel"] = Track(_seconds(esc["timestamp"]), speeds)
     for topic, fields in MAGNETOMETERS.items():
         data = topics.get(topic, {})
         if "mag" not in found and all(field in data for field in fields):
-            gauss = table(topic, [data[field] for field in fields])
+            gauss = np.stack([np.asarray(data[field], np.float64) for field in fields], axis=1)
             found["mag"] = Track(_seconds(data["timestamp"]), gauss * 1e-4)
     return found

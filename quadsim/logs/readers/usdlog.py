@@ -13,7 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
-from ..recording import Array, Recording, Track, TruthAxes
+from ..recording import OWN_ESTIMATE, Array, Recording, Track
 
 MAGIC = 0xBC
 STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}
@@ -25,7 +25,7 @@ GAP = 2.5
 """A step of more than this many sample periods is a gap, as in `quadsim.logs.resample`."""
 TRUTHS = {
     "locSrv": "motion capture",
-    "stateEstimate": "the autopilot's own estimate, which is no independent truth",
+    "stateEstimate": f"the autopilot's {OWN_ESTIMATE}",
 }
 """Groups that hold an attitude qw, qx, qy, qz (FLU body in a world with z up), the best first."""
 
@@ -60,43 +60,37 @@ def read_usdlog(path: Path) -> Recording:
     """
     tracks, notes = decode(path)
     imu = _track(tracks, GYRO + ACCEL)
-    if imu is None:
-        gyro, accel = _track(tracks, GYRO), _track(tracks, ACCEL)
-        if gyro is not None and accel is not None:
-            both = (gyro.time >= accel.time[0]) & (gyro.time <= accel.time[-1])
-            if not both.any():
-                raise ValueError(f"{path}: gyroscope and accelerometer were logged at different times")
-            time = gyro.time[both]
-            imu = Track(time, np.hstack([gyro.values[both], _at(accel, time)]))
-            events = " and ".join(next(n for n, v in tracks.items() if s[0] in v) for s in (GYRO, ACCEL))
-            notes = (*notes, f"{events}: accelerometer brought to the stamps of the gyroscope")
+    gyro, accel = _track(tracks, GYRO), _track(tracks, ACCEL)
+    if imu is None and gyro is not None and accel is not None:
+        both = (gyro.time >= accel.time[0]) & (gyro.time <= accel.time[-1])
+        if not both.any():
+            raise ValueError(f"{path}: gyroscope and accelerometer were logged at different times")
+        time = gyro.time[both]
+        imu = Track(time, np.hstack([gyro.values[both], _at(accel, time)]))
+        events = " and ".join(next(n for n, v in tracks.items() if s[0] in v) for s in (GYRO, ACCEL))
+        notes = (*notes, f"{events}: accelerometer brought to the stamps of the gyroscope")
     if imu is None:
         names = sorted({name for values in tracks.values() for name in values if name != "time"})
         raise ValueError(
             f"{path}: no event has all of {', '.join(GYRO + ACCEL)}; logged: {', '.join(names) or 'nothing'}"
         )
-    truth, attitude, position = "none", None, None
-    truth_axes: TruthAxes = "body"
+    sensors = {}
+    if (rotors := _track(tracks, ROTORS)) is not None:
+        sensors["rotor_vel"] = Track(rotors.time, np.abs(rotors.values) * (np.pi / 30))
+        notes = (*notes, "rotor_vel from the log")
+    log = Recording(
+        path.name, "Crazyflie uSD log", imu.time, np.deg2rad(imu.values[:, :3]), imu.values[:, 3:] * 9.80665,
+        notes=notes, sensors=sensors,
+    )  # fmt: skip
     for group, kind in TRUTHS.items():
         orientation = tuple(f"{group}.{name}" for name in ("qw", "qx", "qy", "qz"))
-        place = tuple(f"{group}.{name}" for name in "xyz")
-        attitude = _track(tracks, orientation)
-        if attitude is not None:
-            both = _track(tracks, orientation + place)
-            position = None if both is None else both.values[:, 4:]
-            attitude = Track(both.time, both.values[:, :4]) if both is not None else attitude
-            truth, truth_axes = f"{group}: {kind}", "imu" if group == "stateEstimate" else "body"
-            break
-    rotors = _track(tracks, ROTORS)
-    sensors = (
-        {} if rotors is None else {"rotor_vel": Track(rotors.time, np.abs(rotors.values) * (np.pi / 30))}
-    )
-    return Recording(
-        path.name, "Crazyflie uSD log", imu.time, np.deg2rad(imu.values[:, :3]), imu.values[:, 3:] * 9.80665,
-        truth=truth, truth_time=None if attitude is None else attitude.time,
-        quat=None if attitude is None else attitude.values, truth_axes=truth_axes, position=position,
-        notes=(*notes, *(f"{name} from the log" for name in sensors)), sensors=sensors,
-    )  # fmt: skip
+        pose = _track(tracks, orientation + tuple(f"{group}.{name}" for name in "xyz"))
+        found = pose or _track(tracks, orientation)
+        if found is not None:
+            position = None if pose is None else pose.values[:, 4:]
+            own = group == "stateEstimate"
+            return log.with_truth(f"{group}: {kind}", found.time, found.values[:, :4], position, own)
+    return log
 
 
 def _at(track: Track, time: Array) -> Array:
@@ -177,7 +171,10 @@ def _header(data: bytes, count: int) -> tuple[dict[int, str], dict[int, Event], 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
     end = data.index(0, at)
-    return data[at:end].decode(), end + 1
+    text = data[at:end].decode()
+    if not text.isprintable():
+        raise ValueError(text)
+    return text, end + 1
 
 
 def _track(tracks: Mapping[str, Mapping[str, Array]], names: tuple[str, ...]) -> Track | None:

@@ -1,0 +1,212 @@
+"""A recording's stamps and readings before they are resampled: its longest part, and what is odd about it."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.ranges import FORCE_MAX, RATE_MAX
+from ..dataset.stretches import stretches
+from .recording import Array, Recording
+
+LONGEST_GAP_S = 30.0
+"""A longer gap ends a recording, and what follows is another part of it."""
+GAP, JITTER_S = 2.5, 4e-3
+"""A step of more than this many sample periods, and of more than a period and this time [s], is a gap, in
+which samples are NaN. Shorter ones are interpolated: one lost sample, or stamps that a computer took, each up
+to 2 ms late or early."""
+LOST = 1.5
+"""A step of this many periods that no short one beside it makes up for is a lost sample."""
+RATES_HZ = (40.0, 10_000.0)
+"""Sample rates that make sense to bring to the network's."""
+UNSORTED, BACK_S = 0.05, 0.01
+"""Share of the stamps that go back by more than this time [s] above which rows are out of order."""
+STUCK = 3
+"""So many equal readings in a row at the end of an axis' range are a saturation."""
+STUCK_S = 0.5
+"""Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
+MOVES = 10.0
+"""by a standard deviation of this many of its least steps: at rest a coarse sensor repeats itself."""
+FORCE_MOVES, RATE_MOVES = 0.5, 0.1
+"""So are all axes of a sensor where the other moves by this standard deviation [m/s², rad/s]."""
+EXACT_S = 1e-7
+"""Stamps this close are the same [s]: clocks count microseconds, or lose digits since 1970."""
+RARE = 0.01
+"""Share of readings beyond any sensor's range up to which they are left out as spikes."""
+FEWEST = 8
+"""Samples that a part has at least."""
+SPARSE = 20.0
+"""A part may last this many times as long as its samples fill at their rate."""
+CLOSEST = 0.05
+"""Samples closer than this share of the sample period are one."""
+
+
+def longest_part(log: Recording) -> tuple[Recording, dict[str, int]]:
+    """The longest part of a recording, with finite readings and stamps that go forward.
+
+    Args:
+        log: A recording on its own stamps.
+
+    Returns:
+        The part, and counts of what was left out or is odd, by the names of `LogReport`.
+
+    Raises:
+        ValueError: Too few samples, rows out of order, or a sample rate that no IMU has.
+    """
+    stamped = np.isfinite(log.time)
+    back = np.diff(log.time[stamped]) < -BACK_S
+    if back.sum() > UNSORTED * back.size:
+        share = f"{100 * back.mean():.0f} %"
+        raise ValueError(f"{log.name}: {share} of the stamps go back: sort the rows by time")
+    parts = split(log)
+    log = max(parts, key=lambda part: part.time.size)
+    unstamped = int((~stamped).sum()) - int((~np.isfinite(log.time)).sum())
+    log, counted = _cleaned(log)
+    time, period = log.time, float(np.median(np.diff(log.time)))
+    rate = 1.0 / period
+    if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        raise ValueError(
+            f"{log.name}: {rate:.3g} samples a second; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} are allowed: "
+            f"{_unit_of_stamps(rate)}"
+        )
+    if time[-1] - time[0] > SPARSE * period * time.size:
+        raise ValueError(
+            f"{log.name}: {time.size} samples at {rate:.0f} Hz in {time[-1] - time[0]:.0f} s: "
+            "most of the log is missing"
+        )
+    return log, counted | {"missing": counted["missing"] + unstamped, "parts": len(parts)}
+
+
+def split(log: Recording) -> list[Recording]:
+    """The parts of a recording between gaps of more than `LONGEST_GAP_S`, in the order of the log.
+
+    Stamps that are far from those on both sides belong to no part: a clock that jumped once makes no new one.
+
+    Args:
+        log: A recording on its own stamps.
+
+    Raises:
+        ValueError: No part has enough samples.
+    """
+    stamps = log.time[np.isfinite(log.time)]
+    good = np.flatnonzero(np.isfinite(log.time))
+    good = good[_together(stamps)]
+    cuts = np.flatnonzero(np.abs(np.diff(log.time[good])) > LONGEST_GAP_S) + 1
+    parts = [part for part in np.split(good, cuts) if part.size >= FEWEST]
+    if not parts:
+        step = float(np.median(np.abs(np.diff(stamps)))) if stamps.size > 1 else 0.0
+        hint = f": {step:.3g} s apart, {_unit_of_stamps(1 / step)}" if step > LONGEST_GAP_S else ""
+        raise ValueError(f"{log.name}: {good.size} usable samples; at least {FEWEST} are required{hint}")
+    if len(parts) == 1 and parts[0].size == log.time.size:
+        return [log]
+    return [replace(log, time=log.time[part], gyro=log.gyro[part], accel=log.accel[part]) for part in parts]
+
+
+def gaps_of(time: Array) -> tuple[NDArray[np.bool_], dict[str, Any]]:
+    """Which steps of the stamps (T,) are gaps, (T − 1,), and counts of steps by the names of `LogReport`."""
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    gap = steps > max(GAP * period, period + JITTER_S)
+    # A late stamp is followed by a short step and an early one comes after one; a lost sample has neither.
+    beside = np.convolve(steps / period, [1.0, 1.0], "valid")
+    alone = np.minimum(np.append(beside, np.inf), np.insert(beside, 0, np.inf)) > LOST + 1.0
+    lost = (steps / period > LOST) & alone & ~gap
+    return gap, {
+        "samples": time.size,
+        "duration_s": float(time[-1] - time[0]),
+        "source_rate_hz": 1.0 / period,
+        "jitter_ms": float(np.std(steps[~gap & ~lost])) * 1e3,
+        "gaps": int(gap.sum()),
+        "gap_s": float((steps[gap] - period).sum()),
+        "longest_gap_s": float(steps[gap].max(initial=0.0)),
+        "lost": int(lost.sum()),
+    }
+
+
+def least_steps(readings: Array) -> Array:
+    """Smallest change between two readings of each axis; infinite where there is none."""
+    steps = np.abs(np.diff(readings, axis=0))
+    return np.where(steps > 0, steps, np.inf).min(axis=0)
+
+
+def held(readings: Array, least: int) -> list[tuple[int, int]]:
+    """First sample and end of each run of at least `least` equal readings (T, ·); none if all are equal."""
+    same = (readings[1:] == readings[:-1]).all(axis=1)
+    return [(a, b + 1) for a, b in stretches(same) if b + 1 - a >= least and not same.all()]
+
+
+def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
+    """Samples of each axis of both sensors (T, 6) within a run of equal readings while another axis moves.
+
+    Or of all axes of a sensor while the other sensor moves.
+    """
+    least, stuck = max(round(STUCK_S / period), STUCK), np.zeros(readings.shape, bool)
+    for first, moves in ((0, FORCE_MOVES), (3, RATE_MOVES)):
+        sensor, other = readings[:, first : first + 3], readings[:, 3 - first : 6 - first]
+        limits = MOVES * least_steps(sensor)
+        for k in range(3):
+            for start, end in held(sensor[:, [k]], least):
+                stuck[start:end, first + k] = (sensor[start:end].std(axis=0) > limits).any()
+        for start, end in held(sensor, least):
+            if np.linalg.norm(other[start:end].std(axis=0)) > moves:
+                stuck[start:end, first : first + 3] = True
+    return stuck
+
+
+def _unit_of_stamps(rate_hz: float) -> str:
+    """What stamps at a rate that cannot be are likely in."""
+    units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+    likely = [
+        f'in {unit} (time.unit = "{unit}")'
+        for unit, per_s in units.items()
+        if 50.0 <= rate_hz * per_s <= 4000.0
+    ]
+    return f"are the stamps {likely[0]}?" if likely else "look at the unit of the stamps"
+
+
+def _together(time: Array) -> NDArray[np.bool_]:
+    """Stamps with `FEWEST` neighbours in the log that are near in time; the others are a clock's mistakes."""
+    cuts = np.flatnonzero(np.abs(np.diff(time)) > LONGEST_GAP_S) + 1
+    sizes = np.diff(cuts, prepend=0, append=time.size)
+    return np.repeat(sizes >= FEWEST, sizes)
+
+
+def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
+    """Readings with finite numbers and stamps that go forward, and how many were otherwise."""
+    readings = np.concatenate([log.gyro, log.accel], axis=1)
+    finite = np.isfinite(readings).all(axis=1) & np.isfinite(log.time)
+    beyond = finite & (np.abs(readings) > np.repeat([RATE_MAX, FORCE_MAX], 3)).any(axis=1)
+    if beyond.sum() <= RARE * finite.sum():  # many are no spikes, but of another unit
+        finite &= ~beyond
+    readings, time = readings[finite], log.time[finite]
+    if time.size < FEWEST:
+        raise ValueError(f"{log.name}: {time.size} usable samples; at least {FEWEST} are required")
+    steps = np.diff(time)
+    apart = steps[steps > EXACT_S]
+    least = max(EXACT_S, CLOSEST * float(np.median(apart))) if apart.size else EXACT_S
+    latest = np.maximum.accumulate(time)
+    forward = np.concatenate([[True], time[1:] > latest[:-1] + least])
+    readings, time = readings[forward], time[forward]
+    if time.size < FEWEST:
+        raise ValueError(f"{log.name}: only {time.size} of its stamps go forward")
+    same = (readings[1:] == readings[:-1]).all(axis=1)
+    counted = {
+        "missing": int((~finite).sum()),
+        "stamps_back": int((~forward).sum()),
+        "clock_back_ms": round(-1e3 * float(steps.min(initial=0.0))),
+        "repeated": int(same.sum()),
+        "saturated": int(_saturated(readings).sum()),
+    }
+    return replace(log, time=time, gyro=readings[:, :3], accel=readings[:, 3:]), counted
+
+
+def _saturated(readings: Array) -> NDArray[np.bool_]:
+    """Samples within a run of equal readings at the least or largest value of an axis."""
+    stuck = np.zeros(len(readings), bool)
+    for values in readings.T:
+        ends = {values.min(), values.max()} - {np.median(values)}  # an axis that hardly moves has none
+        for extreme in ends:
+            for start, end in stretches(values == extreme):
+                stuck[start:end] |= end - start >= STUCK
+    return stuck
