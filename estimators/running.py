@@ -88,8 +88,8 @@ def run_quietly(
         if sequence is None:
             return _stream(est, readings, roll_pitch, quat)
         _reset(est, len(readings.gyro), roll_pitch)
-        give = readings.give if _ships(est) else readings.give_copies
-        returned = give(sequence, accepted_sensors(sequence))
+        given = readings if _ships(est) else readings.map(np.copy)
+        returned = given.give(sequence, accepted_sensors(sequence))
         return roll_pitch_of(returned, (*readings.gyro.shape[:2], 2), type(est).__name__, "sequence")
 
 
@@ -149,7 +149,7 @@ def _stream(
     for t in range(steps):
         if observe is not None and truth is not None:
             observe(truth[:, t].copy())
-        returned = readings.map(lambda each, t=t: each[:, t]).give_copies(est.update, accepted)
+        returned = readings.map(lambda each, t=t: each[:, t].copy()).give(est.update, accepted)
         out[:, t] = roll_pitch_of(returned, (n, 2), name)
     return out
 
