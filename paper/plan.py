@@ -173,7 +173,8 @@ def _rates(s: PaperSettings) -> list[Stage]:
     """The same network trained at every sample rate on as many hours of the same manoeuvres."""
     stages, first = [], 1000 * s.seed
     for rate in s.rates_hz:
-        train, test, at = f"fly-rate-{rate:g}", f"fly-rate-test-{rate:g}", {"rate_hz": rate}
+        train, test = f"fly-rate-{rate:g}", f"fly-rate-test-{rate:g}"
+        at: dict[str, Any] = {"rate_hz": rate}
         made = {"att-snn": ["att-snn", f"rate-{rate:g}"]}
         stages += [
             _fly(train, s.rate_flights, s.flight_s, first + 11, **at),

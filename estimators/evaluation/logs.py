@@ -125,19 +125,19 @@ class LogScores:
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over the logs of the headline of the inclination RMSE [deg]."""
-        return float(self._errors(bias)["inclination_rmse_deg"].get(estimator, np.nan))
+        return float(self._errors(bias)["inclination_rmse_deg"].to_dict().get(estimator, np.nan))
 
     def silenced(self, estimator: str) -> float:
         """The same of the network silenced, raw; NaN for others [deg]."""
-        return float(self._errors(RAW)["silenced_deg"].get(estimator, np.nan))
+        return float(self._errors(RAW)["silenced_deg"].to_dict().get(estimator, np.nan))
 
     def _errors(self, bias: str) -> pd.DataFrame:
-        chosen = self.table[(self.table.bias == bias) & self.table.log.isin(self.headline)]
-        return chosen.groupby("estimator")[["inclination_rmse_deg", "silenced_deg"]].mean()
+        chosen = self.table.loc[(self.table.bias == bias) & self.table.log.isin(self.headline)]
+        return pd.DataFrame(chosen.groupby("estimator")[["inclination_rmse_deg", "silenced_deg"]].mean())
 
     def on_logs(self, bias: str = RAW) -> pd.DataFrame:
         """Inclination RMSE of estimators by log [deg]."""
-        chosen = self.table[self.table.bias == bias]
+        chosen = self.table.loc[self.table.bias == bias]
         return chosen.pivot(index="estimator", columns="log", values="inclination_rmse_deg")
 
     @property

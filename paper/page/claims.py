@@ -87,8 +87,9 @@ def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
             measured = str(error)
         if not judges:
             measured += "; preset quick is for a look, and judges nothing"
-        texts = (claim[key] for key in ("item", "claim", "rule"))
-        judged.append(Judgement(*texts, verdict, measured, claim["limits"]))
+        judged.append(
+            Judgement(claim["item"], claim["claim"], claim["rule"], verdict, measured, claim["limits"])
+        )
     return judged
 
 

@@ -230,6 +230,7 @@ def _against(
 ) -> Figure:
     """Mean errors with their intervals against a number, a line for each label."""
     figure, axes = _panels(6.4, 3.4)
+    places: list[float] = []
     for label, (found, style) in lines.items():
         means = [mean(each) for each in found.values()]
         ends = [[each.value - each.low for each in means], [each.high - each.value for each in means]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,9 +110,9 @@ def identify(flights: Sequence[Flight], start: Vehicle) -> Identified:
     fits = [_table(start, names, x[: len(names)] * scale, half * scale), *_lags(flights, start)]
     constants = pd.concat(fits).reindex([path for path in UNITS if any(path in fit.index for fit in fits)])
     missing += [
-        f"{row.Index}: {_told(row)}, so it stays {row.start:.4g}"
-        for row in constants.itertuples()
-        if not row.identified
+        f"{path}: {_told(row)}, so it stays {row['start']:.4g}"
+        for path, row in constants.to_dict("index").items()
+        if not row["identified"]
     ]
     vehicle = with_constants(start, constants.loc[constants.identified, "fitted"].to_dict())
     return Identified(
@@ -156,10 +156,10 @@ def _table(start: Vehicle, names: Sequence[str], fitted: Array, half_width: Arra
     return table.assign(identified=table.half_width <= SURE * table.fitted.abs())
 
 
-def _told(row: Any) -> str:
-    if np.isinf(row.half_width):
+def _told(row: dict[Hashable, Any]) -> str:
+    if np.isinf(row["half_width"]):
         return "these flights do not tell it"
-    return f"{row.fitted:.3g} ± {row.half_width:.2g} {row.unit} is not told well enough"
+    return f"{row['fitted']:.3g} ± {row['half_width']:.2g} {row['unit']} is not told well enough"
 
 
 def _half_widths(jacobian: Array, residuals: Array, rows: int) -> Array:

@@ -49,10 +49,12 @@ def identify_files(files: Sequence[Path], vehicle: str, out: Path, rate_hz: floa
             say(f"{file}: no rotor speeds in rad/s, left out", "yellow")
     found = identify([flight for each in turning.values() for flight in each], start)
     rows = []
-    for each in found.constants.itertuples():
-        width = f"{each.half_width / each.fitted:.1%}" if each.identified else f"{each.half_width:.2g}"
-        values = f"{each.start:.4g}", f"{each.fitted:.4g}", width, "yes" if each.identified else "no"
-        rows.append((each.Index, each.unit, *values))
+    for path, each in found.constants.to_dict("index").items():
+        half, fitted, used = each["half_width"], each["fitted"], each["identified"]
+        width = f"{half / fitted:.1%}" if used else f"{half:.2g}"
+        rows.append(
+            (path, each["unit"], f"{each['start']:.4g}", f"{fitted:.4g}", width, "yes" if used else "no")
+        )
     print_table(rows, ("constant", "unit", "start", "fitted", "± (95 %)", "used"))
     for line in found.missing:
         say(f"not identified: {line}", "yellow")
@@ -92,8 +94,8 @@ def write_vehicle(found: Identified, out: str | Path, logs: Sequence[str]) -> Ve
     """
     lines = [f"By `quadsim identify` from {', '.join(logs)}. Mass, hubs and outline are those it began with."]
     lines += [
-        f"{each.Index}: {each.fitted:.4g} ± {each.half_width:.2g} {each.unit}"
-        for each in found.constants.itertuples()
+        f"{path}: {each['fitted']:.4g} ± {each['half_width']:.2g} {each['unit']}"
+        for path, each in found.constants.to_dict("index").items()
     ]
     lines += [f"Not identified: {line}" for line in found.missing]
     content = found.vehicle.model_dump(mode="json", exclude_none=True)

@@ -107,7 +107,7 @@ def _show_errors(scores: LogScores, within_deg: float) -> None:
         print_table(rows, ("estimator", "raw, °", "silenced, °", "bias removed, °"), title)
     for log in apart:
         faults = ", ".join(fault.name for fault in scores.logs[log].faults)
-        raw, known = (scores.on_logs(bias)[log] for bias in (RAW, KNOWN))
+        raw, known = (scores.on_logs(bias)[log].to_dict() for bias in (RAW, KNOWN))
         rows = [(name, *_cells((raw[name], known[name]))) for name in scores.estimators if name in raw]
         print_table(rows, ("estimator", "raw, °", "bias removed, °"), f"{log}, apart: {faults}")
     if scores.faulty and not apart:
@@ -132,10 +132,10 @@ def _show_comparisons(scores: LogScores) -> None:
 
 def _show_notes(scores: LogScores) -> None:
     """Estimators that are not ranked, what of each log counts, and what estimators believed."""
-    for row in scores.table.itertuples():
-        if row.flaw and row.bias == RAW:
-            counted = "; each of these counts as 180°" if row.without_number > 0.0 else ""
-            say(f"{row.log}: {row.estimator} {row.flaw}{counted}: it is not ranked")
+    for row in scores.table.to_dict("records"):
+        if row["flaw"] and row["bias"] == RAW:
+            counted = "; each of these counts as 180°" if row["without_number"] > 0.0 else ""
+            say(f"{row['log']}: {row['estimator']} {row['flaw']}{counted}: it is not ranked")
     for log in scores.scored:
         say(f"{log}: {scores.logs[log].counted_s:.0f} s scored, {scores.logs[log].bias_text}")
     for log, one in scores.logs.items():

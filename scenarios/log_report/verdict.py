@@ -95,7 +95,7 @@ def _failing(scores: LogScores) -> Iterator[str]:
     kinds = set()
     for name, log in scores.logs.items():
         text = f"{name}, {'; '.join(fault.sentence for fault in log.faults)}."
-        if name in on_log and on_log[name].notna().any():
+        if name in on_log and bool(on_log[name].notna().any()):
             best = on_log[name].idxmin()
             text += f" The smallest error on it is {on_log.at[best, name]:.2f}° ({best})."
         if log.faults:
