@@ -22,8 +22,6 @@ install: .venv/installed
 	$(PYTHON) -c 'import sys; sys.exit("quadsim needs Python 3.11 or newer: make PYTHON=python3.11 ...") if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
-	# a test counts operations with NeuroBench; what it depends on, for its data sets, would bring audio and more
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps neurobench
 	$(BIN)/quadsim compile
 	touch $@
 

@@ -18,11 +18,11 @@ from pages import ROOT, Page, Parts, confirmed, row
 
 from estimators import create
 from estimators.control.controller import SpikingController, create_controller
-from estimators.control.weights import load_controller, save_controller
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
-from estimators.networks.network import OnLoihi, silenced
-from estimators.networks.weights_file import load_network
+from estimators.networks.network import silenced
+from estimators.networks.on_chip import OnLoihi
+from estimators.networks.weights_file import load_network, save_network
 from quadsim.control.own import AttitudeController, MakeController
 from quadsim.dataset.figures import STYLE
 from quadsim.flight.loop import FlightLoop
@@ -243,11 +243,11 @@ def chip_rows() -> Iterator[str]:
 
 def profile_rows() -> Iterator[str]:
     """What few decay profiles cost the controller that reads an attitude."""
-    weights = load_controller(ATTITUDE)
+    config, tensors = load_network(ATTITUDE)
     names = {"as trained": f"truth @ {ATTITUDE}"}
     for profiles in PROFILES:
         file = OUT / f"profiles-{profiles}.safetensors"
-        save_controller(file, weights._replace(tensors=share_profiles(weights.tensors, profiles)))
+        save_network(file, config, share_profiles(tensors, profiles))
         names[f"{profiles}, shared after the training"] = f"truth @ {file}"
     found = bench(NOMINAL, ["truth", *names.values()], OUT / "profiles", FlightSettings(SEEDS))
     tracked = {(each.scenario, each.estimator): each.attitude_deg or np.nan for each in found.rows}
@@ -272,12 +272,10 @@ def _cores(name: str) -> tuple[str, int, int, str]:
 def silenced_rows() -> Iterator[str]:
     """Whether a controller flies with output weights of zero."""
     for way, name in WAYS.items():
-        config, tensors, reads = load_controller(name)
+        config, tensors = load_network(name)
 
-        def make(
-            rate_hz: float, vehicle: Vehicle, config=config, tensors=tensors, reads=reads
-        ) -> AttitudeController:
-            return SpikingController(config, silenced(config, tensors), reads=reads)
+        def make(rate_hz: float, vehicle: Vehicle, config=config, tensors=tensors) -> AttitudeController:
+            return SpikingController(config, silenced(config, tensors))
 
         response = step_response(make, None)
         yield row(f"spiking, {way}", f"{np.abs(response[:, -1] - STEP_DEG).mean():.0f}")

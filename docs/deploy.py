@@ -18,7 +18,8 @@ from simulated import simulated
 from estimators.control.controller import create_controller
 from estimators.evaluation.flights import load_flights
 from estimators.export.formats import export_weights
-from estimators.networks.network import NetworkEstimator, OnLoihi
+from estimators.networks.network import NetworkEstimator
+from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network, shipped_controllers, shipped_names
 from quadsim.vehicle import GRAVITY
 

@@ -1,24 +1,23 @@
 """The page loihi.md: everything about the chip."""
 
-import tempfile
 from argparse import Namespace
-from pathlib import Path
 
 import matplotlib
 import numpy as np
-from pages import Page, Parts, reduce_colours, row
+from pages import Page, Parts, row
 from simulated import simulated
 
 from estimators.analysis.ablation import error_deg
-from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, host_costs
-from estimators.analysis.inspection import FRACTIONS, Inspection, inspect, load_spiking, write_page
-from estimators.analysis.inspection_figures import ablation_curve
+from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, host_operations
+from estimators.analysis.inspection import FRACTIONS, Inspection, inspect
+from estimators.analysis.inspection_figures import ablation_figure, raster_figure, tuning_figure
 from estimators.analysis.latency import PAPER_US, contenders, measure
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
-from estimators.networks.network import OnLoihi, silenced
-from estimators.networks.weights_file import Tensors, shipped_network
+from estimators.networks.network import silenced
+from estimators.networks.on_chip import OnLoihi
+from estimators.networks.weights_file import Tensors, load_network
 from quadsim.dataset.figures import STYLE
 
 PROFILES = (128, 64, 48, 32, 24)
@@ -36,7 +35,7 @@ def core_rows(core: OnLoihi) -> list[str]:
 
 def profile_rows(tensors: Tensors, flights: Flights, silenced_deg: str) -> list[str]:
     """What sharing decay profiles costs."""
-    config, _ = shipped_network("att-snn")
+    config, _ = load_network("att-snn")
     shared = {"one a neuron": tensors} | {str(k): share_profiles(tensors, k) for k in PROFILES}
     return [
         row(name, len(OnLoihi(config, each).cores), f"{error_deg(config, each, flights):.2f}", silenced_deg)
@@ -54,12 +53,10 @@ def latency_rows() -> list[str]:
 
 def host_rows(found: Inspection) -> list[str]:
     """Operations of the host, with their modelled energy, and their sum."""
-    lines = host_costs(found.config)
-    sums = [
-        sum(getattr(each, name) for each in lines) for name in ("multiplications", "additions", "nanojoules")
-    ]
-    rows = [row(each.part, each.multiplications, each.additions, f"{each.nanojoules:.2f}") for each in lines]
-    return [*rows, row("sum", *sums[:2], f"{sums[2]:.2f}")]
+    counted = host_operations(found.config)
+    counted |= {"sum": sum(counted.values())}
+    both = sum(HOST_PICOJOULES.values()) / 1e3
+    return [row(part, count, count, f"{count * both:.2f}") for part, count in counted.items()]
 
 
 def energy_rows(found: Inspection) -> list[str]:
@@ -76,24 +73,20 @@ def energy_rows(found: Inspection) -> list[str]:
 
 def summary_rows(found: Inspection) -> list[str]:
     """The terminal's summary, without what other tables of the page show."""
-    others = ("error", "removed", "modelled")
-    return [row(key, text) for key, text in found.summary() if not key.startswith(others)]
+    return [row(key, text) for key, text in found.summary() if "layer" in key or "neurons follow" in key]
 
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     flights = load_flights([simulated("val", given.data)])
-    name, config, tensors = load_spiking()
-    found = inspect(name, config, tensors, flights)
+    config, tensors = load_network("att-snn")
+    found = inspect(config, tensors, flights)
     silenced_deg = f"{error_deg(config, silenced(config, tensors), flights):.2f}"
-    with tempfile.TemporaryDirectory() as folder:
-        write_page(folder, found)
-        for picture in ("rates", "raster", "membranes", "inputs", "tuning"):
-            path = page.root / "docs" / "img" / f"loihi-{picture}.png"
-            path.write_bytes((Path(folder) / f"{picture}.png").read_bytes())
-            reduce_colours(path, 64)
+    rate_hz = config.rate_hz * config.steps_per_sample
     with matplotlib.rc_context(STYLE):
-        page.save(ablation_curve(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
+        page.save(raster_figure(found.activity, found.truth, rate_hz), "loihi-raster.png", colours=64)
+        page.save(tuning_figure(found.activity, found.tuning), "loihi-tuning.png", colours=64)
+        page.save(ablation_figure(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
     return {
         "cores": core_rows(found.core),
         "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),

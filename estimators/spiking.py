@@ -9,11 +9,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .networks.forward import BIAS_EXP, MATRICES, STATE_ONE, THRESHOLD, NetworkState, Weights
+from .networks.forward import (
+    BIAS_STEP,
+    MANT_MAX,
+    MATRICES,
+    OUTPUT_THRESHOLD,
+    STATE_ONE,
+    THRESHOLD,
+    V_MAX,
+    NetworkState,
+    Weights,
+)
 
 SURROGATE_WIDTH = 20.0
-_V_MAX = 2.0**23 - 1
-_OUTPUT_THRESHOLD = 131071.0 * 64
 
 
 class _SuperSpike(torch.autograd.Function):
@@ -102,13 +110,13 @@ def step(
 
     def membrane(v: Tensor, s: Tensor, u: Tensor, tau: Tensor) -> Tensor:
         v = decay(v * (1 - s.detach()), tau) + u
-        return _straight(v, v.clamp(-_V_MAX, _V_MAX)) if quantised else v
+        return _straight(v, v.clamp(-V_MAX, V_MAX)) if quantised else v
 
     u2 = wrapped(decay(state.u2, w.syn2) + wrapped(state.s1 @ w.w_out.T, 21), 23)
     v2 = decay(state.v2, w.mem2) + u2
     drive = x @ w.w_in.T
     if quantised:
-        v2 = _straight(v2, torch.where(v2 > _OUTPUT_THRESHOLD, 0.0, v2.clamp(min=-_V_MAX)))
+        v2 = _straight(v2, torch.where(v2 > OUTPUT_THRESHOLD, 0.0, v2.clamp(min=-V_MAX)))
         drive = _straight(drive, torch.trunc(drive))
     sums = state.s0 @ w.w_ff.T + state.s1_delayed @ w.w_rec.T
     u1 = wrapped(decay(state.u1, w.syn1) + wrapped(sums, 21), 23)
@@ -172,4 +180,4 @@ def _wrap(value: Tensor, bits: int) -> Tensor:
 
 
 def _bias(current: Tensor) -> Tensor:
-    return torch.clamp(torch.trunc(current / 2**BIAS_EXP), -4095, 4095) * 2**BIAS_EXP
+    return torch.clamp(torch.trunc(current / BIAS_STEP), -MANT_MAX, MANT_MAX) * BIAS_STEP

@@ -31,8 +31,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from estimators.control.controller import SpikingController
-from estimators.control.weights import ControllerWeights, load_controller, save_controller
 from estimators.networks.network import real_weights
+from estimators.networks.weights_file import Network, load_network, save_network
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.recipe import load_recipe
 from quadsim.rotation import quat_from_euler
@@ -145,8 +145,8 @@ def _up(quat: Array) -> Array:
 class Filtered:
     """The hidden layer of a controller for n vehicles, and its spikes as they arrive at the output layer."""
 
-    def __init__(self, weights: ControllerWeights, n: int) -> None:
-        self.controller = SpikingController(weights.config, weights.tensors, reads=weights.reads)
+    def __init__(self, weights: Network, n: int) -> None:
+        self.controller = SpikingController(*weights)
         self.controller.reset(n)
         real = real_weights(weights.config, weights.tensors)
         self.keep = float(real.syn2[0]), float(real.mem2[0])
@@ -174,7 +174,7 @@ class Agents(VecEnv):
         size: What an observation is divided by, (hidden,).
     """
 
-    def __init__(self, weights: ControllerWeights, n: int, seed: int, size: Array) -> None:
+    def __init__(self, weights: Network, n: int, seed: int, size: Array) -> None:
         self.weights, self.flights, self.size = weights, Flights(n, seed), size.astype(np.float32)
         bound = weights.config.set_point.bound / weights.config.output_scale
         observation = gymnasium.spaces.Box(-np.inf, np.inf, size.shape, np.float32)
@@ -225,11 +225,11 @@ class Agents(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
 
-def judge(weights: ControllerWeights, inertia: float = INERTIA) -> tuple[float, float]:
+def judge(weights: Network, inertia: float = INERTIA) -> tuple[float, float]:
     """On the emulated chip: RMS tracking error [deg], and RMS change of the rotor command [rad/s]."""
     flights = Flights(EPISODES, JUDGED, inertia)
     flights.begin()
-    controller = SpikingController(weights.config, weights.tensors, on_loihi=True, reads=weights.reads)
+    controller = SpikingController(*weights, on_loihi=True)
     controller.reset(EPISODES)
     flown = [flights.fly(controller.update(*flights.readings)[:, :3]) for _ in range(STEPS)]
     error, change = np.sqrt(np.mean(np.square(flown), axis=(0, 2)))
@@ -258,7 +258,7 @@ class Output(nn.Module):
         return x @ self.weight.T
 
 
-def observed_size(weights: ControllerWeights) -> Array:
+def observed_size(weights: Network) -> Array:
     """Root mean square of what arrives at the output layer while the controller flies, (hidden,)."""
     flights, squares = Flights(VEHICLES, 0), []
     flights.begin()
@@ -271,7 +271,7 @@ def observed_size(weights: ControllerWeights) -> Array:
     return np.sqrt(np.mean(squares, axis=0)) + 1e-3
 
 
-def agent(weights: ControllerWeights, seed: int) -> PPO:
+def agent(weights: Network, seed: int) -> PPO:
     """PPO whose policy is the controller's output layer, from the weights that it has."""
     size = observed_size(weights)
     model = PPO(
@@ -294,7 +294,7 @@ def agent(weights: ControllerWeights, seed: int) -> PPO:
     return model
 
 
-def with_output(weights: ControllerWeights, output: Array) -> ControllerWeights:
+def with_output(weights: Network, output: Array) -> Network:
     """The controller with other output weights (3, hidden), rounded to the chip's."""
     mantissas = np.clip(2 * np.rint(128 * output), -256, 254).astype(np.int16)
     return weights._replace(tensors=weights.tensors | {"w_out": mantissas})
@@ -310,11 +310,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     try:
-        weights = load_controller(given.controller)
+        weights = load_network(given.controller)
     except (ValueError, OSError) as error:
         parser.error(str(error))
     config = weights.config
-    if weights.reads != "attitude" or (config.steps_per_sample, config.rate_hz) != (1, 200.0):
+    if config.reads != "attitude" or (config.steps_per_sample, config.rate_hz) != (1, 200.0):
         parser.error(
             f"{given.controller}: give one that reads an attitude, at 200 Hz, a step for each sample"
         )
@@ -335,7 +335,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
         print(f"{update:7} {heavy:7.2f} {change:6.1f} {known:7.2f} {known_change:6.1f}", flush=True)
     given.out.mkdir(parents=True, exist_ok=True)
-    save_controller(given.out / "tuned.safetensors", tuned)
+    save_network(given.out / "tuned.safetensors", *tuned)
     write_csv(given.out / "ppo.csv", rows)
     print(given.out / "tuned.safetensors")
 

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from estimators.control.controller import create_controller
-from estimators.control.weights import ControllerWeights, Reads, save_controller
 from estimators.export.formats import export_weights
-from estimators.networks.network import NetworkEstimator, OnLoihi
+from estimators.networks.network import NetworkEstimator
+from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
     NetworkConfig,
+    Reads,
     SetPointScaling,
     expected_shapes,
     load_network,
+    save_network,
     shipped_controllers,
 )
 
@@ -83,11 +85,12 @@ def test_the_crazyflies_controller_compiles_against_the_firmwares_declarations(t
         hidden=8,
         outputs="angular-acceleration",
         set_point=SetPointScaling(),
+        reads=reads,
     )
     rng = np.random.default_rng(0)
     shapes = expected_shapes(config).items()
     drawn = {name: 2 * rng.integers(1, 60, shape).astype(np.int16) for name, shape in shapes}
-    save_controller(tmp_path / "control.safetensors", ControllerWeights(config, drawn, reads))
+    save_network(tmp_path / "control.safetensors", config, drawn)
     export_weights(tmp_path / "control.safetensors", tmp_path / "src" / "network", "c99")
     flags = ["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", f"-I{example / 'stub_headers'}"]
     for source in ("snn_controller.c", "network/snn_control.c"):

@@ -7,11 +7,11 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-from controllers import CONFIG, random_tensors
+from controllers import ATTITUDE, CONFIG, random_tensors
 from PIL import Image
 
-from estimators.control.weights import ControllerWeights, load_controller, save_controller
 from estimators.networks.network import real_weights
+from estimators.networks.weights_file import Network, load_network, save_network
 
 
 def example(name):
@@ -73,27 +73,27 @@ def test_a_batch_flies_as_single_environments_do(ppo):
 def test_ppo_changes_the_output_layer_of_a_controller_alone(ppo_controller, capsys, monkeypatch, tmp_path):
     for name, value in {"VEHICLES": 4, "STEPS": 50, "EVERY": 1, "EPISODES": 2, "STEP": 10.0}.items():
         monkeypatch.setattr(ppo_controller, name, value)
-    begun = ControllerWeights(CONFIG, random_tensors(), "attitude")
-    save_controller(tmp_path / "begun.safetensors", begun)
+    begun = random_tensors()
+    save_network(tmp_path / "begun.safetensors", ATTITUDE, begun)
     ppo_controller.main(
         ["--controller", str(tmp_path / "begun.safetensors"), "--updates", "1", "--out", str(tmp_path)]
     )
-    tuned = load_controller(tmp_path / "tuned.safetensors")
-    changed = {name for name, each in tuned.tensors.items() if not np.array_equal(each, begun.tensors[name])}
+    tuned = load_network(tmp_path / "tuned.safetensors")
+    changed = {name for name, each in tuned.tensors.items() if not np.array_equal(each, begun[name])}
     assert changed == {"w_out"}
-    assert tuned.reads == "attitude"
+    assert tuned.config.reads == "attitude"
     with (tmp_path / "ppo.csv").open() as file:
         assert [row["updates"] for row in csv.DictReader(file)] == ["0", "1"]
     assert "tuned.safetensors" in capsys.readouterr().out
 
 
 def test_what_the_agent_observes_times_the_output_weights_is_what_the_controller_asks_for(ppo_controller):
-    weights = ControllerWeights(CONFIG, random_tensors(), "attitude")
+    weights = Network(ATTITUDE, random_tensors())
     flights = ppo_controller.Flights(3, 0)
     flights.begin()
     hidden, alone = ppo_controller.Filtered(weights, 3), ppo_controller.Filtered(weights, 3).controller
     alone.reset(3)
-    scale = CONFIG.output_scale * real_weights(*weights[:2]).w_out
+    scale = CONFIG.output_scale * real_weights(*weights).w_out
     for _ in range(40):
         arrived, asked = hidden.update(flights.readings), alone.update(*flights.readings)
         bounded = np.clip(arrived @ scale.T, -CONFIG.set_point.bound, CONFIG.set_point.bound)

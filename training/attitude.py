@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from estimators.metrics import absolute_error, inclination_error
-from estimators.networks.network import NetworkEstimator, Recurrent, Spiking
+from estimators.networks.gru import Recurrent
+from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.weights_file import NetworkConfig, Tensors
 
 from .config import TrainConfig

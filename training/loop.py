@@ -19,9 +19,8 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from estimators.control.weights import ControllerWeights, save_controller
 from estimators.networks.encoder import ENCODER
-from estimators.networks.weights_file import NetworkConfig, Tensors
+from estimators.networks.weights_file import NetworkConfig, Tensors, save_network
 from quadsim.runs.files import alone, write_csv
 from quadsim.runs.record import commit
 
@@ -250,8 +249,7 @@ class Training:
         figures = {f"validation_{name}": round(value, 6) for name, value in epoch.validation.items()}
         progress = {"epoch": epoch.epoch + 1, "updates": epoch.updates}
         network, tensors = self.exported(config | self.task.note() | progress | figures)
-        reads = self.config.control.reads if self.config.controls else "imu"
-        save_controller(out / "best.safetensors", ControllerWeights(network, tensors, reads))
+        save_network(out / "best.safetensors", network, tensors)
 
     def checkpoint(self) -> dict[str, Any]:
         """What `restore` needs to continue."""

@@ -123,6 +123,7 @@ def exported(
         outputs=config.outputs,
         output_scale=model.output_scale if spiking else 1.0,
         set_point=config.control.set_point if config.controls else None,
+        reads=config.control.reads if config.controls else "imu",
         training=note,
     )
     if not spiking:

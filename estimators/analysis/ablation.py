@@ -11,64 +11,52 @@ from ..evaluation.flights import Flights
 from ..metrics import attitude_error
 from ..networks.network import NetworkEstimator, Spiking
 from ..networks.symmetry import is_symmetric, weight_sharing
-from ..networks.weights_file import EXPONENTS, NetworkConfig, Tensors, exponents
+from ..networks.weights_file import AXES, NetworkConfig, Tensors, exponents
 from .activity import Activity
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-OF_HIDDEN = ("syn1", "mem1", "w_after", "syn_after", *EXPONENTS.values())
-"""Tensors with a row for each hidden neuron and no column for any other."""
 CRITERIA = ("activity", "magnitude", "contribution", "random")
 
 
 def importance(tensors: Tensors, activity: Activity, by: str, seed: int = 0) -> tuple[Array, Array]:
     """How much each neuron of the encoding and of the hidden layer matters; the least goes first.
 
-    activity: its spike rate. magnitude: the root sum of squares of the weights it sends out. contribution:
+    activity: its spike rate r. magnitude: the root sum of squares of the weights it sends out. contribution:
     that times the standard deviation of its spikes, √(r (1 − r)), for a neuron that is always silent or
     always on says nothing. random: drawn, to compare with.
 
     Raises:
         ValueError: No such criterion.
     """
-    rates = activity.of_layer(activity.rates, 0), activity.of_layer(activity.rates, 1)
-    sizes = [
-        np.sqrt(
-            sum(
-                ((tensors[name] * np.exp2(exponents(tensors, name))[:, None]) ** 2).sum(axis=0)
-                for name in names
-            )
-        )
-        for names in (["w_ff"], ["w_rec", "w_out"])
-    ]
-    rng = np.random.default_rng(seed)
-    values = {
-        "activity": rates,
-        "magnitude": sizes,
-        "contribution": [size * np.sqrt(rate * (1 - rate)) for size, rate in zip(sizes, rates, strict=True)],
-        "random": [rng.permutation(rate.size).astype(np.float64) for rate in rates],
-    }
-    if by not in values:
+    if by not in CRITERIA:
         raise ValueError(f"criterion is {by!r}; choose {', '.join(CRITERIA)}")
-    first, second = values[by]
-    return first, second
+    rng, found = np.random.default_rng(seed), []
+    for layer, sent in enumerate((["w_ff"], ["w_rec", "w_out"])):
+        rate = activity.of_layer(activity.rates, layer)
+        real = [tensors[name] * np.exp2(exponents(tensors, name))[:, None] for name in sent]
+        size = np.sqrt(sum((each**2).sum(axis=0) for each in real))
+        values = {
+            "activity": rate,
+            "magnitude": size,
+            "contribution": size * np.sqrt(rate * (1 - rate)),
+            "random": rng.permutation(rate.size).astype(np.float64),
+        }
+        found.append(values[by])
+    return found[0], found[1]
 
 
 def without(
     config: NetworkConfig, tensors: Tensors, keep: Sequence[NDArray[np.int64]]
 ) -> tuple[NetworkConfig, Tensors]:
     """The network of the connected neurons, indices of the encoding and of the hidden layer."""
-    encoding, hidden = (np.sort(np.asarray(ids, dtype=np.int64)) for ids in keep)
-    smaller = {
-        "w_in": tensors["w_in"][encoding],
-        "w_ff": tensors["w_ff"][np.ix_(hidden, encoding)],
-        "w_rec": tensors["w_rec"][np.ix_(hidden, hidden)],
-        "w_out": tensors["w_out"][:, hidden],
-        **{name: tensors[name][encoding] for name in ("syn0", "mem0")},
-        **{name: tensors[name][hidden] for name in OF_HIDDEN if name in tensors},
-        **{name: tensors[name] for name in ("syn2", "mem2")},
-    }
-    return config.model_copy(update={"encoding": encoding.size, "hidden": hidden.size}), smaller
+    left = {name: np.sort(ids) for name, ids in zip(("encoding", "hidden"), keep, strict=True)}
+    smaller = dict(tensors)
+    for name in tensors:
+        for k, axis in enumerate(AXES.get(name, ("hidden",))):  # exponents are of hidden neurons
+            if axis in left:
+                smaller[name] = smaller[name].take(left[axis], k)
+    return config.model_copy(update={name: ids.size for name, ids in left.items()}), smaller
 
 
 def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, Tensors]:

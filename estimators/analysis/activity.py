@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from quadsim.runs.block import fields, zero_blocks
 
-from ..networks.encoder import encode
-from ..networks.network import NO_SET_POINTS, OnLoihi, roll_pitch_of_outputs, step_on_loihi
+from ..networks.network import roll_pitch_of_outputs
+from ..networks.on_chip import OnLoihi
 
 Array = NDArray[np.float64]
+LAYERS = ("encoding", "hidden")
+"""Layers that spike; the outputs do not."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,6 @@ class Activity:
     """Steps in which a neuron had anything to update: a current, a potential or a bias, (n, neurons)."""
     active_currents: NDArray[np.int64]
     """Steps in which an after-spike current, which has a compartment of its own, was not 0, (n, neurons)."""
-    potentials: Array
-    """Membranes of the first flight after each step [threshold = 1], (steps, neurons)."""
     estimate: Array
     """Roll and pitch after each sample, (n, T, 2) [rad]; of a controller its outputs, (n, T, 3) [rad/s²]."""
 
@@ -60,26 +60,23 @@ def record(core: OnLoihi, gyro: Array, accel: Array, set_points: Array | None = 
         accel: Specific force (n, T, 3) [m/s²].
         set_points: Of a controller, as integer inputs (n, T, 3).
     """
-    gyro, accel = np.asarray(gyro, np.float64), np.asarray(accel, np.float64)
-    n, samples, _ = gyro.shape
+    n, samples, _ = np.shape(gyro)
+    more = np.zeros((n, samples, 0)) if set_points is None else set_points
+    by_sample = [np.array(np.swapaxes(each, 0, 1), np.float64, order="C") for each in (gyro, accel, more)]
     neurons, steps = sum(core.chip.sizes), samples * core.steps
     spikes = np.zeros((n, steps, neurons), np.int8)
     active, active_currents = np.zeros((2, n, neurons), np.int64)
-    potentials = np.zeros((steps, neurons), np.int32)
-    outputs = np.empty((n, samples, core.outputs))
+    outputs = np.empty((samples, n, core.outputs))
     states = zero_blocks(n, core.state)
     state = fields(states, core.state)
     s, u, v, a, bias = (state[name] for name in ("spikes", "u", "v", "a", "bias"))
-    for t in range(samples):
-        encode(gyro[:, t], accel[:, t], core.host, state["encoder"])
-        for k in range(t * core.steps, (t + 1) * core.steps):
-            step_on_loihi(core.network, states, NO_SET_POINTS if set_points is None else set_points[:, t])
-            spikes[:, k], potentials[k] = s, v[0]
-            active += (u != 0) | (v != 0) | (a != 0) | (bias != 0) | (s != 0)
-            active_currents += a != 0
-        outputs[:, t] = v[:, -core.outputs :] * core.scale
-    threshold = np.concatenate([np.asarray(layer.vth) * 64.0 for layer in core.chip.layers])
+    for k in range(steps):
+        rate, force, wanted = (each[k // core.steps] for each in by_sample)
+        core.kernel(rate, force, wanted, core.one_step, states, outputs[k // core.steps])
+        spikes[:, k] = s
+        active += (u != 0) | (v != 0) | (a != 0) | (bias != 0) | (s != 0)
+        active_currents += a != 0
     first, second, third = core.chip.sizes
-    estimate = roll_pitch_of_outputs(outputs) if set_points is None else outputs
-    sizes = first, second, third
-    return Activity(sizes, spikes, active, active_currents, potentials / threshold, estimate)
+    answers = outputs.swapaxes(0, 1)
+    estimate = roll_pitch_of_outputs(answers) if set_points is None else answers
+    return Activity((first, second, third), spikes, active, active_currents, estimate)

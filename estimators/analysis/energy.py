@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..loihi.chip import ChipCore
-from ..networks.network import OnLoihi
+from ..networks.on_chip import OnLoihi
 from ..networks.weights_file import NetworkConfig
 from .activity import Activity
 
@@ -34,25 +34,8 @@ PAPER_MEASURED = {"µJ": 13.2, "µs": 10.0}
 """Energy and time of a step of the recurrent layer alone that the paper measured, on a board of 32 chips."""
 
 
-@dataclass(frozen=True)
-class HostCost:
-    """Work of the host for one sample."""
-
-    part: str
-    multiplications: int
-    additions: int
-
-    @property
-    def nanojoules(self) -> float:
-        """Modelled energy of the arithmetic alone."""
-        return (
-            self.multiplications * HOST_PICOJOULES["multiplication"]
-            + self.additions * HOST_PICOJOULES["addition"]
-        ) / 1e3
-
-
-def host_costs(config: NetworkConfig) -> list[HostCost]:
-    """Operations of the host for one sample: those of `encoder.encode_sample` and of `networks.drive`.
+def host_operations(config: NetworkConfig) -> dict[str, int]:
+    """Multiplications, each with an addition, of the host for one sample (`encode_sample` and `drive`).
 
     Each of six readings takes a subtraction and a multiplication, as does a controller's set-point. In each
     step of the network the current of each encoding neuron takes a product for each input, their sums, and a
@@ -60,10 +43,7 @@ def host_costs(config: NetworkConfig) -> list[HostCost]:
     """
     inputs = config.n_inputs
     currents = (inputs + 1) * config.encoding * config.steps_per_sample
-    return [
-        HostCost("scaled readings", inputs, inputs),
-        HostCost("currents of the encoding layer", currents, currents),
-    ]
+    return {"scaled readings": inputs, "currents of the encoding layer": currents}
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ from ..appearance import look
 from ..networks.encoder import ENCODER, scaled_inputs
 from ..networks.forward import Weights
 from ..networks.network import real_weights, roll_pitch_of_outputs
-from ..networks.weights_file import shipped_network
+from ..networks.weights_file import load_network
 from ..registry import create, names
+from ..spiking import rest, step
 
 RATE_HZ = 200.0
 CALLS = 100
@@ -33,51 +34,26 @@ Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
 
 
 class TorchSNN:
-    """Att-SNN as one would write it in PyTorch for inference: no gradients, no rounding, float32.
-
-    `estimators.spiking.step`, the reference, handles both and would take half as long again.
-    """
+    """Att-SNN with the steps of `estimators.spiking`, without rounding, in float32."""
 
     def __init__(self) -> None:
-        self.config, tensors = shipped_network("att-snn")
-        real = real_weights(self.config, tensors)
-        w = Weights(*(torch.tensor(each, dtype=torch.float32) for each in real))
-        self.w_in, self.w_ff, self.w_rec, self.w_out = w.w_in.T, w.w_ff.T, w.w_rec.T, w.w_out.T
-        self.taus = [w.syn0, w.mem0, w.syn1, w.mem1, w.syn2, w.mem2]
-        self.w_after, self.syn_after = w.w_after.flatten(), w.syn_after
-        sizes = [self.config.encoding, self.config.hidden, self.config.n_outputs]
-        self.encoder = np.zeros(1, ENCODER)
-        self.u, self.v, self.s = ([torch.zeros(1, size) for size in sizes] for _ in range(3))
-        self.a = torch.zeros(1, len(self.syn_after))
+        self.config, tensors = load_network("att-snn")
+        self.weights = Weights(*(torch.tensor(w).float() for w in real_weights(self.config, tensors)))
+        self.encoder, self.state = np.zeros(1, ENCODER), rest(1, self.weights)
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
         x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.encoder)
-        sample = torch.from_numpy(x[:, 0].astype(np.float32))
-        drives = [
-            sample @ self.w_in,
-            self.s[0] @ self.w_ff + self.s[1] @ self.w_rec,
-            self.s[1] @ self.w_out,
-        ]
-        if self.config.after_spike:
-            self.a = self.a * self.syn_after + self.s[1] * self.w_after
-        for k, drive in enumerate(drives):
-            self.u[k] = self.u[k] * self.taus[2 * k] + drive
-            self.v[k] = self.v[k] * self.taus[2 * k + 1] + self.u[k]
-            if k == 1 and self.config.after_spike:
-                self.v[k] = self.v[k] + self.a
-            if k < 2:
-                self.s[k] = (self.v[k] > 0.5).float()
-                self.v[k] = self.v[k] * (1 - self.s[k])
-        return roll_pitch_of_outputs(self.v[2].numpy() * self.config.output_scale)
+        self.state = step(torch.from_numpy(x[:, 0].astype(np.float32)), self.weights, self.state)
+        return roll_pitch_of_outputs(self.state.v2.numpy() * self.config.output_scale)
 
 
 class TorchGRU:
     """Att-RNN with PyTorch's own GRU."""
 
     def __init__(self) -> None:
-        self.config, tensors = shipped_network("att-rnn")
+        self.config, tensors = load_network("att-rnn")
         self.gru = torch.nn.GRU(6, self.config.hidden, 2, batch_first=True)
         own = {name.removeprefix("gru."): torch.tensor(x) for name, x in tensors.items() if "gru" in name}
         self.gru.load_state_dict(own)

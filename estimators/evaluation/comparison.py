@@ -24,7 +24,9 @@ from ..metrics import (
     inclination_rmse,
     share_without_number,
 )
-from ..networks.network import NetworkEstimator, OnLoihi, Recurrent, Spiking, silenced
+from ..networks.gru import Recurrent
+from ..networks.network import NetworkEstimator, Spiking, silenced
+from ..networks.on_chip import OnLoihi
 from ..networks.weights_file import load_network, shipped_names
 from ..registry import FILTERPY, NETWORKS, create, is_weights
 from ..running import missing_samples, require_same, run_quietly, streamed_once

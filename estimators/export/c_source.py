@@ -17,10 +17,9 @@ from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import GRAVITY
 
-from ..control.controller import THRUST_MAX
-from ..control.weights import Reads
+from ..control.controller import THRUST_MAX, set_point_gain
 from ..loihi.neurons import DECAY_ONE, STATE_ONE
-from ..networks.encoder import INPUT_MAX, INPUT_ONE, input_scaling
+from ..networks.encoder import INPUT_MAX, input_scaling
 from ..networks.forward import MATRICES, TIME_CONSTANTS
 from ..networks.weights_file import EXPONENTS, NetworkConfig, Tensors, exponents, parameters
 
@@ -82,22 +81,17 @@ BYTES = (0, 2, 1, 3)
 """Neurons of four whose weights are a word, from the lowest byte on."""
 
 
-def c_files(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> dict[str, str]:
-    """The two files by name: `att_snn.h` and `.c`, of a controller `snn_control.h` and `.c`.
-
-    Args:
-        config: How the network is run.
-        tensors: Its weights, the chip's integers.
-        reads: What a controller has beside the set-points.
+def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+    """Write `att_snn.h` and `.c`, of a controller `snn_control.h` and `.c`, into a folder.
 
     Raises:
         ValueError: Not a spiking network for the chip.
     """
-    if config.model != "att-snn" or not config.quantised or config.recurrent_delay != 1:
+    if not config.quantised or config.recurrent_delay != 1:
         raise ValueError("C99 needs quantised weights of att-snn with a recurrent delay of 1")
     name = CONTROLLER if config.controls else ESTIMATOR
     words = WORDS[config.outputs]
-    words = words | {"title": Template(words["title"]).substitute(words, sensors=SENSORS[reads])}
+    words = words | {"title": Template(words["title"]).substitute(words, sensors=SENSORS[config.reads])}
     offset, gain = input_scaling(config.inputs)
     values = {
         "n": name,
@@ -111,7 +105,7 @@ def c_files(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> di
         "outputs": config.n_outputs,
         "units": round(STATE_ONE / config.output_scale),
         "scale": repr(config.output_scale / STATE_ONE),
-        "reads_attitude": int(reads == "attitude"),
+        "reads_attitude": int(config.reads == "attitude"),
         "steps": config.steps_per_sample,
         "input_max": INPUT_MAX,
         "rate_max": RATE_MAX,
@@ -125,23 +119,12 @@ def c_files(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> di
         "AFTER_SPIKE": config.after_spike,
         "CONTROLS": config.controls,
         "ESTIMATES": not config.controls,
-        "READS_ATTITUDE": reads == "attitude",
+        "READS_ATTITUDE": config.reads == "attitude",
     }
-    folder = ASSETS / "c99"
-    texts = {end: (folder / f"network.{end}").read_text(encoding="utf-8") for end in ("h", "c")}
-    return {
-        f"{name}.{end}": Template(
-            SECTION.sub(lambda found: found[2] if kept[found[1]] else "", text)
-        ).substitute(values)
-        for end, text in texts.items()
-    }
-
-
-def write_c(folder: str | Path, config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> None:
-    """Write both files into a folder, which is made where it is missing."""
-    texts = c_files(config, tensors, reads)
-    for name, text in texts.items():
-        write_whole(Path(folder) / name, text)
+    for end in ("h", "c"):
+        text = (ASSETS / "c99" / f"network.{end}").read_text(encoding="utf-8")
+        text = SECTION.sub(lambda found: found[2] if kept[found[1]] else "", text)
+        write_whole(Path(folder) / f"{name}.{end}", Template(text).substitute(values))
 
 
 def _set_points(config: NetworkConfig) -> dict[str, str | float]:
@@ -154,7 +137,7 @@ def _set_points(config: NetworkConfig) -> dict[str, str | float]:
         "tilt_limit": f"{scaling.tilt_limit:g}",
         "yaw_rate_limit": f"{scaling.yaw_rate_limit:g}",
         "set_point_max": _braces(limits),
-        "set_point_gain": _braces(INPUT_ONE / np.array([scaling.tilt, scaling.tilt, scaling.yaw_rate])),
+        "set_point_gain": _braces(set_point_gain(scaling)),
         "thrust_max": f"{THRUST_MAX:.1f}",
         "gravity": repr(float(GRAVITY)),
         "bound": repr(scaling.bound),

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-from ..control.weights import load_controller
 from ..networks.weights_file import load_network
 
 FORMATS = ("nir", "c99", "onnx")
@@ -46,6 +44,5 @@ def export_weights(weights: str | Path, out: str | Path, format: str) -> Path:
         raise ValueError(
             f'this export needs the package {error.name}: pip install "quadsim[export]"'
         ) from error
-    reads: dict[str, Any] = {"reads": load_controller(weights).reads} if config.controls else {}
-    write(out, config, tensors, **reads)
+    write(out, config, tensors)
     return out

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from quadsim.runs.files import replace
 
-from ..control.weights import Reads
-from ..networks.encoder import INPUT_ONE, input_scaling
+from ..control.controller import set_point_gain
+from ..networks.encoder import input_scaling
 from ..networks.forward import BIAS_EXP, THRESHOLD
 from ..networks.network import real_weights
 from ..networks.weights_file import NetworkConfig, Tensors, exponents
@@ -39,20 +39,16 @@ STEP = 1e-4
 """What a step of the network counts as in the time constants [s]; snnTorch's importer takes no other."""
 
 
-def nir_graph(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> nir.NIRGraph:
-    """The network between its scaled inputs and its output potentials; scales are in its metadata.
+def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+    """Write the network between its scaled inputs and its output potentials, for `nir.read`.
 
     Inputs are the readings (6), of a controller roll, pitch and yaw rate of the set-point after them (9).
-
-    Args:
-        config: How the network is run.
-        tensors: Its weights.
-        reads: What a controller has beside the set-points; an attitude takes the place of the accelerometer.
+    Scales are in the metadata.
 
     Raises:
-        ValueError: Not an Att-SNN in the chip's time convention.
+        ValueError: Not in the chip's time convention.
     """
-    if config.model != "att-snn" or config.recurrent_delay != 1:
+    if config.recurrent_delay != 1:
         raise ValueError("a NIR graph needs weights of att-snn with a recurrent delay of 1")
     values = real_weights(config, tensors)
 
@@ -96,16 +92,11 @@ def nir_graph(config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> 
         "finish": (nir.Output({"output": np.array([outputs])}), ("output",)),
     }
     numbered = {name: f"{k:02d}_{name}" for k, name in enumerate(layers)}
-    return nir.NIRGraph(
+    graph = nir.NIRGraph(
         nodes={numbered[name]: node for name, (node, _) in layers.items()},
         edges=[(numbered[source], numbered[name]) for name in layers for source in layers[name][1]],
-        metadata=_about(config, reads),
+        metadata=_about(config),
     )
-
-
-def write_nir(path: str | Path, config: NetworkConfig, tensors: Tensors, reads: Reads = "imu") -> None:
-    """Write the graph as an HDF5 file that `nir.read` reads."""
-    graph = nir_graph(config, tensors, reads)
     replace(path, lambda part: nir.write(str(part), graph))
 
 
@@ -126,19 +117,9 @@ def _neurons(syn: Array, mem: Array, metadata: dict[str, NDArray]) -> nir.CubaLI
     )
 
 
-def _about(config: NetworkConfig, reads: Reads) -> dict:
+def _about(config: NetworkConfig) -> dict:
     offset, gain = input_scaling(config.inputs)
-    integers = {"vth": 128, "bias_exp": BIAS_EXP} if config.quantised else {}
-    asked = config.set_point
-    scales = (
-        {}
-        if asked is None
-        else {
-            "set_point_gain_1024": INPUT_ONE / np.array([asked.tilt, asked.tilt, asked.yaw_rate]),
-            "reads": reads,
-        }
-    )
-    return {
+    about = {
         "dt": STEP,
         "rate_hz": config.rate_hz,
         "steps_per_sample": config.steps_per_sample,
@@ -146,6 +127,7 @@ def _about(config: NetworkConfig, reads: Reads) -> dict:
         "input_gain_1024": gain,
         "outputs": config.outputs,
         "output_scale": config.output_scale,
-        **scales,
-        **integers,
     }
+    if config.set_point:
+        about |= {"set_point_gain_1024": set_point_gain(config.set_point), "reads": config.reads}
+    return about | ({"vth": 128, "bias_exp": BIAS_EXP} if config.quantised else {})

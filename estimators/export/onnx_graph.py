@@ -7,85 +7,69 @@ from pathlib import Path
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
 
 from quadsim.runs.files import write_whole
 
 from ..networks.encoder import INPUT_MAX, INPUT_ONE, input_scaling
 from ..networks.weights_file import LEVEL_UP, NetworkConfig, Tensors
 
-OPSET = 17
+GRAPH = """
+<ir_version: 9, opset_import: ["" : 17]>
+att_rnn (float[T, n, 3] gyro, float[T, n, 3] accel, float[1, n, {h0}] h0, float[1, n, {h1}] h1)
+=> (float[T, n, {size}] {output}, float[1, n, {h0}] h0_next, float[1, n, {h1}] h1_next)
+{{
+    readings = Concat <axis = 2> (gyro, accel)
+    centred = Sub (readings, offset)
+    scaled = Mul (centred, gain)
+    rounded = Round (scaled)
+    integers = Clip (rounded, floor, limit)
+    x = Div (integers, one)
+    directions0, h0_next = GRU <hidden_size = {h0}, linear_before_reset = 1> (x, w0, r0, b0, "", h0)
+    y0 = Squeeze (directions0, axis)
+    directions1, h1_next = GRU <hidden_size = {h1}, linear_before_reset = 1> (y0, w1, r1, b1, "", h1)
+    y1 = Squeeze (directions1, axis)
+    product = MatMul (y1, w_out)
+    {output} = Add (product, b_out)
+}}
+"""
+"""In ONNX's own syntax."""
 
 
-def onnx_graph(config: NetworkConfig, tensors: Tensors) -> onnx.ModelProto:
-    """The network: `gyro` and `accel` (T, n, 3), `h0` and `h1` (1, n, units) in, `roll_pitch` (T, n, 2) out.
+def write_onnx(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
+    """Write the graph: `gyro`, `accel` (T, n, 3), `h0`, `h1` (1, n, units) in, `roll_pitch` (T, n, 2) out.
 
     A network that estimates up has `up` (T, n, 3) in place of `roll_pitch`, not scaled to length 1.
     `h0_next`, `h1_next` are the states after the last sample, zero before the first. There is no bridge for
     missing samples: all readings have to be finite.
-
-    Raises:
-        ValueError: Not an Att-RNN.
     """
-    if config.model != "att-rnn":
-        raise ValueError(f"ONNX needs weights of att-rnn, these are of {config.model}")
     offset, gain = input_scaling(config.inputs)
-    output = config.outputs.replace("-", "_")
     level = LEVEL_UP if config.outputs == "up" else 0.0
     constants = {
-        "offset": offset, "gain": gain, "limit": np.array(INPUT_MAX), "floor": np.array(-INPUT_MAX),
-        "one": np.array(INPUT_ONE), "w_out": tensors["out.weight"].T * config.output_scale,
-        "b_out": tensors["out.bias"] * config.output_scale + level, "axis": np.array([1]),
-    }  # fmt: skip
-    nodes = [
-        helper.make_node("Concat", ["gyro", "accel"], ["readings"], axis=2),
-        helper.make_node("Sub", ["readings", "offset"], ["centred"]),
-        helper.make_node("Mul", ["centred", "gain"], ["scaled"]),
-        helper.make_node("Round", ["scaled"], ["rounded"]),
-        helper.make_node("Clip", ["rounded", "floor", "limit"], ["integers"]),
-        helper.make_node("Div", ["integers", "one"], ["x"]),
-    ]
-    below = "x"
-    for k, units in enumerate((config.encoding, config.hidden)):
-        w, r, b = (f"{name}{k}" for name in "wrb")
-        constants |= dict(zip((w, r, b), _gru(tensors, k, units), strict=True))
-        nodes += [
-            helper.make_node(
-                "GRU", [below, w, r, b, "", f"h{k}"], [f"directions{k}", f"h{k}_next"],
-                hidden_size=units, linear_before_reset=1,
-            ),
-            helper.make_node("Squeeze", [f"directions{k}", "axis"], [f"y{k}"]),
-        ]  # fmt: skip
-        below = f"y{k}"
-    nodes += [
-        helper.make_node("MatMul", [below, "w_out"], ["product"]),
-        helper.make_node("Add", ["product", "b_out"], [output]),
-    ]
-    states = [(f"h{k}", [1, "n", units]) for k, units in enumerate((config.encoding, config.hidden))]
-    graph = helper.make_graph(
-        nodes,
-        "att-rnn",
-        [
-            _floats(name, shape)
-            for name, shape in (("gyro", ["T", "n", 3]), ("accel", ["T", "n", 3]), *states)
-        ],
-        [
-            _floats(output, ["T", "n", config.n_outputs]),
-            *(_floats(f"{name}_next", shape) for name, shape in states),
-        ],
-        [_constant(name, value) for name, value in constants.items()],
+        "offset": offset,
+        "gain": gain,
+        "limit": INPUT_MAX,
+        "floor": -INPUT_MAX,
+        "one": INPUT_ONE,
+        **_gru(tensors, 0),
+        **_gru(tensors, 1),
+        "w_out": tensors["out.weight"].T * config.output_scale,
+        "b_out": tensors["out.bias"] * config.output_scale + level,
+    }
+    text = GRAPH.format(
+        h0=config.encoding,
+        h1=config.hidden,
+        size=config.n_outputs,
+        output=config.outputs.replace("-", "_"),
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=9)
+    model = onnx.parser.parse_model(text)
+    arrays = {name: np.asarray(value, np.float32) for name, value in constants.items()}
+    arrays["axis"] = np.array([1])
+    model.graph.initializer.extend(onnx.numpy_helper.from_array(each, name) for name, each in arrays.items())
     onnx.checker.check_model(model, full_check=True)
-    return model
+    write_whole(path, model.SerializeToString())
 
 
-def write_onnx(path: str | Path, config: NetworkConfig, tensors: Tensors) -> None:
-    """Write the graph."""
-    write_whole(path, onnx_graph(config, tensors).SerializeToString())
-
-
-def _gru(tensors: Tensors, layer: int, units: int) -> list[NDArray]:
+def _gru(tensors: Tensors, layer: int) -> dict[str, NDArray]:
     """W, R and B of ONNX, whose gates are z, r, n where PyTorch's are r, z, n."""
 
     def gates(kind: str) -> NDArray:
@@ -93,13 +77,5 @@ def _gru(tensors: Tensors, layer: int, units: int) -> list[NDArray]:
         return np.concatenate([z, r, n])
 
     bias = np.concatenate([gates("bias_ih"), gates("bias_hh")])
-    return [each[None] for each in (gates("weight_ih"), gates("weight_hh"), bias)]
-
-
-def _floats(name: str, shape: list[int | str]) -> onnx.ValueInfoProto:
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
-
-
-def _constant(name: str, value: NDArray) -> onnx.TensorProto:
-    kind = np.int64 if name == "axis" else np.float32
-    return numpy_helper.from_array(np.asarray(value, kind), name)
+    parts = {"w": gates("weight_ih"), "r": gates("weight_hh"), "b": bias}
+    return {f"{name}{layer}": each[None] for name, each in parts.items()}

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +39,13 @@ ANY = -1
 """A decay that a compartment does not use."""
 
 
-@dataclass(frozen=True)
-class Neuron:
+class Neuron(NamedTuple):
     """What a neuron takes on a core."""
 
     profiles: frozenset[tuple[int, int]]
     """(du, dv) of each of its compartments."""
     thresholds: frozenset[int]
     """Mantissas of theirs."""
-    compartments: int
     synapses: tuple[Ints, Ints]
     """Formats, counted by -exponent, and sources of the spikes that enter it."""
 
@@ -93,7 +92,7 @@ class ChipCore:
             {**self.neurons, layer: [*self.neurons.get(layer, ()), number]},
             self.profiles | neuron.profiles,
             self.thresholds | neuron.thresholds,
-            self.compartments + neuron.compartments,
+            self.compartments + len(neuron.profiles),
         )
         core.synapses = self.synapses.copy()
         np.add.at(core.synapses, neuron.synapses, 1)
@@ -129,13 +128,12 @@ def synaptic_bits(synapses: Ints, compartments: int) -> int:
     return int(_WORD_BITS * np.sum(whole * words(_BLOCK) + np.where(rest > 0, words(rest), 0)))
 
 
-def excess(core: ChipCore) -> list[str]:
-    """Every limit of a core that is exceeded, and by how much; empty where it fits."""
-    return [
-        f"{used} {name}, a core has {LIMITS[name]}: {used - LIMITS[name]} too many"
-        for name, used in core.used().items()
-        if used > LIMITS[name]
-    ]
+def excess(core: ChipCore) -> str:
+    """The first limit of a core that is exceeded, and by how much; empty where it fits."""
+    for name, used in core.used().items():
+        if used > LIMITS[name]:
+            return f"{used} {name}, a core has {LIMITS[name]}: {used - LIMITS[name]} too many"
+    return ""
 
 
 def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
@@ -150,78 +148,52 @@ def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
     Raises:
         ValueError: A limit of a core or of the chip is exceeded; the message says which, and by how much.
     """
-    starts = _starts(layers)
+    # sources of spikes as in the emulator: the network's input comes first
+    starts = np.cumsum([layers[0].w_in.shape[1], *(len(layer.w_in) for layer in layers)])
     sources = int(starts[-1])
-    core, cores = ChipCore(sources), []
+    cores = [ChipCore(sources)]
     for k, layer in enumerate(layers):
-        neurons, profiles = _neurons(layer, int(starts[k])), decay_profiles(layer)
-        for neuron in np.lexsort(profiles.T):
-            i = int(neuron)
-            grown = core.with_neuron(k, i, neurons[i])
-            if excess(grown):
-                alone = ChipCore(sources).with_neuron(k, i, neurons[i])
-                if wrong := excess(alone):
-                    raise ValueError(f"neuron {i} of layer {k}: {wrong[0]}")
-                cores.append(core)
-                grown = alone
-            core = grown
-    cores.append(core)
+        neurons = _neurons(layer, int(starts[k]))
+        for i in map(int, np.lexsort(decay_profiles(layer).T)):
+            grown = cores[-1].with_neuron(k, i, neurons[i])
+            if not excess(grown):
+                cores[-1] = grown
+                continue
+            cores.append(ChipCore(sources).with_neuron(k, i, neurons[i]))
+            if wrong := excess(cores[-1]):
+                raise ValueError(f"neuron {i} of layer {k}: {wrong}")
     if len(cores) > CORES:
         raise ValueError(
             f"the network needs {len(cores)} cores, a chip has {CORES}: {len(cores) - CORES} too many"
         )
-    _count_fan_out(cores, starts)
-    for number, placed in enumerate(cores):
-        if wrong := excess(placed):
-            raise ValueError(f"core {number}: {wrong[0]}")
+    reached = np.sum([core.synapses.any(0) for core in cores], axis=0)
+    for number, core in enumerate(cores):
+        core.fan_out = sum(int(reached[starts[k] + np.array(each)].sum()) for k, each in core.neurons.items())
+        if wrong := excess(core):
+            raise ValueError(f"core {number}: {wrong}")
     return cores
 
 
 def decay_profiles(layer: LoihiLayer) -> Ints:
     """(du, dv) of the somas of a layer, (out, 2); du is `ANY` where no spike enters the layer."""
-    driven = np.asarray(layer.w_in).shape[1] > 0 or layer.w_rec is not None
-    du = np.asarray(layer.du) if driven else np.full_like(np.asarray(layer.dv), ANY)
-    return np.stack([du, np.asarray(layer.dv)], axis=1)
-
-
-def _starts(layers: Sequence[LoihiLayer]) -> Ints:
-    """First source of each layer, as in the emulator: the network's input comes first."""
-    widths = [np.asarray(layers[0].w_in).shape[1], *(np.asarray(layer.w_in).shape[0] for layer in layers)]
-    return np.cumsum(widths)
+    driven = layer.w_in.shape[1] > 0 or layer.w_rec is not None
+    return np.stack([layer.du if driven else np.full_like(layer.dv, ANY), layer.dv], axis=1)
 
 
 def _neurons(layer: LoihiLayer, start: int) -> list[Neuron]:
     """What each neuron of a layer takes; `start` is the source that the first of them is."""
-    after, d_after = np.asarray(layer.w_after) != 0, np.asarray(layer.d_after)
-    vth, own_format = np.asarray(layer.vth), -np.asarray(layer.exp_after)
+    w_rec = np.zeros((len(layer.w_in), 0)) if layer.w_rec is None else layer.w_rec
+    formats = -np.stack([layer.exp_in, layer.exp_rec, layer.exp_after], 1)
     neurons = []
-    for i, ((du, dv), (formats, sources)) in enumerate(
-        zip(decay_profiles(layer), _fan_in(layer, start), strict=True)
-    ):
-        profiles, thresholds = {(int(du), int(dv))}, {int(vth[i])}
-        if after[i]:
-            profiles.add((int(d_after[i]), ANY))
+    for i, (du, dv) in enumerate(decay_profiles(layer)):
+        profiles, thresholds = {(int(du), int(dv))}, {int(layer.vth[i])}
+        own = []
+        if layer.w_after[i]:
+            profiles.add((int(layer.d_after[i]), ANY))
             thresholds.add(VTH_MAX)
-            formats, sources = np.append(formats, own_format[i]), np.append(sources, start + i)
-        compartments = 1 + int(after[i])
-        neurons.append(Neuron(frozenset(profiles), frozenset(thresholds), compartments, (formats, sources)))
+            own = [start + i]
+        below = np.flatnonzero(layer.w_in[i]) + start - layer.w_in.shape[1]
+        entering = [below, np.flatnonzero(w_rec[i]) + start, np.array(own, np.int64)]
+        synapses = np.repeat(formats[i], list(map(len, entering))), np.concatenate(entering)
+        neurons.append(Neuron(frozenset(profiles), frozenset(thresholds), synapses))
     return neurons
-
-
-def _fan_in(layer: LoihiLayer, start: int) -> list[tuple[Ints, Ints]]:
-    """Formats, counted by -exponent, and sources of the synapses of the soma of each neuron of a layer."""
-    w_in = np.asarray(layer.w_in)
-    weights = w_in if layer.w_rec is None else np.concatenate([w_in, np.asarray(layer.w_rec)], axis=1)
-    formats = -np.stack([np.asarray(layer.exp_in), np.asarray(layer.exp_rec)], 1)
-    sources = [np.flatnonzero(row) for row in weights]
-    return [
-        (of_neuron[(found >= w_in.shape[1]).astype(int)], start - w_in.shape[1] + found)
-        for of_neuron, found in zip(formats, sources, strict=True)
-    ]
-
-
-def _count_fan_out(cores: Sequence[ChipCore], starts: Ints) -> None:
-    """Axons of each core: one for every neuron and every core that the neuron has synapses on."""
-    reached = np.sum([core.synapses.any(0) for core in cores], axis=0)
-    for core in cores:
-        core.fan_out = sum(int(reached[starts[k] + np.array(each)].sum()) for k, each in core.neurons.items())

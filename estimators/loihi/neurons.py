@@ -18,7 +18,6 @@ Davies et al., "Loihi: a neuromorphic manycore processor with on-chip learning",
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +42,6 @@ Int32s = NDArray[np.int32]
 Whole = int | np.int32
 
 
-@dataclass
 class LoihiLayer:
     """One population of neurons, its input and its recurrent connections.
 
@@ -51,89 +49,78 @@ class LoihiLayer:
         w_in: Mantissas of the weights from the layer below (from the network's input for the first layer),
             even, -256...254, shape (out, in). None: the layer is driven by its bias alone.
         w_rec: Mantissas of the recurrent weights, shape (out, out). None: no recurrence.
-        du: Effective decay of the current, 0...4096, scalar or shape (out,).
-        dv: Effective decay of the membrane, 0...4096, scalar or shape (out,).
-        vth: Mantissa of the threshold (vth * 64 state units), 0...131071, scalar or shape (out,).
-        bias_mant: Mantissa of the bias, -4096...4095, scalar or shape (out,).
-        bias_exp: Exponent of the bias, 0...7, scalar or shape (out,).
-        exp_in: Exponent of the weights `w_in` into each neuron, -6...0, scalar or shape (out,).
+        du: Effective decay of the current, 0...4096, as those below a scalar or of shape (out,).
+        dv: Effective decay of the membrane, 0...4096.
+        vth: Mantissa of the threshold (vth * 64 state units), 0...131071.
+        bias_mant: Mantissa of the bias, -4096...4095.
+        bias_exp: Exponent of the bias, 0...7.
+        exp_in: Exponent of the weights `w_in` into each neuron, -6...0.
         exp_rec: The same of `w_rec`.
-        w_after: Mantissas of the weights of the neurons on their own after-spike currents, shape (out,).
-            None: there are no such currents.
-        d_after: Effective decay of these currents, 0...4096, scalar or shape (out,).
-        exp_after: Exponent of `w_after`, -6...0, scalar or shape (out,).
+        w_after: Mantissas of the weights of the neurons on their own after-spike currents; 0: no such
+            current.
+        d_after: Effective decay of these currents, 0...4096.
+        exp_after: Exponent of `w_after`, -6...0.
 
     Raises:
         ValueError: A shape that does not fit, or a value that the chip cannot hold.
     """
 
-    w_in: ArrayLike | None
-    w_rec: ArrayLike | None = None
-    du: ArrayLike = DECAY_ONE
-    dv: ArrayLike = DECAY_ONE
-    vth: ArrayLike = 128
-    bias_mant: ArrayLike = 0
-    bias_exp: ArrayLike = 0
-    exp_in: ArrayLike = 0
-    exp_rec: ArrayLike = 0
-    w_after: ArrayLike | None = None
-    d_after: ArrayLike = DECAY_ONE
-    exp_after: ArrayLike = 0
-
-    def __post_init__(self) -> None:
-        """Turn everything into checked integer arrays of the layer's size."""
-        size = _layer_size(self)
-        self.w_in = _weights("w_in", self.w_in, size, None)
-        self.w_rec = None if self.w_rec is None else _weights("w_rec", self.w_rec, size, size)
-        self.du = _vector("du", self.du, size, 0, DECAY_ONE)
-        self.dv = _vector("dv", self.dv, size, 0, DECAY_ONE)
-        self.vth = _vector("vth", self.vth, size, 0, VTH_MAX)
-        self.bias_mant = _vector("bias_mant", self.bias_mant, size, BIAS_MANT_MIN, BIAS_MANT_MAX)
-        self.bias_exp = _vector("bias_exp", self.bias_exp, size, 0, BIAS_EXP_MAX)
-        self.exp_in = _vector("exp_in", self.exp_in, size, WEIGHT_EXP_MIN, 0)
-        self.exp_rec = _vector("exp_rec", self.exp_rec, size, WEIGHT_EXP_MIN, 0)
-        own = np.zeros(size) if self.w_after is None else np.asarray(self.w_after)
-        self.w_after = _weights("w_after", own.reshape(-1, 1), size, 1)[:, 0]
-        self.d_after = _vector("d_after", self.d_after, size, 0, DECAY_ONE)
-        self.exp_after = _vector("exp_after", self.exp_after, size, WEIGHT_EXP_MIN, 0)
+    def __init__(
+        self,
+        w_in: ArrayLike | None,
+        w_rec: ArrayLike | None = None,
+        du: ArrayLike = DECAY_ONE,
+        dv: ArrayLike = DECAY_ONE,
+        vth: ArrayLike = 128,
+        bias_mant: ArrayLike = 0,
+        bias_exp: ArrayLike = 0,
+        *,
+        exp_in: ArrayLike = 0,
+        exp_rec: ArrayLike = 0,
+        w_after: ArrayLike = 0,
+        d_after: ArrayLike = DECAY_ONE,
+        exp_after: ArrayLike = 0,
+    ) -> None:
+        weights = w_rec if w_in is None else w_in
+        size = max(map(np.size, (du, dv, bias_mant))) if weights is None else len(np.asarray(weights))
+        self.w_in = _weights("w_in", np.zeros((size, 0)) if w_in is None else w_in, (size, None))
+        self.w_rec = None if w_rec is None else _weights("w_rec", w_rec, (size, size))
+        self.du = _vector("du", du, size, 0, DECAY_ONE)
+        self.dv = _vector("dv", dv, size, 0, DECAY_ONE)
+        self.vth = _vector("vth", vth, size, 0, VTH_MAX)
+        self.bias_mant = _vector("bias_mant", bias_mant, size, BIAS_MANT_MIN, BIAS_MANT_MAX)
+        self.bias_exp = _vector("bias_exp", bias_exp, size, 0, BIAS_EXP_MAX)
+        self.exp_in = _vector("exp_in", exp_in, size, WEIGHT_EXP_MIN, 0)
+        self.exp_rec = _vector("exp_rec", exp_rec, size, WEIGHT_EXP_MIN, 0)
+        own = np.broadcast_to(np.asarray(w_after), size)
+        self.w_after = _weights("w_after", own[:, None], (size, 1))[:, 0]
+        self.d_after = _vector("d_after", d_after, size, 0, DECAY_ONE)
+        self.exp_after = _vector("exp_after", exp_after, size, WEIGHT_EXP_MIN, 0)
 
 
 class Chip(NamedTuple):
     """A network as the chip holds it. Spikes have sources: its inputs, then its neurons, layer by layer."""
 
-    weights: NDArray[np.int16]
-    """Weights by source [state units], shape (sources, neurons)."""
-    first: Int32s
-    """First neuron that a source has synapses on, shape (sources,)."""
-    end: Int32s
-    """The neuron after the last of these, shape (sources,)."""
-    bias_exp: Int32s
-    """Exponents of the biases, as the next three of shape (neurons,)."""
-    du: Int32s
-    """Decays of the currents."""
-    dv: Int32s
-    """Decays of the membrane potentials."""
-    vth: Int32s
-    """Mantissas of the thresholds."""
+    weights: NDArray[np.int16]  #: weights by source [state units], shape (sources, neurons)
+    first: Int32s  #: first neuron that a source has synapses on, shape (sources,)
+    end: Int32s  #: the neuron after the last of these, shape (sources,)
+    bias_exp: Int32s  #: exponents of the biases, as the next three of shape (neurons,)
+    du: Int32s  #: decays of the currents
+    dv: Int32s  #: decays of the membrane potentials
+    vth: Int32s  #: mantissas of the thresholds
     after: Int32s
     """Weights of the neurons on their after-spike currents [state units]; (0,) where no neuron has any."""
-    d_after: Int32s
-    """Decays of these currents, of the same shape."""
+    d_after: Int32s  #: decays of these currents, of the same shape
 
 
 class ChipState(NamedTuple):
     """What the chip's neurons hold: of one copy of the network, or one row for each copy."""
 
-    spikes: NDArray[np.int8]
-    """Spikes of the last step, 0 or 1, shape (n, sources)."""
-    u: Int32s
-    """Currents, shape (n, neurons)."""
-    v: Int32s
-    """Membrane potentials after the reset, shape (n, neurons)."""
-    a: Int32s
-    """After-spike currents, shape (n, neurons)."""
-    bias: Int32s
-    """Bias mantissas, shape (n, neurons)."""
+    spikes: NDArray[np.int8]  #: spikes of the last step, 0 or 1, shape (n, sources)
+    u: Int32s  #: currents, shape (n, neurons)
+    v: Int32s  #: membrane potentials after the reset, shape (n, neurons)
+    a: Int32s  #: after-spike currents, shape (n, neurons)
+    bias: Int32s  #: bias mantissas, shape (n, neurons)
 
 
 class LoihiNetwork:
@@ -155,17 +142,14 @@ class LoihiNetwork:
         if not layers:
             raise ValueError("a network needs at least one layer, got none")
         self.layers = list(layers)
-        w_in = [np.asarray(layer.w_in) for layer in layers]
-        for k in range(1, len(layers)):
-            if w_in[k].shape[1] not in (0, w_in[k - 1].shape[0]):
-                raise ValueError(
-                    f"layer {k}: w_in has {w_in[k].shape[1]} inputs, but layer {k - 1} has "
-                    f"{w_in[k - 1].shape[0]} neurons"
-                )
-        self.n_in = w_in[0].shape[1]
-        self.sizes = [w.shape[0] for w in w_in]
+        self.n_in = layers[0].w_in.shape[1]
+        self.sizes = [len(layer.w_in) for layer in layers]
+        for k, size in enumerate(self.sizes[:-1]):
+            inputs = layers[k + 1].w_in.shape[1]
+            if inputs not in (0, size):
+                raise ValueError(f"layer {k + 1}: w_in has {inputs} inputs, but layer {k} has {size} neurons")
         self.parameters = _chip(self.layers)
-        self.bias_mant = np.concatenate([np.asarray(layer.bias_mant) for layer in layers]).astype(np.int32)
+        self.bias_mant = np.concatenate([layer.bias_mant for layer in layers]).astype(np.int32)
         self.reset()
 
     def rest(self, n: int) -> ChipState:
@@ -234,29 +218,8 @@ def wrap(x: Whole, bits: int) -> np.int32:
 
 
 @njit(cache=True, inline="always")
-def _add_rows(weights, sources, first, end, sums):
-    """Add the rows of four sources between two neurons: each sum is loaded and stored once."""
-    w, x, y, z = (
-        weights[sources[0], first:end],
-        weights[sources[1], first:end],
-        weights[sources[2], first:end],
-        weights[sources[3], first:end],
-    )
-    into = sums[first:end]
-    for i in range(into.size):
-        into[i] += np.int32(np.int32(w[i] + x[i]) + np.int32(y[i] + z[i]))
-
-
-@njit(cache=True, inline="always")
 def deliver(chip, spikes, sources, sums):
-    """Add the weights from the sources that spiked, four rows at a time.
-
-    Args:
-        chip: The network.
-        spikes: Shape (sources,).
-        sources: Memory for the numbers of those that spiked, shape (sources,).
-        sums: Sums of weights, shape (neurons,); changed.
-    """
+    """Add the weights from the sources that spiked to `sums`, four rows at a time."""
     count = 0
     for source in range(spikes.size):  # without a branch: spikes are hard to predict
         sources[count] = source
@@ -266,7 +229,11 @@ def deliver(chip, spikes, sources, sums):
         a, b, c, d = sources[k], sources[k + 1], sources[k + 2], sources[k + 3]
         first = min(min(chip.first[a], chip.first[b]), min(chip.first[c], chip.first[d]))
         end = max(max(chip.end[a], chip.end[b]), max(chip.end[c], chip.end[d]))
-        _add_rows(chip.weights, (a, b, c, d), first, end, sums)
+        w, x = chip.weights[a, first:end], chip.weights[b, first:end]
+        y, z = chip.weights[c, first:end], chip.weights[d, first:end]
+        into = sums[first:end]
+        for i in range(into.size):
+            into[i] += np.int32(np.int32(w[i] + x[i]) + np.int32(y[i] + z[i]))
     for k in range(fours, count):
         first, end = chip.first[sources[k]], chip.end[sources[k]]
         w, into = chip.weights[sources[k], first:end], sums[first:end]
@@ -311,24 +278,22 @@ def _step_all(chip, state):
 
 def _chip(layers: Sequence[LoihiLayer]) -> Chip:
     """The layers in one record: a source's row of weights begins with its own layer, if that is recurrent."""
-    n_in = np.asarray(layers[0].w_in).shape[1]
-    sizes = [np.asarray(layer.w_in).shape[0] for layer in layers]
-    edges = np.cumsum([0, *sizes])
+    n_in = layers[0].w_in.shape[1]
+    edges = np.cumsum([0, *(len(layer.w_in) for layer in layers)])
     weights = np.zeros((n_in + edges[-1], edges[-1]), np.int16)
     first, end = np.zeros((2, len(weights)), np.int32)
     below = slice(0, n_in)
     for k, layer in enumerate(layers):
         own = slice(edges[k], edges[k + 1])
         sources = slice(n_in + own.start, n_in + own.stop)
-        w_in, w_rec = np.asarray(layer.w_in), layer.w_rec
-        if w_in.shape[1]:
-            weights[below, own], end[below] = w_in.T << (6 + np.asarray(layer.exp_in)), own.stop
-        if w_rec is not None:
-            weights[sources, own] = np.asarray(w_rec).T << (6 + np.asarray(layer.exp_rec))
-        first[sources], end[sources] = own.stop if w_rec is None else own.start, own.stop
+        if layer.w_in.shape[1]:
+            weights[below, own], end[below] = layer.w_in.T << (6 + layer.exp_in), own.stop
+        if layer.w_rec is not None:
+            weights[sources, own] = layer.w_rec.T << (6 + layer.exp_rec)
+        first[sources], end[sources] = own.stop if layer.w_rec is None else own.start, own.stop
         below = sources
     bias_exp, du, dv, vth, w_after, exp_after, d_after = (
-        np.concatenate([np.asarray(getattr(layer, name)) for layer in layers]).astype(np.int32)
+        np.concatenate([getattr(layer, name) for layer in layers]).astype(np.int32)
         for name in ("bias_exp", "du", "dv", "vth", "w_after", "exp_after", "d_after")
     )
     used = slice(None if w_after.any() else 0)
@@ -336,46 +301,29 @@ def _chip(layers: Sequence[LoihiLayer]) -> Chip:
     return Chip(weights, first, end, bias_exp, du, dv, vth, after, d_after[used])
 
 
-def _layer_size(layer: LoihiLayer) -> int:
-    if layer.w_in is not None:
-        shape = np.shape(layer.w_in)
-        if len(shape) != 2:
-            raise ValueError(f"w_in: shape {shape}, should be (out, in)")
-        return shape[0]
-    if layer.w_rec is not None:
-        return np.shape(layer.w_rec)[0]
-    return max(np.size(x) for x in (layer.du, layer.dv, layer.bias_mant))
-
-
-def _weights(name: str, value: ArrayLike | None, size: int, fan_in: int | None) -> NDArray[np.int32]:
-    w = _integers(name, np.zeros((size, 0)) if value is None else value)
-    if w.ndim != 2 or w.shape[0] != size or fan_in not in (None, w.shape[1]):
-        raise ValueError(f"{name}: shape {w.shape}, should be ({size}, {'in' if fan_in is None else fan_in})")
-    _check_range(name, w, WEIGHT_MIN, WEIGHT_MAX)
+def _weights(name: str, value: ArrayLike, shape: tuple[int, int | None]) -> NDArray[np.int32]:
+    w = _whole(name, value, WEIGHT_MIN, WEIGHT_MAX)
+    if w.ndim != 2 or w.shape[0] != shape[0] or shape[1] not in (None, w.shape[1]):
+        raise ValueError(f"{name}: shape {w.shape}, should be ({shape[0]}, {shape[1] or 'in'})")
     if np.any(w % 2):
         raise ValueError(f"{name}: weight mantissa {w[w % 2 != 0][0]} is odd, only even ones exist")
     return w.astype(np.int32)
 
 
 def _vector(name: str, value: ArrayLike, size: int, low: int, high: int) -> Ints:
-    x = _integers(name, value)
+    x = _whole(name, value, low, high)
     if x.ndim > 1 or x.size not in (1, size):
         raise ValueError(f"{name}: shape {x.shape}, should be a scalar or ({size},)")
-    _check_range(name, x, low, high)
     return np.broadcast_to(x.reshape(-1), size).copy()
 
 
-def _integers(name: str, value: ArrayLike) -> Ints:
+def _whole(name: str, value: ArrayLike, low: int, high: int) -> Ints:
     x = np.asarray(value)
     if not np.all(np.equal(x, np.floor(x))):
         raise ValueError(f"{name}: has values that are not whole numbers")
+    if np.any(wrong := (x < low) | (x > high)):
+        raise ValueError(f"{name}: value {x[wrong].flat[0]}, allowed are {low}...{high}")
     return x.astype(np.int64)
-
-
-def _check_range(name: str, x: Ints, low: int, high: int) -> None:
-    wrong = x[(x < low) | (x > high)]
-    if wrong.size:
-        raise ValueError(f"{name}: value {wrong.flat[0]}, allowed are {low}...{high}")
 
 
 def _fit(name: str, value: ArrayLike, n: int, size: int) -> NDArray[np.generic]:

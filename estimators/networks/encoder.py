@@ -30,10 +30,8 @@ ENCODER = np.dtype([("inputs", np.float64, 6), ("missing", np.int64)])
 class Scaling(NamedTuple):
     """Scaling of the readings, gyroscope first: integer input = round((reading - offset) gain)."""
 
-    offset: Array
-    """Shape (6,) [rad/s, m/s²]."""
-    gain: Array
-    """Shape (6,)."""
+    offset: Array  #: shape (6,) [rad/s, m/s²]
+    gain: Array  #: shape (6,)
 
 
 def input_scaling(inputs: InputScaling) -> Scaling:
@@ -84,16 +82,9 @@ def encode_sample(gyro, accel, scaling, state):
 
 
 @njit(cache=True)
-def encode(gyro, accel, scaling, state):
-    """Scale one sample of n vehicles, (n, 3) each, into the states (n,) of their encoders."""
-    for n in range(state.shape[0]):
-        encode_sample(gyro[n], accel[n], scaling, state[n])
-
-
-@njit(cache=True)
 def _encode(gyro, accel, scaling, state, x):
-    for t in range(gyro.shape[1]):
-        encode(gyro[:, t], accel[:, t], scaling, state)
-        for n in range(gyro.shape[0]):
+    for n in range(gyro.shape[0]):
+        for t in range(gyro.shape[1]):
+            encode_sample(gyro[n, t], accel[n, t], scaling, state[n])
             for k in range(6):
                 x[n, t, k] = state[n].inputs[k] / INPUT_ONE

@@ -21,25 +21,23 @@ from __future__ import annotations
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from quadsim.runs.block import Words, block_type, matrix, packed, vector
+from quadsim.runs.block import block_type, matrix, vector
 from quadsim.runs.compiled import njit
 
+from ..loihi import neurons
 from .encoder import ENCODER, INPUT_ONE, Scaling, encode_sample
 
 Values = TypeVar("Values")
 THRESHOLD = 0.5
-STATE_ONE = 16384.0
+STATE_ONE = float(neurons.STATE_ONE)
 BIAS_EXP = 4
 """Exponent of the bias by which the host drives the encoding layer: steps of 2^4 state units."""
-_BIAS_STEP = 2.0**BIAS_EXP
-_MANT_MAX = 4095.0
-_V_MAX = 8388607.0
-_OUTPUT_THRESHOLD = 131071.0 * 64.0
+BIAS_STEP, MANT_MAX = 2.0**BIAS_EXP, float(neurons.BIAS_MANT_MAX)
+V_MAX = float(neurons.STATE_MAX)
+OUTPUT_THRESHOLD = neurons.VTH_MAX * 64.0
 """The highest that the chip has; an output that gets there all the same is reset."""
-_WRAP_21 = 2097152.0
-_WRAP_23 = 8388608.0
+_WRAP_21, _WRAP_23 = 2.0**21, 2.0**23
 
 
 class Weights(NamedTuple, Generic[Values]):
@@ -48,30 +46,19 @@ class Weights(NamedTuple, Generic[Values]):
     `step` and `run_floats` take the matrices transposed, one row for each source, and in state units.
     """
 
-    w_in: Values
-    """Encoding weights, shape (h0, inputs)."""
-    w_ff: Values
-    """Encoding to hidden layer, shape (h1, h0)."""
-    w_rec: Values
-    """Recurrent weights, shape (h1, h1)."""
-    w_out: Values
-    """Hidden layer to outputs, shape (outputs, h1)."""
+    w_in: Values  #: encoding weights, shape (h0, inputs)
+    w_ff: Values  #: encoding to hidden layer, shape (h1, h0)
+    w_rec: Values  #: recurrent weights, shape (h1, h1)
+    w_out: Values  #: hidden layer to outputs, shape (outputs, h1)
     w_after: Values
     """Hidden neurons to their own after-spike currents, shape (h1, 1); (h1, 0) in a network without."""
-    syn0: Values
-    """τ_syn of the encoding layer, shape (h0,)."""
-    mem0: Values
-    """τ_mem of the encoding layer, shape (h0,)."""
-    syn1: Values
-    """τ_syn of the hidden layer, shape (h1,)."""
-    mem1: Values
-    """τ_mem of the hidden layer, shape (h1,)."""
-    syn2: Values
-    """τ_syn of the outputs, shape (1,)."""
-    mem2: Values
-    """τ_mem of the outputs, shape (1,)."""
-    syn_after: Values
-    """τ_after of the hidden layer, shape (h1,), or (0,) without after-spike currents."""
+    syn0: Values  #: τ_syn of the encoding layer, shape (h0,)
+    mem0: Values  #: τ_mem of the encoding layer, shape (h0,)
+    syn1: Values  #: τ_syn of the hidden layer, shape (h1,)
+    mem1: Values  #: τ_mem of the hidden layer, shape (h1,)
+    syn2: Values  #: τ_syn of the outputs, shape (1,)
+    mem2: Values  #: τ_mem of the outputs, shape (1,)
+    syn_after: Values  #: τ_after of the hidden layer, shape (h1,), or (0,) without after-spike currents
 
 
 MATRICES, TIME_CONSTANTS = Weights._fields[:5], Weights._fields[5:]
@@ -80,26 +67,17 @@ MATRICES, TIME_CONSTANTS = Weights._fields[:5], Weights._fields[5:]
 class NetworkState(NamedTuple, Generic[Values]):
     """Currents u, membrane potentials v and spikes s of the layers, one row for each copy of the network."""
 
-    u0: Values
-    """Encoding layer, shape (n, h0)."""
-    v0: Values
-    """Before the reset, as are the others, shape (n, h0)."""
-    s0: Values
-    """Number of spikes of the last step, then the neurons that spiked, shape (n, h0 + 1)."""
-    u1: Values
-    """Hidden layer, shape (n, h1)."""
-    v1: Values
-    """Shape (n, h1)."""
-    s1: Values
-    """Shape (n, h1 + 1)."""
+    u0: Values  #: encoding layer, shape (n, h0)
+    v0: Values  #: before the reset, as are the others, shape (n, h0)
+    s0: Values  #: number of spikes of the last step, then the neurons that spiked, shape (n, h0 + 1)
+    u1: Values  #: hidden layer, shape (n, h1)
+    v1: Values  #: shape (n, h1)
+    s1: Values  #: shape (n, h1 + 1)
     s1_delayed: Values
     """Spikes that the recurrent connection delivers next: `s1` where the delay is 1, shape (n, h1 + 1)."""
-    a1: Values
-    """After-spike currents of the hidden layer, 0 without them, shape (n, h1)."""
-    u2: Values
-    """Outputs, shape (n, outputs)."""
-    v2: Values
-    """Shape (n, outputs)."""
+    a1: Values  #: after-spike currents of the hidden layer, 0 without them, shape (n, h1)
+    u2: Values  #: outputs, shape (n, outputs)
+    v2: Values  #: shape (n, outputs)
 
 
 @njit(cache=True, inline="always")
@@ -116,13 +94,13 @@ def _wrap(x, half):
 @njit(cache=True, inline="always")
 def _integrated(y, quantised):
     """Potential of an output: on the chip it is reset at the highest threshold that there is."""
-    return (0.0 if y > _OUTPUT_THRESHOLD else max(y, -_V_MAX)) if quantised else y
+    return (0.0 if y > OUTPUT_THRESHOLD else max(y, -V_MAX)) if quantised else y
 
 
 @njit(cache=True, inline="always")
 def _bias(current):
     """The bias mantissa of a current, rounded toward zero, times its step."""
-    return min(max(np.trunc(current / _BIAS_STEP), -_MANT_MAX), _MANT_MAX) * _BIAS_STEP
+    return min(max(np.trunc(current / BIAS_STEP), -MANT_MAX), MANT_MAX) * BIAS_STEP
 
 
 @njit(cache=True, inline="always")
@@ -168,7 +146,7 @@ def _weigh(x, weights, total):
 def _membrane(v, u, tau, threshold, quantised):
     """Reset, decay, add the current u; the potential is stored before the reset."""
     x = _decay(0.0 if v > threshold else v, tau, quantised) + u
-    return min(max(x, -_V_MAX), _V_MAX) if quantised else x
+    return min(max(x, -V_MAX), V_MAX) if quantised else x
 
 
 @njit(cache=True, inline="always")
@@ -229,28 +207,6 @@ def step(x, w, state, total, drive, quantised):
         if quantised:
             u = _bias(u)  # reaches the chip as a bias mantissa
         v0[i] = _membrane(v0[i], u, w.mem0[i], threshold, quantised)
-
-
-class Settings(NamedTuple):
-    """How a network is run."""
-
-    steps: float
-    """Network steps for each sample."""
-    recurrent_delay: float
-    """Steps from a hidden spike to the hidden layer, 1 or 2."""
-    scale: float
-    """Radians, or parts of a unit vector, for an output of 1 state unit."""
-
-
-def network_block(scaling: Scaling, weights: Weights[NDArray], settings: Settings) -> Words:
-    """A network as `run_floats` takes it.
-
-    Args:
-        scaling: Scaling of the readings.
-        weights: Weights by source, in state units.
-        settings: How it is run.
-    """
-    return packed(scaling._asdict() | weights._asdict() | {"settings": np.array(settings, np.float64)})
 
 
 def state_type(h0: int, h1: int, outputs: int) -> np.dtype:
@@ -320,7 +276,8 @@ def run_floats(gyro, accel, set_points, network, states, out):
         gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
         accel: Specific force, the same shape [m/s²].
         set_points: A controller's further inputs, integers, shape (n, inputs T); of others not read.
-        network: What `network_block` made.
+        network: Packed: the scaling of the readings; the weights by source, in state units; and the network
+            steps for each sample, the recurrent delay, and the radians for an output of 1 state unit.
         states: Blocks of `state_type`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """

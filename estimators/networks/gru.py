@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.runs.block import Words, block_type, matrix, packed, vector
+from quadsim.runs.block import block_type, matrix, packed, vector
 from quadsim.runs.compiled import njit
 
-from .encoder import ENCODER, INPUT_ONE, Scaling, encode_sample
+from .encoder import ENCODER, INPUT_ONE, Scaling, encode_sample, input_scaling
+from .weights_file import NetworkConfig, Tensors
 
 Floats = NDArray[np.float32]
 
@@ -53,48 +54,31 @@ _Q0, _Q2, _Q4, _Q6 = (
 class Layer(NamedTuple):
     """Weights of a GRU layer, by source; the columns are the gates r, z and the candidate n."""
 
-    w_ih: Floats
-    """Input weights, shape (in, 3 units)."""
-    w_hh: Floats
-    """Recurrent weights, shape (units, 3 units)."""
-    b_ih: Floats
-    """Biases of the input, shape (3 units,)."""
-    b_hh: Floats
-    """Biases of the state, shape (3 units,)."""
-
-
-class LayerMemory(NamedTuple):
-    """States of a layer, and room for what it computes."""
-
-    h: Floats
-    """States, shape (copies, units)."""
-    y: Floats
-    """States after each sample, shape (rows, units)."""
-    from_x: Floats
-    """Products with the inputs, shape (rows, 3 units)."""
-    from_h: Floats
-    """Products with the states, shape (copies, 3 units)."""
+    w_ih: Floats  #: input weights, shape (in, 3 units)
+    w_hh: Floats  #: recurrent weights, shape (units, 3 units)
+    b_ih: Floats  #: biases of the input, shape (3 units,)
+    b_hh: Floats  #: biases of the state, shape (3 units,)
 
 
 class Readout(NamedTuple):
     """The linear output."""
 
-    w_out: Floats
-    """Weights by source, shape (units, outputs)."""
-    b_out: Floats
-    """Biases, shape (outputs,)."""
+    w_out: Floats  #: weights by source, shape (units, outputs)
+    b_out: Floats  #: biases, shape (outputs,)
 
 
-def network_block(
-    scaling: Scaling, first: Layer, second: Layer, readout: Readout, output_scale: float
-) -> Words:
-    """A network as `run_gru` takes it; for the output's scale see `NetworkConfig`."""
-    layers = {
-        f"{name}_{k}": each
-        for k, layer in enumerate((first, second))
-        for name, each in layer._asdict().items()
-    }
-    return packed(scaling._asdict() | layers | readout._asdict() | {"scale": np.array(output_scale)})
+class Recurrent:
+    """Att-RNN: two GRU layers and a linear output, in float32."""
+
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Lay the weights out for the kernel."""
+        kinds = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+        names = [*(f"gru.{kind}_l{layer}" for layer in (0, 1) for kind in kinds), "out.weight", "out.bias"]
+        by_source = {name: np.ascontiguousarray(tensors[name].T, np.float32) for name in names}
+        scale = {"scale": np.array(config.output_scale)}
+        self.network = packed(input_scaling(config.inputs)._asdict() | by_source | scale)
+        self.outputs, self.state = config.n_outputs, state_type(config.encoding, config.hidden)
+        self.kernel = run_gru
 
 
 def state_type(h0: int, h1: int) -> np.dtype:
@@ -191,30 +175,21 @@ def _gates(from_x, from_h, h):
         h[i] = n + z * (h[i] - n)
 
 
-@njit(cache=True)
-def _memory(rows, copies, units):
-    """Memory of a layer."""
-    y, from_x = np.empty((rows, units), np.float32), np.empty((rows, 3 * units), np.float32)
-    return LayerMemory(
-        np.empty((copies, units), np.float32), y, from_x, np.empty((copies, 3 * units), np.float32)
-    )
-
-
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _run_layer(x, copies, layer, memory):
+def _run_layer(x, h, layer):
     """Run a layer over some samples of some copies.
 
     Args:
         x: Inputs, those of all copies' first samples first, shape (samples · copies, in).
-        copies: Number of copies.
+        h: States of the copies, changed, shape (copies, units).
         layer: Weights.
-        memory: States of the copies, changed, and room.
 
     Returns:
         The states after each sample, in the order of x, shape (samples · copies, units).
     """
-    rows = x.shape[0]
-    h, y, from_x, from_h = memory.h[:copies], memory.y[:rows], memory.from_x[:rows], memory.from_h[:copies]
+    rows, copies, units = x.shape[0], h.shape[0], h.shape[1]
+    y, from_x = np.empty((rows, units), np.float32), np.empty((rows, 3 * units), np.float32)
+    from_h = np.empty((copies, 3 * units), np.float32)
     _affine(x, layer.w_ih, layer.b_ih, from_x)
     for row in range(0, rows, copies):
         _affine(h, layer.w_hh, layer.b_hh, from_h)
@@ -247,13 +222,14 @@ def _encode(gyro, accel, scaling, states, x):
 
 
 @njit(cache=True, nogil=True)
-def run_gru(gyro, accel, network, states, out):
+def run_gru(gyro, accel, set_points, network, states, out):
     """Run n copies over whole sequences, or one sample, from and to their states.
 
     Args:
         gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
         accel: Specific force, the same shape [m/s²].
-        network: What `network_block` made.
+        set_points: Not read.
+        network: The scaling of the readings, both layers, the readout and the scale of the output, packed.
         states: Blocks of `state_type`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """
@@ -262,27 +238,28 @@ def run_gru(gyro, accel, network, states, out):
     steps, scale = gyro.shape[1] // 3, vector(network, 12, np.float64)[0]
     together = max(1, min(COPIES, states.shape[0]))
     samples = max(1, min(ROWS // together, steps))
-    rows = samples * together
-    below, above = _memory(rows, together, first.w_hh.shape[0]), _memory(rows, together, second.w_hh.shape[0])
     size = readout.b_out.shape[0]
-    inputs, outputs = np.empty((rows, 6), np.float32), np.empty((rows, size), np.float32)
+    inputs = np.empty((samples * together, 6), np.float32)
+    outputs = np.empty((samples * together, size), np.float32)
+    h0 = np.empty((together, first.w_hh.shape[0]), np.float32)
+    h1 = np.empty((together, second.w_hh.shape[0]), np.float32)
     for n in range(0, states.shape[0], together):
         group = states[n : n + together]
         copies = group.shape[0]
         for c in range(copies):
-            _copy(vector(group[c], 1, np.float32), below.h[c])
-            _copy(vector(group[c], 2, np.float32), above.h[c])
+            _copy(vector(group[c], 1, np.float32), h0[c])
+            _copy(vector(group[c], 2, np.float32), h1[c])
         for begin in range(0, steps, samples):
             end = min(begin + samples, steps)
             x, y_out = inputs[: (end - begin) * copies], outputs[: (end - begin) * copies]
             part = slice(3 * begin, 3 * end)
             _encode(gyro[n : n + copies, part], accel[n : n + copies, part], scaling, group, x)
-            y = _run_layer(_run_layer(x, copies, first, below), copies, second, above)
+            y = _run_layer(_run_layer(x, h0[:copies], first), h1[:copies], second)
             _affine(y, readout.w_out, readout.b_out, y_out)
             for row in range(x.shape[0]):
                 c, t = row % copies, begin + row // copies
                 for o in range(size):
                     out[n + c, size * t + o] = y_out[row, o] * scale
         for c in range(copies):
-            _copy(below.h[c], vector(group[c], 1, np.float32))
-            _copy(above.h[c], vector(group[c], 2, np.float32))
+            _copy(h0[c], vector(group[c], 1, np.float32))
+            _copy(h1[c], vector(group[c], 2, np.float32))

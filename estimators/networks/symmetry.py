@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .weights_file import EXPONENTS
+from .weights_file import AXES, EXPONENTS
 
 Ints = NDArray[np.int64]
 Signs = NDArray[np.float32]
@@ -71,11 +71,12 @@ def weight_sharing(encoding: int, hidden: int, outputs: int = 2) -> dict[str, We
     answers = [_signed(m if outputs == 3 else _on_roll_pitch(m)) for m in OPERATIONS]
     first, second = ([(_on_neurons(n, k), np.ones(n)) for k in range(8)] for n in (encoding, hidden))
     single = [(np.zeros(1, np.int64), np.ones(1))] * 8
-    layers = {"w_in": (first, rates_forces), "w_ff": (second, first), "w_rec": (second, second),
-              "w_out": (answers, second), "syn0": (first, single), "mem0": (first, single),
-              "syn1": (second, single), "mem1": (second, single),
-              "w_after": (second, single), "syn_after": (second, single)}  # fmt: skip
-    return {name: _sharing(rows, columns) for name, (rows, columns) in layers.items()}
+    actions = {"inputs": rates_forces, "encoding": first, "hidden": second, "outputs": answers, "one": single}
+    return {
+        name: _sharing(*(actions[axis] for axis in (*axes, "one")[:2]))
+        for name, axes in AXES.items()
+        if axes != ("one",)
+    }
 
 
 def is_symmetric(tensors: Mapping[str, NDArray]) -> bool:

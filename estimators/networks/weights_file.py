@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +32,37 @@ Outputs = Literal["roll-pitch", "up"]
 """Of an attitude estimator."""
 NetworkOutputs = Literal["roll-pitch", "up", "angular-acceleration"]
 """Of any network; angular acceleration is a controller's."""
+Reads = Literal["imu", "attitude"]
+"""Gyroscope and accelerometer; or gyroscope and an estimate of roll and pitch."""
 READINGS, SET_POINTS = 6, 3
 """Inputs of every network, gyroscope first; what a controller has besides: roll, pitch, yaw rate."""
 CONTROLLER = "control-"
 """What the names of controllers that ship begin with."""
+AXES: dict[str, tuple[str, ...]] = {
+    "w_in": ("encoding", "inputs"),
+    "w_ff": ("hidden", "encoding"),
+    "w_rec": ("hidden", "hidden"),
+    "w_out": ("outputs", "hidden"),
+    "syn0": ("encoding",),
+    "mem0": ("encoding",),
+    "syn1": ("hidden",),
+    "mem1": ("hidden",),
+    "syn2": ("one",),
+    "mem2": ("one",),
+    "w_after": ("hidden", "one"),
+    "syn_after": ("hidden",),
+}
+"""Tensors of Att-SNN, and what their rows and columns are. Weights begin with w_, time constants are those of
+currents (syn) and membranes (mem)."""
+AFTER_SPIKE = ("w_after", "syn_after")
+"""Those that only networks with after-spike currents have."""
 EXPONENTS = {"w_ff": "exp_ff", "w_rec": "exp_rec", "w_after": "exp_after"}
 """Exponents of the weights into each hidden neuron, int16 (h1,), by the name of the weights. A quantised
 network without them has exponents of 0."""
+DTYPES = {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}
+"""NumPy's names of a file's types of numbers."""
+OLD_READS = "controller"
+"""Where the metadata of earlier files have `reads`."""
 EXPONENT_MIN = -6
 """The finest: below it, mantissas would no longer be whole state units."""
 LEVEL_UP = np.array([0.0, 0.0, 1.0])
@@ -101,6 +124,9 @@ class NetworkConfig(Strict):
     """Radians, parts of the unit vector or rad/s² for an output potential of 1.0."""
     set_point: SetPointScaling | None = None
     """Inputs and bounds of a controller; None: an attitude estimator."""
+    reads: Reads = "imu"
+    """"attitude": a controller that has the direction of gravity that roll and pitch stand for, as a specific
+    force, where others have the accelerometer's."""
     training: dict[str, JsonValue] = Field(default_factory=dict)
     """Data, seed, epochs, commit, validation error."""
 
@@ -110,6 +136,8 @@ class NetworkConfig(Strict):
             raise ValueError("outputs: angular-acceleration and set_point go together, those of a controller")
         if self.controls and self.model != "att-snn":
             raise ValueError(f"model: {self.model}; a controller is a spiking network, att-snn")
+        if self.reads == "attitude" and not self.controls:
+            raise ValueError("reads: an attitude is what a controller reads, estimators read the imu")
         return self
 
     @property
@@ -137,10 +165,9 @@ def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the tensors of a network."""
     h0, h1, out = config.encoding, config.hidden, config.n_outputs
     if config.model == "att-snn":
-        weights = {"w_in": (h0, config.n_inputs), "w_ff": (h1, h0), "w_rec": (h1, h1), "w_out": (out, h1)}
-        taus = {"syn0": (h0,), "mem0": (h0,), "syn1": (h1,), "mem1": (h1,), "syn2": (1,), "mem2": (1,)}
-        own = {"w_after": (h1, 1), "syn_after": (h1,)} if config.after_spike else {}
-        return {**weights, **taus, **own}
+        sizes = {"inputs": config.n_inputs, "encoding": h0, "hidden": h1, "outputs": out, "one": 1}
+        names = [name for name in AXES if config.after_spike or name not in AFTER_SPIKE]
+        return {name: tuple(sizes[axis] for axis in AXES[name]) for name in names}
     shapes: dict[str, tuple[int, ...]] = {"out.weight": (out, h1), "out.bias": (out,)}
     for layer, (inputs, units) in enumerate(((6, h0), (h0, h1))):
         shapes |= {f"gru.weight_ih_l{layer}": (3 * units, inputs), f"gru.bias_ih_l{layer}": (3 * units,)}
@@ -176,10 +203,10 @@ def save_network(path: str | Path, config: NetworkConfig, tensors: Mapping[str, 
     Raises:
         ValueError: Tensors that do not fit the configuration.
     """
-    _check_declared(Path(path), config, {name: (v.shape, str(v.dtype)) for name, v in tensors.items()})
-    _check_values(Path(path), config, tensors)
+    _check_declared(path, config, {name: (v.shape, str(v.dtype)) for name, v in tensors.items()})
+    _check_values(path, config, tensors)
     plain = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    unused = None if config.controls else {"set_point"}
+    unused = None if config.controls else {"set_point", "reads"}
     metadata = {"format": FORMAT, "config": config.model_dump_json(exclude=unused)}
     write_whole(path, _ordered(save(plain, metadata=metadata)))
 
@@ -192,7 +219,14 @@ def _ordered(content: bytes) -> bytes:
     return content[:8] + text.ljust(size) + content[8 + size :]
 
 
-def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
+class Network(NamedTuple):
+    """A network as its file holds it."""
+
+    config: NetworkConfig
+    tensors: Tensors
+
+
+def load_network(path: str | Path) -> Network:
     """Read a network that `save_network` wrote.
 
     Args:
@@ -203,44 +237,38 @@ def load_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
         ValueError: One line: not such a file, or tensors of the wrong shape or type.
     """
     shipped = [*shipped_names(), *shipped_controllers()]
-    if str(path) in shipped:
-        return shipped_network(str(path))
-    path = Path(path)
+    path = ASSETS / "weights" / f"{path}{END}" if str(path) in shipped else Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such weights file; shipped: {', '.join(shipped)}")
     try:
         with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
+            config = _config_of(path, file.metadata() or {})
             slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
-            declared = {name: (tuple(s.get_shape()), _dtype(s.get_dtype())) for name, s in slices.items()}
+            declared = {
+                name: (tuple(s.get_shape()), DTYPES.get(kind := str(s.get_dtype()), kind))
+                for name, s in slices.items()
+            }
+            _check_declared(
+                path, config, declared
+            )  # before a number is read: a small file may declare gigabytes
+            tensors = {name: file.get_tensor(name) for name in declared}
     except SafetensorError as error:
         raise ValueError(f"{path}: not a safetensors file ({error})") from error
-    if "config" not in metadata:
-        raise ValueError(f"{path}: no network configuration in the metadata")
-    _check_format(path, metadata)
-    try:
-        config = NetworkConfig.model_validate_json(metadata["config"])
-    except ValidationError as error:
-        wrong = describe(error, NetworkConfig)
-        raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error
-    _check_declared(path, config, declared)  # before a number is read: a small file may declare gigabytes
-    with safe_open(path, framework="numpy") as file:
-        tensors = {name: file.get_tensor(name) for name in declared}
     _check_values(path, config, tensors)
-    return config, tensors
+    return Network(config, tensors)
 
 
-def attitude_network(path: str | Path) -> tuple[NetworkConfig, Tensors]:
+def attitude_network(path: str | Path) -> Network:
     """`load_network` of an attitude estimator.
 
     Raises:
         FileNotFoundError: No such file.
         ValueError: One line: as of `load_network`, or a controller.
     """
-    config, tensors = load_network(path)
-    if config.controls:
+    network = load_network(path)
+    if network.config.controls:
         raise ValueError(f"{path}: a controller, not an attitude estimator; fly it as the controller")
-    return config, tensors
+    return network
 
 
 def shipped_names() -> list[str]:
@@ -257,35 +285,25 @@ def _shipped() -> list[str]:
     return sorted(each.stem for each in (ASSETS / "weights").glob(f"*{END}"))
 
 
-def shipped_network(model: str) -> tuple[NetworkConfig, Tensors]:
-    """Weights that ship with the package, by one of `shipped_names()` or `shipped_controllers()`."""
-    return load_network(ASSETS / "weights" / f"{model}{END}")
-
-
-def _check_format(path: Path, metadata: Mapping[str, str]) -> None:
-    found = metadata.get("format")
-    if found is None:
-        commit = re.search(r'"commit": ?"(\w+)"', metadata["config"])
-        code = f" (code at {commit[1]})" if commit else ""
-        raise ValueError(
-            f"{path}: weights of quadsim 0.1{code}, whose networks stood behind a filter on the host; "
-            "train them anew with `quadsim train`, or use quadsim 0.1"
-        )
-    if found != FORMAT:
-        raise ValueError(f"{path}: weights of format {found!r}, this version of quadsim reads {FORMAT!r}")
-
-
-def _dtype(name: str) -> str:
-    """NumPy's name of a type of numbers, of those that networks have; else the file's."""
-    return {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}.get(name, name)
+def _config_of(path: Path, metadata: Mapping[str, str]) -> NetworkConfig:
+    if "config" not in metadata:
+        raise ValueError(f"{path}: no network configuration in the metadata")
+    if (found := metadata.get("format")) != FORMAT:
+        of = "of quadsim 0.1" if found is None else f"of format {found!r}"
+        raise ValueError(f"{path}: weights {of}, this version of quadsim reads {FORMAT!r}; train them again")
+    own = json.loads(metadata["config"]) | json.loads(metadata.get(OLD_READS, "{}"))
+    try:
+        return NetworkConfig.model_validate_json(json.dumps(own))
+    except ValidationError as error:
+        wrong = describe(error, NetworkConfig)
+        raise ValueError(f"{path}: weights of another version of quadsim: {wrong}") from error
 
 
 def _check_declared(
-    path: Path, config: NetworkConfig, declared: Mapping[str, tuple[tuple[int, ...], str]]
+    path: str | Path, config: NetworkConfig, declared: Mapping[str, tuple[tuple[int, ...], str]]
 ) -> None:
     """Compare shapes and types of tensors with those of the network, without their numbers."""
-    wanted = expected_shapes(config)
-    whole = _is_whole(config)
+    wanted, whole = expected_shapes(config), _is_whole(config)
     fine = [exponent for name, exponent in EXPONENTS.items() if whole and name in wanted]
     wanted |= {name: (config.hidden,) for name in fine if name in declared}
     if missing := sorted(set(wanted) - set(declared)):
@@ -305,19 +323,17 @@ def _is_whole(config: NetworkConfig) -> bool:
     return config.model == "att-snn" and config.quantised
 
 
-def _check_values(path: Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
+def _check_values(path: str | Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
     for name, value in tensors.items():
         if not np.all(np.isfinite(value)):
             raise ValueError(f"{path}: tensor {name} has values that are not finite")
-        if _is_whole(config):
-            _check_chip(path, name, value)
-
-
-def _check_chip(path: Path, name: str, value: NDArray[np.int16]) -> None:
-    low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
-    if name in EXPONENTS.values():
-        low, high = EXPONENT_MIN, 0
-    if value.min() < low or value.max() > high:
-        raise ValueError(f"{path}: tensor {name} spans {value.min()}...{value.max()}, allowed {low}...{high}")
-    if name.startswith("w_") and np.any(value % 2):
-        raise ValueError(f"{path}: tensor {name} has odd mantissas, only even ones exist")
+        if not _is_whole(config):
+            continue
+        low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
+        if name in EXPONENTS.values():
+            low, high = EXPONENT_MIN, 0
+        if value.min() < low or value.max() > high:
+            span = f"{value.min()}...{value.max()}"
+            raise ValueError(f"{path}: tensor {name} spans {span}, allowed {low}...{high}")
+        if name.startswith("w_") and np.any(value % 2):
+            raise ValueError(f"{path}: tensor {name} has odd mantissas, only even ones exist")

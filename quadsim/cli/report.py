@@ -113,23 +113,24 @@ def _report_dataset(path: Path, verify: bool, out: Path | None) -> None:
 
 
 def _report_weights(weights: str, data: list[Path], out: Path) -> None:
-    from estimators.analysis.inspection import inspect, load_spiking, write_page
+    from estimators.analysis.inspection import inspect
     from estimators.evaluation.flights import load_flights
-    from estimators.networks.network import OnLoihi
+    from estimators.networks.on_chip import OnLoihi
+    from estimators.networks.weights_file import load_network
     from scenarios.report.terminal import cores_table, plain_table
 
     from ..dataset.reading import open_dataset
 
-    name, config, tensors = load_spiking(weights)
+    config, tensors = load_network(weights)
     core = OnLoihi(config, tensors)
     console.print(cores_table(core.cores))
-    last = f"{name}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
+    last = f"{weights}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
     if data:
         with alone(out):
             flights = load_flights([open_dataset(path) for path in data])
             with progress_bar("inspect", "parts") as bar:
-                inspection = inspect(name, config, tensors, flights, bar)
+                inspection = inspect(config, tensors, flights, bar)
             console.print(plain_table(inspection.summary()))
-            error_deg = inspection.responses["intact"].error_deg
-            last = f"{write_page(out, inspection)}: {last}, error {error_deg:.2f}°"
+            inspection.draw(out)
+            last = f"{out}: {last}, error {inspection.responses['intact'].error_deg:.2f}°"
     console.print(last, soft_wrap=True)

@@ -2,16 +2,18 @@
 
 import numpy as np
 import pytest
-from controllers import CONFIG, random_tensors, readings
+from controllers import ATTITUDE, CONFIG, random_tensors, readings
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from estimators import create, names
 from estimators.analysis.activity import record
-from estimators.analysis.energy import host_costs
+from estimators.analysis.energy import host_operations
 from estimators.control import SpikingController, create_controller
-from estimators.control.controller import THRUST_MAX, follow
-from estimators.networks.network import OnLoihi, silenced
+from estimators.control.controller import THRUST_MAX, follow, gravity_of
+from estimators.networks.network import silenced
+from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
     NetworkConfig,
     expected_shapes,
@@ -23,94 +25,121 @@ from estimators.networks.weights_file import (
 from quadsim.vehicle import GRAVITY
 
 
-@pytest.fixture
-def file(tmp_path):
-    save_network(tmp_path / "c.safetensors", CONFIG, random_tensors())
+@pytest.fixture(params=[CONFIG, ATTITUDE], ids=["imu", "attitude"])
+def file(request, tmp_path):
+    save_network(tmp_path / "c.safetensors", request.param, random_tensors())
     return tmp_path / "c.safetensors"
+
+
+def stream(controller, wanted, gyro, accel, roll_pitch):
+    """Sample by sample, of a controller at rest."""
+    controller.reset(len(gyro))
+    samples = (each.swapaxes(0, 1) for each in (wanted, gyro, accel, roll_pitch))
+    return np.stack([controller.update(*each) for each in zip(*samples, strict=True)], 1)
 
 
 def test_a_controller_has_nine_inputs_and_three_outputs():
     shapes = expected_shapes(CONFIG)
-    assert shapes["w_in"] == (10, 9)
-    assert shapes["w_out"] == (3, 12)
+    assert (shapes["w_in"], shapes["w_out"]) == ((10, 9), (3, 12))
 
 
 def test_a_file_returns_what_was_saved(file):
     config, tensors = load_network(file)
-    assert config == CONFIG
+    assert config == (ATTITUDE if config.reads == "attitude" else CONFIG)
     assert all(np.array_equal(tensors[name], value) for name, value in random_tensors().items())
 
 
 def test_a_file_of_an_attitude_network_does_not_mention_set_points(tmp_path):
-    config, tensors = load_network("att-snn-hummingbird")
-    save_network(tmp_path / "a.safetensors", config, tensors)
+    save_network(tmp_path / "a.safetensors", *load_network("att-snn-hummingbird"))
     assert b"set_point" not in (tmp_path / "a.safetensors").read_bytes()
 
 
-def test_samples_one_by_one_and_as_a_sequence_give_the_same_numbers(file):
-    stream, batch = create_controller(file), create_controller(file)
-    stream.reset(3)
-    batch.reset(3)
-    wanted, gyro, accel = readings(3, 80)
-    wanted[1, 10:14], gyro[2, 20], accel[0, 5:9] = np.nan, np.nan, np.nan
-    each = [stream.update(wanted[:, t], gyro[:, t], accel[:, t], np.zeros((3, 2))) for t in range(80)]
-    whole = batch.sequence(wanted, gyro, accel)
-    assert np.array_equal(np.stack(each, 1), whole)
-    assert np.abs(whole[..., :3]).max() > 1.0
-
-
-def test_a_vehicle_of_a_batch_flies_as_it_does_alone(file):
-    batch, alone = create_controller(file), create_controller(file)
+def test_samples_one_by_one_as_a_sequence_alone_and_on_the_chip_give_the_same_numbers(file):
+    wanted, gyro, accel = readings(4, 150)
+    roll_pitch = np.random.default_rng(3).normal(size=(4, 150, 2)) * 0.3
+    wanted[1, 10:14], gyro[2, 20], accel[0, 5:9], roll_pitch[3, 7] = np.nan, np.nan, np.nan, np.nan
+    batch, alone, chip = create_controller(file), create_controller(file), create_controller(f"{file}-loihi")
     batch.reset(4)
-    alone.reset(1)
-    signals = readings(4, 60)
-    assert np.array_equal(batch.sequence(*signals)[2:3], alone.sequence(*(each[2:3] for each in signals)))
+    read = gravity_of(roll_pitch) if batch.reads == "attitude" else accel
+    whole = batch.sequence(wanted, gyro, read)
+    assert np.abs(whole[..., :3]).max() > 1.0
+    for controller in (batch, chip):
+        assert np.array_equal(stream(controller, wanted, gyro, accel, roll_pitch), whole)
+    third = slice(2, 3)
+    assert np.array_equal(alone.sequence(wanted[third], gyro[third], read[third]), whole[third])
 
 
-def test_the_emulated_chip_gives_the_same_outputs(file):
-    plain, chip = create_controller(file), create_controller(f"{file}-loihi")
-    for each in (plain, chip):
-        each.reset(2)
-    signals = readings(2, 200)
-    assert np.array_equal(plain.sequence(*signals), chip.sequence(*signals))
+def test_an_attitude_stands_for_the_accelerometer(tmp_path):
+    save_network(tmp_path / "c.safetensors", ATTITUDE, random_tensors())
+    wanted, gyro, accel = readings(2, 60)
+    roll_pitch = np.random.default_rng(3).normal(size=(2, 60, 2)) * 0.3
+    controller = create_controller(tmp_path / "c.safetensors")
+    out = stream(controller, wanted, gyro, np.full_like(accel, np.nan), roll_pitch)
+    assert np.array_equal(out, stream(controller, wanted, gyro, accel, roll_pitch))
+    assert not np.array_equal(out, stream(controller, wanted, gyro, accel, 0.0 * roll_pitch))
+    wanted, gyro, accel = (np.zeros((1, k)) for k in (4, 3, 3))
+    controller.reset(1)
+    with pytest.raises(ValueError, match="reads an attitude: roll_pitch is required"):
+        controller.update(wanted, gyro, accel)
+    for shape in ((1, 1), (1, 3), (2, 2), (2,)):
+        with pytest.raises(ValueError, match=r"roll_pitch: shape .*, should be \(1, 2\)"):
+            controller.update(wanted, gyro, accel, np.zeros(shape))
+    with pytest.raises(ValueError, match="roll_pitch: shape"):
+        gravity_of(np.zeros((4, 3)))
 
 
-def test_activity_on_the_chip_ends_with_the_outputs_of_the_controller(file):
+@given(roll=st.floats(-3.1, 3.1), pitch=st.floats(-1.5, 1.5))
+@settings(max_examples=50, deadline=None)
+def test_gravity_of_an_attitude_is_the_specific_force_at_rest(roll, pitch):
+    wanted = Rotation.from_euler("ZYX", [0.7, pitch, roll]).inv().apply([0.0, 0.0, GRAVITY])
+    np.testing.assert_allclose(gravity_of([roll, pitch]), wanted, atol=1e-12)
+
+
+def test_an_unknown_reading_in_a_file_is_refused(tmp_path):
+    save_network(file := tmp_path / "c.safetensors", ATTITUDE, random_tensors())
+    content = file.read_bytes()
+    assert content.count(b"attitude") == 1
+    file.write_bytes(content.replace(b"attitude", b"rotorrpm"))
+    with pytest.raises(ValueError, match="another version of quadsim"):
+        load_network(file)
+
+
+def test_what_an_earlier_file_says_that_it_reads_is_read():
+    assert load_network("control-attitude").config.reads == "attitude"
+
+
+def test_activity_on_the_chip_ends_with_the_outputs_of_the_controller():
     wanted, gyro, accel = readings(2, 40)
-    core = OnLoihi(CONFIG, random_tensors())
-    inputs = follow(CONFIG.set_point, wanted).inputs
-    activity = record(core, gyro, accel, inputs)
-    plain = create_controller(file)
+    activity = record(OnLoihi(CONFIG, random_tensors()), gyro, accel, follow(CONFIG.set_point, wanted).inputs)
+    plain = SpikingController(CONFIG, random_tensors())
     plain.reset(2)
     out = plain.sequence(wanted, gyro, accel)[..., :3]
     assert np.array_equal(np.clip(activity.estimate, -30.0, 30.0), out)
 
 
 def test_the_host_multiplies_nine_inputs_for_each_encoding_neuron():
-    assert [cost.multiplications for cost in host_costs(CONFIG)] == [9, 100]
+    assert list(host_operations(CONFIG).values()) == [9, 100]
 
 
-def test_missing_samples_keep_the_last_valid_ones(file):
-    signals = readings(1, 30)
-    missing = [each.copy() for each in signals]
-    repeated = [each.copy() for each in signals]
+def outputs_of(*signals):
+    return SpikingController(CONFIG, random_tensors()).sequence(*signals)
+
+
+def test_missing_samples_keep_the_last_valid_ones():
+    missing, repeated = ([each.copy() for each in readings(1, 30)] for _ in range(2))
     for each, again in zip(missing, repeated, strict=True):
         each[:, 10:20] = np.nan
         again[:, 10:20] = again[:, 9:10]
-    outputs = []
-    for each in (missing, repeated):
-        controller = create_controller(file)
-        controller.reset(1)
-        outputs.append(controller.sequence(*each))
-    assert np.array_equal(*outputs)
+    assert np.array_equal(outputs_of(*missing), outputs_of(*repeated))
+    wanted = np.zeros((1, 5, 4))
+    wanted[0, :, 1] = [0.1, np.nan, np.nan, 0.3, np.nan]
+    assert follow(CONFIG.set_point, wanted).followed[0, :, 1].tolist() == [0.1, 0.1, 0.1, 0.3, 0.3]
 
 
-def test_before_the_first_set_point_that_is_valid_the_vehicle_is_to_hover_level(file):
-    controller = create_controller(file)
-    nothing = controller.sequence(np.full((1, 5, 4), np.nan), *readings(1, 5)[1:])
-    controller.reset(1)
-    level = controller.sequence(np.tile([0.0, 0.0, 0.0, GRAVITY], (1, 5, 1)), *readings(1, 5)[1:])
-    assert np.array_equal(nothing, level)
+def test_before_the_first_set_point_that_is_valid_the_vehicle_is_to_hover_level():
+    measured = readings(1, 5)[1:]
+    level = np.tile([0.0, 0.0, 0.0, GRAVITY], (1, 5, 1))
+    assert np.array_equal(outputs_of(np.nan * level, *measured), outputs_of(level, *measured))
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True, width=64)
@@ -129,24 +158,18 @@ def test_outputs_are_bounded_whatever_comes_in(values, repeats):
     assert 0.0 <= action[0, 3] <= THRUST_MAX
 
 
-def test_set_points_beyond_their_limits_act_as_those_at_the_limits(file):
+def test_set_points_beyond_their_limits_act_as_those_at_the_limits():
     wanted, gyro, accel = readings(1, 40)
     far, edge = wanted.copy(), wanted.copy()
     far[..., :3], edge[..., :3] = (9.0, -9.0, 99.0), (1.05, -1.05, 3.0)
-    outputs = []
-    for each in (far, edge):
-        controller = create_controller(file)
-        controller.reset(1)
-        outputs.append(controller.sequence(each, gyro, accel))
-    assert np.array_equal(*outputs)
+    assert np.array_equal(outputs_of(far, gyro, accel), outputs_of(edge, gyro, accel))
 
 
-def test_a_restarted_vehicle_begins_anew_and_the_others_go_on(file):
+def test_a_restarted_vehicle_begins_anew_and_the_others_go_on():
     signals = readings(2, 40)
-    continued, restarted, new = (create_controller(file) for _ in range(3))
-    for each, n in ((continued, 2), (restarted, 2), (new, 1)):
-        each.reset(n)
+    continued, restarted, new = (SpikingController(CONFIG, random_tensors()) for _ in range(3))
     for each in (continued, restarted):
+        each.reset(2)
         each.sequence(*signals)
     restarted.restart([0])
     out = restarted.sequence(*signals)
@@ -154,30 +177,20 @@ def test_a_restarted_vehicle_begins_anew_and_the_others_go_on(file):
     assert np.array_equal(out[:1], new.sequence(*(each[:1] for each in signals)))
 
 
-def test_held_values_are_the_last_that_are_numbers():
-    wanted = np.zeros((1, 5, 4))
-    wanted[0, :, 1] = [0.1, np.nan, np.nan, 0.3, np.nan]
-    assert follow(CONFIG.set_point, wanted).followed[0, :, 1].tolist() == [0.1, 0.1, 0.1, 0.3, 0.3]
-
-
 def test_a_silenced_controller_asks_for_no_angular_acceleration():
     controller = SpikingController(CONFIG, silenced(CONFIG, random_tensors()))
     assert not controller.sequence(*readings(1, 30))[..., :3].any()
 
 
-def test_an_attitude_network_is_refused_as_a_controller():
+def test_weights_for_another_task_or_sample_rate_and_samples_of_another_shape_are_refused(file):
     with pytest.raises(ValueError, match=r"att-snn-hummingbird: an attitude estimator, not a controller"):
         create_controller("att-snn-hummingbird")
-
-
-def test_a_controller_is_refused_as_an_attitude_estimator(file):
     with pytest.raises(ValueError, match="a controller, not an attitude estimator"):
         create(str(file))
-
-
-def test_a_controller_at_another_sample_rate_is_refused(file):
     with pytest.raises(ValueError, match="weights are for 200 Hz, not for 500 Hz"):
         create_controller(file, 500.0)
+    with pytest.raises(ValueError, match=r"set_point: shape \(1, 1, 3\), should be \(1, 1, 4\)"):
+        SpikingController(CONFIG, random_tensors()).update(*np.zeros((3, 1, 3)))
 
 
 @pytest.mark.parametrize(
@@ -186,16 +199,12 @@ def test_a_controller_at_another_sample_rate_is_refused(file):
         ({"outputs": "up"}, "angular-acceleration and set_point go together"),
         ({"set_point": None}, "angular-acceleration and set_point go together"),
         ({"model": "att-rnn"}, "a controller is a spiking network"),
+        ({"set_point": None, "outputs": "up", "reads": "attitude"}, "an attitude is what a controller reads"),
     ],
 )
 def test_a_network_has_one_task(changes, reason):
     with pytest.raises(ValueError, match=reason):
         NetworkConfig(**(CONFIG.model_dump() | changes))
-
-
-def test_samples_of_another_shape_are_refused(file):
-    with pytest.raises(ValueError, match=r"should be \(1, T, 4\), \(1, T, 3\) and \(1, T, 3\)"):
-        create_controller(file).update(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
 
 
 def test_controllers_that_ship_are_listed_apart_from_estimators():

@@ -26,10 +26,12 @@ def reference(layers, spikes, biases):
         before = [external, *[list(each) for each in s]]
         for k, layer in enumerate(layers):
             for i in range(len(layer["du"])):
-                total = sum(w * x for w, x in zip(layer["w_in"][i], before[k], strict=True))
-                if layer["w_rec"] is not None:
-                    total += sum(w * x for w, x in zip(layer["w_rec"][i], before[k + 1], strict=True))
-                u[k][i] = wrapped(decayed(u[k][i], layer["du"][i]) + wrapped(total * 64, 21), 23)
+                total = 0
+                for name, sent in (("in", before[k]), ("rec", before[k + 1])):
+                    weights = layer[f"w_{name}"] or [[0] * len(sent)] * (i + 1)
+                    one = 2 ** (6 + layer[f"exp_{name}"][i])
+                    total += one * sum(w * x for w, x in zip(weights[i], sent, strict=True))
+                u[k][i] = wrapped(decayed(u[k][i], layer["du"][i]) + wrapped(total, 21), 23)
                 bias = biases[t][i] if k == 0 else layer["bias_mant"][i]
                 own = layer["w_after"][i] * before[k + 1][i] * 2 ** (6 + layer["exp_after"][i])
                 a[k][i] = wrapped(decayed(a[k][i], layer["d_after"][i]) + own, 23)
@@ -68,6 +70,8 @@ def networks(draw):
                 "vth": pick(0, 3000, 0, 1, 128, 131071),
                 "bias_mant": pick(-4096, 4096, -4096, 0, 4095),
                 "bias_exp": pick(0, 8, 0, 6, 7),
+                "exp_in": np.zeros(width, int) if heavy else pick(-6, 1, -6, 0),
+                "exp_rec": pick(-6, 1, -6, 0),
                 "w_after": 2 * rng.integers(-128, 128, width) * draw(st.booleans()),
                 "d_after": pick(0, 4097, 0, 1, 4096),
                 "exp_after": pick(-6, 1, -6, 0),

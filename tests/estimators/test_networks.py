@@ -1,7 +1,6 @@
 import json
 import math
 import os
-import re
 import subprocess
 import sys
 import tracemalloc
@@ -14,17 +13,15 @@ from safetensors.numpy import save_file
 from estimators import create
 from estimators.analysis.activity import record
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.gru import tanh
+from estimators.networks.gru import Recurrent, tanh
 from estimators.networks.network import (
     NetworkEstimator,
-    OnLoihi,
-    Recurrent,
-    Spiking,
     create_network,
     real_weights,
     roll_pitch_of_outputs,
     silenced,
 )
+from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
     EXPONENTS,
     NetworkConfig,
@@ -32,7 +29,6 @@ from estimators.networks.weights_file import (
     load_network,
     parameters,
     save_network,
-    shipped_network,
 )
 from estimators.spiking import Weights, forward
 from quadsim.rotation import roll_pitch_of_up
@@ -135,38 +131,26 @@ def test_the_same_network_is_the_same_bytes(tmp_path, snn_file):
         assert (tmp_path / "again").read_bytes() == snn_file.read_bytes()
 
 
-@pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
-def test_streaming_equals_the_whole_sequence(name, snn_file, rnn_file):
-    est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
-    gyro, accel = samples(3, 80)
-    gyro[0, 20], accel[1, 30:33], accel[2, 5] = np.nan, np.nan, 0.0
-    est.reset(3)
-    whole = est.sequence(gyro, accel)
-    np.testing.assert_array_equal(est.skipped, [1, 3, 1])
-    est.reset(3)
-    streamed = np.stack([est.update(gyro[:, t], accel[:, t]) for t in range(80)], 1)
-    np.testing.assert_array_equal(streamed, whole)
-    if est.up is not None:
-        np.testing.assert_array_equal(roll_pitch_of_up(est.up), whole[:, -1])
-    est.reset(1)
-    np.testing.assert_array_equal(est.sequence(gyro[1:2], accel[1:2])[0], whole[1])
+@pytest.fixture(params=["att-snn", "att-snn-loihi", "att-rnn"])
+def est(request, snn_file, rnn_file):
+    return create_network(request.param, weights=rnn_file if request.param == "att-rnn" else snn_file)
 
 
-@pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
-def test_the_numbers_of_a_vehicle_do_not_depend_on_how_many_there_are(name, snn_file, rnn_file):
-    est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
+def test_streaming_equals_the_whole_sequence_however_many_vehicles_there_are(est):
     gyro, accel = samples(13, 45)
+    gyro[0, 20], accel[1, 30:33], accel[2, 5] = np.nan, np.nan, 0.0
     est.reset(13)
-    together = est.sequence(gyro, accel)
-    for k in (0, 5, 7, 12):
-        est.reset(1)
-        alone = [est.update(gyro[k : k + 1, t], accel[k : k + 1, t]) for t in range(45)]
-        np.testing.assert_array_equal(np.stack(alone, 1)[0], together[k])
+    whole = est.sequence(gyro, accel)
+    np.testing.assert_array_equal(est.skipped, [1, 3, 1, *[0] * 10])
+    for part in (slice(None), *(slice(k, k + 1) for k in (0, 1, 5, 7, 12))):
+        est.reset(len(gyro[part]))
+        streamed = [est.update(gyro[part, t], accel[part, t]) for t in range(45)]
+        np.testing.assert_array_equal(np.stack(streamed, 1), whole[part])
+        if est.up is not None:
+            np.testing.assert_array_equal(roll_pitch_of_up(est.up), whole[part, -1])
 
 
-@pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
-def test_restart_leaves_the_others_alone(name, snn_file, rnn_file):
-    est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
+def test_restart_leaves_the_others_alone(est):
     gyro, accel = samples(3, 60)
     est.reset(3)
     whole = est.sequence(gyro, accel)
@@ -181,22 +165,20 @@ def test_restart_leaves_the_others_alone(name, snn_file, rnn_file):
     np.testing.assert_array_equal(rest[1], est.sequence(gyro[1:2, 30:], accel[1:2, 30:])[0])
 
 
-@pytest.mark.parametrize("name", ["att-snn", "att-snn-loihi", "att-rnn"])
-def test_the_initial_attitude_is_checked_and_ignored(name, snn_file, rnn_file):
-    est = create_network(name, weights=rnn_file if name == "att-rnn" else snn_file)
+def test_the_initial_attitude_is_checked_and_ignored(est):
     gyro, accel = samples(2, 50)
     est.reset(2)
     unknown = est.sequence(gyro, accel)
-    est.reset(2, roll_pitch=[[0.5, -0.3], [0.0, 1.2]])
-    np.testing.assert_array_equal(est.sequence(gyro, accel), unknown)
-    est.restart([0, 1], roll_pitch=[[0.5, -0.3], [0.0, 1.2]])
-    np.testing.assert_array_equal(est.sequence(gyro, accel), unknown)
-    for start, message in (([[np.nan, 0.0]] * 2, "not finite"), ([[np.inf, 0.0]] * 2, "not finite"),
-                           ([[0.0, 0.0]], r"shape \(1, 2\), should be \(2, 2\)")):  # fmt: skip
-        with pytest.raises(ValueError, match=message):
-            est.reset(2, roll_pitch=start)
-        with pytest.raises(ValueError, match=message):
-            est.restart([0, 1], roll_pitch=start)
+    start = [[0.5, -0.3], [0.0, 1.2]]
+    for begin in (lambda known: est.reset(2, known), lambda known: est.restart([0, 1], known)):
+        begin(start)
+        np.testing.assert_array_equal(est.sequence(gyro, accel), unknown)
+        for wrong, message in (
+            ([[np.inf, 0.0]] * 2, "not finite"),
+            ([[0.0, 0.0]], r"\(1, 2\), should be \(2, 2\)"),
+        ):
+            with pytest.raises(ValueError, match=message):
+                begin(wrong)
 
 
 def test_the_tangent_of_the_gru_is_numpys():
@@ -233,13 +215,9 @@ def test_inference_does_not_import_torch(snn_file):
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_shipped_network_fits_one_core_of_the_chip():
-    assert len(OnLoihi(*shipped_network("att-snn")).cores) == 1
-
-
-def test_the_network_for_one_airframe_is_no_larger_than_the_paper_s():
-    _, tensors = shipped_network("att-snn-hummingbird")
-    assert parameters(tensors) <= 21202
+def test_the_networks_that_ship_fit_one_core_and_the_size_of_the_paper_s():
+    assert len(OnLoihi(*load_network("att-snn")).cores) == 1
+    assert parameters(load_network("att-snn-hummingbird").tensors) <= 21202
 
 
 def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
@@ -262,6 +240,7 @@ def test_bad_files_give_one_clear_line(tmp_path, snn_file, rnn_file):
         ({"more": tensors["w_ff"]}, "unknown tensor more"),
         ({"exp_ff": np.full(100, 1, np.int16)}, r"exp_ff spans 1\.\.\.1, allowed -6\.\.\.0"),
         ({"exp_rec": np.zeros(99, np.int16)}, r"exp_rec has shape \(99,\), should be \(100,\)"),
+        ({"w_out": np.zeros((4, 100), np.int16)}, r"w_out has shape \(4, 100\), should be \([23], 100\)"),
     ):
         with pytest.raises(ValueError, match=message):
             save_network(path, config, tensors | change)
@@ -303,28 +282,11 @@ def test_declared_shapes_and_types_are_refused_before_a_number_is_read(tmp_path,
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("core", [Spiking, OnLoihi, Recurrent])
-def test_silenced_networks_estimate_nothing(core, snn_file, rnn_file):
-    config, tensors = load_network(rnn_file if core is Recurrent else snn_file)
-    gyro, accel = samples(1, 80)
-    estimates = []
-    for each in (tensors, silenced(config, tensors)):
-        est = NetworkEstimator(core(config, each), 200.0)
-        estimates.append(est.sequence(gyro, accel))
-    assert np.abs(estimates[0]).max() > 0.0
-    np.testing.assert_array_equal(estimates[1], 0.0)
-
-
-def test_weights_of_another_number_of_outputs_are_refused(tmp_path, snn_file):
-    config, tensors = load_network(snn_file)
-    other = config.model_copy(update={"outputs": "up" if config.outputs == "roll-pitch" else "roll-pitch"})
-    with pytest.raises(ValueError, match=r"w_out has shape \([23], 100\), should be \([32], 100\)"):
-        save_network(tmp_path / "x", other, tensors)
-
-
-def test_files_that_name_no_outputs_have_roll_and_pitch():
-    shipped, tensors = shipped_network("att-snn-paper")
-    assert (shipped.outputs, len(tensors["w_out"])) == ("roll-pitch", 2)
+def test_silenced_networks_estimate_nothing(est, snn_file, rnn_file):
+    config, tensors = load_network(rnn_file if isinstance(est.core, Recurrent) else snn_file)
+    assert np.abs(est.sequence(*samples(1, 80))).max() > 0.0
+    silent = NetworkEstimator(type(est.core)(config, silenced(config, tensors)), 200.0)
+    np.testing.assert_array_equal(silent.sequence(*samples(1, 80)), 0.0)
 
 
 @pytest.mark.parametrize("steps", [1, 3])
@@ -372,39 +334,26 @@ def test_network_in_floats_equals_the_pytorch_loop(tmp_path, delay):
         create_network("att-snn-loihi", weights=tmp_path / "w")
 
 
-@pytest.mark.parametrize("training", [{}, {"commit": "177f1c2"}])
-def test_weights_of_the_first_version_are_refused_in_one_line(tmp_path, training):
-    config, tensors = shipped_network("att-snn")
-    about = config.model_copy(update={"training": training}).model_dump(mode="json")
-    about["inputs"] |= {"bias_sd": 0.0088, "lean_fed": True}
-    path = tmp_path / "x.safetensors"
-    save_file(tensors | {"w_skip": np.ones((2, 6), np.int16)}, path, metadata={"config": json.dumps(about)})
-    code = " (code at 177f1c2)" if training else ""
-    with pytest.raises(ValueError, match=re.escape(
-        f"{path}: weights of quadsim 0.1{code}, whose networks stood behind a filter on the host; "
-        "train them anew with `quadsim train`, or use quadsim 0.1"
-    ) + "$"):  # fmt: skip
-        load_network(path)
-
-
-def test_weights_of_a_format_to_come_are_refused(tmp_path):
-    config, tensors = shipped_network("att-snn")
-    metadata = {"format": "3", "config": config.model_dump_json()}
-    save_file(tensors, tmp_path / "w.safetensors", metadata=metadata)
-    with pytest.raises(ValueError, match="weights of format '3', this version of quadsim reads '2'"):
-        load_network(tmp_path / "w.safetensors")
-
-
-def test_weights_of_another_version_name_the_setting_that_is_not_known(tmp_path):
-    config, tensors = shipped_network("att-snn")
+@pytest.mark.parametrize(
+    ("format", "inputs", "message"),
+    [
+        ({}, {}, r"w.safetensors: weights of quadsim 0.1, this .* train them again$"),
+        ({"format": "3"}, {}, "weights of format '3', this version of quadsim reads '2'"),
+        ({"format": "2"}, {"accel_ofset": 1.0}, 'version of quadsim: unknown key "inputs.accel_ofset"; did'),
+    ],
+)
+def test_weights_of_another_version_are_refused_in_one_line(tmp_path, format, inputs, message):
+    config, tensors = load_network("att-snn")
     about = config.model_dump(mode="json")
-    about["inputs"]["accel_ofset"] = [0.0, 0.0, 9.81]
-    metadata = {"format": "2", "config": json.dumps(about)}
-    save_file(tensors, tmp_path / "w.safetensors", metadata=metadata)
-    with pytest.raises(
-        ValueError, match=r'another version of quadsim: unknown key "inputs.accel_ofset"; did'
-    ):
+    about["inputs"] |= inputs
+    save_file(tensors, tmp_path / "w.safetensors", metadata=format | {"config": json.dumps(about)})
+    with pytest.raises(ValueError, match=message):
         load_network(tmp_path / "w.safetensors")
+
+
+def test_files_that_name_no_outputs_have_roll_and_pitch():
+    shipped, tensors = load_network("att-snn-paper")
+    assert (shipped.outputs, len(tensors["w_out"])) == ("roll-pitch", 2)
 
 
 def test_an_exponent_is_a_smaller_step_of_the_weights_into_one_neuron():

@@ -5,14 +5,15 @@ from estimators.analysis.ablation import CRITERIA, ablation, error_deg, importan
 from estimators.analysis.activity import record
 from estimators.analysis.encoding_study import manipulations, preferred, responses, tuning_curves
 from estimators.evaluation.flights import load_flights
-from estimators.networks.network import NetworkEstimator, OnLoihi, Spiking
+from estimators.networks.network import NetworkEstimator, Spiking
+from estimators.networks.on_chip import OnLoihi
 from estimators.networks.symmetry import OPERATIONS
-from estimators.networks.weights_file import shipped_network
+from estimators.networks.weights_file import load_network
 
 
 @pytest.fixture(scope="module")
 def network():
-    return shipped_network("att-snn")
+    return load_network("att-snn")
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_the_least_important_go_first_and_the_curve_starts_at_the_whole(network,
         curve = ablation(*network, values, (0.0, 0.9), seen)
         assert curve[0] == error_deg(*network, seen)
         assert curve[1] > 1.5 * curve[0]
-    alone = shipped_network("att-snn-paper")  # 100 + 100 neurons that share no weights
+    alone = load_network("att-snn-paper")  # 100 + 100 neurons that share no weights
     values = np.random.default_rng(0).random(200)
     _, tensors = pruned(*alone, [values[:100], values[100:]], 0.3)
     kept = np.argsort(-values)[:140]
@@ -65,7 +66,7 @@ def test_without_its_gyroscope_a_network_does_not_follow(network, seen):
     np.testing.assert_array_equal(
         found["accel zero"].estimate, found["accel removed"].estimate
     )  # offset 9.81
-    alone, tensors = shipped_network("att-snn-paper")  # offset 0
+    alone, tensors = load_network("att-snn-paper")  # offset 0
     others = responses(NetworkEstimator(Spiking(alone, tensors), 200.0), seen)
     assert others["accel zero"].error_deg != others["accel removed"].error_deg
     level = manipulations(seen)["accel = gravity"][1]

@@ -7,9 +7,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from estimators.analysis.ablation import connected, pruned
-from estimators.analysis.activity import record
-from estimators.loihi.neurons import VTH_MAX
-from estimators.networks.network import NetworkEstimator, OnLoihi, roll_pitch_of_outputs
+from estimators.networks.network import NetworkEstimator
+from estimators.networks.on_chip import OnLoihi
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
 from quadsim.rotation import roll_pitch_of_up
@@ -60,10 +59,13 @@ def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, sh
     assert fewer[0].encoding <= encoding
     assert fewer[0].hidden <= hidden
     assert is_symmetric(fewer[1])
-    gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
-    accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
-    estimates = [NetworkEstimator(OnLoihi(*each), 200.0).sequence(gyro, accel) for each in (whole, fewer)]
+    estimates = [NetworkEstimator(OnLoihi(*each), 200.0).sequence(*readings(seed)) for each in (whole, fewer)]
     np.testing.assert_array_equal(*estimates)
+
+
+def readings(seed):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1, rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
 
 
 def rolled_and_pitched(operation, roll_pitch):
@@ -86,39 +88,21 @@ def test_small_roll_and_pitch_turn_as_the_outputs_do():
         np.testing.assert_allclose(turned, rolled_and_pitched(operation, roll_pitch_of_up(up)), atol=1e-5)
 
 
-@given(st.integers(8, 40), st.integers(8, 40), st.integers(0, 100))
+@pytest.mark.parametrize("outputs", ["roll-pitch", "up"])
+@given(encoding=st.integers(8, 40), hidden=st.integers(8, 40), seed=st.integers(0, 100))
 @settings(max_examples=25, deadline=None)
-def test_turned_and_mirrored_readings_give_the_turned_outputs_to_the_last_bit(encoding, hidden, seed):
-    _, config, tensors = network(encoding, hidden, seed)
-    core = OnLoihi(config, tensors)
-    rng = np.random.default_rng(seed)
-    gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
-    accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
-    straight = record(core, gyro, accel)
-    outputs = straight.potentials[:, -2:]
-    assume(np.abs(outputs).max() > 0)  # a single group of neurons may start silent
-    for operation in OPERATIONS:
-        turned = record(core, np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T)
-        np.testing.assert_array_equal(turned.potentials[:, -2:], rolled_and_pitched(operation, outputs))
-        np.testing.assert_array_equal(turned.estimate, rolled_and_pitched(operation, straight.estimate))
-
-
-@given(st.integers(8, 40), st.integers(8, 40), st.integers(0, 100))
-@settings(max_examples=25, deadline=None)
-def test_turned_and_mirrored_readings_turn_up_as_a_vector_at_any_attitude(encoding, hidden, seed):
-    _, config, tensors = network(encoding, hidden, seed, "up")
+def test_turned_and_mirrored_readings_give_exactly_the_turned_outputs(outputs, encoding, hidden, seed):
+    """Up turns as a vector at any attitude."""
+    _, config, tensors = network(encoding, hidden, seed, outputs)
     assert is_symmetric(tensors)
-    core = OnLoihi(config, tensors)
-    rng = np.random.default_rng(seed)
-    gyro = rng.normal(size=(1, 200, 3)).cumsum(1) * 0.1
-    accel = rng.normal(size=(1, 200, 3)) + np.array([0, 0, G])
-    outputs = record(core, gyro, accel).potentials[:, -3:]
-    assume(np.abs(outputs).max(0).all())
+    est, (gyro, accel) = NetworkEstimator(OnLoihi(config, tensors), 200.0), readings(seed)
+    straight = est.outputs(gyro, accel)
+    assume(np.abs(straight).max() > 0)  # a single group of neurons may start silent
     for operation in OPERATIONS:
-        turned = record(core, np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T)
-        np.testing.assert_array_equal(turned.potentials[:, -3:], outputs @ operation.T)
-        expected = roll_pitch_of_outputs(outputs @ operation.T * (VTH_MAX * 64 * core.scale))
-        np.testing.assert_allclose(turned.estimate[0], expected, atol=1e-12)
+        est.reset(1)
+        turned = est.outputs(np.linalg.det(operation) * gyro @ operation.T, accel @ operation.T)
+        turn = rolled_and_pitched if outputs == "roll-pitch" else lambda m, up: up @ m.T
+        np.testing.assert_array_equal(turned, turn(operation, straight))
 
 
 @given(st.integers(1, 50), st.integers(1, 50), st.sampled_from([2, 3]))

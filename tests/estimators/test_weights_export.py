@@ -7,27 +7,30 @@ import subprocess
 import numpy as np
 import pytest
 import torch
+from controllers import ATTITUDE, CONFIG
 from safetensors.torch import save_file
 
 from estimators.control.controller import SpikingController
 from estimators.export.formats import export_weights
 from estimators.networks.encoder import scaled_inputs
-from estimators.networks.network import NetworkEstimator, OnLoihi, Recurrent, real_weights
+from estimators.networks.gru import Recurrent
+from estimators.networks.network import NetworkEstimator, real_weights
+from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
     EXPONENTS,
+    LEVEL_UP,
     NetworkConfig,
-    SetPointScaling,
     expected_shapes,
     exponents,
     load_network,
     save_network,
-    shipped_controllers,
-    shipped_network,
 )
 from estimators.spiking import Weights, forward
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
+
+ESTIMATES_UP = {"outputs": "up", "set_point": None}
 
 
 def random_snn(config, seed=0):
@@ -142,7 +145,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(
     compiled, tmp_path, seed, outputs, after_spike
 ):
     if seed is None:
-        config, tensors = shipped_network("att-snn")
+        config, tensors = load_network("att-snn")
         weights = "att-snn"
     else:
         scale = 1 / 256 if seed else 0.003
@@ -171,15 +174,7 @@ def test_c_source_equals_the_emulator_in_every_state_of_every_step(
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_controllers_c_source_equals_the_emulator_in_every_state_of_every_step(compiled, tmp_path, seed):
-    config = NetworkConfig(
-        model="att-snn",
-        encoding=41,
-        hidden=35,
-        after_spike=bool(seed),
-        outputs="angular-acceleration",
-        output_scale=20.0,
-        set_point=SetPointScaling(bound=30.0),
-    )
+    config = CONFIG.model_copy(update={"encoding": 41, "hidden": 35, "after_spike": bool(seed)})
     tensors, weights = random_snn(config, seed), tmp_path / "w.safetensors"
     save_network(weights, config, tensors)
     rng = np.random.default_rng(seed)
@@ -273,19 +268,23 @@ def node_of(graph, name):
     return next(node for key, node in graph.nodes.items() if key[3:] == name)
 
 
-@pytest.mark.parametrize("name", shipped_controllers())
-def test_nir_graph_of_a_controller_has_its_set_points_as_inputs(tmp_path, name):
+@pytest.mark.parametrize("config", [CONFIG, ATTITUDE, CONFIG.model_copy(update=ESTIMATES_UP)])
+def test_nir_graph_says_what_its_inputs_and_outputs_are(tmp_path, config):
     nir = pytest.importorskip("nir")
-    _, tensors = shipped_network(name)
-    graph = nir.read(export_weights(name, tmp_path / "control.nir", "nir"))
-    np.testing.assert_array_equal(node_of(graph, "input").input_type["input"], [9])
+    tensors = random_snn(config)
+    save_network(tmp_path / "w.safetensors", config, tensors)
+    graph = nir.read(export_weights(tmp_path / "w.safetensors", tmp_path / "snn.nir", "nir"))
+    np.testing.assert_array_equal(node_of(graph, "input").input_type["input"], [config.n_inputs])
+    np.testing.assert_array_equal(node_of(graph, "finish").input_type["input"], [3])
     np.testing.assert_array_equal(node_of(graph, "w_in").metadata["mantissa"], tensors["w_in"])
-    assert graph.metadata["set_point_gain_1024"].shape == (3,)
+    assert graph.metadata["outputs"] == config.outputs
+    assert ("set_point_gain_1024" in graph.metadata) == config.controls
+    assert graph.metadata.get("reads", "imu") in (config.reads, config.reads.encode())
 
 
 def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
     nir = pytest.importorskip("nir")
-    _, tensors = shipped_network("att-snn")
+    _, tensors = load_network("att-snn")
     graph = nir.read(export_weights("att-snn", tmp_path / "snn.nir", "nir"))
     for name in ("w_in", "w_ff", "w_rec", "w_out"):
         node = node_of(graph, name)
@@ -313,40 +312,16 @@ def test_nir_graph_carries_the_integers_of_the_chip(tmp_path):
         np.testing.assert_array_equal(node.weight, np.diag(decays))
 
 
-def test_nir_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
-    nir = pytest.importorskip("nir")
-    config = NetworkConfig(model="att-snn", encoding=5, hidden=7, outputs="up", output_scale=1 / 256)
-    save_network(tmp_path / "w.safetensors", config, random_snn(config))
-    graph = nir.read(export_weights(tmp_path / "w.safetensors", tmp_path / "snn.nir", "nir"))
-    assert node_of(graph, "w_out").weight.shape == (3, 7)
-    assert node_of(graph, "finish").input_type["input"] == [3]
-    assert graph.metadata["outputs"] == "up"
-
-
-def test_onnx_graph_of_a_network_that_estimates_up_has_three_outputs(tmp_path):
+@pytest.mark.parametrize("name", ["att-rnn", "att-rnn-paper"])
+def test_onnx_runtime_computes_the_network(tmp_path, name):
     runtime = pytest.importorskip("onnxruntime")
-    config, tensors = shipped_network("att-rnn")
-    session = runtime.InferenceSession(export_weights("att-rnn", tmp_path / "rnn.onnx", "onnx"))
-    rng = np.random.default_rng(0)
-    gyro, accel = rng.normal(0, 1, (50, 1, 3)), rng.normal([0, 0, 9.8], 1.0, (50, 1, 3))
-    feed = {"gyro": gyro.astype(np.float32), "accel": accel.astype(np.float32)}
-    feed |= {f"h{k}": np.zeros((1, 1, 100), np.float32) for k in (0, 1)}
-    (up,) = session.run(["up"], feed)
-    est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
-    for t in range(50):
-        est.update(gyro[t], accel[t])
-        np.testing.assert_allclose(up[t], est.up, atol=2e-4)
-
-
-def test_onnx_runtime_estimates_as_the_network_here(tmp_path):
-    runtime = pytest.importorskip("onnxruntime")
-    session = runtime.InferenceSession(export_weights("att-rnn-paper", tmp_path / "rnn.onnx", "onnx"))
-    config, tensors = shipped_network("att-rnn-paper")
+    session = runtime.InferenceSession(export_weights(name, tmp_path / "rnn.onnx", "onnx"))
+    config, tensors = load_network(name)
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0, 1, (2, 300, 3)), rng.normal([0, 0, 9.8], 1.0, (2, 300, 3))
     est = NetworkEstimator(Recurrent(config, tensors), config.rate_hz)
     est.reset(2)
-    expected = est.sequence(gyro, accel)
+    expected = est.outputs(gyro, accel) + (LEVEL_UP if config.outputs == "up" else 0.0)
     states = {f"h{k}": np.zeros((1, 2, 100), np.float32) for k in (0, 1)}
     parts = []
     for part in np.split(np.arange(300), [100, 101]):  # whole windows and a single sample alike
@@ -354,9 +329,9 @@ def test_onnx_runtime_estimates_as_the_network_here(tmp_path):
             name: each[:, part].transpose(1, 0, 2).astype(np.float32)
             for name, each in (("gyro", gyro), ("accel", accel))
         }
-        roll_pitch, h0, h1 = session.run(None, feed | states)
+        found, h0, h1 = session.run(None, feed | states)
         states = {"h0": h0, "h1": h1}
-        parts.append(roll_pitch.transpose(1, 0, 2))
+        parts.append(found.transpose(1, 0, 2))
     # A reading within a rounding error of half a step of 1/1024 may be rounded the other way in float32.
     np.testing.assert_allclose(np.concatenate(parts, 1), expected, atol=2e-4)
 
@@ -376,10 +351,10 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
         export_weights("att-snn", tmp_path, "c99")
 
 
-def test_the_c_header_names_the_scale_of_its_output(tmp_path):
+def test_the_c_header_names_what_comes_in_and_the_scale_of_what_goes_out(tmp_path):
     export_weights("att-snn", tmp_path / "c", "c99")
     header = (tmp_path / "c" / "att_snn.h").read_text()
-    scale = OnLoihi(*shipped_network("att-snn")).scale
+    scale = OnLoihi(*load_network("att-snn")).scale
     assert f"#define ATT_SNN_UNITS_PER_ONE {round(1 / scale)}\n" in header
     assert "#define ATT_SNN_OUTPUTS 3\n" in header
     config = NetworkConfig(model="att-snn", encoding=5, hidden=7, output_scale=1 / 256)
@@ -388,10 +363,14 @@ def test_the_c_header_names_the_scale_of_its_output(tmp_path):
     header = (tmp_path / "rp" / "att_snn.h").read_text()
     assert f"#define ATT_SNN_UNITS_PER_RADIAN {256 * 2**14}\n" in header
     assert "#define ATT_SNN_OUTPUTS 2\n" in header
+    save_network(tmp_path / "a.safetensors", ATTITUDE, random_snn(ATTITUDE))
+    header = (export_weights(tmp_path / "a.safetensors", tmp_path / "a", "c99") / "snn_control.h").read_text()
+    assert "a gyroscope and an estimate of roll and pitch" in header
+    assert "This network reads an attitude" in header
 
 
 def test_weights_of_a_type_that_numpy_lacks_are_one_line(tmp_path):
-    _, tensors = shipped_network("att-snn")
+    _, tensors = load_network("att-snn")
     path = tmp_path / "x.safetensors"
     half = {
         name: torch.as_tensor(each.astype(np.float32)).to(torch.bfloat16) for name, each in tensors.items()

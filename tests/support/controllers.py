@@ -14,6 +14,7 @@ CONFIG = NetworkConfig(
     output_scale=20.0,
     set_point=SetPointScaling(bound=30.0),
 )
+ATTITUDE = CONFIG.model_copy(update={"reads": "attitude"})
 
 
 def random_tensors(config=CONFIG, seed=0):

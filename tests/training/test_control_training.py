@@ -6,7 +6,6 @@ import torch
 
 from estimators.control import create_controller
 from estimators.control.controller import SpikingController
-from estimators.control.weights import load_controller
 from estimators.networks.network import real_weights
 from estimators.networks.weights_file import load_network
 from quadsim.control.records import SET_POINT
@@ -213,7 +212,7 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
     assert whole.weights.read_bytes() == resumed.weights.read_bytes()
     with pytest.raises(ValueError, match="another configuration, choose another folder"):
         train(out=tmp_path / "whole", **TINY, seed=5)
-    assert load_controller(whole.weights).reads == "attitude"
+    assert load_network(whole.weights).config.reads == "attitude"
     controller = create_controller(whole.weights)
     flights = fly(SETTINGS, recipe, seeds(2), controller)
     assert np.linalg.norm(flights.accel, axis=-1) == pytest.approx(GRAVITY, rel=1e-5)

@@ -81,12 +81,9 @@ class ControlTask:
         control, file = self.config.control, self.out / f"round-{number}.npz"
         if not file.is_file():
             seeds = self._seeds(FLIGHTS, number, n=control.round_flights if student else control.flights)
-            pilot = self._controller(*student()) if student else None
+            pilot = SpikingController(*student()) if student else None
             save_flights(file, fly(control, self.recipe, seeds, pilot, control.teacher_share**number))
         return read_flights(file)
-
-    def _controller(self, network: NetworkConfig, tensors: Tensors) -> SpikingController:
-        return SpikingController(network, tensors, reads=self.config.control.reads)
 
     def _validation_flights(self, student: SpikingController | None) -> ControlFlights:
         seeds = self._seeds(VALIDATION, n=self.config.control.validation_flights)
@@ -108,7 +105,7 @@ class ControlTask:
         `teacher_deg`: the same of the teacher; `crashes`; `imitation`: RMS error of the outputs over the
         error scale.
         """
-        student = self._controller(network, tensors)
+        student = SpikingController(network, tensors)
         flown = self._validation_flights(student)
         return {
             "tracking_deg": tracking_deg(flown),
