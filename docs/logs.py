@@ -16,7 +16,7 @@ from estimators import create
 from estimators.evaluation.beliefs import Beliefs, beliefs
 from estimators.evaluation.comparison import made_of
 from estimators.evaluation.logs import KNOWN, RAW, LogScores
-from estimators.filters.imm_model import MODELS
+from estimators.filters.drag.imm_model import MODELS
 from quadsim.dataset.export import export
 from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate

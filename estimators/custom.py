@@ -27,10 +27,7 @@ def declared(name: str) -> dict[str, Parameter]:
     Raises:
         ValueError: No such class, or it declares something else.
     """
-    return dict(_declared(name, load_own(name, GROUP)))
-
-
-def _declared(name: str, made: Any) -> Mapping[str, Parameter]:
+    made: Any = load_own(name, GROUP)
     found = getattr(made, "parameters", None) if isinstance(made, type) else None
     if found is None:
         return {}
@@ -38,7 +35,7 @@ def _declared(name: str, made: Any) -> Mapping[str, Parameter]:
         raise ValueError(
             f"{name}: parameters should be a dict of names and estimators.Parameter(default, low, high)"
         )
-    return found
+    return dict(found)
 
 
 def own(name: str, rate_hz: float, values: Mapping[str, float] | None = None) -> AttitudeEstimator:

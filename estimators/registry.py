@@ -17,10 +17,10 @@ from .custom import declared, is_custom, own
 from .filters import ekf
 from .filters.algorithm import Algorithm, Filter, Parameter, checked
 from .filters.complementary import ADAPTIVE, COMPLEMENTARY
+from .filters.drag.ekf_drag import EKF_DRAG, drag_of
+from .filters.drag.imm import IMM, InteractingModels
 from .filters.ekf import EKF
-from .filters.ekf_drag import EKF_DRAG, drag_of
 from .filters.eskf import ESKF
-from .filters.imm import IMM, InteractingModels
 from .filters.madgwick import MADGWICK
 from .filters.mahony import MAHONY
 from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
@@ -33,6 +33,8 @@ COMPILED: dict[str, Algorithm] = {
     a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK, EKF, ESKF, EKF_DRAG, IMM)
 }
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
+COPIES = {"ekf-filterpy": "ekf"}
+"""Estimators that repeat another's numbers, to compare with: no table ranks them beside it."""
 NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
 DESCRIPTIONS = {
     "truth": "The true attitude: the bound that no estimator passes.",
@@ -77,7 +79,7 @@ def parameters(name: str) -> Mapping[str, Parameter]:
     if name in FILTERPY:
         return ekf.PARAMETERS
     if name == "vqf":
-        from .filters.vqf_filter import PARAMETERS
+        from .filters.packaged import PARAMETERS
 
         return PARAMETERS
     return {}
@@ -137,11 +139,11 @@ def create(
     known = airframe_constants(name, airframe)
     values = _values(name, rate_hz, known | params, tuning, airframe, sensor)
     if name in FILTERPY:
-        from .filters.filterpy_filters import FilterpyFilter
+        from .filters.packaged import FilterpyFilter
 
         return FilterpyFilter("ekf" if name == "ekf-filterpy" else "ukf", rate_hz, **values)
     if name == "vqf":
-        from .filters.vqf_filter import VqfFilter
+        from .filters.packaged import VqfFilter
 
         return VqfFilter(rate_hz, values)
     made = InteractingModels if name == IMM.name else Filter

@@ -20,7 +20,7 @@ from quadsim.estimator import (
 from quadsim.own import named_errors
 from quadsim.vehicle import Vehicle
 
-from .filters.algorithm import paired, start
+from .filters.algorithm import paired, rotor_speeds, start
 from .registry import COMPILED, airframe_constants, create, parameter_matrix, parameter_sets
 
 Array = NDArray[np.float64]
@@ -209,8 +209,7 @@ def run_batch(
     sets = algorithm.records(parameter_matrix(name, params, rate_hz, airframe_constants(name, vehicle)))
     states = start(algorithm, sets, len(gyro), roll_pitch)
     out = np.empty((len(states), gyro.shape[1], 2))
-    others = algorithm.others(gyro.shape[:2], sensors)
-    algorithm.sequence(states, sets, 1.0 / rate_hz, gyro, accel, *others, out)
+    algorithm.run(states, sets, 1.0 / rate_hz, gyro, accel, rotor_speeds(gyro.shape[:2], sensors), out)
     return out.reshape(len(sets), *gyro.shape[:2], 2)
 
 

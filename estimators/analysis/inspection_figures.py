@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from quadsim.dataset.figures import STYLE
 
-from ..appearance import End, label_ends
 from .activity import LAYERS, Activity
 from .encoding_study import TuningCurves, preferred
 
@@ -53,19 +52,17 @@ def ablation_figure(fractions: Sequence[float], curves: Mapping[str, Array]) -> 
     """Error against the share of neurons removed (the paper's Fig. 7)."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes, share = figure.subplots(), 100 * np.asarray(fractions)
-    ends = []
     styles = zip(COLOURS, ("-", "--", "-.", ":"), "os^D", strict=True)
     for (by, errors), (colour, dash, marker) in zip(curves.items(), styles, strict=True):
-        axes.plot(share, errors, color=colour, ls=dash, marker=marker, ms=5, mec="white", lw=1.8)
-        ends.append(End(float(errors[-1]), "at random" if by == "random" else f"by {by}", colour))
+        label = "at random" if by == "random" else f"by {by}"
+        axes.plot(share, errors, color=colour, ls=dash, marker=marker, ms=5, mec="white", lw=1.8, label=label)
     bound = 1.02 * next(iter(curves.values()))[0]
-    axes.axhline(bound, color="#111111", lw=0.8, ls=":")
-    ends.append(End(bound, "2 % more", "#111111"))
+    axes.axhline(bound, color="#111111", lw=0.8, ls=":", label="2 % more")
     axes.set(xlabel="neurons removed [%]", ylabel="mean absolute error [°]", yscale="log")
     axes.set_xlim(0, share.max())
     axes.set_yticks([2, 3, 5, 10, 20], ["2", "3", "5", "10", "20"])
     axes.minorticks_off()
-    label_ends(axes, ends, size=10)
+    axes.legend(frameon=False)
     return figure
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator, OtherSensors, Readings
 
-from ..filters.imm import InteractingModels
+from ..filters.drag.imm import InteractingModels
 from ..metrics import absolute_error
 
 Array = NDArray[np.float64]

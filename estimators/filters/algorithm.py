@@ -1,30 +1,23 @@
 """Compiled filters: what an algorithm is, and the estimator that runs one on n vehicles.
 
-An algorithm is one compiled step, `advance`, and two functions that loop over it, both of numba:
+A filter is its parameters, its state and one compiled step:
 
-    advance(s, p, k, sample) -> roll, pitch
-        Takes one `samples.Sample` for lane k of the state s, a record whose fields are updated, with the
-        parameters p, a record as well.
-    sequence(states, params, dt, gyro, accel, out)
+    step(s, p, sample) -> roll, pitch
+        Takes one `samples.Sample` for one vehicle, whose record s is updated, with the parameters p, a record
+        as well. A filter that has diverged returns NaN, and starts again, level.
+
+Its file makes of it, with `samples.run_all`, a function that is compiled once and cached:
+
+    run(states, params, dt, gyro, accel, rotor_vel, out)
         Whole sequences; a streaming `update` is one of length 1, so both give the same numbers. Records
         states (p·n,) and params (p,): parameter set i estimates flight j in state i·n + j. gyro, accel
-        (n, T, 3); out (p·n, T, 2). Sensors beside the IMU that the algorithm uses, (n, T, ·), come after
-        accel; one that is not there has no columns.
-    score(states, params, dt, flights)
-        Only the sums of squared errors (p, n) [rad²] on flights (gyro, accel, target), target (n, T, 2),
-        parameter sets side by side.
-
-A filter whose state is too large to lie side by side, and which starts again once it has diverged, has
-another step, over which `sequence_of` and `score_of` loop:
-
-    step(s, own, p, sample, rotor_square, work) -> roll, pitch
-        `own` are the record's own numbers, rotor_square is Σ ω² [rad²/s²] of the rotors, zero where it is not
-        known or they stand still, and `work` is scratch of the filter.
+        (n, T, 3); rotor_vel (n, T, rotors), without columns where it is not measured; out (p·n, T, 2).
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Unpack
 
 import numpy as np
@@ -33,9 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from quadsim.config.toml import nearest
 from quadsim.estimator import OtherSensors
 from quadsim.rotation import euler_from_quat, quat_from_roll_pitch, quat_normalize
-from quadsim.runs.compiled import njit
 
-from .samples import SAMPLES, initial_states, sample_of, square_of_error, sum_of_squares
+from .samples import SAMPLES, initial_states
 
 Array = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -98,6 +90,11 @@ class Parameter:
                 return value
 
 
+def start_at(states: Records, quat: Array, known: bool, params: Records) -> None:
+    """Start filters whose state is all zero but for the attitude."""
+    states["quat"] = quat
+
+
 @dataclass(frozen=True)
 class Algorithm:
     """A compiled filter without data."""
@@ -107,103 +104,31 @@ class Algorithm:
     state: np.dtype
     """The filter's own fields. Those named quat (quat_WB), gyro_bias and velocity (in world axes at the
     filter's own heading) are public."""
-    params: np.dtype
-    """Record of the parameters."""
-    sequence: Callable[..., None]
-    score: Callable[..., Array]
-    start: Callable[[Records, Array, bool, Records], None]
+    run: Callable[..., None]
+    start: Callable[[Records, Array, bool, Records], None] = start_at
     """start(states, quat, known, params): initialise records (rows,) from quat (rows, 4), params (rows,)."""
-    sensors: tuple[str, ...] = ()
-    """Sensors beside the IMU, of `quadsim.estimator.Readings`, that `sequence` takes."""
     tilt_covariance: Callable[[Records], Array] | None = None
     """tilt_covariance(states): covariance (n, 2, 2) [rad²] of the tilt's error about world x and y; None
     where the filter has no covariance."""
 
+    @cached_property
+    def record(self) -> np.dtype:
+        """The whole state; one object for each filter: Numba compares others field by field in every call."""
+        return np.dtype([*self.state.descr, *SAMPLES.descr])
+
+    @cached_property
+    def _params(self) -> np.dtype:
+        numbers = self.state.itemsize // 8
+        return np.dtype([*((name, "f8") for name in self.parameters), ("start", "f8", numbers)])
+
     def records(self, matrix: Array) -> Records:
-        """Parameter sets (p, k), in the order of `parameters`, as records (p,)."""
-        return np.ascontiguousarray(matrix).view(self.params)[:, 0]
-
-    def others(self, shape: tuple[int, ...], given: OtherSensors) -> list[Array]:
-        """What `sequence` takes after accel: readings of its `sensors`, with no columns if not given.
-
-        Args:
-            shape: Of the other readings without their last axis: (n,) or (n, T).
-            given: Readings (*shape, ·).
-
-        Raises:
-            ValueError: For readings of another shape.
-        """
-        found = []
-        for name in self.sensors:
-            values = given.get(name)
-            array = np.empty((*shape, 0)) if values is None else np.ascontiguousarray(values, np.float64)
-            if array.shape[:-1] != shape:
-                expected = ", ".join(map(str, shape))
-                raise ValueError(f"{name} has shape {array.shape}; it must be ({expected}, ·), as gyro")
-            found.append(array)
-        return found
-
-
-COMMON = SAMPLES.itemsize // 8
-"""Numbers in the common fields of a record, its last."""
-
-
-@njit(forceinline=True)
-def _run_row(step, midpoint, work, s, own, p, dt, readings, i, out):
-    """Run one record over all samples of flight i; out (T, 2). The other arguments are of `sequence_of`."""
-    gyro, accel, rotor_vel = readings
-    for t in range(gyro.shape[1]):
-        sample = sample_of(midpoint, s, dt, gyro, accel, i, t)
-        out[t, 0], out[t, 1] = step(s, own, p, sample, sum_of_squares(rotor_vel, i, t), work)
-
-
-@njit(forceinline=True)
-def sequence_of(step, midpoint, work, states, params, dt, readings, out):
-    """Run every record over all its samples: the whole of a filter's `sequence`.
-
-    Args:
-        step: The filter's step.
-        midpoint: Whether rates are to be the mean of this sample and the last.
-        work: Scratch, given to the step.
-        states: Records (p·n,), updated.
-        params: Records (p,).
-        dt: Sample period [s].
-        readings: gyro [rad/s] and accel [m/s²] (n, T, 3), rotor speeds (n, T, rotors) [rad/s].
-        out: Roll and pitch (p·n, T, 2) [rad], written.
-    """
-    n, numbers = readings[0].shape[0], states.view(np.float64).reshape(states.shape[0], -1)
-    for row in range(states.shape[0]):
-        own = numbers[row, : numbers.shape[1] - COMMON]
-        _run_row(step, midpoint, work, states[row], own, params[row // n], dt, readings, row % n, out[row])
-
-
-@njit(forceinline=True)
-def score_of(step, midpoint, work, states, params, dt, flights):
-    """Sum the squared error of every parameter set on every flight, one set after the other.
-
-    Args:
-        step: The filter's step.
-        midpoint: As of `sequence_of`.
-        work: As of `sequence_of`.
-        states: Records (p·n,) to start from.
-        params: Records (p,).
-        dt: Sample period [s].
-        flights: gyro, accel and target, as of `score`; there are no rotor speeds.
-
-    Returns:
-        Sums (p, n) [rad²].
-    """
-    gyro, accel, target = flights
-    n, steps, numbers = gyro.shape[0], gyro.shape[1], states.view(np.float64).reshape(states.shape[0], -1)
-    readings, out = (gyro, accel, np.empty((n, steps, 0))), np.empty((steps, 2))
-    squared_error = np.zeros((params.shape[0], n))
-    for row in range(states.shape[0]):
-        own, i = numbers[row, : numbers.shape[1] - COMMON], row % n
-        _run_row(step, midpoint, work, states[row], own, params[row // n], dt, readings, i, out)
-        for t in range(steps):
-            error = square_of_error(out[t, 0], out[t, 1], target[i, t, 0], target[i, t, 1])
-            squared_error[row // n, i] += error
-    return squared_error
+        """Parameter sets (p, k), in the order of `parameters`, as records (p,) with a level start."""
+        records = np.zeros(len(matrix), self._params)
+        for name, column in zip(self.parameters, matrix.T, strict=True):
+            records[name] = column
+        level = start(self, records, 1).view(np.float64).reshape(len(matrix), -1)
+        records["start"] = level[:, : self.state.itemsize // 8]
+        return records
 
 
 class Filter:
@@ -219,7 +144,7 @@ class Filter:
         """
         self.algorithm, self.rate_hz, self.values = algorithm, rate_hz, dict(values)
         self._params = algorithm.records(np.array([[values[name] for name in algorithm.parameters]]))
-        self._sequence, self._dt = algorithm.sequence, 1.0 / rate_hz
+        self._run, self._dt = algorithm.run, 1.0 / rate_hz
         self.reset()
 
     def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None) -> None:
@@ -235,7 +160,7 @@ class Filter:
         """
         self._states = start(self.algorithm, self._params, n, roll_pitch, quat)
         self._shape, self._sample = (n, 3), (n, 1, 3)
-        self._absent = self.algorithm.others((n, 1), {})
+        self._no_rotors = np.empty((n, 1, 0))
 
     def restart(
         self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
@@ -254,14 +179,10 @@ class Filter:
                 f"gyro {gyro.shape} and accel {accel.shape} must both be {self._shape}, as in reset"
             )
         out = np.empty((self._shape[0], 1, 2))
-        gyro, accel = gyro.reshape(self._sample), accel.reshape(self._sample)
-        if self._absent:
-            others = self._absent
-            if sensors:
-                others = [each[:, None] for each in self.algorithm.others(self._shape[:1], sensors)]
-            self._sequence(self._states, self._params, self._dt, gyro, accel, *others, out)
-        else:  # unpacking an empty list would make every update slower
-            self._sequence(self._states, self._params, self._dt, gyro, accel, out)
+        gyro, accel, rotors = gyro.reshape(self._sample), accel.reshape(self._sample), self._no_rotors
+        if sensors:
+            rotors = rotor_speeds(self._shape[:1], sensors)[:, None]
+        self._run(self._states, self._params, self._dt, gyro, accel, rotors, out)
         return out[:, 0]
 
     def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
@@ -269,9 +190,8 @@ class Filter:
         gyro, accel = paired(gyro, accel)
         if len(gyro) != self._shape[0]:
             raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {self._shape[0]}")
-        others = self.algorithm.others(gyro.shape[:2], sensors)
-        out = np.empty((*gyro.shape[:2], 2))
-        self._sequence(self._states, self._params, self._dt, gyro, accel, *others, out)
+        rotors, out = rotor_speeds(gyro.shape[:2], sensors), np.empty((*gyro.shape[:2], 2))
+        self._run(self._states, self._params, self._dt, gyro, accel, rotors, out)
         return out
 
     @property
@@ -315,8 +235,7 @@ class Filter:
 
 def tilt_block(states: Records) -> Array:
     """Covariance (n, 2, 2) of an error state that begins with the tilt about world x and y."""
-    covariance = states["covariance"]
-    return covariance.reshape(*covariance.shape[:3])[:, :2, :2]
+    return states["covariance"][:, :2, :2]
 
 
 def start(
@@ -328,7 +247,7 @@ def start(
 ) -> Records:
     """States of parameter sets (p,) on n flights, (p·n,), from one attitude a flight."""
     attitude, known = initial_quat(n, roll_pitch, quat)
-    states = initial_states(len(params) * n, algorithm.state)
+    states = initial_states(len(params) * n, algorithm.record)
     algorithm.start(states, np.tile(attitude, (len(params), 1)), known, np.repeat(params, n))
     return states
 
@@ -367,6 +286,24 @@ def paired(gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:
     if gyro.ndim != 3 or gyro.shape[-1] != 3 or gyro.shape != accel.shape:
         raise ValueError(f"gyro {gyro.shape} and accel {accel.shape} must both have one shape (n, T, 3)")
     return gyro, accel
+
+
+def rotor_speeds(shape: tuple[int, ...], given: OtherSensors) -> Array:
+    """Rotor speeds (*shape, rotors) among the given readings, without columns where there are none.
+
+    Args:
+        shape: Of the other readings without their last axis: (n,) or (n, T).
+        given: Readings (*shape, ·).
+
+    Raises:
+        ValueError: For speeds of another shape.
+    """
+    values = given.get("rotor_vel")
+    speeds = np.empty((*shape, 0)) if values is None else np.ascontiguousarray(values, np.float64)
+    if speeds.shape[:-1] != shape:
+        expected = ", ".join(map(str, shape))
+        raise ValueError(f"rotor_vel has shape {speeds.shape}; it must be ({expected}, ·), as gyro")
+    return speeds
 
 
 def checked(owner: str, parameters: Mapping[str, Parameter], given: Mapping[str, object]) -> dict[str, float]:

@@ -20,12 +20,20 @@ from quadsim.rotation import matrix_core, multiply_core, normalize_core, rotate_
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Parameter, Records, tilt_block
-from .ekf import NOTHING_KNOWN, SIGMA_UNKNOWN
-from .inline_math import atan2_core, exp_core, four, put_four, roll_pitch_core, three
-from .samples import LANES, by_lanes, by_rows, lanes_of, parameter_record
+from .algorithm import Algorithm, Array, Parameter, Records, start_at, tilt_block
+from .ekf import NOTHING_KNOWN, SIGMA_UNKNOWN, correct
+from .inline_math import atan2_core, exp_core, roll_pitch_core
+from .samples import run_all
 
-STATE = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("covariance", "f8", (5, 5))])
+STATE = np.dtype(
+    [
+        ("quat", "f8", 4),
+        ("gyro_bias", "f8", 3),
+        ("covariance", "f8", (5, 5)),
+        ("error", "f8", 5),  # scratch: estimated so far, and P hᵀ of a measurement
+        ("column", "f8", 5),
+    ]
+)
 
 SIGMA_GIVEN = 0.3
 """Standard deviation of an initial attitude that is given [rad]: one that is wrong would pass for a bias."""
@@ -39,8 +47,6 @@ PARAMETERS = {
 }
 """Noise densities of the rate [rad/√s] and of the measured tilt [rad √s]; κ; noise density of the bias's walk
 [rad/s/√s] and standard deviation of the initial bias [rad/s]."""
-PARAMS = parameter_record(PARAMETERS)
-STATE_LANES, PARAM_LANES = lanes_of(STATE, LANES), lanes_of(PARAMS, LANES)
 
 
 @njit(error_model="numpy")
@@ -60,144 +66,56 @@ def turned(qw, qx, qy, qz, x, y):
 
 
 @njit
-def five(field, k):
-    """Lane k of a field (5, lanes)."""
-    return field[0, k], field[1, k], field[2, k], field[3, k], field[4, k]
-
-
-@njit
-def put_five(field, k, values):
-    """Write it."""
-    field[0, k], field[1, k], field[2, k], field[3, k], field[4, k] = values
-
-
-@njit
-def plus(a, scale, b):
-    """Sum a + scale b of two tuples."""
-    return (
-        a[0] + scale * b[0],
-        a[1] + scale * b[1],
-        a[2] + scale * b[2],
-        a[3] + scale * b[3],
-        a[4] + scale * b[4],
-    )
-
-
-@njit
-def turned_by_bias(row, r, dt):
-    """One row of P Fᵀ from one of P: its θ less dt R̂ times its δb."""
-    return (
-        row[0] - dt * (r[0] * row[2] + r[1] * row[3] + r[2] * row[4]),
-        row[1] - dt * (r[3] * row[2] + r[4] * row[3] + r[5] * row[4]),
-        row[2], row[3], row[4],
-    )  # fmt: skip
-
-
-@njit
-def propagated(rows, r, dt, attitude_walk, bias_walk):
-    """F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]], from and to rows of P; r is R̂ by rows."""
-    P0, P1, P2, P3, P4 = rows
-    P0 = plus(plus(plus(P0, -dt * r[0], P2), -dt * r[1], P3), -dt * r[2], P4)
-    P1 = plus(plus(plus(P1, -dt * r[3], P2), -dt * r[4], P3), -dt * r[5], P4)
-    P0, P1, P2, P3, P4 = (
-        turned_by_bias(P0, r, dt),
-        turned_by_bias(P1, r, dt),
-        turned_by_bias(P2, r, dt),
-        turned_by_bias(P3, r, dt),
-        turned_by_bias(P4, r, dt),
-    )
-    return (
-        (P0[0] + attitude_walk, P0[1], P0[2], P0[3], P0[4]),
-        (P1[0], P1[1] + attitude_walk, P1[2], P1[3], P1[4]),
-        (P2[0], P2[1], P2[2] + bias_walk, P2[3], P2[4]),
-        (P3[0], P3[1], P3[2], P3[3] + bias_walk, P3[4]),
-        (P4[0], P4[1], P4[2], P4[3], P4[4] + bias_walk),
-    )
+def propagate(P, r, dt, attitude_walk, bias_walk):
+    """P ← F P Fᵀ + Q for F = [[I, −R̂ dt], [0, I]]; r is R̂ by rows."""
+    for j in range(5):
+        x, y, z = P[2, j], P[3, j], P[4, j]
+        P[0, j] -= dt * (r[0] * x + r[1] * y + r[2] * z)
+        P[1, j] -= dt * (r[3] * x + r[4] * y + r[5] * z)
+    for i in range(5):
+        x, y, z = P[i, 2], P[i, 3], P[i, 4]
+        P[i, 0] -= dt * (r[0] * x + r[1] * y + r[2] * z)
+        P[i, 1] -= dt * (r[3] * x + r[4] * y + r[5] * z)
+        P[i, i] += attitude_walk if i < 2 else bias_walk
 
 
 @njit(error_model="numpy")
-def corrected(rows, dx, column, residual, total):
-    """One measurement of an error of the state: the rows of P, and the error dx estimated so far, after it.
-
-    Args:
-        rows: Rows of P.
-        dx: Error estimated so far.
-        column: Column of P that belongs to the error measured.
-        residual: Measured less dx.
-        total: Variance of the error and the measurement.
-    """
-    P0, P1, P2, P3, P4 = rows
-    gain = 1.0 / total
-    return (
-        plus(P0, -gain * column[0], column),
-        plus(P1, -gain * column[1], column),
-        plus(P2, -gain * column[2], column),
-        plus(P3, -gain * column[3], column),
-        plus(P4, -gain * column[4], column),
-        plus(dx, gain * residual, column),
-    )
-
-
-@njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, sample):
-    """See `algorithm`.
-
-    A missing specific force has the variance of nothing known: a branch would keep the compiler from vectors.
-    """
-    dt, P = sample.dt, s.covariance
-    gx, gy, gz = sample.gyro
+def step(s, p, sample):
+    """See `algorithm`. A missing specific force has the variance of nothing known."""
+    dt, P, dx, b = sample.dt, s.covariance, s.error, s.gyro_bias
+    gx, gy, gz = sample.mean_gyro
     ax, ay, az = sample.accel
-    walk = p.gyro_noise[k] * p.gyro_noise[k] * dt + sample.unseen
-    bias_walk = p.bias_noise[k] * p.bias_noise[k] * dt
-    bx, by, bz = three(s.gyro_bias, k)
-    ew, ex, ey, ez = exp_core((gx - bx) * dt, (gy - by) * dt, (gz - bz) * dt)
-    qw, qx, qy, qz = four(s.quat, k)
+    ew, ex, ey, ez = exp_core((gx - b[0]) * dt, (gy - b[1]) * dt, (gz - b[2]) * dt)
+    qw, qx, qy, qz = s.quat
     qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, ew, ex, ey, ez)
-    rows = five(P[0], k), five(P[1], k), five(P[2], k), five(P[3], k), five(P[4], k)
-    P0, P1, P2, P3, P4 = propagated(rows, matrix_core(qw, qx, qy, qz), dt, walk, bias_walk)
+    walk = p.gyro_noise * p.gyro_noise * dt + sample.unseen
+    propagate(P, matrix_core(qw, qx, qy, qz), dt, walk, p.bias_noise * p.bias_noise * dt)
     force = math.sqrt(ax * ax + ay * ay + az * az)
     wx, wy, wz = rotate_core(qw, qx, qy, qz, ax, ay, az)
-    tilt_x, tilt_y = tilt_core(wx, wy, wz)
-    excess = p.force_weight[k] * (force / GRAVITY - 1.0)
-    variance = p.accel_noise[k] * p.accel_noise[k] / dt * (1.0 + excess * excess)
+    tilt = tilt_core(wx, wy, wz)
+    excess = p.force_weight * (force / GRAVITY - 1.0)
+    variance = p.accel_noise * p.accel_noise / dt * (1.0 + excess * excess)
     variance += 0.0 if force > 0.0 else NOTHING_KNOWN
-    dx = (0.0, 0.0, 0.0, 0.0, 0.0)
-    column = (P0[0], P1[0], P2[0], P3[0], P4[0])
-    rows = P0, P1, P2, P3, P4
-    P0, P1, P2, P3, P4, dx = corrected(rows, dx, column, tilt_x, P0[0] + variance)
-    column = (P0[1], P1[1], P2[1], P3[1], P4[1])
-    rows = P0, P1, P2, P3, P4
-    P0, P1, P2, P3, P4, dx = corrected(rows, dx, column, tilt_y - dx[1], P1[1] + variance)
-    qw, qx, qy, qz = turned(qw, qx, qy, qz, dx[0], dx[1])
-    put_four(s.quat, k, (qw, qx, qy, qz))
-    s.gyro_bias[0, k], s.gyro_bias[1, k], s.gyro_bias[2, k] = bx + dx[2], by + dx[3], bz + dx[4]
-    put_five(P[0], k, P0)
-    put_five(P[1], k, P1)
-    put_five(P[2], k, P2)
-    put_five(P[3], k, P3)
-    put_five(P[4], k, P4)
-    return roll_pitch_core(qw, qx, qy, qz)
+    dx[:] = 0.0
+    for k in range(2):
+        s.column[:] = P[k]
+        correct(P, 5, dx, s.column, P[k, k] + variance, tilt[k] - dx[k])
+    s.quat[:] = turned(qw, qx, qy, qz, dx[0], dx[1])
+    for k in range(3):
+        b[k] += dx[2 + k]
+    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out):
+def run(states, params, dt, gyro, accel, rotor_vel, out):
     """See `algorithm`."""
-    by_rows(advance, True, states, params, dt, gyro, accel, out)
-
-
-@njit(cache=True, nogil=True)
-def score(states, params, dt, flights):
-    """See `algorithm`."""
-    work = np.empty(1, STATE_LANES), np.empty(1, PARAM_LANES)
-    return by_lanes(advance, True, work, states, params, dt, flights)
+    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
 
 
 def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
-    states["quat"][..., 0] = quat
-    states["covariance"][:, [0, 1], [0, 1], 0] = (SIGMA_GIVEN if known else SIGMA_UNKNOWN) ** 2
-    states["covariance"][:, [2, 3, 4], [2, 3, 4], 0] = params["bias_sigma"] ** 2
+    start_at(states, quat, known, params)
+    states["covariance"][:, [0, 1], [0, 1]] = (SIGMA_GIVEN if known else SIGMA_UNKNOWN) ** 2
+    states["covariance"][:, [2, 3, 4], [2, 3, 4]] = params["bias_sigma"][:, None] ** 2
 
 
-ESKF = Algorithm(
-    "eskf", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start, tilt_covariance=tilt_block
-)
+ESKF = Algorithm("eskf", PARAMETERS, STATE, run, _start, tilt_block)

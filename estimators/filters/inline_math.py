@@ -7,24 +7,6 @@ import numpy as np
 from quadsim.runs.compiled import njit
 
 
-@njit
-def three(field, k):
-    """Lane k of a field (3, lanes) of a filter's state."""
-    return field[0, k], field[1, k], field[2, k]
-
-
-@njit
-def four(field, k):
-    """Lane k of a field (4, lanes)."""
-    return field[0, k], field[1, k], field[2, k], field[3, k]
-
-
-@njit
-def put_four(field, k, values):
-    """Write it."""
-    field[0, k], field[1, k], field[2, k], field[3, k] = values
-
-
 @njit(error_model="numpy")
 def atan2_core(y, x):
     """atan2 to one unit in the last place, compiled inline: twice as fast as a call of the C library.

@@ -14,17 +14,15 @@ import numpy as np
 from quadsim.rotation import multiply_core, normalize_core
 from quadsim.runs.compiled import njit
 
-from .algorithm import Algorithm, Array, Parameter, Records
-from .inline_math import direction_core, four, put_four, roll_pitch_core
-from .samples import LANES, by_lanes, by_rows, lanes_of, parameter_record, reacquire
+from .algorithm import Algorithm, Parameter
+from .inline_math import direction_core, roll_pitch_core
+from .samples import reacquire, run_all
 
 STATE = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
 """The variance is that of the tilt that gaps have left [rad²]."""
 
 PARAMETERS = {"beta": Parameter(0.033, 1e-4, 1.0)}
 """β [rad/s]."""
-PARAMS = parameter_record(PARAMETERS)
-STATE_LANES, PARAM_LANES = lanes_of(STATE, LANES), lanes_of(PARAMS, LANES)
 
 
 @njit(error_model="numpy")
@@ -44,42 +42,31 @@ def descent(qw, qx, qy, qz, ax, ay, az):
     return w * scale, x * scale, y * scale, z * scale, math.sqrt(fx * fx + fy * fy + fz * fz)
 
 
-@njit(forceinline=True, error_model="numpy")
-def advance(s, p, k, sample):
+@njit(error_model="numpy")
+def step(s, p, sample):
     """See `algorithm`."""
     dt = sample.dt
     gx, gy, gz = sample.gyro
     ax, ay, az = sample.accel
-    qw, qx, qy, qz = four(s.quat, k)
+    qw, qx, qy, qz = s.quat
     dw, dx, dy, dz = multiply_core(qw, qx, qy, qz, 0.0, 0.5 * gx, 0.5 * gy, 0.5 * gz)
     fw, fx, fy, fz, error = descent(qw, qx, qy, qz, ax, ay, az)
-    share, s.tilt_variance[k] = reacquire(s.tilt_variance[k], sample)
-    beta = max(p.beta[k], 0.5 * share * error / dt)
+    share, s.tilt_variance = reacquire(s.tilt_variance, sample)
+    beta = max(p.beta, 0.5 * share * error / dt)
     qw, qx, qy, qz = normalize_core(
         qw + (dw - beta * fw) * dt,
         qx + (dx - beta * fx) * dt,
         qy + (dy - beta * fy) * dt,
         qz + (dz - beta * fz) * dt,
     )
-    put_four(s.quat, k, (qw, qx, qy, qz))
+    s.quat[:] = qw, qx, qy, qz
     return roll_pitch_core(qw, qx, qy, qz)
 
 
 @njit(cache=True, nogil=True)
-def sequence(states, params, dt, gyro, accel, out):
+def run(states, params, dt, gyro, accel, rotor_vel, out):
     """See `algorithm`."""
-    by_rows(advance, False, states, params, dt, gyro, accel, out)
+    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
 
 
-@njit(cache=True, nogil=True)
-def score(states, params, dt, flights):
-    """See `algorithm`."""
-    work = np.empty(1, STATE_LANES), np.empty(1, PARAM_LANES)
-    return by_lanes(advance, False, work, states, params, dt, flights)
-
-
-def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
-    states["quat"][..., 0] = quat
-
-
-MADGWICK = Algorithm("madgwick", PARAMETERS, lanes_of(STATE), lanes_of(PARAMS), sequence, score, _start)
+MADGWICK = Algorithm("madgwick", PARAMETERS, STATE, run)

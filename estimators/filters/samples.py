@@ -1,13 +1,10 @@
-"""What every compiled filter does with a sample before and after its own equations.
+"""What every compiled filter does with a sample around its own equations, and the loop over samples.
 
 The state of a vehicle is one record of float64: the filter's own fields, then those of `SAMPLES`, which
-belong to this module. Where `by_lanes` vectorises a filter, its fields have one more axis, the lane: length 1
-in that record, and `LANES` where so many parameter sets take a sample together.
+belong to this module.
 """
 
 import math
-from collections.abc import Iterable
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +24,6 @@ SAMPLES = np.dtype(
     ]
 )
 """The common fields of a filter's state."""
-
-LANES = 16
-"""Parameter sets that `by_lanes` takes together."""
 
 WORST = 2.0 * math.pi**2
 """Squared error of an estimate that is 180° off in roll and in pitch, or no number [rad²]."""
@@ -53,33 +47,21 @@ class Sample(NamedTuple):
 
     gyro: tuple[float, float, float]
     """Body rate [rad/s]."""
+    mean_gyro: tuple[float, float, float]
+    """Mean of this body rate and the last, the trapezoidal rule between samples [rad/s]."""
     accel: tuple[float, float, float]
     """Specific force [m/s²]; zero where it is missing, which asks for no correction."""
+    rotor_square: float
+    """Σ ω² of the rotors [rad²/s²]; zero where a speed is missing, or the rotors stand still."""
     unseen: float
     """Variance of the unmeasured turn since the last sample [rad²]; zero unless a rate is missing."""
     dt: float
     """Sample period [s]."""
 
 
-def lanes_of(fields: np.dtype, lanes: int = 1) -> np.dtype:
-    """The record with one more axis at the end of every field."""
-    return np.dtype([(name, "f8", (*fields[name].shape, lanes)) for name in fields.names or ()])
-
-
-def parameter_record(names: Iterable[str]) -> np.dtype:
-    """The record of a filter's parameters."""
-    return np.dtype([(name, "f8") for name in names])
-
-
-@cache
-def record_of(own: np.dtype) -> np.dtype:
-    """The whole record, one object for each filter: Numba compares others field by field in every call."""
-    return np.dtype([*own.descr, *SAMPLES.descr])
-
-
-def initial_states(rows: int, own: np.dtype | None = None) -> NDArray[np.void]:
+def initial_states(rows: int, record: np.dtype = SAMPLES) -> NDArray[np.void]:
     """States before the first sample, (rows,), the filter's own fields zero."""
-    states = np.zeros(rows, SAMPLES if own is None else record_of(own))
+    states = np.zeros(rows, record)
     states["age"] = np.inf
     return states
 
@@ -119,43 +101,6 @@ def reacquire(tilt_variance, sample):
 
 
 @njit
-def sanitise_sample(state, dt, gyro, accel, i, t):
-    """The `Sample` to use for one that may be missing: the last good rate, specific force zero.
-
-    A rate that jumps as no vehicle can turn is taken for missing, until it has lasted.
-
-    Args:
-        state: The vehicle's record; its common fields are updated.
-        dt: Sample period [s].
-        gyro: Body rate (n, T, 3) [rad/s].
-        accel: Specific force (n, T, 3) [m/s²].
-        i: Flight.
-        t: Sample.
-    """
-    gx, gy, gz = gyro[i, t, 0], gyro[i, t, 1], gyro[i, t, 2]
-    ax, ay, az = accel[i, t, 0], accel[i, t, 1], accel[i, t, 2]
-    last = state.rate
-    doubtful = state.age < min(HOLD_S, state.good_time)
-    step = max(RATE_STEP, ACCELERATION_MAX * dt) if doubtful else math.inf
-    smooth = within(gx - last[0], gy - last[1], gz - last[2], step)
-    rate_found, force_found, unseen = smooth and rate_usable(gx, gy, gz), force_usable(ax, ay, az), 0.0
-    if rate_found:
-        state.age = 0.0
-        state.good_time += dt
-        last[0], last[1], last[2] = gx, gy, gz
-    else:
-        unseen = turned_unseen(state.age + dt) - turned_unseen(state.age) if state.age < math.inf else 0.0
-        state.age += dt
-        share = 1.0 if state.age <= HOLD_S else 0.0
-        gx, gy, gz = share * last[0], share * last[1], share * last[2]
-    if not force_found:
-        ax = ay = az = 0.0
-    if not (rate_found and force_found):
-        state.skipped += 1.0
-    return Sample((gx, gy, gz), (ax, ay, az), unseen, dt)
-
-
-@njit
 def sum_of_squares(rotor_vel, i, t):
     """Σ ω² of the rotors of one sample [rad²/s²]; zero where a speed is missing, or the rotors stand still.
 
@@ -173,23 +118,43 @@ def sum_of_squares(rotor_vel, i, t):
 
 
 @njit
-def sanitise_midpoint(state, dt, gyro, accel, i, t):
-    """As `sanitise_sample`, with the mean of this rate and the last: the trapezoidal rule between samples."""
-    known = state.age <= HOLD_S
-    last_x, last_y, last_z = state.rate[0], state.rate[1], state.rate[2]
-    sample = sanitise_sample(state, dt, gyro, accel, i, t)
-    gx, gy, gz = sample.gyro
-    if known:
-        gx, gy, gz = 0.5 * (last_x + gx), 0.5 * (last_y + gy), 0.5 * (last_z + gz)
-    return Sample((gx, gy, gz), sample.accel, sample.unseen, dt)
+def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
+    """The `Sample` to use for one that may be missing: the last good rate, specific force zero.
 
+    A rate that jumps as no vehicle can turn is taken for missing, until it has lasted.
 
-@njit
-def sample_of(midpoint, state, dt, gyro, accel, i, t):
-    """`sanitise_midpoint` or `sanitise_sample`."""
-    if midpoint:
-        return sanitise_midpoint(state, dt, gyro, accel, i, t)
-    return sanitise_sample(state, dt, gyro, accel, i, t)
+    Args:
+        state: The vehicle's record; its common fields are updated.
+        dt: Sample period [s].
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force (n, T, 3) [m/s²].
+        rotor_vel: Rotor speeds (n, T, rotors) [rad/s]; without columns where they are not measured.
+        i: Flight.
+        t: Sample.
+    """
+    gx, gy, gz = gyro[i, t, 0], gyro[i, t, 1], gyro[i, t, 2]
+    ax, ay, az = accel[i, t, 0], accel[i, t, 1], accel[i, t, 2]
+    last, known = state.rate, state.age <= HOLD_S
+    lx, ly, lz = last[0], last[1], last[2]
+    doubtful = state.age < min(HOLD_S, state.good_time)
+    step = max(RATE_STEP, ACCELERATION_MAX * dt) if doubtful else math.inf
+    smooth = within(gx - lx, gy - ly, gz - lz, step)
+    rate_found, force_found, unseen = smooth and rate_usable(gx, gy, gz), force_usable(ax, ay, az), 0.0
+    if rate_found:
+        state.age = 0.0
+        state.good_time += dt
+        last[0], last[1], last[2] = gx, gy, gz
+    else:
+        unseen = turned_unseen(state.age + dt) - turned_unseen(state.age) if state.age < math.inf else 0.0
+        state.age += dt
+        share = 1.0 if state.age <= HOLD_S else 0.0
+        gx, gy, gz = share * lx, share * ly, share * lz
+    if not force_found:
+        ax = ay = az = 0.0
+    if not (rate_found and force_found):
+        state.skipped += 1.0
+    mean = (0.5 * (lx + gx), 0.5 * (ly + gy), 0.5 * (lz + gz)) if known else (gx, gy, gz)
+    return Sample((gx, gy, gz), mean, (ax, ay, az), sum_of_squares(rotor_vel, i, t), unseen, dt)
 
 
 @njit
@@ -201,75 +166,44 @@ def square_of_error(roll, pitch, true_roll, true_pitch):
     return (total if total <= WORST else WORST) if known else 0.0
 
 
+@njit(cache=True, nogil=True)
+def squared_error(estimate, truth):
+    """Sum of `square_of_error` over the samples of each flight (n,) [rad²]; both are (n, T, 2) [rad]."""
+    total = np.zeros(estimate.shape[0])
+    for i in range(estimate.shape[0]):
+        for t in range(estimate.shape[1]):
+            total[i] += square_of_error(estimate[i, t, 0], estimate[i, t, 1], truth[i, t, 0], truth[i, t, 1])
+    return total
+
+
 @njit(forceinline=True, error_model="numpy")
-def by_rows(advance, midpoint, states, params, dt, gyro, accel, out):
-    """Run every record over all its samples: the whole of a filter's `sequence`.
+def run_all(step, states, params, dt, gyro, accel, rotor_vel, out):
+    """Run every record over all its samples: the whole of a filter's `run`.
 
     Args:
-        advance: The filter's equations, as described in `filters.algorithm`.
-        midpoint: Whether rates are to be the mean of this sample and the last.
+        step: The filter's equations, as described in `filters.algorithm`.
         states: Records (p·n,), updated.
         params: Records (p,).
         dt: Sample period [s].
         gyro: (n, T, 3) [rad/s].
         accel: (n, T, 3) [m/s²].
+        rotor_vel: (n, T, rotors) [rad/s].
         out: Roll and pitch (p·n, T, 2) [rad], written.
     """
-    n, steps = gyro.shape[:2]
+    n, numbers = gyro.shape[0], states.view(np.float64).reshape(states.shape[0], -1)
     for row in range(states.shape[0]):
         s, p, i = states[row], params[row // n], row % n
-        for t in range(steps):
-            sample = sample_of(midpoint, s, dt, gyro, accel, i, t)
-            out[row, t, 0], out[row, t, 1] = advance(s, p, 0, sample)
-
-
-@njit(forceinline=True, error_model="numpy")
-def by_lanes(advance, midpoint, work, states, params, dt, flights):
-    """Sum the squared error of every parameter set on every flight: the whole of a filter's `score`.
-
-    `LANES` sets take each sample together, their states side by side: the compiler makes one vector
-    instruction of what they do alike, which is several times as fast as one set after the other.
-
-    Args:
-        advance: The filter's equations, as described in `filters.algorithm`.
-        midpoint: Whether rates are to be the mean of this sample and the last.
-        work: Scratch: records (1,) of the filter's own state and of its parameters, each in `LANES` lanes.
-        states: Records (p·n,) to start from.
-        params: Records (p,).
-        dt: Sample period [s].
-        flights: gyro [rad/s] and accel [m/s²] (n, T, 3), and true roll and pitch (n, T, 2) [rad]; samples
-            whose truth is NaN are not scored.
-
-    Returns:
-        Sums (p, n) [rad²].
-    """
-    gyro, accel, target = flights
-    n, steps, sets = gyro.shape[0], gyro.shape[1], params.shape[0]
-    s, p = work[0][0], work[1][0]
-    s_lanes = work[0].view(np.float64).reshape(-1, LANES)
-    p_lanes = work[1].view(np.float64).reshape(-1, LANES)
-    rows = states.view(np.float64).reshape(states.shape[0], -1)[:, : s_lanes.shape[0]]
-    values = params.view(np.float64).reshape(sets, -1)
-    total, squared_error = np.empty(LANES), np.empty((sets, n))
-    for first in range(0, sets, LANES):
-        for i in range(n):
-            for k in range(LANES):
-                chosen = min(first + k, sets - 1)
-                s_lanes[:, k], p_lanes[:, k] = rows[chosen * n + i], values[chosen]
-                total[k] = 0.0
-            common = states[first * n + i]
-            for t in range(steps):
-                sample = sample_of(midpoint, common, dt, gyro, accel, i, t)
-                for k in range(LANES):
-                    roll, pitch = advance(s, p, k, sample)
-                    total[k] += square_of_error(roll, pitch, target[i, t, 0], target[i, t, 1])
-            for k in range(min(LANES, sets - first)):
-                squared_error[first + k, i] = total[k]
-    return squared_error
+        for t in range(gyro.shape[1]):
+            sample = sanitise_sample(s, dt, gyro, accel, rotor_vel, i, t)
+            roll, pitch = step(s, p, sample)
+            if math.isnan(roll):
+                numbers[row, : p.start.size] = p.start
+                roll = pitch = 0.0
+            out[row, t, 0], out[row, t, 1] = roll, pitch
 
 
 @njit(cache=True, nogil=True)
-def sanitise(states, dt, gyro, accel, midpoint):
+def sanitise(states, dt, gyro, accel):
     """Every sample of whole sequences sanitised, for estimators that are not compiled here.
 
     Args:
@@ -277,17 +211,18 @@ def sanitise(states, dt, gyro, accel, midpoint):
         dt: Sample period [s].
         gyro: (n, T, 3) [rad/s].
         accel: (n, T, 3) [m/s²].
-        midpoint: Whether rates are to be the mean of this sample and the last.
 
     Returns:
-        Rate and specific force (n, T, 3), zero where it cannot be used, and the variance of what was turned
-        unseen (n, T) [rad²].
+        Rate, its mean with the last one, and specific force (n, T, 3), zero where it cannot be used, and the
+        variance of what was turned unseen (n, T) [rad²].
     """
-    rate, force, unseen = np.empty_like(gyro), np.empty_like(accel), np.empty(gyro.shape[:2])
+    rate, mean, force = np.empty_like(gyro), np.empty_like(gyro), np.empty_like(accel)
+    unseen, no_rotors = np.empty(gyro.shape[:2]), np.empty((*gyro.shape[:2], 0))
     for i in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            sample = sample_of(midpoint, states[i], dt, gyro, accel, i, t)
+            sample = sanitise_sample(states[i], dt, gyro, accel, no_rotors, i, t)
             for k in range(3):
-                rate[i, t, k], force[i, t, k] = sample.gyro[k], sample.accel[k]
+                rate[i, t, k], mean[i, t, k] = sample.gyro[k], sample.mean_gyro[k]
+                force[i, t, k] = sample.accel[k]
             unseen[i, t] = sample.unseen
-    return rate, force, unseen
+    return rate, mean, force, unseen

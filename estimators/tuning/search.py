@@ -29,7 +29,7 @@ from quadsim.runs.files import alone, drop_parts, write_whole
 from ..custom import is_custom
 from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
 from ..filters.algorithm import start
-from ..filters.samples import LANES
+from ..filters.samples import squared_error
 from ..metrics import absolute_error, flaw_of
 from ..registry import (
     COMPILED,
@@ -50,8 +50,6 @@ Progress = Callable[[int, int, float], None]
 
 PENALTY = 10.0
 """Added to the cost of a position outside the unit cube."""
-CHUNK = 2 * LANES
-"""Parameter sets that a thread takes at a time: few, so that all threads end together."""
 PITCH_MOST = np.radians(75.0)
 """Samples pitched further are not scored: the error of roll grows without bound towards 90° [rad]."""
 FIRST_SPEED = 0.1
@@ -107,20 +105,19 @@ def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flight
     p = len(np.atleast_1d(next(iter(sets.values()))))
     if name not in COMPILED:
         return np.concatenate([_error_of_run(name, sets, flights, k) for k in range(p)])
-    matrix = parameter_matrix(name, sets, flights.rate_hz)
-    chunks = np.split(matrix, range(CHUNK, p, CHUNK))
+    records = COMPILED[name].records(parameter_matrix(name, sets, flights.rate_hz))
     with ThreadPoolExecutor(workers) as pool:
-        return np.concatenate(list(pool.map(lambda chunk: _error_of_sets(name, chunk, flights), chunks)))
+        return np.array(list(pool.map(lambda one: _error_of_set(name, one, flights), records[:, None])))
 
 
-def _error_of_sets(name: str, matrix: Array, flights: Flights) -> Array:
-    """Parameter sets × flights in one compiled call that keeps only sums and no interpreter lock."""
-    algorithm, recorded = COMPILED[name], (flights.gyro, flights.accel, flights.truth)
-    sets = algorithm.records(matrix)
-    states = start(algorithm, sets, len(flights.gyro), flights.start)
-    total = algorithm.score(states, sets, 1.0 / flights.rate_hz, recorded)
+def _error_of_set(name: str, record: NDArray[np.void], flights: Flights) -> float:
+    """Cost of one parameter set, a record (1,) of a compiled filter, without the interpreter's lock."""
+    algorithm, shape = COMPILED[name], flights.gyro.shape[:2]
+    states, out = start(algorithm, record, shape[0], flights.start), np.empty((*shape, 2))
+    readings = flights.gyro, flights.accel, np.empty((*shape, 0))
+    algorithm.run(states, record, 1.0 / flights.rate_hz, *readings, out)
     scored = np.isfinite(flights.truth).all(axis=-1).sum(axis=1) * 2
-    return (total / scored).mean(axis=1)
+    return float((squared_error(out, flights.truth) / scored).mean())
 
 
 def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k: int) -> Array:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from estimators.registry import training_misfit, tuning_misfit
+from estimators.registry import COPIES, training_misfit, tuning_misfit
 from quadsim.flight.scenario import Scenario
 from quadsim.runs.files import read_json, write_csv, write_json
 from quadsim.runs.files import replace as replace_file
@@ -59,7 +59,8 @@ class Results:
     def unranked(self) -> dict[str, str]:
         """Contenders that are not ranked, and why, to follow their name in a sentence."""
         flaws = {cell.estimator: cell.flaw for cell in self.cells if cell.flaw}
-        return {name: "received the true attitude" for name in sorted(self.references)} | flaws
+        copies = {name: f"repeats {of}" for name, of in COPIES.items() if {name, of} <= {*self.estimators}}
+        return {name: "received the true attitude" for name in sorted(self.references)} | copies | flaws
 
     @property
     def planned(self) -> list[tuple[str, int]]:

@@ -9,21 +9,9 @@ from estimators.evaluation.beliefs import beliefs
 from estimators.evaluation.comparison import evaluate
 from estimators.evaluation.flights import load_flights
 from estimators.evaluation.logs import score_logs
-from estimators.filters.imm import InteractingModels
-from estimators.filters.imm_model import (
-    ACCEL_BIAS,
-    ERRORS,
-    FREEDOM,
-    GYRO_BIAS,
-    LEVER,
-    MODELS,
-    MULTIROTOR,
-    SHARED,
-    VELOCITY,
-    WIND,
-    student,
-    transition,
-)
+from estimators.filters.drag.drag_aided import LEVER, SHARED
+from estimators.filters.drag.imm import InteractingModels
+from estimators.filters.drag.imm_model import FREEDOM, MODELS, MULTIROTOR, student
 from estimators.metrics import absolute_error, inclination_error
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
@@ -32,10 +20,8 @@ from quadsim.imu.spec import RotorVibration
 from quadsim.logs.recording import Recording, Track
 from quadsim.logs.resample import resample
 from quadsim.rotation import (
-    matrix_from_quat,
     quat_conjugate,
     quat_from_euler,
-    quat_from_rotvec,
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
@@ -103,47 +89,6 @@ def rmse(est, gyro, accel, truth, after=10.0, **sensors):
 
 
 # --- equations --------------------------------------------------------------------------------------
-
-
-def test_the_transition_is_the_derivative_of_the_motion():
-    """F against a difference quotient of the exact motion, in the errors that the module defines."""
-    dt, step = 1e-4, 1e-5
-    rng = np.random.default_rng(0)
-    quat, gyro, accel = quat_from_rotvec(rng.normal(0, 0.5, 3)), rng.normal(0, 1, 3), rng.normal(0, 5, 3)
-    v, w = rng.normal(0, 3, 3), rng.normal(0, 3, 2)
-
-    def moved(error):
-        tilt = np.append(error[:2], 0.0)
-        turn = quat_from_rotvec(tilt)
-        start = quat_multiply(turn, quat)
-        speed = quat_rotate(turn, v) + np.append(error[VELOCITY:GYRO_BIAS], 0.0)
-        air = quat_rotate(turn, np.append(w, 0.0))[:2] + error[WIND : WIND + 2]
-        end = quat_multiply(start, quat_from_rotvec((gyro - error[GYRO_BIAS:ACCEL_BIAS]) * dt))
-        force = quat_rotate(start, accel - np.append(error[ACCEL_BIAS:WIND], 0.0)) - np.array(
-            [0.0, 0.0, GRAVITY]
-        )
-        return end, speed + force * dt, air
-
-    matrix = tuple(matrix_from_quat(quat).ravel())
-    F = np.eye(ERRORS)
-    # the specific force's share beyond gravity is what a model takes for acceleration; here there is none
-    accel = quat_rotate_inverse(quat, np.array([0.0, 0.0, GRAVITY]))
-    transition(F, ERRORS, matrix, v, w, dt)
-    end, speed, air = moved(np.zeros(ERRORS))
-    for k in range(ERRORS):
-        error = np.zeros(ERRORS)
-        error[k] = step
-        other, its_speed, its_air = moved(error)
-        turn = 2.0 * quat_multiply(other, quat_conjugate(end))[1:]
-        back = quat_from_rotvec(turn)
-        found = np.concatenate(
-            [
-                turn[:2],
-                (its_speed - quat_rotate(back, speed))[:2],
-                (its_air - quat_rotate(back, np.append(air, 0.0))[:2]),
-            ]
-        )
-        np.testing.assert_allclose(F[[0, 1, 2, 3, WIND, WIND + 1], k], found / step, atol=3e-4)
 
 
 def test_the_density_is_student_s_t_of_scipy():

@@ -92,33 +92,31 @@ def test_cost_is_the_mean_squared_error_averaged_over_flights(flights):
     np.testing.assert_allclose(cost, np.nanmean(error**2, axis=(2, 3)).mean(axis=1), rtol=1e-12)
 
 
-def test_an_estimate_that_is_no_number_costs_as_much_as_180_degrees():
-    for roll, pitch in ((math.nan, 0.0), (0.0, math.inf), (math.inf, math.nan)):
-        assert square_of_error(roll, pitch, 0.1, 0.2) == pytest.approx(2.0 * math.pi**2)
-        assert square_of_error(roll, pitch, math.nan, math.nan) == 0.0
-    assert square_of_error(0.3, 0.2, 0.1, 0.2) == pytest.approx(0.04)
-
-
-@pytest.mark.parametrize("angles", [(1e20, 0.1), (0.1, 1e20), (3.1, 6.2), (-3.1, -6.2), (0.1, 3.5)])
+@pytest.mark.parametrize(
+    "angles",
+    [(1e20, 0.1), (0.1, 1e20), (3.1, 6.2), (-3.1, -6.2), (0.1, 3.5), (math.nan, 0.0), (math.inf, math.nan)],
+)
 def test_the_compiled_cost_counts_angles_as_the_metrics_do(angles):
     truth = np.array([-3.0, 0.2])
     squares = np.radians(absolute_error(np.array(angles), truth)) ** 2
     assert square_of_error(*angles, *truth) == pytest.approx(squares.sum())
+    assert square_of_error(*angles, math.nan, math.nan) == 0.0
 
 
 @pytest.mark.parametrize("name", list(COMPILED))
-def test_sets_scored_side_by_side_are_those_run_one_by_one(flights, name):
-    """18 sets leave lanes empty; samples are missing in every way; both starts."""
+def test_sets_are_scored_as_they_run(flights, name):
+    """Samples are missing in every way; both starts."""
     data = load_flights([flights.isel(time=slice(400))], 2)
     data.gyro[0, 100:103], data.accel[0, 150], data.accel[1, 200:210] = np.nan, np.nan, 0.0
     searched = {key: each for key, each in parameters(name).items() if each.searched}
     rng = np.random.default_rng(0)
-    sets = {key: each.at(rng.uniform(0.2, 0.8, 18)) for key, each in searched.items()}
-    sets |= {key: np.full(18, value) for key, value in airframe_constants(name, "hummingbird").items()}
+    sets = {key: each.at(rng.uniform(0.2, 0.8, 4)) for key, each in searched.items()}
+    sets |= {key: np.full(4, value) for key, value in airframe_constants(name, "hummingbird").items()}
     for start in (data, data.known()):
         cost = mean_squared_error(name, sets, start, workers=2)
+        np.testing.assert_array_equal(cost, mean_squared_error(name, sets, start))
         estimate = run_batch(name, sets, start.gyro, start.accel, start.rate_hz, start.start)
-        error = np.radians(absolute_error(estimate, start.truth[None].repeat(18, 0)))
+        error = np.radians(absolute_error(estimate, start.truth[None].repeat(4, 0)))
         np.testing.assert_allclose(cost, (error**2).mean(axis=(1, 2, 3)), rtol=1e-9)
 
 
@@ -128,19 +126,6 @@ def test_samples_after_the_end_of_a_flight_are_not_scored(flights):
     assert np.isnan(data.truth[1, 1000:]).all()
     assert np.isfinite(data.truth[1, :1000]).all()
     assert np.isfinite(mean_squared_error("mahony", {"k_p": [0.3]}, data)).all()
-
-
-def test_cost_does_not_depend_on_the_number_of_workers(flights):
-    data = load_flights([flights], 2).known()
-    gains = {"beta": np.geomspace(1e-3, 1.0, 5)}
-    one, three = (mean_squared_error("madgwick", gains, data, workers) for workers in (1, 3))
-    np.testing.assert_array_equal(one, three)
-
-
-def test_swarm_and_scipy_find_the_same_optimum(flights):
-    searches = [SearchSettings(method, particles=24, iterations=15) for method in ("swarm", "evolution")]
-    found = [tune("mahony", [flights], search, FlightSelection(2)) for search in searches]
-    assert found[0].rmse_deg == pytest.approx(found[1].rmse_deg, rel=0.02)
 
 
 @pytest.mark.parametrize("name", list(COMPILED))
@@ -160,14 +145,6 @@ def test_pieces_are_the_flights_started_anew_in_motion(flights):
         whole.pieces(5000)
 
 
-def test_the_default_parameters_are_among_those_tried(flights):
-    tuned = tune("mahony", [flights], SearchSettings(particles=2, iterations=1), FlightSelection(1))
-    default = {key: np.array([each.default]) for key, each in parameters("mahony").items()}
-    data = load_flights([flights], 1)
-    at_default = float(np.degrees(np.sqrt(mean_squared_error("mahony", default, data)[0])))
-    assert tuned.rmse_deg <= at_default + 1e-5
-
-
 @pytest.mark.parametrize("name", ["complementary", "eskf", "vqf"])
 def test_tuning_lowers_the_error(flights, name):
     data = load_flights([flights], 2)
@@ -175,7 +152,7 @@ def test_tuning_lowers_the_error(flights, name):
     default = {key: np.array([each.default]) for key, each in spec.items()}
     before = float(np.degrees(np.sqrt(mean_squared_error(name, default, data)[0])))
     tuned = tune(name, [flights], SearchSettings(particles=12, iterations=5), FlightSelection(2))
-    assert tuned.rmse_deg <= before
+    assert tuned.rmse_deg <= before + 1e-5  # the default is among those tried
     assert tuned.evaluations == 60
 
 

@@ -1,0 +1,1 @@
+"""The drag-aided filter: by itself, and in several models that interact."""

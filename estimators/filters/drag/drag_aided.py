@@ -1,0 +1,303 @@
+"""The drag-aided error-state filter, by itself in `ekf_drag`, and with other models in `imm`.
+
+Without drag the accelerometer of a flying quadrotor reads thrust along body z at any tilt. The part
+across it is rotor and frame drag, so it measures velocity through the air, not tilt (Martin & Salaün, "The
+true role of accelerometer feedback in quadrotor control", ICRA 2010; Leishman et al., "Quadrotors and
+accelerometers", IEEE Control Systems 34(1), 2014). Tilt then follows from how that velocity changes.
+
+State: attitude R, velocity v and horizontal wind w (world axes), gyroscope bias b, accelerometer bias c, the
+direction of thrust o, as a tilt from body z, and the height l of the IMU over the centre of mass:
+
+    Ṙ = R [ω − b]×,    v̇ = R (a − c) + g,    ẇ, ḃ, ċ, ȯ, l̇ random walks,
+    a_xy = −D (Rᵀ (v − w))_xy + c_xy + g o + l (α_y, −α_x) + noise,    D = k √(a_z / g) + f |v − w|
+
+because rotor drag is proportional to the sum of rotor speeds, which goes with the root of thrust; k is its
+coefficient at hover, f the frame's quadratic drag per mass, and α the angular acceleration. A second, weak
+measurement says that the vehicle stays where it is on the whole: v = 0. A third, at rest, says that the
+gyroscope reads its bias (a zero-rate update, as in VQF: Laidig & Seel, Information Fusion 91, 2023).
+
+The error is right-invariant as in `eskf`: θ in world axes, v = exp([θ]×) v̂ + δv and so for w. The drag
+measurement then does not depend on θ at all, its matrix is −D R̂ᵀ on δv − δw, and heading drops out.
+"""
+
+import math
+
+from quadsim.rotation import from_rotvec_core, matrix_core, multiply_core, rotate_core
+from quadsim.runs.compiled import njit
+from quadsim.vehicle import GRAVITY
+
+from ..ekf import correct
+from ..eskf import turned
+from ..inline_math import exp_core
+
+TILT, VELOCITY, GYRO_BIAS, ACCEL_BIAS, WIND = 0, 2, 4, 7, 9
+CLIMB, ACCEL_BIAS_Z, OFFSET, LEVER = 11, 12, 13, 15
+"""Where the parts of the error state begin: horizontal axes, three of the gyroscope's bias; then what not
+every filter estimates: v_z, c_z, o and l."""
+SHARED, DRAG, ERRORS = 9, 13, 16
+"""Errors of a model without drag; of one with drag, the climb and all of c; of one with everything."""
+
+MODEL = [
+    ("quat", "f8", 4),
+    ("velocity", "f8", 3),
+    ("wind", "f8", 2),
+    ("gyro_bias", "f8", 3),
+    ("accel_bias", "f8", 3),
+    ("offset", "f8", 2),  # of the direction of thrust from body z [rad]
+    ("lever", "f8"),  # height of the IMU over the centre of mass [m]
+    ("covariance", "f8", (ERRORS, ERRORS)),
+    ("time", "f8"),  # since the start [s]
+    ("accel_square", "f8"),  # mean square of the horizontal acceleration [m²/s⁴]
+    ("innovation", "f8", 2),  # of the drag measurement at the last update, world axes [m/s²]
+    ("innovation_mean", "f8", 2),  # low-passed [m/s²]
+    ("vibration", "f8"),  # variance of the white part of it [m²/s⁴]
+    ("wind_noise", "f8"),  # process noise of the wind [m²/s³]
+    ("airspeed_sum", "f8", 2),  # recent corrections of v - w [m/s]
+]
+"""Fields of the state of one model."""
+REST = [
+    ("rest_time", "f8"),  # for which the readings have not changed [s]
+    ("fast", "f8", 6),  # low-passed readings
+    ("slow", "f8", 6),
+]
+"""Fields of `at_rest`."""
+SCRATCH = [
+    ("moved", "f8", (ERRORS, ERRORS)),  # F P Fᵀ
+    ("error", "f8", ERRORS),  # estimated so far
+    ("column", "f8", ERRORS),  # P hᵀ of a measurement
+    ("walks", "f8", ERRORS),  # variances that a sample adds
+]
+"""Fields for a sample, in the record because the compiler knows that fields of one record do not overlap."""
+
+INNOVATION_MAX = 5.0
+"""Innovations count no further: one bad reading does no lasting harm [m/s²]."""
+GAP_SPEED = 3.0
+"""Change of velocity in a gap, for each radian that may have been turned unseen [m/s]."""
+BIAS_MAX = math.radians(30.0)
+"""Bias that no gyroscope has [rad/s]; a filter that estimates one has diverged, and starts again."""
+SPEED_MAX = 60.0
+"""The same of a velocity or a wind [m/s]."""
+FIRST_S = 0.1
+"""Time for which the first value of a mean square counts [s]."""
+VIBRATION_MEMORY = 0.5
+"""Memory of the innovation's vibration [s]."""
+WIND_WINDOW = 0.1
+"""Memory of the airspeed's corrections [s]."""
+GUST_WINDOW = 0.04
+"""Memory of a gust front [s]."""
+GUST_RATIO = 2.0
+"""Variances that a low-passed innovation has at a gust front."""
+REST_RATE = 0.005
+"""Largest difference of low-passed rates at rest [rad/s]."""
+REST_RATE_MOST = 0.1
+"""Largest rate at rest, which is a bias [rad/s]."""
+REST_ACCEL = 0.05
+"""Largest difference of low-passed specific forces at rest [m/s²]."""
+REST_FAST = 0.1
+"""Time constant of the fast low-pass [s]."""
+REST_DELAY = 1.5
+"""Time constant of the slow one, and time for which both have to agree [s]."""
+REST_NOISE = 0.002
+"""Noise density of the zero-rate update [rad/√s]."""
+
+
+@njit
+def turn_by(m, x, y, z, dt):
+    """Turn a model by the rotation vector [rad] that the gyroscope measured in dt; R̂ by rows."""
+    b = m.gyro_bias
+    turn = from_rotvec_core(x - b[0] * dt, y - b[1] * dt, z - b[2] * dt)
+    qw, qx, qy, qz = m.quat
+    qw, qx, qy, qz = multiply_core(qw, qx, qy, qz, turn[0], turn[1], turn[2], turn[3])
+    m.quat[:] = qw, qx, qy, qz
+    return matrix_core(qw, qx, qy, qz)
+
+
+@njit
+def transition(P, matrix, v, w, dt, climbs):
+    """P ← F P, with θ̇ = −R̂ δb, δv̇ = −θ × g − R̂ δc − v̂ × R̂ δb and δẇ = −ŵ × R̂ δb; δv_z if it `climbs`."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
+    vx, vy, vz, wx, wy = v[0], v[1], v[2], w[0], w[1]
+    for j in range(ERRORS):
+        x, y = P[TILT, j], P[TILT + 1, j]
+        b0, b1, b2 = P[GYRO_BIAS, j], P[GYRO_BIAS + 1, j], P[GYRO_BIAS + 2, j]
+        c0, c1 = P[ACCEL_BIAS, j], P[ACCEL_BIAS + 1, j]
+        bx = r00 * b0 + r01 * b1 + r02 * b2  # R̂ δb
+        by = r10 * b0 + r11 * b1 + r12 * b2
+        bz = r20 * b0 + r21 * b1 + r22 * b2
+        P[TILT, j] = x - dt * bx
+        P[TILT + 1, j] = y - dt * by
+        P[VELOCITY, j] += dt * (GRAVITY * y - r00 * c0 - r01 * c1 - (vy * bz - vz * by))
+        P[VELOCITY + 1, j] += dt * (-GRAVITY * x - r10 * c0 - r11 * c1 - (vz * bx - vx * bz))
+        P[WIND, j] -= dt * wy * bz
+        P[WIND + 1, j] += dt * wx * bz
+        if climbs:
+            c2 = P[ACCEL_BIAS_Z, j]
+            P[VELOCITY, j] -= dt * r02 * c2
+            P[VELOCITY + 1, j] -= dt * r12 * c2
+            P[CLIMB, j] -= dt * (r20 * c0 + r21 * c1 + r22 * c2 + (vx * by - vy * bx))
+
+
+@njit
+def propagate(m, scratch, size, matrix, dt, climbs):
+    """P ← F P Fᵀ + Q = F (F P)ᵀ + Q for a symmetric P.
+
+    Args:
+        m: The model's record.
+        scratch: The record with the fields of `SCRATCH`; `walks` is the diagonal of Q.
+        size: Errors in the state.
+        matrix: R̂ by rows.
+        dt: Time step [s].
+        climbs: Whether v_z and c_z are among the errors.
+    """
+    P, T, v, w = m.covariance, scratch.moved, m.velocity, m.wind
+    transition(P, matrix, v, w, dt, climbs)
+    for i in range(ERRORS):
+        for j in range(ERRORS):
+            T[i, j] = P[j, i]
+    transition(T, matrix, v, w, dt, climbs)
+    for i in range(size):
+        for j in range(ERRORS):
+            P[i, j] = T[i, j]
+        P[i, i] += scratch.walks[i]
+
+
+@njit
+def along_drag(x, y, z, arm, k, error, noise):
+    """What the drag measurement of axis k changes by with an error and noise, given row k of −D R̂ᵀ."""
+    across = x * (error[VELOCITY] - error[WIND]) + y * (error[VELOCITY + 1] - error[WIND + 1])
+    own = error[ACCEL_BIAS + k] + GRAVITY * error[OFFSET + k] + arm * error[LEVER]
+    return across + (own + z * error[CLIMB] + noise)
+
+
+@njit
+def correct_by_drag(m, scratch, size, force, arm, drag, variance, matrix):
+    """Correct by the specific force across thrust, one axis after the other.
+
+    Args:
+        m: The model's record.
+        scratch: The record with the fields of `SCRATCH`.
+        size: Errors in the state.
+        force: Specific force in body axes (3,) [m/s²].
+        arm: What one metre of lever arm adds to it (2,) [1/s²].
+        drag: D [1/s].
+        variance: Of the measurement, each axis [m²/s⁴].
+        matrix: R̂ by rows.
+
+    Returns:
+        The innovation in body axes before the correction, two numbers [m/s²].
+    """
+    P, v, w, dx, column = m.covariance, m.velocity, m.wind, scratch.error, scratch.column
+    first = innovation = 0.0
+    for k in range(2):
+        x, y, z = -drag * matrix[k], -drag * matrix[3 + k], -drag * matrix[6 + k]
+        expected = x * (v[0] - w[0]) + y * (v[1] - w[1]) + z * v[2] + m.accel_bias[k] + GRAVITY * m.offset[k]
+        expected += arm[k] * m.lever
+        innovation = min(max(force[k] - expected, -INNOVATION_MAX), INNOVATION_MAX)
+        first = innovation if k == 0 else first
+        for a in range(ERRORS):
+            across = x * (P[VELOCITY, a] - P[WIND, a]) + y * (P[VELOCITY + 1, a] - P[WIND + 1, a])
+            own = P[ACCEL_BIAS + k, a] + GRAVITY * P[OFFSET + k, a] + arm[k] * P[LEVER, a]
+            column[a] = across + (own + z * P[CLIMB, a])
+        total = along_drag(x, y, z, arm[k], k, column, variance)
+        correct(P, size, dx, column, total, innovation - along_drag(x, y, z, arm[k], k, dx, 0.0))
+    return first, innovation
+
+
+@njit
+def correct_by_zero_velocity(m, scratch, size, axes, variance, climb_variance):
+    """Correct by the measurement v = 0, one axis after the other, of the first two or of all three."""
+    P, v, dx, column = m.covariance, m.velocity, scratch.error, scratch.column
+    for k in range(axes):
+        x, y, own = 0.0, 0.0, VELOCITY + k  # x, y: of θ × v̂
+        if k == 0:
+            y = v[2]
+        elif k == 1:
+            x = -v[2]
+        else:
+            x, y, own = v[1], -v[0], CLIMB
+        for a in range(ERRORS):
+            column[a] = x * P[TILT, a] + y * P[TILT + 1, a] + P[own, a]
+        total = x * column[TILT] + y * column[TILT + 1] + column[own]
+        total += climb_variance if k == 2 else variance
+        known = x * dx[TILT] + y * dx[TILT + 1] + dx[own]
+        correct(P, size, dx, column, total, -v[k] - known)
+
+
+@njit
+def correct_by_zero_rate(m, scratch, size, rate, variance):
+    """Correct by the gyroscope of a vehicle at rest, which reads its bias."""
+    P, dx, column = m.covariance, scratch.error, scratch.column
+    for k in range(3):
+        column[:] = P[GYRO_BIAS + k]
+        residual = rate[k] - m.gyro_bias[k] - dx[GYRO_BIAS + k]
+        correct(P, size, dx, column, column[GYRO_BIAS + k] + variance, residual)
+
+
+@njit
+def apply_error(m, dx):
+    """Correct a model's state by the error that was estimated."""
+    qw, qx, qy, qz = m.quat
+    m.quat[:] = turned(qw, qx, qy, qz, dx[TILT], dx[TILT + 1])
+    rw, rx, ry, rz = exp_core(dx[TILT], dx[TILT + 1], 0.0)
+    v, w, b, c = m.velocity, m.wind, m.gyro_bias, m.accel_bias
+    v[:] = rotate_core(rw, rx, ry, rz, v[0], v[1], v[2])
+    w[0], w[1], _ = rotate_core(rw, rx, ry, rz, w[0], w[1], 0.0)
+    for i in range(3):
+        b[i] += dx[GYRO_BIAS + i]
+    for i in range(2):
+        v[i] += dx[VELOCITY + i]
+        c[i] += dx[ACCEL_BIAS + i]
+        w[i] += dx[WIND + i]
+        m.offset[i] += dx[OFFSET + i]
+    v[2] += dx[CLIMB]
+    c[2] += dx[ACCEL_BIAS_Z]
+    m.lever += dx[LEVER]
+
+
+@njit
+def mean_square(value, square, dt, time, memory):
+    """Mean square after a further square value."""
+    return value + (square - value) * dt / min(FIRST_S + time, memory)
+
+
+@njit
+def adapt_vibration(m, dt, x, y):
+    """Take an innovation ν in world axes into its mean, and ¼ |ν[t] − ν[t−1]|², white, into its variance."""
+    if m.time > dt:
+        change = (x - m.innovation[0]) ** 2 + (y - m.innovation[1]) ** 2
+        m.vibration += (0.25 * change - m.vibration) * dt / VIBRATION_MEMORY
+    m.innovation[0], m.innovation[1] = x, y
+    m.innovation_mean[0] += (x - m.innovation_mean[0]) * dt / GUST_WINDOW
+    m.innovation_mean[1] += (y - m.innovation_mean[1]) * dt / GUST_WINDOW
+
+
+@njit
+def gust_noise(m, noise, dt, drag):
+    """Process noise of the wind by a low-passed innovation beyond its variance [m²/s³]."""
+    square = m.innovation_mean[0] ** 2 + m.innovation_mean[1] ** 2
+    return max(square - GUST_RATIO * noise * dt / GUST_WINDOW, 0.0) / GUST_WINDOW / (drag * drag)
+
+
+@njit
+def at_rest(s, dt, gyro, accel):
+    """Take readings into their low-passes; whether they have agreed for long enough."""
+    same = True
+    fast, slow = dt / min(s.time, REST_FAST), dt / min(s.time, REST_DELAY)
+    for k in range(6):
+        value, most = (gyro[k], REST_RATE) if k < 3 else (accel[k - 3], REST_ACCEL)
+        s.fast[k] += min(fast, 1.0) * (value - s.fast[k])
+        s.slow[k] += min(slow, 1.0) * (value - s.slow[k])
+        same &= abs(s.fast[k] - s.slow[k]) <= most and (k >= 3 or abs(s.slow[k]) <= REST_RATE_MOST)
+    s.rest_time = s.rest_time + dt if same else 0.0
+    return s.rest_time >= REST_DELAY
+
+
+@njit
+def diverged(gyro_bias, velocity):
+    """Whether an estimate is beyond what can be; a NaN is."""
+    possible = True
+    for value in gyro_bias:
+        possible &= abs(value) <= BIAS_MAX
+    for value in velocity:
+        possible &= abs(value) <= SPEED_MAX
+    return not possible

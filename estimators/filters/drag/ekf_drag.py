@@ -1,0 +1,246 @@
+"""Error-state Kalman filter that is given the airframe's drag, and adapts its noise to its innovations.
+
+It is `drag_aided` with v_z and c_z among its errors, and with thrust along body z through the IMU. Noise is
+adapted to the innovation ν of the drag measurement:
+
+- *Vibration*: the variance of ν is at least the low-passed part of it that is white.
+- *Wind*: corrections of the airspeed v − w that sum up to more than the variance they remove raise the
+  process noise of w, less lowers it (Myers & Tapley, "Adaptive sequential estimation with unknown noise
+  statistics", IEEE Trans. Autom. Control 21(4), 1976).
+- *Gust fronts*: a low-passed ν beyond its own variance inflates that process noise at once.
+- *Bias steps*: corrections of b that sum up to far more than the variance they remove inflate the variance
+  of b.
+- *Velocity*: the measurement v = 0 is the weaker, the larger the mean square of the estimated velocity.
+- *Model*: the variance of ν grows with the mean square of the horizontal acceleration, since thrust and drag
+  are not known exactly.
+"""
+
+import math
+
+import numpy as np
+
+from quadsim.rotation import rotate_core
+from quadsim.runs.compiled import njit
+from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
+
+from ..algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, Records, start_at, tilt_block
+from ..ekf import SIGMA_KNOWN
+from ..inline_math import roll_pitch_core
+from ..samples import run_all
+from .drag_aided import (
+    ACCEL_BIAS,
+    ACCEL_BIAS_Z,
+    CLIMB,
+    DRAG,
+    FIRST_S,
+    GAP_SPEED,
+    GYRO_BIAS,
+    MODEL,
+    REST,
+    REST_NOISE,
+    SCRATCH,
+    TILT,
+    VELOCITY,
+    WIND,
+    WIND_WINDOW,
+    adapt_vibration,
+    apply_error,
+    at_rest,
+    correct_by_drag,
+    correct_by_zero_rate,
+    correct_by_zero_velocity,
+    diverged,
+    gust_noise,
+    mean_square,
+    propagate,
+    turn_by,
+)
+
+STATE = np.dtype(
+    [
+        *MODEL,
+        ("accel_W", "f8", 3),  # of the last sample, world axes [m/s²]
+        ("airspeed_due", "f8"),  # variance that the corrections of v - w removed [m²/s²]
+        ("bias_sum", "f8", 3),  # recent corrections of the gyroscope's bias [rad/s]
+        ("bias_due", "f8"),  # variance that they removed [rad²/s²]
+        ("speed_square", "f8"),  # mean square of the horizontal velocity, per axis [m²/s²]
+        *REST,
+        *SCRATCH,
+    ]
+)
+"""The filter's state."""
+
+PARAMETERS = {
+    # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
+    "drag_noise": Parameter(0.015, 5e-3, 0.05, minimum=1e-9),
+    "model_noise": Parameter(0.004, 2e-3, 0.02),
+    # Initial noise density of the wind [m/s/√s].
+    "wind_noise": Parameter(0.17, 0.05, 0.5),
+    # The measurement v = 0: least standard deviation [m/s], correlation time [s]; noise density of the climb
+    # [m/s·√s].
+    "speed_least": Parameter(0.2, 0.05, 0.6, minimum=1e-6),
+    "speed_time": Parameter(0.33, 0.15, 1.5, minimum=1e-6),
+    "climb_noise": Parameter(2.0, 0.5, 5.0, minimum=1e-9),
+    # Initial standard deviations: of an unknown tilt [rad], of velocity and of wind [m/s].
+    "attitude_sigma": Parameter(0.3, 0.15, 0.6),
+    "speed_sigma": Parameter(0.6, 0.3, 3.0),
+    "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
+    # Not searched: noise densities of the rate [rad/√s] and of the specific force [m/s/√s], of the walks of
+    # both biases [rad/s/√s], [m/s²/√s].
+    "gyro_noise": Parameter(1e-3, 1e-4, 0.01, searched=False),
+    "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
+    "bias_noise": Parameter(3e-4, 1e-6, 1e-3, searched=False),
+    "accel_bias_noise": Parameter(0.0085, 1e-4, 0.1, searched=False),
+    # Gain of the bias's inflation by a step of the gyroscope's bias, which no recipe flies.
+    "step_gain": Parameter(40.0, 1.0, 200.0, searched=False),
+    # Of the IMU: initial standard deviations of the biases [rad/s], [m/s²]. Of the vehicle: τ [s], f [1/m].
+    "bias_sigma": Parameter(0.0087, 1e-4, 0.1, searched=False),
+    "accel_bias_sigma": Parameter(0.196, 1e-3, 1.0, searched=False),
+    "drag_time": Parameter(FROM_VEHICLE, 1.0, 20.0, minimum=1e-3, searched=False),
+    "frame_drag": Parameter(FROM_VEHICLE, 1e-4, 1.0, searched=False),
+}
+"""What a user or `quadsim tune` may change; units in the comments."""
+
+WIND_SHARE = 0.6
+"""Share of the removed variance at which the wind's noise neither rises nor falls."""
+WIND_MEMORY = 15.0
+"""Memory of the adaptation of the wind's noise [s]."""
+WIND_NOISE_LEAST = 0.013
+"""Least noise density of the wind [m/s/√s]."""
+SPEED_GROWTH = 10.9
+"""Growth of the variance of v = 0 with the mean square of the velocity [s²/m²]."""
+SPEED_MEMORY = 2.0
+"""Memory of that mean square [s]."""
+ACCEL_MEMORY = 2.7
+"""Memory of the acceleration's mean square [s]."""
+STEP_RATIO = 2.5
+"""Variances that corrections of the gyroscope's bias may sum up to before they show a step."""
+STEP_WINDOW = 1.0
+"""Memory of that sum [s]."""
+NO_ARM = (0.0, 0.0)
+"""The IMU is at the centre of mass."""
+
+
+@njit
+def airspeed_variance(P):
+    """Variance of v − w, both horizontal axes [m²/s²]."""
+    total = 0.0
+    for a in range(2):
+        v, w = VELOCITY + a, WIND + a
+        total += P[v, v] - P[v, w] - P[w, v] + P[w, w]
+    return total
+
+
+@njit
+def bias_variance(P):
+    """Variance of the gyroscope's bias, all axes [rad²/s²]."""
+    return P[GYRO_BIAS, GYRO_BIAS] + P[GYRO_BIAS + 1, GYRO_BIAS + 1] + P[GYRO_BIAS + 2, GYRO_BIAS + 2]
+
+
+@njit
+def adapt_wind(s, dt, removed):
+    """Take a correction of the airspeed, and the variance that it removed, into the wind's noise."""
+    scatter = 0.0
+    for k in range(2):
+        moved = s.error[VELOCITY + k] - s.error[WIND + k]
+        s.airspeed_sum[k] += moved - s.airspeed_sum[k] * dt / WIND_WINDOW
+        scatter += 0.5 * s.airspeed_sum[k] ** 2
+    s.airspeed_due += max(0.5 * removed, 0.0) - 2.0 * s.airspeed_due * dt / WIND_WINDOW
+    excess = 2.0 * (scatter - WIND_SHARE * s.airspeed_due) / WIND_WINDOW
+    memory = min(0.5 * FIRST_S + s.time, WIND_MEMORY) if excess > 0.0 else WIND_MEMORY
+    s.wind_noise = max(s.wind_noise + excess * dt / memory, WIND_NOISE_LEAST**2)
+
+
+@njit
+def adapt_bias(s, p, dt, removed):
+    """Inflate the variance of the gyroscope's bias where its corrections show that it has stepped."""
+    scatter = 0.0
+    for k in range(3):
+        s.bias_sum[k] += s.error[GYRO_BIAS + k] - s.bias_sum[k] * dt / STEP_WINDOW
+        scatter += s.bias_sum[k] ** 2 / 3.0
+    s.bias_due += max(removed, 0.0) / 3.0 - 2.0 * s.bias_due * dt / STEP_WINDOW
+    inflation = max(scatter - STEP_RATIO * s.bias_due, 0.0) * p.step_gain * dt / STEP_WINDOW
+    for k in range(GYRO_BIAS, ACCEL_BIAS):
+        s.covariance[k, k] += inflation
+
+
+@njit
+def measure(s, p, dt, gyro, accel, matrix):
+    """All corrections by one sample: adds to the error, reduces the covariance, adapts the noise."""
+    P, v, w = s.covariance, s.velocity, s.wind
+    speed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
+    drag = math.sqrt(max(accel[2], 0.0) / GRAVITY) / p.drag_time + p.frame_drag * speed
+    variance = max(s.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * s.accel_square / dt
+    airspeed, bias = airspeed_variance(P), bias_variance(P)
+    along, across = correct_by_drag(s, s, DRAG, accel, NO_ARM, drag, variance, matrix)
+    x, y, _ = rotate_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3], along, across, 0.0)
+    adapt_vibration(s, dt, x, y)
+    if s.time > WIND_WINDOW:  # the first corrections are those of the initial state
+        bias -= bias_variance(P)
+        adapt_wind(s, dt, airspeed - airspeed_variance(P))
+        adapt_bias(s, p, dt, bias)
+    density = max(s.speed_square, p.speed_least**2) * p.speed_time * (1.0 + SPEED_GROWTH * s.speed_square)
+    correct_by_zero_velocity(s, s, DRAG, 3, density / dt, p.climb_noise**2 / dt)
+    s.speed_square = mean_square(s.speed_square, 0.5 * (v[0] ** 2 + v[1] ** 2), dt, s.time, SPEED_MEMORY)
+    if at_rest(s, dt, gyro, accel):
+        correct_by_zero_rate(s, s, DRAG, gyro, REST_NOISE**2 / dt)
+
+
+@njit
+def step(s, p, sample):
+    """See `algorithm`."""
+    v, c, walks = s.velocity, s.accel_bias, s.walks
+    dt, gyro, accel, unseen = sample.dt, sample.mean_gyro, sample.accel, sample.unseen
+    s.time += dt
+    noise = max(s.vibration, p.drag_noise**2 / dt)
+    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + unseen
+    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + GAP_SPEED**2 * unseen
+    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
+    walks[ACCEL_BIAS:WIND] = p.accel_bias_noise**2 * dt
+    walks[WIND:CLIMB] = max(s.wind_noise, gust_noise(s, noise, dt, 1.0 / p.drag_time)) * dt
+    walks[CLIMB], walks[ACCEL_BIAS_Z] = walks[VELOCITY], walks[ACCEL_BIAS]
+    matrix = turn_by(s, gyro[0] * dt, gyro[1] * dt, gyro[2] * dt, dt)
+    propagate(s, s, DRAG, matrix, dt, True)
+    s.error[:] = 0.0
+    if accel[0] != 0.0 or accel[1] != 0.0 or accel[2] != 0.0:
+        qw, qx, qy, qz = s.quat
+        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2] - c[2])
+        now = (fx, fy, fz - GRAVITY)
+        for k in range(3):  # trapezoidal rule
+            v[k] += 0.5 * (now[k] + (s.accel_W[k] if s.time > dt else now[k])) * dt
+            s.accel_W[k] = now[k]
+        s.accel_square = mean_square(s.accel_square, fx * fx + fy * fy, dt, s.time, ACCEL_MEMORY)
+        measure(s, p, dt, gyro, accel, matrix)
+    apply_error(s, s.error)
+    if diverged(s.gyro_bias, s.velocity) or diverged(s.gyro_bias, s.wind):
+        return math.nan, math.nan
+    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+
+
+@njit(cache=True, nogil=True)
+def run(states, params, dt, gyro, accel, rotor_vel, out):
+    """See `algorithm`."""
+    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+
+
+def start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    """Start at an attitude that is known, or level with an unknown tilt."""
+    start_at(states, quat, known, params)
+    sigma = {part: params[f"{part}_sigma"] for part in ("attitude", "speed", "bias", "accel_bias", "wind")}
+    sigma["attitude"] = np.full(len(params), SIGMA_KNOWN) if known else sigma["attitude"]
+    order = np.stack([*sigma.values(), sigma["speed"], sigma["accel_bias"]], axis=1)
+    variances = np.repeat(order, (2, 2, 3, 2, 2, 1, 1), axis=1) ** 2
+    states["covariance"][:, range(DRAG), range(DRAG)] = variances
+    states["wind_noise"], states["speed_square"] = params["wind_noise"] ** 2, params["speed_sigma"] ** 2
+
+
+EKF_DRAG = Algorithm("ekf-drag", PARAMETERS, STATE, run, start, tilt_block)
+
+
+def drag_of(vehicle: Vehicle) -> dict[str, float]:
+    """`drag_time` and `frame_drag` of a vehicle."""
+    area = 0.5 * (vehicle.frame.drag_area[0] + vehicle.frame.drag_area[1])
+    return {
+        "drag_time": vehicle.drag_time_constant,
+        "frame_drag": 0.5 * AIR_DENSITY * area / vehicle.mass,
+    }

@@ -1,0 +1,332 @@
+"""Interacting multiple models: one filter for an airframe that nobody has described.
+
+Blom & Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+coefficients", IEEE Trans. Autom. Control 33(8), 1988. Three hypotheses of what carries the IMU, each a Kalman
+filter (`imm_model`) with probability μ:
+
+    multirotor    the force across thrust is drag; v = 0 within metres a second
+    free          anything that moves within metres a second
+    hand          anything slower, within a metre a second
+
+The likelihood Λ of a model is the product of
+
+- the density of a force that should be small: for a multirotor the force across thrust, for the others the
+  horizontal force in the world, by the model's attitude. Each has its own mean square over some seconds as
+  its variance, so that the smaller of both wins. Such forces are not white: their logarithm counts once per
+  `evidence_time`;
+- the density of the velocity, once per `speed_time`.
+
+All densities are of Student's t. The model changes at random, with the same rate to every other one, on
+average once per `sojourn_time`:
+
+    ε_j = dt / (3 sojourn_time) (1 − μ_j),    μ_j ← (μ_j + ε_j) Λ_j / Σ
+
+Mixing then moves model j towards the combination of all by the share ε_j / (μ_j + ε_j): none for a model that
+is believed, and the whole way for one that is not, which therefore is ready to take over. What multirotors
+alone have, wind, direction of thrust and lever arm, mixes with its initial state by that share.
+
+All models are told when the sensors are at rest, as `ekf_drag` is: the velocity is then zero, and the
+gyroscope reads its bias.
+
+Heading cannot be observed: all models are turned about the vertical to the heading of the likeliest. Readings
+are integrated at their own rate to a turn and a change of velocity (Savage, "Strapdown inertial navigation
+integration algorithm design", J. Guidance 21, 1998), which the models take at `MODEL_HZ`; in between, the
+combined attitude turns with the gyroscope.
+
+Rotor speeds ω are optional, in every sample. Where they are given, thrust in the drag is κ Σ ω² in place of
+the force along body z, which vibration disturbs; κ, which no one has to know, is the least-squares ratio of
+that force to Σ ω² over `square_memory`. Where one is missing, or the rotors stand still, it is that force.
+"""
+
+import math
+
+import numpy as np
+
+from quadsim.rotation import multiply_core, rotate_core
+from quadsim.runs.compiled import njit
+from quadsim.vehicle import GRAVITY
+
+from ...sanitise import within
+from ..algorithm import Algorithm, Array, Filter, Records, start_at, tilt_block
+from ..eskf import tilt_core, turned
+from ..inline_math import atan2_core, exp_core, roll_pitch_core
+from ..samples import run_all
+from .drag_aided import (
+    CLIMB,
+    ERRORS,
+    OFFSET,
+    REST,
+    SCRATCH,
+    SHARED,
+    VIBRATION_MEMORY,
+    at_rest,
+    diverged,
+    mean_square,
+)
+from .imm_mixing import combine, mix
+from .imm_model import COUNT, MODELS, MULTIROTOR, PARAMETERS, across_thrust, correct_model, predict
+from .imm_model import STATE as MODEL
+
+STATE = np.dtype(
+    [
+        ("models", MODEL, (COUNT,)),
+        ("probability", "f8", COUNT),
+        ("quat", "f8", 4),  # combined
+        ("velocity", "f8", 3),
+        ("gyro_bias", "f8", 3),
+        ("accel_bias", "f8", 3),
+        ("covariance", "f8", (SHARED, SHARED)),
+        ("accel_square", "f8"),  # as of the models
+        ("body_square", "f8"),  # mean square of the force across body z, per axis [m²/s⁴]
+        *REST,
+        ("begun", "f8"),  # whether the attitude is known or has been taken from the first force
+        ("time", "f8"),  # since the start [s]
+        ("interval", "f8"),  # since the last update of the models [s]
+        ("force_time", "f8"),  # part of it with a specific force [s]
+        ("turn", "f8", 4),  # in that interval, a quaternion
+        ("push", "f8", 3),  # integral of the specific force, axes at the end of the interval [m/s]
+        ("force_sum", "f8", 3),  # integral of the specific force in body axes, which turn [m/s]
+        ("force", "f8", 3),  # the last specific force [m/s²]
+        ("change", "f8", 3),  # of it from the one before [m/s²]
+        ("shake", "f8"),  # mean square of its vibration, per axis [m²/s⁴]
+        ("last_rate", "f8", 3),  # the last rate, low-passed [rad/s]
+        ("rate_before", "f8", 3),  # the last one before the interval
+        ("unseen", "f8"),  # variance of the unmeasured turn in the interval [rad²]
+        ("rotor_time", "f8"),  # part of the interval with speeds of turning rotors [s]
+        ("rotor_sum", "f8"),  # integral of Σ ω² over it [rad²/s]
+        ("rotor_product", "f8"),  # mean of Σ ω² times the force along body z [rad² m/s⁴]
+        ("rotor_square", "f8"),  # mean of (Σ ω²)² [rad⁴/s⁴]
+        ("evidence", "f8", COUNT),  # logarithm of each model's likelihood
+        *SCRATCH,
+    ]
+)
+"""The filter's state: models, their combination, and readings since their last update."""
+
+ESTIMATED = [*range(CLIMB), *range(OFFSET, ERRORS)]
+"""The errors that a multirotor's model has."""
+SIZES = (2, 2, 3, 2, 2, 2, 1)
+"""Numbers of them with one initial standard deviation."""
+MODEL_HZ = 50.0
+"""Rate at which the models take the readings [1/s]; readings of a lower rate are taken as they come."""
+RECTIFIED = 0.1
+"""Share of its vibration by which the mean of an accelerometer may shift."""
+JERK_MAX = 2e4
+"""Change of the specific force that no hand makes [m/s³]; one beyond it is missing for a sample."""
+RATE_MEMORY = 0.005
+"""Time constant of the low-pass before the rate's derivative [s]."""
+
+
+@njit
+def take_vibration(s, dt, change):
+    """Take a change of the specific force [m/s²] into the mean square of its vibration.
+
+    A second difference of white noise has six times its variance, and next to nothing of a motion.
+    """
+    square = 0.0
+    for k in range(3):
+        square += (change[k] - s.change[k]) ** 2 / 18.0
+        s.change[k] = change[k]
+    s.shake += (square - s.shake) * min(dt / VIBRATION_MEMORY, 1.0)
+
+
+@njit
+def accumulate(s, sample):
+    """Take a `Sample` into the sums since the last update of the models."""
+    dt, (gx, gy, gz), (ax, ay, az) = sample.dt, sample.gyro, sample.accel
+    ew, ex, ey, ez = exp_core(gx * dt, gy * dt, gz * dt)
+    tw, tx, ty, tz = s.turn
+    s.turn[:] = multiply_core(tw, tx, ty, tz, ew, ex, ey, ez)
+    px, py, pz = s.push
+    known = s.force[0] != 0.0 or s.force[1] != 0.0 or s.force[2] != 0.0
+    change = (ax - s.force[0], ay - s.force[1], az - s.force[2])
+    blow = known and not within(change[0], change[1], change[2], JERK_MAX * dt)
+    if (ax != 0.0 or ay != 0.0 or az != 0.0) and not blow:
+        if known:  # trapezoidal rule
+            px, py, pz = px + 0.5 * dt * s.force[0], py + 0.5 * dt * s.force[1], pz + 0.5 * dt * s.force[2]
+            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+            px, py, pz = px + 0.5 * dt * ax, py + 0.5 * dt * ay, pz + 0.5 * dt * az
+            take_vibration(s, dt, change)
+        else:
+            px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+            px, py, pz = px + dt * ax, py + dt * ay, pz + dt * az
+        s.force_time += dt
+        s.force_sum[0] += dt * ax
+        s.force_sum[1] += dt * ay
+        s.force_sum[2] += dt * az
+    else:
+        px, py, pz = rotate_core(ew, -ex, -ey, -ez, px, py, pz)
+        ax = ay = az = 0.0
+    s.push[:] = px, py, pz
+    s.force[:] = ax, ay, az
+    s.interval += dt
+    s.time += dt
+    s.unseen += sample.unseen
+    if sample.rotor_square > 0.0:
+        s.rotor_time += dt
+        s.rotor_sum += dt * sample.rotor_square
+    share = dt / (dt + RATE_MEMORY)
+    s.last_rate[0] += share * (gx - s.last_rate[0])
+    s.last_rate[1] += share * (gy - s.last_rate[1])
+    s.last_rate[2] += share * (gz - s.last_rate[2])
+
+
+@njit
+def rotation_vector(turn):
+    """Rotation vector of a quaternion of a turn of less than π [rad]."""
+    length = math.sqrt(turn[1] ** 2 + turn[2] ** 2 + turn[3] ** 2)
+    scale = 2.0 if length < 1e-9 else 2.0 * atan2_core(length, turn[0]) / length
+    return scale * turn[1], scale * turn[2], scale * turn[3]
+
+
+@njit
+def weigh(s, change):
+    """Probabilities after a measurement; `evidence` (m,) is the logarithm of its likelihood."""
+    evidence = s.evidence
+    highest, total = max(evidence), 0.0
+    for k in range(COUNT):
+        prior = s.probability[k] + change * (1.0 - s.probability[k])
+        evidence[k] = prior * math.exp(max(evidence[k] - highest, -300.0))
+        total += evidence[k]
+    for k in range(COUNT):
+        s.probability[k] = evidence[k] / total
+
+
+@njit
+def update_models(s, p):
+    """Take the interval that is over into all models, and combine them."""
+    dt, evidence = s.interval, s.evidence
+    vector = rotation_vector(s.turn)
+    known = s.force_time > 0.5 * dt
+    scale = 1.0 / s.force_time if known else 0.0
+    accel = (scale * s.push[0], scale * s.push[1], scale * s.push[2])
+    body = (scale * s.force_sum[0], scale * s.force_sum[1], scale * s.force_sum[2])
+    arm = ((s.last_rate[1] - s.rate_before[1]) / dt, (s.rate_before[0] - s.last_rate[0]) / dt)
+    if s.time < 1.5 * dt:  # no rate before the first
+        arm = (0.0, 0.0)
+    s.rate_before[:] = s.last_rate
+    rate = (vector[0] / dt, vector[1] / dt, vector[2] / dt)
+    if s.begun == 0.0 and known:
+        begin_at(s, accel)
+    thrust = thrust_of_rotors(s, p, dt, body[2]) if known and s.rotor_time > 0.5 * dt else body[2]
+    x, y = across_thrust(s.models[MULTIROTOR], body, arm)
+    square = 0.5 * (x * x + y * y)
+    s.body_square = (
+        mean_square(s.body_square, square, dt, s.time, p.square_memory) if known else s.body_square
+    )
+    resting = known and at_rest(s, dt, rate, body)
+    for k in range(COUNT):
+        m = s.models[k]
+        matrix = predict(m, k, s, p, vector, accel, known)
+        evidence[k] = 0.0
+        if known:
+            evidence[k] = correct_model(m, k, s, p, resting, rate, accel, body, thrust, arm, matrix)
+    change = dt / (COUNT * p.sojourn_time)
+    weigh(s, change)
+    combine(s)
+    mix(s, p, change)
+    s.interval = s.force_time = s.unseen = s.rotor_time = s.rotor_sum = 0.0
+    s.turn[0], s.turn[1:], s.push[:] = 1.0, 0.0, 0.0
+    s.force_sum[:] = 0.0
+
+
+@njit
+def thrust_of_rotors(s, p, dt, along):
+    """Thrust per mass by rotor speeds, κ Σ ω² [m/s²]; κ by least squares from the force along body z.
+
+    Args:
+        s: The filter's record.
+        p: Its parameters.
+        dt: Length of the interval [s].
+        along: Mean force along body z in it [m/s²].
+    """
+    square = s.rotor_sum / s.rotor_time
+    s.rotor_product = mean_square(s.rotor_product, square * along, dt, s.time, p.square_memory)
+    s.rotor_square = mean_square(s.rotor_square, square * square, dt, s.time, p.square_memory)
+    return square * s.rotor_product / s.rotor_square
+
+
+@njit
+def begin_at(s, accel):
+    """Start all models at the tilt at which the first force is vertical."""
+    x, y = tilt_core(accel[0], accel[1], accel[2])
+    for k in range(COUNT):
+        m = s.models[k]
+        qw, qx, qy, qz = m.quat
+        m.quat[:] = turned(qw, qx, qy, qz, x, y)
+    s.begun = 1.0
+
+
+@njit
+def inverted(s, p):
+    """Whether the vertical velocity shows that the estimate is upside down, as it may be after a gap.
+
+    With the memory τ = `climb_time`, that of a vehicle in free fall tends to −g τ, and that of an estimate
+    which takes thrust for a pull towards the ground to −2 g τ.
+    """
+    return s.velocity[2] < -GRAVITY * p.climb_time
+
+
+@njit
+def step(s, p, sample):
+    """See `algorithm`."""
+    accumulate(s, sample)
+    if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
+        update_models(s, p)
+        if diverged(s.gyro_bias, s.velocity) or inverted(s, p):
+            return math.nan, math.nan
+    else:
+        turn_on(s, sample)
+    return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
+
+
+@njit
+def turn_on(s, sample):
+    """Turn the combined attitude by a sample, until the models have taken it."""
+    b, dt, (gx, gy, gz) = s.gyro_bias, sample.dt, sample.gyro
+    ew, ex, ey, ez = exp_core((gx - b[0]) * dt, (gy - b[1]) * dt, (gz - b[2]) * dt)
+    qw, qx, qy, qz = s.quat
+    s.quat[:] = multiply_core(qw, qx, qy, qz, ew, ex, ey, ez)
+
+
+@njit(cache=True, nogil=True)
+def run(states, params, dt, gyro, accel, rotor_vel, out):
+    """See `algorithm`."""
+    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+
+
+def start(states: Records, quat: Array, known: bool, params: Records) -> None:
+    """Start at an attitude that is known, or level until the first force.
+
+    A start that is given may be wrong, and would pass for a bias: its tilt has the same variance.
+    """
+    start_at(states, quat, known, params)
+    models = states["models"]
+    models["quat"] = quat[:, None]
+    models["wind_noise"] = params["wind_noise"][:, None] ** 2
+    parts = ("attitude", "speed", "bias", "accel_bias", "wind", "offset", "lever")
+    sigma = np.repeat(np.stack([params[f"{part}_sigma"] for part in parts], axis=1), SIZES, axis=1)
+    models["covariance"][:, :, ESTIMATED, ESTIMATED] = sigma[:, None] ** 2
+    states["covariance"] = models["covariance"][:, 0, :SHARED, :SHARED]
+    states["begun"], states["probability"] = float(known), 1.0 / COUNT
+    states["turn"][:, 0] = 1.0
+
+
+def tilt_covariance(states: Records) -> Array:
+    """That of the models and, on both axes, of the mean force, which vibration shifts, (n, 2, 2) [rad²]."""
+    shifted = (RECTIFIED / GRAVITY) ** 2 * states["shake"]
+    return tilt_block(states) + shifted[:, None, None] * np.eye(2)
+
+
+IMM = Algorithm("imm", PARAMETERS, STATE, run, start, tilt_covariance)
+
+
+class InteractingModels(Filter):
+    """The filter of n vehicles, with the models that it believes; its σ is of their last update."""
+
+    models = MODELS
+    """Names of the models, in the order of `model_probability`."""
+
+    @property
+    def model_probability(self) -> Array:
+        """Probability of each model, (n, 3); a row sums to 1."""
+        return self._states["probability"].copy()

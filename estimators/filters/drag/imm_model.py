@@ -1,0 +1,293 @@
+"""One model of `imm`: a filter of attitude, motion and sensor errors for one kind of carrier.
+
+A multirotor is that of `drag_aided`; the others have neither wind, direction of thrust nor lever arm, and no
+measurement by drag. The climb v_z is no error here; it is integrated and forgotten within `climb_time`.
+
+A gyroscope's bias may step. The corrections of θ that a filter expects have together the variance by which
+they reduce that of θ. Where they sum up to more, within T = `step_time`, the bias has stepped some time ago
+(after Willsky & Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in
+linear systems", IEEE Trans. Autom. Control 21(1), 1976), and P is that of a filter which does not know the
+step:
+
+    P ← P + `step_sigma`² G Gᵀ,    G = (−T R, ½ T² g × R, I) of θ, v and b
+"""
+
+import math
+
+import numpy as np
+
+from quadsim.rotation import rotate_core
+from quadsim.runs.compiled import njit
+from quadsim.vehicle import GRAVITY
+
+from ..algorithm import Parameter
+from .drag_aided import (
+    ACCEL_BIAS,
+    CLIMB,
+    ERRORS,
+    GAP_SPEED,
+    GYRO_BIAS,
+    LEVER,
+    MODEL,
+    OFFSET,
+    REST_NOISE,
+    SHARED,
+    TILT,
+    VELOCITY,
+    WIND,
+    WIND_WINDOW,
+    adapt_vibration,
+    apply_error,
+    correct_by_drag,
+    correct_by_zero_rate,
+    correct_by_zero_velocity,
+    gust_noise,
+    mean_square,
+    propagate,
+    turn_by,
+)
+
+MODELS = ("multirotor", "free", "hand")
+MULTIROTOR, FREE, HAND = range(len(MODELS))
+COUNT = len(MODELS)
+
+STATE = np.dtype(
+    [
+        *MODEL,
+        ("tilt", "f8", 2),  # from the combined attitude, world axes [rad]
+        ("airspeed_square", "f8"),  # sum of squares of the corrections of v - w, both axes [m²/s²]
+        ("tilt_sum", "f8", 2),  # recent corrections of the tilt, world axes [rad]
+        ("tilt_due", "f8"),  # variance that they removed, both axes [rad²]
+    ]
+)
+"""State of one model."""
+
+PARAMETERS = {
+    # Of a multirotor: coefficient k of rotor drag [1/s], quadratic drag f of the frame [1/m].
+    "drag": Parameter(0.3, 0.1, 0.8, minimum=1e-3),
+    "frame_drag": Parameter(0.01, 1e-3, 0.1, searched=False),
+    # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
+    "drag_noise": Parameter(0.05, 5e-3, 0.1, minimum=1e-9),
+    "model_noise": Parameter(0.004, 1e-3, 0.05),
+    # Standard deviations of the velocity in flight, in the hand and at rest [m/s], its correlation time [s],
+    # memory of the climb [s].
+    "flight_speed": Parameter(3.0, 1.0, 10.0, minimum=1e-6),
+    "hand_speed": Parameter(1.0, 0.1, 3.0, minimum=1e-6),
+    "rest_speed": Parameter(0.1, 1e-2, 0.3, minimum=1e-6, searched=False),
+    "speed_time": Parameter(1.0, 0.2, 3.0, minimum=1e-6),
+    "climb_time": Parameter(2.0, 0.5, 5.0, minimum=0.05, searched=False),
+    # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
+    # of the specific force [m/s/√s], of the walks of wind [m/s/√s], biases [rad/s/√s], [m/s²/√s] and the
+    # direction of thrust [rad/√s], and of the lever arm [m/√s], which takes up what the model lacks.
+    "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
+    "turn_noise": Parameter(0.005, 1e-4, 0.05),
+    "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
+    "wind_noise": Parameter(1.0, 0.05, 5.0),
+    "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
+    "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
+    "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
+    "lever_noise": Parameter(0.01, 1e-4, 0.1, searched=False),
+    # Initial standard deviations: of the tilt [rad], of velocity and wind [m/s], of the biases
+    # [rad/s], [m/s²], of the direction of thrust from body z [rad] and of the lever arm [m].
+    "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
+    "speed_sigma": Parameter(3.0, 0.3, 10.0, searched=False),
+    "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
+    "bias_sigma": Parameter(0.05, 0.01, 0.2, searched=False),
+    "accel_bias_sigma": Parameter(0.15, 0.02, 0.5, searched=False),
+    "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
+    "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
+    # Least standard deviation of the horizontal acceleration in the hand [m/s²].
+    "least_accel": Parameter(0.2, 0.01, 1.0, minimum=1e-6, searched=False),
+    # Wind: ratio of the squared sum of its corrections to the sum of their squares at which its noise neither
+    # rises nor falls, time in which it adapts [s], and the least noise density [m/s/√s].
+    "wind_share": Parameter(2.0, 1.0, 4.0, minimum=0.1),
+    "wind_memory": Parameter(1.0, 0.3, 10.0, minimum=1e-3),
+    "wind_noise_least": Parameter(0.02, 1e-4, 0.1, searched=False),
+    # A step of the gyroscope's bias, which no recipe flies: variances that corrections of the tilt may sum
+    # up to, and their memory [s]; standard deviation of the bias after it [rad/s].
+    "step_ratio": Parameter(2.5, 1.5, 20.0, searched=False),
+    "step_time": Parameter(2.0, 0.5, 10.0, minimum=1e-3, searched=False),
+    "step_sigma": Parameter(0.05, 0.01, 0.2, searched=False),
+    # Memory of mean squares [s]. Time in which a force counts as one measurement of the
+    # model; mean time until the model changes [s].
+    "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
+    "evidence_time": Parameter(0.5, 0.05, 10.0, minimum=1e-3),
+    "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
+}
+"""What a user or `quadsim tune` may change; units in the comments."""
+
+WIND_NOISE_MOST = 10.0
+"""Largest noise density of the wind [m/s/√s]: it turns by as much as a hurricane's gusts."""
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t."""
+
+
+@njit
+def size_of(k):
+    """Errors in the state of model k."""
+    return ERRORS if k == MULTIROTOR else SHARED
+
+
+@njit
+def adapt_wind(m, p, dt, moved):
+    """Raise the wind's noise while corrections of the airspeed (2,) follow each other, and else lower it.
+
+    The square of their sum over a short memory is the sum of their squares where they are white, as those of
+    a filter whose noise is right, and more where the wind turns faster than its noise says.
+    """
+    leak = min(dt / WIND_WINDOW, 0.5)
+    square = 0.0
+    for k in range(2):
+        m.airspeed_sum[k] += moved[k] - leak * m.airspeed_sum[k]
+        square += m.airspeed_sum[k] ** 2
+    m.airspeed_square += moved[0] ** 2 + moved[1] ** 2 - leak * (2.0 - leak) * m.airspeed_square
+    if m.airspeed_square > 0.0:
+        growth = (square / m.airspeed_square / p.wind_share - 1.0) * dt / p.wind_memory
+        noise = m.wind_noise * math.exp(min(growth, 1.0))
+        m.wind_noise = min(max(noise, p.wind_noise_least**2), WIND_NOISE_MOST**2)
+
+
+@njit
+def student(square, determinant):
+    """Logarithm of the density of two variables, Student's t, less a constant; see `correct_by_drag`."""
+    return -0.5 * (FREEDOM + 2.0) * math.log(1.0 + square / FREEDOM) - 0.5 * math.log(determinant)
+
+
+@njit
+def velocity_density(m, sigma):
+    """Logarithm of the density of the horizontal velocity, of standard deviation sigma [m/s]."""
+    P, vx, vy = m.covariance, m.velocity[0], m.velocity[1]
+    xx, yy = sigma * sigma + P[VELOCITY, VELOCITY], sigma * sigma + P[VELOCITY + 1, VELOCITY + 1]
+    xy = P[VELOCITY, VELOCITY + 1]
+    determinant = xx * yy - xy * xy
+    return student((yy * vx * vx - 2.0 * xy * vx * vy + xx * vy * vy) / determinant, determinant)
+
+
+@njit
+def across_thrust(m, force, arm):
+    """Force (3,) across the direction of thrust, less the accelerometer's bias and the lever arm's [m/s²]."""
+    x = force[0] - m.accel_bias[0] - GRAVITY * m.offset[0] - arm[0] * m.lever
+    return x, force[1] - m.accel_bias[1] - GRAVITY * m.offset[1] - arm[1] * m.lever
+
+
+@njit
+def force_density(x, y, mean_square, least):
+    """Logarithm of the density of a force across an axis, of that mean square for each of x and y [m/s²]."""
+    variance = mean_square + least * least
+    return student((x * x + y * y) / variance, variance * variance)
+
+
+@njit
+def predict(m, k, s, p, vector, accel, known):
+    """Propagate one model over the interval; R̂ by rows.
+
+    Args:
+        m: The model's record.
+        k: Which one it is.
+        s: The filter's record.
+        p: Its parameters.
+        vector: Rotation vector that the gyroscope measured [rad].
+        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
+        known: Whether there is one.
+    """
+    walks, m.time, dt = s.walks, s.time, s.interval
+    v, c = m.velocity, m.accel_bias
+    matrix = turn_by(m, vector[0], vector[1], vector[2], dt)
+    rate_square = (vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2) / dt
+    walks[TILT:VELOCITY] = p.gyro_noise**2 * dt + p.turn_noise**2 * rate_square + s.unseen
+    walks[VELOCITY:GYRO_BIAS] = p.accel_noise**2 * dt + GAP_SPEED**2 * s.unseen
+    walks[GYRO_BIAS:ACCEL_BIAS] = p.bias_noise**2 * dt
+    walks[ACCEL_BIAS:WIND] = p.accel_bias_noise**2 * dt
+    noise = max(m.vibration, p.drag_noise**2 / dt)
+    walks[WIND:CLIMB], walks[CLIMB:OFFSET] = max(m.wind_noise, gust_noise(m, noise, dt, p.drag)) * dt, 0.0
+    walks[OFFSET:LEVER] = p.offset_noise**2 * dt
+    walks[LEVER] = p.lever_noise**2 * dt
+    propagate(m, s, size_of(k), matrix, dt, False)
+    if known:
+        qw, qx, qy, qz = m.quat
+        fx, fy, fz = rotate_core(qw, qx, qy, qz, accel[0] - c[0], accel[1] - c[1], accel[2])
+        v[0], v[1] = v[0] + fx * dt, v[1] + fy * dt
+        v[2] += (fz - GRAVITY - v[2] / p.climb_time) * dt
+        square = 0.5 * (fx * fx + fy * fy)
+        m.accel_square = mean_square(m.accel_square, square, dt, s.time, p.square_memory)
+    return matrix
+
+
+@njit
+def correct_model(m, k, s, p, resting, rate, accel, body, thrust, arm, matrix):
+    """Correct model k by its measurements; logarithm of their likelihood, of one measurement.
+
+    Args:
+        m: The model's record.
+        k: Which one it is.
+        s: The filter's record.
+        p: Its parameters.
+        resting: Whether the sensors are at rest.
+        rate: Mean rate (3,) [rad/s].
+        accel: Mean specific force, axes at the end of the interval (3,) [m/s²].
+        body: Its mean in body axes, which turn (3,) [m/s²].
+        thrust: Thrust per mass [m/s²].
+        arm: What one metre of lever arm adds to that (2,) [1/s²].
+        matrix: R̂ by rows.
+    """
+    P, v, w, dt, size = m.covariance, m.velocity, m.wind, s.interval, size_of(k)
+    dx = s.error
+    dx[:] = 0.0
+    speed = p.hand_speed if k == HAND else p.flight_speed
+    density = velocity_density(m, speed) * dt / p.speed_time
+    weight = min(dt / p.evidence_time, 1.0)
+    before = P[TILT, TILT] + P[TILT + 1, TILT + 1]
+    if k == MULTIROTOR:
+        airspeed = math.sqrt((v[0] - w[0]) ** 2 + (v[1] - w[1]) ** 2 + v[2] ** 2)
+        drag = p.drag * math.sqrt(max(thrust, 0.0) / GRAVITY) + p.frame_drag * airspeed
+        variance = max(m.vibration, p.drag_noise**2 / dt) + p.model_noise**2 * 2.0 * m.accel_square / dt
+        along, across = correct_by_drag(m, s, size, body, arm, drag, variance, matrix)
+        qw, qx, qy, qz = m.quat
+        x, y, _ = rotate_core(qw, qx, qy, qz, along, across, 0.0)
+        adapt_vibration(m, dt, x, y)
+        if m.time > WIND_WINDOW:  # the first corrections are those of the initial state
+            adapt_wind(m, p, dt, (dx[VELOCITY] - dx[WIND], dx[VELOCITY + 1] - dx[WIND + 1]))
+        x, y = across_thrust(m, body, arm)
+        density += weight * force_density(x, y, s.body_square, p.least_accel)
+    else:
+        x = matrix[0] * accel[0] + matrix[1] * accel[1] + matrix[2] * accel[2]
+        y = matrix[3] * accel[0] + matrix[4] * accel[1] + matrix[5] * accel[2]
+        density += weight * force_density(x, y, m.accel_square, p.least_accel)
+    speed = p.rest_speed if resting else speed
+    correct_by_zero_velocity(m, s, size, 2, speed * speed * p.speed_time / dt, 0.0)
+    if resting:
+        correct_by_zero_rate(m, s, size, rate, REST_NOISE**2 / dt)
+    adapt_bias(m, p, dt, dx, before - P[TILT, TILT] - P[TILT + 1, TILT + 1], matrix)
+    apply_error(m, dx)
+    return density
+
+
+@njit
+def adapt_bias(m, p, dt, dx, removed, matrix):
+    """Take a correction of the tilt, and the variance that it removed; know less of the bias if it steps.
+
+    Args:
+        m: The model's record.
+        p: The filter's parameters.
+        dt: Interval [s].
+        dx: The error that was estimated.
+        removed: From the variance of the tilt, both axes [rad²].
+        matrix: R̂ by rows.
+    """
+    leak, scatter, P = dt / p.step_time, 0.0, m.covariance
+    for k in range(2):
+        m.tilt_sum[k] += dx[TILT + k] - leak * m.tilt_sum[k]
+        scatter += m.tilt_sum[k] ** 2
+    m.tilt_due += max(removed, 0.0) - 2.0 * leak * m.tilt_due
+    if m.time > p.step_time and scatter > p.step_ratio * m.tilt_due:
+        m.tilt_sum[:], m.tilt_due = 0.0, 0.0
+        fallen = 0.5 * GRAVITY * p.step_time
+        for k in range(3):
+            x, y = -p.step_time * matrix[k], -p.step_time * matrix[3 + k]
+            wrong = (x, y, fallen * y, -fallen * x)
+            for i in range(4):
+                for j in range(4):
+                    P[i, j] += p.step_sigma**2 * wrong[i] * wrong[j]
+                P[i, GYRO_BIAS + k] += p.step_sigma**2 * wrong[i]
+                P[GYRO_BIAS + k, i] += p.step_sigma**2 * wrong[i]
+            P[GYRO_BIAS + k, GYRO_BIAS + k] += p.step_sigma**2
