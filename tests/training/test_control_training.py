@@ -161,7 +161,7 @@ def test_an_update_with_two_steps_a_sample_descends_the_error_of_what_the_chip_a
     window = next(first_windows(training.task.rounds[0], training.config))
     network, tensors = training.exported()
     assert network.steps_per_sample == 2
-    chip = SpikingController(network, tensors, on_loihi=True, reads="attitude")
+    chip = SpikingController(network, tensors, on_loihi=True)
     chip.reset(4)
     action = chip.sequence(window.set_point, window.gyro, window.accel)[..., :3]
     out = training.model(network_inputs(training.config, window))[0].detach()
