@@ -155,7 +155,8 @@ def identical(results: Results) -> dict[str, str]:
     A reference stands for no estimator; what did not run failed for the same reason.
     """
     references = results.references
-    flown: dict[str, list[FlightRow]] = {name: [] for name in results.estimators if name not in references}
+    ranked_first = sorted(results.estimators, key=results.unranked.__contains__)
+    flown: dict[str, list[FlightRow]] = {name: [] for name in ranked_first if name not in references}
     for flight in results.flights:
         if flight.estimator not in references:
             flown[flight.estimator].append(replace(flight, estimator=""))

@@ -173,6 +173,14 @@ def test_what_receives_the_truth_is_a_reference_whatever_its_name():
     )
 
 
+def test_an_estimator_that_repeats_another_is_not_ranked_beside_it():
+    both = {"ekf-filterpy": {"a": [1.0, 1.1]}, "ekf": {"a": [1.0, 1.1]}, "vqf": {"a": [2.0, 2.1]}}
+    results = benchmark(both)
+    assert results.unranked == {"ekf-filterpy": "repeats ekf"}
+    assert verdict(results).headline.startswith("In a fly ekf:")
+    assert benchmark({name: own for name, own in both.items() if name != "ekf"}).unranked == {}
+
+
 def test_an_estimate_that_never_changes_is_not_ranked():
     why = "returned the same roll and pitch at every sample"
     results = benchmark(
