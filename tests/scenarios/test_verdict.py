@@ -177,7 +177,7 @@ def test_an_estimator_that_repeats_another_is_not_ranked_beside_it():
     both = {"ekf-filterpy": {"a": [1.0, 1.1]}, "ekf": {"a": [1.0, 1.1]}, "vqf": {"a": [2.0, 2.1]}}
     results = benchmark(both)
     assert results.unranked == {"ekf-filterpy": "repeats ekf"}
-    assert verdict(results).headline.startswith("In a fly ekf:")
+    assert verdict(results).headline.startswith("In a fly ekf,")
     assert benchmark({name: own for name, own in both.items() if name != "ekf"}).unranked == {}
 
 
