@@ -54,7 +54,7 @@ def test_a_batch_flies_as_single_environments_do(ppo):
     batch.seed(5)
     seen = batch.reset()
     single = gymnasium.make(
-        "quadsim/Quadrotor-v0", estimator="mahony", scenario=batch.env.unwrapped._flights._scenario
+        "quadsim/Quadrotor-v0", estimator="mahony", scenario=batch.env.unwrapped._scenario
     )
     first, _ = single.reset(seed=6)
     np.testing.assert_array_equal(seen[1], first)

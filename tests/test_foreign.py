@@ -133,7 +133,7 @@ def test_a_finished_flight_is_not_simulated_again(foreign, hovering, tmp_path, m
     foreign.foreign("hummingbird", tmp_path)
     fly = foreign.fly
     monkeypatch.setattr(foreign, "fly", None)
-    assert foreign.foreign("hummingbird", tmp_path, "px4-mini").sizes["time"] == 100
+    assert foreign.foreign("hummingbird", tmp_path, load_imu("px4-mini")).sizes["time"] == 100
     monkeypatch.setattr(foreign, "fly", fly)
     plan = foreign.PLANS["hummingbird"][0]
     file = tmp_path / "rotorpy" / "hummingbird-1.npz"

@@ -81,8 +81,8 @@ def kfold(
         ChildProcessError: Worker processes keep dying.
     """
     out = Path(out)
-    jobs = _jobs(domains, out, models, preset, folds, choices)
     with alone(out):
+        jobs = _jobs(domains, out, models, preset, folds, choices)
         drop_parts(out)
         for job in jobs:  # report a mistake in any of them before the first is trained
             claim(job.out, job.config)

@@ -77,7 +77,7 @@ class Experiment(Strict):
     """Shipped names or paths; all that ship where left out."""
     seeds: Annotated[int, Between(1, 10_000)] = 10
     """Flights of each estimator in each scenario."""
-    seed: int | None = None
+    seed: Annotated[int, Between(0, 2**63 - 1)] | None = None
     """Seed of everything random, where it may not be chosen."""
     axes: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
     """Of each axis its levels, and the fields of a scenario that they set; faults are added to its own."""

@@ -173,9 +173,9 @@ def test_every_verb_has_help_of_its_own():
         (["bench", "--scenario", "hover", "--set", "external=vicon"], "vicon"),
         (["report", "missing"], "missing"),
         (["paper", "--out", "x", "--only", "fig12"], "fig"),
-        (["paper", "--out", "x", "--preset", "fast"], "quick and full"),
+        (["paper", "--out", "x", "--preset", "fast"], "full and quick"),
         (["report", "missing.safetensors"], "missing.safetensors"),
-        (["report", "att-rnn"], "should be of att-snn"),
+        (["report", "att-rnn"], "weights of att-snn"),
         (
             ["bench", "--scenario", "hover", "--estimator", "att-snn", "--set", "rate=100", "--seeds", "1"],
             "200 Hz",
