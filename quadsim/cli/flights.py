@@ -95,7 +95,7 @@ def bench(
         str,
         typer.Option(
             help="What is flown: suite, every scenario; axes, with initial attitude, motion, drag, airframe "
-            "and IMU varied; held-out, drawn with seeds that nothing learnt from; breaking-points, the least "
+            "and IMU varied; held-out, scenarios drawn with held-out seeds; breaking-points, the least "
             "disturbance with a crash; or a TOML file."
         ),
     ] = "suite",

@@ -45,12 +45,12 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Look at a benchmark, a dataset, weights or a log; what is there is told from PATH.
+    """Look at a benchmark, a dataset, weights or a log; PATH decides what is shown.
 
     A benchmark: its report is written again. A dataset: what it holds; with --out its distributions (the
     paper's Fig. 3) and one flight are drawn. Weights of an Att-SNN: its place on the chip's cores; with
-    --data also rates, raster, membranes, ablation, manipulated inputs, tuning curves and energy, as pictures
-    and a page. A log: what it holds, what is odd about it, and what was taken for the truth.
+    --data also a table of what the network does on these flights, and pictures: raster, tuning curves,
+    ablation. A log: what it holds, what is odd about it, and what was taken for the truth.
 
     Opening a dataset compares names, dimensions, shapes and units, and the files with their digests only
     when the size or the time stamp of one has changed; --verify does it in any case.
