@@ -8,12 +8,11 @@ orders and frames are in this module.
 
 import math
 from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .runs.compiled import float64, guvectorize, njit
+from .runs.compiled import njit
 
 Array = NDArray[np.float64]
 
@@ -138,71 +137,82 @@ def from_matrix_core(r00, r01, r02, r10, r11, r12, r20, r21, r22):
 
 
 # --- the same equations over arrays ---------------------------------------------------------------
-# A generalized ufunc cannot name an output size that no input has, so some take a spare `like` of that size.
-
-_PAIR = np.zeros(2)
-_VECTOR = np.zeros(3)
-_QUAT = np.zeros(4)
 
 
-def _over_arrays(layout: str) -> Callable[[Callable[..., None]], Callable[..., Array]]:
-    """Decorator: a generalized ufunc of float64 operands of a layout, compiled when first called."""
-
-    def decorate(function: Callable[..., None]) -> Callable[..., Array]:
-        @cache
-        def compiled() -> Callable[..., Array]:
-            return guvectorize([(float64[:],) * layout.count("(")], layout)(function)
-
-        return lambda *operands: compiled()(*operands)
-
-    return decorate
-
-
-@_over_arrays("(q),(q)->(q)")
+@njit(cache=True)
 def _multiply(p, q, out):
-    out[0], out[1], out[2], out[3] = multiply_core(p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3])
+    for i in range(len(out)):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = multiply_core(
+            p[i, 0], p[i, 1], p[i, 2], p[i, 3], q[i, 0], q[i, 1], q[i, 2], q[i, 3]
+        )
 
 
-@_over_arrays("(q),(v)->(v)")
+@njit(cache=True)
 def _rotate(q, v, out):
-    out[0], out[1], out[2] = rotate_core(q[0], q[1], q[2], q[3], v[0], v[1], v[2])
+    for i in range(len(out)):
+        out[i, 0], out[i, 1], out[i, 2] = rotate_core(
+            q[i, 0], q[i, 1], q[i, 2], q[i, 3], v[i, 0], v[i, 1], v[i, 2]
+        )
 
 
-@_over_arrays("(q)->(q)")
+@njit(cache=True)
 def _normalize(q, out):
-    out[0], out[1], out[2], out[3] = normalize_core(q[0], q[1], q[2], q[3])
+    for i in range(len(out)):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = normalize_core(q[i, 0], q[i, 1], q[i, 2], q[i, 3])
 
 
-@_over_arrays("(q),(v)->(v)")
-def _euler(q, like, out):
-    out[0], out[1], out[2] = euler_core(q[0], q[1], q[2], q[3])
+@njit(cache=True)
+def _euler(q, out):
+    for i in range(len(out)):
+        out[i, 0], out[i, 1], out[i, 2] = euler_core(q[i, 0], q[i, 1], q[i, 2], q[i, 3])
 
 
-@_over_arrays("(v),(p)->(p)")
-def _roll_pitch_of_up(v, like, out):
-    out[0], out[1] = roll_pitch_of_up_core(v[0], v[1], v[2])
+@njit(cache=True)
+def _roll_pitch_of_up(v, out):
+    for i in range(len(out)):
+        out[i, 0], out[i, 1] = roll_pitch_of_up_core(v[i, 0], v[i, 1], v[i, 2])
 
 
-@_over_arrays("(v),(q)->(q)")
-def _from_euler(v, like, out):
-    out[0], out[1], out[2], out[3] = from_euler_core(v[0], v[1], v[2])
+@njit(cache=True)
+def _from_euler(v, out):
+    for i in range(len(out)):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = from_euler_core(v[i, 0], v[i, 1], v[i, 2])
 
 
-@_over_arrays("(v),(q)->(q)")
-def _from_rotvec(v, like, out):
-    out[0], out[1], out[2], out[3] = from_rotvec_core(v[0], v[1], v[2])
+@njit(cache=True)
+def _from_rotvec(v, out):
+    for i in range(len(out)):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = from_rotvec_core(v[i, 0], v[i, 1], v[i, 2])
 
 
-@_over_arrays("(q),(m)->(m)")
-def _matrix(q, like, out):
-    (out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8]) = matrix_core(
-        q[0], q[1], q[2], q[3]
-    )
+@njit(cache=True)
+def _matrix(q, out):
+    for i in range(len(out)):
+        row = matrix_core(q[i, 0], q[i, 1], q[i, 2], q[i, 3])
+        for k in range(9):
+            out[i, k] = row[k]
 
 
-@_over_arrays("(m),(q)->(q)")
-def _from_matrix(m, like, out):
-    out[0], out[1], out[2], out[3] = from_matrix_core(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+@njit(cache=True)
+def _from_matrix(m, out):
+    for i in range(len(out)):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = from_matrix_core(
+            m[i, 0], m[i, 1], m[i, 2], m[i, 3], m[i, 4], m[i, 5], m[i, 6], m[i, 7], m[i, 8]
+        )
+
+
+def _over_arrays(loop: Callable[..., None], size: int, *operands: Array) -> Array:
+    """Results (..., size) of a compiled loop over operands (..., components), which broadcast."""
+    leading = np.broadcast_shapes(*(each.shape[:-1] for each in operands))
+    count = math.prod(leading)
+    rows = []
+    for each in operands:
+        repeated = np.empty((*leading, each.shape[-1]))
+        repeated[...] = each
+        rows.append(repeated.reshape(count, each.shape[-1]))
+    out = np.empty((count, size))
+    loop(*rows, out)
+    return out.reshape(*leading, size)
 
 
 def _components(name: str, value: ArrayLike, size: int) -> Array:
@@ -215,7 +225,7 @@ def _components(name: str, value: ArrayLike, size: int) -> Array:
 
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
     """Hamilton product p ⊗ q, shapes (..., 4): as rotations, first q and then p."""
-    return _multiply(_components("p", p, 4), _components("q", q, 4))
+    return _over_arrays(_multiply, 4, _components("p", p, 4), _components("q", q, 4))
 
 
 def quat_conjugate(q: ArrayLike) -> Array:
@@ -225,7 +235,7 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
     """Body vectors v (..., 3) in world axes, by unit quaternions q (..., 4)."""
-    return _rotate(_components("q", q, 4), _components("v", v, 3))
+    return _over_arrays(_rotate, 3, _components("q", q, 4), _components("v", v, 3))
 
 
 def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> Array:
@@ -243,7 +253,7 @@ def quat_normalize(q: ArrayLike) -> Array:
     length = np.linalg.norm(array, axis=-1)
     if not np.all((length > 0.0) & np.isfinite(length)):
         raise ValueError("a quaternion to normalise must be finite and not zero")
-    return _normalize(array)
+    return _over_arrays(_normalize, 4, array)
 
 
 def canonical(q: ArrayLike) -> Array:
@@ -254,7 +264,7 @@ def canonical(q: ArrayLike) -> Array:
 
 def euler_from_quat(q: ArrayLike) -> Array:
     """Roll, pitch, yaw (..., 3) [rad] of quaternions (..., 4)."""
-    return _euler(_components("q", q, 4), _VECTOR)
+    return _over_arrays(_euler, 3, _components("q", q, 4))
 
 
 def roll_pitch_from_quat(q: ArrayLike) -> Array:
@@ -267,13 +277,13 @@ def roll_pitch_of_up(up: ArrayLike) -> Array:
 
     roll = atan2(u_y, u_z), pitch = atan2(-u_x, √(u_y² + u_z²)).
     """
-    return _roll_pitch_of_up(_components("up", up, 3), _PAIR)
+    return _over_arrays(_roll_pitch_of_up, 2, _components("up", up, 3))
 
 
 def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
     """Quaternions (..., 4) of roll, pitch and yaw [rad], which broadcast together."""
     angles = np.broadcast_arrays(*(np.asarray(angle, dtype=np.float64) for angle in (roll, pitch, yaw)))
-    return _from_euler(np.stack(angles, axis=-1), _QUAT)
+    return _over_arrays(_from_euler, 4, np.stack(angles, axis=-1))
 
 
 def quat_from_roll_pitch(roll_pitch: ArrayLike, yaw: ArrayLike = 0.0) -> Array:
@@ -284,12 +294,12 @@ def quat_from_roll_pitch(roll_pitch: ArrayLike, yaw: ArrayLike = 0.0) -> Array:
 
 def quat_from_rotvec(v: ArrayLike) -> Array:
     """Quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
-    return _from_rotvec(_components("v", v, 3), _QUAT)
+    return _over_arrays(_from_rotvec, 4, _components("v", v, 3))
 
 
 def matrix_from_quat(q: ArrayLike) -> Array:
     """Rotation matrices R_WB (..., 3, 3) of unit quaternions (..., 4)."""
-    flat = _matrix(_components("q", q, 4), np.zeros(9))
+    flat = _over_arrays(_matrix, 9, _components("q", q, 4))
     return flat.reshape(*flat.shape[:-1], 3, 3)
 
 
@@ -298,7 +308,7 @@ def quat_from_matrix(R: ArrayLike) -> Array:
     matrix = np.asarray(R, dtype=np.float64)
     if matrix.shape[-2:] != (3, 3):
         raise ValueError(f"R has shape {matrix.shape}; its last two axes must be 3 × 3")
-    return _from_matrix(matrix.reshape(*matrix.shape[:-2], 9), _QUAT)
+    return _over_arrays(_from_matrix, 4, matrix.reshape(*matrix.shape[:-2], 9))
 
 
 # --- other orders and frames ----------------------------------------------------------------------

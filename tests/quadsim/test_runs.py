@@ -16,9 +16,9 @@ from numba.core.errors import TypingError
 
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
-from quadsim.runs import files, surroundings
+from quadsim.runs import compiled, files
 from quadsim.runs.block import block_type, fields, matrix, packed, vector, zero_blocks
-from quadsim.runs.compiled import float64, guvectorize, njit
+from quadsim.runs.compiled import njit
 from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint, source_digest
 from quadsim.runs.record import load_record, recorded
@@ -164,49 +164,48 @@ def test_a_locale_without_the_degree_sign_prints_another():
     assert "in ?" in done.stdout
 
 
+def test_without_a_folder_for_compiled_code_there_is_one_warning(tmp_path):
+    (tmp_path / "file").touch()
+    code = (
+        "import os, subprocess, sys\n"
+        "from quadsim.rotation import quat_multiply\n"
+        "print(quat_multiply([1, 0, 0, 0], [0, 1, 0, 0]))\n"
+        "if len(sys.argv) == 1: subprocess.run([sys.executable, __file__, 'child'])\n"
+    )
+    (tmp_path / "script.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "script.py"],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == 2 * "[0. 1. 0. 0.]\n"
+    assert done.stderr.count("no compiled code can be stored in") == len(done.stderr.splitlines()) == 1
+
+
 @pytest.fixture
-def cache(monkeypatch):
-    """Numba's settings as they are before any import, and again afterwards."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
-    monkeypatch.setattr(sys, "modules", {key: each for key, each in sys.modules.items() if key != "numba"})
-
-
-def test_without_a_folder_for_compiled_code_there_is_one_warning(monkeypatch, caplog, cache):
-    with monkeypatch.context() as patch:
-        patch.setattr(surroundings, "is_writable", lambda folder: False)
-        surroundings.settle()
-    place = Path(os.environ["NUMBA_CACHE_DIR"])
-    assert place.parent.is_dir()
-    assert len(caplog.records) == 1
-    surroundings.settle()  # as a process does that this one starts
-    assert Path(os.environ["NUMBA_CACHE_DIR"]) == place
-    assert len(caplog.records) == 1
-
-
-def test_compiled_code_is_kept_for_one_state_of_all_compiled_files(tmp_path):
-    kernel, caller, plain = (tmp_path / "quadsim" / f"{name}.py" for name in ("kernel", "caller", "plain"))
-    kernel.parent.mkdir()
-    kernel.write_text("@njit\ndef f(x):\n    return x + 1\n")
-    caller.write_text("@njit(cache=True)\ndef g(x):\n    return f(x)\n")
-    plain.write_text("x = 1\n")
-    before = surroundings.compiled_digest(tmp_path)
-    plain.write_text("x = 2\n")
-    assert surroundings.compiled_digest(tmp_path) == before
-    kernel.write_text("@njit\ndef f(x):\n    return x + 2\n")
-    assert surroundings.compiled_digest(tmp_path) != before
-
-
-def test_compiled_code_follows_the_constants_that_it_imports(tmp_path):
+def kernel(tmp_path, monkeypatch):
+    """A file with a compiled function, which imports another, a constant and something else."""
+    monkeypatch.setattr(compiled, "ROOT", tmp_path)
     room = tmp_path / "quadsim" / "room"
     room.mkdir(parents=True)
     (room / "kernel.py").write_text(
-        "from ..vehicle import (\n    GRAVITY,\n    Vehicle,\n)\n@njit\ndef f(): pass\n"
+        "from quadsim.vehicle import (\n    GRAVITY,\n    Vehicle,\n)\n"
+        "from .called import g\nfrom .other import h\n@njit\ndef f(): pass\n"
     )
-    constants = tmp_path / "quadsim" / "vehicle.py"
-    constants.write_text("GRAVITY = 9.81\n")
-    before = surroundings.compiled_digest(tmp_path)
-    constants.write_text("GRAVITY = 3.71\n")
-    assert surroundings.compiled_digest(tmp_path) != before
+    (room / "called.py").write_text("@njit\ndef g(): pass\n")
+    (room / "other.py").write_text("def h(): pass\n")
+    (tmp_path / "quadsim" / "vehicle.py").write_text("GRAVITY = 9.81\n")
+    return room / "kernel.py"
+
+
+@pytest.mark.parametrize(("changed", "matters"), [("called", True), ("../vehicle", True), ("other", False)])
+def test_compiled_code_follows_the_functions_and_constants_that_its_file_imports(kernel, changed, matters):
+    before = compiled.source_digest(kernel, 1)
+    with (kernel.parent / f"{changed}.py").open("a") as file:
+        file.write("# changed\n")
+    assert (compiled.source_digest(kernel, 2) != before) == matters
 
 
 def test_a_function_is_compiled_by_one_process_at_a_time():
@@ -248,37 +247,10 @@ def test_processes_that_start_together_compile_a_function_once(tmp_path):
     assert sorted(each.communicate()[0].strip() for each in both) == ["0", "1"]
 
 
-def test_a_generalized_ufunc_is_compiled_by_one_process_at_a_time():
-    made = []
-    decorate = guvectorize([(float64[:], float64[:])], "(k)->(k)")
-
-    def double(x, out):
-        out[:] = 2.0 * x
-
-    with FileLock(Path(os.environ["NUMBA_CACHE_DIR"]) / "gufuncs.lock"):
-        waiting = threading.Thread(target=lambda: made.append(decorate(double)))
-        waiting.start()
-        waiting.join(0.3)
-        assert not made
-    waiting.join()
-    assert made[0](np.array([1.0, 2.0])).tolist() == [2.0, 4.0]
-
-
-def test_old_compiled_code_is_dropped_and_nothing_else(tmp_path, monkeypatch, cache):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    for age in range(5):
-        (tmp_path / f"quadsim-{age}").mkdir()
-        os.utime(tmp_path / f"quadsim-{age}", (1e9 - age, 1e9 - age))
-    (tmp_path / "others").mkdir()
-    surroundings.settle()
-    new = Path(os.environ["NUMBA_CACHE_DIR"]).name
-    assert {each.name for each in tmp_path.iterdir()} == {new, "quadsim-0", "quadsim-1", "others"}
-
-
 def test_a_folder_that_takes_no_file_is_not_writable(tmp_path):
-    assert surroundings.is_writable(tmp_path / "new")
+    assert compiled.is_writable(tmp_path / "new")
     (tmp_path / "file").touch()
-    assert not surroundings.is_writable(tmp_path / "file")
+    assert not compiled.is_writable(tmp_path / "file")
 
 
 @njit
