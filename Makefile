@@ -1,31 +1,36 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: install run test check docs clean
+.PHONY: install tools run test check docs clean
 
 run: install  ## Generate flights, score the estimators, fly them through four scenarios, write the report
 	$(BIN)/quadsim demo --out reports/demo
 
-test: install  ## The whole suite
+test: tools  ## The whole suite
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
 
-check: install  ## Linter, formatter, type checker, import contract, and pages that were edited since they were made
+check: tools  ## Linter, formatter, type checker, import contract, and pages that were edited since they were made
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 	$(BIN)/python docs/pages.py --check
 
-install: .venv/installed
+install: .venv/installed  ## What flies, compares and reports
+
+tools: .venv/tools  ## The same, the trainer, and what tests and pages need
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("quadsim needs Python 3.11 or newer: make PYTHON=python3.11 ...") if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
-	$(BIN)/quadsim compile
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 
-docs: install  ## The site, into reports/site; a broken link is an error
+.venv/tools: .venv/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	touch $@
+
+docs: tools  ## The site, into reports/site; a broken link is an error
 	$(BIN)/mkdocs build --strict --quiet
 
 clean:

@@ -151,3 +151,32 @@ def test_shipped_files_are_found_although_a_package_of_the_user_was_imported_fir
     (tmp_path / "assets" / "__init__.py").write_text("")
     program = "import assets, quadsim.vehicle as v; print(v.load_vehicle('hummingbird').mass)"
     assert run([sys.executable, "-c", program], tmp_path, PYTHONPATH=f"{tmp_path}:{ROOT}").strip() == "0.716"
+
+
+def test_without_pytorch_all_but_training_runs_and_training_names_the_extra(tmp_path):
+    (tmp_path / "torch.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')")
+    path = {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
+    quadsim = [sys.executable, "-m", "quadsim.cli"]
+    data = [
+        "--recipe",
+        "hummingbird",
+        "--flights",
+        2,
+        "--duration",
+        1,
+        "--workers",
+        1,
+        "--out",
+        "flights.zarr",
+    ]
+    run([*quadsim, "generate", *data], tmp_path, **path)
+    networks = ["--estimator", "att-snn", "--estimator", "att-rnn", "--estimator", "att-snn-loihi"]
+    run([*quadsim, "evaluate", "--data", "flights.zarr", *networks, "--out", "scores"], tmp_path, **path)
+    fly = ["fly", "hover", "--estimator", "att-snn-loihi", "--duration", 0.2, "--out", "flight"]
+    run([*quadsim, *fly], tmp_path, **path)
+    train = [*quadsim, "train", "--data", "flights.zarr", "--out", "snn"]
+    done = subprocess.run(train, cwd=tmp_path, env=os.environ | path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (
+        2,
+        'quadsim: training needs PyTorch: pip install "quadsim[train]"\n',
+    )

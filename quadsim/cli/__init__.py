@@ -68,10 +68,14 @@ def main() -> None:
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     try:
         app(prog_name="quadsim")
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         message = str(error) or type(error).__name__
         if isinstance(error, OSError) and error.filename and error.strerror:
             message = f"{error.filename}: {error.strerror.lower()}"
+        if isinstance(error, ModuleNotFoundError):
+            if error.name != "torch":
+                raise
+            message = 'training needs PyTorch: pip install "quadsim[train]"'
         Console(stderr=True, emoji=False).print(
             f"quadsim: {' '.join(message.split())}", style="red", markup=False, soft_wrap=True
         )

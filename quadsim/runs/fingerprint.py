@@ -14,8 +14,8 @@ PACKAGES = ("quadsim", "estimators", "training", "scenarios", "paper")
 ROOT = Path(__file__).parents[2]
 ASSETS = ROOT / "assets"
 """Folder of the presets and weights that ship; never one of that name in the working directory."""
-LIBRARIES = ("mujoco", "numba", "numpy", "torch")
-"""Their versions may change results in the last bits."""
+LIBRARIES = ("mujoco", "numba", "numpy")
+"""Their versions may change results in the last bits; PyTorch's where its optimisers train."""
 
 
 def fingerprint(*content: Any) -> str:
@@ -37,7 +37,8 @@ def code_digest(*names: str) -> str:
     """
     files = closure([file for name in names for file in _sources(name)], ROOT, follow=is_of_product)
     found = {file.relative_to(ROOT).as_posix(): file_digest(file) for file in files}
-    return fingerprint(found, {name: version(name) for name in LIBRARIES})
+    libraries = (*LIBRARIES, "torch") if any(name.startswith("training") for name in names) else LIBRARIES
+    return fingerprint(found, {name: version(name) for name in libraries})
 
 
 def file_digest(path: Path) -> str:
