@@ -26,7 +26,7 @@ from quadsim.flight.simulate import simulate_flights
 from quadsim.imu.spec import load_imu
 from quadsim.motion.engine import vehicle_model
 from quadsim.vehicle import load_vehicle
-from scenarios.bench.cell import fly
+from scenarios.bench.flight_log import fly
 
 from .timing import Row, in_turns, show, spent
 

@@ -21,11 +21,11 @@ from quadsim.control.gains import design, loop_margins
 from quadsim.dataset.figures import STYLE
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import load_vehicle
+from scenarios.bench.cell import FlightSettings
 from scenarios.bench.controllers import TRUTH, default_estimators
 from scenarios.bench.experiment import Experiment, load_experiment
 from scenarios.bench.results import Results, totals_of
 from scenarios.bench.runner import bench
-from scenarios.bench.settings import FlightSettings
 from scenarios.bench.verdict import Verdict, conditions, shown, verdict
 from scenarios.report.page import publish
 

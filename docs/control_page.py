@@ -7,7 +7,6 @@ import csv
 import sys
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import matplotlib
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from pages import ROOT, Page, Parts, confirmed, row
 
 from estimators import create
-from estimators.control.controller import SpikingController, create_controller
+from estimators.control.controller import SpikingController
 from estimators.loihi.chip import LIMITS
 from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import silenced
@@ -31,13 +30,11 @@ from quadsim.imu.spec import load_imu
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import GRAVITY, Vehicle, load_vehicle
-from scenarios.bench.cell import fly_cell
-from scenarios.bench.controllers import CASCADED, controller_of
+from scenarios.bench.cell import FlightSettings, fly_cell
+from scenarios.bench.controllers import controller_of, make_controller
 from scenarios.bench.flight_metrics import CellRow
-from scenarios.bench.margins import Cascade, Margins, margins
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
-from scenarios.bench.settings import FlightSettings
 
 sys.path.insert(0, str(ROOT / "examples"))
 import ppo_controller
@@ -50,7 +47,7 @@ ESTIMATOR = "att-snn-hummingbird"
 ATTITUDE = "control-attitude"
 """The controller that reads an attitude."""
 WAYS = {"attitude": ATTITUDE, "separate": "control-separate"}
-SAME = "scenarios.bench.margins:Cascade"
+SAME = f"{ROOT / 'docs' / 'cascade.py'}:Cascade"
 """The cascade's levels as a controller of set-points: it knows no trajectory to feed forward."""
 TEACHER, BASE = "cascade, truth", "cascade, Att-SNN"
 NAMES = {
@@ -164,25 +161,11 @@ def makers() -> dict[str, tuple[MakeController | None, Any]]:
     Without a trajectory to follow, the cascade that knows none is the cascade.
     """
     estimator = create("att-snn-loihi", weights=ESTIMATOR)
-    found: dict[str, tuple[MakeController | None, Any]] = {}
-    for title, name in NAMES.items():
-        controller = controller_of(name)
-        if controller != SAME:
-            own = None if controller == CASCADED else partial(create_controller, controller)
-            found[title] = (own, estimator if base_of(title) == BASE else None)
-    return found
-
-
-def margin_rows() -> Iterator[str]:
-    """Gain and delay at which the first of eight flights of the scenario `step` falls."""
-
-    def text(value: float | None, unit: str) -> str:
-        return "none" if value is None else f"{value:.2f}{unit}"
-
-    for title, (make, estimator) in makers().items():
-        found: Margins = margins(make or Cascade, load_scenario("step"), estimator)
-        late = "none" if found.delay_s is None else f"{1e3 * found.delay_s:.0f} ms"
-        yield row(title, text(found.gain_up, " ×"), text(found.gain_down, " ×"), late)
+    return {
+        title: (make_controller(controller_of(name)), estimator if base_of(title) == BASE else None)
+        for title, name in NAMES.items()
+        if controller_of(name) != SAME
+    }
 
 
 def step_response(make: MakeController | None, estimator: Any) -> Array:
@@ -293,7 +276,6 @@ def values(page: Page, given: Namespace) -> Parts:
     return {
         "scenarios": list(scenario_rows(found)),
         "summary": list(summary_rows(found)),
-        "margins": list(margin_rows()),
         "steps": list(step_rows(responses)),
         "chip": list(chip_rows()),
         "profiles": list(profile_rows()),

@@ -11,10 +11,9 @@ from recordings import BROAD, PHANTOM4, recordings, score
 from estimators import create
 from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.logs import LEVEL, RAW
-from paper.plan import CHIP, OURS, RNN, SNN
+from paper.plan import CHIP, OURS, RNN, SNN, sizes_of
 from paper.run import write_results
-from paper.settings import settings_of
-from paper.work.files import TUNING, WEIGHTS
+from paper.stages import TUNING, WEIGHTS
 
 NETWORKS = {
     "Att-SNN": ("att-snn", SNN),
@@ -48,7 +47,7 @@ def elsewhere(parts: Path, data: Path, folder: Path) -> Iterator[str]:
 def values(page: Page, given: Namespace) -> Parts:
     """The run's page and figures, and the errors elsewhere."""
     parts = given.run / "full"
-    write_results(parts, page.path.parent, settings_of("full"))
+    write_results(parts, page.path.parent, sizes_of("full"))
     for figure in (page.path.parent / "img").glob("paper-*.png"):
         reduce_colours(figure, 64)
     return {

@@ -17,12 +17,12 @@ from estimators.appearance import looks
 from quadsim.dataset.figures import STYLE
 from quadsim.held_out import HeldOut, load_held_out, releases
 from quadsim.runs.console import progress_bar
+from scenarios.bench.cell import FlightSettings
 from scenarios.bench.controllers import default_estimators
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.recommendation import Recommendation, save_recommendation
 from scenarios.bench.results import Results, shown_once
 from scenarios.bench.runner import bench
-from scenarios.bench.settings import FlightSettings
 from scenarios.bench.verdict import Verdict, verdict
 
 OUT = Path(__file__).parents[1] / "reports" / "verdict"

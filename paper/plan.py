@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from quadsim.config.toml import nearest
+from quadsim.held_out import unreserved
 from quadsim.runs.fingerprint import ASSETS, content_digest
 
-from .settings import PaperSettings
 from .stages import Stage
 from .work import filters, flights, inside, networks, scores
 from .work.scores import FILTERS, SHIPPED
+
+PRESETS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("sizes.toml").read_text("utf-8"))
+"""Sizes of all that `quadsim paper` does."""
+Sizes = Mapping[str, Any]
+"""Those of a preset, with its name as "preset" and the "seed" of everything random."""
 
 SIM, REAL = "fly-sim", "fly-real"
 TEST = ("fly-test-sim", "fly-test-real")
@@ -61,10 +68,21 @@ def chosen(only: str | None) -> list[str]:
     return [name for name in ITEMS if name in names]
 
 
-def stages_of(settings: PaperSettings) -> tuple[dict[str, Stage], dict[str, list[str]]]:
+def sizes_of(preset: str, seed: int = 0) -> dict[str, Any]:
+    """Sizes of a preset.
+
+    Raises:
+        ValueError: There is no such preset, or the seed is of a held-out suite.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"no preset {preset!r}, there are {' and '.join(PRESETS)}")
+    return PRESETS[preset] | {"preset": preset, "seed": unreserved(seed)}
+
+
+def stages_of(sizes: Sizes) -> tuple[dict[str, Stage], dict[str, list[str]]]:
     """Every stage by name, and the stages whose numbers each item shows."""
     groups = (_flights, _filters, _networks, _scores, _rates, _minutes)
-    stages = {stage.name: stage for group in groups for stage in group(settings)}
+    stages = {stage.name: stage for group in groups for stage in group(sizes)}
     return stages, {
         item: [name for name in stages if name.startswith(prefixes)] for item, prefixes in ITEMS.items()
     }
@@ -75,22 +93,22 @@ def _fly(name: str, count: int, duration_s: float, seed: int, domain: str = "sim
     return Stage(name, flights.fly, settings | more)
 
 
-def _flights(s: PaperSettings) -> list[Stage]:
+def _flights(s: Sizes) -> list[Stage]:
     hover = {"kind": "hover", "position": [0.0, 0.0, 20.0]}
-    first = 1000 * s.seed
+    first = 1000 * s["seed"]
     return [
-        _fly(SIM, s.sim_flights, s.flight_s, first + 1),
-        _fly(REAL, s.real_flights, s.flight_s, first + 2, "real"),
-        _fly(TEST[0], s.test_flights, s.test_s, first + 5),
-        _fly(TEST[1], s.test_flights, s.test_s, first + 6, "real"),
-        _fly("fly-hover", 8, min(20.0, s.test_s), first + 7, trajectory=hover),
+        _fly(SIM, s["sim_flights"], s["flight_s"], first + 1),
+        _fly(REAL, s["real_flights"], s["flight_s"], first + 2, "real"),
+        _fly(TEST[0], s["test_flights"], s["test_s"], first + 5),
+        _fly(TEST[1], s["test_flights"], s["test_s"], first + 6, "real"),
+        _fly("fly-hover", 8, min(20.0, s["test_s"]), first + 7, trajectory=hover),
         _fly("fly-cruise", 8, 60.0, first + 8, trajectory=CRUISE),
         Stage("distributions", flights.distributions, inputs=(SIM, REAL)),
     ]
 
 
-def _filters(s: PaperSettings) -> list[Stage]:
-    swarm = {"particles": s.particles, "iterations": s.iterations, "seed": s.seed}
+def _filters(s: Sizes) -> list[Stage]:
+    swarm = {"particles": s["particles"], "iterations": s["iterations"], "seed": s["seed"]}
     return [
         Stage(f"tune-{name}", filters.tune, {"name": name} | swarm, (SIM, REAL), packages=("estimators",))
         for name in FILTERS
@@ -108,17 +126,17 @@ def _train(
     return Stage(name, networks.train, settings, (*data, *validation))
 
 
-def _networks(s: PaperSettings) -> list[Stage]:
-    ours = {"model": "att-snn", "preset": "hummingbird", "epochs": s.ours_epochs}
-    long, short = PAPER | dict(s.snn), PAPER | dict(s.fold)
+def _networks(s: Sizes) -> list[Stage]:
+    ours = {"model": "att-snn", "preset": "hummingbird", "epochs": s["ours_epochs"]}
+    long, short = PAPER | s["snn"], PAPER | s["fold"]
     return [
-        _train(RNN, GRU | dict(s.rnn), s.seed),
-        _train(SNN, long, s.seed),
-        _train(CHIP, ON_CHIP | dict(s.snn), s.seed),
-        _train(FIXED, short | {"fixed_taus": True}, s.seed),
-        _train(OURS, ours, s.seed),
-        *(_train(f"net-fold-{k}", short, s.seed + k) for k in range(1, s.folds)),
-        *(_train(name, short, s.seed, [domain]) for name, domain in CROSS.items()),
+        _train(RNN, GRU | s["rnn"], s["seed"]),
+        _train(SNN, long, s["seed"]),
+        _train(CHIP, ON_CHIP | s["snn"], s["seed"]),
+        _train(FIXED, short | {"fixed_taus": True}, s["seed"]),
+        _train(OURS, ours, s["seed"]),
+        *(_train(f"net-fold-{k}", short, s["seed"] + k) for k in range(1, s["folds"])),
+        *(_train(name, short, s["seed"], [domain]) for name, domain in CROSS.items()),
     ]
 
 
@@ -137,7 +155,7 @@ def _score(
     return Stage(name, make, settings, inputs, packages=("estimators",))
 
 
-def _scores(s: PaperSettings) -> list[Stage]:
+def _scores(s: Sizes) -> list[Stage]:
     made: dict[str, Sequence[str]] = {
         "att-snn": ["att-snn", SNN],
         "att-rnn": ["att-rnn", RNN],
@@ -149,37 +167,37 @@ def _scores(s: PaperSettings) -> list[Stage]:
         made[label] = [model, "", content_digest(weights.read_bytes())[:8]]  # new ones are scored again
     looped = {label: made[label] for label in ("att-snn", "att-snn, chip", "att-snn, ours")}
     in_loop = ["complementary", "mahony", "ekf"]
-    loop = {"seeds": s.loop_seeds, "duration_s": s.loop_s, "filters": in_loop, "networks": looped}
-    folds = [SNN, *(f"net-fold-{k}" for k in range(1, s.folds))]
+    loop = {"seeds": s["loop_seeds"], "duration_s": s["loop_s"], "filters": in_loop, "networks": looped}
+    folds = [SNN, *(f"net-fold-{k}" for k in range(1, s["folds"]))]
     tuned = (*(f"tune-{name}" for name in in_loop), SNN, CHIP, OURS)
-    rounds = {"rounds": s.latency_rounds}
+    rounds = {"rounds": s["latency_rounds"]}
     ours, all_of_ours = ("estimators",), ("estimators", "scenarios")
     mixed = {"mixed": folds, "only": CROSS}
     return [
         Stage("score-folds", scores.folds, mixed, (SIM, REAL, *folds, *CROSS), packages=ours),
         *(
-            _score(f"score-{each}", [each], FILTERS, made, scores.score, seed=s.seed)
+            _score(f"score-{each}", [each], FILTERS, made, scores.score, seed=s["seed"])
             for each in (SIM, REAL, *TEST)
         ),
-        _score("recover", [*TEST, "fly-hover"], FILTERS, made, scores.recover, seed=s.seed),
+        _score("recover", [*TEST, "fly-hover"], FILTERS, made, scores.recover, seed=s["seed"]),
         Stage("inside", inside.look, inputs=(TEST[0], CHIP, RNN), packages=ours),
         Stage("manipulate", inside.manipulate, inputs=("fly-cruise", TEST[0], SNN, CHIP), packages=ours),
         Stage("latencies", scores.latencies, rounds, alone=True, packages=ours),
-        Stage("loop", scores.close_loop, loop | {"seed": s.seed}, tuned, packages=all_of_ours),
+        Stage("loop", scores.close_loop, loop | {"seed": s["seed"]}, tuned, packages=all_of_ours),
     ]
 
 
-def _rates(s: PaperSettings) -> list[Stage]:
+def _rates(s: Sizes) -> list[Stage]:
     """The same network trained at every sample rate on as many hours of the same manoeuvres."""
-    stages, first = [], 1000 * s.seed
-    for rate in s.rates_hz:
+    stages, first = [], 1000 * s["seed"]
+    for rate in s["rates_hz"]:
         train, test = f"fly-rate-{rate:g}", f"fly-rate-test-{rate:g}"
         at: dict[str, Any] = {"rate_hz": rate}
         made = {"att-snn": ["att-snn", f"rate-{rate:g}"]}
         stages += [
-            _fly(train, s.rate_flights, s.flight_s, first + 11, **at),
-            _fly(test, s.test_flights, s.test_s, first + 12, **at),
-            _train(f"rate-{rate:g}", PAPER | dict(s.rate), s.seed, [train]),
+            _fly(train, s["rate_flights"], s["flight_s"], first + 11, **at),
+            _fly(test, s["test_flights"], s["test_s"], first + 12, **at),
+            _train(f"rate-{rate:g}", PAPER | s["rate"], s["seed"], [train]),
             _score(f"compare-rate-{rate:g}", [test], STUDY, made, **at),
         ]
     return stages
@@ -188,13 +206,13 @@ def _rates(s: PaperSettings) -> list[Stage]:
 STUDY = ("mahony", "complementary")
 
 
-def _minutes(s: PaperSettings) -> list[Stage]:
+def _minutes(s: Sizes) -> list[Stage]:
     """The same network trained on the first so many minutes of the same flights."""
-    choose, first = "fly-minutes-validation", 1000 * s.seed
-    stages = [_fly(choose, s.minutes_validation, s.flight_s, first + 14)]
-    for n in s.minutes:
+    choose, first = "fly-minutes-validation", 1000 * s["seed"]
+    stages = [_fly(choose, s["minutes_validation"], s["flight_s"], first + 14)]
+    for n in s["minutes"]:
         stages.append(_fly(f"fly-minutes-{n}", n, 60.0, first + 13))
-        recipe = PAPER | dict(s.study)
-        stages.append(_train(f"minutes-{n}", recipe, s.seed, [f"fly-minutes-{n}"], [choose]))
-    made = {str(n): ["att-snn", f"minutes-{n}"] for n in s.minutes}
+        recipe = PAPER | s["study"]
+        stages.append(_train(f"minutes-{n}", recipe, s["seed"], [f"fly-minutes-{n}"], [choose]))
+    made = {str(n): ["att-snn", f"minutes-{n}"] for n in s["minutes"]}
     return [*stages, _score("compare-minutes", TEST, (), made)]

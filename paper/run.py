@@ -9,10 +9,8 @@ from typing import NamedTuple
 
 from .page.claims import Judgement
 from .page.pages import write_pages
-from .plan import chosen, stages_of
-from .settings import PaperSettings, settings_of
-from .stages import Progress, fingerprints, is_finished, record_of, run_stages, with_inputs
-from .work.files import NUMBERS
+from .plan import Sizes, chosen, sizes_of, stages_of
+from .stages import NUMBERS, Progress, fingerprints, is_finished, record_of, run_stages, with_inputs
 
 VERBS = {"holds": "hold", "partly": "hold partly", "does not hold": "do not", "not judged": "not judged"}
 
@@ -38,7 +36,7 @@ def paper(
     seed: int = 0,
     workers: int | None = None,
     progress: Progress = lambda done, total, note: None,
-    settings: PaperSettings | None = None,
+    sizes: Sizes | None = None,
 ) -> Paper:
     """Make the paper's tables and figures, and the page around them.
 
@@ -51,38 +49,38 @@ def paper(
         seed: Of everything random.
         workers: Processes, by default one for each CPU; 1 stays in this process.
         progress: Called now and then.
-        settings: Sizes, in place of the preset's.
+        sizes: In place of the preset's.
 
     Raises:
         ValueError: An unknown item or preset.
         OSError: The folder cannot be written, or workers died.
     """
-    settings = settings or settings_of(preset, seed)
+    sizes = sizes or sizes_of(preset, seed)
     items, out = chosen(only), Path(out).expanduser().absolute()
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file; give a folder for the pages and for all that they come from")
-    parts = out / settings.preset  # so that a quick run does not replace a full one
+    parts = out / sizes["preset"]  # so that a quick run does not replace a full one
     parts.mkdir(parents=True, exist_ok=True)
-    stages, shows = stages_of(settings)
+    stages, shows = stages_of(sizes)
     wanted = with_inputs(stages, [name for item in items for name in shows[item]])
     run_stages(wanted, parts, workers, progress)
-    return Paper(out / "paper.md", write_results(parts, out, settings))
+    return Paper(out / "paper.md", write_results(parts, out, sizes))
 
 
-def write_results(parts: Path, folder: Path, settings: PaperSettings) -> list[Judgement]:
+def write_results(parts: Path, folder: Path, sizes: Sizes) -> list[Judgement]:
     """Write the page of everything that is finished, and its figures; the judged claims.
 
     Args:
         parts: Folder of the stages' folders.
         folder: Where the pages go.
-        settings: Of the run.
+        sizes: Of the run.
     """
-    stages, shows = stages_of(settings)
-    prints = fingerprints(list(stages.values()))
+    stages, shows = stages_of(sizes)
+    prints = fingerprints(stages.values())
     done = [name for name in stages if is_finished(parts / name, prints[name])]
     files = {name: parts / name / NUMBERS for name in done}
     numbers = {name: json.loads(file.read_text("utf-8")) for name, file in files.items() if file.exists()}
     shown = [item for item, names in shows.items() if numbers.keys() >= set(names)]
     seconds = sum(record_of(parts / name, prints[name])["seconds"] for name in done)
     numbers = {name: numbers[name] for item in shown for name in shows[item]}
-    return write_pages(folder, numbers, shown, settings, seconds)
+    return write_pages(folder, numbers, shown, sizes, seconds)

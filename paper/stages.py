@@ -5,8 +5,6 @@ while that stays the same, a finished stage is read back and a killed one contin
 from their checkpoints); another fingerprint begins an empty folder.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import time
@@ -20,8 +18,13 @@ from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint
 from quadsim.runs.pool import WORKER_DIED, run_jobs
 
-RECORD = "stage.json"
+RECORD, NUMBERS = "stage.json", "numbers.json"
+FLIGHTS, WEIGHTS, TUNING = "flights.zarr", "best.safetensors", "tuned.toml"
 
+Inputs = Mapping[str, Path]
+"""Stage to its folder."""
+Numbers = dict[str, Any]
+"""What a stage measured, as JSON knows it."""
 Progress = Callable[[int, int, str], None]
 """progress(stages done, all stages, the last of them)."""
 
@@ -31,8 +34,8 @@ class Stage:
     """A part of the work."""
 
     name: str
-    make: Callable[..., None]
-    """Called as make(folder, inputs, **settings) with the folders of the inputs by name; at module level."""
+    make: Callable[..., Numbers | None]
+    """Called as make(folder, inputs, **settings); at module level. What it returns is stored in `NUMBERS`."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Everything else that its files depend on, as JSON knows it."""
     inputs: tuple[str, ...] = ()
@@ -43,16 +46,16 @@ class Stage:
     """Packages that its code takes modules from by name: all of them count."""
 
 
-def with_inputs(stages: dict[str, Stage], wanted: Iterable[str]) -> list[Stage]:
+def with_inputs(stages: Mapping[str, Stage], wanted: Iterable[str]) -> list[Stage]:
     """Stages and all that they need, in the order of `stages`, where inputs come first."""
     needed = set(wanted)
-    for name in reversed(stages):
+    for name in reversed(list(stages)):
         if name in needed:
             needed.update(stages[name].inputs)
     return [stage for name, stage in stages.items() if name in needed]
 
 
-def fingerprints(stages: Sequence[Stage]) -> dict[str, str]:
+def fingerprints(stages: Iterable[Stage]) -> dict[str, str]:
     """Of every stage; inputs come before what needs them."""
     prints: dict[str, str] = {}
     for stage in stages:
@@ -68,7 +71,7 @@ def record_of(folder: Path, fingerprint: str) -> dict[str, Any]:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
         return {}
-    return record if isinstance(record, dict) and record.get("fingerprint") == fingerprint else {}
+    return record if record.get("fingerprint") == fingerprint else {}
 
 
 def is_finished(folder: Path, fingerprint: str) -> bool:
@@ -109,7 +112,7 @@ def run_stages(
         ready = [stage for stage in waiting if done.issuperset(stage.inputs)]
         now = [stage.name for stage in ready if not stage.alone] or [ready[0].name]
         try:
-            for name, _ in run_jobs(make, {name: jobs[name] for name in now}, workers):
+            for name, _ in run_jobs(make_stage, {name: jobs[name] for name in now}, workers):
                 done.add(name)
                 progress(len(done), len(stages), name)
         except BrokenExecutor as error:
@@ -117,14 +120,16 @@ def run_stages(
     return list(jobs)
 
 
-def make(stage: Stage, folder: Path, inputs: Mapping[str, Path], fingerprint: str) -> None:
+def make_stage(stage: Stage, folder: Path, inputs: Inputs, fingerprint: str) -> None:
     """Make one stage; its folder is emptied if it holds another one."""
     if not record_of(folder, fingerprint):
         shutil.rmtree(folder, ignore_errors=True)
     record: dict[str, Any] = {"fingerprint": fingerprint}
     write_whole(folder / RECORD, json.dumps(record))
     began = time.monotonic()
-    stage.make(folder, inputs, **stage.settings)
-    record["seconds"] = round(time.monotonic() - began, 1)
+    numbers = stage.make(folder, inputs, **stage.settings)
+    if numbers is not None:
+        write_whole(folder / NUMBERS, json.dumps(numbers))
     record["files"] = sorted(path.name for path in folder.iterdir() if path.name != RECORD)
+    record["seconds"] = round(time.monotonic() - began, 1)
     write_whole(folder / RECORD, json.dumps(record))

@@ -6,21 +6,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import estimators
-from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import changed, load_scenario
 from quadsim.pictures.film import Marks, film
 from quadsim.pictures.render import replay
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 
-from .bench.cell import fly, make_cell
-from .bench.controllers import controller_of, estimator_of, make_controller
+from .bench.cell import FlightSettings, make_cell, mission_of
+from .bench.flight_log import Flown, fly
 from .bench.results import Results
-from .bench.runner import NO_CHANGES, Changes, check_controllers
+from .bench.runner import NO_CHANGES, Changes
 from .bench.series import decimation
-from .bench.settings import FlightSettings
-from .bench.signals import SignalLog
 from .report.page import ClosedLoopSection, write_report
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
@@ -69,27 +65,23 @@ def fly_scenario(
     if flight < 0:
         raise ValueError(f"flight is {flight}; flights count from 0")
     scenario, name = changed(load_scenario(source), changes), Path(source).name.removesuffix(".toml")
-    rate_hz = settings.rate_hz
-    parts = {"vehicle": scenario.vehicle, "imu": scenario.imu}
-    made = estimators.create(estimator_of(estimator), rate_hz, tuning=settings.tuning, **parts)
-    check_controllers([estimator], rate_hz)
-    controller = make_controller(controller_of(estimator))
-    mission = Mission(scenario, made, settings.seeds, rate_hz, controller=controller)
-    signals = SignalLog(mission, decimation(rate_hz))
-    log, end = fly(mission, settings.seed, flight, signals)
-    cell = make_cell(name, estimator, "", mission, log, end, signals)
+    mission = mission_of(scenario, estimator, settings)
+    flown = fly(mission, settings.seed, flight)
+    cell = make_cell(name, estimator, "", mission, flown)
     results = Results({name: scenario}, [estimator], settings, [cell])
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)
-    first = log[0, : max(end[0], 1)]
-    time = np.arange(len(first)) / rate_hz
+    first = flown.log[0, : max(flown.end[0], 1)]
+    time = np.arange(len(first)) / mission.rate_hz
     table = np.column_stack([time, *(first[key] for key in ("position", "euler", "estimate", "target"))])
     write_csv(out / "flight.csv", [dict(zip(COLUMNS, row, strict=True)) for row in table.tolist()])
     poses = (time, first["position"], quat_from_euler(*first["euler"].T))
     film_path, problem = None, None
     if video:
         try:
-            film_path = film(out / "flight.mp4", mission.vehicle, *poses, marks=marks_of(first, signals))
+            film_path = film(
+                out / "flight.mp4", mission.vehicle, *poses, marks=marks_of(first, flown, mission.rate_hz)
+            )
         except RuntimeError as error:  # no OpenGL: the report is written without it
             problem = error
     section = ClosedLoopSection(results, film=film_path)
@@ -102,9 +94,9 @@ def fly_scenario(
     return SingleFlight(results, report, out / "flight.csv", film_path)
 
 
-def marks_of(flight: NDArray[np.void], signals: SignalLog) -> Marks:
+def marks_of(flight: NDArray[np.void], flown: Flown, rate_hz: float) -> Marks:
     """What the video shows of a flight's log (T,): the estimate with the true yaw, set-point and wind."""
     roll, pitch = flight["estimate"].T
-    columns = [signals.names.index(f"wind_{axis}") for axis in "xyz"]
-    wind = np.repeat(signals.rows[:, columns], signals.every, axis=0)[: len(flight)]
+    wind = np.stack([flown.signals[f"wind_{axis}"] for axis in "xyz"], axis=-1)
+    wind = np.repeat(wind, decimation(rate_hz), axis=0)[: len(flight)]
     return Marks(quat_from_euler(roll, pitch, flight["euler"][:, 2]), flight["target"], np.nan_to_num(wind))

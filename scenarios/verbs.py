@@ -11,11 +11,11 @@ from quadsim.runs.console import output, pool_of, progress_bar
 from quadsim.runs.files import alone
 from quadsim.runs.record import recorded
 
+from .bench.cell import FlightSettings
 from .bench.controllers import SLOW, contenders, default_estimators
 from .bench.experiment import load_experiment
 from .bench.results import Results, load_results
 from .bench.runner import NO_CHANGES, Changes, bench
-from .bench.settings import FlightSettings
 from .bench.verdict import verdict
 from .report.evaluation import columns, recorded_section
 from .report.flight_picture import cover

@@ -11,8 +11,7 @@ import matplotlib
 from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure, write_whole
 
-from ..plan import ITEMS
-from ..settings import PaperSettings
+from ..plan import ITEMS, Sizes
 from . import tables
 from .claims import CLAIMS, Judgement, Numbers, judge
 from .figures import FIGURES
@@ -30,7 +29,7 @@ class _Gaps(dict[str, Any]):
 
 
 def write_pages(
-    folder: Path, numbers: Numbers, shown: Sequence[str], settings: PaperSettings, seconds: float
+    folder: Path, numbers: Numbers, shown: Sequence[str], sizes: Sizes, seconds: float
 ) -> list[Judgement]:
     """Write paper.md, and its figures into img/; the judged claims.
 
@@ -38,17 +37,18 @@ def write_pages(
         folder: Where.
         numbers: Of the finished stages.
         shown: Items whose stages are all finished.
-        settings: Of the run.
+        sizes: Of the run.
         seconds: Time that its stages took, added up.
     """
-    judged, texts = judge(numbers, settings.judges), sections()
-    seed = f" --seed {settings.seed}" if settings.seed else ""
+    judges = sizes["preset"] == "full"  # the run is large enough for verdicts
+    judged, texts = judge(numbers, judges), sections()
+    seed = f" --seed {sizes['seed']}" if sizes["seed"] else ""
     gaps = _Gaps(
-        s=settings,
+        s=sizes,
         n=numbers,
-        look="" if settings.judges else LOOK,
+        look="" if judges else LOOK,
         computing_min=f"{seconds / 60:.0f}",
-        made_by=f"Made by `quadsim paper --preset {settings.preset}{seed} --out runs/paper`.",
+        made_by=f"Made by `quadsim paper --preset {sizes['preset']}{seed} --out runs/paper`.",
         checklist="\n".join(
             f"| {each.claim} | **{MARKS[each.verdict]}** | {each.measured} | {each.rule} | {each.limits} |"
             for each in judged

@@ -11,7 +11,7 @@ from estimators.tuned import Tuned
 from estimators.tuning.search import SearchSettings, mean_squared_error, swarm, upright, write_tuning
 from quadsim.dataset.reading import open_dataset
 
-from .files import FLIGHTS, TUNING, Inputs, write_numbers
+from ..stages import FLIGHTS, TUNING, Inputs, Numbers
 
 GIVEN = {"complementary-adaptive": {"k_a": 0.01}}
 """Parameters that the paper sets."""
@@ -19,7 +19,7 @@ LEAST = 1e-6
 """The swarm searches every other parameter itself between this, for 0, and 1."""
 
 
-def tune(folder: Path, inputs: Inputs, *, name: str, particles: int, iterations: int, seed: int) -> None:
+def tune(folder: Path, inputs: Inputs, *, name: str, particles: int, iterations: int, seed: int) -> Numbers:
     """Tune a filter on flights of both domains from an unknown start."""
     data = upright(load_flights([open_dataset(path / FLIGHTS) for path in inputs.values()]))
     given = GIVEN.get(name, {})
@@ -43,7 +43,4 @@ def tune(folder: Path, inputs: Inputs, *, name: str, particles: int, iterations:
         values=dict(zip(parameters(name), map(float, row), strict=True)),
     )
     write_tuning(folder / TUNING, name, tuned, "Tuned by the paper's swarm on the flights of both domains.")
-    write_numbers(
-        folder,
-        {"values": {key: tuned.values[key] for key in (*searched, *given)}, "rmse_deg": tuned.rmse_deg},
-    )
+    return {"values": {key: tuned.values[key] for key in (*searched, *given)}, "rmse_deg": tuned.rmse_deg}

@@ -13,7 +13,7 @@ from quadsim.flight.recipe import Recipe, load_recipe
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.trajectory.specs import Trajectory
 
-from .files import FLIGHTS, Inputs, write_numbers
+from ..stages import FLIGHTS, Inputs, Numbers
 
 DOMAINS = {"sim": "paper", "real": "paper-px4"}
 """Name of each domain and its recipe."""
@@ -31,7 +31,7 @@ def fly(
     generate(config, out=folder / FLIGHTS, workers=1, **settings)
 
 
-def distributions(folder: Path, inputs: Inputs) -> None:
+def distributions(folder: Path, inputs: Inputs) -> Numbers:
     """Histograms of the inputs and outputs of every domain (Fig. 3)."""
     domains = {}
     for stage, path in inputs.items():
@@ -43,7 +43,7 @@ def distributions(folder: Path, inputs: Inputs) -> None:
             for k, axis in enumerate("xyz")
         } | {"roll [°]": angles[..., 0], "pitch [°]": angles[..., 1]}
         domains[stage.removeprefix("fly-")] = {name: _histogram(values) for name, values in columns.items()}
-    write_numbers(folder, domains)
+    return domains
 
 
 def _histogram(values: np.ndarray) -> dict[str, Any]:

@@ -15,14 +15,14 @@ from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.reading import open_dataset
 
-from .files import FLIGHTS, WEIGHTS, Inputs, write_numbers
+from ..stages import FLIGHTS, WEIGHTS, Inputs, Numbers
 from .scores import flights_of
 
 RARE = 0.005
 """Spikes per step below which the paper removes a neuron."""
 
 
-def look(folder: Path, inputs: Inputs) -> None:
+def look(folder: Path, inputs: Inputs) -> Numbers:
     """Spikes, ablation, modelled energy and operations of a network on the chip (Figs. 7, 9).
 
     Inputs: flights, the spiking network, and its twin of GRUs.
@@ -45,7 +45,7 @@ def look(folder: Path, inputs: Inputs) -> None:
     twin, _ = load_network(inputs[rnn] / WEIGHTS)
     spikes = float(rates[0].sum()), float(rates[1].sum())
     flops = snn_flops(config.encoding, config.hidden, spikes, config.n_outputs, config.after_spike)
-    numbers = {
+    return {
         "rates": [rate.round(5).tolist() for rate in rates],
         "without_rare": {
             "error_deg": error_deg(*left, flights),
@@ -57,10 +57,9 @@ def look(folder: Path, inputs: Inputs) -> None:
         "costs": [asdict(each) for each in costs(counts(core, activity))],
         "flops": flops | {"gru": gru_flops(twin.encoding, twin.hidden, twin.n_outputs)},
     }
-    write_numbers(folder, numbers)
 
 
-def manipulate(folder: Path, inputs: Inputs) -> None:
+def manipulate(folder: Path, inputs: Inputs) -> Numbers:
     """Estimates from manipulated inputs: pitch at a constant velocity, gains in aggressive flight (Fig. 8).
 
     Inputs: both flights, and networks.
@@ -85,8 +84,7 @@ def manipulate(folder: Path, inputs: Inputs) -> None:
     pitch = np.degrees(truth.truth[0, ::SHOWN, 1]).round(2).tolist()
     flown = open_dataset(inputs[cruise] / FLIGHTS)["velocity"].to_numpy()
     metres_s = float(np.median(np.linalg.norm(flown, axis=-1)))
-    numbers = {"networks": found, "pitch_deg": pitch, "step_s": SHOWN / truth.rate_hz, "metres_s": metres_s}
-    write_numbers(folder, numbers)
+    return {"networks": found, "pitch_deg": pitch, "step_s": SHOWN / truth.rate_hz, "metres_s": metres_s}
 
 
 SHOWN = 8

@@ -1,5 +1,6 @@
 """Stages of networks: trained by the paper's recipe, or by ours, until a rule ends it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,12 @@ import numpy as np
 from training.config import make_config
 from training.loop import run
 
-from .files import FLIGHTS, Inputs, Names, write_numbers
+from ..stages import FLIGHTS, Inputs, Numbers
 
 
-def train(folder: Path, inputs: Inputs, *, data: Names, validation: Names, **choices: Any) -> None:
+def train(
+    folder: Path, inputs: Inputs, *, data: Sequence[str], validation: Sequence[str], **choices: Any
+) -> Numbers:
     """Train a network on stages of flights; without any to validate on, 70 % of them train and 20 % validate.
 
     choices: fields of `TrainConfig`.
@@ -22,7 +25,7 @@ def train(folder: Path, inputs: Inputs, *, data: Names, validation: Names, **cho
         raise KeyboardInterrupt
     log = np.atleast_1d(np.genfromtxt(folder / "log.csv", delimiter=",", names=True))
     best = result.best
-    numbers = {
+    return {
         "updates": log["updates"].tolist(),
         "train_mse": log["train_loss"].tolist(),
         "val_mse": log["validation_loss"].tolist(),
@@ -36,4 +39,3 @@ def train(folder: Path, inputs: Inputs, *, data: Names, validation: Names, **cho
         },
         "reason": result.reason,
     }
-    write_numbers(folder, numbers)

@@ -1,7 +1,5 @@
 """Stages that score: networks over folds, all estimators on recorded flights, recoveries, the closed loop."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,13 +16,14 @@ from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import load_scenario
-from scenarios.bench.cell import fly as fly_mission
-from scenarios.bench.flight_metrics import Log, flight_metrics
+from scenarios.bench.flight_log import Log
+from scenarios.bench.flight_log import fly as fly_mission
+from scenarios.bench.flight_metrics import flight_metrics
 from training.config import TrainConfig
 from training.data import flights_of as training_flights_of
 from training.data import load_training_flights
 
-from .files import FLIGHTS, TUNING, WEIGHTS, Inputs, Names, write_numbers
+from ..stages import FLIGHTS, TUNING, WEIGHTS, Inputs, Numbers
 
 Array = NDArray[np.float64]
 Networks = Mapping[str, Sequence[str]]
@@ -49,7 +48,7 @@ PARTS = 3
 
 
 def estimators_of(
-    inputs: Inputs, filters: Names, networks: Networks, rate_hz: float = RATE_HZ
+    inputs: Inputs, filters: Sequence[str], networks: Networks, rate_hz: float = RATE_HZ
 ) -> dict[str, AttitudeEstimator]:
     """Filters as tuned by their stages, and networks."""
     tuned = {name: create(name, rate_hz, tuning=inputs[f"tune-{name}"] / TUNING) for name in filters}
@@ -64,7 +63,7 @@ def flights_of(inputs: Inputs, stage: str) -> Flights:
     return load_flights([open_dataset(inputs[stage] / FLIGHTS)])
 
 
-def folds(folder: Path, inputs: Inputs, *, mixed: Names, only: Mapping[str, str]) -> None:
+def folds(folder: Path, inputs: Inputs, *, mixed: Sequence[str], only: Mapping[str, str]) -> Numbers:
     """Errors of the flights that trained and that did not, of both domains mixed and of one alone (Table 1).
 
     Inputs: the flights of both domains, and networks: of `mixed`, by draws of the 70/20/10 split, and of
@@ -86,10 +85,10 @@ def folds(folder: Path, inputs: Inputs, *, mixed: Names, only: Mapping[str, str]
             network.reset(len(flights))
             error = attitude_error(network.sequence(flights.gyro, flights.accel), flights.roll_pitch)
             found[stage][name] = error.sequences.tolist()
-    write_numbers(folder, found)
+    return found
 
 
-def score(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contenders: Any) -> None:
+def score(folder: Path, inputs: Inputs, *, flights: Sequence[str], seed: int, **contenders: Any) -> Numbers:
     """Every method on the flights of one stage, filters also with a known start (Table 2, Fig. 5)."""
     made = estimators_of(inputs, **contenders)
     (stage,) = flights
@@ -100,10 +99,10 @@ def score(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contende
         if start == "unknown" or name in FILTERS:
             sequences[name][start] = errors.tolist()
     silenced = {row.estimator: row.silenced_deg for row in done.rows if np.isfinite(row.silenced_deg)}
-    write_numbers(folder, {"sequences": sequences, "silenced_deg": silenced})
+    return {"sequences": sequences, "silenced_deg": silenced}
 
 
-def recover(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **contenders: Any) -> None:
+def recover(folder: Path, inputs: Inputs, *, flights: Sequence[str], seed: int, **contenders: Any) -> Numbers:
     """How estimators converge from an error of 20° (Fig. 6), in two ways.
 
     In flight: started level where the vehicle is tilted by 20°. In hover, the last of the flights: given an
@@ -127,7 +126,7 @@ def recover(folder: Path, inputs: Inputs, *, flights: Names, seed: int, **conten
             estimate = run(est, hover.gyro, hover.accel, roll_pitch=wrong, quat=hover.quat)
             curves[name]["hover"] = response_of(inclination_error(estimate, hover.truth)[:, :steps])
     count = sum(len(piece.gyro) for piece in pieces)
-    write_numbers(folder, {"starts": count, "hovers": len(wrong), "curves": curves, "example": example})
+    return {"starts": count, "hovers": len(wrong), "curves": curves, "example": example}
 
 
 def shown(estimate: Array) -> list[float]:
@@ -146,8 +145,8 @@ def response_of(error: Array) -> dict[str, object]:
 
 
 def compare(
-    folder: Path, inputs: Inputs, *, flights: Names, rate_hz: float = RATE_HZ, **contenders: Any
-) -> None:
+    folder: Path, inputs: Inputs, *, flights: Sequence[str], rate_hz: float = RATE_HZ, **contenders: Any
+) -> Numbers:
     """Mean absolute error of each flight from an unknown start: for the pages on rate and minutes."""
     recorded = {stage: flights_of(inputs, stage) for stage in flights}
     errors = {
@@ -159,19 +158,19 @@ def compare(
         }
         for name, est in estimators_of(inputs, rate_hz=rate_hz, **contenders).items()
     }
-    write_numbers(folder, {"errors": errors})
+    return {"errors": errors}
 
 
 def close_loop(
     folder: Path, inputs: Inputs, *, seeds: int, duration_s: float, seed: int, **contenders: Any
-) -> None:
+) -> Numbers:
     """Simulate scenarios with attitude from networks and filters, and see whether the error grows."""
     made = {"truth": create("truth"), **estimators_of(inputs, **contenders)}
     scenarios: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in CLOSED}
     for scenario, scores in scenarios.items():
         for name, est in made.items():
             mission = Mission(load_scenario(scenario), est, seeds, duration_s=duration_s)
-            log, end = fly_mission(mission, seed)
+            log, end, _ = fly_mission(mission, seed)
             metrics = flight_metrics(log, end, RATE_HZ, mission.vehicle)
             scores[name] = {
                 "flights": seeds,
@@ -179,8 +178,8 @@ def close_loop(
                 "parts_deg": error_in_parts(log, end),
             }
             for key in ("error_deg", "attitude_deg", "position_m"):
-                scores[name][key] = float(np.nanmean(getattr(metrics, key)))
-    write_numbers(folder, {"scenarios": scenarios, "duration_s": duration_s})
+                scores[name][key] = float(np.nanmean(metrics[key]))
+    return {"scenarios": scenarios, "duration_s": duration_s}
 
 
 def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
@@ -191,9 +190,9 @@ def error_in_parts(log: Log, end: NDArray[np.int64]) -> list[float]:
     return [float(part.mean()) if part.size else np.nan for part in np.array_split(error, PARTS, axis=1)]
 
 
-def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> None:
+def latencies(folder: Path, inputs: Inputs, *, rounds: int) -> Numbers:
     """Time of one update of every estimator (Fig. 9), in turns: 1 %, 50 % and 99 % [µs]."""
     from estimators.analysis.latency import contenders, measure
 
     taken = measure(contenders(), rounds)
-    write_numbers(folder, {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()})
+    return {name: np.percentile(each, [1, 50, 99]).tolist() for name, each in taken.items()}

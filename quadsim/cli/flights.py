@@ -51,9 +51,8 @@ def fly(
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
     """
-    from scenarios.bench.cell import file_name
+    from scenarios.bench.cell import FlightSettings, file_name
     from scenarios.bench.controllers import contender
-    from scenarios.bench.settings import FlightSettings
     from scenarios.single_flight import fly_scenario
     from scenarios.verbs import warn
 

@@ -22,8 +22,8 @@ def compile_code() -> None:
     import numpy as np
 
     import estimators
+    from scenarios.bench.cell import FlightSettings
     from scenarios.bench.runner import bench
-    from scenarios.bench.settings import FlightSettings
 
     from ..dataset.generation import generate
     from ..dataset.reading import dataset_info

@@ -2,12 +2,10 @@
 
 import re
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 import estimators
@@ -19,27 +17,35 @@ from quadsim.estimator import receives_truth
 from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.flight.world import CAUSES
-from quadsim.runs.files import read_json
 from quadsim.runs.fingerprint import content_digest
-from quadsim.seeding import vehicle_seeds
 
 from .controllers import controller_files, controller_of, estimator_of, make_controller
-from .flight_metrics import (
-    CellRow,
-    FlightRow,
-    Log,
-    error_histogram,
-    flight_metrics,
-    log_dtype,
-    summarise,
-    write_row,
-)
-from .series import FlightSeries, decimation, pack_series
-from .settings import FlightSettings
-from .signals import SignalLog
+from .flight_log import Flown, fly
+from .flight_metrics import CellRow, FlightRow, error_histogram, flight_metrics, summarise
+from .series import FlightSeries, pack_series
 
 BOUNDLESS = 1e100
 """Upper bound for plausible values, in any unit; anything larger is treated as divergence."""
+
+
+@dataclass(frozen=True)
+class FlightSettings:
+    """How every cell is simulated."""
+
+    seeds: int = 1
+    """Flights in each cell; flight i has the i-th child of `seed`."""
+    seed: int = 0
+    """Seed of everything random."""
+    rate_hz: float = 200.0
+    """Samples per second."""
+    tuning: str | None = None
+    """Tuned parameters in place of the shipped ones: a shipped domain or a file of `quadsim tune`; estimators
+    without a table in it keep theirs."""
+
+    def __post_init__(self) -> None:
+        """Check the number of flights."""
+        if self.seeds < 1:
+            raise ValueError(f"seeds is {self.seeds}; at least one flight is needed")
 
 
 @dataclass(frozen=True)
@@ -71,13 +77,18 @@ class Cell:
 
 
 CELL = TypeAdapter(Cell)
-"""Reads a cell that was written as JSON."""
+"""Writes a cell as JSON, and reads it."""
 
 
 def file_name(name: str) -> str:
     """A name as a part of a file's: of what is a path, or no plain name, its stem and a digest."""
     plain = re.sub(r"[^\w.-]", "-", Path(name).stem)
     return name if re.fullmatch(r"[\w-]+", name) else f"{plain}-{content_digest(name)[:8]}"
+
+
+def cell_path(out: Path, scenario: str, estimator: str) -> Path:
+    """File of a cell."""
+    return out / "cells" / f"{scenario}--{file_name(estimator)}.json"
 
 
 def weights_digest(estimator: str) -> str:
@@ -98,7 +109,7 @@ def digest_if_there(path: str | Path) -> str:
 def load_cell(path: Path) -> Cell | None:
     """A cell from its file; None where there is no whole one."""
     try:
-        return CELL.validate_python(read_json(path))
+        return CELL.validate_json(path.read_bytes())
     except (OSError, ValueError):
         return None
 
@@ -114,16 +125,9 @@ def fly_cell(
     """Simulate all flights of a cell at once; a failure is a cell with its reason."""
     began = time.thread_time()
     try:
-        tuning, rate_hz = tuning_of(estimator, settings.tuning), settings.rate_hz
-        vehicle = scenario.vehicle if scenario.vehicle_known else None
-        made = estimators.create(
-            estimator_of(estimator), rate_hz, tuning=tuning, vehicle=vehicle, imu=scenario.imu
-        )
-        controller = make_controller(controller_of(estimator))
-        mission = Mission(scenario, made, settings.seeds, rate_hz, controller=controller)
-        signals = SignalLog(mission, decimation(rate_hz))
-        log, end = fly(mission, settings.seed, after_step=signals)
-        cell = make_cell(name, estimator, fingerprint, mission, log, end, signals)
+        tuning = tuning_of(estimator, settings.tuning)
+        mission = mission_of(scenario, estimator, replace(settings, tuning=tuning))
+        cell = make_cell(name, estimator, fingerprint, mission, fly(mission, settings.seed))
         return replace(cell, cpu_s=round(time.thread_time() - began, 3))
     except (Exception, SystemExit) as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
@@ -139,30 +143,35 @@ def tuning_of(estimator: str, tuning: str | None) -> str | None:
     return tuning if tuning is not None and estimator_of(estimator) in load_tuning(tuning) else None
 
 
-def make_cell(
-    name: str,
-    estimator: str,
-    fingerprint: str,
-    mission: Mission,
-    log: Log,
-    end: NDArray[np.int64],
-    signals: SignalLog | None = None,
-) -> Cell:
-    """The cell of a simulated mission, with the signals of its first flight if they were logged.
+def mission_of(scenario: Scenario, contender: str, settings: FlightSettings) -> Mission:
+    """The flights of a scenario with an estimator and its controller.
+
+    Raises:
+        ValueError: One of them cannot be made.
+    """
+    vehicle = scenario.vehicle if scenario.vehicle_known else None
+    parts = {"tuning": settings.tuning, "vehicle": vehicle, "imu": scenario.imu}
+    made = estimators.create(estimator_of(contender), settings.rate_hz, **parts)
+    controller = make_controller(controller_of(contender))
+    return Mission(scenario, made, settings.seeds, settings.rate_hz, controller=controller)
+
+
+def make_cell(name: str, estimator: str, fingerprint: str, mission: Mission, flown: Flown) -> Cell:
+    """The cell of a simulated mission.
 
     Raises:
         ValueError: If an estimate is no angle, or numbers of the flight diverged.
     """
+    log, end = flown.log, flown.end
     before = np.arange(mission.steps) < end[:, None]
-    valid = log[before]
     flaw = flaw_of(log["estimate"], np.where(before[..., None], log["euler"][..., :2], np.nan))
     wrong = before & ~(np.abs(log["estimate"]) <= RANGE).all(axis=-1)
     if wrong.any():
         first_s = wrong.any(axis=0).argmax() / mission.rate_hz
         raise ValueError(f"the estimator {flaw.partition(' in ')[0]}, first at {first_s:.2f} s")
-    if not (np.abs(valid.view(np.float64)) < BOUNDLESS).all():
+    if not (np.abs(log[before].view(np.float64)) < BOUNDLESS).all():
         raise ValueError("the flight diverged; is a number of the scenario too large?")
-    metrics = vars(flight_metrics(log, end, mission.rate_hz, mission.vehicle))
+    metrics = flight_metrics(log, end, mission.rate_hz, mission.vehicle)
     flights = [
         FlightRow(
             name,
@@ -174,30 +183,7 @@ def make_cell(
         )
         for i in range(mission.n)
     ]
-    found = signals and dict(zip(signals.names, signals.rows.T, strict=True))
-    series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz, found)
+    series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz, flown.signals)
     histogram = error_histogram(log, end).tolist()
     reference = receives_truth(mission.loop.estimator)
     return Cell(name, estimator, fingerprint, "", flights, histogram, series, reference, flaw)
-
-
-def fly(
-    mission: Mission, seed: int, first: int = 0, after_step: Callable[[int], None] | None = None
-) -> tuple[Log, NDArray[np.int64]]:
-    """Simulate a mission: its log (n, T) of `log_dtype`, and how many samples each flight lasted (n,).
-
-    Its flights are those with the numbers `first`, `first` + 1, ... of the seed. `after_step` is called with
-    the number of each sample.
-    """
-    mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
-    log = np.zeros((mission.steps, mission.n), log_dtype(len(mission.vehicle.rotors)))
-    last_command = mission.loop.controller.rotor_vel_cmd.copy()
-    end = np.full(mission.n, mission.steps)
-    for k in range(mission.steps):
-        mission.step()
-        write_row(mission.records, last_command, log[k])
-        if after_step is not None:
-            after_step(k)
-        if mission.crashed:
-            end[(mission.cause > 0) & (end > k)] = k
-    return log.swapaxes(0, 1), end

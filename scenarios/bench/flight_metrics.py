@@ -1,26 +1,23 @@
-"""Metrics of a flight from its log, and one figure for several flights.
+"""Metrics of flights from their logs, and one figure for several flights.
 
-A log is an array (n, T) of `log_dtype`, and `end` (n,) is the number of samples of each flight before its
-crash. Samples after it are not counted.
+`log` is (n, T) of `flight_log.log_dtype`, `end` (n,) the samples before each crash; later ones do not count.
 """
 
 import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cache
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from estimators.metrics import absolute_error, attitude_error, inclination_error
-from quadsim.runs.compiled import njit
 from quadsim.vehicle import Vehicle
 
+from .flight_log import Log
+
 Array = NDArray[np.float64]
-Log = NDArray[np.void]
 
 CONVERGED_DEG = 5.0
 """Inclination error below which an estimate counts as converged [deg],"""
@@ -34,41 +31,23 @@ ERROR_BINS = 106
 """and how many equal parts it has."""
 
 
-@cache
-def log_dtype(rotors: int) -> np.dtype[np.void]:
-    """One sample of a flight's log."""
-    return np.dtype(
-        [
-            ("position", "f8", 3),  # world [m]
-            ("euler", "f8", 3),  # true roll, pitch, yaw [rad]
-            ("estimate", "f8", 2),  # estimated roll, pitch [rad]
-            ("target", "f8", 3),  # set-point, world [m]
-            ("tracking", "f8"),  # angle between the true and the commanded thrust axis [rad]
-            ("tilt", "f8"),  # [rad]
-            ("rotor_vel", "f8", rotors),  # [rad/s]
-            ("command_change", "f8"),  # RMS over the rotors, since the last sample [rad/s]
-        ]
-    )
-
-
-Value = TypeVar("Value")
 OF_ALL = ("worst_tilt_deg", "converge_s", "recover_s")
 """Metrics to which a crashed flight counts too."""
 
 
 @dataclass(frozen=True)
-class FlightMetrics(Generic[Value]):
-    """The metrics of flights, of one or of each, as `METRICS` describes them."""
+class FlightMetrics:
+    """The metrics of one or several flights, as `METRICS` describes them; None without a value."""
 
-    error_deg: Value
-    inclination_deg: Value
-    attitude_deg: Value
-    position_m: Value
-    worst_tilt_deg: Value
-    converge_s: Value
-    recover_s: Value
-    power_w: Value
-    jitter: Value
+    error_deg: float | None
+    inclination_deg: float | None
+    attitude_deg: float | None
+    position_m: float | None
+    worst_tilt_deg: float | None
+    converge_s: float | None
+    recover_s: float | None
+    power_w: float | None
+    jitter: float | None
 
 
 @dataclass(frozen=True)
@@ -82,8 +61,8 @@ class _Flight:
 
 
 @dataclass(frozen=True)
-class FlightRow(FlightMetrics[float | None], _Flight):
-    """One flight; a metric without a value is None."""
+class FlightRow(FlightMetrics, _Flight):
+    """One flight."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +79,7 @@ class _Cell:
 
 
 @dataclass(frozen=True)
-class CellRow(FlightMetrics[float | None], _Cell):
+class CellRow(FlightMetrics, _Cell):
     """All flights of a scenario with one estimator."""
 
 
@@ -142,43 +121,8 @@ METRICS = tuple(Metric(*row) for row in (
 ))  # fmt: skip
 
 
-@njit(cache=True)
-def write_row(loops, last_command, row):
-    """Write one sample of n flights into `row` (n,), and the command into `last_command` (n, rotors).
-
-    loops: (n,) records of `quadsim.flight.world.loop_dtype`.
-    """
-    for i in range(row.shape[0]):
-        out, p, c, target = row[i], loops[i].vehicle, loops[i].controller, loops[i].flight.target
-        axis, quat, estimate = c.thrust_axis, p.quat, loops[i].measured.roll_pitch
-        w, x, y, z = quat[0], quat[1], quat[2], quat[3]
-        up_x, up_y, up_z = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-        for j in range(3):
-            out.position[j], out.target[j] = p.position[j], target.position[j]
-        for j in range(2):
-            out.euler[j], out.estimate[j] = p.roll_pitch[j], estimate[j]
-        out.euler[2] = p.yaw
-        cx = up_y * axis[2] - up_z * axis[1]
-        cy = up_z * axis[0] - up_x * axis[2]
-        cz = up_x * axis[1] - up_y * axis[0]
-        dot = up_x * axis[0] + up_y * axis[1] + up_z * axis[2]
-        out.tracking = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), dot)
-        out.tilt = math.atan2(math.sqrt(up_x * up_x + up_y * up_y), up_z)
-        change, rotors = 0.0, p.rotor_vel.shape[0]
-        for j in range(rotors):
-            out.rotor_vel[j] = p.rotor_vel[j]
-            change += (c.rotor_vel_cmd[j] - last_command[i, j]) ** 2
-            last_command[i, j] = c.rotor_vel_cmd[j]
-        out.command_change = math.sqrt(change / rotors)
-
-
-def flight_metrics(
-    log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle
-) -> FlightMetrics[Array]:
-    """Every metric of each flight, (n,); NaN where it has no value.
-
-    `log` is (n, T) of `log_dtype`; `end` (n,) the samples before the crash, T without one.
-    """
+def flight_metrics(log: Log, end: NDArray[np.int64], rate_hz: float, vehicle: Vehicle) -> dict[str, Array]:
+    """Every metric of each flight, (n,), by the fields of `FlightMetrics`; NaN where it has no value."""
     valid = log.copy()
     valid[np.arange(log.shape[1]) >= np.maximum(end, 1)[:, None]] = np.nan
     estimate, truth = valid["estimate"], valid["euler"][..., :2]
@@ -186,17 +130,17 @@ def flight_metrics(
     distance = np.linalg.norm(valid["position"] - valid["target"], axis=-1)
     power = vehicle.motor.k_m * vehicle.motor.k_f * np.sum(valid["rotor_vel"] ** 3, axis=-1)
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of flights without a number
-        return FlightMetrics(
-            error_deg=attitude_error(estimate, truth).sequences,
-            inclination_deg=_rms(inclination),
-            attitude_deg=np.degrees(_rms(valid["tracking"])),
-            position_m=_rms(distance),
-            worst_tilt_deg=np.degrees(np.nanmax(valid["tilt"], axis=1)),
-            converge_s=convergence_time(inclination, rate_hz),
-            recover_s=recovery_time(distance, end == log.shape[1], rate_hz),
-            power_w=np.nanmean(power, axis=1),
-            jitter=_rms(valid["command_change"]),
-        )
+        return {
+            "error_deg": attitude_error(estimate, truth).sequences,
+            "inclination_deg": _rms(inclination),
+            "attitude_deg": np.degrees(_rms(valid["tracking"])),
+            "position_m": _rms(distance),
+            "worst_tilt_deg": np.degrees(np.nanmax(valid["tilt"], axis=1)),
+            "converge_s": convergence_time(inclination, rate_hz),
+            "recover_s": recovery_time(distance, end == log.shape[1], rate_hz),
+            "power_w": np.nanmean(power, axis=1),
+            "jitter": _rms(valid["command_change"]),
+        }
 
 
 def convergence_time(inclination_deg: Array, rate_hz: float) -> Array:

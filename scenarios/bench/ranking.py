@@ -184,6 +184,13 @@ def paired_differences(flights: Sequence[FlightRow], level: float = 0.95) -> lis
     return rows
 
 
+def difference(flights: Sequence[FlightRow], first: str, other: str, metric: str) -> PairRow:
+    """How much larger a metric is than that of the first contender, on the seeds that both survived."""
+    both = [[flight for flight in flights if flight.estimator == name] for name in (other, first)]
+    rows = paired_differences([*both[0], *both[1]])
+    return next(row for row in rows if (row.scenario, row.metric) == (ALL, metric))
+
+
 def _mean_over_rows(difference: Array) -> Array:
     count = np.isfinite(difference).sum(axis=0)
     return np.where(count > 0, np.nansum(difference, axis=0) / np.maximum(count, 1), np.nan)

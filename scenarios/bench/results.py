@@ -1,29 +1,27 @@
 """The results of a benchmark: its flights, their table and index in a folder, and who flew exactly alike."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from pydantic import TypeAdapter, ValidationError
 
 from estimators.registry import COPIES, training_misfit, tuning_misfit
 from quadsim.flight.scenario import Scenario
-from quadsim.runs.files import read_json, write_csv, write_json
 from quadsim.runs.files import replace as replace_file
+from quadsim.runs.files import write_csv, write_whole
 
-from .cell import CELL, Cell, file_name, load_cell, tuning_of
+from .cell import Cell, FlightSettings, tuning_of
 from .controllers import CASCADED, controller_of, default_estimators, estimator_of
 from .experiment import SUITE, Experiment, Levels
 from .flight_metrics import CellRow, FlightRow, summarise
 from .ranking import by_contender
 from .search import BreakingPoint
-from .settings import FlightSettings
 
 
 @dataclass(frozen=True)
@@ -70,36 +68,27 @@ class Results:
     @property
     def warnings(self) -> list[str]:
         """What was tuned or trained for another vehicle or IMU, and faults that begin after the end."""
+        tuned: dict[str, dict[str, None]] = {}
+        trained: dict[str, dict[str, None]] = {}
+        flown_with = dict.fromkeys((each.vehicle, each.imu) for each in self.scenarios.values())
+        for (vehicle, imu), name in product(flown_with, self.estimators):
+            estimator, airframe = estimator_of(name), Path(vehicle).stem
+            if other := tuning_misfit(estimator, tuning_of(name, self.settings.tuning), vehicle, imu):
+                text = f"Tuned for {other}, not for {airframe} with {Path(imu).stem}, which was simulated"
+                tuned.setdefault(text, {})[name] = None
+            for part in (estimator, controller_of(name)):
+                if other := training_misfit(part, vehicle):
+                    text = f"Trained on {other}, not on the {airframe}, which was simulated"
+                    trained.setdefault(text, {})[part] = None
+        how = " `quadsim tune` on flights of it, then --set tuning=FILE."
         late = [
             f"{name} ends at {scenario.duration_s:g} s, before its fault {fault.kind} at {start:g} s"
             for name, scenario in self.scenarios.items()
             for fault in scenario.faults
             if (start := getattr(fault, "at_s", 0.0)) >= scenario.duration_s
         ]
-        return [*self._tuned_elsewhere, *self._trained_elsewhere, *late]
-
-    @property
-    def _trained_elsewhere(self) -> list[str]:
-        parts = [each for name in self.estimators for each in (estimator_of(name), controller_of(name))]
-        found: dict[str, dict[str, None]] = {}
-        for vehicle, part in product(dict.fromkeys(s.vehicle for s in self.scenarios.values()), parts):
-            if trained := training_misfit(part, vehicle):
-                text = f"on {trained}, not on the {Path(vehicle).stem}, which was simulated"
-                found.setdefault(text, {})[part] = None
-        return [f"Trained {text}: {', '.join(who)}." for text, who in found.items()]
-
-    @property
-    def _tuned_elsewhere(self) -> list[str]:
-        tuning, found = self.settings.tuning, dict[str, dict[str, None]]()
-        simulated_with = dict.fromkeys((s.vehicle, s.imu) for s in self.scenarios.values())
-        for (vehicle, imu), name in product(simulated_with, self.estimators):
-            if other := tuning_misfit(estimator_of(name), tuning_of(name, tuning), vehicle, imu):
-                simulated = f"{Path(vehicle).stem} with {Path(imu).stem}"
-                found.setdefault(f"for {other}, not for {simulated}, which was simulated", {})[name] = None
-        return [
-            f"Tuned {text}: {', '.join(who)}. `quadsim tune` on flights of it, then --set tuning=FILE."
-            for text, who in found.items()
-        ]
+        lines = [f"{text}: {', '.join(who)}.{how}" for text, who in tuned.items()]
+        return [*lines, *(f"{text}: {', '.join(who)}." for text, who in trained.items()), *late]
 
     @property
     def partial(self) -> str:
@@ -149,36 +138,37 @@ class Results:
         return f"{text}; {hours(cpu_s)} of processor time" if cpu_s else text
 
 
-def identical(results: Results) -> dict[str, str]:
-    """Estimators whose flights equal those of one before them to the last digit, and which one.
-
-    A reference stands for no estimator; what did not run failed for the same reason.
-    """
-    references = results.references
-    ranked_first = sorted(results.estimators, key=results.unranked.__contains__)
-    flown: dict[str, list[FlightRow]] = {name: [] for name in ranked_first if name not in references}
-    for flight in results.flights:
-        if flight.estimator not in references:
-            flown[flight.estimator].append(replace(flight, estimator=""))
-    reasons = {name: tuple(cell.reason for cell in results.cells if cell.estimator == name) for name in flown}
-    first: dict[tuple[object, ...], str] = {}
-    found = {}
-    for name, flights in flown.items():
-        if flights and (earlier := first.setdefault((*flights, reasons[name]), name)) != name:
-            found[name] = earlier
-    return found
+RESULTS = TypeAdapter(Results)
+"""Writes results as JSON, and reads them."""
 
 
 def shown_once(results: Results) -> tuple[Results, str]:
-    """Results without the estimators that flew exactly as another, and a line that names them."""
-    same = identical(results)
-    kept = replace(
+    """Results without estimators whose flights equal another's to the last digit, and a line that names them.
+
+    A reference stands for no estimator; what did not run failed for the same reason.
+    """
+    flown: dict[str, list[tuple[list[FlightRow], str]]] = {}
+    for cell in results.cells:
+        alike = [replace(each, estimator="") for each in cell.flights]
+        flown.setdefault(cell.estimator, []).append((alike, cell.reason))
+    ran = [name for name, cells in flown.items() if any(flights for flights, _ in cells)]
+    first: list[str] = []
+    same: dict[str, str] = {}
+    for name in sorted(ran, key=results.unranked.__contains__):
+        if name in results.references:
+            continue
+        twin = next((each for each in first if flown[each] == flown[name]), None)
+        if twin is None:
+            first.append(name)
+        else:
+            same[name] = twin
+    once = replace(
         results,
         estimators=[name for name in results.estimators if name not in same],
         cells=[cell for cell in results.cells if cell.estimator not in same],
     )
     said = "; ".join(f"{name} flew exactly as {other}" for name, other in same.items())
-    return kept, f"{said}: shown once." if same else ""
+    return once, f"{said}: shown once." if same else ""
 
 
 class Total(NamedTuple):
@@ -215,56 +205,23 @@ def load_results(out: str | Path) -> Results:
     """The results of an earlier `bench` in its folder.
 
     Raises:
-        ValueError: If there are none, or not all of them.
+        ValueError: If there are none.
     """
-    out = Path(out).expanduser()
+    path = Path(out).expanduser() / "bench.json"
     try:
-        index = read_json(out / "bench.json")
-        scenarios = {
-            name: Scenario.model_validate_json(json.dumps(s)) for name, s in index["scenarios"].items()
-        }
-        names, settings = index["estimators"], FlightSettings(**index["settings"])
-        experiment = Experiment.model_validate_json(json.dumps(index["experiment"]))
-        points = [BreakingPoint(**each) for each in index["points"]]
-        failed = {(f["scenario"], f["estimator"]): CELL.validate_python(f) for f in index["failed"]}
-        fingerprints = {(s, e): print_ for s, e, print_ in index["fingerprints"]}
-        levels = dict(index["levels"])
+        return RESULTS.validate_json(path.read_bytes())
     except FileNotFoundError:
-        raise ValueError(f"{out}: no benchmark results (there is no bench.json)") from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{out / 'bench.json'}: not the index of a benchmark: {error}") from error
-    cells = []
-    for pair in [(s, e) for s in scenarios for e in names]:
-        cell = failed.get(pair) or load_cell(cell_path(out, *pair))
-        if cell is None or cell.fingerprint != fingerprints.get(pair):
-            wrong = "of another run than the rest" if cell else "missing or damaged"
-            raise ValueError(f"{cell_path(out, *pair)}: {wrong}; run the benchmark again")
-        cells.append(cell)
-    return Results(scenarios, names, settings, cells, experiment, levels, points)
-
-
-def cell_path(out: Path, scenario: str, estimator: str) -> Path:
-    """File of a cell."""
-    return out / "cells" / f"{scenario}--{file_name(estimator)}.json"
+        raise ValueError(f"{path.parent}: no benchmark results (there is no bench.json)") from None
+    except ValidationError as error:
+        raise ValueError(f"{path}: not the results of a benchmark; run it again") from error
 
 
 def save_results(out: Path, results: Results) -> None:
-    """Write the tables, and the index that `load_results` reads."""
+    """Write the tables, and what `load_results` reads."""
     flights = [asdict(each) | _columns(results.levels.get(each.scenario, {})) for each in results.flights]
     replace_file(out / "flights.parquet", lambda part: pd.DataFrame(flights).to_parquet(part, index=False))
     write_csv(out / "results.csv", results.rows)
-    index = {
-        "version": version("quadsim"),
-        "settings": asdict(results.settings),
-        "scenarios": {name: each.model_dump(mode="json") for name, each in results.scenarios.items()},
-        "estimators": results.estimators,
-        "experiment": results.experiment.model_dump(mode="json"),
-        "levels": dict(results.levels),
-        "points": [asdict(point) for point in results.points],
-        "fingerprints": [[cell.scenario, cell.estimator, cell.fingerprint] for cell in results.cells],
-        "failed": [asdict(cell) for cell in results.cells if cell.reason],
-    }
-    write_json(out / "bench.json", index)
+    write_whole(out / "bench.json", RESULTS.dump_json(results))
 
 
 def _columns(levels: Levels) -> dict[str, str]:

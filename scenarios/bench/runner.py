@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,27 @@ from quadsim.external import load_external
 from quadsim.flight.scenario import Scenario, changed
 from quadsim.imu.spec import load_imu
 from quadsim.own import own_files
-from quadsim.runs.files import alone, drop_parts, write_json
-from quadsim.runs.fingerprint import ROOT, code_digest, file_digest, fingerprint
+from quadsim.runs.files import alone, drop_parts, write_whole
+from quadsim.runs.fingerprint import ASSETS, ROOT, code_digest, file_digest, fingerprint
 from quadsim.runs.pool import run_all
 from quadsim.vehicle import load_vehicle
 
-from .cell import Cell, digest_if_there, failed_cell, fly_cell, load_cell, tuning_of, weights_digest
+from .cell import (
+    CELL,
+    Cell,
+    FlightSettings,
+    cell_path,
+    digest_if_there,
+    failed_cell,
+    fly_cell,
+    load_cell,
+    tuning_of,
+    weights_digest,
+)
 from .controllers import controller_of, estimator_of, make_controller
-from .experiment import SUITE, Case, Experiment
-from .results import Results, cell_path, save_results
+from .experiment import SUITE, Experiment
+from .results import Results, save_results
 from .search import breaking_points
-from .settings import FlightSettings
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +44,7 @@ NO_CHANGES: Changes = {}
 
 
 def bench(
-    scenarios: Sequence[str | Path] | Mapping[str, Scenario] | None,
+    scenarios: Sequence[str | Path] | None,
     names: Sequence[str],
     out: str | Path,
     settings: FlightSettings,
@@ -53,8 +62,7 @@ def bench(
     main module, so a script calls this under `if __name__ == "__main__":`.
 
     Args:
-        scenarios: Names of shipped scenarios or paths of TOML files; or scenarios by their names; or None for
-            those of the experiment.
+        scenarios: Names of shipped scenarios or paths of TOML files; None for those of the experiment.
         names: Names of estimators, or paths of weights.
         out: Folder for the results.
         settings: Seeds, sample rate, tuning.
@@ -70,8 +78,12 @@ def bench(
         OSError: If the results cannot be written.
     """
     names, out = list(dict.fromkeys(names)), Path(out).expanduser()
-    cases = _cases(scenarios, changes, experiment)
-    _check(cases, names, settings)
+    varied = {name for levels in experiment.axes.values() for level in levels.values() for name in level}
+    if both := sorted(varied & changes.keys()):
+        raise ValueError(f"{both[0]}: the experiment varies it")
+    cases = experiment.cases(scenarios)
+    flown = {name: changed(case.scenario, changes) for name, case in cases.items()}
+    _check(flown, names, settings)
     for sweep in experiment.sweeps.values():
         sweep.at(sweep.most, changes)
 
@@ -81,11 +93,10 @@ def bench(
     with alone(out):
         out.mkdir(parents=True, exist_ok=True)
         drop_parts(out)
-        loaded = {name: case.scenario for name, case in cases.items()}
-        cells = fly([(name, scenario, each) for name, scenario in loaded.items() for each in names])
+        cells = fly([(name, scenario, each) for name, scenario in flown.items() for each in names])
         points = breaking_points(experiment.sweeps, names, changes, fly)
         levels = {name: case.levels for name, case in cases.items() if case.levels}
-        results = Results(loaded, names, settings, cells, experiment, levels, points)
+        results = Results(flown, names, settings, cells, experiment, levels, points)
         save_results(out, results)
         return results
 
@@ -99,29 +110,26 @@ def _fly_cells(
     progress: Progress | None,
 ) -> list[Cell]:
     """Cells of (name, scenario, contender), read where an earlier run has stored the same ones."""
-    code = suite_digest()
+    code = flight_code()
     prints = [_fingerprint(scenario, name, settings, code) for _, scenario, name in jobs]
     stored = [load_cell(cell_path(out, scenario, name)) for scenario, _, name in jobs]
     cells = {i: cell for i, cell in enumerate(stored) if cell and cell.fingerprint == prints[i]}
     missing = [i for i in range(len(jobs)) if i not in cells]
-    if progress:
-        progress(len(cells), len(jobs))
+    progress = progress or (lambda done, total: None)
+    progress(len(cells), len(jobs))
     said: set[tuple[str, str]] = set()
-    pending = [(*jobs[i], settings, prints[i]) for i in missing]
-    for at, cell in run_all(fly_cell, pending, workers, executor):
+    for at, cell in run_all(fly_cell, [(*jobs[i], settings, prints[i]) for i in missing], workers, executor):
         i = missing[at]
         if isinstance(cell, BaseException):  # the worker itself died
-            reason = f"{type(cell).__name__}: {cell}"
-            cell = failed_cell(jobs[i][0], jobs[i][2], prints[i], reason)
+            name, _, estimator = jobs[i]
+            cell = failed_cell(name, estimator, prints[i], f"{type(cell).__name__}: {cell}")
         cells[i] = cell
-        if cell.reason:
-            if (cell.estimator, cell.reason) not in said:
-                log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
-            said.add((cell.estimator, cell.reason))  # other scenarios with the same reason are not listed
-        else:
-            write_json(cell_path(out, cell.scenario, cell.estimator), asdict(cell))
-        if progress:
-            progress(len(cells), len(jobs))
+        if not cell.reason:
+            write_whole(cell_path(out, cell.scenario, cell.estimator), CELL.dump_json(cell))
+        elif (cell.estimator, cell.reason) not in said:  # once for all scenarios
+            log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
+            said.add((cell.estimator, cell.reason))
+        progress(len(cells), len(jobs))
     return [cells[i] for i in range(len(jobs))]
 
 
@@ -135,54 +143,30 @@ def _files_of(scenario: Scenario) -> list[str | Path]:
     return found
 
 
-def suite_digest() -> str:
+def flight_code() -> str:
     """Digest of the code and data that a cell's numbers come from: change these, and cells run again."""
-    files = [path for path in (ROOT / "assets").rglob("*.*") if "__pycache__" not in path.parts]
+    files = [path for path in ASSETS.rglob("*.*") if "__pycache__" not in path.parts]
     assets = {path.relative_to(ROOT).as_posix(): file_digest(path) for path in files}
     return fingerprint(code_digest("scenarios.bench.cell", "estimators"), assets)
 
 
-def _cases(
-    scenarios: Sequence[str | Path] | Mapping[str, Scenario] | None, changes: Changes, experiment: Experiment
-) -> dict[str, Case]:
-    """What is flown by name, with the changes."""
-    if isinstance(scenarios, Mapping):
-        cases = {name: Case(scenario, {}) for name, scenario in scenarios.items()}
-    else:
-        cases = experiment.cases(scenarios)
-    varied = {name for levels in experiment.axes.values() for level in levels.values() for name in level}
-    if both := sorted(varied & changes.keys()):
-        raise ValueError(f"{both[0]}: the experiment varies it")
-    return {name: case._replace(scenario=changed(case.scenario, changes)) for name, case in cases.items()}
-
-
-def _check(cases: Mapping[str, Case], names: Sequence[str], settings: FlightSettings) -> None:
+def _check(scenarios: Mapping[str, Scenario], names: Sequence[str], settings: FlightSettings) -> None:
     """Check everything that a user may have mistyped before the first flight."""
-    for case in cases.values():
-        load_vehicle(case.scenario.vehicle)
-        load_imu(case.scenario.imu)
-        load_external(case.scenario.external)
+    for scenario in scenarios.values():
+        load_vehicle(scenario.vehicle)
+        load_imu(scenario.imu)
+        load_external(scenario.external)
     if settings.tuning is not None and not set(map(estimator_of, names)) & set(load_tuning(settings.tuning)):
         raise ValueError(f"{settings.tuning}: it has no table of {', '.join(names)}")
     for name in dict.fromkeys(map(estimator_of, names)):
         if name not in estimators.names():
             estimators.create(name, settings.rate_hz)  # raises: the valid ones, or what is wrong with weights
-    check_controllers(names, settings.rate_hz)
-    if not cases or not names:
-        raise ValueError(f"nothing to fly: give at least one {'estimator' if cases else 'scenario'}")
-
-
-def check_controllers(names: Sequence[str], rate_hz: float) -> None:
-    """Whether the controllers of contenders can be made.
-
-    Raises:
-        FileNotFoundError: No such weights.
-        ValueError: No such controller, or weights of something else or another rate.
-    """
     for name in dict.fromkeys(map(controller_of, names)):
         make_controller(name)
         if is_controller(name):
-            create_controller(name, rate_hz)
+            create_controller(name, settings.rate_hz)
+    if not scenarios or not names:
+        raise ValueError(f"nothing to fly: give at least one {'estimator' if scenarios else 'scenario'}")
 
 
 def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, code: str) -> str:

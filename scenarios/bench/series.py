@@ -36,7 +36,7 @@ class FlightSeries:
     """Time between two samples [s]."""
     channels: dict[str, Channel]
     signals: dict[str, Channel] = field(default_factory=dict)
-    """What is behind the estimate, by the names of `signals.signal_names`; those without a value left out."""
+    """What is behind the estimate, by the names in `flight_log.Flown`; those without a value left out."""
 
     @property
     def samples(self) -> int:
@@ -49,10 +49,8 @@ def decimation(rate_hz: float) -> int:
     return max(round(rate_hz / SERIES_HZ), 1)
 
 
-def pack_series(
-    log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Array] | None = None
-) -> FlightSeries:
-    """One flight's log (T,) of `flight_metrics.log_dtype`, decimated to `SERIES_HZ`.
+def pack_series(log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Array]) -> FlightSeries:
+    """One flight's log (T,) of `flight_log.log_dtype`, decimated to `SERIES_HZ`.
 
     Args:
         log: The flight, until its end.
@@ -66,7 +64,7 @@ def pack_series(
     columns = np.hstack([angles, shown["position"], shown["target"]])
     steps = [ANGLE_STEP] * 5 + [LENGTH_STEP] * 6
     channels = {n: _pack(v, LEVELS, step) for n, v, step in zip(names, columns.T, steps, strict=True)}
-    packed = {name: _pack(v[: len(shown)], SIGNAL_LEVELS) for name, v in (signals or {}).items()}
+    packed = {name: _pack(v[: len(shown)], SIGNAL_LEVELS) for name, v in signals.items()}
     known = {name: channel for name, channel in packed.items() if (_integers(channel) != MISSING).any()}
     return FlightSeries(every / rate_hz, channels, known)
 

@@ -1,7 +1,7 @@
 """The verdict of a benchmark: a sorted table, and one sentence that says what to fly there."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from quadsim.flight.scenario import Scenario
 
 from .controllers import CASCADED, controller_of, estimator_of
 from .flight_metrics import CellRow, wilson
-from .ranking import ALL, PairRow, Place, by_contender, listed, paired_differences, ranked, winners
+from .ranking import PairRow, Place, by_contender, difference, listed, ranked, winners
 from .recommendation import recommendation
 from .results import Results, Total, shown_once, totals_of
 
@@ -92,8 +92,7 @@ def choice(results: Results, scenarios: Sequence[str]) -> Choice:
     places = ranked(
         by_contender(flights), [flight for flight in planned if flight[0] in safe] or planned, measure.key
     )
-    pairs = [] if len(places) < 2 else paired_differences(flights)
-    best = winners(places, lambda first, other: _worse(first, other, pairs, measure))
+    best = winners(places, lambda first, other: _worse(difference(flights, first, other, measure.key)))
     return Choice(places, best, [name for name in scenarios if name not in safe])
 
 
@@ -120,17 +119,13 @@ def shown(error_deg: float | None) -> str:
 
 def conditions(scenarios: Mapping[str, Scenario]) -> str:
     """What the scenarios have in common, and how many differ, in a sentence."""
-    aspects: dict[str, Callable[[Scenario], str]] = {
-        "airframe": lambda s: Path(s.vehicle).stem,
-        "its drag": _drag,
-        "IMU": lambda s: Path(s.imu).stem,
-        "initial attitude": _initial,
+    aspects = {
+        "airframe": [Path(each.vehicle).stem for each in scenarios.values()],
+        "its drag": [_drag(each) for each in scenarios.values()],
+        "IMU": [Path(each.imu).stem for each in scenarios.values()],
+        "initial attitude": [_initial(each) for each in scenarios.values()],
     }
-    found = {
-        aspect: Counter(of(scenario) for scenario in scenarios.values()).most_common()
-        for aspect, of in aspects.items()
-    }
-    return f"Conditions: {'; '.join(f'{aspect} {_counted(levels)}' for aspect, levels in found.items())}."
+    return f"Conditions: {'; '.join(f'{aspect} {_counted(levels)}' for aspect, levels in aspects.items())}."
 
 
 # --- the table ------------------------------------------------------------------------------------
@@ -140,7 +135,6 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
     unranked, totals, levels = results.unranked, totals_of(results.rows), results.by_level
     order = [place.name for place in places]
     left_out = [name for name in results.estimators if name not in order and name not in unranked]
-    behind = _behind(results, order, measure)
     rows = []
     for name in [*order, *left_out, *unranked]:
         own = totals[name]
@@ -159,7 +153,7 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
             "crashed": f"{own.crashes} of {own.flights} ({100 * low:.0f}–{100 * high:.0f} %)",
             "error [°]": _number(own.error_deg),
             "tracking [°]": _number(own.attitude_deg),
-            "behind the best [°]": behind.get(name, "–"),
+            "behind the best [°]": _behind(results, order[0], name, measure) if name in order[1:] else "–",
             "command change [rad/s]": _number(own.jitter),
             "at worst": described(*worst, measure) if worst else "–",
             "note": note,
@@ -177,18 +171,13 @@ def described(axis: str, row: CellRow, measure: Measure = ERROR) -> str:
     return f"{level}, {crashes}{shown(getattr(row, measure.key))}"
 
 
-def _behind(results: Results, order: Sequence[str], measure: Measure) -> dict[str, str]:
-    """The paired difference of each contender from the best, with half its 95 % interval."""
-    flights = [flight for flight in results.flights if flight.estimator in order]
-    found = {}
-    for row in paired_differences(flights) if len(order) > 1 else []:
-        if (row.scenario, row.metric) == (ALL, measure.key) and order[0] in (row.estimator, row.versus):
-            if row.difference is None:
-                continue
-            other, sign = (row.versus, -1) if row.estimator == order[0] else (row.estimator, 1)
-            half = "" if row.low is None or row.high is None else f" ± {(row.high - row.low) / 2:.2f}"
-            found[other] = f"{sign * row.difference:+.2f}{half}"
-    return found
+def _behind(results: Results, best: str, name: str, measure: Measure) -> str:
+    """The paired difference from the best, with half its 95 % interval."""
+    row = difference(results.flights, best, name, measure.key)
+    if row.difference is None:
+        return "–"
+    half = "" if row.low is None or row.high is None else f" ± {(row.high - row.low) / 2:.2f}"
+    return f"{row.difference:+.2f}{half}"
 
 
 # --- the sentence ---------------------------------------------------------------------------------
@@ -305,14 +294,9 @@ def _alone(name: str, own: Total, measure: Measure) -> str:
     return f"{name}: {crashes} {own.flights} flights{error}{failed}."
 
 
-def _worse(first: str, other: str, pairs: Sequence[PairRow], measure: Measure) -> bool:
-    """Whether the error of `other` over all scenarios is significantly larger."""
-    for row in pairs:
-        if (row.scenario, row.metric) == (ALL, measure.key) and {row.estimator, row.versus} == {first, other}:
-            if row.low is None or row.high is None:
-                return False
-            return row.high < 0.0 if row.estimator == first else row.low > 0.0
-    return False
+def _worse(row: PairRow) -> bool:
+    """Whether the error is significantly larger."""
+    return row.low is not None and row.low > 0.0
 
 
 def _count(count: int, what: str) -> str:
@@ -340,7 +324,8 @@ def _initial(scenario: Scenario) -> str:
     return f"given {error:g}° wrong" if error else "given"
 
 
-def _counted(levels: Sequence[tuple[str, int]]) -> str:
-    if len(levels) == 1:
-        return levels[0][0]
-    return ", ".join(f"{level} in {_count(times, 'scenario')}" for level, times in levels)
+def _counted(levels: Sequence[str]) -> str:
+    counts = Counter(levels).most_common()
+    if len(counts) == 1:
+        return levels[0]
+    return ", ".join(f"{level} in {_count(times, 'scenario')}" for level, times in counts)

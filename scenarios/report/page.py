@@ -18,13 +18,13 @@ from quadsim.runs.files import write_whole
 from quadsim.runs.record import RunRecord, load_record
 from quadsim.vehicle import load_vehicle
 
+from ..bench.cell import FlightSettings
 from ..bench.controllers import TRUTH
+from ..bench.flight_log import SHARED
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, Metric
 from ..bench.ranking import ALL, PAIRED, PairRow, paired_differences
 from ..bench.results import Results, hours, mean_of, shown_once, totals_of
 from ..bench.series import FlightSeries, compress_flights
-from ..bench.settings import FlightSettings
-from ..bench.signals import SHARED
 from ..bench.verdict import ERROR, Verdict, measure_of, verdict
 from .flight_picture import Picture, cover
 from .template import render

@@ -23,41 +23,37 @@ from paper.page.claims import (
 )
 from paper.page.figures import FIGURES
 from paper.page.pages import sections
-from paper.plan import CROSS, ITEMS, chosen, stages_of
+from paper.plan import CROSS, ITEMS, PRESETS, chosen, sizes_of, stages_of
 from paper.run import paper
-from paper.settings import PRESETS, Budget, settings_of
-from paper.stages import RECORD, Stage, run_stages, with_inputs
+from paper.stages import NUMBERS, RECORD, Stage, run_stages, with_inputs
 from paper.work import networks
-from paper.work.files import NUMBERS
 from paper.work.flights import fly
 from quadsim.held_out import load_held_out
 from quadsim.runs.fingerprint import ROOT, closure
 
-SHORT = Budget(epochs=2, batches=1, batch_size=2, window_s=0.5)
-TINY = settings_of("quick").model_copy(
-    update=dict(
-        sim_flights=4,
-        real_flights=4,
-        flight_s=6.0,
-        test_flights=2,
-        test_s=6.0,
-        folds=2,
-        particles=2,
-        iterations=1,
-        snn=SHORT,
-        rnn=SHORT,
-        fold=SHORT,
-        ours_epochs=1,
-        rates_hz=(100.0, 200.0),
-        rate_flights=3,
-        rate=SHORT,
-        minutes=(1, 2),
-        minutes_validation=1,
-        study=SHORT,
-        latency_rounds=1,
-        loop_seeds=1,
-        loop_s=2.0,
-    )
+SHORT = dict(epochs=2, batches=1, batch_size=2, window_s=0.5)
+TINY = sizes_of("quick") | dict(
+    sim_flights=4,
+    real_flights=4,
+    flight_s=6.0,
+    test_flights=2,
+    test_s=6.0,
+    folds=2,
+    particles=2,
+    iterations=1,
+    snn=SHORT,
+    rnn=SHORT,
+    fold=SHORT,
+    ours_epochs=1,
+    rates_hz=(100.0, 200.0),
+    rate_flights=3,
+    rate=SHORT,
+    minutes=(1, 2),
+    minutes_validation=1,
+    study=SHORT,
+    latency_rounds=1,
+    loop_seeds=1,
+    loop_s=2.0,
 )
 
 
@@ -108,11 +104,9 @@ def test_a_stage_with_an_empty_record_or_a_lost_file_is_made_again(tmp_path, fil
     assert run_stages(chain(), tmp_path, workers=1) == ["d"]
 
 
-def test_seeds_of_the_held_out_suite_and_out_of_range_are_refused_at_once():
+def test_seeds_of_the_held_out_suite_are_refused_at_once():
     with pytest.raises(ValueError, match="held-out suite"):
-        settings_of("quick", load_held_out("0.2").seed)
-    with pytest.raises(ValueError, match=r"^paper: seed = -1: should be"):
-        settings_of("quick", -1)
+        sizes_of("quick", load_held_out("0.2").seed)
 
 
 def test_a_training_too_short_for_the_scatter_is_said_so():
@@ -147,7 +141,7 @@ def test_the_number_of_workers_changes_nothing(tmp_path):
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_stage_is_required_and_comes_after_its_inputs(preset):
-    stages, shows = stages_of(settings_of(preset))
+    stages, shows = stages_of(sizes_of(preset))
     assert list(shows) == list(ITEMS)
     names = list(stages)
     for place, stage in enumerate(stages.values()):
@@ -157,8 +151,9 @@ def test_every_stage_is_required_and_comes_after_its_inputs(preset):
 
 
 def test_full_has_the_papers_sizes():
-    full = settings_of("full")
-    assert (full.sim_flights, full.real_flights, full.flight_s, full.folds) == (35, 11, 100.0, 5)
+    sizes = {"sim_flights": 35, "real_flights": 11, "flight_s": 100.0, "folds": 5}
+    assert sizes.items() <= PRESETS["full"].items()
+    assert PRESETS["full"].keys() == PRESETS["quick"].keys()
 
 
 def test_items_are_chosen_by_name():
@@ -341,7 +336,7 @@ def test_a_trainings_fingerprint_does_not_depend_on_the_pages_code():
 
 @pytest.mark.slow
 def test_the_whole_paper_in_small(tmp_path):
-    done = paper(tmp_path, workers=1, settings=TINY)
+    done = paper(tmp_path, workers=1, sizes=TINY)
     assert {each.verdict for each in done.judged} == {"not judged"}
     assert f"of the paper's {len(CLAIMS['claim'])} claims" in done.headline
     text = (tmp_path / "paper.md").read_text()
@@ -354,6 +349,6 @@ def test_the_whole_paper_in_small(tmp_path):
     scored = json.loads((tmp_path / "quick" / "score-fly-test-sim" / NUMBERS).read_text())["sequences"]
     for name, starts in scored.items():
         assert set(starts) == ({"unknown"} if name.startswith("att") else {"unknown", "known"})
-    for settings, again in ((TINY, []), (TINY.model_copy(update={"loop_s": 1.5}), ["loop"])):
-        stages, _ = stages_of(settings)
+    for sizes, again in ((TINY, []), (TINY | {"loop_s": 1.5}, ["loop"])):
+        stages, _ = stages_of(sizes)
         assert run_stages(with_inputs(stages, stages), tmp_path / "quick", workers=1) == again

@@ -13,8 +13,7 @@ from quadsim.pictures.render import NO_OPENGL, WIND_SCALE, Scene, View, still
 from quadsim.pictures.shapes import quadrotor_geoms
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
-from scenarios.bench.cell import fly_cell
-from scenarios.bench.settings import FlightSettings
+from scenarios.bench.cell import FlightSettings, fly_cell
 from scenarios.report.flight_picture import cover, flight_picture
 
 VEHICLE = load_vehicle("hummingbird")

@@ -8,10 +8,10 @@ import pytest
 
 from quadsim.config.toml import preset_names
 from quadsim.flight.scenario import load_scenario, scenario_names
+from scenarios.bench.cell import FlightSettings
 from scenarios.bench.experiment import FOLDER, load_experiment, with_levels
 from scenarios.bench.results import load_results
 from scenarios.bench.runner import bench
-from scenarios.bench.settings import FlightSettings
 
 AXES = load_experiment("axes")
 

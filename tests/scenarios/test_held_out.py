@@ -12,9 +12,9 @@ from quadsim.cli import main
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
 from quadsim.held_out import SEEDS, load_held_out, releases, unreserved
+from scenarios.bench.cell import FlightSettings
 from scenarios.bench.experiment import draw, load_experiment
 from scenarios.bench.runner import bench
-from scenarios.bench.settings import FlightSettings
 from training.loop import train
 
 NEWEST = load_held_out(releases()[-1])
@@ -87,10 +87,10 @@ def test_nothing_that_learns_takes_a_reserved_seed_from_python(tmp_path):
 
 
 def test_the_held_out_suite_itself_is_flown_with_its_seed(tmp_path):
-    name, case = next(iter(SUITE.cases().items()))
-    changes, settings = {"duration_s": 0.1}, FlightSettings(1, NEWEST.seed)
-    results = bench({name: case.scenario}, ["truth"], tmp_path, settings, changes, workers=1)
-    assert [cell.reason for cell in results.cells] == [""]
+    changes, settings = {"duration_s": 0.05}, FlightSettings(1, NEWEST.seed)
+    results = bench(None, ["truth"], tmp_path, settings, changes, experiment=SUITE, workers=1)
+    assert {cell.reason for cell in results.cells} == {""}
+    assert results.levels == {name: case.levels for name, case in SUITE.cases().items()}
     with pytest.raises(ValueError, match="has scenarios of its own"):
         bench(["hover"], ["truth"], tmp_path, settings, experiment=SUITE)
 

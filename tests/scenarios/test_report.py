@@ -16,14 +16,13 @@ from quadsim.flight.mission import Mission
 from quadsim.flight.scenario import Scenario
 from quadsim.runs.record import RunRecord
 from quadsim.wind import Constant
-from scenarios.bench.cell import Cell, failed_cell, fly, make_cell
+from scenarios.bench.cell import Cell, FlightSettings, failed_cell, make_cell
 from scenarios.bench.experiment import load_experiment
+from scenarios.bench.flight_log import SHARED, fly
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.results import Results
 from scenarios.bench.search import BreakingPoint
-from scenarios.bench.series import decimation, unpack_series
-from scenarios.bench.settings import FlightSettings
-from scenarios.bench.signals import SHARED, SignalLog
+from scenarios.bench.series import unpack_series
 from scenarios.report.flight_picture import Picture
 from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
 
@@ -54,12 +53,11 @@ def results():
         description="Hold a place & <stay> there.", duration_s=2.0, wind=(wind,), faults=(step,)
     )
     mission = Mission(scenario, estimators.create("eskf"), 2)
-    signals = SignalLog(mission, decimation(200.0))
-    log, end = fly(mission, 0, after_step=signals)
+    flown = fly(mission, 0)
     cells = []
     for name in ("calm", "storm"):
         for estimator in ("truth", "mahony"):
-            cell = make_cell(name, estimator, "", mission, log, end, signals)
+            cell = make_cell(name, estimator, "", mission, flown)
             cells.append(replace(cell, receives_truth=estimator == "truth"))
         flights = [flight(0, name, "ekf", "flew away", 9.0), flight(1, name, "ekf")]
         cells.append(Cell(name, "ekf", "", "", flights, cells[0].histogram, cells[0].series))

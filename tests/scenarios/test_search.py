@@ -7,14 +7,13 @@ import pytest
 
 from quadsim.flight.scenario import load_scenario
 from scenarios.bench import runner
-from scenarios.bench.cell import Cell, failed_cell
+from scenarios.bench.cell import Cell, FlightSettings, failed_cell
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.ranking import paired_differences
 from scenarios.bench.results import load_results
 from scenarios.bench.runner import bench
 from scenarios.bench.search import bisection
-from scenarios.bench.settings import FlightSettings
 
 BREAKING = load_experiment("breaking-points")
 
@@ -83,7 +82,7 @@ def test_points_are_found_stored_and_resumed(tmp_path, brittle, monkeypatch):
     only_wind = BREAKING.model_copy(update={"sweeps": {"wind": BREAKING.sweeps["wind"]}})
 
     def find(code="a"):
-        monkeypatch.setattr(runner, "suite_digest", lambda: code)
+        monkeypatch.setattr(runner, "flight_code", lambda: code)
         names, settings = ["truth", "mahony"], FlightSettings(2)
         return bench(["wind-8"], names, tmp_path, settings, experiment=only_wind, workers=1)
 

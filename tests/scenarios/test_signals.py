@@ -1,7 +1,5 @@
 """The signals behind an estimate: what is logged, and that they survive packing."""
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 
@@ -13,8 +11,7 @@ from quadsim.flight.vehicle_faults import PayloadDrop
 from quadsim.rotation import euler_from_quat, quat_from_euler, quat_normalize
 from quadsim.wind import Constant
 from scenarios.bench.cell import CELL, fly, make_cell
-from scenarios.bench.series import SIGNAL_LEVELS, decimation, pack_series, unpack_series
-from scenarios.bench.signals import SignalLog
+from scenarios.bench.series import SIGNAL_LEVELS, unpack_series
 
 STEP = GyroBiasStep(kind="gyro-bias-step", bias_deg=(3.0, -2.0, 0.0), at_s=1.0)
 WIND = Constant(kind="constant", velocity=(3.0, 1.0, 0.0))
@@ -23,56 +20,42 @@ WINDY = Scenario(description="", duration_s=2.0, wind=(WIND,), faults=(STEP,))
 
 def flown(estimator, scenario=WINDY):
     mission = Mission(scenario, estimators.create(estimator, 200.0, vehicle="hummingbird"), 2)
-    signals = SignalLog(mission, decimation(200.0))
-    return mission, *fly(mission, 0, after_step=signals), signals
+    return mission, fly(mission, 0)
 
 
-def test_logging_changes_no_flight():
-    log = fly(Mission(WINDY, estimators.create("eskf", 200.0), 2), 0)[0]
-    np.testing.assert_array_equal(flown("eskf")[1], log)
+def vector(signals, name):
+    return np.stack([signals[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
 
 
-def test_signals_survive_packing_and_the_file_of_a_cell():
-    mission, log, end, signals = flown("eskf")
-    signals.rows[3, 0] = np.nan
-    cell = CELL.validate_python(asdict(make_cell("a", "eskf", "", mission, log, end, signals)))
-    found = unpack_series(cell.series)
-    for name, values in zip(signals.names, signals.rows.T, strict=True):
+def test_signals_survive_packing_and_the_file_of_a_cell_and_those_without_a_value_are_left_out():
+    mission, flights = flown("complementary")
+    flights.signals["gyro_x"][3] = np.nan
+    cell = CELL.validate_json(CELL.dump_json(make_cell("a", "eskf", "", mission, flights)))
+    found, left_out = unpack_series(cell.series), set()
+    for name, values in flights.signals.items():
+        if np.isnan(values).all():
+            left_out.add(name)
+            continue
         half = 0.5001 * np.nanmax(np.abs(values)) / SIGNAL_LEVELS + 1e-9
         np.testing.assert_allclose(found[name], values, atol=half, rtol=0, err_msg=name)
     assert np.isnan(found["gyro_x"]).nonzero()[0].tolist() == [3]
-
-
-def test_signals_of_an_old_file_are_none():
-    mission, log, end, _ = flown("mahony")
-    stored = asdict(make_cell("a", "mahony", "", mission, log, end))
-    del stored["series"]["signals"]
-    assert CELL.validate_python(stored).series.signals == {}
+    assert left_out == flights.signals.keys() - found.keys() >= {"bias_est_x", "roll_sigma"}
+    np.testing.assert_allclose(vector(found, "wind")[5], WIND.velocity, atol=2e-3)
 
 
 def test_true_bias_is_that_of_the_imu_and_of_the_fault():
-    mission, _, _, signals = flown("mahony")
-    bias = dict(zip(signals.names, signals.rows.T, strict=True))
-    before, after = (np.array([bias[f"bias_{axis}"][k] for axis in "xyz"]) for k in (23, 26))
-    np.testing.assert_allclose(after - before, STEP.bias_deg, atol=0.02)  # but for the random walk
-    np.testing.assert_allclose(
-        np.radians(signals.rows[-1, 6:9] - STEP.bias_deg), mission.loop.imu.gyro_bias[0], atol=1e-4
-    )
+    mission, flights = flown("mahony")
+    bias = vector(flights.signals, "bias")
+    np.testing.assert_allclose(bias[26] - bias[23], STEP.bias_deg, atol=0.02)  # but for the random walk
+    np.testing.assert_allclose(np.radians(bias[-1] - STEP.bias_deg), mission.loop.imu.gyro_bias[0], atol=1e-4)
 
 
 def test_mean_reading_of_a_hover_is_the_true_bias():
     calm = Scenario(description="", duration_s=20.0, start={"known_attitude": True})
-    signals = flown("truth", calm)[-1].rows
-    bias = signals[:, 6:9].mean(axis=0)
+    signals = flown("truth", calm)[1].signals
+    bias = vector(signals, "bias").mean(axis=0)
     assert np.abs(bias).max() > 0.2
-    np.testing.assert_allclose(signals[:, 0:3].mean(axis=0), bias, atol=0.05)
-
-
-def test_channels_without_a_value_are_left_out():
-    mission, log, end, signals = flown("complementary")
-    known = make_cell("a", "complementary", "", mission, log, end, signals).series.signals
-    assert not {"bias_est_x", "roll_sigma"} & set(known)
-    assert {"gyro_x", "accel_z", "bias_x", "wind_y", "rotor_3"} <= set(known)
+    np.testing.assert_allclose(vector(signals, "gyro").mean(axis=0), bias, atol=0.05)
 
 
 def test_attributes_of_another_meaning_are_no_signals():
@@ -82,21 +65,8 @@ def test_attributes_of_another_meaning_are_no_signals():
         def gyro_bias(self):
             """A method, not an array."""
 
-    mission = Mission(WINDY, Own(200.0), 2)
-    signals = SignalLog(mission, decimation(200.0))
-    fly(mission, 0, after_step=signals)
-    found = dict(zip(signals.names, signals.rows.T, strict=True))
-    assert np.isnan([found["bias_est_x"], found["roll_sigma"]]).all()
-
-
-def test_wind_is_that_of_the_scenario():
-    found = unpack_series(pack_series(*_packed("truth")))
-    np.testing.assert_allclose([found[f"wind_{axis}"][5] for axis in "xyz"], WIND.velocity, atol=2e-3)
-
-
-def _packed(estimator):
-    mission, log, _, signals = flown(estimator)
-    return log[0], mission.rate_hz, dict(zip(signals.names, signals.rows.T, strict=True))
+    signals = fly(Mission(WINDY, Own(200.0), 2), 0).signals
+    assert np.isnan([signals["bias_est_x"], signals["roll_sigma"]]).all()
 
 
 def test_spans_of_faults_end_with_the_flight():

@@ -4,8 +4,7 @@ import pytest
 
 from estimators.networks.weights_file import shipped_controllers
 from quadsim.flight.scenario import load_scenario
-from scenarios.bench.cell import fly_cell
-from scenarios.bench.settings import FlightSettings
+from scenarios.bench.cell import FlightSettings, fly_cell
 
 ESTIMATOR = "att-snn-hummingbird"
 FACTOR = 1.5

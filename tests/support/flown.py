@@ -3,11 +3,10 @@
 from dataclasses import fields
 
 from quadsim.flight.scenario import Scenario
-from scenarios.bench.cell import Cell, failed_cell
+from scenarios.bench.cell import Cell, FlightSettings, failed_cell
 from scenarios.bench.experiment import SUITE
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.results import Results
-from scenarios.bench.settings import FlightSettings
 
 WHOLE_S = 20.0
 
