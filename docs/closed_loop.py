@@ -18,7 +18,6 @@ from estimators.networks.network import silenced
 from estimators.networks.weights_file import load_network, save_network
 from estimators.registry import NETWORKS
 from quadsim.control.gains import design, loop_margins
-from quadsim.dataset.figures import STYLE
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.cell import FlightSettings
@@ -164,8 +163,7 @@ def values(page: Page, given: Namespace) -> Parts:
     publish(OUT / "suite", results)
     judged, (loop, price) = verdict(results), loop_parts()
     ranked = [each.estimator for each in judged.standings if each.estimator not in results.unranked]
-    with matplotlib.rc_context(STYLE):
-        page.save(heat_map(results, ranked), "heat-map.png", colours=128)
+    page.save(heat_map(results, ranked), "heat-map.png", colours=128)
     size = f"{len(results.scenarios)} scenarios × {len(names)} estimators × {SEEDS} seeds"
     return {
         "verdict": judged.headline,

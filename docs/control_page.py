@@ -9,7 +9,6 @@ from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -23,7 +22,6 @@ from estimators.networks.network import silenced
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network, save_network
 from quadsim.control.own import AttitudeController, MakeController
-from quadsim.dataset.figures import STYLE
 from quadsim.flight.loop import FlightLoop
 from quadsim.flight.scenario import changed, load_scenario, scenario_names
 from quadsim.imu.spec import load_imu
@@ -266,7 +264,6 @@ def silenced_rows() -> Iterator[str]:
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
-    matplotlib.rcParams.update(STYLE)
     OUT.mkdir(parents=True, exist_ok=True)
     with progress_bar("controllers", "cells") as progress:
         results = bench(scenario_names(), list(NAMES.values()), OUT, FlightSettings(SEEDS), progress=progress)

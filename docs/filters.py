@@ -4,7 +4,6 @@ from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from foreign import AIRFRAMES, DESCRIPTION, foreign, foreign_cell
@@ -21,7 +20,6 @@ from estimators.metrics import attitude_error, inclination_error
 from estimators.registry import FILTERPY
 from estimators.running import run_quietly
 from estimators.tuned import load_tuning
-from quadsim.dataset.figures import STYLE
 from quadsim.flight.recipe import load_recipe
 from quadsim.runs.console import progress_bar
 from quadsim.vehicle import Vehicle
@@ -170,7 +168,6 @@ def spoilt_rows(dataset: xr.Dataset, domain: str) -> list[str]:
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
-    matplotlib.rcParams.update(STYLE)
     tables = {"elsewhere": elsewhere_rows(given.data)}
     sets = {domain: simulated(name, given.data) for domain, name in DOMAINS.items()}
     for domain, dataset in sets.items():

@@ -4,11 +4,9 @@ from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from pages import Page, Parts, row
 
-from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import Recipe, load_recipe
@@ -94,7 +92,6 @@ def recording_rows(folder: Path, page: Page) -> Iterator[str]:
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
-    matplotlib.rcParams.update(STYLE)
     found = {airframe: identified(airframe, given.data) for airframe in AIRFRAMES}
     page.save(draw_fit(found["hummingbird"]), "identify-fit.png")
     least = min(result.explained.min() for result in found.values())

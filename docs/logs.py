@@ -5,7 +5,6 @@ from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -18,7 +17,6 @@ from estimators.evaluation.comparison import made_of
 from estimators.evaluation.logs import KNOWN, RAW, LogScores
 from estimators.filters.drag.imm_model import MODELS
 from quadsim.dataset.export import export
-from quadsim.dataset.figures import STYLE
 from quadsim.dataset.generation import generate
 from quadsim.dataset.reading import open_dataset
 from quadsim.estimator import AttitudeEstimator
@@ -139,7 +137,6 @@ def seconds(logs: Sequence[xr.Dataset]) -> str:
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
-    matplotlib.rcParams.update(STYLE)
     sets = recordings(given.recordings)
     scores = {name: score(name, logs, made()) for name, logs in sets.items()}
     with tempfile.TemporaryDirectory() as folder:

@@ -2,7 +2,6 @@
 
 from argparse import Namespace
 
-import matplotlib
 import numpy as np
 from pages import Page, Parts, row
 from simulated import simulated
@@ -18,7 +17,6 @@ from estimators.networks.decay_profiles import share_profiles
 from estimators.networks.network import silenced
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import Tensors, load_network
-from quadsim.dataset.figures import STYLE
 
 PROFILES = (128, 64, 48, 32, 24)
 LATENCY_ROUNDS = 60
@@ -83,10 +81,9 @@ def values(page: Page, given: Namespace) -> Parts:
     found = inspect(config, tensors, flights)
     silenced_deg = f"{error_deg(config, silenced(config, tensors), flights):.2f}"
     rate_hz = config.rate_hz * config.steps_per_sample
-    with matplotlib.rc_context(STYLE):
-        page.save(raster_figure(found.activity, found.truth, rate_hz), "loihi-raster.png", colours=64)
-        page.save(tuning_figure(found.activity, found.tuning), "loihi-tuning.png", colours=64)
-        page.save(ablation_figure(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
+    page.save(raster_figure(found.activity, found.truth, rate_hz), "loihi-raster.png", colours=64)
+    page.save(tuning_figure(found.activity, found.tuning), "loihi-tuning.png", colours=64)
+    page.save(ablation_figure(FRACTIONS, found.ablation), "loihi-ablation.png", colours=64)
     return {
         "cores": core_rows(found.core),
         "limits": " | ".join(f"{key} ({limit})" for key, limit in LIMITS.items()),

@@ -18,9 +18,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
+import matplotlib
 from matplotlib.figure import Figure
 from PIL import Image
 
+from quadsim.dataset.figures import STYLE
 from quadsim.runs.fingerprint import closure, content_digest, file_digest, fingerprint
 from quadsim.runs.record import commit
 
@@ -204,7 +206,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.stamp:
             page.restamp()
         else:
-            page.write(import_module(SCRIPTS[page.name]).values(page, given))
+            with matplotlib.rc_context(STYLE):
+                page.write(import_module(SCRIPTS[page.name]).values(page, given))
     edited = check([Page(name) for name in SCRIPTS]) if given.check else []
     print(*edited, sep="\n", end="\n" if edited else "")
     return int(bool(edited))

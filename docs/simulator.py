@@ -3,14 +3,13 @@
 from argparse import Namespace
 
 import allantools
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from pages import Page, Parts, reduce_colours, row
 from scipy.signal import welch
 
 from quadsim.control.gains import loop_margins
-from quadsim.dataset.figures import STYLE, plot
+from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import load_recipe
 from quadsim.imu.spec import Sensor, load_imu
@@ -105,7 +104,6 @@ def margin_rows() -> list[str]:
 
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
-    matplotlib.rcParams.update(STYLE)
     config = load_recipe("hummingbird")
     flights = page.root / "docs" / "img" / "flights.png"
     plot(generate(config, 8, 100.0, given.data / "docs-flights.zarr", seed=0), flights)

@@ -8,13 +8,11 @@ from datetime import date
 from pathlib import Path
 from textwrap import fill
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from pages import Page, Parts, row
 
 from estimators.appearance import looks
-from quadsim.dataset.figures import STYLE
 from quadsim.held_out import HeldOut, load_held_out, releases
 from quadsim.runs.console import progress_bar
 from scenarios.bench.cell import FlightSettings
@@ -110,8 +108,7 @@ def values(page: Page, given: Namespace) -> Parts:
     save_recommendation(
         Recommendation(release=held_out.release, command=command, date=today, sentence=sentence)
     )
-    with matplotlib.rc_context(STYLE):
-        page.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
+    page.save(draw_levels(looked_at), "verdict-axes.png", dpi=110, colours=128)
     return {
         "release": held_out.release,
         "seed": str(held_out.seed),

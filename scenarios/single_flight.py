@@ -17,7 +17,7 @@ from .bench.flight_log import Flown, fly
 from .bench.results import Results
 from .bench.runner import NO_CHANGES, Changes
 from .bench.series import decimation
-from .report.page import ClosedLoopSection, write_report
+from .report.page import write_report
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
 """Columns of the CSV file: SI units and radians."""
@@ -84,9 +84,10 @@ def fly_scenario(
             )
         except RuntimeError as error:  # no OpenGL: the report is written without it
             problem = error
-    section = ClosedLoopSection(results, film=film_path)
     title = f"{name} with attitude from {estimator}"
-    report = write_report(out / "report.html", section, title=title, files=["flight.csv"], focus=estimator)
+    report = write_report(
+        out / "report.html", results, film=film_path, title=title, files=["flight.csv"], focus=estimator
+    )
     if problem:
         raise problem
     if view:

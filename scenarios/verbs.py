@@ -19,7 +19,7 @@ from .bench.runner import NO_CHANGES, Changes, bench
 from .bench.verdict import verdict
 from .report.evaluation import columns, recorded_section
 from .report.flight_picture import cover
-from .report.page import ClosedLoopSection, publish, write_report
+from .report.page import publish, write_report
 from .report.terminal import breaking_table, rows_table, standings_table
 
 DEMO = ("hover", "step", "wind-gust", "initial-tilt")
@@ -122,8 +122,9 @@ def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers:
         still, note = cover(results.cells)
         page = write_report(
             out.expanduser() / "report.html",
-            ClosedLoopSection(results, still),
+            results,
             recorded_section(scored.rows, caption),
+            still=still,
             files=["results.csv", "flights.parquet"],
         )
     if note:

@@ -38,17 +38,6 @@ DETAILED = 120
 
 
 @dataclass(frozen=True)
-class ClosedLoopSection:
-    """A benchmark, as the report shows it."""
-
-    results: Results
-    still: Picture | None = None
-    """Picture for the top."""
-    film: Path | None = None
-    """Video for the top, MP4."""
-
-
-@dataclass(frozen=True)
 class OfflineSection:
     """Estimators on recorded flights, as the report shows them."""
 
@@ -80,15 +69,16 @@ def publish(folder: str | Path, results: Results, path: Path | None = None) -> t
     still, note = cover(results.cells)
     tables = [folder / "results.csv", folder / "flights.parquet"]
     links = [Path(os.path.relpath(table, page.parent)).as_posix() for table in tables]
-    section = ClosedLoopSection(results, still)
-    return write_report(page, section, files=links, record=load_record(folder)), note
+    return write_report(page, results, still=still, files=links, record=load_record(folder)), note
 
 
 def write_report(
     path: str | Path,
-    closed_loop: ClosedLoopSection | None = None,
+    closed_loop: Results | None = None,
     offline: OfflineSection | None = None,
     *,
+    still: Picture | None = None,
+    film: Path | None = None,
     title: str = "",
     files: Sequence[str] = (),
     footer: str = "",
@@ -101,6 +91,8 @@ def write_report(
         path: HTML file to write.
         closed_loop: Results of a benchmark.
         offline: Results on recorded flights.
+        still: Picture for the top.
+        film: Video for the top, MP4.
         title: Heading; empty: the question that the report answers.
         files: Files beside the report to link to.
         footer: How it was made.
@@ -112,19 +104,22 @@ def write_report(
     """
     if closed_loop is None and (offline is None or not offline.rows):
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
-    closed_loop = closed_loop or ClosedLoopSection(Results({}, [], FlightSettings(), []))
     offline = offline or OfflineSection(())
-    judged = verdict(closed_loop.results) if closed_loop.results.cells else Verdict(offline.headline, [], [])
-    results, _ = shown_once(closed_loop.results)
+    judged = verdict(closed_loop) if closed_loop else Verdict(offline.headline, [], [])
+    results, _ = shown_once(closed_loop or Results({}, [], FlightSettings(), []))
     measure, metrics = measure_of(results.estimators), _metrics(results)
     ranked = [standing.estimator for standing in judged.standings]
     place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}
     recorded = [str(row.get("estimator")) for row in offline.rows]
     names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
-    flights, pairs = PageFlights.of(results, order), paired_differences(results.flights)
+    cells, shared = page_flights(results, order)
+    pairs = paired_differences(results.flights)
+    axes = {
+        axis: list(dict.fromkeys(level for of, level, _ in results.by_level if of == axis))
+        for axis in dict.fromkeys(axis for axis, _, _ in results.by_level)
+    }
     contender = "estimator" if measure == ERROR else "estimator and controller"
-    still, film = closed_loop.still, closed_loop.film
     context = {
         "title": title or f"Which {contender} to fly",
         "kicker": "closed loop" if results.cells else "recorded flights",
@@ -136,7 +131,7 @@ def write_report(
         "measure": measure.name,
         "ranked": ranked,
         "totals": totals_of(results.rows),
-        "axes": _axes(results),
+        "axes": axes,
         "pairs": bool(pairs),
         "paired": [metric for metric in metrics if metric.key in PAIRED],
         "points": {(point.estimator, point.sweep): point for point in results.points},
@@ -150,7 +145,7 @@ def write_report(
         "record": record,
         "wall": record and hours(record.wall_s),
         "script": script("report/js/report.js"),
-        "flights": compress_flights(flights.packed),
+        "flights": compress_flights([*filter(None, cells), *shared.values()]),
         **uplot(),
     }
     data: dict[str, object] = {
@@ -162,66 +157,46 @@ def write_report(
         "metrics": [vars(metric) for metric in metrics],
     }
     if results.cells:
-        data |= _closed_loop_data(results, flights, pairs)
+        data |= _closed_loop_data(results, cells, shared, pairs)
         data["levels"] = {"|".join(key): vars(row) for key, row in results.by_level.items()}
         data["best"] = next((name for name in ranked if name not in results.unranked), None)
     payload = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return write_whole(Path(path).expanduser(), render("report/report.html", payload=payload, **context))
 
 
-def _axes(results: Results) -> dict[str, list[str]]:
-    """Each axis with its levels; without axes "scenario" alone."""
-    found: dict[str, dict[str, None]] = {}
-    for axis, level, _ in results.by_level:
-        found.setdefault(axis, {})[level] = None
-    return {axis: list(levels) for axis, levels in found.items()}
-
-
 def _encoded(file: bytes) -> str:
     return base64.b64encode(file).decode()
 
 
-@dataclass(frozen=True)
-class PageFlights:
-    """Flights in time as they are in the page."""
+def page_flights(
+    results: Results, order: Sequence[str]
+) -> tuple[list[FlightSeries | None], dict[str, FlightSeries]]:
+    """Flights in time as they are in the page.
 
-    cells: Sequence[FlightSeries | None]
-    """Of each cell; with its signals where there is room for them."""
-    shared: Mapping[str, FlightSeries]
-    """Of each scenario: what is the same with every estimator."""
+    Args:
+        results: Of the benchmark.
+        order: Estimators, first those whose signals are wanted most.
 
-    @property
-    def packed(self) -> list[FlightSeries]:
-        """All of them, in the order in which the page unpacks them."""
-        return [*(series for series in self.cells if series), *self.shared.values()]
-
-    @classmethod
-    def of(cls, results: Results, order: Sequence[str]) -> "PageFlights":
-        """Those of a benchmark; `order` has the estimators whose signals are wanted most first."""
-        wanted = sorted(order, key=lambda name: name == TRUTH)
-        timed, detailed = (wanted[: most // max(len(results.scenarios), 1)] for most in (TIMED, DETAILED))
-        longest: dict[str, FlightSeries] = {}
-        for cell in results.cells:
-            if cell.series and cell.series.signals:
-                before = longest.setdefault(cell.scenario, cell.series)
-                longest[cell.scenario] = max(before, cell.series, key=lambda series: series.samples)
-        return cls(
-            [
-                _with_signals(cell.series, cell.estimator in detailed)
-                if cell.series and cell.estimator in timed
-                else None
-                for cell in results.cells
-            ],
-            {
-                scenario: FlightSeries(s.dt, {k: s.signals[k] for k in SHARED if k in s.signals})
-                for scenario, s in longest.items()
-            },
-        )
-
-
-def _with_signals(series: FlightSeries, signals: bool) -> FlightSeries:
-    own = {name: channel for name, channel in series.signals.items() if signals and name not in SHARED}
-    return replace(series, channels=series.channels | own, signals={})
+    Returns:
+        The series of each cell, with its signals where there is room for them; and of each scenario the
+        signals that are the same with every estimator, from the longest flight.
+    """
+    wanted = sorted(order, key=lambda name: name == TRUTH)
+    timed, detailed = (wanted[: most // max(len(results.scenarios), 1)] for most in (TIMED, DETAILED))
+    cells: list[FlightSeries | None] = []
+    shared: dict[str, FlightSeries] = {}
+    for cell in results.cells:
+        series = cell.series if cell.estimator in timed else None
+        if series:
+            own = {k: each for k, each in series.signals.items() if k not in SHARED}
+            channels = series.channels | (own if cell.estimator in detailed else {})
+            series = replace(series, channels=channels, signals={})
+        cells.append(series)
+        if cell.series and cell.series.signals:
+            known = {k: cell.series.signals[k] for k in SHARED if k in cell.series.signals}
+            found = FlightSeries(cell.series.dt, known)
+            shared[cell.scenario] = max(shared.get(cell.scenario, found), found, key=lambda s: s.samples)
+    return cells, shared
 
 
 def _metrics(results: Results) -> list[Metric]:
@@ -230,7 +205,12 @@ def _metrics(results: Results) -> list[Metric]:
     return sorted(METRICS, key=lambda metric: metric.key != first) if results.cells else []
 
 
-def _closed_loop_data(results: Results, flights: PageFlights, pairs: Sequence[PairRow]) -> dict[str, object]:
+def _closed_loop_data(
+    results: Results,
+    cells: Sequence[FlightSeries | None],
+    shared: Mapping[str, FlightSeries],
+    pairs: Sequence[PairRow],
+) -> dict[str, object]:
     """What the charts show of a benchmark."""
     low, high = ERROR_DECADES
     rows = {name: [row for row in results.rows if row.estimator == name] for name in results.estimators}
@@ -244,10 +224,10 @@ def _closed_loop_data(results: Results, flights: PageFlights, pairs: Sequence[Pa
                 "histogram": cell.histogram,
                 "series": series and _described(series),
             }
-            for cell, series in zip(results.cells, flights.cells, strict=True)
+            for cell, series in zip(results.cells, cells, strict=True)
         },
         "means": means,
-        "shared": {scenario: _described(series) for scenario, series in flights.shared.items()},
+        "shared": {scenario: _described(series) for scenario, series in shared.items()},
         "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
         "pairs": _pairs([row for row in pairs if row.scenario == ALL or not results.levels]),
         "all": ALL,

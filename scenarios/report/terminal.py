@@ -1,9 +1,9 @@
 """Results as tables for a terminal."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.box import SIMPLE
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from estimators.loihi.chip import LIMITS, ChipCore
@@ -49,10 +49,16 @@ def breaking_table(results: Results) -> Table:
 
 def cores_table(cores: Sequence[ChipCore]) -> Table:
     """The neurons of each core of a chip, and how much of each limit they take."""
-    headings = ["\n".join([*name.split(), f"({limit})"]) for name, limit in LIMITS.items()]
-    layers = [", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items()) for core in cores]
-    rows = ([str(k), layers[k], *map(str, core.used().values())] for k, core in enumerate(cores))
-    return _table("On the chip: used of what a core has", ["core", "neurons of layer"], headings, rows)
+    headings = {name: "\n".join([*name.split(), f"({limit})"]) for name, limit in LIMITS.items()}
+    rows = [
+        {
+            "core": str(number),
+            "neurons of layer": ", ".join(f"{k}: {len(ids)}" for k, ids in core.neurons.items()),
+        }
+        | {headings[name]: used for name, used in core.used().items()}
+        for number, core in enumerate(cores)
+    ]
+    return rows_table(rows, "On the chip: used of what a core has")
 
 
 def plain_table(rows: Sequence[tuple[str, str]]) -> Table:
@@ -60,12 +66,4 @@ def plain_table(rows: Sequence[tuple[str, str]]) -> Table:
     table = Table(show_header=False, box=SIMPLE)
     for row in rows:
         table.add_row(*row)
-    return table
-
-
-def _table(title: str, left: Sequence[str], right: Iterable[str], rows: Iterable[Iterable[str]]) -> Table:
-    """A table with headings of columns that are aligned to the left, then of those to the right."""
-    table = Table(*left, *(Column(heading, justify="right") for heading in right), title=title)
-    for row in rows:
-        table.add_row(*map(Text, row))
     return table

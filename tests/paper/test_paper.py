@@ -27,7 +27,6 @@ from paper.plan import CROSS, ITEMS, PRESETS, chosen, sizes_of, stages_of
 from paper.run import paper
 from paper.stages import NUMBERS, RECORD, Stage, run_stages, with_inputs
 from paper.work import networks
-from paper.work.flights import fly
 from quadsim.held_out import load_held_out
 from quadsim.runs.fingerprint import ROOT, closure
 
@@ -76,13 +75,11 @@ def chain(first=1, second=2):
     ]
 
 
-def test_a_rerun_makes_nothing(tmp_path):
-    assert run_stages(chain(), tmp_path, workers=1) == ["a", "b", "c", "d"]
+def test_a_rerun_makes_what_depends_on_a_changed_setting_and_nothing_else(tmp_path):
+    reported = []
+    assert run_stages(chain(), tmp_path, 1, lambda *now: reported.append(now)) == ["a", "b", "c", "d"]
+    assert reported == [(0, 4, ""), (1, 4, "a"), (2, 4, "b"), (3, 4, "d"), (4, 4, "c")]
     assert run_stages(chain(), tmp_path, workers=1) == []
-
-
-def test_a_changed_setting_redoes_only_what_depends_on_it(tmp_path):
-    run_stages(chain(), tmp_path, workers=1)
     assert run_stages(chain(second=3), tmp_path, workers=1) == ["b", "c"]
     assert (tmp_path / "c" / "text").read_text() == "{}{'y': 3}{'x': 1}"
     assert run_stages(chain(first=5, second=3), tmp_path, workers=1) == ["a", "b", "c", "d"]
@@ -115,27 +112,6 @@ def test_a_training_too_short_for_the_scatter_is_said_so():
     assert (found.verdict, found.measured) == ("not judged", "the measure needs trainings of 62 epochs")
 
 
-def test_inputs_are_found_at_any_depth_and_come_first():
-    stages = {stage.name: stage for stage in chain()}
-    assert [stage.name for stage in with_inputs(stages, ["c"])] == ["a", "b", "c"]
-
-
-def test_the_number_of_workers_changes_nothing(tmp_path):
-    settings = {"domain": "sim", "flights": 1, "duration_s": 1.0, "seed": 1}
-    stages = [Stage("one", fly, settings), Stage("two", fly, settings | {"seed": 2}, alone=True)]
-    reported = []
-    for workers in (1, 2):
-        run_stages(stages, tmp_path / str(workers), workers, lambda *now: reported.append(now))
-    for name in ("one", "two"):
-        first, second = (
-            {path.relative_to(root): path.read_bytes() for path in root.rglob("c/*") if path.is_file()}
-            for root in (tmp_path / "1" / name, tmp_path / "2" / name)
-        )
-        assert first == second
-    assert reported[0][:2] == (0, 2)
-    assert reported[-1][:2] == (2, 2)
-
-
 # --- what there is to make ---
 
 
@@ -147,7 +123,7 @@ def test_every_stage_is_required_and_comes_after_its_inputs(preset):
     for place, stage in enumerate(stages.values()):
         assert set(stage.inputs) <= set(names[:place])
     needed = with_inputs(stages, [name for names in shows.values() for name in names])
-    assert {stage.name for stage in needed} == set(stages)
+    assert [stage.name for stage in needed] == names
 
 
 def test_full_has_the_papers_sizes():
@@ -314,9 +290,9 @@ def test_scatter_is_the_standard_deviation_about_the_moving_average():
 
 def test_an_interval_covers_the_number_as_often_as_it_says():
     rng = np.random.default_rng(1)
-    samples = rng.normal(2.0, 1.0, (200, 30))
+    samples = rng.normal(2.0, 1.0, (60, 30))
     found = [interval(lambda x: float(x.mean()), sample) for sample in samples]
-    assert 0.88 <= np.mean([each.low < 2.0 < each.high for each in found]) <= 0.98
+    assert 0.86 <= np.mean([each.low < 2.0 < each.high for each in found]) <= 0.98
 
 
 def test_a_ratio_of_the_same_flights_has_no_spread_if_they_are_paired():

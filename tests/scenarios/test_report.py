@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import fields, replace
-from html.parser import HTMLParser
+from itertools import product
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ from scenarios.bench.results import Results
 from scenarios.bench.search import BreakingPoint
 from scenarios.bench.series import unpack_series
 from scenarios.report.flight_picture import Picture
-from scenarios.report.page import ClosedLoopSection, OfflineSection, PageFlights, write_report
+from scenarios.report.page import OfflineSection, page_flights, write_report
 
 BREAKING = load_experiment("breaking-points")
 OFFLINE = [
@@ -78,40 +78,17 @@ def results():
 def report(results, tmp_path_factory):
     picture = Picture(np.full((90, 160, 3), 128, dtype=np.uint8), 'A "picture" & its caption')
     path = tmp_path_factory.mktemp("report") / "report.html"
-    section = ClosedLoopSection(results, picture)
     offline = OfflineSection(OFFLINE, headline="On recorded flights mahony is best.")
-    return write_report(path, section, offline, files=["results.csv"], focus="ekf")
+    return write_report(path, results, offline, still=picture, files=["results.csv"], focus="ekf")
 
 
 # --- the file -------------------------------------------------------------------------------------
 
 
-class Links(HTMLParser):
-    """Everything that a browser would fetch."""
-
-    def __init__(self):
-        super().__init__()
-        self.fetched = []
-
-    def handle_starttag(self, tag, attributes):
-        """Note what a tag fetches."""
-        values = dict(attributes)
-        if tag in ("img", "script", "iframe", "source", "video", "audio"):
-            self.fetched.append(values.get("src"))
-        if tag == "link":
-            self.fetched.append(values.get("href"))
-
-
-def test_report_fetches_nothing(report):
+def test_report_fetches_nothing_and_text_of_users_is_escaped(report):
     text = report.read_text()
-    parser = Links()
-    parser.feed(text)
-    assert all(each is None or each.startswith("data:") for each in parser.fetched)
     assert not re.search(r"(@import|url\(|fetch\(|XMLHttpRequest|https?://)", text)
-
-
-def test_text_of_users_is_escaped(report):
-    text = report.read_text()
+    assert not re.search(r"<(img|script|iframe|source|video|audio|link)[^>]*(src|href)=\"(?!data:)", text)
     assert "Hold a place &amp; &lt;stay&gt; there." in text
     assert "<stay>" not in text
     assert "no weights <here>" not in text
@@ -126,11 +103,11 @@ def test_report_of_recorded_flights_alone(tmp_path):
 
 def test_signals_are_left_out_where_there_is_no_room(results, monkeypatch):
     monkeypatch.setattr("scenarios.report.page.DETAILED", 2)  # one estimator in each of two scenarios
-    flights = PageFlights.of(results, ["truth", "mahony", "ekf", "vqf"])
-    detailed = [series is not None and "gyro_x" in series.channels for series in flights.cells]
+    cells, shared = page_flights(results, ["truth", "mahony", "ekf", "vqf"])
+    detailed = [series is not None and "gyro_x" in series.channels for series in cells]
     assert detailed == [False, True, False, False] * 2
-    assert set(flights.shared) == {"calm", "storm"}
-    assert set(flights.shared["calm"].channels) == set(SHARED)
+    assert set(shared) == {"calm", "storm"}
+    assert set(shared["calm"].channels) == set(SHARED)
 
 
 def test_report_of_nothing_is_refused(tmp_path):
@@ -141,11 +118,10 @@ def test_report_of_nothing_is_refused(tmp_path):
 # --- in a browser ---------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])
-def page(request, browser, report):
+@pytest.fixture
+def page(browser, report):
     """The report, open; errors and requests are looked at afterwards."""
-    width, height = request.param
-    page = browser.new_page(viewport={"width": width, "height": height})
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
     noise, requests = [], []
     page.on("console", lambda message: noise.append(message.text))
     page.on("pageerror", lambda error: noise.append(str(error)))
@@ -206,34 +182,18 @@ def test_flights_in_the_page_are_those_of_the_cells(page, results):
             np.testing.assert_array_equal(found[name], values.astype(np.float32), err_msg=name)
 
 
-def test_page_is_no_wider_than_its_window(page):
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-
-
 def test_headings_sort_both_ways_with_empty_cells_last(page):
-    page.locator("#results th button").nth(2).click()
-    numbers = [text for text in column(page, 3) if "did not run" not in text]
-    assert [float(text) for text in numbers] == sorted(float(text) for text in numbers)
-    assert "did not run" in column(page, 3)[-1]
-    page.locator("#results th button").nth(2).click()
-    numbers = [text for text in column(page, 3) if "did not run" not in text]
-    assert [float(text) for text in numbers] == sorted((float(text) for text in numbers), reverse=True)
-    assert "did not run" in column(page, 3)[-1]
+    for descending in (False, True):
+        page.locator("#results th button").nth(2).click()
+        numbers = [float(text) for text in column(page, 3) if "did not run" not in text]
+        assert numbers == sorted(numbers, reverse=descending)
+        assert "did not run" in column(page, 3)[-1]
     assert page.locator("#results th").nth(2).get_attribute("aria-sort") == "descending"
 
 
 def test_table_shows_one_scenario(page):
     page.select_option("#table-scenario", "storm")
-    visible = page.locator("#results tbody tr:visible td:first-child").all_inner_texts()
-    assert set(visible) == {"storm"}
-    assert len(visible) == 4
-
-
-def test_map_shows_another_metric(page):
-    page.select_option("#map-metric", "crash_rate")
-    assert page.locator('.heat td[data-estimator="ekf"] b').all_inner_texts() == ["0.50"] * 3
-    assert page.locator(".heat td.crashed[data-scenario]").count() == 2
-    assert page.locator(".heat td.crashed.mean").count() == 1
+    assert page.locator("#results tbody tr:visible td:first-child").all_inner_texts() == ["storm"] * 4
 
 
 def test_map_ranks_estimators_with_the_truth_last_and_has_their_mean_first(page, results):
@@ -244,13 +204,14 @@ def test_map_ranks_estimators_with_the_truth_last_and_has_their_mean_first(page,
     assert cells == [f"{value:.2f}" for value in (np.mean(errors), *errors)]
     assert page.locator('.heat td.mean[data-estimator="ekf"] small').inner_text() == "✕ 2/4"
     assert page.locator('.heat td.mean[data-estimator="vqf"] small').all_inner_texts()[-1] == "failed in 2"
-
-
-def test_first_column_of_the_map_stays_where_it_is(page):
     first, scroll = page.locator(".heat tbody th").first, page.locator("#map .scroll")
     before = first.bounding_box()["x"]
     scroll.evaluate("each => { each.scrollLeft = 80; }")
     assert first.bounding_box()["x"] == pytest.approx(before, abs=3)
+    page.select_option("#map-metric", "crash_rate")
+    assert page.locator('.heat td[data-estimator="ekf"] b').all_inner_texts() == ["0.50"] * 3
+    assert page.locator(".heat td.crashed[data-scenario]").count() == 2
+    assert page.locator(".heat td.crashed.mean").count() == 1
 
 
 def test_estimators_that_flew_exactly_alike_are_shown_once(results, tmp_path):
@@ -261,7 +222,7 @@ def test_estimators_that_flew_exactly_alike_are_shown_once(results, tmp_path):
     twice = [*results.cells, *(renamed(cell) for cell in results.cells if cell.estimator == "ekf")]
     names = [*results.estimators, "ekf-two"]
     twin = Results(results.scenarios, names, results.settings, twice)
-    text = write_report(tmp_path / "r.html", ClosedLoopSection(twin), focus="ekf-two").read_text()
+    text = write_report(tmp_path / "r.html", twin, focus="ekf-two").read_text()
     assert "ekf-two flew exactly as ekf: shown once." in text
     assert text.count("ekf-two") == 1
 
@@ -287,7 +248,7 @@ def test_a_cell_of_the_map_chooses_the_flight(page):
     assert page.locator('#chips button[data-estimator="ekf"]').get_attribute("aria-pressed") == "true"
 
 
-def test_cursor_reads_the_curves_and_moves_the_clock_and_every_panel(page):
+def test_cursor_clock_and_replay_move_together(page):
     page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
     box = page.locator("#plot .u-over").bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 60)
@@ -296,18 +257,13 @@ def test_cursor_reads_the_curves_and_moves_the_clock_and_every_panel(page):
     cursors = page.evaluate("PLOTS.map((plot) => plot.posToVal(plot.cursor.left, 'x'))")
     assert cursors == pytest.approx([page.evaluate("state.time")] * 9, abs=0.02)
     assert page.locator("#clock-text").inner_text() == "1.0 s"
-
-
-def test_clock_of_the_replay_moves_the_cursor_of_every_panel(page):
     page.locator("#clock").fill("0.5")
     cursors = page.evaluate("PLOTS.map((plot) => plot.posToVal(plot.cursor.left, 'x'))")
     assert cursors == pytest.approx([0.5] * 9, abs=0.01)
-
-
-def test_a_click_into_a_panel_moves_the_playing_clock(page):
     page.evaluate("document.getElementById('speed').value = '0.25'")  # and no scrolling to it
     page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
     page.evaluate("document.getElementById('play').click()")
+    page.wait_for_function("state.time > 0.52")
     box = page.locator("#plot .u-over").bounding_box()
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 100)
     assert page.evaluate("state.playing && state.time") == pytest.approx(1.25, abs=0.1)
@@ -321,9 +277,6 @@ def test_panels_show_the_signals_with_units_and_the_fault(page):
     ]  # fmt: skip
     assert "± σ" in page.locator("#inside-note").inner_text()
     assert page.evaluate("data.faults.calm") == [["gyro bias step", 1.0, 2.0]]
-
-
-def test_what_is_not_in_the_page_is_said(page):
     page.select_option("#inside", "ekf")
     page.evaluate("delete cell('calm', 'ekf').flight.gyro_x; redraw()")
     assert "quadsim fly calm --estimator ekf" in page.locator("#inside-note").inner_text()
@@ -346,29 +299,20 @@ def test_dragging_zooms_all_panels_and_double_click_shows_all(page):
     page.wait_for_function("PLOTS.every((p) => p.scales.x.min === 0 && p.scales.x.max === state.end)")
 
 
-def test_replay_moves(page):
-    page.locator("#play").click()
-    page.wait_for_function("state.time > 0.1")
-    page.locator("#play").click()
-    assert page.locator("#clock-text").inner_text() != "0.0 s"
-
-
-def test_theme_switches_the_colours(page):
+def test_everyone_can_use_the_page_in_both_themes_on_a_phone_too(page):
     before = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.locator("#chips button").first.click()  # one that is not shown
+    assert findings(page) == []
     page.locator("#theme").click()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before
-
-
-def test_everyone_can_use_the_page(page):
-    page.locator("#chips button").first.click()  # one that is not shown
-    for _ in ("light", "dark"):
+    for width in (1280, 390):
+        page.set_viewport_size({"width": width, "height": 844})
         assert findings(page) == []
-        page.locator("#theme").click()
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
-@pytest.mark.parametrize("place", ["#chips button", "#map tbody th"])
-def test_an_estimator_has_its_look_in_the_page(page, place):
-    for name in ("truth", "mahony", "ekf"):
+def test_an_estimator_has_its_look_in_the_page(page):
+    for place, name in product(["#chips button", "#map tbody th"], ["truth", "mahony", "ekf"]):
         path = page.locator(place, has_text=re.compile(f"^{name}$")).locator("path").first
         assert path.get_attribute("fill") == look(name).colour
         assert path.get_attribute("d") == page.evaluate("(marker) => MARKERS[marker]", look(name).marker)
@@ -402,7 +346,7 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
     recorded = [{"estimator": name, "note": name, "start": name, "mean_deg": 1.0} for name in names]
     path = write_report(
         tmp_path / "report.html",
-        ClosedLoopSection(hostile),
+        hostile,
         OfflineSection(recorded, HOSTILE[0]),
         title=HOSTILE[4],
         files=[HOSTILE[2]],
@@ -449,12 +393,11 @@ def designed(tmp_path_factory):
     results = benchmark(flown, experiment=axes, levels=levels)
     record = RunRecord("9.9.9", "abc1234", "quadsim bench", "2031-01-01 00:00:00", 3600.0)
     path = tmp_path_factory.mktemp("axes") / "report.html"
-    return write_report(path, ClosedLoopSection(results), record=record)
+    return write_report(path, results, record=record)
 
 
-@pytest.mark.parametrize("width", [1280, 390])
-def test_every_axis_has_a_table_that_shows_its_levels(browser, designed, width):
-    page, noise = browser.new_page(viewport={"width": width, "height": 900}), []
+def test_every_axis_has_a_table_that_shows_its_levels(browser, designed):
+    page, noise = browser.new_page(viewport={"width": 390, "height": 844}), []
     page.on("pageerror", lambda error: noise.append(str(error)))
     page.goto(designed.as_uri())
     assert page.locator("#map table").count() == 6
