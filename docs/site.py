@@ -62,13 +62,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put the README's results and links to notebooks in place, and leave stamps out."""
-    del config, files
-    source = page.file.abs_src_path  # of a generated page there is none
-    notebook = Path(source or ROOT).with_suffix(".ipynb")
-    if notebook.is_file():
-        head, _, rest = markdown.partition("\n")
-        markdown = f"{head}\n\n[As a notebook, with outputs]({notebook.name})\n{rest}"
+    """Put the README's results in place, and leave stamps out."""
+    del page, config, files
     return STAMP.sub("", markdown.replace("<!-- results -->", results()))
 
 

@@ -2,7 +2,6 @@
 
 import importlib.util
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -41,14 +40,3 @@ def test_keys_of_files_have_ranges_units_and_defaults(site):
 def test_every_verb_has_its_section(site):
     text = site.command_line()
     assert all(f"## `quadsim {verb}`\n" in text for verb in ("generate", "bench", "report", "identify"))
-
-
-def test_a_tutorial_with_a_notebook_links_to_it(site):
-    folder = ROOT / "docs" / "tutorials"
-    pages = {
-        name: SimpleNamespace(file=SimpleNamespace(abs_src_path=str(folder / f"{name}.md")))
-        for name in ("data", "train")
-    }
-    shown = {name: site.on_page_markdown("# Title\ntext", page, None, None) for name, page in pages.items()}
-    assert shown["data"] == "# Title\n\n[As a notebook, with outputs](data.ipynb)\ntext"
-    assert shown["train"] == "# Title\ntext"
