@@ -3,26 +3,48 @@
 import subprocess
 from pathlib import Path
 
+import numpy as np
 from imageio_ffmpeg import get_ffmpeg_exe
 from pages import ROOT
 from PIL import Image
 
+from quadsim.pictures.render import View, still
+from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
-from scenarios.report.flight_picture import flight_picture
+from scenarios.bench.series import FlightSeries, unpack_series
 from scenarios.single_flight import fly_scenario
 
 ESTIMATOR = "att-snn-loihi"
+VEHICLE = "hummingbird"
+SHOWN_S = 1.9, 4.2
 VIDEO_S = 10.0
 WIDTH, QUALITY = 800, 31
 """Width [px], and constant rate factor of H.264."""
 
 
+def exposures(series: FlightSeries, start_s: float, end_s: float, count: int = 6) -> Image.Image:
+    """A part of a flight with as many exposures, evenly spaced along the path."""
+    s = unpack_series(series)
+    part = (s["time"] >= start_s) & (s["time"] <= end_s)
+    place = np.stack([s["x"], s["y"], s["z"]], axis=-1)[part]
+    quat = quat_from_euler(*(np.radians(s[name][part]) for name in ("roll", "pitch", "yaw")))
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+    shown = np.unique(np.searchsorted(path, np.linspace(0.0, path[-1], count)).clip(max=len(path) - 1))
+    low, high = place.min(axis=0), place.max(axis=0)
+    along = np.degrees(np.arctan2(*(place[-1] - place[0])[1::-1]))
+    far = 0.8 + 0.95 * float(np.linalg.norm(high - low))
+    view = View(tuple(0.5 * (low + high)), far, azimuth=along + 70.0, elevation=-12.0)
+    return Image.fromarray(still(load_vehicle(VEHICLE), place[shown], quat[shown], view, place, 1200, 675))
+
+
 def picture(out: Path) -> None:
     """The first jump of the scenario `step`."""
     flown = fly_scenario("step", ESTIMATOR, out / "step")
-    image = flight_picture(flown.results.cells[0], load_vehicle("hummingbird"), 1.9, 4.2, exposures=6)
+    series = flown.results.cells[0].series
+    assert series is not None
+    image = exposures(series, *SHOWN_S)
     path = ROOT / "docs" / "img" / "step.jpg"
-    Image.fromarray(image).save(path, quality=85, optimize=True)
+    image.save(path, quality=85, optimize=True)
 
 
 def video(out: Path) -> None:

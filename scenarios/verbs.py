@@ -18,7 +18,6 @@ from .bench.results import Results, load_results
 from .bench.runner import NO_CHANGES, Changes, bench
 from .bench.verdict import verdict
 from .report.evaluation import columns, recorded_section
-from .report.flight_picture import cover
 from .report.page import publish, write_report
 from .report.terminal import breaking_table, rows_table, standings_table
 
@@ -76,9 +75,8 @@ def run_bench(
                 scenarios or None, flown, out, settings, changes,
                 experiment=chosen, workers=count, executor=executor, progress=progress,
             )  # fmt: skip
-        page, note = publish(out, results)
-    for line in filter(None, (note, f"{results.cost}.")):
-        output.print(line, soft_wrap=True, markup=False)
+        page = publish(out, results)
+    output.print(f"{results.cost}.", soft_wrap=True, markup=False)
     say(page, results)
     if all(cell.reason for cell in results.cells):
         raise ValueError(f"no cell ran; {results.cells[0].estimator}: {results.cells[0].reason}")
@@ -91,7 +89,7 @@ def report_benchmark(folder: Path, out: Path | None = None) -> None:
         ValueError: If there are none.
     """
     results = load_results(folder)
-    say(publish(folder, results, out)[0], results)
+    say(publish(folder, results, out), results)
 
 
 def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers: int | None = None) -> Path:
@@ -119,16 +117,12 @@ def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers:
             results = bench(DEMO, names, out, FlightSettings(seeds, seed), workers=workers, progress=bar)
         caption = f"{flights} generated flights of {DEMO_S:g} s, without a loop."
         output.print(rows_table(columns(scored.rows), caption))
-        still, note = cover(results.cells)
         page = write_report(
             out.expanduser() / "report.html",
             results,
             recorded_section(scored.rows, caption),
-            still=still,
             files=["results.csv", "flights.parquet"],
         )
-    if note:
-        output.print(note, soft_wrap=True)
     say(page, results)
     return page
 

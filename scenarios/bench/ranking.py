@@ -2,28 +2,18 @@
 
 Survival ranks first, and errors only count where all compared ones survived: a flight that crashes early has
 a small error until then. Seed i of a scenario is the same start, wind, sensor noise and faults for every
-estimator, so that paired differences cancel them. A pair of which one crashed has no difference in error;
-such pairs are counted separately.
+estimator, so that paired differences cancel them.
 """
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from .flight_metrics import FlightRow
 
-Array = NDArray[np.float64]
-
-PAIRED = ("error_deg", "attitude_deg", "position_m")
-"""Metrics that are compared."""
-ALL = "all"
-"""Means all scenarios together."""
 Flight = tuple[str, int]
 """Scenario and seed."""
 Flown = Mapping[Flight, FlightRow]
@@ -132,77 +122,29 @@ def _mean_over_scenarios(rows: Flown, common: Collection[Flight], metric: str) -
     return float(np.mean([np.mean(each) for each in by_scenario.values()])) if by_scenario else np.inf
 
 
-@dataclass(frozen=True)
-class PairRow:
-    """Two estimators, one metric and one scenario."""
+class Difference(NamedTuple):
+    """How much larger a metric is than that of another contender, on the same flights."""
 
-    scenario: str
-    """`ALL` for all together."""
-    metric: str
-    estimator: str
-    versus: str
-    pairs: int
-    """Seeds on which neither crashed."""
-    difference: float | None
-    """Mean of `estimator` minus `versus`; None without pairs."""
-    low: float | None
-    """Ends of the interval; None with fewer than two pairs."""
-    high: float | None
-    crashed_alone: int
-    """Flights that only `estimator` crashed."""
-    versus_crashed_alone: int
+    mean: float | None  #: None without a flight that both survived
+    low: float | None = None  #: ends of the interval; None with fewer than two seeds
+    high: float | None = None
 
 
-def paired_differences(flights: Sequence[FlightRow], level: float = 0.95) -> list[PairRow]:
-    """Every two estimators on the same seeds of each scenario, and of all together.
+def paired_difference(other: Flown, first: Flown, metric: str, level: float = 0.95) -> Difference:
+    """The metric of `other` minus that of `first` on the flights that both survived.
 
-    The interval of a `level` is Student's over seeds; for all scenarios a seed's difference is first averaged
-    over them, for its flights share their sensor noise.
+    The interval of a `level` is Student's over seeds; a seed's difference is first averaged over scenarios,
+    for its flights share their sensor noise.
     """
-    scenarios = list(dict.fromkeys(f.scenario for f in flights))
-    names = list(dict.fromkeys(f.estimator for f in flights))
-    seeds = list(dict.fromkeys(f.seed for f in flights))
-    shape = len(scenarios), len(names), len(seeds)
-    values, crashed = {key: np.full(shape, np.nan) for key in PAIRED}, np.zeros(shape, dtype=bool)
-    for f in flights:
-        at = scenarios.index(f.scenario), names.index(f.estimator), seeds.index(f.seed)
-        crashed[at] = bool(f.cause)
-        for key in PAIRED:
-            value = getattr(f, key)
-            values[key][at] = np.nan if crashed[at] or value is None else value
-    rows: list[PairRow] = []
-    for a, b in combinations(range(len(names)), 2):
-        alone = [(crashed[:, i] & ~crashed[:, j]).sum(axis=1) for i, j in ((a, b), (b, a))]
-        for key in PAIRED:
-            difference = values[key][:, a] - values[key][:, b]
-            parts = [(ALL, _mean_over_rows(difference), [each.sum() for each in alone])]
-            parts += [(s, difference[i], [each[i] for each in alone]) for i, s in enumerate(scenarios)]
-            rows += [
-                PairRow(scenario, key, names[a], names[b], *_interval(part, level), int(own), int(other))
-                for scenario, part, (own, other) in parts
-            ]
-    return rows
-
-
-def difference(flights: Sequence[FlightRow], first: str, other: str, metric: str) -> PairRow:
-    """How much larger a metric is than that of the first contender, on the seeds that both survived."""
-    both = [[flight for flight in flights if flight.estimator == name] for name in (other, first)]
-    rows = paired_differences([*both[0], *both[1]])
-    return next(row for row in rows if (row.scenario, row.metric) == (ALL, metric))
-
-
-def _mean_over_rows(difference: Array) -> Array:
-    count = np.isfinite(difference).sum(axis=0)
-    return np.where(count > 0, np.nansum(difference, axis=0) / np.maximum(count, 1), np.nan)
-
-
-def _interval(difference: Array, level: float) -> tuple[int, float | None, float | None, float | None]:
-    """Number of pairs, mean, and the ends of its interval."""
-    known = difference[np.isfinite(difference)]
-    n = known.size
-    if n < 2:
-        return n, float(known[0]) if n else None, None, None
-    mean = float(known.sum()) / n
-    sd = math.sqrt(((known - mean) ** 2).sum() / (n - 1))
-    half = float(stdtrit(n - 1, 0.5 + 0.5 * level)) * sd / math.sqrt(n)
-    return n, mean, mean - half, mean + half
+    by_seed: dict[int, list[float]] = {}
+    for flight in other:
+        if survives(other, flight) and survives(first, flight):
+            values = getattr(other[flight], metric), getattr(first[flight], metric)
+            if None not in values:
+                by_seed.setdefault(flight[1], []).append(values[0] - values[1])
+    found = np.array([np.mean(each) for each in by_seed.values()])
+    if found.size < 2:
+        return Difference(float(found[0]) if found.size else None)
+    half = float(stdtrit(found.size - 1, 0.5 + 0.5 * level) * found.std(ddof=1)) / math.sqrt(found.size)
+    mean = float(found.mean())
+    return Difference(mean, mean - half, mean + half)

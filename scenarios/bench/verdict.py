@@ -11,7 +11,7 @@ from quadsim.flight.scenario import Scenario
 
 from .controllers import CASCADED, controller_of, estimator_of
 from .flight_metrics import CellRow, wilson
-from .ranking import PairRow, Place, by_contender, difference, listed, ranked, winners
+from .ranking import Flown, Place, by_contender, listed, paired_difference, ranked, winners
 from .recommendation import recommendation
 from .results import Results, Total, shown_once, totals_of
 
@@ -89,10 +89,15 @@ def choice(results: Results, scenarios: Sequence[str]) -> Choice:
     flights = [f for f in results.flights if f.scenario in scenarios and f.estimator not in unranked]
     safe = {flight.scenario for flight in flights if not flight.cause}
     planned = [flight for flight in results.planned if flight[0] in scenarios]
-    places = ranked(
-        by_contender(flights), [flight for flight in planned if flight[0] in safe] or planned, measure.key
-    )
-    best = winners(places, lambda first, other: _worse(difference(flights, first, other, measure.key)))
+    flown = by_contender(flights)
+    counted = [flight for flight in planned if flight[0] in safe] or planned
+    places = ranked(flown, counted, measure.key)
+
+    def worse(first: str, other: str) -> bool:
+        low = paired_difference(flown[other], flown[first], measure.key).low
+        return low is not None and low > 0.0
+
+    best = winners(places, worse)
     return Choice(places, best, [name for name in scenarios if name not in safe])
 
 
@@ -135,6 +140,8 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
     unranked, totals, levels = results.unranked, totals_of(results.rows), results.by_level
     order = [place.name for place in places]
     left_out = [name for name in results.estimators if name not in order and name not in unranked]
+    flown = by_contender(results.flights)
+    behind = {name: _behind(flown[name], flown[order[0]], measure) for name in order[1:]}
     rows = []
     for name in [*order, *left_out, *unranked]:
         own = totals[name]
@@ -153,7 +160,7 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
             "crashed": f"{own.crashes} of {own.flights} ({100 * low:.0f}–{100 * high:.0f} %)",
             "error [°]": _number(own.error_deg),
             "tracking [°]": _number(own.attitude_deg),
-            "behind the best [°]": _behind(results, order[0], name, measure) if name in order[1:] else "–",
+            "behind the best [°]": behind.get(name, "–"),
             "command change [rad/s]": _number(own.jitter),
             "at worst": described(*worst, measure) if worst else "–",
             "note": note,
@@ -171,13 +178,13 @@ def described(axis: str, row: CellRow, measure: Measure = ERROR) -> str:
     return f"{level}, {crashes}{shown(getattr(row, measure.key))}"
 
 
-def _behind(results: Results, best: str, name: str, measure: Measure) -> str:
+def _behind(other: Flown, best: Flown, measure: Measure) -> str:
     """The paired difference from the best, with half its 95 % interval."""
-    row = difference(results.flights, best, name, measure.key)
-    if row.difference is None:
+    found = paired_difference(other, best, measure.key)
+    if found.mean is None:
         return "–"
-    half = "" if row.low is None or row.high is None else f" ± {(row.high - row.low) / 2:.2f}"
-    return f"{row.difference:+.2f}{half}"
+    half = "" if found.low is None or found.high is None else f" ± {(found.high - found.low) / 2:.2f}"
+    return f"{found.mean:+.2f}{half}"
 
 
 # --- the sentence ---------------------------------------------------------------------------------
@@ -292,11 +299,6 @@ def _alone(name: str, own: Total, measure: Measure) -> str:
     of_those = " in the others" if own.crashes else ""
     error = "" if own.crashes == own.flights else f", {measure.name} {error}{of_those}"
     return f"{name}: {crashes} {own.flights} flights{error}{failed}."
-
-
-def _worse(row: PairRow) -> bool:
-    """Whether the error is significantly larger."""
-    return row.low is not None and row.low > 0.0
 
 
 def _count(count: int, what: str) -> str:

@@ -6,11 +6,9 @@ import os
 import posixpath
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-
-import imageio.v3 as imageio
 
 from estimators.appearance import looks
 from quadsim.flight.faults import fault_spans
@@ -22,11 +20,9 @@ from ..bench.cell import FlightSettings
 from ..bench.controllers import TRUTH
 from ..bench.flight_log import SHARED
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, Metric
-from ..bench.ranking import ALL, PAIRED, PairRow, paired_differences
 from ..bench.results import Results, hours, mean_of, shown_once, totals_of
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.verdict import ERROR, Verdict, measure_of, verdict
-from .flight_picture import Picture, cover
 from .template import render
 
 SHOWN = 4
@@ -50,7 +46,7 @@ class OfflineSection:
     """Of a report without a benchmark."""
 
 
-def publish(folder: str | Path, results: Results, path: Path | None = None) -> tuple[Path, str]:
+def publish(folder: str | Path, results: Results, path: Path | None = None) -> Path:
     """Write the report of a benchmark's folder.
 
     Args:
@@ -58,18 +54,14 @@ def publish(folder: str | Path, results: Results, path: Path | None = None) -> t
         results: What it returned.
         path: The report, by default report.html in the folder.
 
-    Returns:
-        The report, and why there is no picture; empty if there is one.
-
     Raises:
         OSError: If a file cannot be written.
     """
     folder = Path(folder).expanduser()
     page = (path or folder / "report.html").expanduser()
-    still, note = cover(results.cells)
     tables = [folder / "results.csv", folder / "flights.parquet"]
     links = [Path(os.path.relpath(table, page.parent)).as_posix() for table in tables]
-    return write_report(page, results, still=still, files=links, record=load_record(folder)), note
+    return write_report(page, results, files=links, record=load_record(folder))
 
 
 def write_report(
@@ -77,7 +69,6 @@ def write_report(
     closed_loop: Results | None = None,
     offline: OfflineSection | None = None,
     *,
-    still: Picture | None = None,
     film: Path | None = None,
     title: str = "",
     files: Sequence[str] = (),
@@ -91,7 +82,6 @@ def write_report(
         path: HTML file to write.
         closed_loop: Results of a benchmark.
         offline: Results on recorded flights.
-        still: Picture for the top.
         film: Video for the top, MP4.
         title: Heading; empty: the question that the report answers.
         files: Files beside the report to link to.
@@ -114,7 +104,6 @@ def write_report(
     names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
     cells, shared = page_flights(results, order)
-    pairs = paired_differences(results.flights)
     axes = {
         axis: list(dict.fromkeys(level for of, level, _ in results.by_level if of == axis))
         for axis in dict.fromkeys(axis for axis, _, _ in results.by_level)
@@ -132,13 +121,9 @@ def write_report(
         "ranked": ranked,
         "totals": totals_of(results.rows),
         "axes": axes,
-        "pairs": bool(pairs),
-        "paired": [metric for metric in metrics if metric.key in PAIRED],
         "points": {(point.estimator, point.sweep): point for point in results.points},
         "offline": offline,
         "pictures": {name: _encoded(each.read_bytes()) for name, each in offline.pictures.items()},
-        "still": still and _encoded(imageio.imwrite("<bytes>", still.image, extension=".jpg", quality=88)),
-        "caption": still.caption if still else "",
         "film": film and _encoded(film.read_bytes()),
         "files": files,
         "footer": footer,
@@ -157,7 +142,7 @@ def write_report(
         "metrics": [vars(metric) for metric in metrics],
     }
     if results.cells:
-        data |= _closed_loop_data(results, cells, shared, pairs)
+        data |= _closed_loop_data(results, cells, shared)
         data["levels"] = {"|".join(key): vars(row) for key, row in results.by_level.items()}
         data["best"] = next((name for name in ranked if name not in results.unranked), None)
     payload = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -209,7 +194,6 @@ def _closed_loop_data(
     results: Results,
     cells: Sequence[FlightSeries | None],
     shared: Mapping[str, FlightSeries],
-    pairs: Sequence[PairRow],
 ) -> dict[str, object]:
     """What the charts show of a benchmark."""
     low, high = ERROR_DECADES
@@ -229,8 +213,6 @@ def _closed_loop_data(
         "means": means,
         "shared": {scenario: _described(series) for scenario, series in shared.items()},
         "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
-        "pairs": _pairs([row for row in pairs if row.scenario == ALL or not results.levels]),
-        "all": ALL,
         "series_seed": 0,
         "bodies": {n: _body(s.vehicle) for n, s in results.scenarios.items()},
     }
@@ -239,16 +221,6 @@ def _closed_loop_data(
 def _body(name: str) -> dict[str, object]:
     vehicle = load_vehicle(name)
     return {"hubs": vehicle.hubs.tolist(), "prop_radius": vehicle.frame.prop_radius}
-
-
-def _pairs(pairs: Sequence[PairRow]) -> dict[str, list]:
-    """Compact: "metric|scenario" to lists of estimator, versus, pairs, difference, low, high, crashes."""
-    out: dict[str, list] = {}
-    for row in pairs:
-        _, _, *entry = asdict(row).values()
-        numbers = [round(v, 5) if isinstance(v, float) else v for v in entry]
-        out.setdefault(f"{row.metric}|{row.scenario}", []).append(numbers)
-    return out
 
 
 def _described(series: FlightSeries) -> dict[str, object]:

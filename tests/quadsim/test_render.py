@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from quadsim.config.toml import preset_names
-from quadsim.flight.scenario import Scenario
 from quadsim.pictures.film import Marks, film
 from quadsim.pictures.render import NO_OPENGL, WIND_SCALE, Scene, View, still
 from quadsim.pictures.shapes import quadrotor_geoms
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
-from scenarios.bench.cell import FlightSettings, fly_cell
-from scenarios.report.flight_picture import cover, flight_picture
 
 VEHICLE = load_vehicle("hummingbird")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -89,23 +86,6 @@ def test_film_lasts_as_long_as_the_flight(tmp_path):
 def test_film_of_nothing_is_refused(tmp_path):
     with pytest.raises(ValueError, match="at least two samples"):
         film(tmp_path / "x.mp4", VEHICLE, [0.0], [[0, 0, 1]], [LEVEL])
-
-
-def test_flight_is_one_picture():
-    cell = fly_cell("x", Scenario(description="", duration_s=0.5), "truth", FlightSettings())
-    assert flight_picture(cell, VEHICLE, width=160, height=90).shape == (90, 160, 3)
-
-
-def test_cover_shows_the_preferred_flight_or_says_why_not():
-    scenario = Scenario(description="", duration_s=2.5)
-    cells = [fly_cell(name, scenario, "truth", FlightSettings()) for name in ("hover", "step")]
-    picture, note = cover(cells)
-    assert picture is not None
-    assert (picture.caption, note) == ("step with truth, from 1.9 s to 4.2 s", "")
-    hover, _ = cover(cells[:1])
-    assert hover is not None
-    assert hover.caption == "hover with truth, from 0 s to 2.48 s"
-    assert cover([]) == (None, "The report shows no vehicle: no flight lasted 0.5 s.")
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.results import Results
 from scenarios.bench.search import BreakingPoint
 from scenarios.bench.series import unpack_series
-from scenarios.report.flight_picture import Picture
 from scenarios.report.page import OfflineSection, page_flights, write_report
 
 BREAKING = load_experiment("breaking-points")
@@ -76,10 +75,9 @@ def results():
 
 @pytest.fixture(scope="module")
 def report(results, tmp_path_factory):
-    picture = Picture(np.full((90, 160, 3), 128, dtype=np.uint8), 'A "picture" & its caption')
     path = tmp_path_factory.mktemp("report") / "report.html"
     offline = OfflineSection(OFFLINE, headline="On recorded flights mahony is best.")
-    return write_report(path, results, offline, still=picture, files=["results.csv"], focus="ekf")
+    return write_report(path, results, offline, files=["results.csv"], focus="ekf")
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -152,7 +150,7 @@ def painted(page, selector):
 
 def test_everything_is_there(page):
     for part in (
-        "verdict", "map", "series", "replay", "spread", "pairs", "breaking", "table", "offline", "method"
+        "verdict", "map", "series", "replay", "spread", "breaking", "table", "offline", "method"
     ):  # fmt: skip
         assert page.locator(f"#{part}").is_visible()
     assert page.locator("#verdict h2").inner_text().startswith("In calm and storm fly mahony, the only one")
@@ -161,7 +159,6 @@ def test_everything_is_there(page):
     assert page.locator("#violins polygon").count() == 2
     assert painted(page, "#plot canvas") > 1000
     assert painted(page, "#stage") > 1000
-    assert page.evaluate("document.querySelector('figure img').naturalWidth") == 160
 
 
 def test_flights_in_the_page_are_those_of_the_cells(page, results):
@@ -225,15 +222,6 @@ def test_estimators_that_flew_exactly_alike_are_shown_once(results, tmp_path):
     text = write_report(tmp_path / "r.html", twin, focus="ekf-two").read_text()
     assert "ekf-two flew exactly as ekf: shown once." in text
     assert text.count("ekf-two") == 1
-
-
-def test_pairs_compare_with_the_chosen_estimator(page):
-    page.select_option("#pairs-base", "ekf")
-    assert set(page.locator("#forest g title").all_text_contents()) == {"truth", "mahony"}
-    shown = page.locator("#forest g .value").all_text_contents()
-    assert all("✕ 0 : 2" in each for each in shown)  # only the ekf crashed, once in each scenario
-    page.select_option("#pairs-base", "truth")
-    assert page.locator("#forest g").count() == 2
 
 
 def test_breaking_points_sort_with_the_open_end_last(page):

@@ -10,7 +10,7 @@ from scenarios.bench import runner
 from scenarios.bench.cell import Cell, FlightSettings, failed_cell
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
-from scenarios.bench.ranking import paired_differences
+from scenarios.bench.ranking import by_contender, paired_difference
 from scenarios.bench.results import load_results
 from scenarios.bench.runner import bench
 from scenarios.bench.search import bisection
@@ -115,24 +115,18 @@ def flight(scenario, estimator, seed, error, cause=""):
 def test_pairing_removes_what_the_flights_share():
     hard = np.random.default_rng(0).uniform(1, 50, 6)
     gap = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.0])
-    flights = [flight("a", "x", i, hard[i] + gap[i]) for i in range(6)]
-    flights += [flight("a", "y", i, hard[i]) for i in range(6)]
-    row = next(r for r in paired_differences(flights) if (r.scenario, r.metric) == ("a", "error_deg"))
-    assert (row.estimator, row.versus, row.pairs) == ("x", "y", 6)
-    assert row.difference == pytest.approx(1.0)
+    flown = by_contender(
+        [flight("a", "x", i, hard[i] + gap[i]) for i in range(6)]
+        + [flight("a", "y", i, hard[i]) for i in range(6)]
+    )
     half = 2.5706 * gap.std(ddof=1) / np.sqrt(6)  # Student's t at 97.5 % with 5 degrees of freedom
-    assert (row.low, row.high) == pytest.approx((1 - half, 1 + half), rel=1e-4)
+    found = paired_difference(flown["x"], flown["y"], "error_deg")
+    assert found == pytest.approx((1.0, 1 - half, 1 + half), rel=1e-4)
 
 
-def test_crashed_flights_make_no_pair_but_are_counted():
+def test_crashed_flights_make_no_pair():
     flights = [flight("a", "x", 0, 9.0, "tilted over"), flight("a", "x", 1, 3.0), flight("b", "x", 1, 5.0)]
     flights += [flight("a", "y", 0, 1.0), flight("a", "y", 1, 1.0), flight("b", "y", 1, 1.0, "flew away")]
-    rows = {(r.scenario, r.metric): r for r in paired_differences(flights)}
-    assert (rows["a", "error_deg"].pairs, rows["a", "error_deg"].difference) == (1, 2.0)
-    assert (rows["b", "error_deg"].pairs, rows["b", "error_deg"].difference) == (0, None)
-    assert rows["all", "error_deg"].difference == 2.0
-    assert (rows["all", "error_deg"].crashed_alone, rows["all", "error_deg"].versus_crashed_alone) == (
-        1,
-        1,
-    )
-    assert rows["all", "position_m"].pairs == 0
+    flown = by_contender(flights)
+    assert paired_difference(flown["x"], flown["y"], "error_deg") == (2.0, None, None)
+    assert paired_difference(flown["x"], flown["y"], "position_m") == (None, None, None)

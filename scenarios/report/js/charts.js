@@ -1,11 +1,9 @@
-/* Charts over all flights: the map, the distributions of errors, the paired differences. */
-import { ticks } from "./canvas.js";
+/* Charts over all flights: the map, the distributions of errors. */
 import { cell, colour, data } from "./data.js";
 import { $, all, css, node } from "./dom.js";
-import { markerPath } from "./markers.js";
 
 /** Every chart: drawn at first, and again when a choice, the size or the theme changes. */
-export const CHARTS = [drawMap, drawViolins, drawForest];
+export const CHARTS = [drawMap, drawViolins];
 
 function drawMap() {
   const metric = data.metrics.find((m) => m.key === $("map-metric").value);
@@ -56,35 +54,6 @@ function label(name, x, y) {
   return [node("title", {}, name), node("text", { x, y, "text-anchor": "end" }, name)];
 }
 
-function drawForest() {
-  if (!$("pairs")) return;
-  const base = $("pairs-base").value, unit = $("pairs-metric").selectedOptions[0].dataset.unit;
-  const rows = (data.pairs[$("pairs-metric").value + "|" + $("pairs-scenario").value] ?? []).flatMap(([a, b, n, mean, low, high, only, other]) =>
-    a === base ? [[b, mean === null ? null : -mean, high === null ? null : -high, low === null ? null : -low, n, other, only]]
-      : b === base ? [[a, mean, low, high, n, only, other]] : []).sort((x, y) => (x[1] ?? Infinity) - (y[1] ?? Infinity));
-  const ends = rows.flatMap(([, mean, low, high]) => mean === null ? [] : [low ?? mean, high ?? mean]);
-  let [from, to] = [Math.min(0, ...ends), Math.max(0, ...ends)];
-  const pad = 0.05 * (to - from || 1); from -= pad; to += pad;
-  const [left, right, width, tall] = [165, 235, 900, 26], bottom = 26, height = rows.length * tall + bottom;
-  const X = (v) => left + ((v - from) / (to - from)) * (width - left - right);
-  const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Paired differences from ${base}` });
-  const [marks, digits] = ticks(from, to, 6);
-  for (const v of marks) svg.append(...mark(X(v), height, bottom, `${v > 0 ? "+" : ""}${v.toFixed(digits)} ${unit}`));
-  svg.append(node("line", { x1: X(0), x2: X(0), y1: 0, y2: height - bottom, stroke: css("--ink"), "stroke-width": 1.5 }));
-  rows.forEach(([name, mean, low, high, n, only, other], i) => {
-    const y = (i + 0.5) * tall;
-    const row = node("g", {}, ...label(name, left - 12, y + 4));
-    if (mean !== null) {
-      if (low !== null) row.append(node("line", { x1: X(low), x2: X(high), y1: y, y2: y, stroke: colour[name], "stroke-width": 3, "stroke-linecap": "round" }));
-      row.append(markerPath(data.looks[name], X(mean), y, 5));
-    }
-    const text = mean === null ? "no flight that both flew" : `${mean > 0 ? "+" : ""}${mean.toFixed(2)}` + (low === null ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)})`);
-    const crashes = only || other ? `, ✕ ${only} : ${other}` : "";
-    row.append(node("text", { class: "value", x: width - right + 14, y: y + 4 }, text + crashes));
-    svg.append(row);
-  });
-  $("forest").replaceChildren(svg);
-}
 function blur(counts) {
   const kernel = [1, 4, 7, 4, 1];
   return Float64Array.from(counts, (_, i) => kernel.reduce((sum, w, j) => sum + w * (counts[i + j - 2] ?? 0), 0) / 17);

@@ -9,8 +9,8 @@ import { themed } from "./theme.js";
 import { drawTraces, showAll, showTime } from "./traces.js";
 
 function closedLoop() {
-  for (const select of [...all("select.scenario"), ...["spread-scenario", "table-scenario", "pairs-scenario"].map($)])
-    if (select && select.dataset.whole === undefined) for (const name of data.scenarios) select.add(new Option(name, name));
+  for (const select of [...all("select.scenario"), ...["spread-scenario", "table-scenario"].map($)])
+    if (select) for (const name of data.scenarios) select.add(new Option(name, name));
   const focus = data.estimators.filter((name) => data.shown.includes(name));
   for (const name of focus) state.shown.add(name);
   for (const name of data.estimators) $("inside").add(new Option(name, name, false, name === state.inside));
@@ -28,10 +28,6 @@ function closedLoop() {
   $("table-scenario").onchange = (event) => {
     for (const row of $("results").tBodies[0].rows) row.hidden = event.target.value && row.dataset.scenario !== event.target.value;
   };
-  if ($("pairs")) {
-    for (const name of data.ranked) $("pairs-base").add(new Option(name, name, false, name === data.best));
-    for (const id of ["pairs-base", "pairs-scenario", "pairs-metric"]) $(id).onchange = redraw;
-  }
   for (const select of all("select.scenario")) select.onchange = () => choose(select.value);
   for (const td of all(".heat td[data-scenario]")) {
     td.onclick = () => { look(td.dataset.estimator); choose(td.dataset.scenario); $("series").scrollIntoView(); };
