@@ -87,7 +87,7 @@ def standing_rows(judged: Verdict, without: Results, files: Mapping[str, str]) -
     silent, rows = totals_of(without.rows), []
     for name, _, texts in judged.standings:
         own = silent.get(files.get(name, ""))
-        text = f"{shown(own.error_deg)}, ✕ {own.crashes}" if own else "–"
+        text = f"{shown(own.means['error_deg'])}, ✕ {own.crashes}" if own else "–"
         columns = [texts[key] for key in ("crashed", "error [°]", "behind the best [°]", "tracking [°]")]
         rows.append(row(name, *columns[:2], text, *columns[2:]))
     return rows

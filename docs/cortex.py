@@ -1,12 +1,9 @@
 """Exported networks cross-compiled for Cortex-M and run by QEMU: outputs, instructions, flash and RAM."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +23,12 @@ TICK_NS = 40
 """Of the system timer: the boards run at 25 MHz."""
 
 
-@dataclass(frozen=True)
-class Core:
+class Core(NamedTuple):
     """A processor and the board on which it is emulated."""
 
     name: str
-    flags: tuple[str, ...]
-    """Of the compiler."""
-    machine: str
-    """Of QEMU."""
+    flags: tuple[str, ...]  #: of the compiler
+    machine: str  #: of QEMU
 
 
 THUMB = ("-mthumb", "-mfloat-abi=hard")
@@ -44,26 +38,19 @@ CORES = (
 )
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """What a network takes of a microcontroller [bytes]."""
 
-    flash: int
-    """Code and constants, without the compiler's own library."""
-    ram: int
-    """State of one copy."""
-    stack: int
-    """Most that one of its functions has on the stack, without those that it calls."""
+    flash: int  #: code and constants, without the compiler's own library
+    ram: int  #: state of one copy
+    stack: int  #: most that one of its functions has on the stack, without those that it calls
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """What a program did."""
 
-    outputs: Array
-    """(T, outputs): of a controller the action, of an estimator what it writes."""
-    instructions: NDArray[np.int64]
-    """For each sample of scaling, network and output, (T, 3)."""
+    outputs: Array  #: (T, outputs): of a controller the action, of an estimator what it writes
+    instructions: NDArray[np.int64]  #: for each sample of scaling, network and output, (T, 3)
 
 
 def missing_tools() -> list[str]:

@@ -22,7 +22,7 @@ from estimators.running import run_quietly
 from estimators.tuned import load_tuning
 from quadsim.flight.recipe import load_recipe
 from quadsim.runs.console import progress_bar
-from quadsim.vehicle import Vehicle
+from quadsim.vehicle import Vehicle, with_drag
 
 Array = NDArray[np.float64]
 DOMAINS = {
@@ -108,14 +108,6 @@ def mean_error(name: str, flights: Flights, domain: str, vehicle: Vehicle | None
     """Mean over flights of the mean absolute error [deg]."""
     est = create(name, flights.rate_hz, tuning=tuning_of(name, domain), vehicle=vehicle)
     return attitude_error(run_quietly(est, flights.gyro, flights.accel, flights.start), flights.truth).mean
-
-
-def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
-    """A vehicle's file with rotor and frame drag multiplied by a factor."""
-    motor = vehicle.motor.model_copy(update={"rotor_drag": factor * vehicle.motor.rotor_drag})
-    x, y, z = (factor * area for area in vehicle.frame.drag_area)
-    frame = vehicle.frame.model_copy(update={"drag_area": (x, y, z)})
-    return vehicle.model_copy(update={"motor": motor, "frame": frame})
 
 
 def elsewhere(data: Path) -> Iterator[tuple[str, str, xr.Dataset]]:

@@ -19,7 +19,7 @@ from quadsim.runs.files import write_csv, write_whole
 from .cell import Cell, FlightSettings, tuning_of
 from .controllers import CASCADED, controller_of, default_estimators, estimator_of
 from .experiment import SUITE, Experiment, Levels
-from .flight_metrics import CellRow, FlightRow, summarise
+from .flight_metrics import METRICS, CellRow, FlightRow, summarise
 from .ranking import by_contender
 from .search import BreakingPoint
 
@@ -172,14 +172,12 @@ def shown_once(results: Results) -> tuple[Results, str]:
 
 
 class Total(NamedTuple):
-    """A contender over all its scenarios; errors are means over scenarios, None where none was measured."""
+    """A contender over all its scenarios."""
 
     flights: int
     crashes: int
-    error_deg: float | None
-    attitude_deg: float | None
-    jitter: float | None
     failed: int  #: scenarios that did not run
+    means: Mapping[str, float | None]  #: of each of `METRICS` over scenarios; None where none was measured
 
 
 def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
@@ -188,17 +186,10 @@ def totals_of(rows: Sequence[CellRow]) -> dict[str, Total]:
     for name in dict.fromkeys(row.estimator for row in rows):
         own = [row for row in rows if row.estimator == name]
         flights, crashes = (sum(getattr(r, key) or 0 for r in own) for key in ("flights", "crashes"))
-        means = {
-            key: mean_of([getattr(r, key) for r in own]) for key in ("error_deg", "attitude_deg", "jitter")
-        }
-        found[name] = Total(flights, crashes, **means, failed=sum(bool(r.reason) for r in own))
+        values = {m.key: [getattr(r, m.key) for r in own if getattr(r, m.key) is not None] for m in METRICS}
+        means = {key: float(np.mean(known)) if known else None for key, known in values.items()}
+        found[name] = Total(flights, crashes, sum(bool(r.reason) for r in own), means)
     return found
-
-
-def mean_of(values: Sequence[float | None]) -> float | None:
-    """Mean of what is known."""
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
 
 
 def load_results(out: str | Path) -> Results:

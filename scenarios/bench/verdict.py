@@ -158,10 +158,10 @@ def _table(results: Results, places: Sequence[Place], measure: Measure) -> list[
         texts = {
             "rank": str(order.index(name) + 1) if name in order else "–",
             "crashed": f"{own.crashes} of {own.flights} ({100 * low:.0f}–{100 * high:.0f} %)",
-            "error [°]": _number(own.error_deg),
-            "tracking [°]": _number(own.attitude_deg),
+            "error [°]": _number(own.means["error_deg"]),
+            "tracking [°]": _number(own.means["attitude_deg"]),
             "behind the best [°]": behind.get(name, "–"),
-            "command change [rad/s]": _number(own.jitter),
+            "command change [rad/s]": _number(own.means["jitter"]),
             "at worst": described(*worst, measure) if worst else "–",
             "note": note,
         }
@@ -287,7 +287,7 @@ def recommended(found: Choice, measure: Measure = ERROR) -> str:
 
 def _alone(name: str, own: Total, measure: Measure) -> str:
     """What happened, where there is nothing to compare with."""
-    name, error = said(name, measure), shown(getattr(own, measure.key))
+    name, error = said(name, measure), shown(own.means[measure.key])
     failed = f"; {_count(own.failed, 'scenario')} did not run" if own.failed else ""
     if own.flights == 1:
         return (

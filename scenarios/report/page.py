@@ -20,7 +20,7 @@ from ..bench.cell import FlightSettings
 from ..bench.controllers import TRUTH
 from ..bench.flight_log import SHARED
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, Metric
-from ..bench.results import Results, hours, mean_of, shown_once, totals_of
+from ..bench.results import Results, hours, shown_once, totals_of
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.verdict import ERROR, Verdict, measure_of, verdict
 from .template import render
@@ -197,10 +197,6 @@ def _closed_loop_data(
 ) -> dict[str, object]:
     """What the charts show of a benchmark."""
     low, high = ERROR_DECADES
-    rows = {name: [row for row in results.rows if row.estimator == name] for name in results.estimators}
-    means = {
-        n: {m.key: mean_of([getattr(r, m.key) for r in own]) for m in METRICS} for n, own in rows.items()
-    }
     return {
         "edges": {"low": low, "high": high, "bins": ERROR_BINS},
         "cells": {
@@ -210,7 +206,7 @@ def _closed_loop_data(
             }
             for cell, series in zip(results.cells, cells, strict=True)
         },
-        "means": means,
+        "means": {name: total.means for name, total in totals_of(results.rows).items()},
         "shared": {scenario: _described(series) for scenario, series in shared.items()},
         "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
         "series_seed": 0,
