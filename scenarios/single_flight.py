@@ -1,5 +1,6 @@
 """One scenario with one estimator in detail: a report, every sample as CSV, and a video."""
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from quadsim.pictures.film import Marks, film
 from quadsim.pictures.render import replay
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
+from quadsim.runs.fingerprint import content_digest
 
 from .bench.cell import FlightSettings, make_cell, mission_of
 from .bench.flight_log import Flown, fly
@@ -22,6 +24,12 @@ from .report.page import write_report
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "roll_est", "pitch_est", "x_ref", "y_ref", "z_ref")
 """Columns of the CSV file: SI units and radians."""
 ONE_FLIGHT = FlightSettings()
+
+
+def file_name(name: str) -> str:
+    """A name as a part of a file's: of what is a path, or no plain name, its stem and a digest."""
+    plain = re.sub(r"[^\w.-]", "-", Path(name).stem)
+    return name if re.fullmatch(r"[\w-]+", name) else f"{plain}-{content_digest(name)[:8]}"
 
 
 class SingleFlight(NamedTuple):
@@ -67,7 +75,7 @@ def fly_scenario(
     scenario, name = changed(load_scenario(source), changes), Path(source).name.removesuffix(".toml")
     mission = mission_of(scenario, estimator, settings)
     flown = fly(mission, settings.seed, flight)
-    cell = make_cell(name, estimator, "", mission, flown)
+    cell = make_cell(name, estimator, mission, flown)
     results = Results({name: scenario}, [estimator], settings, [cell])
     out = Path(out).expanduser()
     out.mkdir(parents=True, exist_ok=True)

@@ -51,9 +51,9 @@ def fly(
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
     """
-    from scenarios.bench.cell import FlightSettings, file_name
+    from scenarios.bench.cell import FlightSettings
     from scenarios.bench.controllers import contender
-    from scenarios.single_flight import fly_scenario
+    from scenarios.single_flight import file_name, fly_scenario
     from scenarios.verbs import warn
 
     estimator = contender(estimator, controller)

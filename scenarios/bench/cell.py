@@ -1,6 +1,5 @@
 """One cell of the benchmark: a scenario simulated with one estimator and many seeds, and its file."""
 
-import re
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -54,7 +53,6 @@ class Cell:
 
     scenario: str
     estimator: str
-    fingerprint: str
     reason: str
     """Why it did not run; empty if it did."""
     flights: list[FlightRow]
@@ -80,17 +78,6 @@ CELL = TypeAdapter(Cell)
 """Writes a cell as JSON, and reads it."""
 
 
-def file_name(name: str) -> str:
-    """A name as a part of a file's: of what is a path, or no plain name, its stem and a digest."""
-    plain = re.sub(r"[^\w.-]", "-", Path(name).stem)
-    return name if re.fullmatch(r"[\w-]+", name) else f"{plain}-{content_digest(name)[:8]}"
-
-
-def cell_path(out: Path, scenario: str, estimator: str) -> Path:
-    """File of a cell."""
-    return out / "cells" / f"{scenario}--{file_name(estimator)}.json"
-
-
 def weights_digest(estimator: str) -> str:
     """Digest of the weights and the files of the user's that a contender stands for; empty without any."""
     name = estimator_of(estimator)
@@ -114,24 +101,22 @@ def load_cell(path: Path) -> Cell | None:
         return None
 
 
-def failed_cell(scenario: str, estimator: str, fingerprint: str, reason: str) -> Cell:
+def failed_cell(scenario: str, estimator: str, reason: str) -> Cell:
     """A cell that did not run."""
-    return Cell(scenario, estimator, fingerprint, reason, [], [], None)
+    return Cell(scenario, estimator, reason, [], [], None)
 
 
-def fly_cell(
-    name: str, scenario: Scenario, estimator: str, settings: FlightSettings, fingerprint: str = ""
-) -> Cell:
+def fly_cell(name: str, scenario: Scenario, estimator: str, settings: FlightSettings) -> Cell:
     """Simulate all flights of a cell at once; a failure is a cell with its reason."""
     began = time.thread_time()
     try:
         tuning = tuning_of(estimator, settings.tuning)
         mission = mission_of(scenario, estimator, replace(settings, tuning=tuning))
-        cell = make_cell(name, estimator, fingerprint, mission, fly(mission, settings.seed))
+        cell = make_cell(name, estimator, mission, fly(mission, settings.seed))
         return replace(cell, cpu_s=round(time.thread_time() - began, 3))
     except (Exception, SystemExit) as error:  # whatever an estimator does, the other cells continue
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
-        return failed_cell(name, estimator, fingerprint, f"{kind}{error}")
+        return failed_cell(name, estimator, f"{kind}{error}")
 
 
 def tuning_of(estimator: str, tuning: str | None) -> str | None:
@@ -156,7 +141,7 @@ def mission_of(scenario: Scenario, contender: str, settings: FlightSettings) -> 
     return Mission(scenario, made, settings.seeds, settings.rate_hz, controller=controller)
 
 
-def make_cell(name: str, estimator: str, fingerprint: str, mission: Mission, flown: Flown) -> Cell:
+def make_cell(name: str, estimator: str, mission: Mission, flown: Flown) -> Cell:
     """The cell of a simulated mission.
 
     Raises:
@@ -186,4 +171,4 @@ def make_cell(name: str, estimator: str, fingerprint: str, mission: Mission, flo
     series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz, flown.signals)
     histogram = error_histogram(log, end).tolist()
     reference = receives_truth(mission.loop.estimator)
-    return Cell(name, estimator, fingerprint, "", flights, histogram, series, reference, flaw)
+    return Cell(name, estimator, "", flights, histogram, series, reference, flaw)

@@ -22,7 +22,6 @@ from .cell import (
     CELL,
     Cell,
     FlightSettings,
-    cell_path,
     digest_if_there,
     failed_cell,
     fly_cell,
@@ -111,21 +110,20 @@ def _fly_cells(
 ) -> list[Cell]:
     """Cells of (name, scenario, contender), read where an earlier run has stored the same ones."""
     code = flight_code()
-    prints = [_fingerprint(scenario, name, settings, code) for _, scenario, name in jobs]
-    stored = [load_cell(cell_path(out, scenario, name)) for scenario, _, name in jobs]
-    cells = {i: cell for i, cell in enumerate(stored) if cell and cell.fingerprint == prints[i]}
+    paths = [out / "cells" / f"{_fingerprint(*job, settings, code)[:32]}.json" for job in jobs]
+    cells = {i: cell for i, path in enumerate(paths) if (cell := load_cell(path))}
     missing = [i for i in range(len(jobs)) if i not in cells]
     progress = progress or (lambda done, total: None)
     progress(len(cells), len(jobs))
     said: set[tuple[str, str]] = set()
-    for at, cell in run_all(fly_cell, [(*jobs[i], settings, prints[i]) for i in missing], workers, executor):
+    for at, cell in run_all(fly_cell, [(*jobs[i], settings) for i in missing], workers, executor):
         i = missing[at]
         if isinstance(cell, BaseException):  # the worker itself died
             name, _, estimator = jobs[i]
-            cell = failed_cell(name, estimator, prints[i], f"{type(cell).__name__}: {cell}")
+            cell = failed_cell(name, estimator, f"{type(cell).__name__}: {cell}")
         cells[i] = cell
         if not cell.reason:
-            write_whole(cell_path(out, cell.scenario, cell.estimator), CELL.dump_json(cell))
+            write_whole(paths[i], CELL.dump_json(cell))
         elif (cell.estimator, cell.reason) not in said:  # once for all scenarios
             log.warning("%s with %s did not run: %s", cell.scenario, cell.estimator, cell.reason)
             said.add((cell.estimator, cell.reason))
@@ -169,7 +167,7 @@ def _check(scenarios: Mapping[str, Scenario], names: Sequence[str], settings: Fl
         raise ValueError(f"nothing to fly: give at least one {'estimator' if scenarios else 'scenario'}")
 
 
-def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, code: str) -> str:
+def _fingerprint(name: str, scenario: Scenario, estimator: str, settings: FlightSettings, code: str) -> str:
     tuning = tuning_of(estimator, settings.tuning)
     content = {
         "scenario": scenario.model_dump(mode="json"),
@@ -179,6 +177,6 @@ def _fingerprint(scenario: Scenario, estimator: str, settings: FlightSettings, c
         "files": [digest_if_there(path) for path in _files_of(scenario)],
         "weights": weights_digest(estimator),
         "tuning": tuning and load_tuning(tuning)[estimator_of(estimator)].model_dump(),
-        "run": [estimator, settings.seeds, settings.seed, settings.rate_hz, code],
+        "run": [name, estimator, settings.seeds, settings.seed, settings.rate_hz, code],
     }
     return fingerprint(content)

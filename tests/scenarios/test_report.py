@@ -56,11 +56,11 @@ def results():
     cells = []
     for name in ("calm", "storm"):
         for estimator in ("truth", "mahony"):
-            cell = make_cell(name, estimator, "", mission, flown)
+            cell = make_cell(name, estimator, mission, flown)
             cells.append(replace(cell, receives_truth=estimator == "truth"))
         flights = [flight(0, name, "ekf", "flew away", 9.0), flight(1, name, "ekf")]
-        cells.append(Cell(name, "ekf", "", "", flights, cells[0].histogram, cells[0].series))
-        cells.append(failed_cell(name, "vqf", "", "no weights <here>"))
+        cells.append(Cell(name, "ekf", "", flights, cells[0].histogram, cells[0].series))
+        cells.append(failed_cell(name, "vqf", "no weights <here>"))
     names = ["truth", "mahony", "ekf", "vqf"]
     points = [
         BreakingPoint("wind", "truth", 64.0),
@@ -326,7 +326,7 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
             unlike = {"cause": HOSTILE[0], "error_deg": 1.0 + len(cells)}
             flights = [replace(each, **own, **unlike) for each in results.cells[1].flights]
             cells.append(replace(results.cells[1], **own, flights=flights))
-        cells[-1] = failed_cell(scenario, names[-1], "", HOSTILE[0])
+        cells[-1] = failed_cell(scenario, names[-1], HOSTILE[0])
     described = Scenario(description=HOSTILE[1], duration_s=2.0)
     points = [BreakingPoint("wind", name, 1.0, 2.0, name, name) for name in names]
     scenarios = dict.fromkeys(HOSTILE[:3], described)

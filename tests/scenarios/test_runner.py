@@ -221,11 +221,12 @@ def test_interrupted_run_goes_on_with_what_is_missing(tmp_path, monkeypatch, flo
     monkeypatch.setattr(runner, "fly_cell", until_the_third)
     with pytest.raises(KeyboardInterrupt):
         small(tmp_path / "part")
-    (tmp_path / "part" / "cells" / "hover--truth.json").write_text("half a fi")  # and one file is damaged
+    next((tmp_path / "part" / "cells").iterdir()).write_text("half a fi")  # and one file is damaged
     monkeypatch.setattr(runner, "fly_cell", counting)
     flown.clear()
     assert small(tmp_path / "part") == whole
-    assert flown == [("hover", "truth"), ("wind-gust", "truth"), ("wind-gust", "mahony")]
+    assert flown[-2:] == [("wind-gust", "truth"), ("wind-gust", "mahony")]
+    assert len(flown) == 3
 
 
 def test_a_killed_run_leaves_no_process_behind(tmp_path):
@@ -435,7 +436,7 @@ def test_paths_in_a_scenario_count_from_its_file(tmp_path, monkeypatch):
     assert row.reason == ""
 
 
-def test_a_changed_file_that_the_users_code_imports_is_flown_anew(tmp_path, monkeypatch):
+def test_a_changed_file_that_the_users_code_imports_is_flown_anew(tmp_path, monkeypatch, flown):
     monkeypatch.chdir(tmp_path)
     Path("helper.py").write_text("SIZE = 0.0")
     Path("est.py").write_text(
@@ -459,9 +460,9 @@ def test_a_changed_file_that_the_users_code_imports_is_flown_anew(tmp_path, monk
     before = cells()
     assert {cell.reason for cell in before.values()} == {""}
     Path("helper.py").write_text("SIZE = 0.2")
+    flown.clear()
     after = cells()
-    same = [pair for pair, cell in after.items() if cell.fingerprint == before[pair].fingerprint]
-    assert same == [("hover", "truth")]
+    assert before.keys() - flown == {("hover", "truth")}
     mine = "hover", "est.py:Mine"
     assert after[mine].flights[0].error_deg > 5 + before[mine].flights[0].error_deg
     of_controller = weights_digest("truth @ control.py:make")

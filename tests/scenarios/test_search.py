@@ -66,13 +66,13 @@ def brittle(monkeypatch):
     """Cells in which `truth` breaks at 10 m/s of wind, and `mahony` does not run."""
     flown = []
 
-    def fly(name, scenario, estimator, settings, fingerprint):
+    def fly(name, scenario, estimator, settings):
         flown.append((name, estimator))
         if estimator == "mahony":
-            return failed_cell(name, estimator, fingerprint, "no idea")
+            return failed_cell(name, estimator, "no idea")
         cause = "tilted over" if scenario.wind[0].velocity[0] >= 10.0 else ""
         flights = [flight(name, estimator, seed, 1.0, cause) for seed in range(settings.seeds)]
-        return Cell(name, estimator, fingerprint, "", flights, [], None)
+        return Cell(name, estimator, "", flights, [], None)
 
     monkeypatch.setattr(runner, "fly_cell", fly)
     return flown

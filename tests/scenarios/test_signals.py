@@ -30,7 +30,7 @@ def vector(signals, name):
 def test_signals_survive_packing_and_the_file_of_a_cell_and_those_without_a_value_are_left_out():
     mission, flights = flown("complementary")
     flights.signals["gyro_x"][3] = np.nan
-    cell = CELL.validate_json(CELL.dump_json(make_cell("a", "eskf", "", mission, flights)))
+    cell = CELL.validate_json(CELL.dump_json(make_cell("a", "eskf", mission, flights)))
     found, left_out = unpack_series(cell.series), set()
     for name, values in flights.signals.items():
         if np.isnan(values).all():

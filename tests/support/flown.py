@@ -31,12 +31,12 @@ def benchmark(outcomes, references=("truth",), flaws=None, scenarios=None, exper
     for scenario in names:
         for name, own in outcomes.items():
             if isinstance(flown := own[scenario], str):
-                cells.append(failed_cell(scenario, name, "", flown))
+                cells.append(failed_cell(scenario, name, flown))
                 continue
             seeds = len(flown)
             flights = [flight(scenario, name, seed, each) for seed, each in enumerate(flown)]
             reference = name.split(" @ ")[0] in references
             flaw = (flaws or {}).get(name, "")
-            cells.append(Cell(scenario, name, "", "", flights, [], None, reference, flaw))
+            cells.append(Cell(scenario, name, "", flights, [], None, reference, flaw))
     known = scenarios or {name: Scenario(description="") for name in names}
     return Results(known, list(outcomes), FlightSettings(seeds), cells, experiment, levels or {})
