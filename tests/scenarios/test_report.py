@@ -248,10 +248,13 @@ def test_cursor_clock_and_replay_move_together(page):
     page.locator("#clock").fill("0.5")
     cursors = page.evaluate("PLOTS.map((plot) => plot.posToVal(plot.cursor.left, 'x'))")
     assert cursors == pytest.approx([0.5] * 9, abs=0.01)
+
+
+def test_a_click_into_a_panel_moves_the_playing_clock(page):
     page.evaluate("document.getElementById('speed').value = '0.25'")  # and no scrolling to it
     page.evaluate("document.getElementById('plot').scrollIntoView({behavior: 'instant'})")
     page.evaluate("document.getElementById('play').click()")
-    page.wait_for_function("state.time > 0.52")
+    page.wait_for_function("state.time > 0.02")
     box = page.locator("#plot .u-over").bounding_box()
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 100)
     assert page.evaluate("state.playing && state.time") == pytest.approx(1.25, abs=0.1)
