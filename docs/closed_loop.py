@@ -34,7 +34,7 @@ SUITE, BREAKING = load_experiment("suite"), load_experiment("breaking-points")
 LONG = ("hover", "figure-8", "dryden-moderate", "wind-8")
 LONG_S = 100.0
 LONG_NAMES = (TRUTH, "att-snn-loihi", "att-rnn", "ekf-drag", "eskf", "mahony", "vqf")
-SHOWN_SWEEPS = ("wind", "bias", "dropout")
+SHOWN_SWEEPS = ("constant wind", "step of the gyro bias", "lost samples")
 DELAYS_MS = (0, 5, 15, 30, 60, 100)
 
 
@@ -95,8 +95,10 @@ def standing_rows(judged: Verdict, without: Results, files: Mapping[str, str]) -
 
 def breaking_rows(results: Results) -> list[str]:
     """The least level of each disturbance at which an estimator crashed."""
-    text = {(p.estimator, p.sweep): p.text + (f", {p.cause}" if p.cause else "") for p in results.points}
-    return [row(name, *(text[name, sweep] for sweep in SHOWN_SWEEPS)) for name in results.estimators]
+    return [
+        row(name, *(results.breaking_point(sweep, name) for sweep in SHOWN_SWEEPS))
+        for name in results.estimators
+    ]
 
 
 def long_rows(results: Results, files: Mapping[str, str]) -> list[str]:

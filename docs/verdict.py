@@ -46,7 +46,7 @@ def standing_rows(judged: Verdict) -> list[str]:
 
 def level_rows(results: Results, axis: str) -> list[str]:
     """A table of one axis, with its heading: estimators against levels."""
-    levels = list(dict.fromkeys(level for of, level, _ in results.by_level if of == axis))
+    levels = results.axes[axis]
     lines = [row(axis, *levels), "|---" * (len(levels) + 1) + "|"]
     for name in (each for each in results.estimators if each not in results.unranked):
         cells = []
@@ -60,12 +60,10 @@ def level_rows(results: Results, axis: str) -> list[str]:
 
 def draw_levels(results: Results) -> Figure:
     """Mean errors at each level of each axis; open markers: some flights crashed."""
-    axes = list(dict.fromkeys(axis for axis, _, _ in results.by_level))
     appearance = looks(name for name in results.estimators if name not in results.unranked)
     figure = Figure(figsize=(11.0, 9.6), layout="constrained")
     panels = figure.subplots(3, 2, sharey=True).ravel()
-    for panel, axis in zip(panels, axes, strict=True):
-        levels = list(dict.fromkeys(level for of, level, _ in results.by_level if of == axis))
+    for panel, (axis, levels) in zip(panels, results.axes.items(), strict=True):
         for k, (name, look) in enumerate(appearance.items()):
             shift = 0.7 * ((k + 0.5) / len(appearance) - 0.5)
             for x, level in enumerate(levels):

@@ -131,7 +131,7 @@ def say(page: Path, results: Results) -> None:
     """Print the verdict: its table, its sentence after the path of the report, and what holds for both."""
     judged = verdict(results)
     output.print(standings_table(judged))
-    if results.points:
+    if results.axes.keys() <= results.experiment.sweeps.keys():
         output.print(breaking_table(results))
     if not results.experiment.axes:  # whose point are vehicles and IMUs that nobody tuned for
         warn(results)

@@ -1,1 +1,1 @@
-"""The benchmark: scenarios × estimators × seeds go in; metrics, breaking points and a verdict come out."""
+"""The benchmark: scenarios × estimators × seeds go in; metrics and a verdict come out."""

@@ -20,8 +20,6 @@ from .cell import Cell, FlightSettings, tuning_of
 from .controllers import CASCADED, controller_of, default_estimators, estimator_of
 from .experiment import SUITE, Experiment, Levels
 from .flight_metrics import METRICS, CellRow, FlightRow, summarise
-from .ranking import by_contender
-from .search import BreakingPoint
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,7 @@ class Results:
     cells: list[Cell]
     experiment: Experiment = SUITE
     levels: Mapping[str, Levels] = field(default_factory=dict)
-    """Of each scenario its level of every axis; empty without axes."""
-    points: Sequence[BreakingPoint] = ()
+    """Of each scenario its level of every axis, or of its sweep; empty without any."""
 
     @cached_property
     def rows(self) -> list[CellRow]:
@@ -111,23 +108,44 @@ class Results:
         return [flight for cell in self.cells for flight in cell.flights]
 
     @cached_property
-    def by_level(self) -> dict[tuple[str, str, str], CellRow]:
-        """All flights of a contender at a level, by axis, level and contender; "scenario" is an axis too."""
-        axes: dict[str, dict[str, list[str]]] = {}
+    def axes(self) -> dict[str, dict[str, list[str]]]:
+        """Of each axis, or sweep, its levels in the order of their file, and the scenarios at each.
+
+        Where there is neither, the scenarios are the levels of "scenario".
+        """
+        found: dict[str, dict[str, list[str]]] = {}
         for name in self.scenarios:
             for axis, level in (self.levels.get(name) or {"scenario": name}).items():
-                axes.setdefault(axis, {}).setdefault(level, []).append(name)
-        of = {axis: list(levels) for axis, levels in self.experiment.axes.items()}  # in the order of the file
-        flights = by_contender(self.flights)
-        reasons = {(cell.scenario, cell.estimator): cell.reason for cell in self.cells}
+                found.setdefault(axis, {}).setdefault(level, []).append(name)
+        order = {axis: list(levels) for axis, levels in self.experiment.axes.items()}
+        return {
+            axis: {level: levels[level] for level in order.get(axis, levels) if level in levels}
+            for axis, levels in found.items()
+        }
+
+    @cached_property
+    def by_level(self) -> dict[tuple[str, str, str], CellRow]:
+        """All flights of a contender at a level, by axis, level and contender."""
+        cells = {(cell.scenario, cell.estimator): cell for cell in self.cells}
         found = {}
-        for axis, levels in axes.items():
-            for level in sorted(levels, key=lambda each: of[axis].index(each) if axis in of else 0):
-                for name in self.estimators:
-                    own = [f for key, f in flights.get(name, {}).items() if key[0] in levels[level]]
-                    why = next(filter(None, (reasons.get((each, name), "") for each in levels[level])), "")
-                    found[axis, level, name] = summarise(level, name, "" if own else why, own)
+        for axis, levels in self.axes.items():
+            for (level, scenarios), name in product(levels.items(), self.estimators):
+                own = [cells[each, name] for each in scenarios]
+                flights = [flight for cell in own for flight in cell.flights]
+                why = next((cell.reason for cell in own if cell.reason), "")
+                found[axis, level, name] = summarise(level, name, "" if flights else why, flights)
         return found
+
+    def breaking_point(self, sweep: str, name: str) -> str:
+        """The least level of a sweep at which a flight of a contender crashed, in words."""
+        level = ""
+        for level in self.axes[sweep]:
+            row = self.by_level[sweep, level, name]
+            if row.reason:
+                return "did not run"
+            if row.crashes:
+                return level
+        return f"> {level}"
 
     @property
     def cost(self) -> str:

@@ -32,7 +32,6 @@ from .cell import (
 from .controllers import controller_of, estimator_of, make_controller
 from .experiment import SUITE, Experiment
 from .results import Results, save_results
-from .search import breaking_points
 
 log = logging.getLogger(__name__)
 
@@ -83,19 +82,13 @@ def bench(
     cases = experiment.cases(scenarios)
     flown = {name: changed(case.scenario, changes) for name, case in cases.items()}
     _check(flown, names, settings)
-    for sweep in experiment.sweeps.values():
-        sweep.at(sweep.most, changes)
-
-    def fly(jobs: Sequence[tuple[str, Scenario, str]]) -> list[Cell]:
-        return _fly_cells(jobs, out, settings, workers, executor, progress)
-
     with alone(out):
         out.mkdir(parents=True, exist_ok=True)
         drop_parts(out)
-        cells = fly([(name, scenario, each) for name, scenario in flown.items() for each in names])
-        points = breaking_points(experiment.sweeps, names, changes, fly)
+        jobs = [(name, scenario, each) for name, scenario in flown.items() for each in names]
+        cells = _fly_cells(jobs, out, settings, workers, executor, progress)
         levels = {name: case.levels for name, case in cases.items() if case.levels}
-        results = Results(flown, names, settings, cells, experiment, levels, points)
+        results = Results(flown, names, settings, cells, experiment, levels)
         save_results(out, results)
         return results
 

@@ -104,10 +104,6 @@ def write_report(
     names = results.estimators or recorded
     order = list(dict.fromkeys([*(n for n in (TRUTH, focus) if n in names), *ranked, *names]))
     cells, shared = page_flights(results, order)
-    axes = {
-        axis: list(dict.fromkeys(level for of, level, _ in results.by_level if of == axis))
-        for axis in dict.fromkeys(axis for axis, _, _ in results.by_level)
-    }
     contender = "estimator" if measure == ERROR else "estimator and controller"
     context = {
         "title": title or f"Which {contender} to fly",
@@ -120,8 +116,8 @@ def write_report(
         "measure": measure.name,
         "ranked": ranked,
         "totals": totals_of(results.rows),
-        "axes": axes,
-        "points": {(point.estimator, point.sweep): point for point in results.points},
+        "axes": results.axes,
+        "by_scenario": not results.levels,
         "offline": offline,
         "pictures": {name: _encoded(each.read_bytes()) for name, each in offline.pictures.items()},
         "film": film and _encoded(film.read_bytes()),

@@ -41,9 +41,10 @@ def standings_table(judged: Verdict) -> Table:
 
 def breaking_table(results: Results) -> Table:
     """Contenders against sweeps: the least level at which one crashed."""
-    text = {(point.estimator, point.sweep): point.text for point in results.points}
-    names = {s: f"{s} [{each.unit}]" if each.unit else s for s, each in results.experiment.sweeps.items()}
-    rows = [{"estimator": n} | {names[s]: text[n, s] for s in names} for n in results.estimators]
+    rows = [
+        {"estimator": name} | {sweep: results.breaking_point(sweep, name) for sweep in results.axes}
+        for name in results.estimators
+    ]
     return rows_table(rows, "Breaking points: the least level at which a flight crashed")
 
 

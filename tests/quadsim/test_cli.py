@@ -281,13 +281,11 @@ def test_a_setting_is_read_as_toml_or_as_it_stands(text, pair):
 WIND = """description = "Wind."
 scenarios = ["hover"]
 [sweeps.wind]
-label = "Constant wind"
-help = "Wind."
+unit = "m/s"
 scenario = "hover"
 fields = { wind = [{ kind = "constant", velocity = [1.0, 0.0, 0.0] }] }
 scaled = "wind.0.velocity"
-most = 4.0
-tolerance = 0.25
+levels = [2, 4]
 """
 
 
@@ -296,16 +294,16 @@ def test_bench_flies_an_experiment_of_the_users_and_reports_it_again(quadsim, tm
     flown = ["--estimator", "truth", "--seeds", 1, "--duration", 0.5, "--workers", 1, "--out", tmp_path]
     code, out, _ = quadsim("bench", "--experiment", tmp_path / "wind.toml", *flown)
     assert code == 0
-    assert "> 4" in out
+    assert "> 4 m/s" in out
     assert {"results.csv", "flights.parquet", "bench.json"} < {path.name for path in tmp_path.iterdir()}
     first = (tmp_path / "report.html").read_text()
-    assert "Breaking points: least" in first
+    assert "<h2>Estimator × condition</h2>" in first
     assert quadsim("report", tmp_path)[0] == 0
     assert (tmp_path / "report.html").read_text() == first
     assert quadsim("report", tmp_path, "--out", tmp_path / "else" / "a.html")[0] == 0
     assert 'href="../results.csv"' in (tmp_path / "else" / "a.html").read_text()
     assert quadsim("bench", "--scenario", "hover", *flown)[0] == 0
-    assert "Breaking points: least" not in (tmp_path / "report.html").read_text()
+    assert "<h2>Estimator × scenario</h2>" in (tmp_path / "report.html").read_text()
 
 
 def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(quadsim, tmp_path, monkeypatch):

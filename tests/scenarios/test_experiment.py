@@ -18,10 +18,7 @@ AXES = load_experiment("axes")
 
 def test_every_experiment_that_ships_can_be_flown():
     for name in preset_names(FOLDER):
-        experiment = load_experiment(name)
-        assert experiment.cases()
-        for sweep in experiment.sweeps.values():
-            assert sweep.at(sweep.most, {}) != sweep.at(0.0, {})
+        assert load_experiment(name).cases()
     assert list(load_experiment("suite").cases()) == scenario_names()
 
 

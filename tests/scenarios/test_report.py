@@ -21,11 +21,9 @@ from scenarios.bench.experiment import load_experiment
 from scenarios.bench.flight_log import SHARED, fly
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.results import Results
-from scenarios.bench.search import BreakingPoint
 from scenarios.bench.series import unpack_series
 from scenarios.report.page import OfflineSection, page_flights, write_report
 
-BREAKING = load_experiment("breaking-points")
 OFFLINE = [
     {"estimator": "truth", "start": "known", "mean [°]": 0.0, "note": ""},
     {"estimator": "mahony", "start": "known", "mean [°]": 2.5, "note": ""},
@@ -62,15 +60,8 @@ def results():
         cells.append(Cell(name, "ekf", "", flights, cells[0].histogram, cells[0].series))
         cells.append(failed_cell(name, "vqf", "no weights <here>"))
     names = ["truth", "mahony", "ekf", "vqf"]
-    points = [
-        BreakingPoint("wind", "truth", 64.0),
-        BreakingPoint("wind", "mahony", 9.75, 10.0, "tilted over"),
-        BreakingPoint("wind", "ekf", 19.75, 20.0, "tilted over"),
-        BreakingPoint("wind", "vqf", reason="no weights <here>"),
-    ]
-    wind_alone = BREAKING.model_copy(update={"sweeps": {"wind": BREAKING.sweeps["wind"]}})
     scenarios = {"calm": scenario, "storm": scenario}
-    return Results(scenarios, names, FlightSettings(2), cells, wind_alone, points=points)
+    return Results(scenarios, names, FlightSettings(2), cells)
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +141,7 @@ def painted(page, selector):
 
 def test_everything_is_there(page):
     for part in (
-        "verdict", "map", "series", "replay", "spread", "breaking", "table", "offline", "method"
+        "verdict", "map", "series", "replay", "spread", "table", "offline", "method"
     ):  # fmt: skip
         assert page.locator(f"#{part}").is_visible()
     assert page.locator("#verdict h2").inner_text().startswith("In calm and storm fly mahony, the only one")
@@ -222,12 +213,6 @@ def test_estimators_that_flew_exactly_alike_are_shown_once(results, tmp_path):
     text = write_report(tmp_path / "r.html", twin, focus="ekf-two").read_text()
     assert "ekf-two flew exactly as ekf: shown once." in text
     assert text.count("ekf-two") == 1
-
-
-def test_breaking_points_sort_with_the_open_end_last(page):
-    assert column(page, 2, "#breaking table") == ["10", "20", "did not run", "> 64"]
-    page.locator("#breaking th button").nth(1).click()
-    assert column(page, 1, "#breaking table") == ["mahony", "ekf", "truth", "vqf"]
 
 
 def test_a_cell_of_the_map_chooses_the_flight(page):
@@ -331,9 +316,8 @@ def test_names_of_users_run_nothing(browser, results, tmp_path):
             cells.append(replace(results.cells[1], **own, flights=flights))
         cells[-1] = failed_cell(scenario, names[-1], HOSTILE[0])
     described = Scenario(description=HOSTILE[1], duration_s=2.0)
-    points = [BreakingPoint("wind", name, 1.0, 2.0, name, name) for name in names]
     scenarios = dict.fromkeys(HOSTILE[:3], described)
-    hostile = Results(scenarios, names, FlightSettings(2), cells, results.experiment, points=points)
+    hostile = Results(scenarios, names, FlightSettings(2), cells)
     recorded = [{"estimator": name, "note": name, "start": name, "mean_deg": 1.0} for name in names]
     path = write_report(
         tmp_path / "report.html",

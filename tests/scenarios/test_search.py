@@ -1,109 +1,55 @@
-"""Breaking points and paired differences."""
+"""Breaking points, and paired differences."""
 
 from dataclasses import fields
 
 import numpy as np
 import pytest
+from flown import benchmark, crash
 
 from quadsim.flight.scenario import load_scenario
-from scenarios.bench import runner
-from scenarios.bench.cell import Cell, FlightSettings, failed_cell
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.ranking import by_contender, paired_difference
-from scenarios.bench.results import load_results
-from scenarios.bench.runner import bench
-from scenarios.bench.search import bisection
+from scenarios.report.terminal import breaking_table
 
 BREAKING = load_experiment("breaking-points")
-
-
-def bracket(crashes, most, tolerance):
-    search, tried = bisection(most, tolerance), []
-    level = next(search)
-    while True:
-        tried.append(level)
-        try:
-            level = search.send(crashes(level))
-        except StopIteration as end:
-            return end.value, len(tried)
-
-
-@pytest.mark.parametrize("true", [0.3, 7.77, 31.9])
-def test_bisection_brackets_the_first_level_that_crashes(true):
-    (low, high), tried = bracket(lambda level: level >= true, 32.0, 0.25)
-    assert low < true <= high
-    assert high - low <= 0.25
-    assert tried == 2 + 7
-
-
-def test_bisection_has_open_ends():
-    assert bracket(lambda level: True, 32.0, 1.0)[0] == (None, 0.0)
-    assert bracket(lambda level: False, 32.0, 1.0)[0] == (32.0, None)
-
-
 SIZES = {
-    "wind": lambda s: np.linalg.norm(s.wind[0].velocity),
-    "bias": lambda s: np.linalg.norm(s.faults[0].bias_deg),
-    "dropout": lambda s: s.faults[0].probability,
-    "delay": lambda s: s.faults[0].delay_s,
-    "tilt": lambda s: s.start.tilt_deg,
+    "constant wind": lambda s: np.linalg.norm(s.wind[0].velocity),
+    "step of the gyro bias": lambda s: np.linalg.norm(s.faults[0].bias_deg),
+    "lost samples": lambda s: s.faults[0].probability,
+    "late samples": lambda s: s.faults[0].delay_s,
+    "unknown initial tilt": lambda s: s.start.tilt_deg,
 }
 
 
 @pytest.mark.parametrize("name", BREAKING.sweeps)
 def test_level_is_the_size_of_the_disturbance_and_the_only_one(name):
     sweep = BREAKING.sweeps[name]
-    scenario = sweep.at(0.5, {})
+    scenario = sweep.at(0.5)
     assert SIZES[name](scenario) == pytest.approx(0.5)
-    assert len(scenario.wind) + len(scenario.faults) == (name != "tilt")
+    assert len(scenario.wind) + len(scenario.faults) == (name != "unknown initial tilt")
     assert scenario.trajectory == load_scenario(sweep.scenario).trajectory
-    assert sweep.at(0.5, {"vehicle": "px4-quad"}).vehicle == "px4-quad"
+    assert list(sweep.levels) == sorted(sweep.levels)
 
 
-@pytest.fixture
-def brittle(monkeypatch):
-    """Cells in which `truth` breaks at 10 m/s of wind, and `mahony` does not run."""
-    flown = []
-
-    def fly(name, scenario, estimator, settings):
-        flown.append((name, estimator))
-        if estimator == "mahony":
-            return failed_cell(name, estimator, "no idea")
-        cause = "tilted over" if scenario.wind[0].velocity[0] >= 10.0 else ""
-        flights = [flight(name, estimator, seed, 1.0, cause) for seed in range(settings.seeds)]
-        return Cell(name, estimator, "", flights, [], None)
-
-    monkeypatch.setattr(runner, "fly_cell", fly)
-    return flown
-
-
-def test_points_are_found_stored_and_resumed(tmp_path, brittle, monkeypatch):
-    only_wind = BREAKING.model_copy(update={"sweeps": {"wind": BREAKING.sweeps["wind"]}})
-
-    def find(code="a"):
-        monkeypatch.setattr(runner, "flight_code", lambda: code)
-        names, settings = ["truth", "mahony"], FlightSettings(2)
-        return bench(["wind-8"], names, tmp_path, settings, experiment=only_wind, workers=1)
-
-    truth, mahony = find().points
-    assert (truth.flies_at, truth.crashes_at, truth.cause) == (9.75, 10.0, "tilted over")
-    assert mahony.reason == "no idea"
-    assert (truth.text, mahony.text) == ("10", "did not run")
-    assert load_results(tmp_path).points == [truth, mahony]
-    brittle.clear()
-    assert list(find().points) == [truth, mahony]
-    assert {estimator for _, estimator in brittle} == {"mahony"}
-    find("b")
-    assert ("wind=10", "truth") in brittle
-
-
-def test_a_disturbance_after_the_end_is_no_level_that_is_flown(tmp_path):
-    with pytest.raises(ValueError, match="it begins at 6 s, and flights last 3 s"):
-        bench(
-            ["hover"], ["truth"], tmp_path / "out", FlightSettings(), {"duration_s": 3.0}, experiment=BREAKING
-        )
-    assert not (tmp_path / "out").exists()
+def test_a_breaking_point_is_the_least_level_with_a_crash():
+    wind = BREAKING.model_copy(update={"sweeps": {"constant wind": BREAKING.sweeps["constant wind"]}})
+    cases = wind.cases()
+    levels = {name: case.levels for name, case in cases.items()}
+    assert levels["constant wind=8"] == {"constant wind": "8 m/s"}
+    outcomes = {
+        "strong": [1.0] * 10,
+        "brittle": [1.0, 1.0, crash(5.0), 1.0, *[crash(2.0)] * 6],
+        "absent": ["no idea"] * 10,
+    }
+    flown = {
+        name: {case: each if isinstance(each, str) else [each] for case, each in zip(cases, own, strict=True)}
+        for name, own in outcomes.items()
+    }
+    results = benchmark(flown, experiment=wind, levels=levels)
+    found = [results.breaking_point("constant wind", name) for name in outcomes]
+    assert found == ["> 32 m/s", "8 m/s", "did not run"]
+    assert breaking_table(results).row_count == 3
 
 
 def flight(scenario, estimator, seed, error, cause=""):
