@@ -55,39 +55,30 @@ def hovering(foreign, monkeypatch):
     monkeypatch.setattr(foreign, "fly", partial(foreign.fly, duration_s=0.5, warmup_s=0.0))
 
 
-def test_specific_force_and_gravity_integrate_to_velocity(flight):
+def test_forces_velocities_and_body_rates_integrate_to_the_motion(flight):
     _, motion = flight
     accel = quat_rotate(motion["quat"], motion["specific_force"]) + GRAVITY
-    change = np.cumsum(0.5 * DT * (accel[1:] + accel[:-1]), axis=0)
     assert np.ptp(motion["velocity"], axis=0).max() > 1.0
-    np.testing.assert_allclose(change, motion["velocity"][1:] - motion["velocity"][0], atol=0.02)
-
-
-def test_velocity_integrates_to_position(flight):
-    _, motion = flight
-    change = np.cumsum(0.5 * DT * (motion["velocity"][1:] + motion["velocity"][:-1]), axis=0)
-    np.testing.assert_allclose(change, motion["position"][1:] - motion["position"][0], atol=1e-3)
-
-
-def test_body_rate_integrates_to_a_scalar_first_attitude(flight):
-    _, motion = flight
+    for rate, name, atol in ((accel, "velocity", 0.02), (motion["velocity"], "position", 1e-3)):
+        change = np.cumsum(0.5 * DT * (rate[1:] + rate[:-1]), axis=0)
+        np.testing.assert_allclose(change, motion[name][1:] - motion[name][0], atol=atol)
     midpoint = 0.5 * (motion["ang_vel"][1:] + motion["ang_vel"][:-1])
     quat = motion["quat"][0]
     for turn in quat_from_rotvec(midpoint * DT):
         quat = quat_multiply(quat, turn)
     assert abs(quat @ motion["quat"][0]) < 0.99  # it turned
     assert abs(quat @ motion["quat"][-1]) > 1.0 - 1e-6
-
-
-def test_a_positive_yaw_rate_turns_to_the_left(flight):
-    _, motion = flight
     yaw = np.unwrap(euler_from_quat(motion["quat"])[:, 2])
-    assert (yaw[-1] - yaw[0]) / 2.0 == pytest.approx(0.3, abs=0.1)
+    assert (yaw[-1] - yaw[0]) / 2.0 == pytest.approx(0.3, abs=0.1)  # to the left
 
 
-def test_horizontal_force_is_the_drag_of_the_vehicle_in_the_air(foreign, flight):
+def test_thrust_torques_and_drag_are_those_of_rotorpy(foreign, flight):
+    from rotorpy.vehicles.multirotor import Multirotor
+
     airframe, motion = flight
     vehicle = foreign.vehicle(airframe)
+    rotorpy = Multirotor(foreign.AIRFRAMES[airframe])
+    np.testing.assert_allclose(vehicle.allocation / vehicle.motor.k_f, rotorpy.f_to_TM, atol=1e-12)
     air = quat_rotate_inverse(motion["quat"], motion["velocity"] - motion["wind"])
     rotors = vehicle.motor.rotor_drag * motion["rotor_vel"].sum(axis=1, keepdims=True)
     frame = 0.5 * 1.225 * np.array(vehicle.frame.drag_area) * np.linalg.norm(air, axis=1, keepdims=True)
@@ -106,15 +97,6 @@ def test_a_flight_follows_from_its_seed_alone(foreign, flight):
     assert not np.allclose(other["wind"], again["wind"])
 
 
-@pytest.mark.parametrize("airframe", ["hummingbird", "crazyflie"])
-def test_thrust_and_torques_are_those_of_rotorpy(foreign, airframe):
-    from rotorpy.vehicles.multirotor import Multirotor
-
-    vehicle = foreign.vehicle(airframe)
-    rotorpy = Multirotor(foreign.AIRFRAMES[airframe])
-    np.testing.assert_allclose(vehicle.allocation / vehicle.motor.k_f, rotorpy.f_to_TM, atol=1e-12)
-
-
 def test_waypoints_begin_at_rest_and_last_long_enough(foreign):
     path = foreign.waypoints(np.random.default_rng(0), 20.0)
     begin, late = path.update(0.0), path.update(19.9)
@@ -122,22 +104,19 @@ def test_waypoints_begin_at_rest_and_last_long_enough(foreign):
     assert np.linalg.norm(late["x_dot"]) > 0.0
 
 
-def test_in_hover_the_accelerometer_reads_gravity_upwards(foreign, hovering, tmp_path):
+def test_in_hover_the_accelerometer_reads_gravity_and_a_finished_flight_is_not_simulated_again(
+    foreign, hovering, tmp_path, monkeypatch
+):
     dataset = foreign.foreign("hummingbird", tmp_path, load_imu("perfect"))
     np.testing.assert_allclose(dataset["accel"], np.broadcast_to(-GRAVITY, (1, 100, 3)), atol=1e-6)
     np.testing.assert_array_equal(dataset["gyro"], dataset["ang_vel"])
     assert vehicle_of(dataset) == foreign.vehicle("hummingbird")
-
-
-def test_a_finished_flight_is_not_simulated_again(foreign, hovering, tmp_path, monkeypatch):
-    foreign.foreign("hummingbird", tmp_path)
     fly = foreign.fly
     monkeypatch.setattr(foreign, "fly", None)
     assert foreign.foreign("hummingbird", tmp_path, load_imu("px4-mini")).sizes["time"] == 100
     monkeypatch.setattr(foreign, "fly", fly)
-    plan = foreign.PLANS["hummingbird"][0]
     file = tmp_path / "rotorpy" / "hummingbird-1.npz"
-    turned = foreign.stored(plan._replace(yaw_rate=0.5), file)  # of another plan
+    turned = foreign.stored(foreign.PLANS["hummingbird"][0]._replace(yaw_rate=0.5), file)  # of another plan
     assert np.ptp(euler_from_quat(turned["quat"])[:, 2]) > 0.01
 
 

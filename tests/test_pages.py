@@ -42,8 +42,13 @@ def test_a_page_ends_with_its_command_and_the_commit_that_made_it(pages, page, c
     stamp = pages.STAMP.fullmatch(text.splitlines(keepends=True)[-1])
     assert stamp["command"] == "python docs/pages.py speed"
     assert len(stamp["commit"]) >= 7
-    assert pages.check([page]) == []
-    assert capsys.readouterr().out == ""
+    assert (pages.check([page]), capsys.readouterr().out) == ([], "")
+    with pytest.raises(ValueError, match=r"speed\.template\.md: rows, tail: key or part alone"):
+        page.write({"text": "", "tail": ""})
+    page.path.write_text("# One\n")
+    assert pages.check([page]) == ["speed.md: edited since it was made; python docs/pages.py speed"]
+    with pytest.raises(ValueError, match=r"speed\.md: no stamp"):
+        page.restamp()
 
 
 @pytest.mark.parametrize("file", ["docs/speed.md", "docs/img/one.png"])
@@ -83,13 +88,6 @@ def test_a_page_whose_code_or_assets_changed_is_listed_and_no_failure(
     assert page.path.read_text().count(f"*Made at commit {before[0]}; the code has changed since.*") == older
 
 
-def test_a_page_without_a_stamp_is_refused(pages, page):
-    page.path.write_text("# One\n")
-    assert pages.check([page]) == ["speed.md: edited since it was made; python docs/pages.py speed"]
-    with pytest.raises(ValueError, match=r"speed\.md: no stamp"):
-        page.restamp()
-
-
 def test_of_the_readme_the_part_between_the_mark_and_the_stamp_is_replaced(pages, tmp_path):
     page = pages.Page("README", tmp_path)
     (tmp_path / "docs").mkdir()
@@ -101,11 +99,6 @@ def test_of_the_readme_the_part_between_the_mark_and_the_stamp_is_replaced(pages
     assert (before, body, after) == (f"before\n{pages.BLOCK}", "\nnew\nrows\n\n", "after\n")
     page.path.write_text(page.path.read_text().replace("before", "changed"))
     assert pages.check([page]) == []
-
-
-def test_a_part_without_a_key_is_refused(page):
-    with pytest.raises(ValueError, match=r"speed\.template\.md: rows, tail: key or part alone"):
-        page.write({"text": "", "tail": ""})
 
 
 def test_every_page_has_a_script_and_no_page_was_edited(pages):
