@@ -79,6 +79,7 @@ class Page(NamedTuple):
         """Fingerprint of the script with all that it imports, of the template, assets and scenarios."""
         files = closure([self.root / f"docs/{SCRIPTS[self.name]}.py"], self.root)
         files |= {self.template, *self.root.glob("assets/**/*"), *self.root.glob("scenarios/*.toml")}
+        files |= {*self.root.glob("estimators/filters/**/*.py")}  # which are imported by name
         digests = {
             file.relative_to(self.root).as_posix(): file_digest(file) for file in files if file.is_file()
         }

@@ -1,7 +1,7 @@
 """Attitude estimators: everything that runs at inference."""
 
 from .checking import check_estimator
-from .filters.algorithm import Parameter
+from .filters.parameter import Parameter
 from .registry import create, names, parameters
 from .running import run, run_batch
 

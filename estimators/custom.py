@@ -10,7 +10,7 @@ from quadsim.estimator import AttitudeEstimator, receives_truth, roll_pitch_of
 from quadsim.own import is_own, load_own, named_errors, own_files
 from quadsim.vehicle import GRAVITY
 
-from .filters.algorithm import Parameter
+from .filters.parameter import Parameter
 
 GROUP = "quadsim.estimators"
 """Group of the entry points by which an installed package offers estimators."""

@@ -1,66 +1,62 @@
 """Estimators by name: make one with its parameters."""
 
+import importlib
 import math
+import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from quadsim.config.ranges import SAMPLE_RATE
 from quadsim.config.toml import nearest
 from quadsim.estimator import AttitudeEstimator
 from quadsim.imu.spec import ImuSpec, load_imu
+from quadsim.runs.fingerprint import ASSETS
 from quadsim.vehicle import Vehicle, load_vehicle
 
 from .custom import declared, is_custom, own
-from .filters import ekf
-from .filters.algorithm import Algorithm, Filter, Parameter, checked
-from .filters.complementary import ADAPTIVE, COMPLEMENTARY
-from .filters.drag.ekf_drag import EKF_DRAG, drag_of
-from .filters.drag.imm import IMM, InteractingModels
-from .filters.ekf import EKF
-from .filters.eskf import ESKF
-from .filters.madgwick import MADGWICK
-from .filters.mahony import MAHONY
+from .filters.parameter import Parameter, checked
 from .networks.weights_file import END, load_network, shipped_controllers, shipped_names
-from .truth import Truth
 from .tuned import tuned_for
 
-Array = NDArray[np.float64]
 
-COMPILED: dict[str, Algorithm] = {
-    a.name: a for a in (COMPLEMENTARY, ADAPTIVE, MAHONY, MADGWICK, EKF, ESKF, EKF_DRAG, IMM)
+@dataclass(frozen=True)
+class Entry:
+    """A table of `assets/estimators.toml`."""
+
+    description: str
+    """A sentence."""
+    made_by: str = ""
+    """ "module:Class" in this package, called with name, rate_hz and values; empty for a network."""
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, table: dict[str, Any]) -> "Entry":
+        """The entry of a table."""
+        spec = {key: Parameter(**each) for key, each in table.get("parameters", {}).items()}
+        return cls(**(table | {"parameters": spec}))
+
+
+SHIPPED = {
+    name: Entry.of(table)
+    for name, table in tomllib.loads((ASSETS / "estimators.toml").read_text("utf-8")).items()
 }
+"""What ships, in the order of `names()`."""
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
 COPIES = {"ekf-filterpy": "ekf"}
 """Estimators that repeat another's numbers, to compare with: no table ranks them beside it."""
-NETWORKS = ("att-rnn", "att-snn", "att-snn-loihi")
-DESCRIPTIONS = {
-    "truth": "The true attitude: the bound that no estimator passes.",
-    "complementary": "Complementary filter with a fixed gain.",
-    "complementary-adaptive": "Complementary filter that trusts the accelerometer less in motion.",
-    "mahony": "Mahony's nonlinear complementary filter, with gyroscope bias.",
-    "madgwick": "Madgwick's gradient descent, with gyroscope bias.",
-    "ekf": "Extended Kalman filter of roll, pitch and gyroscope bias.",
-    "eskf": "Error-state Kalman filter that adapts to motion.",
-    "ekf-drag": "Extended Kalman filter with the airframe's drag; needs a vehicle.",
-    "imm": "Interacting multiple models: filters for several airframes and motions at once.",
-    "ekf-filterpy": "The same extended Kalman filter by filterpy, to compare with.",
-    "ukf-filterpy": "Unscented Kalman filter by filterpy; slow.",
-    "vqf": "VQF (Laidig & Seel 2023), six axes.",
-    "att-rnn": "Two GRU layers: the spiking network's twin.",
-    "att-snn": "Spiking network for any six-axis IMU.",
-    "att-snn-loihi": "The same network on the emulated chip, bit for bit.",
-}
-"""A sentence on each estimator."""
+NETWORKS = tuple(name for name, entry in SHIPPED.items() if not entry.made_by)
 DEFAULT_RATE_HZ = 200.0
 """Sample rate to which the untuned defaults belong."""
 
 
 def names() -> list[str]:
     """Every name that `create` knows."""
-    return ["truth", *COMPILED, *FILTERPY, "vqf", *NETWORKS]
+    return list(SHIPPED)
 
 
 def parameters(name: str) -> Mapping[str, Parameter]:
@@ -73,16 +69,7 @@ def parameters(name: str) -> Mapping[str, Parameter]:
     """
     if is_custom(name):
         return declared(name)
-    _known(name)
-    if name in COMPILED:
-        return COMPILED[name].parameters
-    if name in FILTERPY:
-        return ekf.PARAMETERS
-    if name == "vqf":
-        from .filters.packaged import PARAMETERS
-
-        return PARAMETERS
-    return {}
+    return _shipped(name).parameters
 
 
 def is_weights(name: str) -> bool:
@@ -118,36 +105,19 @@ def create(
         ValueError: For an unknown name or parameter, naming the valid ones, and for values out of range.
     """
     if is_weights(name):
-        from .networks.weights_file import load_network
-
         return _network(load_network(name)[0].model, rate_hz, params | {"weights": name})
-    if is_custom(name):
-        spec, parts = declared(name), loaded(vehicle, imu)
-        return own(
-            name,
-            rate_hz,
-            _values(name, rate_hz, params, tuning, *parts) if spec else checked(name, {}, params),
-        )
-    _known(name)
-    SAMPLE_RATE.of("rate_hz", rate_hz)
-    if name == "truth":
-        checked(name, {}, params)
-        return Truth(rate_hz)
     if name in NETWORKS:
+        SAMPLE_RATE.of("rate_hz", rate_hz)
         return _network(name, rate_hz, params)
     airframe, sensor = loaded(vehicle, imu)
+    if is_custom(name):
+        return own(name, rate_hz, filter_values(name, rate_hz, params, tuning, airframe, sensor))
+    module, _, made_by = _shipped(name).made_by.partition(":")
+    SAMPLE_RATE.of("rate_hz", rate_hz)
     known = airframe_constants(name, airframe)
-    values = _values(name, rate_hz, known | params, tuning, airframe, sensor)
-    if name in FILTERPY:
-        from .filters.packaged import FilterpyFilter
-
-        return FilterpyFilter("ekf" if name == "ekf-filterpy" else "ukf", rate_hz, **values)
-    if name == "vqf":
-        from .filters.packaged import VqfFilter
-
-        return VqfFilter(rate_hz, values)
-    made = InteractingModels if name == IMM.name else Filter
-    return made(COMPILED[name], rate_hz, values)
+    values = filter_values(name, rate_hz, known | params, tuning, airframe, sensor)
+    made = getattr(importlib.import_module(f".{module}", __package__), made_by)
+    return made(name, rate_hz, values)
 
 
 def loaded(
@@ -247,31 +217,19 @@ def parameter_sets(params: Mapping[str, ArrayLike]) -> list[dict[str, float]]:
     return [dict(zip(params, map(float, row), strict=True)) for row in zip(*columns, strict=True)]
 
 
-def parameter_matrix(
-    name: str, params: Mapping[str, ArrayLike], rate_hz: float, known: Mapping[str, float] | None = None
-) -> Array:
-    """All parameters of p sets of a compiled filter, (p, k): given, else known, else tuned or default."""
-    sets = parameter_sets(params)
-    return np.array([list(_values(name, rate_hz, dict(known or {}) | each, None).values()) for each in sets])
-
-
-def _known(name: str) -> None:
-    if name not in names():
-        known = dict.fromkeys([*names(), *shipped_names()])
-        raise ValueError(f'unknown estimator "{name}"; {nearest(name, known)}')
-
-
-def _values(
+def filter_values(
     name: str,
     rate_hz: float,
     params: Mapping[str, object],
-    tuning: str | Path | None,
+    tuning: str | Path | None = None,
     vehicle: Vehicle | None = None,
     imu: ImuSpec | None = None,
 ) -> dict[str, float]:
-    """Every parameter of a filter, in order: what is given, else tuned, else the default."""
+    """Every parameter of an estimator, in order: what is given, else tuned, else the default."""
     spec = parameters(name)
     given = checked(name, spec, params)
+    if not spec:
+        return given
     tuned = tuned_for(name, tuning, vehicle, imu)
     found = {} if tuned is None else checked(f"{tuning or 'tuning'}: {name}", spec, tuned.values)
     tuned_rate = DEFAULT_RATE_HZ if tuned is None else tuned.rate_hz
@@ -294,7 +252,18 @@ def airframe_constants(name: str, vehicle: str | Path | Vehicle | None) -> dict[
         ValueError: No such vehicle, or a file that is not one.
     """
     airframe, _ = loaded(vehicle, None)
-    return {} if name != "ekf-drag" or airframe is None else drag_of(airframe)
+    if name != "ekf-drag" or airframe is None:
+        return {}
+    from .filters.drag.ekf_drag import drag_of
+
+    return drag_of(airframe)
+
+
+def _shipped(name: str) -> Entry:
+    if name not in SHIPPED:
+        known = dict.fromkeys([*names(), *shipped_names()])
+        raise ValueError(f'unknown estimator "{name}"; {nearest(name, known)}')
+    return SHIPPED[name]
 
 
 def needs_vehicle(name: str) -> bool:

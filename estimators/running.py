@@ -20,8 +20,8 @@ from quadsim.estimator import (
 from quadsim.own import named_errors
 from quadsim.vehicle import Vehicle
 
-from .filters.algorithm import paired, rotor_speeds, start
-from .registry import COMPILED, airframe_constants, create, parameter_matrix, parameter_sets
+from .filters.driver import paired
+from .registry import create, parameter_sets
 
 Array = NDArray[np.float64]
 SAME = 1e-4
@@ -198,19 +198,8 @@ def run_batch(
     Returns:
         Roll and pitch (p, n, T, 2) [rad].
     """
-    gyro, accel = paired(gyro, accel)
-    if name not in COMPILED:
-        estimators = [
-            create(name, rate_hz, tuning=None, vehicle=None, imu=None, **each)
-            for each in parameter_sets(params)
-        ]
-        return np.stack([run(est, gyro, accel, roll_pitch, **sensors) for est in estimators])
-    algorithm = COMPILED[name]
-    sets = algorithm.records(parameter_matrix(name, params, rate_hz, airframe_constants(name, vehicle)))
-    states = start(algorithm, sets, len(gyro), roll_pitch)
-    out = np.empty((len(states), gyro.shape[1], 2))
-    algorithm.run(states, sets, 1.0 / rate_hz, gyro, accel, rotor_speeds(gyro.shape[:2], sensors), out)
-    return out.reshape(len(sets), *gyro.shape[:2], 2)
+    made = [create(name, rate_hz, vehicle=vehicle, **each) for each in parameter_sets(params)]
+    return np.stack([run(est, gyro, accel, roll_pitch, **sensors) for est in made])
 
 
 def _sequences(gyro: ArrayLike, accel: ArrayLike, **sensors: Unpack[OtherSensors]) -> Readings:

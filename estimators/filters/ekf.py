@@ -14,7 +14,7 @@ import numpy as np
 from quadsim.rotation import multiply_core, normalize_core
 from quadsim.runs.compiled import njit
 
-from .algorithm import Algorithm, Array, Parameter, Records, start_at
+from .driver import Array, CompiledFilter, Records
 from .inline_math import direction_core, exp_core, roll_pitch_core
 from .samples import run_all
 
@@ -25,7 +25,7 @@ SIGMA_UNKNOWN = 0.5
 NOTHING_KNOWN = 1e300
 """Variance of a measurement that is missing."""
 
-STATE = np.dtype(
+RECORD = np.dtype(
     [
         ("quat", "f8", 4),
         ("covariance", "f8", (4, 4)),
@@ -34,12 +34,6 @@ STATE = np.dtype(
         ("column", "f8", 4),
     ]
 )
-
-PARAMETERS = {
-    "gyro_noise": Parameter(0.005, 1e-5, 0.3),
-    "accel_noise": Parameter(0.05, 1e-3, 10.0, minimum=1e-9),
-}
-"""Noise densities N of the rate [rad/√s] and σ of the measured direction [√s]."""
 
 
 @njit
@@ -85,7 +79,7 @@ def correct(P, size, dx, column, total, residual):
 
 @njit(error_model="numpy")
 def step(s, p, sample):
-    """See `algorithm`.
+    """See `driver`.
 
     The noises of the measurement's axes are independent, so that correcting by one after the other equals
     correcting by all at once. A missing force has the variance of nothing known.
@@ -112,21 +106,23 @@ def step(s, p, sample):
 
 
 @njit(cache=True, nogil=True)
-def run(states, params, dt, gyro, accel, rotor_vel, out):
-    """See `algorithm`."""
-    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
+    """See `driver`."""
+    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
-def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
-    start_at(states, quat, known, params)
-    states["covariance"][:, range(4), range(4)] = 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
+class Ekf(CompiledFilter):
+    """The filter of n vehicles."""
 
+    record, run = RECORD, staticmethod(run)
 
-def _tilt_covariance(states: Records) -> Array:
-    """Of the error θ = 2 (δq ⊗ q*) in world axes, its x and y: (n, 2, 2) [rad²]."""
-    w, x, y, z = states["quat"].T
-    to_tilt = 2.0 * np.stack([-x, w, -z, y, -y, z, w, -x], axis=-1).reshape(-1, 2, 4)
-    return to_tilt @ states["covariance"] @ np.swapaxes(to_tilt, 1, 2)
+    def begin(self, states: Records, quat: Array, known: bool) -> None:
+        """Also the attitude's variance."""
+        states["quat"] = quat
+        states["covariance"][:, range(4), range(4)] = 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2
 
-
-EKF = Algorithm("ekf", PARAMETERS, STATE, run, _start, _tilt_covariance)
+    def tilt_covariance(self) -> Array:
+        """Of the error θ = 2 (δq ⊗ q*) in world axes, its x and y: (n, 2, 2) [rad²]."""
+        w, x, y, z = self.quat.T
+        to_tilt = 2.0 * np.stack([-x, w, -z, y, -y, z, w, -x], axis=-1).reshape(-1, 2, 4)
+        return to_tilt @ self.state["covariance"] @ np.swapaxes(to_tilt, 1, 2)

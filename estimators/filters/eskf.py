@@ -20,12 +20,12 @@ from quadsim.rotation import matrix_core, multiply_core, normalize_core, rotate_
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Algorithm, Array, Parameter, Records, start_at, tilt_block
+from .driver import Array, CompiledFilter, Records
 from .ekf import NOTHING_KNOWN, SIGMA_UNKNOWN, correct
 from .inline_math import atan2_core, exp_core, roll_pitch_core
 from .samples import run_all
 
-STATE = np.dtype(
+RECORD = np.dtype(
     [
         ("quat", "f8", 4),
         ("gyro_bias", "f8", 3),
@@ -37,16 +37,6 @@ STATE = np.dtype(
 
 SIGMA_GIVEN = 0.3
 """Standard deviation of an initial attitude that is given [rad]: one that is wrong would pass for a bias."""
-
-PARAMETERS = {
-    "gyro_noise": Parameter(0.003, 1e-5, 0.3),
-    "accel_noise": Parameter(0.05, 1e-3, 10.0, minimum=1e-9),
-    "force_weight": Parameter(1.0, 0.01, 100.0),
-    "bias_noise": Parameter(1e-4, 1e-6, 1e-2),
-    "bias_sigma": Parameter(0.01, 1e-4, 0.1),
-}
-"""Noise densities of the rate [rad/√s] and of the measured tilt [rad √s]; κ; noise density of the bias's walk
-[rad/s/√s] and standard deviation of the initial bias [rad/s]."""
 
 
 @njit(error_model="numpy")
@@ -81,7 +71,7 @@ def propagate(P, r, dt, attitude_walk, bias_walk):
 
 @njit(error_model="numpy")
 def step(s, p, sample):
-    """See `algorithm`. A missing specific force has the variance of nothing known."""
+    """See `driver`. A missing specific force has the variance of nothing known."""
     dt, P, dx, b = sample.dt, s.covariance, s.error, s.gyro_bias
     gx, gy, gz = sample.mean_gyro
     ax, ay, az = sample.accel
@@ -107,15 +97,22 @@ def step(s, p, sample):
 
 
 @njit(cache=True, nogil=True)
-def run(states, params, dt, gyro, accel, rotor_vel, out):
-    """See `algorithm`."""
-    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
+    """See `driver`."""
+    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
-def _start(states: Records, quat: Array, known: bool, params: Records) -> None:
-    start_at(states, quat, known, params)
-    states["covariance"][:, [0, 1], [0, 1]] = (SIGMA_GIVEN if known else SIGMA_UNKNOWN) ** 2
-    states["covariance"][:, [2, 3, 4], [2, 3, 4]] = params["bias_sigma"][:, None] ** 2
+class Eskf(CompiledFilter):
+    """The filter of n vehicles."""
 
+    record, run = RECORD, staticmethod(run)
 
-ESKF = Algorithm("eskf", PARAMETERS, STATE, run, _start, tilt_block)
+    def begin(self, states: Records, quat: Array, known: bool) -> None:
+        """Also the variances of tilt and bias."""
+        states["quat"] = quat
+        sigma = [SIGMA_GIVEN if known else SIGMA_UNKNOWN] * 2 + [self.values["bias_sigma"]] * 3
+        states["covariance"] = np.diag(np.square(sigma))
+
+    def tilt_covariance(self) -> Array:
+        """The covariance's first block (n, 2, 2) [rad²]."""
+        return self.state["covariance"][:, :2, :2]

@@ -14,15 +14,12 @@ import numpy as np
 from quadsim.rotation import multiply_core, normalize_core
 from quadsim.runs.compiled import njit
 
-from .algorithm import Algorithm, Parameter
+from .driver import CompiledFilter
 from .inline_math import direction_core, roll_pitch_core
 from .samples import reacquire, run_all
 
-STATE = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
+RECORD = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
 """The variance is that of the tilt that gaps have left [rad²]."""
-
-PARAMETERS = {"beta": Parameter(0.033, 1e-4, 1.0)}
-"""β [rad/s]."""
 
 
 @njit(error_model="numpy")
@@ -44,7 +41,7 @@ def descent(qw, qx, qy, qz, ax, ay, az):
 
 @njit(error_model="numpy")
 def step(s, p, sample):
-    """See `algorithm`."""
+    """See `driver`."""
     dt = sample.dt
     gx, gy, gz = sample.gyro
     ax, ay, az = sample.accel
@@ -64,9 +61,12 @@ def step(s, p, sample):
 
 
 @njit(cache=True, nogil=True)
-def run(states, params, dt, gyro, accel, rotor_vel, out):
-    """See `algorithm`."""
-    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
+    """See `driver`."""
+    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
-MADGWICK = Algorithm("madgwick", PARAMETERS, STATE, run)
+class Madgwick(CompiledFilter):
+    """The filter of n vehicles."""
+
+    record, run = RECORD, staticmethod(run)

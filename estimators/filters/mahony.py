@@ -12,20 +12,17 @@ import numpy as np
 from quadsim.rotation import multiply_core, normalize_core, rotate_inverse_core
 from quadsim.runs.compiled import njit
 
-from .algorithm import Algorithm, Parameter
+from .driver import CompiledFilter
 from .inline_math import direction_core, roll_pitch_core
 from .samples import reacquire, run_all
 
-STATE = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("tilt_variance", "f8")])
+RECORD = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("tilt_variance", "f8")])
 """The variance is that of the tilt that gaps have left [rad²]."""
-
-PARAMETERS = {"k_p": Parameter(1.0, 1e-3, 10.0), "k_i": Parameter(0.3, 1e-6, 1.0)}
-"""Gains k_P [rad/s] and k_I [rad/s²]."""
 
 
 @njit(error_model="numpy")
 def step(s, p, sample):
-    """See `algorithm`."""
+    """See `driver`."""
     dt, k_i = sample.dt, p.k_i
     gx, gy, gz = sample.gyro
     qw, qx, qy, qz = s.quat
@@ -47,9 +44,12 @@ def step(s, p, sample):
 
 
 @njit(cache=True, nogil=True)
-def run(states, params, dt, gyro, accel, rotor_vel, out):
-    """See `algorithm`."""
-    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
+    """See `driver`."""
+    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
-MAHONY = Algorithm("mahony", PARAMETERS, STATE, run)
+class Mahony(CompiledFilter):
+    """The filter of n vehicles."""
+
+    record, run = RECORD, staticmethod(run)

@@ -13,40 +13,24 @@ direction R(q)ᵀ (0, 0, 1) of the unit quaternion along it.
 """
 
 import math
-from typing import Any, Literal, Unpack
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from vqf import VQF
 
-from quadsim.estimator import OtherSensors
 from quadsim.rotation import euler_core, quat_from_rotvec, roll_pitch_from_quat
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from .algorithm import Parameter, initial_quat, paired
+from .driver import BatchedFilter
 from .ekf import SIGMA_KNOWN, SIGMA_UNKNOWN
-from .samples import initial_states, sanitise
+from .samples import sanitise
 
 Array = NDArray[np.float64]
 
-PARAMETERS = {
-    "tauAcc": Parameter(3.0, 0.1, 1000.0, minimum=1e-6),
-    "motionBiasEstEnabled": Parameter(1.0, 0.0, 1.0, "linear", maximum=1.0, searched=False),
-    "restBiasEstEnabled": Parameter(1.0, 0.0, 1.0, "linear", maximum=1.0, searched=False),
-    "biasSigmaInit": Parameter(0.5, 0.01, 2.0, minimum=1e-9),
-    "biasForgettingTime": Parameter(100.0, 10.0, 10_000.0, minimum=1e-6),
-    "biasClip": Parameter(2.0, 0.1, 20.0, minimum=1e-9, searched=False),
-    "biasSigmaMotion": Parameter(0.1, 0.01, 10.0, minimum=1e-9),
-    "biasVerticalForgettingFactor": Parameter(1e-4, 1e-6, 1.0, minimum=1e-12, searched=False),
-    "biasSigmaRest": Parameter(0.03, 1e-3, 10.0, minimum=1e-9),
-    "restMinT": Parameter(1.5, 0.1, 30.0, searched=False),
-    "restFilterTau": Parameter(0.5, 0.05, 10.0, minimum=1e-6, searched=False),
-    "restThGyr": Parameter(2.0, 0.1, 20.0, searched=False),
-    "restThAcc": Parameter(0.5, 0.05, 5.0, searched=False),
-}
-"""The package's own names, units and defaults (`vqf.VQFParams`), without those of the magnetometer."""
 LOST = math.radians(10.0)
 """Standard deviation of an unseen turn after which VQF starts again [rad]: that of a gap of 0.25 s."""
 SWITCHES = ("motionBiasEstEnabled", "restBiasEstEnabled")
@@ -74,184 +58,101 @@ def product_matrix(p: Array) -> Array:
     return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
 
 
-class PackagedFilter:
-    """Filters of a package for n vehicles; a child makes them, and runs them."""
-
-    filters: list[Any]
-
-    def __init__(self, rate_hz: float) -> None:
-        """Make the filter for one vehicle; `reset` changes their number."""
-        self.rate_hz, self._dt = rate_hz, 1.0 / rate_hz
-        self.reset()
-
-    def reset(self, n: int = 1, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None) -> None:
-        """Start n vehicles: at an unknown attitude, or at roll_pitch (n, 2) [rad] or quat_WB (n, 4)."""
-        self._samples, self._unseen = initial_states(n), np.zeros(n)
-        self.filters = self._started(*initial_quat(n, roll_pitch, quat))
-
-    def restart(
-        self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
-    ) -> None:
-        """Start some of the vehicles again, the others fly on; attitudes (len(ids), ·) as in `reset`."""
-        rows = np.atleast_1d(np.asarray(ids, dtype=np.intp))
-        if rows.size > 0:
-            self._samples[rows], self._unseen[rows] = initial_states(rows.size), 0.0
-            started = self._started(*initial_quat(rows.size, roll_pitch, quat))
-            for i, each in zip(rows, started, strict=True):
-                self.filters[i] = each
-
-    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
-        return self.sequence(np.asarray(gyro)[:, None], np.asarray(accel)[:, None])[:, 0]
-
-    def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
-        raise NotImplementedError
-
-    @property
-    def skipped(self) -> NDArray[np.int64]:
-        """Samples since reset that were missing in part or whole, (n,)."""
-        return self._samples["skipped"].astype(np.int64)
-
-    def _started(self, quat: Array, known: bool) -> list[Any]:
-        """Filters at quat_WB (n, 4), level if it is not known."""
-        raise NotImplementedError
-
-    def _paired(self, gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array]:
-        gyro, accel = paired(gyro, accel)
-        if len(gyro) != len(self.filters):
-            raise ValueError(f"gyro holds {len(gyro)} vehicles; reset was for {len(self.filters)}")
-        return gyro, accel
-
-
-class VqfFilter(PackagedFilter):
+class Vqf(BatchedFilter):
     """VQF for n vehicles."""
 
-    def __init__(self, rate_hz: float, values: dict[str, float]) -> None:
-        """Make the filter for one vehicle.
-
-        Args:
-            rate_hz: Samples per second.
-            values: The package's parameters; switches are 0 or 1.
-        """
-        self.values = dict(values)
-        self._options: dict[str, Any] = values | {key: bool(values[key]) for key in SWITCHES}
-        super().__init__(rate_hz)
-
-    def update(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take one sample (n, 3) [rad/s], (n, 3) [m/s²]; roll and pitch (n, 2) [rad]."""
-        rate, force, lost = self._sanitised(np.asarray(gyro)[:, None], np.asarray(accel)[:, None])
-        for i, each in enumerate(self.filters):
-            if lost[i, 0]:
-                _start_again(each)
-            each.update(rate[i, 0], force[i, 0])
-        return roll_pitch(self.quat)
-
-    def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
-        samples = self._sanitised(gyro, accel)
-        quats = [_run(each, *sample) for each, *sample in zip(self.filters, *samples, strict=True)]
-        return np.stack([roll_pitch(quat) for quat in quats])
+    def __init__(self, name: str, rate_hz: float, values: Mapping[str, float]) -> None:
+        """As `BatchedFilter`; the values are the package's parameters, of which switches are 0 or 1."""
+        self._options: dict[str, Any] = {**values} | {key: bool(values[key]) for key in SWITCHES}
+        super().__init__(name, rate_hz, values)
 
     @property
     def quat(self) -> Array:
         """Estimated quat_WB (n, 4)."""
-        return np.array([each.getQuat6D() for each in self.filters])
+        return np.array([each.getQuat6D() for each in self.state])
 
     @property
     def gyro_bias(self) -> Array:
         """Estimated gyroscope bias (n, 3) [rad/s]."""
-        return np.array([each.getBiasEstimate()[0] for each in self.filters])
+        return np.array([each.getBiasEstimate()[0] for each in self.state])
 
     def __getstate__(self) -> dict[str, Any]:
         """For copies and pickles: the package's objects have neither, but give their state."""
-        return vars(self) | {"filters": [each.state for each in self.filters]}
+        return vars(self) | {"state": [each.state for each in self.state]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Undo `__getstate__`."""
-        vars(self).update(
-            state | {"filters": [VQF(state["_dt"], **state["_options"]) for _ in state["filters"]]}
-        )
-        for each, its in zip(self.filters, state["filters"], strict=True):
+        vars(self).update(state)
+        self.state = self._made(len(state["state"]))
+        for each, its in zip(self.state, state["state"], strict=True):
             each.state = its
 
-    def _started(self, quat: Array, known: bool) -> list[VQF]:
-        filters = [VQF(self._dt, **self._options) for _ in quat]
+    def _made(self, n: int) -> NDArray[Any]:
+        return np.array([VQF(self._dt, **self._options) for _ in range(n)], dtype=object)
+
+    def _started(self, quat: Array, known: bool) -> NDArray[Any]:
+        filters = self._made(len(quat))
         if known:
             for each, q in zip(filters, quat, strict=True):
                 _start_at(each, q)
         return filters
 
-    def _sanitised(self, gyro: ArrayLike, accel: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Rate and specific force to use, and before which samples (n, T) to start again."""
-        return usable(self._samples, self._unseen, self._dt, *self._paired(gyro, accel))
+    def _run(self, gyro: Array, accel: Array, rotors: Array) -> Array:
+        rate, _, force, _, ended = sanitise(self._samples, self._dt, gyro, accel)
+        samples = zip(self.state, rate, force, ended > LOST * LOST, strict=True)
+        return np.stack([roll_pitch(_quats(*each)) for each in samples])
 
 
-class FilterpyFilter(PackagedFilter):
-    """An extended or an unscented Kalman filter of filterpy for n vehicles."""
-
-    def __init__(
-        self, kind: Literal["ekf", "ukf"], rate_hz: float, gyro_noise: float, accel_noise: float
-    ) -> None:
-        """Make the filter for one vehicle.
-
-        Args:
-            kind: Extended or unscented.
-            rate_hz: Samples per second.
-            gyro_noise: Noise density of the rate [rad/√s].
-            accel_noise: Noise density of the measured direction [√s].
-        """
-        self.kind, dt = kind, 1.0 / rate_hz
-        self._process = 0.25 * gyro_noise**2 * dt * np.eye(4)
-        self._measurement = accel_noise**2 / dt * np.eye(3)
-        super().__init__(rate_hz)
-
-    def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
-        """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
-        gyro, accel = self._paired(gyro, accel)
-        _, rate, force, unseen = sanitise(self._samples, self._dt, gyro, accel)
-        step = quat_from_rotvec(rate * self._dt)
-        quats = np.empty((*gyro.shape[:2], 4))
-        for i, kf in enumerate(self.filters):
-            for t in range(gyro.shape[1]):
-                kf.Q = self._process + 0.25 * unseen[i, t] * np.eye(4)
-                quats[i, t] = self._step(kf, product_matrix(step[i, t]), force[i, t])
-        return roll_pitch_from_quat(quats)
+class FilterpyEkf(BatchedFilter):
+    """An extended Kalman filter of filterpy for n vehicles."""
 
     @property
     def quat(self) -> Array:
         """Estimated quat_WB (n, 4)."""
-        return np.array([kf.x for kf in self.filters])
+        return np.array([kf.x for kf in self.state])
 
-    def _started(self, quat: Array, known: bool) -> list[ExtendedKalmanFilter | UnscentedKalmanFilter]:
-        covariance = 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2 * np.eye(4)
-        return [self._filter(q, covariance) for q in quat]
+    def _made(self) -> Any:
+        return ExtendedKalmanFilter(dim_x=4, dim_z=3)
 
-    def _filter(self, quat: Array, covariance: Array) -> ExtendedKalmanFilter | UnscentedKalmanFilter:
-        if self.kind == "ekf":
-            kf = ExtendedKalmanFilter(dim_x=4, dim_z=3)
-        else:
-            points = MerweScaledSigmaPoints(4, ALPHA, BETA, KAPPA)
-            kf = UnscentedKalmanFilter(4, 3, self._dt, _hx, _fx, points)
-        kf.x, kf.P = quat.copy(), covariance.copy()
-        kf.Q, kf.R = self._process, self._measurement
-        return kf
+    def _take(self, kf: Any, transition: Array, direction: Array | None) -> None:
+        """Predict, and correct by a direction of the specific force, if there is one."""
+        kf.F = transition
+        kf.predict()
+        if direction is not None:
+            kf.update(direction, up_jacobian, up_in_body)
 
-    def _step(
-        self, kf: ExtendedKalmanFilter | UnscentedKalmanFilter, transition: Array, force: Array
-    ) -> Array:
-        length = np.sqrt(force @ force)
-        if isinstance(kf, ExtendedKalmanFilter):
-            kf.F = transition
-            kf.predict()
-            if length > 0.0:
-                kf.update(force / length, up_jacobian, up_in_body)
-        else:
-            kf.predict(transition=transition)
-            if length > 0.0:
-                kf.update(force / length)
-        kf.x = kf.x / np.sqrt(kf.x @ kf.x)
-        return kf.x
+    def _started(self, quat: Array, known: bool) -> NDArray[Any]:
+        filters = np.array([self._made() for _ in quat], dtype=object)
+        for kf, q in zip(filters, quat, strict=True):
+            kf.x, kf.P = q.copy(), 0.25 * (SIGMA_KNOWN if known else SIGMA_UNKNOWN) ** 2 * np.eye(4)
+            kf.R = self.values["accel_noise"] ** 2 / self._dt * np.eye(3)
+        return filters
+
+    def _run(self, gyro: Array, accel: Array, rotors: Array) -> Array:
+        _, rate, force, unseen, _ = sanitise(self._samples, self._dt, gyro, accel)
+        step = quat_from_rotvec(rate * self._dt)
+        walk = 0.25 * self.values["gyro_noise"] ** 2 * self._dt
+        quats = np.empty((*gyro.shape[:2], 4))
+        for i, kf in enumerate(self.state):
+            for t in range(gyro.shape[1]):
+                kf.Q = walk * np.eye(4) + 0.25 * unseen[i, t] * np.eye(4)
+                length = np.sqrt(force[i, t] @ force[i, t])
+                self._take(kf, product_matrix(step[i, t]), force[i, t] / length if length > 0.0 else None)
+                kf.x = quats[i, t] = kf.x / np.sqrt(kf.x @ kf.x)
+        return roll_pitch_from_quat(quats)
+
+
+class FilterpyUkf(FilterpyEkf):
+    """An unscented one."""
+
+    def _made(self) -> Any:
+        points = MerweScaledSigmaPoints(4, ALPHA, BETA, KAPPA)
+        return UnscentedKalmanFilter(4, 3, self._dt, _hx, _fx, points)
+
+    def _take(self, kf: Any, transition: Array, direction: Array | None) -> None:
+        kf.predict(transition=transition)
+        if direction is not None:
+            kf.update(direction)
 
 
 def _fx(q: Array, dt: float, transition: Array) -> Array:
@@ -260,32 +161,6 @@ def _fx(q: Array, dt: float, transition: Array) -> Array:
 
 def _hx(q: Array) -> Array:
     return up_in_body(q) / (q @ q)
-
-
-@njit(cache=True)
-def usable(states, so_far, dt, gyro, accel):
-    """Samples to give to VQF, and which of them end a gap longer than it bears.
-
-    Args:
-        states: Records (n,) of `SAMPLES`, updated.
-        so_far: Variance of what was turned unseen in a gap that lasts (n,) [rad²]; updated.
-        dt: Sample period [s].
-        gyro: (n, T, 3) [rad/s].
-        accel: (n, T, 3) [m/s²].
-
-    Returns:
-        Rate and specific force (n, T, 3), as of `sanitise`, and the ends of gaps (n, T).
-    """
-    rate, _, force, unseen = sanitise(states, dt, gyro, accel)
-    lost = np.zeros(gyro.shape[:2], np.bool_)
-    for i in range(gyro.shape[0]):
-        for t in range(gyro.shape[1]):
-            if unseen[i, t] > 0.0:
-                so_far[i] += unseen[i, t]
-            else:
-                lost[i, t] = so_far[i] > LOST * LOST
-                so_far[i] = 0.0
-    return rate, force, lost
 
 
 @njit(cache=True, error_model="numpy")
@@ -297,8 +172,13 @@ def roll_pitch(quats):
     return out
 
 
-def _run(vqf: VQF, rate: Array, force: Array, lost: NDArray[np.bool_]) -> Array:
+def _quats(vqf: VQF, rate: Array, force: Array, lost: NDArray[np.bool_]) -> Array:
     """Quaternions (T, 4) of one vehicle's samples (T, 3), starting again where lost (T,)."""
+    if len(rate) == 1:  # faster than a batch of one
+        if lost[0]:
+            _start_again(vqf)
+        vqf.update(rate[0], force[0])
+        return vqf.getQuat6D()[None]
     starts = np.flatnonzero(lost)
     parts = []
     for first, last in zip([0, *starts], [*starts, len(rate)], strict=True):

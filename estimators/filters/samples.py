@@ -1,8 +1,4 @@
-"""What every compiled filter does with a sample around its own equations, and the loop over samples.
-
-The state of a vehicle is one record of float64: the filter's own fields, then those of `SAMPLES`, which
-belong to this module.
-"""
+"""What every filter does with a sample before its own equations, and the loop over samples."""
 
 import math
 from typing import NamedTuple
@@ -21,9 +17,10 @@ SAMPLES = np.dtype(
         ("age", "f8"),  # of the last good rate [s]; infinite before the first
         ("rate", "f8", 3),  # that rate [rad/s]
         ("good_time", "f8"),  # for which there have been good ones [s]
+        ("gap", "f8"),  # variance of what was turned unseen in a gap that lasts [rad²]
     ]
 )
-"""The common fields of a filter's state."""
+"""What a vehicle's samples so far leave, beside the state of its filter."""
 
 WORST = 2.0 * math.pi**2
 """Squared error of an estimate that is 180° off in roll and in pitch, or no number [rad²]."""
@@ -55,15 +52,17 @@ class Sample(NamedTuple):
     """Σ ω² of the rotors [rad²/s²]; zero where a speed is missing, or the rotors stand still."""
     unseen: float
     """Variance of the unmeasured turn since the last sample [rad²]; zero unless a rate is missing."""
+    ended: float
+    """The same of the whole gap that this sample ends [rad²]; zero unless it ends one."""
     dt: float
     """Sample period [s]."""
 
 
-def initial_states(rows: int, record: np.dtype = SAMPLES) -> NDArray[np.void]:
-    """States before the first sample, (rows,), the filter's own fields zero."""
-    states = np.zeros(rows, record)
-    states["age"] = np.inf
-    return states
+def initial_samples(rows: int) -> NDArray[np.void]:
+    """Records of `SAMPLES` before the first sample, (rows,)."""
+    samples = np.zeros(rows, SAMPLES)
+    samples["age"] = np.inf
+    return samples
 
 
 @njit
@@ -124,7 +123,7 @@ def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
     A rate that jumps as no vehicle can turn is taken for missing, until it has lasted.
 
     Args:
-        state: The vehicle's record; its common fields are updated.
+        state: The vehicle's record of `SAMPLES`, updated.
         dt: Sample period [s].
         gyro: Body rate (n, T, 3) [rad/s].
         accel: Specific force (n, T, 3) [m/s²].
@@ -149,12 +148,14 @@ def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
         state.age += dt
         share = 1.0 if state.age <= HOLD_S else 0.0
         gx, gy, gz = share * lx, share * ly, share * lz
+    ended = 0.0 if unseen > 0.0 else state.gap
+    state.gap = state.gap + unseen if unseen > 0.0 else 0.0
     if not force_found:
         ax = ay = az = 0.0
     if not (rate_found and force_found):
         state.skipped += 1.0
     mean = (0.5 * (lx + gx), 0.5 * (ly + gy), 0.5 * (lz + gz)) if known else (gx, gy, gz)
-    return Sample((gx, gy, gz), mean, (ax, ay, az), sum_of_squares(rotor_vel, i, t), unseen, dt)
+    return Sample((gx, gy, gz), mean, (ax, ay, az), sum_of_squares(rotor_vel, i, t), unseen, ended, dt)
 
 
 @njit
@@ -177,52 +178,42 @@ def squared_error(estimate, truth):
 
 
 @njit(forceinline=True, error_model="numpy")
-def run_all(step, states, params, dt, gyro, accel, rotor_vel, out):
-    """Run every record over all its samples: the whole of a filter's `run`.
-
-    Args:
-        step: The filter's equations, as described in `filters.algorithm`.
-        states: Records (p·n,), updated.
-        params: Records (p,).
-        dt: Sample period [s].
-        gyro: (n, T, 3) [rad/s].
-        accel: (n, T, 3) [m/s²].
-        rotor_vel: (n, T, rotors) [rad/s].
-        out: Roll and pitch (p·n, T, 2) [rad], written.
-    """
-    n, numbers = gyro.shape[0], states.view(np.float64).reshape(states.shape[0], -1)
-    for row in range(states.shape[0]):
-        s, p, i = states[row], params[row // n], row % n
+def run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out):
+    """Run every vehicle over all its samples, the whole of a filter's `run`; arguments as in `driver`."""
+    p = params[0]
+    for i in range(states.shape[0]):
+        s = states[i]
         for t in range(gyro.shape[1]):
-            sample = sanitise_sample(s, dt, gyro, accel, rotor_vel, i, t)
+            sample = sanitise_sample(samples[i], dt, gyro, accel, rotor_vel, i, t)
             roll, pitch = step(s, p, sample)
             if math.isnan(roll):
-                numbers[row, : p.start.size] = p.start
+                states[i] = p.level
                 roll = pitch = 0.0
-            out[row, t, 0], out[row, t, 1] = roll, pitch
+            out[i, t, 0], out[i, t, 1] = roll, pitch
 
 
 @njit(cache=True, nogil=True)
-def sanitise(states, dt, gyro, accel):
+def sanitise(samples, dt, gyro, accel):
     """Every sample of whole sequences sanitised, for estimators that are not compiled here.
 
     Args:
-        states: Records (n,) of `SAMPLES`, updated.
+        samples: Records (n,) of `SAMPLES`, updated.
         dt: Sample period [s].
         gyro: (n, T, 3) [rad/s].
         accel: (n, T, 3) [m/s²].
 
     Returns:
-        Rate, its mean with the last one, and specific force (n, T, 3), zero where it cannot be used, and the
-        variance of what was turned unseen (n, T) [rad²].
+        Rate, its mean with the last one, and specific force (n, T, 3), zero where it cannot be used; what was
+        turned unseen and what a gap that ends has left of it (n, T) [rad²].
     """
     rate, mean, force = np.empty_like(gyro), np.empty_like(gyro), np.empty_like(accel)
-    unseen, no_rotors = np.empty(gyro.shape[:2]), np.empty((*gyro.shape[:2], 0))
+    unseen, ended = np.empty(gyro.shape[:2]), np.empty(gyro.shape[:2])
+    no_rotors = np.empty((*gyro.shape[:2], 0))
     for i in range(gyro.shape[0]):
         for t in range(gyro.shape[1]):
-            sample = sanitise_sample(states[i], dt, gyro, accel, no_rotors, i, t)
+            sample = sanitise_sample(samples[i], dt, gyro, accel, no_rotors, i, t)
             for k in range(3):
                 rate[i, t, k], mean[i, t, k] = sample.gyro[k], sample.mean_gyro[k]
                 force[i, t, k] = sample.accel[k]
-            unseen[i, t] = sample.unseen
-    return rate, mean, force, unseen
+            unseen[i, t], ended[i, t] = sample.unseen, sample.ended
+    return rate, mean, force, unseen, ended

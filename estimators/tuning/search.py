@@ -21,26 +21,25 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from quadsim.config.toml import preset_names
-from quadsim.estimator import receives_truth
+from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.held_out import unreserved
 from quadsim.imu.spec import load_imu
 from quadsim.runs.files import alone, drop_parts, write_whole
 
 from ..custom import is_custom
 from ..evaluation.flights import Flights, Initial, imu_of, load_flights, vehicle_of
-from ..filters.algorithm import start
 from ..filters.samples import squared_error
-from ..metrics import absolute_error, flaw_of
+from ..metrics import flaw_of
 from ..registry import (
-    COMPILED,
     FILTERPY,
     airframe_constants,
     create,
+    filter_values,
     names,
-    parameter_matrix,
+    parameter_sets,
     parameters,
 )
-from ..running import run_batch
+from ..running import run_quietly
 from ..tuned import Tuned, load_tuning, to_toml
 
 Array = NDArray[np.float64]
@@ -102,36 +101,18 @@ def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flight
         flights: What to score on.
         workers: Threads that share the parameter sets of a compiled filter.
     """
-    p = len(np.atleast_1d(next(iter(sets.values()))))
-    if name not in COMPILED:
-        return np.concatenate([_error_of_run(name, sets, flights, k) for k in range(p)])
-    records = COMPILED[name].records(parameter_matrix(name, sets, flights.rate_hz))
-    with ThreadPoolExecutor(workers) as pool:
-        return np.array(list(pool.map(lambda one: _error_of_set(name, one, flights), records[:, None])))
+    made = [create(name, flights.rate_hz, **each) for each in parameter_sets(sets)]
+    with ThreadPoolExecutor(1 if is_custom(name) else workers) as pool:
+        return np.array(list(pool.map(lambda est: _error_of(est, is_custom(name), flights), made)))
 
 
-def _error_of_set(name: str, record: NDArray[np.void], flights: Flights) -> float:
-    """Cost of one parameter set, a record (1,) of a compiled filter, without the interpreter's lock."""
-    algorithm, shape = COMPILED[name], flights.gyro.shape[:2]
-    states, out = start(algorithm, record, shape[0], flights.start), np.empty((*shape, 2))
-    readings = flights.gyro, flights.accel, np.empty((*shape, 0))
-    algorithm.run(states, record, 1.0 / flights.rate_hz, *readings, out)
+def _error_of(est: AttitudeEstimator, is_of_user: bool, flights: Flights) -> float:
+    """Cost of one estimator; a compiled one runs without the interpreter's lock."""
+    estimate = run_quietly(est, flights.gyro, flights.accel, flights.start)
+    if is_of_user and flaw_of(estimate, flights.truth):
+        return math.inf
     scored = np.isfinite(flights.truth).all(axis=-1).sum(axis=1) * 2
-    return float((squared_error(out, flights.truth) / scored).mean())
-
-
-def _error_of_run(name: str, sets: Mapping[str, ArrayLike], flights: Flights, k: int) -> Array:
-    one = {key: np.atleast_1d(column)[k : k + 1] for key, column in sets.items()}
-    estimate = _estimate(name, one, flights)
-    if flaw_of(estimate, flights.truth):
-        return np.array([np.inf])
-    error = np.radians(absolute_error(estimate, flights.truth))
-    return np.nanmean(error**2, axis=(1, 2)).mean(keepdims=True)
-
-
-def _estimate(name: str, one: Mapping[str, ArrayLike], flights: Flights) -> Array:
-    """Estimates of one parameter set, (n, T, 2) [rad]."""
-    return run_batch(name, one, flights.gyro, flights.accel, flights.rate_hz, flights.start)[0]
+    return float((squared_error(estimate, flights.truth) / scored).mean())
 
 
 def swarm(
@@ -253,9 +234,10 @@ def tune(
         search,
         progress,
     )
+    (found,) = parameter_sets(values(best.position[None]))
     if not math.isfinite(best.cost):
-        estimate = _estimate(name, {key: each[:1] for key, each in values(best.position[None]).items()}, data)
-        flaw = flaw_of(estimate, data.truth)
+        est = create(name, data.rate_hz, **found)
+        flaw = flaw_of(run_quietly(est, data.gyro, data.accel, data.start), data.truth)
         raise ValueError(f"no parameters of {name} give estimates that can be scored: it {flaw}")
     return Tuned(
         command=command,
@@ -265,11 +247,7 @@ def tune(
         evaluations=best.evaluations,
         values={
             key: float(f"{value:.6g}")
-            for key, value in zip(
-                parameters(name),
-                parameter_matrix(name, values(best.position[None]), data.rate_hz)[0],
-                strict=True,
-            )
+            for key, value in filter_values(name, data.rate_hz, found).items()
             if key not in airframe
         },
     )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.evaluation.flights import load_flights
-from estimators.registry import parameter_matrix, parameters
+from estimators.registry import filter_values, parameter_sets, parameters
 from estimators.tuned import Tuned
 from estimators.tuning.search import SearchSettings, mean_squared_error, swarm, upright, write_tuning
 from quadsim.dataset.reading import open_dataset
@@ -34,13 +34,13 @@ def tune(folder: Path, inputs: Inputs, *, name: str, particles: int, iterations:
         [np.clip(parameters(name)[key].default, 0.0, 1.0) for key in searched],
         SearchSettings(particles=particles, iterations=iterations, seed=seed),
     )
-    (row,) = parameter_matrix(name, values(best.position[None]), data.rate_hz)
+    (found,) = parameter_sets(values(best.position[None]))
     tuned = Tuned(
         command="quadsim paper",
         rate_hz=data.rate_hz,
         rmse_deg=round(float(np.degrees(np.sqrt(best.cost))), 6),
         evaluations=best.evaluations,
-        values=dict(zip(parameters(name), map(float, row), strict=True)),
+        values=filter_values(name, data.rate_hz, found),
     )
     write_tuning(folder / TUNING, name, tuned, "Tuned by the paper's swarm on the flights of both domains.")
     return {"values": {key: tuned.values[key] for key in (*searched, *given)}, "rmse_deg": tuned.rmse_deg}

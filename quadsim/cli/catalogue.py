@@ -78,9 +78,9 @@ def items(kind: Kind) -> list[Item]:
     """Everything of a kind, what ships first."""
     match kind:
         case Kind.ESTIMATORS:
-            from estimators.registry import DESCRIPTIONS, names
+            from estimators.registry import SHIPPED
 
-            return [Item(name, DESCRIPTIONS[name]) for name in names()]
+            return [Item(name, each.description) for name, each in SHIPPED.items()]
         case Kind.CONTROLLERS:
             from estimators.networks.weights_file import shipped_controllers
 

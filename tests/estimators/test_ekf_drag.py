@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from estimators import create, run
 from estimators.filters.drag.drag_aided import DRAG as ERRORS
 from estimators.filters.drag.drag_aided import propagate, transition
-from estimators.filters.drag.ekf_drag import EKF_DRAG, drag_of
-from estimators.filters.samples import initial_states
+from estimators.filters.drag.ekf_drag import RECORD, drag_of
 from estimators.metrics import attitude_error
 from quadsim.rotation import (
     matrix_from_quat,
@@ -33,7 +32,7 @@ V, B, C, W = [2, 3, 11], slice(4, 7), [7, 8, 12], slice(9, 11)
 
 def propagated(P, matrix, velocity, wind, dt, noise):
     """P after a sample; noise: variances added to each part."""
-    records = initial_states(1, EKF_DRAG.record)
+    records = np.zeros(1, RECORD)
     records["covariance"][0, :ERRORS, :ERRORS] = P
     records["velocity"], records["wind"] = velocity, wind[:2]
     records["walks"][0, :ERRORS] = np.asarray(noise)[PARTS]
@@ -145,7 +144,7 @@ def test_two_scalar_corrections_by_drag_are_filterpy_s_one_of_both_axes(make_fli
     reference = KalmanFilter(ERRORS, 2)
     reference.P, reference.H, reference.R = P, H, np.eye(2) * values["drag_noise"] ** 2 / dt
     reference.update(accel[:2] + drag * matrix.T[:2] @ v)
-    state = est._states[0]
+    state = est.state[0]
     np.testing.assert_allclose(state["gyro_bias"], reference.x[B, 0], atol=1e-9)
     np.testing.assert_allclose(state["accel_bias"], reference.x[C, 0], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(state["wind"], reference.x[W, 0], rtol=1e-3, atol=1e-5)
@@ -160,7 +159,7 @@ def test_covariance_stays_symmetric_and_positive(seed, rate, force):
     accel = rng.normal([0.0, 0.0, GRAVITY], force, (1, 2000, 3))
     est = filter_of()
     assert np.isfinite(run(est, gyro, accel)).all()
-    P = est._states[0]["covariance"][:ERRORS, :ERRORS]
+    P = est.state[0]["covariance"][:ERRORS, :ERRORS]
     np.testing.assert_allclose(P, P.T, atol=1e-9 * np.abs(P).max())
     assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > -1e-9 * np.abs(P).max()
 

@@ -221,7 +221,7 @@ def test_an_imu_over_the_centre_of_mass_is_found(flights):
     moved = accel + np.cross(turning, lever)
     est = imm(lever_sigma=0.1)
     error = rmse(est, gyro, moved, truth)
-    model = est._states["models"][:, MULTIROTOR]
+    model = est.state["models"][:, MULTIROTOR]
     sigma = np.sqrt(model["covariance"][:, LEVER, LEVER])
     assert (sigma < 0.05).all()  # of 0.1 before
     assert (np.abs(model["lever"] - 0.1) < 2.0 * sigma).all()
@@ -385,7 +385,7 @@ def test_free_fall_is_not_taken_for_it():
     est = imm()
     est.reset(1, roll_pitch=[[0.3, 0.0]])
     out = est.sequence(gyro, accel)
-    assert est._states["time"][0] == pytest.approx(10.0)  # a start anew sets it to zero
+    assert est.state["time"][0] == pytest.approx(10.0)  # a start anew sets it to zero
     assert np.isfinite(out).all()
 
 
@@ -395,8 +395,8 @@ def test_covariance_stays_symmetric_and_positive_on_noise():
     for rate, force in ((0.0, 0.0), (3.0, 10.0), (10.0, 30.0)):
         gyro = rng.normal(0, rate, (1, 3000, 3))
         assert np.isfinite(run(est, gyro, rng.normal([0.0, 0.0, GRAVITY], force, (1, 3000, 3)))).all()
-        own = est._states["models"]["covariance"][0]
-        for P in (est._states["covariance"][0], own[MULTIROTOR], *own[1:, :SHARED, :SHARED]):
+        own = est.state["models"]["covariance"][0]
+        for P in (est.state["covariance"][0], own[MULTIROTOR], *own[1:, :SHARED, :SHARED]):
             np.testing.assert_allclose(P, P.T, atol=1e-9 * np.abs(P).max())
             assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > -1e-9 * np.abs(P).max()
         assert est.roll_pitch_sigma.max() < np.pi + 1e-9

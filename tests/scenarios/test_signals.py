@@ -96,7 +96,7 @@ def test_sigma_of_the_ekf_is_that_of_quaternions_drawn_from_its_covariance():
     est.reset(1, quat=quat_from_euler(0.3, -0.6, 2.0)[None])
     for _ in range(100):
         est.update(np.array([[0.5, -0.2, 0.3]]), np.array([[4.0, 2.0, 8.0]]))
-    covariance = 1e-4 * est._states["covariance"][0]  # small, as the linearisation is exact there
+    covariance = 1e-4 * est.state["covariance"][0]  # small, as the linearisation is exact there
     drawn = quat_normalize(est.quat[0] + rng.multivariate_normal(np.zeros(4), covariance, 20_000))
     sd = euler_from_quat(drawn)[:, :2].std(axis=0)
     np.testing.assert_allclose(est.roll_pitch_sigma[0], 100.0 * sd, rtol=0.03)

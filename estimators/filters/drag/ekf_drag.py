@@ -23,7 +23,7 @@ from quadsim.rotation import rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import AIR_DENSITY, GRAVITY, Vehicle
 
-from ..algorithm import FROM_VEHICLE, Algorithm, Array, Parameter, Records, start_at, tilt_block
+from ..driver import Array, CompiledFilter, Records
 from ..ekf import SIGMA_KNOWN
 from ..inline_math import roll_pitch_core
 from ..samples import run_all
@@ -56,7 +56,7 @@ from .drag_aided import (
     turn_by,
 )
 
-STATE = np.dtype(
+RECORD = np.dtype(
     [
         *MODEL,
         ("accel_W", "f8", 3),  # of the last sample, world axes [m/s²]
@@ -69,37 +69,6 @@ STATE = np.dtype(
     ]
 )
 """The filter's state."""
-
-PARAMETERS = {
-    # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
-    "drag_noise": Parameter(0.015, 5e-3, 0.05, minimum=1e-9),
-    "model_noise": Parameter(0.004, 2e-3, 0.02),
-    # Initial noise density of the wind [m/s/√s].
-    "wind_noise": Parameter(0.17, 0.05, 0.5),
-    # The measurement v = 0: least standard deviation [m/s], correlation time [s]; noise density of the climb
-    # [m/s·√s].
-    "speed_least": Parameter(0.2, 0.05, 0.6, minimum=1e-6),
-    "speed_time": Parameter(0.33, 0.15, 1.5, minimum=1e-6),
-    "climb_noise": Parameter(2.0, 0.5, 5.0, minimum=1e-9),
-    # Initial standard deviations: of an unknown tilt [rad], of velocity and of wind [m/s].
-    "attitude_sigma": Parameter(0.3, 0.15, 0.6),
-    "speed_sigma": Parameter(0.6, 0.3, 3.0),
-    "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
-    # Not searched: noise densities of the rate [rad/√s] and of the specific force [m/s/√s], of the walks of
-    # both biases [rad/s/√s], [m/s²/√s].
-    "gyro_noise": Parameter(1e-3, 1e-4, 0.01, searched=False),
-    "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
-    "bias_noise": Parameter(3e-4, 1e-6, 1e-3, searched=False),
-    "accel_bias_noise": Parameter(0.0085, 1e-4, 0.1, searched=False),
-    # Gain of the bias's inflation by a step of the gyroscope's bias, which no recipe flies.
-    "step_gain": Parameter(40.0, 1.0, 200.0, searched=False),
-    # Of the IMU: initial standard deviations of the biases [rad/s], [m/s²]. Of the vehicle: τ [s], f [1/m].
-    "bias_sigma": Parameter(0.0087, 1e-4, 0.1, searched=False),
-    "accel_bias_sigma": Parameter(0.196, 1e-3, 1.0, searched=False),
-    "drag_time": Parameter(FROM_VEHICLE, 1.0, 20.0, minimum=1e-3, searched=False),
-    "frame_drag": Parameter(FROM_VEHICLE, 1e-4, 1.0, searched=False),
-}
-"""What a user or `quadsim tune` may change; units in the comments."""
 
 WIND_SHARE = 0.6
 """Share of the removed variance at which the wind's noise neither rises nor falls."""
@@ -188,7 +157,7 @@ def measure(s, p, dt, gyro, accel, matrix):
 
 @njit
 def step(s, p, sample):
-    """See `algorithm`."""
+    """See `driver`."""
     v, c, walks = s.velocity, s.accel_bias, s.walks
     dt, gyro, accel, unseen = sample.dt, sample.mean_gyro, sample.accel, sample.unseen
     s.time += dt
@@ -218,23 +187,29 @@ def step(s, p, sample):
 
 
 @njit(cache=True, nogil=True)
-def run(states, params, dt, gyro, accel, rotor_vel, out):
-    """See `algorithm`."""
-    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
+    """See `driver`."""
+    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
-def start(states: Records, quat: Array, known: bool, params: Records) -> None:
-    """Start at an attitude that is known, or level with an unknown tilt."""
-    start_at(states, quat, known, params)
-    sigma = {part: params[f"{part}_sigma"] for part in ("attitude", "speed", "bias", "accel_bias", "wind")}
-    sigma["attitude"] = np.full(len(params), SIGMA_KNOWN) if known else sigma["attitude"]
-    order = np.stack([*sigma.values(), sigma["speed"], sigma["accel_bias"]], axis=1)
-    variances = np.repeat(order, (2, 2, 3, 2, 2, 1, 1), axis=1) ** 2
-    states["covariance"][:, range(DRAG), range(DRAG)] = variances
-    states["wind_noise"], states["speed_square"] = params["wind_noise"] ** 2, params["speed_sigma"] ** 2
+class EkfDrag(CompiledFilter):
+    """The filter of n vehicles."""
 
+    record, run = RECORD, staticmethod(run)
 
-EKF_DRAG = Algorithm("ekf-drag", PARAMETERS, STATE, run, start, tilt_block)
+    def begin(self, states: Records, quat: Array, known: bool) -> None:
+        """Start at an attitude that is known, or level with an unknown tilt."""
+        p = self.values
+        sigma = {part: p[f"{part}_sigma"] for part in ("attitude", "speed", "bias", "accel_bias", "wind")}
+        sigma["attitude"] = SIGMA_KNOWN if known else sigma["attitude"]
+        order = np.repeat([*sigma.values(), sigma["speed"], sigma["accel_bias"]], (2, 2, 3, 2, 2, 1, 1))
+        states["quat"] = quat
+        states["covariance"][:, range(DRAG), range(DRAG)] = order**2
+        states["wind_noise"], states["speed_square"] = p["wind_noise"] ** 2, p["speed_sigma"] ** 2
+
+    def tilt_covariance(self) -> Array:
+        """The covariance's first block (n, 2, 2) [rad²]."""
+        return self.state["covariance"][:, :2, :2]
 
 
 def drag_of(vehicle: Vehicle) -> dict[str, float]:

@@ -47,7 +47,7 @@ from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
 from ...sanitise import within
-from ..algorithm import Algorithm, Array, Filter, Records, start_at, tilt_block
+from ..driver import Array, CompiledFilter, Records
 from ..eskf import tilt_core, turned
 from ..inline_math import atan2_core, exp_core, roll_pitch_core
 from ..samples import run_all
@@ -64,10 +64,10 @@ from .drag_aided import (
     mean_square,
 )
 from .imm_mixing import combine, mix
-from .imm_model import COUNT, MODELS, MULTIROTOR, PARAMETERS, across_thrust, correct_model, predict
+from .imm_model import COUNT, MODELS, MULTIROTOR, across_thrust, correct_model, predict
 from .imm_model import STATE as MODEL
 
-STATE = np.dtype(
+RECORD = np.dtype(
     [
         ("models", MODEL, (COUNT,)),
         ("probability", "f8", COUNT),
@@ -268,7 +268,7 @@ def inverted(s, p):
 
 @njit
 def step(s, p, sample):
-    """See `algorithm`."""
+    """See `driver`."""
     accumulate(s, sample)
     if s.interval >= 1.0 / MODEL_HZ - 0.5 * sample.dt:
         update_models(s, p)
@@ -289,44 +289,41 @@ def turn_on(s, sample):
 
 
 @njit(cache=True, nogil=True)
-def run(states, params, dt, gyro, accel, rotor_vel, out):
-    """See `algorithm`."""
-    run_all(step, states, params, dt, gyro, accel, rotor_vel, out)
+def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
+    """See `driver`."""
+    run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)
 
 
-def start(states: Records, quat: Array, known: bool, params: Records) -> None:
-    """Start at an attitude that is known, or level until the first force.
-
-    A start that is given may be wrong, and would pass for a bias: its tilt has the same variance.
-    """
-    start_at(states, quat, known, params)
-    models = states["models"]
-    models["quat"] = quat[:, None]
-    models["wind_noise"] = params["wind_noise"][:, None] ** 2
-    parts = ("attitude", "speed", "bias", "accel_bias", "wind", "offset", "lever")
-    sigma = np.repeat(np.stack([params[f"{part}_sigma"] for part in parts], axis=1), SIZES, axis=1)
-    models["covariance"][:, :, ESTIMATED, ESTIMATED] = sigma[:, None] ** 2
-    states["covariance"] = models["covariance"][:, 0, :SHARED, :SHARED]
-    states["begun"], states["probability"] = float(known), 1.0 / COUNT
-    states["turn"][:, 0] = 1.0
-
-
-def tilt_covariance(states: Records) -> Array:
-    """That of the models and, on both axes, of the mean force, which vibration shifts, (n, 2, 2) [rad²]."""
-    shifted = (RECTIFIED / GRAVITY) ** 2 * states["shake"]
-    return tilt_block(states) + shifted[:, None, None] * np.eye(2)
-
-
-IMM = Algorithm("imm", PARAMETERS, STATE, run, start, tilt_covariance)
-
-
-class InteractingModels(Filter):
+class InteractingModels(CompiledFilter):
     """The filter of n vehicles, with the models that it believes; its σ is of their last update."""
 
+    record, run = RECORD, staticmethod(run)
     models = MODELS
     """Names of the models, in the order of `model_probability`."""
+
+    def begin(self, states: Records, quat: Array, known: bool) -> None:
+        """Start at an attitude that is known, or level until the first force.
+
+        A start that is given may be wrong, and would pass for a bias: its tilt has the same variance.
+        """
+        models, parts = (
+            states["models"],
+            ("attitude", "speed", "bias", "accel_bias", "wind", "offset", "lever"),
+        )
+        sigma = np.repeat([self.values[f"{part}_sigma"] for part in parts], SIZES)
+        models["quat"], states["quat"] = quat[:, None], quat
+        models["wind_noise"] = self.values["wind_noise"] ** 2
+        models["covariance"][:, :, ESTIMATED, ESTIMATED] = sigma**2
+        states["covariance"] = models["covariance"][:, 0, :SHARED, :SHARED]
+        states["begun"], states["probability"] = float(known), 1.0 / COUNT
+        states["turn"][:, 0] = 1.0
+
+    def tilt_covariance(self) -> Array:
+        """That of the models and, on both axes, of the mean force, which vibration shifts."""
+        shifted = (RECTIFIED / GRAVITY) ** 2 * self.state["shake"]
+        return self.state["covariance"][:, :2, :2] + shifted[:, None, None] * np.eye(2)
 
     @property
     def model_probability(self) -> Array:
         """Probability of each model, (n, 3); a row sums to 1."""
-        return self._states["probability"].copy()
+        return self.state["probability"].copy()

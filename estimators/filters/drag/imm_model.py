@@ -20,7 +20,6 @@ from quadsim.rotation import rotate_core
 from quadsim.runs.compiled import njit
 from quadsim.vehicle import GRAVITY
 
-from ..algorithm import Parameter
 from .drag_aided import (
     ACCEL_BIAS,
     CLIMB,
@@ -61,60 +60,6 @@ STATE = np.dtype(
     ]
 )
 """State of one model."""
-
-PARAMETERS = {
-    # Of a multirotor: coefficient k of rotor drag [1/s], quadratic drag f of the frame [1/m].
-    "drag": Parameter(0.3, 0.1, 0.8, minimum=1e-3),
-    "frame_drag": Parameter(0.01, 1e-3, 0.1, searched=False),
-    # Least noise density of the drag measurement [m/s²·√s], and further in proportion to acceleration [√s].
-    "drag_noise": Parameter(0.05, 5e-3, 0.1, minimum=1e-9),
-    "model_noise": Parameter(0.004, 1e-3, 0.05),
-    # Standard deviations of the velocity in flight, in the hand and at rest [m/s], its correlation time [s],
-    # memory of the climb [s].
-    "flight_speed": Parameter(3.0, 1.0, 10.0, minimum=1e-6),
-    "hand_speed": Parameter(1.0, 0.1, 3.0, minimum=1e-6),
-    "rest_speed": Parameter(0.1, 1e-2, 0.3, minimum=1e-6, searched=False),
-    "speed_time": Parameter(1.0, 0.2, 3.0, minimum=1e-6),
-    "climb_time": Parameter(2.0, 0.5, 5.0, minimum=0.05, searched=False),
-    # Noise densities of the rate [rad/√s], of it in proportion to the rate (scale factor, misalignment) [√s],
-    # of the specific force [m/s/√s], of the walks of wind [m/s/√s], biases [rad/s/√s], [m/s²/√s] and the
-    # direction of thrust [rad/√s], and of the lever arm [m/√s], which takes up what the model lacks.
-    "gyro_noise": Parameter(1e-3, 1e-4, 0.01),
-    "turn_noise": Parameter(0.005, 1e-4, 0.05),
-    "accel_noise": Parameter(0.01, 1e-3, 0.1, searched=False),
-    "wind_noise": Parameter(1.0, 0.05, 5.0),
-    "bias_noise": Parameter(3e-4, 1e-5, 1e-3),
-    "accel_bias_noise": Parameter(0.003, 1e-4, 0.1),
-    "offset_noise": Parameter(3e-4, 1e-5, 1e-2, searched=False),
-    "lever_noise": Parameter(0.01, 1e-4, 0.1, searched=False),
-    # Initial standard deviations: of the tilt [rad], of velocity and wind [m/s], of the biases
-    # [rad/s], [m/s²], of the direction of thrust from body z [rad] and of the lever arm [m].
-    "attitude_sigma": Parameter(0.3, 0.1, 0.6, searched=False),
-    "speed_sigma": Parameter(3.0, 0.3, 10.0, searched=False),
-    "wind_sigma": Parameter(4.0, 1.0, 10.0, searched=False),
-    "bias_sigma": Parameter(0.05, 0.01, 0.2, searched=False),
-    "accel_bias_sigma": Parameter(0.15, 0.02, 0.5, searched=False),
-    "offset_sigma": Parameter(0.1, 0.01, 0.5, searched=False),
-    "lever_sigma": Parameter(0.05, 1e-3, 0.3, searched=False),
-    # Least standard deviation of the horizontal acceleration in the hand [m/s²].
-    "least_accel": Parameter(0.2, 0.01, 1.0, minimum=1e-6, searched=False),
-    # Wind: ratio of the squared sum of its corrections to the sum of their squares at which its noise neither
-    # rises nor falls, time in which it adapts [s], and the least noise density [m/s/√s].
-    "wind_share": Parameter(2.0, 1.0, 4.0, minimum=0.1),
-    "wind_memory": Parameter(1.0, 0.3, 10.0, minimum=1e-3),
-    "wind_noise_least": Parameter(0.02, 1e-4, 0.1, searched=False),
-    # A step of the gyroscope's bias, which no recipe flies: variances that corrections of the tilt may sum
-    # up to, and their memory [s]; standard deviation of the bias after it [rad/s].
-    "step_ratio": Parameter(2.5, 1.5, 20.0, searched=False),
-    "step_time": Parameter(2.0, 0.5, 10.0, minimum=1e-3, searched=False),
-    "step_sigma": Parameter(0.05, 0.01, 0.2, searched=False),
-    # Memory of mean squares [s]. Time in which a force counts as one measurement of the
-    # model; mean time until the model changes [s].
-    "square_memory": Parameter(3.0, 0.5, 10.0, minimum=1e-3, searched=False),
-    "evidence_time": Parameter(0.5, 0.05, 10.0, minimum=1e-3),
-    "sojourn_time": Parameter(30.0, 5.0, 200.0, minimum=1.0),
-}
-"""What a user or `quadsim tune` may change; units in the comments."""
 
 WIND_NOISE_MOST = 10.0
 """Largest noise density of the wind [m/s/√s]: it turns by as much as a hurricane's gusts."""
