@@ -17,6 +17,7 @@ from .bench.experiment import load_experiment
 from .bench.results import Results, load_results
 from .bench.runner import NO_CHANGES, Changes, bench
 from .bench.verdict import verdict
+from .compilation import compile_estimators
 from .report.evaluation import columns, recorded_section
 from .report.page import publish, write_report
 from .report.terminal import breaking_table, rows_table, standings_table
@@ -106,9 +107,11 @@ def demo(out: Path, *, flights: int = 6, seeds: int = 5, seed: int = 0, workers:
         ValueError: For a bad argument.
         OSError: If a file cannot be written.
     """
-    names, recipe = default_estimators(), load_recipe("hummingbird")
+    names = default_estimators()
+    recipe = load_recipe("hummingbird")
     path = out.expanduser() / "flights.zarr"
     with alone(out):
+        compile_estimators(names, workers)
         with progress_bar("generate", "flights") as bar:
             generate(recipe, flights, DEMO_S, path, seed=seed, workers=workers, progress=bar, overwrite=True)
         with progress_bar("evaluate", "runs") as bar:
