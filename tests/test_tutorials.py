@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 BLOCK = re.compile(
-    r"(<!-- not run: [^>]+-->\n)?```(sh|python|toml)(?: title=\"([^\"]+)\")?\n(.*?)```", re.DOTALL
+    r"(<!-- not run: [^>]+-->\n)?```(sh|python|toml|c)(?: title=\"([^\"]+)\")?\n(.*?)```", re.DOTALL
 )
 NOT_RUN = ("make ", "quadsim evaluate --logs flight.ulg")
 """Commands of the README that CI runs itself, or that need a recording."""
