@@ -1,7 +1,7 @@
-"""The command line. Each verb is thin: it parses, calls one function of the library, and says what came out.
+"""The command line. Each command parses its options, calls one library function, and prints the result.
 
-This is the only part of `quadsim` that imports the packages above it: inside each verb, so that `--help` is
-fast.
+This is the only part of `quadsim` that imports the packages above it, and it does so inside each command, so
+that `--help` is fast.
 """
 
 import logging
@@ -18,7 +18,7 @@ from . import catalogue, data, flights, identification, installation, networks, 
 
 app = typer.Typer(
     name="quadsim",
-    help="Fly a MuJoCo quadrotor on spiking, learned and classical attitude estimators: see which to trust.",
+    help="Fly a simulated quadrotor on any attitude estimator, and see which one to trust.",
     epilog="Start here: quadsim demo --out reports/demo",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -59,7 +59,7 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line: a user's mistake is one line and exit code 2."""
+    """Run the command line. A user's mistake prints a message of one line and exits with code 2."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # "°" in a locale without it

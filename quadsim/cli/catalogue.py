@@ -1,4 +1,4 @@
-"""The verb `list`: what ships, and the user's own scenarios."""
+"""The command `list`: shipped names, and the user's own TOML files."""
 
 import re
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from ..runs.fingerprint import ASSETS
 
 
 class Kind(StrEnum):
-    """What can be listed."""
+    """Kinds of names that can be listed."""
 
     SCENARIOS = "scenarios"
     ESTIMATORS = "estimators"
@@ -38,13 +38,13 @@ HOW = {
     Kind.EXTERNALS: "quadsim bench --set external=NAME, or a TOML file",
     Kind.RECIPES: "quadsim generate --recipe NAME, or a TOML file",
     Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
-    Kind.TUNING: "--tuning NAME, or a file of quadsim tune",
+    Kind.TUNING: "--tuning NAME, or a file written by quadsim tune",
     Kind.WEIGHTS: "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }
-"""Where a name is used."""
+"""Commands and options that accept a name."""
 
 
-CASCADED = "Attitude and body rate in cascade, gains from phase margins."
+CASCADED = "Attitude and body rate in cascade; gains designed for phase margins."
 
 
 class Item(NamedTuple):
@@ -53,7 +53,7 @@ class Item(NamedTuple):
     name: str
     description: str
     path: str = ""
-    """Of a file of the user's."""
+    """Path of the user's own file; empty for a shipped name."""
 
 
 def list_names(
@@ -61,9 +61,9 @@ def list_names(
         Kind, typer.Argument(metavar="KIND", help=f"What to list: {', '.join(Kind)}.", show_choices=False)
     ],
 ) -> None:
-    """List what ships by name, with a sentence on each: scenarios, estimators, vehicles and so on.
+    """List the names of scenarios, estimators, vehicles and so on, each with a description.
 
-    TOML files of your own, in a folder named as the kind, for example scenarios/, are listed too.
+    Your own TOML files are listed too, if they are in a folder with the name of the kind, such as scenarios/.
 
     Example: quadsim list scenarios
     """
@@ -75,7 +75,7 @@ def list_names(
 
 
 def items(kind: Kind) -> list[Item]:
-    """Everything of a kind, what ships first."""
+    """All names of a kind, shipped ones first."""
     match kind:
         case Kind.ESTIMATORS:
             from estimators.registry import SHIPPED
@@ -101,7 +101,7 @@ def _weights(names: Iterable[str]) -> list[Item]:
 
 
 def summary(file: Path) -> str:
-    """What a TOML file says of itself: its description or source, else the comment on top."""
+    """Description of a TOML file: its key `description` or `source`, or else its first comment."""
     try:
         text = file.read_text(encoding="utf-8")
         data = read_toml(text, file.name)
@@ -115,15 +115,15 @@ def summary(file: Path) -> str:
 
 
 def card_summary(text: str) -> str:
-    """First sentence of a card of weights, which follows its title."""
+    """First sentence of a model card, after the title."""
     return first_sentence(" ".join(text.split("\n\n")[1].split()))
 
 
 def first_sentence(text: str) -> str:
-    """A text up to its first full stop that ends a sentence."""
+    """The first sentence of a text."""
     return re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0]
 
 
 def _ships(path: Path, root: Path) -> bool:
-    """Whether a file is one of the presets themselves, seen from the repository's root."""
+    """Whether a file is a shipped one, found again from the repository's root."""
     return path.resolve().parent == root.resolve()

@@ -1,4 +1,4 @@
-"""Verbs that make data and take it elsewhere: `generate`, `export`."""
+"""Commands that generate and export data: `generate`, `export`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ from .options import Imu, LearningSeed, Mount, Pool, RecipeFields, Sampling, Tru
 
 
 def generate(
-    out: Annotated[Path, typer.Option(help="Where the dataset goes, for example data/train.zarr.")],
+    out: Annotated[Path, typer.Option(help="Folder of the new dataset, for example data/train.zarr.")],
     flights: Annotated[int, typer.Option(min=1, help="Number of flights.")] = 35,
     duration: Annotated[float, typer.Option(min=0.1, help="Length of each flight in seconds.")] = 100.0,
     recipe: Annotated[
@@ -22,12 +22,14 @@ def generate(
     set_: RecipeFields = None,
     seed: LearningSeed = 0,
     workers: Pool = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is at --out.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an existing dataset at --out.")
+    ] = False,
 ) -> None:
-    """Generate labelled synthetic flights: IMU samples and everything that was true.
+    """Generate labelled synthetic flights: IMU readings with true motion, biases and wind.
 
-    The defaults are the paper's size, 35 flights of 100 s at 200 Hz, and take some ten seconds. A killed run
-    resumes when the same command is given again; the number of workers changes nothing.
+    The default size is the paper's: 35 flights of 100 s at 200 Hz. It takes about ten seconds. To resume a
+    run that was stopped, repeat the command. The number of workers does not change the data.
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """
@@ -65,28 +67,29 @@ def generate(
 def export(
     source: Annotated[
         list[str],
-        typer.Argument(help="A dataset; weights: a file, or a name of quadsim list weights; or logs."),
+        typer.Argument(help="A dataset, weights (a file or a name from quadsim list weights), or logs."),
     ],
-    out: Annotated[Path, typer.Option(help="What to write; it must not exist yet.")],
+    out: Annotated[Path, typer.Option(help="File or folder to write; it must not exist.")],
     format: Annotated[
         str,
         typer.Option(
-            help="Of a dataset: netcdf, parquet, csv (EuRoC folders) or rosbag2. Of weights: nir (runs in "
-            "Norse and snnTorch), c99 (header and source) or onnx (att-rnn). Of logs: zarr, a dataset."
+            help="For a dataset: netcdf, parquet (one flat table), csv (EuRoC folders) or rosbag2. For "
+            "weights: nir (for Norse and snnTorch), c99 (header and source) or onnx (att-rnn only). "
+            "For logs: zarr (a dataset)."
         ),
     ],
     piece: Annotated[
-        float, typer.Option(min=1, help="Of logs: length of the pieces, without gaps, in seconds.")
+        float, typer.Option(min=1, help="For logs: length of the pieces without gaps, in seconds.")
     ] = 20.0,
-    rate: Annotated[float, typer.Option(min=50, max=2000, help="Of logs: samples per second.")] = 200.0,
+    rate: Annotated[float, typer.Option(min=50, max=2000, help="For logs: samples per second.")] = 200.0,
     mount: Mount = None,
     truth: Truth = None,
     imu: Imu = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Of logs: go on although a unit or frame cannot be right.")
+        bool, typer.Option("--force", help="For logs: continue even if units or axes look wrong.")
     ] = False,
 ) -> None:
-    """Write a dataset or a trained network in a format of other tools, or logs as a dataset.
+    """Convert a dataset or a network to another tool's format, or logs to a dataset.
 
     Example: quadsim export att-snn --format c99 --out firmware/att_snn
 

@@ -1,4 +1,4 @@
-"""Verbs that close the loop: `fly`, `bench`, `demo`."""
+"""Commands that fly in closed loop: `fly`, `bench`, `demo`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,16 +24,20 @@ def fly(
     estimator: Annotated[
         str,
         typer.Option(
-            help="Estimator whose attitude is used: a name, weights (.safetensors) or your own file.py:Class."
+            help="Estimator that gives the attitude: a name, weights (.safetensors) or your own "
+            "file.py:Class."
         ),
     ] = "att-snn-loihi",
     controller: Annotated[str, typer.Option(help=f"Attitude controller: {OWN_CONTROLLER}.")] = "cascaded",
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder; reports/fly-SCENARIO-ESTIMATOR when left out, and the other choices."),
+        typer.Option(
+            help="Folder for the results; default: reports/fly-SCENARIO-ESTIMATOR, with other choices "
+            "appended."
+        ),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenario's.")
+        float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenario's.")
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=10_000, help="Number of flights.")] = 1,
     set_: ConditionFields = None,
@@ -41,13 +45,13 @@ def fly(
     flight: Annotated[
         int,
         typer.Option(
-            min=0, max=9999, help="Number of the first flight, as in the flights.parquet of quadsim bench."
+            min=0, max=9999, help="Number of the first flight, as in flights.parquet of quadsim bench."
         ),
     ] = 0,
-    video: Annotated[bool, typer.Option("--video", help="Make an MP4 of the first flight.")] = False,
+    video: Annotated[bool, typer.Option("--video", help="Write an MP4 of the first flight.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the first flight in MuJoCo's viewer.")] = False,
 ) -> None:
-    """Fly one scenario with attitude from one estimator: report, every sample as CSV, video.
+    """Fly one scenario with attitude from one estimator; write a report and all samples as CSV.
 
     Example: quadsim fly wind-gust --estimator att-snn-loihi --video
     """
@@ -89,52 +93,59 @@ def fly(
 
 
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder of report and tables.")] = Path("reports/bench"),
+    out: Annotated[Path, typer.Option(help="Folder for report and tables.")] = Path("reports/bench"),
     experiment: Annotated[
         str,
         typer.Option(
-            help="What is flown: suite, every scenario; axes, with initial attitude, motion, drag, airframe "
-            "and IMU varied; held-out, scenarios drawn with held-out seeds; breaking-points, the least "
-            "disturbance with a crash; or a TOML file."
+            help="suite: all scenarios. axes: initial attitude, motion, drag, airframe and IMU are varied."
+            " held-out: scenarios drawn with held-out seeds. breaking-points: the smallest "
+            "disturbance that causes a crash. Or your own TOML file."
         ),
     ] = "suite",
     scenario: Annotated[
         list[str] | None,
-        typer.Option(help="Scenario, in place of the experiment's; give it again for more."),
+        typer.Option(
+            help="Scenario to fly; repeat the option to add more. Default: those of the experiment."
+        ),
     ] = None,
     estimator: Annotated[
         list[str] | None,
         typer.Option(
-            help="Estimator: a name, weights (.safetensors) or your own file.py:Class; again for more. All "
-            "but the slow ukf-filterpy if left out."
+            help="Estimator: a name, weights (.safetensors) or your own file.py:Class; repeat the option "
+            "to add more. Default: all but ukf-filterpy, which is slow."
         ),
     ] = None,
     controller: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Attitude controller: {OWN_CONTROLLER}; again for more, each with every estimator."
+            help=f"Attitude controller: {OWN_CONTROLLER}. Repeat the option to add more; each flies with "
+            "every estimator."
         ),
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(min=1, max=10_000, help="Flights in each cell, in place of the experiment's."),
+        typer.Option(
+            min=1, max=10_000, help="Flights of each estimator in each scenario; default: the experiment's."
+        ),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Length in seconds, in place of the scenarios'.")
+        float | None, typer.Option(min=0.1, help="Length in seconds; default: the scenarios'.")
     ] = None,
     set_: ConditionFields = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of all random numbers; default: the experiment's.")
+    ] = None,
     workers: Pool = None,
 ) -> None:
     """Fly scenarios × estimators × seeds in closed loop, and report which estimator is best.
 
-    Finished cells are stored: the same command resumes a killed run. The exit code is 2 only where no cell
-    ran at all; results.csv has the reason of each that did not. flights.parquet has a row for each flight,
-    with its levels of every condition.
+    A cell is one scenario with one estimator. Finished cells are stored, so the same command resumes a run
+    that was stopped. If a cell cannot run, results.csv has the reason; the exit code is 2 only if no cell
+    ran. flights.parquet has a row for each flight, with its level of each condition.
 
-    On several machines (pip install 'quadsim[cluster]' on each): start `dask scheduler` on one, then `dask
-    worker tcp://HOST:8786 --nworkers auto --nthreads 1` on each, and give `--workers tcp://HOST:8786` here.
-    Weights and files are read by the workers: the same paths must hold there.
+    To use several machines, install quadsim[cluster] on each. Start `dask scheduler` on one of them, then
+    `dask worker tcp://HOST:8786 --nworkers auto --nthreads 1` on each, and pass `--workers tcp://HOST:8786`.
+    The workers read weights and files, so the same paths must exist on every machine.
 
     Example: quadsim bench --scenario hover --scenario wind-gust --estimator att-snn-loihi --estimator mahony
 
@@ -154,13 +165,13 @@ def bench(
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for everything.")] = Path("reports/demo"),
-    flights: Annotated[int, typer.Option(min=1, help="Flights to generate.")] = 6,
+    out: Annotated[Path, typer.Option(help="Folder for all results.")] = Path("reports/demo"),
+    flights: Annotated[int, typer.Option(min=1, help="Number of flights to generate.")] = 6,
     seeds: Annotated[int, typer.Option(min=1, help="Flights of each estimator in each scenario.")] = 5,
     seed: Seed = 0,
     workers: Workers = None,
 ) -> None:
-    """Run it all in small: generate flights, score estimators on them, close the loop, write the report."""
+    """Run a small demonstration: generate flights, score estimators on them, fly scenarios, report."""
     from scenarios.verbs import demo as run_demo
 
     run_demo(out, flights=flights, seeds=seeds, seed=seed, workers=workers)

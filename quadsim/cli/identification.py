@@ -1,4 +1,4 @@
-"""`quadsim identify`: a vehicle's constants, and what its sensors add, from flights or at rest."""
+"""The command `identify`: constants of a vehicle from flights, or noise and bias of an IMU at rest."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,38 +12,45 @@ from .options import Imu, Mount
 def identify(
     files: Annotated[
         list[Path],
-        typer.Argument(help="Datasets of flights, or logs with rotor speeds; with --still logs at rest."),
+        typer.Argument(help="Datasets or logs of flights with rotor speeds; with --still: logs at rest."),
     ],
     vehicle: Annotated[
-        str, typer.Option(help="Where to begin: a shipped vehicle or a TOML file with your mass and hubs.")
+        str,
+        typer.Option(
+            help="Initial vehicle: a shipped name, or a TOML file with your mass and rotor positions."
+        ),
     ] = "hummingbird",
     out: Annotated[
-        Path, typer.Option(help="File of the vehicle, with --still of the IMU; pictures get its name.")
+        Path,
+        typer.Option(
+            help="TOML file to write: the vehicle, or with --still the IMU. Pictures get the same name."
+        ),
     ] = Path("mine.toml"),
     rate: Annotated[
-        float, typer.Option(min=110, max=2000, help="Samples per second that logs are read at.")
+        float, typer.Option(min=110, max=2000, help="Samples per second to which logs are resampled.")
     ] = 500.0,
     mount: Mount = None,
     still: Annotated[
-        bool, typer.Option("--still", help="The sensor lies still: measure its noise and biases instead.")
+        bool, typer.Option("--still", help="The sensor is at rest: measure its noise and biases instead.")
     ] = False,
-    gravity: Annotated[
-        float, typer.Option(help="With --still: gravity where it was recorded, in m/s².")
-    ] = 9.81,
+    gravity: Annotated[float, typer.Option(help="With --still: local gravity, in m/s².")] = 9.81,
     imu: Imu = None,
     bias_only: Annotated[
-        bool, typer.Option("--bias-only", help="With --still: the biases alone, for which 3 s are enough.")
+        bool,
+        typer.Option("--bias-only", help="With --still: measure only the biases, for which 3 s are enough."),
     ] = False,
 ) -> None:
-    """Fit thrust, drag, lag and inertia of a vehicle file to flights, and show vibration and noise.
+    """Fit thrust, drag, motor lag and inertia of a vehicle to flights, and show vibration and noise.
 
-    Weigh the vehicle and measure where the rotors sit first: flights tell force per mass alone. Fly
-    aggressively, turn the heading, and fly fast for the drag. Rotor speeds are needed; attitude and position
-    for the drag. A constant whose 95 % interval is wider than 5 % keeps its value, and is named.
+    First weigh the vehicle and measure the rotor positions, because flights determine only force per mass.
+    Fly aggressively, turn the heading, and fly fast for the drag. Rotor speeds are required, and for the drag
+    also attitude and position. A constant whose 95 % interval is wider than 5 % keeps its value; the output
+    names it.
 
-    With --still, an IMU file for `generate --set imu=FILE` is written, by the Allan variance. A bias needs
-    3 s at rest, a noise density 10 s, a bias random walk 60 s and to be sure an hour, its time constant a log
-    several times as long as itself. What the logs are too short for is left out and named.
+    With --still, the command writes an IMU file for `generate --set imu=FILE`, from the Allan variance. A
+    bias needs 3 s at rest, a noise density 10 s, and a bias random walk at least 60 s, better an hour. The
+    time constant of the random walk needs a log several times as long. The file leaves out what the logs are
+    too short for, and the output names it.
 
     Example: quadsim identify data/flights.zarr --vehicle hummingbird --out mine.toml
 

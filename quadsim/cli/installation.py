@@ -1,4 +1,4 @@
-"""The verb `compile`: once, so that no later command has to."""
+"""The command `compile`, which compiles all code in advance."""
 
 import tempfile
 from importlib.util import find_spec
@@ -12,10 +12,9 @@ TRAINING = {"epochs": 1, "batches": 1, "batch_size": 4, "window_s": 0.5}
 
 
 def compile_code(workers: Workers = None) -> None:
-    """Compile simulator, estimators and, with PyTorch, the trainer, so that no later command waits for it.
+    """Compile simulator, estimators and (with PyTorch) the trainer, so that later commands start at once.
 
-    Uses each of them for a moment. Without this, each command compiles what it needs when it is first used. A
-    change of the code needs it again.
+    Without this, each part is compiled when it is first used. Repeat the command after a change of the code.
 
     Example: quadsim compile
     """

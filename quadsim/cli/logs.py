@@ -1,4 +1,4 @@
-"""What verbs do with real logs: look at them, make datasets of them, calibrate an IMU from them."""
+"""Functions for real logs: show them, convert them to datasets, calibrate an IMU."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from ..runs.console import say
 
 
 def show_log(file: Path, mount: str | None, truth: str | None, imu: str | None) -> None:
-    """Print what a log holds, what is odd about it, and what was taken for the truth."""
+    """Print the contents of a log, its problems, and which signal is used as the truth."""
     from ..logs import read_log
     from ..logs.log_report import show_report
 
@@ -14,11 +14,11 @@ def show_log(file: Path, mount: str | None, truth: str | None, imu: str | None) 
 
 
 def show_mount(file: Path, mount: str | None, truth: str | None, imu: str | None, level: bool) -> None:
-    """Print how the IMU is mounted: the --mount that makes IMU axes the body's.
+    """Estimate the rotation from IMU to body axes, and print the --mount that gives it.
 
-    From the true attitude, where the log has one of the body: the rotation that brings the gyroscope's rates
-    nearest to the truth's. Else from hover, in which the mean force is along body z: roll and pitch; the
-    heading is that of the mount given, or zero.
+    If the log has the body's true attitude, this is the rotation that fits the gyroscope's rates to the true
+    ones. Otherwise roll and pitch follow from hover, in which the mean force is along body z; the heading is
+    that of `mount`, or zero.
     """
     from ..logs import read_recording
     from ..logs.mount_estimate import estimate_mount, show_estimate
@@ -36,7 +36,7 @@ def convert_logs(
     imu: str | None,
     force: bool,
 ) -> None:
-    """Make a dataset of logs: pieces of one length, without gaps and with a known attitude."""
+    """Convert logs to a dataset: pieces of equal length without gaps and with a known attitude."""
     from ..logs import read_parts, read_recording, refused
     from ..logs.convert import convert, show_converted
 
@@ -50,7 +50,7 @@ def convert_logs(
 def calibrate_imu(
     files: list[Path], out: Path, gravity: float, mount: str | None, imu: str | None, bias_only: bool
 ) -> None:
-    """Measure an IMU's noise from still logs (Allan variance), as a file for `generate --set imu=FILE`."""
+    """Measure an IMU's noise from logs at rest (Allan variance); write an IMU file for `quadsim generate`."""
     from ..logs import read_recording
     from ..logs.allan import calibrate, show_calibration
 

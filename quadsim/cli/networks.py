@@ -1,4 +1,4 @@
-"""Verbs that make weights and parameters: `train`, `tune`."""
+"""Commands that make weights and parameters: `train`, `tune`."""
 
 import math
 from pathlib import Path
@@ -24,46 +24,48 @@ if TYPE_CHECKING:
     from training.config import TrainConfig
 
 TRAINED = ("model", "preset", "data", "validation", "folds", "fold", "seed", "out", "progress")
-"""Fields of a training that have options of their own, or follow from others."""
+"""Settings of a training that have an option of their own, or follow from others."""
 
 
 def train(
-    out: Annotated[Path, typer.Option(help="Folder of the run, for example runs/snn.")],
+    out: Annotated[Path, typer.Option(help="Folder for the run, for example runs/snn.")],
     data: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Dataset to train on; again to mix several, or with --folds for another domain. "
-            "A controller has none."
+            help="Dataset to train on; repeat the option to mix several, or with --folds to add a domain. "
+            "Controllers take none."
         ),
     ] = None,
-    model: Annotated[str, typer.Option(help="att-snn or att-rnn.")] = "att-snn",
+    model: Annotated[str, typer.Option(help="Type of network: att-snn or att-rnn.")] = "att-snn",
     preset: Preset = "paper",
     validation: Annotated[
         list[Path] | None,
-        typer.Option(help="Dataset to choose the best epoch by; else part of --data."),
+        typer.Option(help="Dataset that selects the best epoch; default: a part of --data."),
     ] = None,
-    epochs: Annotated[int | None, typer.Option(min=1, help="Most epochs, instead of the preset's.")] = None,
+    epochs: Annotated[
+        int | None, typer.Option(min=1, help="Maximum number of epochs; default: the preset's.")
+    ] = None,
     folds: Annotated[
         int | None,
         typer.Option(
             min=2,
-            help="Cross-validate: deal the flights of each --data into so many parts, train without each "
-            "in turn, and test on it and on the other datasets.",
+            help="Cross-validation: split the flights of each --data into this many parts, train without "
+            "each part in turn, and test on that part and on the other datasets.",
         ),
     ] = None,
     workers: Pool = None,
     set_: Fields = None,
     seed: LearningSeed = 0,
 ) -> None:
-    """Train Att-SNN as the chip will run it, or its non-spiking twin Att-RNN.
+    """Train Att-SNN in the chip's arithmetic, or the GRU network Att-RNN.
 
-    Writes the best weights, a row of losses per epoch and their plot; Ctrl-C keeps the best weights, and the
-    same command continues a run that stopped. The default preset is the paper's recipe; hummingbird is more
-    accurate for one airframe and IMU, best for any IMU; control-attitude and control-separate train attitude
-    controllers, by imitation in flights of their own.
+    The run folder gets the best weights, the losses of each epoch and their plot. Ctrl-C keeps the best
+    weights, and the same command continues the run. The default preset is the paper's recipe. The preset
+    hummingbird is more accurate for one airframe and IMU, best for any IMU. control-attitude and
+    control-separate train attitude controllers by imitation, and generate their own flights.
 
-    With --folds it writes the paper's Table 1 (table1.csv), every fold (kfold.csv), and a run folder for
-    each; folds run side by side, on --workers.
+    With --folds, the command writes the paper's Table 1 (table1.csv), all folds (kfold.csv) and a run folder
+    for each fold. --workers sets the number of folds that run in parallel.
 
     Example: quadsim train --preset best --data data/train.zarr --validation data/val.zarr --out runs/snn
 
@@ -136,32 +138,40 @@ def tune(
     estimator: Annotated[
         str,
         typer.Option(
-            help="A filter with parameters, for example mahony; your own, file.py:Class, which declares "
-            "them; or all."
+            help="A filter with parameters, for example mahony; your own file.py:Class with declared "
+            "parameters; or all."
         ),
     ],
-    data: Annotated[list[Path], typer.Option(help="Dataset to tune on; give it again to mix several.")],
-    out: Annotated[Path, typer.Option(help="TOML file to write the parameters into; others in it stay.")],
-    particles: Annotated[int, typer.Option(min=2, help="Parameter sets tried at once.")] = 100,
-    iterations: Annotated[int, typer.Option(min=1, help="How often.")] = 50,
+    data: Annotated[list[Path], typer.Option(help="Dataset to tune on; repeat the option to mix several.")],
+    out: Annotated[
+        Path, typer.Option(help="TOML file for the parameters; other filters in the file are kept.")
+    ],
+    particles: Annotated[int, typer.Option(min=2, help="Number of parameter sets in the swarm.")] = 100,
+    iterations: Annotated[int, typer.Option(min=1, help="Number of iterations.")] = 50,
     flights: Annotated[
-        int | None, typer.Option(min=1, help="Flights of each dataset to use; all when left out.")
+        int | None, typer.Option(min=1, help="Number of flights to use from each dataset; default: all.")
     ] = None,
     pieces: Annotated[
-        int, typer.Option(min=1, help="Parts to cut each flight into: all but the first begin in motion.")
+        int,
+        typer.Option(
+            min=1, help="Number of parts that each flight is cut into; all but the first begin in motion."
+        ),
     ] = 1,
     initial: Annotated[
-        Initial, typer.Option(help="Whether the filter is given the attitude it starts at.")
+        Initial, typer.Option(help="Whether the filter is given its initial attitude.")
     ] = "unknown",
     search: Annotated[
-        Search, typer.Option(help="swarm (the paper's), or evolution (scipy's) to check it.")
+        Search,
+        typer.Option(
+            help="Search method: swarm (the paper's) or evolution (scipy's differential evolution)."
+        ),
     ] = "swarm",
     seed: LearningSeed = 0,
 ) -> None:
     """Tune a filter on recorded flights with the paper's particle swarm.
 
-    The command is written beside the parameters. With all, filterpy's two filters take the parameters of ekf,
-    whose model they have.
+    The file also records the command. With all, filterpy's two filters get the parameters of ekf, because
+    they have the same model.
 
     Example: quadsim tune --estimator mahony --data data/train.zarr --out mine.toml
     """

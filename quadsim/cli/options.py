@@ -1,4 +1,4 @@
-"""Options that several verbs share, and how their values are read and printed."""
+"""Options that several commands share, and functions that read and print their values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..config.toml import Strict, merged, parse
 
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
 
 
 def _unreserved(seed: int) -> int:
@@ -26,76 +26,80 @@ def _unreserved(seed: int) -> int:
 
 
 LearningSeed = Annotated[
-    int, typer.Option(min=0, callback=_unreserved, help="Seed of everything random; not one held out.")
+    int,
+    typer.Option(min=0, callback=_unreserved, help="Seed of all random numbers; held-out seeds are refused."),
 ]
-Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per CPU when left out.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Number of worker processes; default: one per CPU.")]
 Pool = Annotated[
     str | None,
     typer.Option(
         "--workers",
         metavar="N|ADDRESS",
-        help="Worker processes, one per CPU when left out; or a Dask scheduler, tcp://HOST:8786.",
+        help="Number of worker processes (default: one per CPU), or a Dask scheduler, tcp://HOST:8786.",
     ),
 ]
 Preset = Annotated[
     str,
     typer.Option(
-        help="paper: its recipe; best: that of the shipped networks, for any IMU; hummingbird: one airframe; "
-        "tune: logs; control-attitude, control-separate: controllers; or a TOML file."
+        help="paper: the paper's recipe. best: the shipped networks' recipe, for any IMU. hummingbird:"
+        " for one airframe. tune: for your logs. control-attitude, control-separate: for "
+        "controllers. Or a TOML file."
     ),
 ]
 Fields = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Any other field of the training, as name=value or table.name=value, such as init=att-snn to "
-        "continue from weights; an unknown one lists them.",
+        help="Any other setting of the training, as name=value or table.name=value; init=att-snn, for "
+        "example, continues from these weights. An unknown name prints the list.",
     ),
 ]
 RecipeFields = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Other than the recipe's, as name=value: vehicle or imu (a shipped name or a TOML file), engine "
-        "(auto, mujoco, compiled), any key of a recipe, or rate (samples per second, 200). Again for more.",
+        help="Change of the recipe, as name=value: vehicle or imu (a shipped name or a TOML file), "
+        "engine (auto, mujoco, compiled), any key of a recipe, or rate (samples per second; "
+        "default: 200). Repeat for more.",
     ),
 ]
 ConditionFields = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Condition of the flights, as name=value: vehicle, imu or external (a shipped name or a TOML "
-        "file, in place of the scenarios'), tuning (of filters: a shipped domain or a file of quadsim tune), "
-        "engine (auto, mujoco, compiled), rate (samples per second). Again for more.",
+        help="Condition of the flights, as name=value: vehicle, imu or external (a shipped name or a "
+        "TOML file, in place of the scenarios'), tuning (filter parameters: a shipped name or a "
+        "file from quadsim tune), engine (auto, mujoco, compiled), rate (samples per second). "
+        "Repeat for more.",
     ),
 ]
 Mount = Annotated[
     str | None,
     typer.Option(
         "--mount",
-        help='Rotation from IMU to body axes: body axes as the IMU\'s ("z,-y,x"), roll, pitch and yaw of the '
-        'IMU in degrees ("rpy 0 20 90"), a quaternion w x y z or a matrix by rows. A true attitude of the '
-        "body is not rotated, one of the IMU itself is.",
+        help='Rotation from IMU to body axes: body x, y and z as axes of the IMU ("z,-y,x"); roll, '
+        'pitch and yaw of the IMU in degrees ("rpy 0 20 90"); a quaternion w x y z; or a matrix '
+        "by rows. The true attitude is rotated only if it is that of the IMU itself.",
     ),
 ]
 Truth = Annotated[
-    str | None, typer.Option(help="Topic or folder to take for the true attitude; else the best there is.")
+    str | None, typer.Option(help="Topic or folder of the true attitude; default: the best in the log.")
 ]
 Imu = Annotated[str | None, typer.Option(help="Topic of the IMU in a ROS bag.")]
 OWN_CONTROLLER = (
-    "cascaded, a spiking controller's weights, or your own file.py:make, called with sample rate and "
-    "vehicle; in place of the cascade's levels of attitude and body rate"
+    "cascaded, a spiking controller's weights, or your own file.py:make, a function of sample rate and "
+    "vehicle. Any but cascaded replaces the cascade's loops of attitude and body rate"
 )
 
 
 class Sampling(Strict):
-    """What `--set` says of sampling."""
+    """Sampling rate, as set by `--set`."""
 
     rate: Annotated[float, Between(50.0, 2000.0, "Hz")] = 200.0
 
 
 class Conditions(Sampling):
-    """What `--set` changes of flights in closed loop; None keeps the scenario's own."""
+    """Changes of flights in closed loop, as set by `--set`; None keeps the scenario's value."""
 
     vehicle: str | None = None
     imu: str | None = None
@@ -103,7 +107,7 @@ class Conditions(Sampling):
     engine: Engine | None = None
     """Integrator: mujoco; compiled, its scheme for free flight, equal to 1e-12 and faster; or auto."""
     tuning: str | None = None
-    """None takes the parameters shipped for the vehicle."""
+    """None selects the parameters shipped for the vehicle."""
 
     def changes(self, duration_s: float | None) -> dict[str, object]:
         """Fields that replace those of every scenario."""
@@ -112,12 +116,12 @@ class Conditions(Sampling):
 
 
 def conditions_of(texts: Sequence[str] | None) -> Conditions:
-    """Conditions given by `--set`; an unknown name is an error that lists those there are."""
+    """Conditions given by `--set`; the error for an unknown name lists the valid ones."""
     return parse(fields_of(texts), Conditions, "--set")
 
 
 def time_left(seconds: float, done: int, total: int) -> str:
-    """How long the rest takes at the pace so far, at most: "12 min"."""
+    """Remaining time at the mean pace so far, for example "12 min"."""
     left = seconds / done * (total - done)
     if left < 100:
         return f"{left:.0f} s"
@@ -125,7 +129,7 @@ def time_left(seconds: float, done: int, total: int) -> str:
 
 
 def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
-    """The settings given by --set; what has an option of its own, or follows from others, is refused."""
+    """Settings given by --set; those named in `options` are refused, because another option sets them."""
     fields: dict[str, object] = {}
     for name, value in map(pair_of, texts or []):
         for table in reversed(name.split(".")[1:]):
@@ -138,7 +142,7 @@ def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
 
 
 def pair_of(text: str) -> tuple[str, object]:
-    """A setting given as name=value; the value is read as TOML, or as it stands."""
+    """Name and value of a setting "name=value"; the value is read as TOML, or else as text."""
     name, equals, value = text.partition("=")
     if not equals:
         raise ValueError(f"--set takes name=value or table.name=value, not {text!r}")

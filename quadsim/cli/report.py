@@ -1,4 +1,4 @@
-"""The verb `report`: look at what the other verbs made, and at logs."""
+"""The command `report`: show benchmarks, datasets, weights and logs."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,22 +17,25 @@ def report(
     path: Annotated[
         str,
         typer.Argument(
-            help="A folder of quadsim bench, a dataset (.zarr), weights (.safetensors, or a name of quadsim "
-            "list weights) or a log."
+            help="A folder of quadsim bench, a dataset (.zarr), weights (.safetensors, or a name from "
+            "quadsim list weights), or a log."
         ),
     ],
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Of a benchmark, its page; PATH/report.html when left out. Of a dataset, a picture of it. "
-            "Of weights with --data, a folder; reports/inspect when left out."
+            help="For a benchmark: HTML file to write; default: PATH/report.html. For a dataset: picture "
+            "to write. For weights with --data: folder to write; default: reports/inspect."
         ),
     ] = None,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Of a dataset: compare every file with its digest.")
+        bool, typer.Option("--verify", help="For a dataset: compare every file with its digest.")
     ] = False,
     data: Annotated[
-        list[Path] | None, typer.Option(help="Of weights: dataset to watch the neurons on; again for more.")
+        list[Path] | None,
+        typer.Option(
+            help="For weights: dataset on which the neurons are recorded; repeat the option to add more."
+        ),
     ] = None,
     mount: Mount = None,
     truth: Truth = None,
@@ -40,20 +43,20 @@ def report(
     find_mount: Annotated[
         Literal["best", "level"] | None,
         typer.Option(
-            help="Of a log: estimate its --mount. best: from the true attitude, or from hover without one; "
-            "level: from the mean force, although there is a true attitude."
+            help="For a log: estimate --mount. best: from the true attitude, or from hover if there is "
+            "none. level: from the mean force in hover, even if there is a true attitude."
         ),
     ] = None,
 ) -> None:
-    """Look at a benchmark, a dataset, weights or a log; PATH decides what is shown.
+    """Show a benchmark, a dataset, weights or a log, depending on PATH.
 
-    A benchmark: its report is written again. A dataset: what it holds; with --out its distributions (the
-    paper's Fig. 3) and one flight are drawn. Weights of an Att-SNN: its place on the chip's cores; with
-    --data also a table of what the network does on these flights, and pictures: raster, tuning curves,
-    ablation. A log: what it holds, what is odd about it, and what was taken for the truth.
+    Benchmark: writes its report again. Dataset: prints its contents; with --out, draws its distributions (the
+    paper's Fig. 3) and one flight. Weights of an Att-SNN: prints how many of the chip's cores it needs; with
+    --data, also measures its neurons on these flights and draws raster, tuning curves and ablation. Log:
+    prints its contents, its problems, and which signal is used as the truth.
 
-    Opening a dataset compares names, dimensions, shapes and units, and the files with their digests only
-    when the size or the time stamp of one has changed; --verify does it in any case.
+    Opening a dataset checks names, dimensions, shapes and units. It compares files with their digests only if
+    the size or the time stamp of a file has changed; --verify always compares them.
 
     Example: quadsim report reports/bench
 

@@ -1,4 +1,4 @@
-"""Verbs that compare: `evaluate` on recorded flights and logs, `paper` for all of the paper's results."""
+"""Commands that compare: `evaluate` on recorded flights and logs, `paper` for the paper's results."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,54 +13,58 @@ from .options import Mount, Seed, Workers
 
 def evaluate(
     data: Annotated[
-        Path | None, typer.Option(help="Dataset of flights that were not tuned or trained on.")
+        Path | None,
+        typer.Option(help="Dataset to score on; use flights that nothing was trained or tuned on."),
     ] = None,
     logs: Annotated[
-        list[Path] | None, typer.Option(help="Real log in place of --data; give it again for more.")
+        list[Path] | None, typer.Option(help="Real log, instead of --data; repeat the option to add more.")
     ] = None,
     estimator: Annotated[
         list[str] | None,
         typer.Option(
-            help="Estimator: a name, weights or your module:Class; again for more. All if left out."
+            help="Estimator: a name, weights or your own file.py:Class; repeat the option to add more. "
+            "Default: all."
         ),
     ] = None,
     within: Annotated[
-        float, typer.Option(min=1, max=180, help="With --logs: largest true inclination scored, in °.")
+        float,
+        typer.Option(
+            min=1, max=180, help="With --logs: largest true inclination that is scored, in degrees."
+        ),
     ] = 45.0,
     mount: Mount = None,
     tuning: Annotated[
         str | None,
         typer.Option(
-            help="Tuned parameters: a shipped domain or a TOML file; those shipped for the dataset's vehicle "
-            "when left out."
+            help="Filter parameters: a shipped name or a TOML file; default: those for the dataset's vehicle."
         ),
     ] = None,
     vehicle: Annotated[
         str | None,
         typer.Option(
-            help="Airframe that ekf-drag takes its drag from: a shipped name or a TOML file. "
-            "A dataset's own when left out; a log has none."
+            help="Vehicle whose drag ekf-drag uses: a shipped name or a TOML file. Default: the dataset's;"
+            " a log has none."
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the table, its figures and the report.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for table, figures and report.")] = Path(
         "reports/evaluate"
     ),
     force: Annotated[
         bool,
-        typer.Option("--force", help="With --logs: score them although a unit or frame cannot be right."),
+        typer.Option("--force", help="With --logs: score them even if units or axes look wrong."),
     ] = False,
     seed: Seed = 0,
 ) -> None:
-    """Compare estimators on recorded flights: errors, convergence, run time, with confidence intervals.
+    """Compare estimators on recorded flights: errors with confidence intervals, convergence, run time.
 
-    Each is also compared with the best one flight by flight; those that are not significantly different from
-    it are tied. Beside a network's error stands that of the same network silenced: with output weights of
-    zero. Writes evaluation.csv, the violins and the convergence as PNG, and report.html; of real logs
-    logs.csv with a row "level" that shows how hard the log is, and report.html: traces of readings,
-    attitudes and errors on one time axis.
+    Each estimator is compared with the best one flight by flight. Estimators that are not significantly
+    different from it are tied. A network is shown beside the same network silenced (output weights of zero).
 
-    Rotor speeds that a dataset or a log holds are given to the estimators that use them: of those that ship,
-    imm.
+    For a dataset, the folder gets evaluation.csv, figures of errors and convergence, and report.html. For
+    logs, it gets logs.csv, whose row "level" shows how far the log is from level, and report.html with
+    readings, attitudes and errors on one time axis.
+
+    If a dataset or a log has rotor speeds, imm and your own estimators can use them.
 
     Example: quadsim evaluate --data data/test.zarr --estimator mahony --estimator att-snn-loihi
     """
@@ -88,26 +92,28 @@ def evaluate(
 
 
 def paper(
-    out: Annotated[Path, typer.Option(help="Folder for the pages and for all that they come from.")],
+    out: Annotated[Path, typer.Option(help="Folder for the page, its figures and all intermediate results.")],
     only: Annotated[
         str | None,
         typer.Option(
-            help="Some of it, such as table1,fig5: table1 table2 fig3 to fig9 operations loop rate minutes."
+            help="Parts to make, separated by commas, such as table1,fig5. Parts: table1, table2, fig3 to "
+            "fig9, operations, loop, rate, minutes. Default: all."
         ),
     ] = None,
     preset: Annotated[
-        str, typer.Option(help="quick: short flights and trainings, for a look; full: the paper's sizes.")
+        str,
+        typer.Option(help="quick: short flights and trainings, for a first look. full: the paper's sizes."),
     ] = "quick",
     seed: Seed = 0,
     workers: Workers = None,
 ) -> None:
-    """Make every table and figure of the paper from nothing, and judge which of its claims hold here.
+    """Reproduce every table and figure of the paper, and judge which of its claims hold in simulation.
 
-    Stroobants, Dupeyroux and de Croon (2022), without a Loihi, a quadrotor or a motion-capture hall: flights
-    are generated, filters tuned, networks trained and simulated. Writes paper.md with its figures.
+    The paper is Stroobants, Dupeyroux and de Croon (2022). All data is simulated: the command generates
+    flights, tunes filters, and trains and flies networks. It writes paper.md with its figures.
 
-    quick takes some minutes on two cores and gives no verdicts; full takes a night. Every part is stored in
-    the folder: the same command resumes a killed run, and makes nothing twice.
+    quick takes some minutes on two cores and judges no claims. full takes a night. Finished parts are stored
+    in the folder, so the same command resumes a run that was stopped.
 
     Example: quadsim paper --out reports/paper --only table2,fig6
     """
