@@ -3,8 +3,6 @@
 A run that is cut short resumes, as `quadsim bench` does.
 """
 
-import csv
-import sys
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -33,9 +31,6 @@ from scenarios.bench.controllers import controller_of, make_controller
 from scenarios.bench.flight_metrics import CellRow
 from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
-
-sys.path.insert(0, str(ROOT / "examples"))
-import ppo_controller
 
 Array = NDArray[np.float64]
 OUT = ROOT / "reports" / "control"
@@ -75,7 +70,6 @@ STEP_DEG, STEP_S, STEP_FLIGHTS = 20.0, 1.2, 8
 PROFILES = (32, 16)
 BOTH = (ESTIMATOR, ATTITUDE)
 """Estimator and controller that share a core."""
-TUNED_ON = ("heavy", "known")
 COLOURS = ("#000000", "#009e73", "#7a7a7a", "#56b4e9", "#0072b2")
 
 
@@ -142,15 +136,6 @@ def elsewhere_rows() -> Iterator[str]:
             scenario = changed(load_scenario(name), {"vehicle": vehicle})
             cells = [fly_cell(name, scenario, NAMES[title], FlightSettings(SEEDS)) for title in titles]
             yield row(f"{vehicle}, {name}", *(shown(cell.row) for cell in cells))
-
-
-def tuned_rows() -> Iterator[str]:
-    """What PPO does to the output layer, by `examples/ppo_controller.py`."""
-    ppo_controller.main(["--out", str(OUT / "ppo")])
-    with (OUT / "ppo" / "ppo.csv").open() as file:
-        for each in csv.DictReader(file):
-            found = (f"{float(each[f'{of}_deg']):.2f} ({float(each[f'{of}_change']):.0f})" for of in TUNED_ON)
-            yield row(each["updates"], *found)
 
 
 def makers() -> dict[str, tuple[MakeController | None, Any]]:
@@ -277,7 +262,6 @@ def values(page: Page, given: Namespace) -> Parts:
         "chip": list(chip_rows()),
         "profiles": list(profile_rows()),
         "silenced": list(silenced_rows()),
-        "tuned": list(tuned_rows()),
         "elsewhere": list(elsewhere_rows()),
         "columns": row("scenario", *NAMES),
         "ruler": row(*["---"] * (1 + len(NAMES))),

@@ -11,10 +11,7 @@ import pytest
 from estimators.evaluation.flights import load_flights
 
 DOCS = Path(__file__).parents[1] / "docs"
-SCRIPTS = (
-    *("deploy", "training_page", "control_page"),
-    *("cortex", "simulated", "pages", "foreign", "ppo_controller"),
-)
+SCRIPTS = ("deploy", "training_page", "control_page", "cortex", "simulated", "pages", "foreign")
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +69,6 @@ def test_the_page_of_training_compares_floats_with_the_chip(script, make_flights
 
 
 def test_the_page_of_controllers_refuses_a_crash_that_it_denies(script):
-    pytest.importorskip("stable_baselines3")
     page = script("control_page")
     rows = {("lever-arm", title): SimpleNamespace(crashes=0) for title in page.NAMES}
     assert page.without_crash(rows, "lever-arm", page.NEVER_DISPLACED) == "`lever-arm`"
