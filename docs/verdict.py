@@ -19,7 +19,7 @@ from scenarios.bench.cell import FlightSettings
 from scenarios.bench.controllers import default_estimators
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.recommendation import Recommendation, save_recommendation
-from scenarios.bench.results import Results, shown_once
+from scenarios.bench.results import Results
 from scenarios.bench.runner import bench
 from scenarios.bench.verdict import Verdict, verdict
 
@@ -100,7 +100,7 @@ def ranges(held_out: HeldOut) -> list[str]:
 def values(page: Page, given: Namespace) -> Parts:
     """Measure everything, and draw."""
     held_out = load_held_out(releases()[-1])
-    unseen, looked_at = verdict(fly("held-out")), shown_once(fly("axes"))[0]
+    unseen, looked_at = verdict(fly("held-out")), fly("axes")
     judged, sentence = verdict(looked_at), unseen.headline
     command, today = "quadsim bench --experiment held-out", date.today().isoformat()
     save_recommendation(

@@ -50,12 +50,27 @@ class Results:
         compared = found == set(self.estimators) and {*map(controller_of, found)} != {CASCADED}
         return set() if compared else found
 
-    @property
+    @cached_property
     def unranked(self) -> dict[str, str]:
-        """Contenders that are not ranked, and why, to follow their name in a sentence."""
-        flaws = {cell.estimator: cell.flaw for cell in self.cells if cell.flaw}
-        copies = {name: f"repeats {of}" for name, of in COPIES.items() if {name, of} <= {*self.estimators}}
-        return {name: "received the true attitude" for name in sorted(self.references)} | copies | flaws
+        """Contenders that are not ranked, and why, to follow their name in a sentence.
+
+        Among them are those whose flights equal another's to the last digit.
+        """
+        found = {name: "received the true attitude" for name in sorted(self.references)}
+        found |= {name: f"repeats {of}" for name, of in COPIES.items() if {name, of} <= {*self.estimators}}
+        found |= {cell.estimator: cell.flaw for cell in self.cells if cell.flaw}
+        flown: dict[str, list[tuple[str, list[FlightRow]]]] = {}
+        for cell in self.cells:
+            alike = [replace(flight, estimator="") for flight in cell.flights]
+            flown.setdefault(cell.estimator, []).append((cell.reason, alike))
+        first: list[str] = []
+        for name in (each for each in self.estimators if each not in found):
+            twin = next((each for each in first if flown[each] == flown[name]), None)
+            if twin:
+                found[name] = f"flew exactly as {twin}"
+            elif any(flights for _, flights in flown[name]):
+                first.append(name)
+        return found
 
     @property
     def planned(self) -> list[tuple[str, int]]:
@@ -158,35 +173,6 @@ class Results:
 
 RESULTS = TypeAdapter(Results)
 """Writes results as JSON, and reads them."""
-
-
-def shown_once(results: Results) -> tuple[Results, str]:
-    """Results without estimators whose flights equal another's to the last digit, and a line that names them.
-
-    A reference stands for no estimator; what did not run failed for the same reason.
-    """
-    flown: dict[str, list[tuple[list[FlightRow], str]]] = {}
-    for cell in results.cells:
-        alike = [replace(each, estimator="") for each in cell.flights]
-        flown.setdefault(cell.estimator, []).append((alike, cell.reason))
-    ran = [name for name, cells in flown.items() if any(flights for flights, _ in cells)]
-    first: list[str] = []
-    same: dict[str, str] = {}
-    for name in sorted(ran, key=results.unranked.__contains__):
-        if name in results.references:
-            continue
-        twin = next((each for each in first if flown[each] == flown[name]), None)
-        if twin is None:
-            first.append(name)
-        else:
-            same[name] = twin
-    once = replace(
-        results,
-        estimators=[name for name in results.estimators if name not in same],
-        cells=[cell for cell in results.cells if cell.estimator not in same],
-    )
-    said = "; ".join(f"{name} flew exactly as {other}" for name, other in same.items())
-    return once, f"{said}: shown once." if same else ""
 
 
 class Total(NamedTuple):

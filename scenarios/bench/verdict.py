@@ -13,7 +13,7 @@ from .controllers import CASCADED, controller_of, estimator_of
 from .flight_metrics import CellRow, wilson
 from .ranking import Flown, Place, by_contender, listed, paired_difference, ranked, winners
 from .recommendation import recommendation
-from .results import Results, Total, shown_once, totals_of
+from .results import Results, Total, totals_of
 
 FEW = 5
 """Flights of each estimator in a scenario below which the headline warns that they are few."""
@@ -64,12 +64,11 @@ def verdict(results: Results) -> Verdict:
     Paired differences on the same seeds decide which errors are not significantly larger than the best.
     """
     partial = results.partial
-    results, same = shown_once(results)
     measure, whole = measure_of(results.estimators), choice(results, list(results.scenarios))
     table = _table(results, whole.places, measure)
     if not whole.places:
         return Verdict(*_nobody(results), table)
-    lines = [same] if same else []
+    lines: list[str] = []
     if results.experiment.conditions:
         headline, found = _by_condition(results, measure, whole.lost, partial)
         lines += found

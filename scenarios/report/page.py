@@ -20,7 +20,7 @@ from ..bench.cell import FlightSettings
 from ..bench.controllers import TRUTH
 from ..bench.flight_log import SHARED
 from ..bench.flight_metrics import ERROR_BINS, ERROR_DECADES, METRICS, Metric
-from ..bench.results import Results, hours, shown_once, totals_of
+from ..bench.results import Results, hours, totals_of
 from ..bench.series import FlightSeries, compress_flights
 from ..bench.verdict import ERROR, Verdict, measure_of, verdict
 from .template import render
@@ -96,7 +96,7 @@ def write_report(
         raise ValueError("nothing to report: neither closed-loop results nor recorded flights were given")
     offline = offline or OfflineSection(())
     judged = verdict(closed_loop) if closed_loop else Verdict(offline.headline, [], [])
-    results, _ = shown_once(closed_loop or Results({}, [], FlightSettings(), []))
+    results = closed_loop or Results({}, [], FlightSettings(), [])
     measure, metrics = measure_of(results.estimators), _metrics(results)
     ranked = [standing.estimator for standing in judged.standings]
     place = {pair: k for k, pair in enumerate(product(results.scenarios, ranked))}

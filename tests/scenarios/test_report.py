@@ -202,19 +202,6 @@ def test_map_ranks_estimators_with_the_truth_last_and_has_their_mean_first(page,
     assert page.locator(".heat td.crashed.mean").count() == 1
 
 
-def test_estimators_that_flew_exactly_alike_are_shown_once(results, tmp_path):
-    def renamed(cell):
-        flights = [replace(each, estimator="ekf-two") for each in cell.flights]
-        return replace(cell, estimator="ekf-two", flights=flights)
-
-    twice = [*results.cells, *(renamed(cell) for cell in results.cells if cell.estimator == "ekf")]
-    names = [*results.estimators, "ekf-two"]
-    twin = Results(results.scenarios, names, results.settings, twice)
-    text = write_report(tmp_path / "r.html", twin, focus="ekf-two").read_text()
-    assert "ekf-two flew exactly as ekf: shown once." in text
-    assert text.count("ekf-two") == 1
-
-
 def test_a_cell_of_the_map_chooses_the_flight(page):
     page.locator('.heat td[data-scenario="storm"][data-estimator="ekf"]').click()
     assert page.locator("#series select.scenario").input_value() == "storm"

@@ -383,13 +383,13 @@ def test_a_crash_weighs_more_than_any_error():
     assert verdict(results).headline.startswith("On these 4 combinations fly imm, whether")
 
 
-def test_an_estimator_that_flies_exactly_as_another_is_shown_once():
+def test_an_estimator_that_flies_exactly_as_another_is_not_ranked_beside_it():
     results = benchmark({"a": {"s": [1.0, 2.0]}, "b": {"s": [1.0, 2.0]}, "c": {"s": [1.0, 2.5]}})
     found = verdict(results)
-    assert order(results) == ["a", "c"]
-    assert found.lines[0] == "b flew exactly as a: shown once."
+    assert [each.estimator for each in found.standings] == ["a", "c", "b"]
+    assert found.standings[-1].texts["note"] == "not ranked: it flew exactly as a"
     failed = benchmark({name: {"s": [1.0, 2.0], "t": why} for name, why in (("a", "x"), ("b", "y"))})
-    assert order(failed) == ["a", "b"]  # they failed for other reasons
+    assert failed.unranked == {}  # they failed for other reasons
 
 
 def test_a_part_of_the_held_out_suite_is_not_the_recommendation(monkeypatch):
