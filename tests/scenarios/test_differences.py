@@ -43,7 +43,10 @@ def test_a_breaking_point_is_the_least_level_with_a_crash():
         "absent": ["no idea"] * len(cases),
     }
     flown = {
-        name: {case: each if isinstance(each, str) else [each] for case, each in zip(cases, own, strict=True)}
+        name: {
+            case: each if isinstance(each, str) else [1.0, each]
+            for case, each in zip(cases, own, strict=True)
+        }
         for name, own in outcomes.items()
     }
     results = benchmark(flown, experiment=wind, levels=levels)
