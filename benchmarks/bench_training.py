@@ -9,18 +9,23 @@ weight were used in every step.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from estimators.networks.forward import THRESHOLD, TIME_CONSTANTS
-from estimators.spiking import Weights, forward, quantise_decay, quantise_weights
+from estimators.networks.forward import THRESHOLD, TIME_CONSTANTS, Weights
 from training.fused import Fused
+from training.models import quantise_decay, quantise_weights
 
 from .timing import Row, in_turns, show, spent
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
+from plain_network import forward
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"

@@ -8,8 +8,14 @@ from simulated import simulated
 
 from estimators.analysis.ablation import error_deg
 from estimators.analysis.energy import HOST_PICOJOULES, PAPER_MEASURED, host_operations
-from estimators.analysis.inspection import FRACTIONS, Inspection, inspect
-from estimators.analysis.inspection_figures import ablation_figure, raster_figure, tuning_figure
+from estimators.analysis.inspection import (
+    FRACTIONS,
+    Inspection,
+    ablation_figure,
+    inspect,
+    raster_figure,
+    tuning_figure,
+)
 from estimators.analysis.latency import PAPER_US, contenders, measure
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.loihi.chip import LIMITS

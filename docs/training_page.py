@@ -16,7 +16,8 @@ from estimators.analysis.activity import record
 from estimators.evaluation.comparison import silenced_twin
 from estimators.evaluation.flights import Flights, load_flights
 from estimators.metrics import attitude_error
-from estimators.networks.network import NetworkEstimator, Spiking, real_weights
+from estimators.networks.forward import real_weights
+from estimators.networks.network import NetworkEstimator, Spiking
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.symmetry import weight_sharing
 from estimators.networks.weights_file import Tensors, load_network, parameters, shipped_names

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError, model_validator
 
+from estimators.loihi.chip import EXPONENT_MIN
 from estimators.networks.symmetry import OPERATIONS, is_symmetric
 from estimators.networks.weights_file import (
-    EXPONENT_MIN,
     EXPONENTS,
     PAPER_SCALING,
     InputScaling,
@@ -50,7 +50,7 @@ class Optimisation(NamedTuple):
     clip: float
     """Largest norm of the gradient."""
     stop_early: bool
-    """Whether the paper's rules stop a run, see `training.loss.finished`."""
+    """Whether the paper's rules stop a run, see `training.optim.finished`."""
 
 
 OPTIMISATIONS = {

@@ -13,10 +13,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from estimators.networks.forward import MATRICES, STATE_ONE, THRESHOLD, Weights
-from estimators.spiking import SURROGATE_WIDTH
+from estimators.loihi.neurons import STATE_ONE
+from estimators.networks.encoder import INPUT_ONE
+from estimators.networks.forward import THRESHOLD, Weights, packed
 
-from .window_kernels import Floats, Trace, backward_window, forward_window
+from .window_kernels import Floats, Gradients, Trace, backward_window, forward_window
+
+SURROGATE_WIDTH = 20.0
+"""Of the gradient of a spike, 1 / (1 + 20 |v - θ|)² (SuperSpike, Zenke & Ganguli 2018)."""
 
 
 class Workspace:
@@ -24,16 +28,15 @@ class Workspace:
 
     def __init__(self, steps: int, n: int, weights: Weights[Tensor], threads: int) -> None:
         """Allocate the buffers, of the sizes and the floating type of the weights."""
-        self.steps, self.n = steps, n
         self.dtype = weights.w_ff.detach().numpy().dtype
         edges = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self.parts = [slice(lo, hi) for lo, hi in pairwise(edges)]
-        names = ("w_in", "w_ff", "w_out", "syn_after")
-        h0, h1, outputs, after = (getattr(weights, name).shape[0] for name in names)
-        self.sizes = (h0, h1, outputs, after)
+        self.sizes = len(weights.w_in), len(weights.w_ff), len(weights.w_out)
+        after = len(weights.syn_after)
         self.traces = [
-            Trace.empty(steps, part.stop - part.start, self.sizes, self.dtype) for part in self.parts
+            Trace.empty(steps, part.stop - part.start, self.sizes, after, self.dtype) for part in self.parts
         ]
+        self.places = np.array(self.sizes[:2]) * n * steps  # where spikes can be
         self.runs = 0
 
     def each(self, function) -> list:
@@ -43,11 +46,6 @@ class Workspace:
         with ThreadPoolExecutor(len(self.parts)) as pool:
             return list(pool.map(function, self.parts, self.traces))
 
-    @property
-    def places(self) -> tuple[int, int]:
-        """Places for a spike in a window (neurons, steps, sequences) of the encoding and hidden layer."""
-        return self.sizes[0] * self.n * self.steps, self.sizes[1] * self.n * self.steps
-
 
 class _Fused(torch.autograd.Function):
     @staticmethod
@@ -55,27 +53,26 @@ class _Fused(torch.autograd.Function):
         ctx, kernels: Fused, space: Workspace, reset: NDArray[np.bool_], x: Tensor, *weights: Tensor
     ) -> tuple[Tensor, Tensor]:
         w = Weights(*(each.detach().numpy() for each in weights))
-        one = STATE_ONE if kernels.quantised else 1.0
-        by_source = [np.ascontiguousarray(each.T) * each.dtype.type(one) for each in w[: len(MATRICES)]]
-        taus = (tau.astype(np.float64) for tau in w[len(MATRICES) :])
-        in_states = Weights(by_source[0].astype(np.float64), *by_source[1:], *taus)
+        network = packed(w, kernels.quantised, kernels.recurrent_delay)
+        number = network.weights.dtype.type if network.weights.dtype.kind == "f" else np.int32
         samples = x.detach().numpy()
 
         def run(part: slice, trace: Trace) -> None:
             trace.begin(reset[part])
-            window = np.ascontiguousarray(samples[part].transpose(1, 0, 2), np.float64)
-            forward_window(window, in_states, trace, kernels.recurrent_delay, kernels.quantised)
+            window = np.ascontiguousarray(samples[part].transpose(1, 0, 2) * INPUT_ONE, network.table.dtype)
+            sums = np.zeros(network.weights.shape[2], number)
+            forward_window(window, *network, sums, float(STATE_ONE) if kernels.quantised else 1.0, trace)
 
         space.each(run)
         space.runs += 1
-        ctx.delay, ctx.space, ctx.run = kernels.recurrent_delay, space, space.runs
+        ctx.later, ctx.space, ctx.run = kernels.recurrent_delay == 2, space, space.runs
         ctx.x, ctx.weights = samples, w
-        out = np.concatenate([trace.v2[2:] for trace in space.traces], 1)
-        counts = [
-            sum(int(getattr(trace, name)[2:, :, 0].sum()) for trace in space.traces) for name in ("s0", "s1")
-        ]
-        rates = np.array([c / places for c, places in zip(counts, space.places, strict=True)], space.dtype)
-        return torch.from_numpy(np.ascontiguousarray(out.transpose(1, 0, 2))), torch.from_numpy(rates)
+        out = np.concatenate([trace.v[2:, :, sum(space.sizes[:2]) :] for trace in space.traces], 1)
+        counts = [trace.spikes[2:, :, :2].sum((0, 1), dtype=np.int64) for trace in space.traces]
+        spikes, encoding = np.sum(counts, 0)
+        rates = np.array([encoding, spikes - encoding]) / space.places
+        out = torch.from_numpy(np.ascontiguousarray(out.transpose(1, 0, 2)))
+        return out, torch.from_numpy(rates.astype(space.dtype))
 
     @staticmethod
     def backward(ctx, *grads: Tensor):
@@ -83,22 +80,43 @@ class _Fused(torch.autograd.Function):
         weights: Weights[Floats] = ctx.weights
         if space.runs != ctx.run:
             raise RuntimeError("the workspace has run another window since this one: its trace is gone")
-        grad = grads[0].numpy()
-        costs = grads[1].numpy() / space.places
-        constants = tuple(np.array([THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *costs], space.dtype))
+        (h0, h1, outputs), after = space.sizes, len(weights.syn_after)
+        constants = np.array(
+            [THRESHOLD, SURROGATE_WIDTH, 1.0, 0.0, *grads[1].numpy() / space.places], space.dtype
+        )
 
-        def run(part: slice, trace: Trace) -> Weights[Floats]:
-            gradients = Weights(*(np.zeros(w.shape[::-1], space.dtype) for w in weights))
+        def run(part: slice, trace: Trace) -> Gradients:
+            n = part.stop - part.start
+            shapes = [(ctx.x.shape[2], h0), (h0 + h1, h1 + outputs), ((h0 + h1) * ctx.later, h1)]
+            shapes += [(n, after)] * 2 + [(n, h0 + h1)] * 2 + [(2,)]
+            gradients = Gradients(*(np.zeros(shape, space.dtype) for shape in shapes))
             window, of_output = (
-                np.ascontiguousarray(each[part].transpose(1, 0, 2), space.dtype) for each in (ctx.x, grad)
+                np.ascontiguousarray(each[part].transpose(1, 0, 2), space.dtype)
+                for each in (ctx.x, grads[0].numpy())
             )
-            backward_window(window, of_output, weights, trace, gradients, constants, ctx.delay)
-            return gradients
+            backward_window(window, of_output, weights, trace, gradients, tuple(constants))
+            by_sequence = gradients._fields[3:7]
+            return gradients._replace(**{name: getattr(gradients, name).sum(0) for name in by_sequence})
 
-        totals, *others = space.each(run)
+        total, *others = space.each(run)
         for part in others:
-            totals = [a + b for a, b in zip(totals, part, strict=True)]
-        return None, None, None, None, *(torch.from_numpy(np.ascontiguousarray(g.T)) for g in totals)
+            total = Gradients(*(a + b for a, b in zip(total, part, strict=True)))
+        recurrent = total.w_later if ctx.later else total.w
+        found = Weights(
+            w_in=total.w_in.T,
+            w_ff=total.w[:h0, :h1].T,
+            w_rec=recurrent[h0:, :h1].T,
+            w_out=total.w[h0:, h1:].T,
+            w_after=total.w_after.reshape(weights.w_after.shape),
+            syn0=total.syn[:h0],
+            mem0=total.mem[:h0],
+            syn1=total.syn[h0:],
+            mem1=total.mem[h0:],
+            syn2=total.outputs[:1],
+            mem2=total.outputs[1:],
+            syn_after=total.syn_after,
+        )
+        return None, None, None, None, *(torch.from_numpy(np.ascontiguousarray(each)) for each in found)
 
 
 class Fused:
@@ -139,15 +157,15 @@ class Fused:
 
     def spikes(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Spikes of the encoding (n, T, h0) and of the hidden layer (n, T, h1) in the last window."""
-        traces = self._last.traces
-        v0, v1 = (np.concatenate([getattr(each, v)[2:] for each in traces], 1) for v in ("v0", "v1"))
-        return v0.transpose(1, 0, 2) > THRESHOLD, v1.transpose(1, 0, 2) > THRESHOLD
+        v = np.concatenate([trace.v[2:] for trace in self._last.traces], 1).transpose(1, 0, 2)
+        h0, h1, _ = self._last.sizes
+        return v[..., :h0] > THRESHOLD, v[..., h0 : h0 + h1] > THRESHOLD
 
     def peak_currents(self, every: int = 1) -> tuple[Floats, Floats, Floats]:
         """Largest currents of both layers, and after-spike ones, in every so many steps."""
-        largest = [
-            [np.abs(u[::every]).max((0, 1)) for u in (each.u0, each.u1, each.a1)]
-            for each in self._last.traces
-        ]
-        first, second, after = (np.max(parts, 0) for parts in zip(*largest, strict=True))
-        return first, second, after
+        u, after = (
+            np.max([np.abs(each[::every]).max((0, 1)) for each in parts], 0)
+            for parts in ([trace.u for trace in self._last.traces], [trace.a for trace in self._last.traces])
+        )
+        h0, h1, _ = self._last.sizes
+        return u[:h0], u[h0 : h0 + h1], after

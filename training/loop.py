@@ -7,6 +7,7 @@ checkpoint and ends with the same weights.
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -21,16 +22,14 @@ import torch
 
 from estimators.networks.encoder import ENCODER
 from estimators.networks.weights_file import NetworkConfig, Tensors, save_network
-from quadsim.runs.files import alone, write_csv
+from quadsim.runs.files import alone, write_csv, write_whole
 from quadsim.runs.record import commit
 
-from .attitude import AttitudeTask
 from .config import TrainConfig, make_config
-from .data import Batch, network_inputs
-from .loss import error_loss, finished, total_cost
+from .data import AttitudeTask, Batch, network_inputs
 from .models import AttRNN, AttSNN
-from .optim import learning_rate, new_optimiser
-from .run_folder import Epoch, claim, contents_of, exported, plot, save_checkpoint
+from .optim import error_loss, finished, learning_rate, new_optimiser, total_cost
+from .run_folder import Epoch, claim, contents_of, plot
 
 log = logging.getLogger(__name__)
 
@@ -133,30 +132,22 @@ def train(
 def run(config: TrainConfig, out: Path, progress: Progress | None = None) -> Result:
     """As `train`, from a complete configuration."""
     with alone(out):
-        return _run(config, out, progress)
-
-
-def _run(config: TrainConfig, out: Path, progress: Progress | None) -> Result:
-    task = task_of(config, out)
-    claim(out, config, contents_of(config, task.contents()))
-    threads = torch.get_num_threads()
-    torch.set_num_threads(config.threads)  # the result must not depend on the machine's number of cores
-    try:
-        training = Training(config, task)
-        before = training.score() if config.init else None
-        if (out / "checkpoint.pt").is_file():
-            try:
-                training.restore(torch.load(out / "checkpoint.pt", weights_only=True))
-            except (RuntimeError, KeyError, TypeError) as error:
-                text = "its checkpoint is of another version of quadsim, choose another folder"
-                raise ValueError(f"{out}: {text}") from error
-        reason = _all_epochs(training, out, progress)
-    finally:
-        torch.set_num_threads(threads)
-    if not training.history:
-        raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
-    plot(out, training.history)
-    return Result(out / "best.safetensors", min(training.history, key=Epoch.rank), reason, before)
+        task = task_of(config, out)
+        claim(out, config, contents_of(config, task.contents()))
+        threads = torch.get_num_threads()
+        torch.set_num_threads(config.threads)  # the result must not depend on the machine's number of cores
+        try:
+            training = Training(config, task)
+            before = training.score() if config.init else None
+            if (out / "checkpoint.pt").is_file():
+                training.restore(out)
+            reason = _all_epochs(training, out, progress)
+        finally:
+            torch.set_num_threads(threads)
+        if not training.history:
+            raise ValueError(f"{out}: stopped before the first epoch was over ({reason}), nothing to save")
+        plot(out, training.history)
+        return Result(out / "best.safetensors", min(training.history, key=Epoch.rank), reason, before)
 
 
 def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str:
@@ -170,7 +161,7 @@ def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str
             history.append(epoch)
             if epoch.rank() <= min(map(Epoch.rank, history)):
                 training.save_best(out, epoch)
-            save_checkpoint(out, training.checkpoint())
+            training.save_checkpoint(out)
             write_csv(out / "log.csv", [each.row() for each in history])
             if progress:
                 progress(epoch, config)
@@ -180,6 +171,12 @@ def _all_epochs(training: Training, out: Path, progress: Progress | None) -> str
         log.error("%s: training stopped, the best weights so far stay", error)
         return f"{DIVERGED}: {error}"
     return f"all {config.epochs} epochs done"
+
+
+def exported(model: AttSNN | AttRNN, rate_hz: float, note: dict[str, Any]) -> tuple[NetworkConfig, Tensors]:
+    """The network as it is run: its configuration and tensors for `save_network`."""
+    fields = {"rate_hz": rate_hz, "output_scale": model.output_scale, "training": note}
+    return model.network.model_copy(update=fields), model.tensors()
 
 
 class Training:
@@ -197,7 +194,7 @@ class Training:
     def exported(self, note: dict[str, Any] | None = None) -> tuple[NetworkConfig, Tensors]:
         """The slow weights as an estimator, or a controller, runs them."""
         with self.optimiser.evaluated():
-            return exported(self.model, self.config, self.task.rate_hz, note or {})
+            return exported(self.model, self.task.rate_hz, note or {})
 
     def score(self) -> float:
         """What chooses the best epoch, of the network so far."""
@@ -251,14 +248,24 @@ class Training:
         network, tensors = self.exported(config | self.task.note() | progress | figures)
         save_network(out / "best.safetensors", network, tensors)
 
-    def checkpoint(self) -> dict[str, Any]:
-        """What `restore` needs to continue."""
+    def save_checkpoint(self, out: Path) -> None:
+        """Write what `restore` needs, by way of memory: PyTorch reports a full disk as a failed writer."""
         history = [asdict(epoch) for epoch in self.history]
         state = {"model": self.model.state_dict(), "optimiser": self.optimiser.state_dict()}
-        return state | {"history": history}
+        torch.save(state | {"history": history}, buffer := io.BytesIO())
+        write_whole(out / "checkpoint.pt", buffer.getvalue())
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a checkpoint."""
-        self.model.load_state_dict(state["model"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.history = [Epoch(**row) for row in state["history"]]
+    def restore(self, out: Path) -> None:
+        """Continue from a folder's checkpoint.
+
+        Raises:
+            ValueError: One of another version.
+        """
+        try:
+            state = torch.load(out / "checkpoint.pt", weights_only=True)
+            self.model.load_state_dict(state["model"])
+            self.optimiser.load_state_dict(state["optimiser"])
+            self.history = [Epoch(**row) for row in state["history"]]
+        except (RuntimeError, KeyError, TypeError) as error:
+            text = "its checkpoint is of another version of quadsim, choose another folder"
+            raise ValueError(f"{out}: {text}") from error

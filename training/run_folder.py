@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import torch
 from pydantic import ValidationError
 
-from estimators.networks.weights_file import EXPONENTS, NetworkConfig, Tensors, load_network
-from estimators.spiking import weight_exponents
+from estimators.networks.weights_file import load_network
 from quadsim.runs.files import drop_parts, save_figure, write_whole
 from quadsim.runs.fingerprint import code_digest
 
 from .config import TrainConfig
-from .models import AttRNN, AttSNN
 
 
 @dataclass(frozen=True)
@@ -103,54 +97,6 @@ def contents_of(config: TrainConfig, flights: dict[str, str]) -> dict[str, str]:
                 digest.update(tensor.encode() + value.tobytes())
             digests[name] = digest.hexdigest()
     return digests
-
-
-def exported(
-    model: AttSNN | AttRNN, config: TrainConfig, rate_hz: float, note: dict[str, Any]
-) -> tuple[NetworkConfig, Tensors]:
-    """The network as it is run: its configuration and tensors for `save_network`."""
-    spiking = isinstance(model, AttSNN)
-    network = NetworkConfig(
-        model=config.model,
-        rate_hz=rate_hz,
-        encoding=model.w_in.shape[0] if spiking else config.encoding,
-        hidden=model.w_ff.shape[0] if spiking else config.hidden,
-        inputs=config.inputs,
-        quantised=config.quantised and spiking,
-        recurrent_delay=config.recurrent_delay,
-        after_spike=config.after_spike and spiking,
-        steps_per_sample=config.steps_per_sample if spiking else 1,
-        outputs=config.outputs,
-        output_scale=model.output_scale if spiking else 1.0,
-        set_point=config.control.set_point if config.controls else None,
-        reads=config.control.reads if config.controls else "imu",
-        training=note,
-    )
-    if not spiking:
-        return network, {name: value.numpy().copy() for name, value in model.state_dict().items()}
-    return network, spiking_tensors(model, config)
-
-
-def spiking_tensors(model: AttSNN, config: TrainConfig) -> Tensors:
-    """The tensors of a spiking network for `save_network`."""
-    with torch.no_grad():
-        arrays = {name: w.numpy() for name, w in model.weights()._asdict().items() if w.numel()}
-    if not config.quantised:
-        return {name: w.astype(np.float32) for name, w in arrays.items()}
-    taus = {name: 4096 * (1 - arrays[name].astype(np.float64)) for name in model.taus}
-    mantissas = {name: arrays[name] * 256 for name in model.matrices}
-    exps = {}
-    for name in mantissas.keys() & EXPONENTS.keys() if config.finest_exponent else ():
-        exp = EXPONENTS[name]
-        exps[exp] = weight_exponents(torch.from_numpy(arrays[name]), config.finest_exponent).numpy()[:, 0]
-        mantissas[name] = mantissas[name] * np.exp2(-exps[exp])[:, None]
-    return {name: np.rint(value).astype(np.int16) for name, value in (mantissas | taus | exps).items()}
-
-
-def save_checkpoint(out: Path, state: dict[str, Any]) -> None:
-    """Write `checkpoint.pt`; by way of memory, since PyTorch reports a full disk as a failed writer."""
-    torch.save(state, buffer := io.BytesIO())
-    write_whole(out / "checkpoint.pt", buffer.getvalue())
 
 
 def plot(out: Path, history: list[Epoch]) -> None:

@@ -15,7 +15,6 @@ from ..networks.weights_file import AXES, NetworkConfig, Tensors, exponents
 from .activity import Activity
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 CRITERIA = ("activity", "magnitude", "contribution", "random")
 
 
@@ -57,45 +56,6 @@ def without(
             if axis in left:
                 smaller[name] = smaller[name].take(left[axis], k)
     return config.model_copy(update={name: ids.size for name, ids in left.items()}), smaller
-
-
-def connected(config: NetworkConfig, tensors: Tensors) -> tuple[NetworkConfig, Tensors]:
-    """The network without neurons that no input reaches, which never spike, or that reach no output.
-
-    Its outputs are the same to the last bit. At least one neuron, or where weights are shared one group,
-    stays in each layer.
-    """
-    keep = connected_neurons(
-        [tensors[name] != 0 for name in ("w_in", "w_ff", "w_rec", "w_out")], _groups(tensors)
-    )
-    return without(config, tensors, keep)
-
-
-def connected_neurons(
-    connections: Sequence[Bools], groups: Sequence[NDArray[np.int64]]
-) -> list[NDArray[np.int64]]:
-    """Neurons of the encoding and of the hidden layer that an input reaches and that reach an output.
-
-    Args:
-        connections: Which weights there are of w_in (h0, inputs), w_ff (h1, h0), w_rec (h1, h1) and w_out
-            (outputs, h1).
-        groups: For each neuron of both layers the first of those that share its weights; where a layer has
-            no such neuron, its first group stays.
-    """
-    w_in, w_ff, w_rec, w_out = connections
-    first, second = w_in.any(1), np.ones(len(w_ff), bool)
-    while True:
-        driven = w_ff[:, first].any(1) | w_rec[:, second].any(1)
-        heard = w_out.any(0) | w_rec[second].any(0)
-        stay = second & driven & heard
-        if (stay == second).all():
-            break
-        second = stay
-    first &= w_ff[second].any(0)
-    return [
-        np.flatnonzero(alive if alive.any() else group == group[0])
-        for alive, group in zip((first, second), groups, strict=True)
-    ]
 
 
 def pruned(

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.runs.block import fields, zero_blocks
-
-from ..networks.network import roll_pitch_of_outputs
+from ..networks.forward import BIAS_EXP
+from ..networks.network import roll_pitch_of_outputs, zero_states
 from ..networks.on_chip import OnLoihi
 
 Array = NDArray[np.float64]
@@ -63,20 +62,20 @@ def record(core: OnLoihi, gyro: Array, accel: Array, set_points: Array | None = 
     n, samples, _ = np.shape(gyro)
     more = np.zeros((n, samples, 0)) if set_points is None else set_points
     by_sample = [np.array(np.swapaxes(each, 0, 1), np.float64, order="C") for each in (gyro, accel, more)]
-    neurons, steps = sum(core.chip.sizes), samples * core.steps
+    first, neurons, steps = core.sizes[0], sum(core.sizes), samples * core.steps
     spikes = np.zeros((n, steps, neurons), np.int8)
     active, active_currents = np.zeros((2, n, neurons), np.int64)
-    outputs = np.empty((samples, n, core.outputs))
-    states = zero_blocks(n, core.state)
-    state = fields(states, core.state)
-    s, u, v, a, bias = (state[name] for name in ("spikes", "u", "v", "a", "bias"))
+    outputs, numbers = np.empty((samples, n, core.outputs)), zero_states(core, n)
+    state, one_step = numbers.view(core.state)[:, 0], core.stepping(1)
     for k in range(steps):
-        rate, force, wanted = (each[k // core.steps] for each in by_sample)
-        core.kernel(rate, force, wanted, core.one_step, states, outputs[k // core.steps])
-        spikes[:, k] = s
-        active += (u != 0) | (v != 0) | (a != 0) | (bias != 0) | (s != 0)
-        active_currents += a != 0
-    first, second, third = core.chip.sizes
+        signals = (each[k // core.steps] for each in by_sample)
+        core.kernel(*signals, *one_step, numbers, outputs[k // core.steps])
+        spikes[:, k] = core.spikes(state)
+        used = state["v"] != 0
+        used[:, :first] |= np.abs(state["current"]) >= 1 << BIAS_EXP
+        used[:, first:] |= (state["u"] != 0) | (state["a"] != 0)
+        active += used
+        active_currents[:, first:] += state["a"] != 0
     answers = outputs.swapaxes(0, 1)
     estimate = roll_pitch_of_outputs(answers) if set_points is None else answers
-    return Activity((first, second, third), spikes, active, active_currents, estimate)
+    return Activity(core.sizes, spikes, active, active_currents, estimate)

@@ -136,7 +136,7 @@ def gru_flops(encoding: int, hidden: int, outputs: int = 2) -> float:
 
 def _homes(core: OnLoihi) -> NDArray[np.int64]:
     """The core of each neuron, (neurons,)."""
-    edges = np.cumsum((0, *core.chip.sizes))
+    edges = np.cumsum((0, *core.sizes))
     home = np.empty(edges[-1], np.int64)
     for number, placed in enumerate(core.cores):
         for layer, ids in placed.neurons.items():

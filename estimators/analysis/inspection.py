@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from quadsim.dataset.figures import STYLE
 from quadsim.runs.files import save_figure
 
 from ..evaluation.flights import Flights
@@ -19,12 +22,14 @@ from .ablation import CRITERIA, ablation, importance
 from .activity import LAYERS, Activity, record
 from .encoding_study import StimulusResponse, TuningCurves, preferred, responses, tuning_curves
 from .energy import Cost, costs, counts
-from .inspection_figures import ablation_figure, raster_figure, tuning_figure
 
+Array = NDArray[np.float64]
 FRACTIONS = tuple(np.round(np.arange(0.0, 0.65, 0.05), 2))
 """Shares of the neurons that the ablation curve removes."""
 SILENT = 1e-4
 """Spikes per step below which a neuron counts as silent."""
+COLOURS = ("#33658a", "#c0563b", "#e08a00", "#777777")
+RASTER_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -37,12 +42,12 @@ class Inspection:
     costs: list[Cost]
     responses: dict[str, StimulusResponse]
     tuning: dict[str, TuningCurves]
-    ablation: dict[str, NDArray[np.float64]]
+    ablation: dict[str, Array]
     """Criterion to the error at each of FRACTIONS [deg]."""
-    truth: NDArray[np.float64]
+    truth: Array
     """Of the first flight (T, 2) [rad]."""
 
-    def layer_rates(self, layer: int) -> NDArray[np.float64]:
+    def layer_rates(self, layer: int) -> Array:
         """Spikes per step of the neurons of a layer."""
         return self.activity.of_layer(self.activity.rates, layer)
 
@@ -103,3 +108,78 @@ def inspect(
     progress(3, 3, "done")
     energy = costs(counts(core, activity))
     return Inspection(config, core, activity, energy, answers, tuning, curves, flights.truth[0])
+
+
+@matplotlib.rc_context(STYLE)
+def raster_figure(activity: Activity, truth: Array, rate_hz: float, start_s: float = 10.0) -> Figure:
+    """Spikes of both layers over some seconds of the first flight, busiest neurons on top; attitude above."""
+    steps = activity.spikes.shape[1]
+    length = min(round(RASTER_S * rate_hz), steps)
+    first = min(round(start_s * rate_hz), steps - length)
+    window = slice(first, first + length)
+    time = np.arange(steps)[window] / rate_hz
+    figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+    top, *below = figure.subplots(3, 1, sharex=True, height_ratios=(1, 2.4, 2.4))
+    shown, estimate = (
+        np.degrees(np.repeat(each, steps // len(truth), axis=0)[window])
+        for each in (truth, activity.estimate[0])
+    )
+    for axis, (name, colour) in enumerate(zip(("roll", "pitch"), COLOURS, strict=False)):
+        top.plot(time, shown[:, axis], color=colour, lw=0.9, label=name)
+        top.plot(time, estimate[:, axis], color=colour, lw=0.9, ls=":", label=f"{name}, estimated")
+    top.set(ylabel="[°]", xlim=(time[0], time[-1]))
+    top.legend(ncols=4, fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0)
+    for k, axes in enumerate(below):
+        spikes = activity.of_layer(activity.spikes[0, window], k)
+        order = np.argsort(activity.of_layer(activity.rates, k), kind="stable")
+        step, neuron = np.nonzero(spikes[:, order])
+        axes.plot(time[step], neuron, "|", ms=1.6, mew=0.5, color=COLOURS[k])
+        axes.set(title=LAYERS[k], ylabel="neuron, by rate", ylim=(-1, spikes.shape[1]))
+        axes.grid(False)
+    below[-1].set_xlabel("time [s]")
+    return figure
+
+
+@matplotlib.rc_context(STYLE)
+def ablation_figure(fractions: Sequence[float], curves: Mapping[str, Array]) -> Figure:
+    """Error against the share of neurons removed (the paper's Fig. 7)."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes, share = figure.subplots(), 100 * np.asarray(fractions)
+    styles = zip(COLOURS, ("-", "--", "-.", ":"), "os^D", strict=True)
+    for (by, errors), (colour, dash, marker) in zip(curves.items(), styles, strict=True):
+        label = "at random" if by == "random" else f"by {by}"
+        axes.plot(share, errors, color=colour, ls=dash, marker=marker, ms=5, mec="white", lw=1.8, label=label)
+    bound = 1.02 * next(iter(curves.values()))[0]
+    axes.axhline(bound, color="#111111", lw=0.8, ls=":", label="2 % more")
+    axes.set(xlabel="neurons removed [%]", ylabel="mean absolute error [°]", yscale="log")
+    axes.set_xlim(0, share.max())
+    axes.set_yticks([2, 3, 5, 10, 20], ["2", "3", "5", "10", "20"])
+    axes.minorticks_off()
+    axes.legend(frameon=False)
+    return figure
+
+
+@matplotlib.rc_context(STYLE)
+def tuning_figure(activity: Activity, curves: Mapping[str, TuningCurves]) -> Figure:
+    """Rates of the hidden neurons against roll, pitch and their rates, sorted by what they follow."""
+    best = activity.of_layer(preferred(dict(curves)), 1)
+    figure = Figure(figsize=(7.4, 4.2), layout="constrained")
+    panels = figure.subplots(1, len(curves), sharey=True)
+    rates = {name: activity.of_layer(each.rates.T, 1).T for name, each in curves.items()}
+    awake = np.flatnonzero(activity.of_layer(activity.rates, 1) > 1e-3)
+    peak = [np.argmax(each, axis=1) for each in rates.values()]
+    order = sorted(awake, key=lambda i: (best[i], peak[best[i]][i]))
+    for k, (axes, (name, curve)) in enumerate(zip(panels, curves.items(), strict=True)):
+        shown = rates[name][order] - np.nanmean(rates[name][order], axis=1, keepdims=True)
+        shown /= np.maximum(np.nanmax(np.abs(shown), axis=1, keepdims=True, initial=0.0), 0.02)
+        axes.imshow(shown, aspect="auto", cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest")
+        ticks = [0, len(curve.centres) // 2, len(curve.centres) - 1]
+        axes.set_xticks(ticks, [f"{round(curve.centres[i])}" for i in ticks])
+        own = [place for place, i in enumerate(order) if best[i] == k]
+        if own:
+            axes.plot([-0.5, -0.5], [own[0] - 0.5, own[-1] + 0.5], color="#111111", lw=5, clip_on=False)
+        unit = "°/s" if "rate" in name else "°"
+        axes.set(title=name, xlabel=f"[{unit}]", ylabel="hidden neuron" if k == 0 else "")
+        axes.grid(False)
+    figure.colorbar(panels[0].images[0], ax=panels, label="rate, over its mean and range", shrink=0.8)
+    return figure

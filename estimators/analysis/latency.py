@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from ..appearance import look
 from ..networks.encoder import ENCODER, scaled_inputs
-from ..networks.forward import Weights
-from ..networks.network import real_weights, roll_pitch_of_outputs
+from ..networks.forward import THRESHOLD, Weights, real_weights
+from ..networks.network import roll_pitch_of_outputs
 from ..networks.weights_file import load_network
 from ..registry import create, names
-from ..spiking import rest, step
 
 RATE_HZ = 200.0
 CALLS = 100
@@ -34,19 +33,30 @@ Update = Callable[[NDArray[np.float64], NDArray[np.float64]], object]
 
 
 class TorchSNN:
-    """Att-SNN with the steps of `estimators.spiking`, without rounding, in float32."""
+    """Att-SNN in floats, one PyTorch operation after the other, in float32."""
 
     def __init__(self) -> None:
         self.config, tensors = load_network("att-snn")
         self.weights = Weights(*(torch.tensor(w).float() for w in real_weights(self.config, tensors)))
-        self.encoder, self.state = np.zeros(1, ENCODER), rest(1, self.weights)
+        self.encoder, sizes = np.zeros(1, ENCODER), [len(w) for w in self.weights]
+        self.state = [torch.zeros(1, sizes[k]) for k in (0, 0, 0, 1, 1, 1, 1, 3, 3)]
 
     @torch.no_grad()
     def update(self, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> NDArray[np.floating]:
         """Roll and pitch (1, 2) [rad] after one sample."""
-        x = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.encoder)
-        self.state = step(torch.from_numpy(x[:, 0].astype(np.float32)), self.weights, self.state)
-        return roll_pitch_of_outputs(self.state.v2.numpy() * self.config.output_scale)
+        inputs = scaled_inputs(self.config.inputs, gyro[:, None], accel[:, None], self.encoder)
+        x, w = torch.from_numpy(inputs[:, 0].astype(np.float32)), self.weights
+        u0, v0, s0, u1, v1, s1, a1, u2, v2 = self.state
+        u2 = u2 * w.syn2 + s1 @ w.w_out.T
+        v2 = v2 * w.mem2 + u2
+        a1 = a1 * w.syn_after + s1 * w.w_after[:, 0]
+        u1 = u1 * w.syn1 + s0 @ w.w_ff.T + s1 @ w.w_rec.T
+        v1 = v1 * (1 - s1) * w.mem1 + u1 + a1
+        u0 = u0 * w.syn0 + x @ w.w_in.T
+        v0 = v0 * (1 - s0) * w.mem0 + u0
+        s0, s1 = ((v > THRESHOLD).float() for v in (v0, v1))
+        self.state = [u0, v0, s0, u1, v1, s1, a1, u2, v2]
+        return roll_pitch_of_outputs(v2.numpy() * self.config.output_scale)
 
 
 class TorchGRU:

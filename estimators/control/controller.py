@@ -90,8 +90,8 @@ class SpikingController(BatchedNetwork):
         if config.set_point is None:
             raise ValueError("these weights are an attitude estimator's, a controller needs a controller's")
         self.scaling, self.reads = config.set_point, config.reads
-        core = OnLoihi(config, tensors) if on_loihi else Spiking(config, tensors)
-        super().__init__(core, config.rate_hz)
+        self.core: Spiking
+        super().__init__((OnLoihi if on_loihi else Spiking)(config, tensors), config.rate_hz)
         self.reset(1)
 
     def reset(self, n: int) -> None:

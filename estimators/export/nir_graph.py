@@ -30,8 +30,7 @@ from quadsim.runs.files import replace
 
 from ..control.controller import set_point_gain
 from ..networks.encoder import input_scaling
-from ..networks.forward import BIAS_EXP, THRESHOLD
-from ..networks.network import real_weights
+from ..networks.forward import BIAS_EXP, THRESHOLD, real_weights
 from ..networks.weights_file import NetworkConfig, Tensors, exponents
 
 Array = NDArray[np.float64]

@@ -1,5 +1,1 @@
-"""Emulated Loihi, all integers: spikes in, spikes out; cores, decay profiles and the limits of the chip."""
-
-from .neurons import LoihiLayer, LoihiNetwork
-
-__all__ = ["LoihiLayer", "LoihiNetwork"]
+"""Emulated Loihi: neurons in its integers, and where on its cores they go."""

@@ -16,11 +16,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .neurons import VTH_MAX, WEIGHT_EXP_MIN, LoihiLayer
+from .neurons import DECAY_ONE, VTH_MAX
 
 Ints = NDArray[np.int64]
+
+EXPONENT_MIN = -6
+"""The chip has exponents from -8 to 7; these are the ones that need no rounding and no more than 16 bits."""
 
 CORES = 128
 LIMITS = {
@@ -37,6 +40,45 @@ _WEIGHT_BITS, _HEADER_BITS, _BLOCK, _WORD_BITS = 8, 10, 64, 64
 _INDEX_BITS = (6, 7, 8, 9, 10)
 ANY = -1
 """A decay that a compartment does not use."""
+
+
+class LoihiLayer:
+    """One population of neurons, its input and its recurrent connections.
+
+    Args:
+        w_in: Mantissas of the weights from the layer below, shape (out, in); (out, 0) for a layer that its
+            bias alone drives.
+        w_rec: Mantissas of the recurrent weights, shape (out, out). None: no recurrence.
+        du: Decay of the current, 0...4096, as those below a scalar or of shape (out,).
+        dv: Decay of the membrane.
+        vth: Mantissa of the threshold.
+        exp_in: Exponent of the weights `w_in` into each neuron, -6...0.
+        exp_rec: The same of `w_rec`.
+        w_after: Mantissas of the weights of the neurons on their own after-spike currents; 0: no such
+            current.
+        d_after: Decay of these currents.
+        exp_after: Exponent of `w_after`.
+    """
+
+    def __init__(
+        self,
+        w_in: NDArray[np.integer],
+        w_rec: NDArray[np.integer] | None = None,
+        *,
+        du: ArrayLike = DECAY_ONE,
+        dv: ArrayLike = DECAY_ONE,
+        vth: ArrayLike = 128,
+        exp_in: ArrayLike = 0,
+        exp_rec: ArrayLike = 0,
+        w_after: ArrayLike = 0,
+        d_after: ArrayLike = DECAY_ONE,
+        exp_after: ArrayLike = 0,
+    ) -> None:
+        self.w_in, self.w_rec = w_in, w_rec
+        each = (du, dv, vth, exp_in, exp_rec, w_after, d_after, exp_after)
+        self.du, self.dv, self.vth, self.exp_in, self.exp_rec, self.w_after, self.d_after, self.exp_after = (
+            np.broadcast_to(np.asarray(value, np.int64), len(w_in)) for value in each
+        )
 
 
 class Neuron(NamedTuple):
@@ -70,7 +112,7 @@ class ChipCore:
 
     def __post_init__(self) -> None:
         """Start without synapses."""
-        self.synapses = np.zeros((1 - WEIGHT_EXP_MIN, self.sources), np.int64)
+        self.synapses = np.zeros((1 - EXPONENT_MIN, self.sources), np.int64)
         """Synapses of each source on this core, a row for each exponent of weights, from 0 down."""
 
     def used(self) -> dict[str, int]:

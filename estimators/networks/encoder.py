@@ -8,23 +8,31 @@ last good inputs.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from quadsim.runs.compiled import njit
 
 from ..sanitise import force_usable, rate_usable
-from .weights_file import InputScaling
+from .weights_file import READINGS, InputScaling
 
 Array = NDArray[np.float64]
 
 INPUT_ONE = 1024
 """Integer input of the network for a scaled reading of 1.0."""
 INPUT_MAX = 32767
-ENCODER = np.dtype([("inputs", np.float64, 6), ("missing", np.int64)])
-"""State of the encoder: the last integer inputs, and how many samples were missing in part or whole."""
+MISSING = READINGS
+"""Place of the count in an encoder's state, after the last inputs."""
+
+
+def encoder_fields(number: DTypeLike) -> list[tuple[Any, ...]]:
+    """Fields of an encoder's state: the last integer inputs, and how many samples lacked something."""
+    return [("inputs", number, READINGS), ("missing", number)]
+
+
+ENCODER = np.dtype(encoder_fields(np.float64))
 
 
 class Scaling(NamedTuple):
@@ -57,28 +65,28 @@ def scaled_inputs(
     gyro, accel = np.ascontiguousarray(gyro, np.float64), np.ascontiguousarray(accel, np.float64)
     state = np.zeros(len(gyro), ENCODER) if state is None else state
     x = np.empty((*gyro.shape[:2], 6))
-    _encode(gyro, accel, input_scaling(inputs), state, x)
+    _encode(gyro, accel, input_scaling(inputs), state.view(np.float64).reshape(len(state), -1), x)
     return x
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _integer(value, gain):
     return min(max(np.rint(value * gain), -INPUT_MAX), INPUT_MAX)
 
 
-@njit(cache=True)
+@njit
 def encode_sample(gyro, accel, scaling, state):
-    """Scale one sample, (3,) [rad/s] and (3,) [m/s²], into the state of an encoder."""
+    """Scale one sample, (3,) [rad/s] and (3,) [m/s²], into the numbers of an encoder's state."""
     rate_found = rate_usable(gyro[0], gyro[1], gyro[2])
     force_found = force_usable(accel[0], accel[1], accel[2])
     if rate_found:
         for k in range(3):
-            state.inputs[k] = _integer(gyro[k] - scaling.offset[k], scaling.gain[k])
+            state[k] = _integer(gyro[k] - scaling.offset[k], scaling.gain[k])
     if force_found:
         for k in range(3):
-            state.inputs[3 + k] = _integer(accel[k] - scaling.offset[3 + k], scaling.gain[3 + k])
+            state[3 + k] = _integer(accel[k] - scaling.offset[3 + k], scaling.gain[3 + k])
     if not (rate_found and force_found):
-        state.missing += 1
+        state[MISSING] += 1
 
 
 @njit(cache=True)
@@ -87,4 +95,4 @@ def _encode(gyro, accel, scaling, state, x):
         for t in range(gyro.shape[1]):
             encode_sample(gyro[n, t], accel[n, t], scaling, state[n])
             for k in range(6):
-                x[n, t, k] = state[n].inputs[k] / INPUT_ONE
+                x[n, t, k] = state[n, k] / INPUT_ONE

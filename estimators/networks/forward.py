@@ -1,50 +1,53 @@
-"""Compiled forward pass of Att-SNN: 6 inputs -> LIF -> recurrent LIF -> 2 or 3 leaky integrators (LI).
+"""Att-SNN, compiled: 6 inputs -> LIF -> recurrent LIF -> 2 or 3 leaky integrators (LI).
 
 A controller is the same network with 9 inputs: set-points follow the readings.
 
-One function, `step`, is the network for training, streaming and whole sequences alike. Per layer
+The step of all neurons is `estimators.loihi.neurons.step`: a quantised network runs in the integers of the
+chip, others in floats. The encoding layer's current is the host's; the input of the same step drives it:
 
-    u[t] = D(u[t-1], τ_syn) + W s[t-1]
-    a[t] = D(a[t-1], τ_after) + w_after s[t-1]
-    v[t] = D(v[t-1], τ_mem) + u[t] + a[t],   s[t] = v[t] > 0.5,   v[t] = 0 where s[t]
+    u[t] = D(u[t-1], τ_syn) + W x[t]
 
-The encoding layer's current is driven by the input sample of the same step; the outputs never spike. Hidden
-neurons may have an after-spike current a, driven by their own spikes alone: with a negative weight it is
-spike-frequency adaptation, with a positive one it holds activity up (Teeter et al. 2018, "Generalized leaky
-integrate-and-fire models classify multiple neuron types").
-In floats D(x, τ) = x τ and 1.0 is 1.0. Quantised, D rounds toward zero and 1.0 is 2^14: then all numbers are
-whole, float64 holds them exactly, and the result is what `estimators.loihi` computes in integers.
+On the chip it arrives as a bias, rounded toward zero to steps of 16 state units. The outputs never spike.
 """
 
 from __future__ import annotations
 
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Iterable
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import NDArray
 
-from quadsim.runs.block import block_type, matrix, vector
 from quadsim.runs.compiled import njit
 
-from ..loihi import neurons
-from .encoder import ENCODER, INPUT_ONE, Scaling, encode_sample
+from ..loihi.neurons import (
+    BIAS_MANT_MAX,
+    DECAY_ONE,
+    STATE_ONE,
+    VTH_EXP,
+    VTH_MAX,
+    NeuronState,
+    decay,
+    list_spikes,
+    neurons_of,
+    shift,
+    step,
+    wrap,
+)
+from .encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields, input_scaling
+from .weights_file import READINGS, NetworkConfig, Tensors, exponents
 
+Array = NDArray[np.float64]
 Values = TypeVar("Values")
 THRESHOLD = 0.5
-STATE_ONE = float(neurons.STATE_ONE)
 BIAS_EXP = 4
 """Exponent of the bias by which the host drives the encoding layer: steps of 2^4 state units."""
-BIAS_STEP, MANT_MAX = 2.0**BIAS_EXP, float(neurons.BIAS_MANT_MAX)
-V_MAX = float(neurons.STATE_MAX)
-OUTPUT_THRESHOLD = neurons.VTH_MAX * 64.0
-"""The highest that the chip has; an output that gets there all the same is reset."""
-_WRAP_21, _WRAP_23 = 2.0**21, 2.0**23
 
 
 class Weights(NamedTuple, Generic[Values]):
-    """Parameters of the network, arrays or tensors, in units of 1.0.
-
-    `step` and `run_floats` take the matrices transposed, one row for each source, and in state units.
-    """
+    """Parameters of the network, arrays or tensors, in units of 1.0."""
 
     w_in: Values  #: encoding weights, shape (h0, inputs)
     w_ff: Values  #: encoding to hidden layer, shape (h1, h0)
@@ -64,227 +67,196 @@ class Weights(NamedTuple, Generic[Values]):
 MATRICES, TIME_CONSTANTS = Weights._fields[:5], Weights._fields[5:]
 
 
-class NetworkState(NamedTuple, Generic[Values]):
-    """Currents u, membrane potentials v and spikes s of the layers, one row for each copy of the network."""
+class PackedWeights(NamedTuple):
+    """A network as its kernels take it: neurons in a row, encoding, hidden, outputs."""
 
-    u0: Values  #: encoding layer, shape (n, h0)
-    v0: Values  #: before the reset, as are the others, shape (n, h0)
-    s0: Values  #: number of spikes of the last step, then the neurons that spiked, shape (n, h0 + 1)
-    u1: Values  #: hidden layer, shape (n, h1)
-    v1: Values  #: shape (n, h1)
-    s1: Values  #: shape (n, h1 + 1)
-    s1_delayed: Values
-    """Spikes that the recurrent connection delivers next: `s1` where the delay is 1, shape (n, h1 + 1)."""
-    a1: Values  #: after-spike currents of the hidden layer, 0 without them, shape (n, h1)
-    u2: Values  #: outputs, shape (n, outputs)
-    v2: Values  #: shape (n, outputs)
+    encoders: NDArray[np.int32] | Array
+    """Weights for integer inputs by source, and in the last row the decays, (inputs + 1, h0)."""
+    table: NDArray[np.int32] | Array  #: rows of `neurons_of`
+    weights: NDArray[np.int16] | NDArray[np.floating]  #: see `Neurons`
 
 
-@njit(cache=True, inline="always")
-def _decay(x, tau, quantised):
-    return np.trunc(x * tau) if quantised else x * tau
+def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
+    """Weights and time constants of a spiking network in units of 1.0."""
+    none = {"w_after": np.zeros((config.hidden, 0)), "syn_after": np.zeros(0)}
+    tensors = none | tensors
+    values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
+    if config.quantised:
+        for name in MATRICES:
+            values[name] *= np.exp2(exponents(tensors, name).astype(np.float64) - 8)[:, None]
+        values |= {name: 1 - values[name] / DECAY_ONE for name in TIME_CONSTANTS}
+    return Weights(**values)
 
 
-@njit(cache=True, inline="always")
-def _wrap(x, half):
-    """Two's complement: into [-half, half)."""
-    return x - 2.0 * half * np.floor((x + half) * (0.5 / half))
+def packed(w: Weights[Any], quantised: bool, recurrent_delay: int = 1) -> PackedWeights:
+    """Weights for the kernels; floats keep the type of the weights between neurons."""
+    (h1, h0), outputs = w.w_ff.shape, len(w.w_out)
+    weights = np.zeros((recurrent_delay, h0 + h1, h1 + outputs), w.w_ff.dtype)
+    weights[0, :h0, :h1], weights[0, h0:, h1:], weights[-1, h0:, :h1] = w.w_ff.T, w.w_out.T, w.w_rec.T
+    syn2, mem2 = (np.repeat(tau, outputs) for tau in (w.syn2, w.mem2))
+    taus = [np.concatenate([w.syn0, w.syn1, syn2]), np.concatenate([w.mem0, w.mem1, mem2])]
+    threshold = np.repeat([THRESHOLD, np.inf], (h0 + h1, outputs))
+    own = w.w_after[:, 0] if w.w_after.size else np.zeros(0)
+    beside = (h0, outputs) if own.size else 0
+    w_after, tau_after = (np.pad(each.astype(np.float64), beside) for each in (own, w.syn_after))
+    if quantised:  # the chip has no higher threshold; an output that gets there all the same is reset
+        threshold = np.minimum(threshold * STATE_ONE, VTH_MAX << VTH_EXP)
+        rows = [*map(_decays, taus), threshold, 0 * threshold, w_after * STATE_ONE, _decays(tau_after)]
+        encoders = np.vstack([w.w_in.T * (STATE_ONE >> VTH_EXP), _decays(w.syn0)])
+        return PackedWeights(_whole(encoders), _whole(rows), np.rint(weights * STATE_ONE).astype(np.int16))
+    rows = [*taus, threshold, np.zeros(threshold.size), w_after, tau_after]
+    encoders = np.vstack([w.w_in.T.astype(np.float64) / INPUT_ONE, w.syn0])
+    return PackedWeights(_table(encoders), _table(rows), weights)
 
 
-@njit(cache=True, inline="always")
-def _integrated(y, quantised):
-    """Potential of an output: on the chip it is reset at the highest threshold that there is."""
-    return (0.0 if y > OUTPUT_THRESHOLD else max(y, -V_MAX)) if quantised else y
+def _table(rows: Iterable[NDArray[np.floating]]) -> Array:
+    return np.array([row for row in rows if row.size], np.float64)
 
 
-@njit(cache=True, inline="always")
-def _bias(current):
-    """The bias mantissa of a current, rounded toward zero, times its step."""
-    return min(max(np.trunc(current / BIAS_STEP), -MANT_MAX), MANT_MAX) * BIAS_STEP
+def _whole(rows: Iterable[NDArray[np.floating]]) -> NDArray[np.int32]:
+    return np.ascontiguousarray(np.rint(_table(rows)), np.int32)
 
 
-@njit(cache=True, inline="always")
-def list_spikes(v, threshold, spikes):
-    """Write the number of neurons above the threshold and then their indices into `spikes`."""
-    count = 0
-    for i in range(v.shape[0]):
-        spikes[1 + count] = i
-        count += v[i] > threshold
-    spikes[0] = count
+def _decays(tau: NDArray[np.floating]) -> Array:
+    return DECAY_ONE * (1.0 - tau.astype(np.float64))
 
 
-@njit(cache=True, inline="always")
-def _add_rows(total, weights, spikes):
-    """Add the rows of `weights` that belong to the neurons that spiked, four at a time."""
-    count = spikes[0]
-    fours = count - count % 4
-    for k in range(1, 1 + fours, 4):
-        j0, j1, j2, j3 = spikes[k], spikes[k + 1], spikes[k + 2], spikes[k + 3]
-        for i in range(total.shape[0]):
-            total[i] += (weights[j0, i] + weights[j1, i]) + (weights[j2, i] + weights[j3, i])
-    for k in range(1 + fours, 1 + count):
-        j0 = spikes[k]
-        for i in range(total.shape[0]):
-            total[i] += weights[j0, i]
+class Spiking:
+    """Att-SNN, with the numbers of the chip where it is quantised; see `estimators.networks.network.Core`."""
 
+    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
+        """Lay the weights out for the kernel."""
+        one = float(STATE_ONE) if config.quantised else 1.0
+        self.steps, self.scale, self.outputs = (
+            config.steps_per_sample,
+            config.output_scale / one,
+            config.n_outputs,
+        )
+        weights = packed(real_weights(config, tensors), config.quantised, config.recurrent_delay)
+        number = weights.table.dtype
+        self.sizes = config.encoding, config.hidden, self.outputs
+        n = sum(self.sizes)
+        targets = config.hidden + self.outputs
+        kept = [("current", config.encoding), ("v", n), ("u", targets), ("a", targets)]
+        kept += [("before", n)] * (config.recurrent_delay == 2)
+        self.state = np.dtype([*encoder_fields(number), *((name, number, size) for name, size in kept)])
+        self.scaling, self.weights = input_scaling(config.inputs), weights
+        self.arrays, self.kernel = self.stepping(self.steps), run_spiking
 
-@njit(cache=True, inline="always")
-def _weigh(x, weights, total):
-    """Add the rows of `weights` times the numbers in x, three at a time."""
-    threes = x.shape[0] - x.shape[0] % 3
-    for k in range(0, threes, 3):
-        x0, x1, x2 = x[k], x[k + 1], x[k + 2]
-        for i in range(total.shape[0]):
-            total[i] += weights[k, i] * x0 + weights[k + 1, i] * x1 + weights[k + 2, i] * x2
-    for k in range(threes, x.shape[0]):
-        x0 = x[k]
-        for i in range(total.shape[0]):
-            total[i] += weights[k, i] * x0
+    def stepping(self, steps: int) -> tuple[NDArray[Any], ...]:
+        """What the kernel takes for so many steps a sample."""
+        return np.array([*np.ravel(self.scaling), steps, self.scale]), *self.weights
 
-
-@njit(cache=True, inline="always")
-def _membrane(v, u, tau, threshold, quantised):
-    """Reset, decay, add the current u; the potential is stored before the reset."""
-    x = _decay(0.0 if v > threshold else v, tau, quantised) + u
-    return min(max(x, -V_MAX), V_MAX) if quantised else x
-
-
-@njit(cache=True, inline="always")
-def step(x, w, state, total, drive, quantised):
-    """One step of one copy of the network, whose currents and potentials change in place.
-
-    The spikes are those of the step before; `list_spikes` finds the new ones.
-
-    Args:
-        x: Input sample, shape (inputs,).
-        w: Weights by source, in state units.
-        state: State of the copy.
-        total: Zeros in the type of the weights, shape (h1,), to add in; zeros again afterwards.
-        drive: The same, shape (h0,).
-        quantised: Integer arithmetic (True) or floats; a literal, for loops that branch are not vectorised.
-    """
-    threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
-    u0, v0, u1, v1, u2, v2 = state.u0, state.v0, state.u1, state.v1, state.u2, state.v2
-    a1 = state.a1
-    for o in range(u2.shape[0]):
-        delivered = 0.0
-        for k in range(1, 1 + state.s1[0]):
-            delivered += w.w_out[state.s1[k], o]
-        if quantised:
-            delivered = _wrap(delivered, _WRAP_21)
-        u2[o] = _decay(u2[o], w.syn2[0], quantised) + delivered
-        if quantised:
-            u2[o] = _wrap(u2[o], _WRAP_23)
-        v2[o] = _integrated(_decay(v2[o], w.mem2[0], quantised) + u2[o], quantised)
-
-    # What has just been stored is slow to load: current and potential share a loop, and sums are set to zero
-    # where they have been used, not where they begin.
-    for k in range(w.w_after.shape[0]):
-        for i in range(v1.shape[0]):
-            own = np.float64(w.w_after[k, i]) if v1[i] > threshold else 0.0
-            a1[i] = _decay(a1[i], w.syn_after[i], quantised) + own
-            if quantised:
-                a1[i] = _wrap(a1[i], _WRAP_23)
-    _add_rows(total, w.w_ff, state.s0)
-    _add_rows(total, w.w_rec, state.s1_delayed)
-    for i in range(v1.shape[0]):
-        u = _decay(u1[i], w.syn1[i], quantised)
-        if quantised:
-            u = _wrap(u + _wrap(np.float64(total[i]), _WRAP_21), _WRAP_23)
-        else:
-            u += np.float64(total[i])
-        u1[i], total[i] = u, 0
-        v1[i] = _membrane(v1[i], u + a1[i], w.mem1[i], threshold, quantised)
-
-    _weigh(x, w.w_in, drive)
-    for i in range(v0.shape[0]):
-        u = _decay(u0[i], w.syn0[i], quantised)
-        if quantised:
-            u = _wrap(u + np.trunc(drive[i]), _WRAP_23)
-        else:
-            u += drive[i]
-        u0[i], drive[i] = u, 0.0
-        if quantised:
-            u = _bias(u)  # reaches the chip as a bias mantissa
-        v0[i] = _membrane(v0[i], u, w.mem0[i], threshold, quantised)
-
-
-def state_type(h0: int, h1: int, outputs: int) -> np.dtype:
-    """Record type of a copy's state: that of its encoder, and the fields of `NetworkState`."""
-    potentials = {name: (np.float64, (h0,)) for name in ("u0", "v0")}
-    potentials |= {name: (np.float64, (h1,)) for name in ("u1", "v1", "a1")}
-    potentials |= {name: (np.float64, (outputs,)) for name in ("u2", "v2")}
-    spikes = {"s0": (np.int32, (h0 + 1,))} | {name: (np.int32, (h1 + 1,)) for name in ("s1", "s1_delayed")}
-    ordered = {name: (potentials | spikes)[name] for name in NetworkState._fields}
-    return block_type({"encoder": (ENCODER, ())} | ordered)
-
-
-@njit(cache=True)
-def _weights(network):
-    w_in, w_ff = matrix(network, 2, np.float64), matrix(network, 3, np.float64)
-    w_rec, w_out = matrix(network, 4, np.float64), matrix(network, 5, np.float64)
-    w_after = matrix(network, 6, np.float64)
-    syn0, mem0 = vector(network, 7, np.float64), vector(network, 8, np.float64)
-    syn1, mem1 = vector(network, 9, np.float64), vector(network, 10, np.float64)
-    syn2, mem2 = vector(network, 11, np.float64), vector(network, 12, np.float64)
-    syn_after = vector(network, 13, np.float64)
-    return Weights(w_in, w_ff, w_rec, w_out, w_after, syn0, mem0, syn1, mem1, syn2, mem2, syn_after)
-
-
-@njit(cache=True)
-def _state(block, recurrent_delay):
-    u0, v0, s0 = vector(block, 1, np.float64), vector(block, 2, np.float64), vector(block, 3, np.int32)
-    u1, v1, s1 = vector(block, 4, np.float64), vector(block, 5, np.float64), vector(block, 6, np.int32)
-    delayed = s1 if recurrent_delay == 1 else vector(block, 7, np.int32)
-    a1, u2, v2 = vector(block, 8, np.float64), vector(block, 9, np.float64), vector(block, 10, np.float64)
-    return NetworkState(u0, v0, s0, u1, v1, s1, delayed, a1, u2, v2)
-
-
-@njit(cache=True, inline="always")
-def _run(gyro, accel, set_points, network, states, quantised, out):
-    scaling = Scaling(vector(network, 0, np.float64), vector(network, 1, np.float64))
-    weights = _weights(network)
-    steps, delay, scale = vector(network, 14, np.float64)
-    threshold = THRESHOLD * (STATE_ONE if quantised else 1.0)
-    outputs = weights.w_out.shape[1]
-    x = np.empty(weights.w_in.shape[0])
-    more = x.size - 6
-    total, drive = np.zeros(weights.w_ff.shape[1]), np.zeros(weights.w_ff.shape[0])
-    for n in range(states.shape[0]):
-        encoder, copy = vector(states[n], 0, ENCODER)[0], _state(states[n], delay)
-        for t in range(gyro.shape[1] // 3):
-            encode_sample(gyro[n, 3 * t : 3 * t + 3], accel[n, 3 * t : 3 * t + 3], scaling, encoder)
-            for k in range(6):
-                x[k] = encoder.inputs[k] / INPUT_ONE
-            for k in range(more):
-                x[6 + k] = set_points[n, more * t + k] / INPUT_ONE
-            for _ in range(int(steps)):
-                step(x, weights, copy, total, drive, quantised)
-                for k in range(1 + copy.s1[0]):
-                    copy.s1_delayed[k] = copy.s1[k]
-                list_spikes(copy.v0, threshold, copy.s0)
-                list_spikes(copy.v1, threshold, copy.s1)
-            for o in range(outputs):
-                out[n, outputs * t + o] = copy.v2[o] * scale
+    def spikes(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
+        """Which neurons spiked in the last step, from records (n,): (n, neurons)."""
+        return states["v"] > self.weights.table[2]
 
 
 @njit(cache=True, nogil=True)
-def run_floats(gyro, accel, set_points, network, states, out):
+def run_spiking(gyro, accel, set_points, settings, encoders, table, weights, states, out):
     """Run n copies over whole sequences, or one sample, from and to their states.
 
     Args:
         gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
         accel: Specific force, the same shape [m/s²].
-        set_points: A controller's further inputs, integers, shape (n, inputs T); of others not read.
-        network: Packed: the scaling of the readings; the weights by source, in state units; and the network
-            steps for each sample, the recurrent delay, and the radians for an output of 1 state unit.
-        states: Blocks of `state_type`, shape (n, words); changed.
+        set_points: A controller's further inputs, integers, shape (n, 3 T); of others not read.
+        settings: The scaling of the readings, (12,), steps a sample, and the unit of the outputs.
+        encoders: As the next two a part of `PackedWeights`.
+        table: Of the neurons.
+        weights: Between neurons.
+        states: Numbers of records of `Spiking.state`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """
-    _run(gyro, accel, set_points, network, states, False, out)
+    scaling, steps, scale = (
+        Scaling(settings[:READINGS], settings[READINGS:12]),
+        int(settings[12]),
+        settings[13],
+    )
+    inputs, h0 = encoders.shape[0] - 1, encoders.shape[1]
+    neurons, number = neurons_of(weights, h0, table), table.dtype
+    more, (_, sources, targets), hidden = inputs - READINGS, weights.shape, weights.shape[1] - h0
+    x, total, sums = np.empty(inputs, number), np.zeros(h0, number), np.zeros(targets, number)
+    bias, spikes, earlier = (
+        np.zeros(h0, number),
+        np.empty(sources + 2, np.int32),
+        np.empty(sources + 2, np.int32),
+    )
+    for c in range(states.shape[0]):
+        kept = states[c]
+        current, rest = kept[MISSING + 1 : MISSING + 1 + h0], kept[MISSING + 1 + h0 :]
+        potentials, targeted, before = rest[: h0 + targets], rest[h0 + targets :], rest[h0 + 3 * targets :]
+        u, a = targeted[:targets], targeted[targets : 2 * targets]
+        state = NeuronState(potentials[:h0], u, potentials[h0:], a)
+        for t in range(gyro.shape[1] // 3):
+            encode_sample(gyro[c, 3 * t : 3 * t + 3], accel[c, 3 * t : 3 * t + 3], scaling, kept)
+            for k in range(READINGS):
+                x[k] = kept[k]
+            for k in range(more):
+                x[READINGS + k] = set_points[c, more * t + k]
+            for _ in range(steps):
+                list_spikes(neurons, state.first_v, state.v, spikes)
+                if before.size:
+                    list_spikes(neurons, before[:h0], before[h0:], earlier)
+                    before[:] = potentials
+                advance(x, encoders, current, bias, total)
+                step(neurons, bias, state, spikes, earlier, sums)
+            for o in range(targets - hidden):
+                v = state.v[hidden + o]
+                out[c, (targets - hidden) * t + o] = 0.0 if v > neurons.vth[hidden + o] else v * scale
 
 
-@njit(cache=True, nogil=True)
-def run_quantised(gyro, accel, set_points, network, states, out):
-    """The same in integer arithmetic."""
-    _run(gyro, accel, set_points, network, states, True, out)
+@njit(inline="always")
+def advance(x, encoders, current, bias, total):
+    """Advance the host's currents of the encoding layer by one step; write what they add to its potentials.
+
+    Args:
+        x: Integer inputs, shape (inputs,), a multiple of 3.
+        encoders: See `PackedWeights`.
+        current: Currents [state units], shape (h0,); changed.
+        bias: What they add, shape (h0,); written.
+        total: Zeros, (h0,), to add in; zeros again afterwards.
+    """
+    for k in range(0, x.size, 3):
+        x0, x1, x2 = x[k], x[k + 1], x[k + 2]
+        for i in range(total.size):
+            total[i] += _products(x0, encoders[k, i], x1, encoders[k + 1, i], x2, encoders[k + 2, i])
+    last = x.size
+    for i in range(total.size):
+        current[i] = _driven(current[i], encoders[last, i], total[i])
+        bias[i] = _bias(current[i])
+        total[i] = 0
+
+
+def _products(a, w, b, y, c, z):
+    """The sum of three products."""
+
+
+def _driven(current, d, total):
+    """The current of an encoding neuron after a step."""
+
+
+def _bias(current):
+    """What it adds to the potential."""
+
+
+@overload(_products)
+def _(a, w, b, y, c, z):
+    if isinstance(a, types.Float):
+        return lambda a, w, b, y, c, z: w * a + y * b + z * c
+    return lambda a, w, b, y, c, z: np.int32(np.int32(np.int32(a * w) + np.int32(b * y)) + np.int32(c * z))
+
+
+@overload(_driven)
+def _(current, d, total):
+    if isinstance(current, types.Float):
+        return lambda current, d, total: current * d + total
+    # Mantissas of 1/256 times inputs of 1/1024 are 2^-18; a state unit is 2^-14.
+    return lambda current, d, total: wrap(np.int32(decay(current, d) + shift(total, 4)), 23)
+
+
+@overload(_bias)
+def _(current):
+    if isinstance(current, types.Float):
+        return lambda current: current
+    largest = np.int32(BIAS_MANT_MAX)
+    return lambda current: np.int32(min(max(shift(current, BIAS_EXP), -largest), largest) << BIAS_EXP)

@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadsim.runs.block import block_type, matrix, packed, vector
 from quadsim.runs.compiled import njit
 
-from .encoder import ENCODER, INPUT_ONE, Scaling, encode_sample, input_scaling
-from .weights_file import NetworkConfig, Tensors
+from .encoder import INPUT_ONE, MISSING, Scaling, encode_sample, encoder_fields, input_scaling
+from .weights_file import READINGS, NetworkConfig, Tensors
 
 Floats = NDArray[np.float32]
 
@@ -60,30 +59,21 @@ class Layer(NamedTuple):
     b_hh: Floats  #: biases of the state, shape (3 units,)
 
 
-class Readout(NamedTuple):
-    """The linear output."""
-
-    w_out: Floats  #: weights by source, shape (units, outputs)
-    b_out: Floats  #: biases, shape (outputs,)
-
-
 class Recurrent:
-    """Att-RNN: two GRU layers and a linear output, in float32."""
+    """Att-RNN: two GRU layers and a linear output, in float32; see `estimators.networks.network.Core`."""
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
-        """Lay the weights out for the kernel."""
+        """Lay the weights out for the kernel: by source, biases in the last rows."""
         kinds = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
-        names = [*(f"gru.{kind}_l{layer}" for layer in (0, 1) for kind in kinds), "out.weight", "out.bias"]
-        by_source = {name: np.ascontiguousarray(tensors[name].T, np.float32) for name in names}
-        scale = {"scale": np.array(config.output_scale)}
-        self.network = packed(input_scaling(config.inputs)._asdict() | by_source | scale)
-        self.outputs, self.state = config.n_outputs, state_type(config.encoding, config.hidden)
+        parts = [[f"gru.{kind}_l{layer}" for kind in kinds] for layer in (0, 1)]
+        parts.append(["out.weight", "out.bias"])
+        matrices = [np.concatenate([np.atleast_2d(tensors[name].T) for name in names]) for names in parts]
+        settings = np.array([*np.ravel(input_scaling(config.inputs)), config.output_scale])
+        self.arrays = settings, *(np.ascontiguousarray(each, np.float32) for each in matrices)
+        sizes = (("h0", config.encoding), ("h1", config.hidden))
+        layers = ((name, np.float64, size) for name, size in sizes)
+        self.outputs, self.state = config.n_outputs, np.dtype([*encoder_fields(np.float64), *layers])
         self.kernel = run_gru
-
-
-def state_type(h0: int, h1: int) -> np.dtype:
-    """Record type of a copy's state: that of its encoder, and of the two layers."""
-    return block_type({"encoder": (ENCODER, ()), "h0": (np.float32, (h0,)), "h1": (np.float32, (h1,))})
 
 
 @njit(cache=True, inline="always", error_model="numpy", fastmath={"contract"})
@@ -99,18 +89,18 @@ def tanh(x):
     return p / (((_Q6 * y + _Q4) * y + _Q2) * y + _Q0)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _sigmoid(x):
     return _HALF + _HALF * tanh(_HALF * x)
 
 
-@njit(cache=True)
+@njit
 def _copy(source, target):
     for i in range(target.shape[0]):
         target[i] = source[i]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(fastmath={"contract"})
 def _one_row(x, weight, out):
     """Add x weight to `out`, four inputs at a time."""
     fours = x.shape[0] - x.shape[0] % 4
@@ -125,7 +115,7 @@ def _one_row(x, weight, out):
             out[i] += x0 * w0[i]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(fastmath={"contract"})
 def _four_rows(x, weight, out):
     """The same for four rows, which load the weights once."""
     a, b, c, d = out[0], out[1], out[2], out[3]
@@ -151,7 +141,7 @@ def _four_rows(x, weight, out):
             d[i] += d0 * row0[i]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(fastmath={"contract"})
 def _affine(x, weight, bias, out):
     """Write bias + x weight, of rows x (rows, in) and a weight (in, columns), into `out` (rows, columns)."""
     for row in range(x.shape[0]):
@@ -163,7 +153,7 @@ def _affine(x, weight, bias, out):
         _one_row(x[row], weight, out[row])
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _gates(from_x, from_h, h):
     """Replace the state h of one copy, given the two products."""
     units = h.shape[0]
@@ -175,7 +165,7 @@ def _gates(from_x, from_h, h):
         h[i] = n + z * (h[i] - n)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@njit(error_model="numpy", fastmath={"contract"})
 def _run_layer(x, h, layer):
     """Run a layer over some samples of some copies.
 
@@ -199,67 +189,67 @@ def _run_layer(x, h, layer):
     return y
 
 
-@njit(cache=True)
-def _network(block):
-    f = np.float32
-    w_ih, w_hh = matrix(block, 2, f), matrix(block, 3, f)
-    first = Layer(w_ih, w_hh, vector(block, 4, f), vector(block, 5, f))
-    w_ih, w_hh = matrix(block, 6, f), matrix(block, 7, f)
-    second = Layer(w_ih, w_hh, vector(block, 8, f), vector(block, 9, f))
-    return first, second, Readout(matrix(block, 10, f), vector(block, 11, f))
+@njit(inline="always")
+def _layer(rows):
+    """The layer whose weights and biases are rows of a matrix."""
+    biases = rows.shape[0] - 2
+    inputs = biases - rows.shape[1] // 3
+    return Layer(rows[:inputs], rows[inputs:biases], rows[biases], rows[biases + 1])
 
 
-@njit(cache=True)
+@njit
 def _encode(gyro, accel, scaling, states, x):
     """Scale the samples of some copies, (copies, 3 samples) each, into x, in the order of `_run_layer`."""
     copies = states.shape[0]
     for c in range(copies):
-        encoder = vector(states[c], 0, ENCODER)[0]
         for t in range(gyro.shape[1] // 3):
-            encode_sample(gyro[c, 3 * t : 3 * t + 3], accel[c, 3 * t : 3 * t + 3], scaling, encoder)
-            for k in range(6):
-                x[t * copies + c, k] = encoder.inputs[k] / INPUT_ONE
+            encode_sample(gyro[c, 3 * t : 3 * t + 3], accel[c, 3 * t : 3 * t + 3], scaling, states[c])
+            for k in range(READINGS):
+                x[t * copies + c, k] = states[c, k] / INPUT_ONE
 
 
 @njit(cache=True, nogil=True)
-def run_gru(gyro, accel, set_points, network, states, out):
+def run_gru(gyro, accel, set_points, settings, first_rows, second_rows, readout, states, out):
     """Run n copies over whole sequences, or one sample, from and to their states.
 
     Args:
         gyro: Body rate, one sample after the other, shape (n, 3 T) [rad/s].
         accel: Specific force, the same shape [m/s²].
         set_points: Not read.
-        network: The scaling of the readings, both layers, the readout and the scale of the output, packed.
-        states: Blocks of `state_type`, shape (n, words); changed.
+        settings: The scaling of the readings, (12,), and the scale of the output.
+        first_rows: Weights and biases of a layer by source, (in + units + 2, 3 units).
+        second_rows: The same of the second.
+        readout: Weights by source and biases of the output, (units + 1, outputs).
+        states: Numbers of records of `Recurrent.state`, shape (n, words); changed.
         out: Outputs after each sample, shape (n, outputs T); written.
     """
-    scaling = Scaling(vector(network, 0, np.float64), vector(network, 1, np.float64))
-    first, second, readout = _network(network)
-    steps, scale = gyro.shape[1] // 3, vector(network, 12, np.float64)[0]
-    together = max(1, min(COPIES, states.shape[0]))
+    scaling, scale = Scaling(settings[:READINGS], settings[READINGS:12]), settings[12]
+    first, second = _layer(first_rows), _layer(second_rows)
+    units, size = readout.shape[0] - 1, readout.shape[1]
+    steps, together = gyro.shape[1] // 3, max(1, min(COPIES, states.shape[0]))
     samples = max(1, min(ROWS // together, steps))
-    size = readout.b_out.shape[0]
-    inputs = np.empty((samples * together, 6), np.float32)
+    inputs = np.empty((samples * together, READINGS), np.float32)
     outputs = np.empty((samples * together, size), np.float32)
     h0 = np.empty((together, first.w_hh.shape[0]), np.float32)
-    h1 = np.empty((together, second.w_hh.shape[0]), np.float32)
+    h1 = np.empty((together, units), np.float32)
+    begin0, begin1 = MISSING + 1, MISSING + 1 + h0.shape[1]
     for n in range(0, states.shape[0], together):
         group = states[n : n + together]
         copies = group.shape[0]
         for c in range(copies):
-            _copy(vector(group[c], 1, np.float32), h0[c])
-            _copy(vector(group[c], 2, np.float32), h1[c])
+            _copy(group[c, begin0:begin1], h0[c])
+            _copy(group[c, begin1:], h1[c])
         for begin in range(0, steps, samples):
             end = min(begin + samples, steps)
             x, y_out = inputs[: (end - begin) * copies], outputs[: (end - begin) * copies]
             part = slice(3 * begin, 3 * end)
             _encode(gyro[n : n + copies, part], accel[n : n + copies, part], scaling, group, x)
             y = _run_layer(_run_layer(x, h0[:copies], first), h1[:copies], second)
-            _affine(y, readout.w_out, readout.b_out, y_out)
+            _affine(y, readout[:units], readout[units], y_out)
             for row in range(x.shape[0]):
                 c, t = row % copies, begin + row // copies
                 for o in range(size):
                     out[n + c, size * t + o] = y_out[row, o] * scale
         for c in range(copies):
-            _copy(h0[c], vector(group[c], 1, np.float32))
-            _copy(h1[c], vector(group[c], 2, np.float32))
+            _copy(h0[c], group[c, begin0:begin1])
+            _copy(h1[c], group[c, begin1:])

@@ -1,4 +1,4 @@
-"""Trained networks as estimators: Att-SNN in float64 and on emulated Loihi, and its non-spiking twin Att-RNN.
+"""Trained networks as estimators: Att-SNN, in Loihi's integers or in floats, and its twin Att-RNN.
 
 A network gets scaled readings and nothing else (`estimators.networks.encoder`): there is no filter in front
 of it and no connection from its inputs to its outputs beside the neurons. As in the paper, it never
@@ -9,35 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol, Unpack
+from typing import Any, Protocol, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadsim.estimator import OtherSensors
 from quadsim.rotation import roll_pitch_of_up
-from quadsim.runs.block import Words, fields, packed, zero_blocks
 
-from ..loihi.neurons import STATE_ONE
-from .encoder import input_scaling
-from .forward import MATRICES, TIME_CONSTANTS, Weights, run_floats, run_quantised, state_type
+from .forward import Spiking
 from .gru import Recurrent
 from .on_chip import OnLoihi
-from .weights_file import LEVEL_UP, SET_POINTS, NetworkConfig, Tensors, attitude_network, exponents
+from .weights_file import LEVEL_UP, SET_POINTS, NetworkConfig, Tensors, attitude_network
 
 Array = NDArray[np.float64]
 NO_SET_POINTS = np.zeros((0, 0))
-Kernel = Callable[[Array, Array, Array, Words, Words, Array], None]
-"""Compiled: takes T samples of n vehicles, body rate and specific force (n, 3 T) and a controller's further
-inputs (n, 3 T); a packed network; and the vehicles' states (n, words), which it changes. It writes outputs
-(n, outputs T)."""
 
 
 def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None = None) -> NetworkEstimator:
     """Make a network estimator.
 
     Args:
-        name: "att-snn" (float64), "att-snn-loihi" (the same network in integers) or "att-rnn".
+        name: "att-snn", "att-snn-loihi" (which has to fit the chip) or "att-rnn".
         rate_hz: Samples per second; the one that the weights were trained for.
         weights: Weights file; None: the ones that ship.
 
@@ -45,7 +38,7 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
         FileNotFoundError: No such file.
         ValueError: Unknown name, a file of another kind of network, or another sample rate.
     """
-    if name not in ("att-snn", "att-snn-loihi", "att-rnn"):
+    if name not in CORES:
         raise ValueError(f"no network {name!r}, there are att-snn, att-snn-loihi and att-rnn")
     model = name.removesuffix("-loihi")
     config, tensors = attitude_network(model if weights is None else weights)
@@ -53,23 +46,35 @@ def create_network(name: str, rate_hz: float = 200.0, weights: str | Path | None
         raise ValueError(f"{weights}: weights of {config.model}, {name} needs {model}")
     if not np.isclose(rate_hz, config.rate_hz):
         raise ValueError(f"{name}: the weights are for {config.rate_hz:g} Hz, not for {rate_hz:g} Hz")
-    if name == "att-rnn":
-        return NetworkEstimator(Recurrent(config, tensors), rate_hz)
-    if name == "att-snn":
-        return NetworkEstimator(Spiking(config, tensors), rate_hz)
-    return NetworkEstimator(OnLoihi(config, tensors), rate_hz)
+    return NetworkEstimator(CORES[name](config, tensors), rate_hz)
 
 
 class NetworkCore(Protocol):
     """A network without memory of its own: states go in, are changed, and outputs come back."""
 
     state: np.dtype
-    """Record type of a vehicle's state, a block; its field `encoder` is the encoder's."""
+    """Record type of a vehicle's state, whose numbers are all of one type; `encoder_fields` come first."""
     outputs: int
     """2: roll and pitch [rad]; 3: the world's up in body axes, less `LEVEL_UP`, or angular acceleration."""
-    network: Words
-    """What the kernel needs to know of it, packed."""
-    kernel: Kernel
+    arrays: tuple[NDArray[Any], ...]
+    """What the kernel needs to know of it."""
+    kernel: Callable[..., None]
+    """Compiled: takes T samples of n vehicles, body rate and specific force (n, 3 T) and a controller's
+    further inputs (n, 3 T); the arrays; and the numbers of the vehicles' states (n, words), which it changes.
+    It writes outputs (n, outputs T)."""
+
+
+CORES: dict[str, Callable[[NetworkConfig, Tensors], NetworkCore]] = {
+    "att-snn": Spiking,
+    "att-snn-loihi": OnLoihi,
+    "att-rnn": Recurrent,
+}
+
+
+def zero_states(core: NetworkCore, n: int) -> NDArray[Any]:
+    """States of n vehicles at rest, as rows of numbers."""
+    number = core.state["missing"]
+    return np.zeros((n, core.state.itemsize // number.itemsize), number)
 
 
 class BatchedNetwork:
@@ -85,12 +90,12 @@ class BatchedNetwork:
 
     def _begin(self, n: int) -> None:
         """Start n vehicles at rest."""
-        self._states = zero_blocks(n, self.core.state)
+        self._states = zero_states(self.core, n)
 
     def _begin_again(self, ids: ArrayLike) -> NDArray[np.intp]:
         """Start some of the vehicles again; their rows."""
         rows = np.arange(len(self._states))[np.asarray(ids, dtype=np.intp)]
-        self._states[rows] = zero_blocks(rows.size, self.core.state)
+        self._states[rows] = 0
         return rows
 
     def outputs(self, gyro: ArrayLike, accel: ArrayLike, set_points: Array = NO_SET_POINTS) -> Array:
@@ -112,18 +117,18 @@ class BatchedNetwork:
         flat = np.empty((n, self.core.outputs * steps))
         rate, force = gyro.reshape(n, 3 * steps), accel.reshape(n, 3 * steps)
         more = set_points.reshape(len(set_points), SET_POINTS * steps)
-        self.core.kernel(rate, force, more, self.core.network, self._states, flat)
+        self.core.kernel(rate, force, more, *self.core.arrays, self._states, flat)
         return flat.reshape(n, steps, self.core.outputs)
 
     @property
     def states(self) -> NDArray[np.void]:
         """What the network keeps from sample to sample: records (n,), of the core's `state`."""
-        return fields(self._states, self.core.state)
+        return self._states.view(self.core.state)[:, 0]
 
     @property
     def skipped(self) -> NDArray[np.int64]:
         """Samples since the start that were missing in part or whole, shape (n,)."""
-        return self.states["encoder"]["missing"].copy()
+        return self.states["missing"].astype(np.int64)
 
 
 class NetworkEstimator(BatchedNetwork):
@@ -171,7 +176,7 @@ class NetworkEstimator(BatchedNetwork):
         if gyro.shape != self._sample or accel.shape != self._sample:
             raise ValueError(f"sample: gyro {gyro.shape} and accel {accel.shape}, should be {self._sample}")
         out = np.empty((self._sample[0], self.core.outputs))
-        self.core.kernel(gyro, accel, NO_SET_POINTS, self.core.network, self._states, out)
+        self.core.kernel(gyro, accel, NO_SET_POINTS, *self.core.arrays, self._states, out)
         if self.up is None:
             return out
         self.up = out + LEVEL_UP
@@ -185,37 +190,9 @@ class NetworkEstimator(BatchedNetwork):
         return roll_pitch_of_outputs(out)
 
 
-class Spiking:
-    """Att-SNN in float64; the quantised one with the numbers of the chip."""
-
-    def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
-        """Lay the weights out for the kernel."""
-        one = float(STATE_ONE) if config.quantised else 1.0
-        weights = real_weights(config, tensors)._asdict()
-        weights |= {name: np.ascontiguousarray(weights[name].T) * one for name in MATRICES}
-        settings = np.array([config.steps_per_sample, config.recurrent_delay, config.output_scale / one])
-        parts = input_scaling(config.inputs)._asdict() | weights
-        self.network = packed(parts | {"settings": settings})
-        self.outputs = config.n_outputs
-        self.state = state_type(config.encoding, config.hidden, self.outputs)
-        self.kernel = run_quantised if config.quantised else run_floats
-
-
 def roll_pitch_of_outputs(outputs: Array) -> Array:
     """Roll and pitch (..., 2) [rad] of a network's outputs: these are the two, or up less level (..., 3)."""
     return outputs if outputs.shape[-1] == 2 else roll_pitch_of_up(outputs + LEVEL_UP)
-
-
-def real_weights(config: NetworkConfig, tensors: Tensors) -> Weights[Array]:
-    """Weights and time constants of a spiking network in units of 1.0."""
-    none = {"w_after": np.zeros((config.hidden, 0)), "syn_after": np.zeros(0)}
-    tensors = none | tensors
-    values = {name: tensors[name].astype(np.float64) for name in Weights._fields}
-    if config.quantised:
-        for name in MATRICES:
-            values[name] *= np.exp2(exponents(tensors, name).astype(np.float64) - 8)[:, None]
-        values |= {name: 1 - values[name] / 4096 for name in TIME_CONSTANTS}
-    return Weights(**values)
 
 
 def silenced(config: NetworkConfig, tensors: Tensors) -> Tensors:

@@ -18,6 +18,8 @@ from quadsim.config.toml import Strict, describe
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
+from ..loihi.chip import EXPONENT_MIN
+
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
 FORMAT = "2"
@@ -63,8 +65,6 @@ DTYPES = {"I16": "int16", "F16": "float16", "F32": "float32", "F64": "float64"}
 """NumPy's names of a file's types of numbers."""
 OLD_READS = "controller"
 """Where the metadata of earlier files have `reads`."""
-EXPONENT_MIN = -6
-"""The finest: below it, mantissas would no longer be whole state units."""
 LEVEL_UP = np.array([0.0, 0.0, 1.0])
 """The world's up in body axes at a level attitude."""
 
@@ -153,12 +153,12 @@ class NetworkConfig(Strict):
     @property
     def n_outputs(self) -> int:
         """Number of outputs, 2 or 3."""
-        return number_of(self.outputs)
+        return 2 if self.outputs == "roll-pitch" else 3
 
-
-def number_of(outputs: NetworkOutputs) -> int:
-    """How many outputs a network has: roll and pitch, or three components of up or angular acceleration."""
-    return 2 if outputs == "roll-pitch" else 3
+    @property
+    def whole(self) -> bool:
+        """Whether its tensors are whole numbers in the chip's ranges."""
+        return self.model == "att-snn" and self.quantised
 
 
 def expected_shapes(config: NetworkConfig) -> dict[str, tuple[int, ...]]:
@@ -303,7 +303,7 @@ def _check_declared(
     path: str | Path, config: NetworkConfig, declared: Mapping[str, tuple[tuple[int, ...], str]]
 ) -> None:
     """Compare shapes and types of tensors with those of the network, without their numbers."""
-    wanted, whole = expected_shapes(config), _is_whole(config)
+    wanted, whole = expected_shapes(config), config.whole
     fine = [exponent for name, exponent in EXPONENTS.items() if whole and name in wanted]
     wanted |= {name: (config.hidden,) for name in fine if name in declared}
     if missing := sorted(set(wanted) - set(declared)):
@@ -318,16 +318,11 @@ def _check_declared(
             raise ValueError(f"{path}: tensor {name} is {dtype}, should be {'int16' if whole else 'float'}")
 
 
-def _is_whole(config: NetworkConfig) -> bool:
-    """Whether its tensors are whole numbers in the chip's ranges."""
-    return config.model == "att-snn" and config.quantised
-
-
 def _check_values(path: str | Path, config: NetworkConfig, tensors: Mapping[str, NDArray[Any]]) -> None:
     for name, value in tensors.items():
         if not np.all(np.isfinite(value)):
             raise ValueError(f"{path}: tensor {name} has values that are not finite")
-        if not _is_whole(config):
+        if not config.whole:
             continue
         low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
         if name in EXPONENTS.values():

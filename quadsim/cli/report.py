@@ -127,7 +127,7 @@ def _report_weights(weights: str, data: list[Path], out: Path) -> None:
     config, tensors = load_network(weights)
     core = OnLoihi(config, tensors)
     console.print(cores_table(core.cores))
-    last = f"{weights}: {sum(core.chip.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
+    last = f"{weights}: {sum(core.sizes)} neurons on {len(core.cores)} of a chip's 128 cores"
     if data:
         with alone(out):
             flights = load_flights([open_dataset(path) for path in data])

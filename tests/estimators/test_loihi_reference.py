@@ -3,8 +3,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from estimators.loihi.neurons import LoihiLayer, LoihiNetwork
+from loihi_network import LoihiNetwork
 
 
 def decayed(x, d):
@@ -90,7 +89,7 @@ def test_emulator_equals_plain_python(case):
     layers, spikes, biases = case
     plain = [{k: None if x is None else x.tolist() for k, x in layer.items()} for layer in layers]
     expected = reference(plain, spikes.tolist(), biases.tolist())
-    net = LoihiNetwork([LoihiLayer(**layer) for layer in layers])
+    net = LoihiNetwork(layers)
     net.reset(2)
     for t, states in enumerate(expected):
         net.step(np.tile(spikes[t], (2, 1)), bias_mant=biases[t])

@@ -7,7 +7,7 @@ from estimators.evaluation.flights import load_flights
 from estimators.metrics import attitude_error
 from estimators.networks.encoder import ENCODER, scaled_inputs
 from estimators.networks.gru import Recurrent
-from estimators.networks.network import NetworkEstimator, Spiking, silenced
+from estimators.networks.network import NetworkEstimator, silenced
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import load_network
 from quadsim.dataset.generation import generate
@@ -18,7 +18,7 @@ FACTOR = 3.0
 """Least ratio of the silenced error to the network's error."""
 SEED = 910_033
 """Of the flights; no training uses it."""
-CORES = {"att-snn": Spiking, "att-snn-loihi": OnLoihi, "att-rnn": Recurrent}
+CORES = {"att-snn-loihi": OnLoihi, "att-rnn": Recurrent}
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,6 @@ def validation(tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "weights"),
     [
-        ("att-snn", "att-snn"),
         ("att-snn-loihi", "att-snn"),
         ("att-snn-loihi", "att-snn-hummingbird"),
         ("att-snn-loihi", "att-snn-paper"),
@@ -58,9 +57,9 @@ def test_the_input_part_of_the_state_is_the_last_inputs_and_a_count(name):
     rng = np.random.default_rng(0)
     gyro, accel = rng.normal(0, 1, (5, 40, 3)), rng.normal([0, 0, 9.8], 0.5, (5, 40, 3))
     est.reset(5)
-    encoder = est.states["encoder"]
+    encoder = est.states
     assert encoder.shape == (5,)
-    assert encoder.dtype == ENCODER == [("inputs", float, 6), ("missing", np.int64)]
+    assert encoder.dtype.names[:2] == ENCODER.names == ("inputs", "missing")
     est.sequence(gyro, accel)
     x = scaled_inputs(config.inputs, gyro[:, -1:], accel[:, -1:])[:, 0]
     np.testing.assert_array_equal(encoder["inputs"], 1024 * x)

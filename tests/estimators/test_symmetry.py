@@ -6,61 +6,30 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from estimators.analysis.ablation import connected, pruned
+from estimators.analysis.ablation import pruned
 from estimators.networks.network import NetworkEstimator
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.symmetry import MIRROR, OPERATIONS, TURN, is_symmetric, weight_sharing
 from estimators.networks.weights_file import save_network
 from quadsim.rotation import roll_pitch_of_up
 from training.config import make_config
-from training.fused import Fused
-from training.init import initialise_from_data
-from training.models import SOLVED_SCALE, AttSNN
-from training.run_folder import exported
+from training.init import ESTIMATOR_START, initialise_from_data
+from training.loop import exported
+from training.models import AttSNN
 
 G = 9.81
 
 
-def recipe(encoding, hidden, seed=0, outputs="roll-pitch"):
-    sizes = {"encoding": encoding, "hidden": hidden, "after_spike": seed % 2 == 1}
-    return make_config("best", data="none.zarr", outputs=outputs, **sizes)
-
-
 def network(encoding, hidden, seed=0, outputs="roll-pitch"):
     """A symmetric network with a solved start; of odd seeds with after-spike currents."""
-    rng, config = np.random.default_rng(seed), recipe(encoding, hidden, seed, outputs)
-    model = AttSNN(
-        encoding,
-        hidden,
-        Fused(),
-        symmetric=True,
-        output_scale=SOLVED_SCALE,
-        outputs=outputs,
-        finest_exponent=config.finest_exponent,
-        after_spike=config.after_spike,
-    )
+    rng, sizes = np.random.default_rng(seed), {"encoding": encoding, "hidden": hidden}
+    config = make_config("best", data="x", outputs=outputs, after_spike=seed % 2 == 1, **sizes)
+    model = AttSNN(config)
     x = np.round(rng.normal(size=(3, 300, 6)).cumsum(1) * 20) / 1024
-    initialise_from_data(model, x, 0.1 * x[:, :, : len(model.w_out)], seed=seed, fan_in=8)
-    return model, *exported(model, config, 200.0, {})
-
-
-@given(st.integers(8, 40), st.integers(8, 40), st.floats(0.01, 0.5), st.integers(0, 100))
-@settings(max_examples=25, deadline=None)
-def test_neurons_that_nothing_reaches_leave_without_a_trace(encoding, hidden, share, seed):
-    """The estimate of a network with few connections is the same to the last bit, and stays symmetric."""
-    model, _, _ = network(encoding, hidden, seed)
-    rng = np.random.default_rng(seed)
-    for name in model.matrices:
-        drawn = np.abs(model.shared(name, rng.random(tuple(getattr(model, name).shape))))
-        getattr(model, f"{name}_connected").mul_(torch.from_numpy(drawn < share))
-    model.constrain()
-    whole = exported(model, recipe(encoding, hidden, seed), 200.0, {})
-    fewer = connected(*whole)
-    assert fewer[0].encoding <= encoding
-    assert fewer[0].hidden <= hidden
-    assert is_symmetric(fewer[1])
-    estimates = [NetworkEstimator(OnLoihi(*each), 200.0).sequence(*readings(seed)) for each in (whole, fewer)]
-    np.testing.assert_array_equal(*estimates)
+    initialise_from_data(
+        model, x, 0.1 * x[:, :, : len(model.w_out)], seed, ESTIMATOR_START._replace(fan_in=8)
+    )
+    return model, *exported(model, 200.0, {})
 
 
 def readings(seed):

@@ -7,7 +7,6 @@ import sys
 import threading
 from pathlib import Path
 
-import numpy as np
 import pytest
 from filelock import FileLock
 from hypothesis import given
@@ -17,7 +16,6 @@ from numba.core.errors import TypingError
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
 from quadsim.runs import compiled, files
-from quadsim.runs.block import block_type, fields, matrix, packed, vector, zero_blocks
 from quadsim.runs.compiled import njit
 from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint, source_digest
@@ -251,43 +249,6 @@ def test_a_folder_that_takes_no_file_is_not_writable(tmp_path):
     assert compiled.is_writable(tmp_path / "new")
     (tmp_path / "file").touch()
     assert not compiled.is_writable(tmp_path / "file")
-
-
-@njit
-def read_block(block):
-    scalar, row, table = vector(block, 0, np.float64), vector(block, 1, np.int8), matrix(block, 2, np.int16)
-    row[-1] = -7
-    return scalar.copy(), row.copy(), table.copy()
-
-
-@pytest.mark.parametrize("columns", [1, 5, 8])
-def test_compiled_code_reads_and_writes_the_fields_of_a_block_of_any_size(columns):
-    arrays = {
-        "scalar": np.array(2.5),
-        "row": np.arange(columns, dtype=np.int8),
-        "table": np.arange(3 * columns, dtype=np.int16).reshape(3, columns),
-    }
-    block = packed(arrays)
-    scalar, row, table = read_block(block)
-    np.testing.assert_array_equal(scalar, [2.5])
-    np.testing.assert_array_equal(row, [*range(columns - 1), -7])
-    np.testing.assert_array_equal(table, arrays["table"])
-    record = block_type({name: (each.dtype, each.shape) for name, each in arrays.items()})
-    np.testing.assert_array_equal(fields(block[None], record)["row"][0], row)
-    assert len(read_block.signatures) == 1
-
-
-def test_blocks_of_zeros_have_a_layout_each_and_may_be_none():
-    record = block_type({"a": (np.float32, (3,)), "b": (np.int64, ())})
-    blocks = zero_blocks(4, record)
-    fields(blocks, record)["b"] = range(4)
-    np.testing.assert_array_equal([read_last(block)[0] for block in blocks], range(4))
-    assert zero_blocks(0, record).shape == (0, blocks.shape[1])
-
-
-@njit
-def read_last(block):
-    return vector(block, 1, np.int64)
 
 
 def test_a_process_that_was_forked_compiles_with_a_lock_of_its_own(tmp_path):

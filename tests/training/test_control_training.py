@@ -6,7 +6,7 @@ import torch
 
 from estimators.control import create_controller
 from estimators.control.controller import SpikingController
-from estimators.networks.network import real_weights
+from estimators.networks.forward import real_weights
 from estimators.networks.weights_file import load_network
 from quadsim.control.records import SET_POINT
 from quadsim.flight.recipe import load_recipe
@@ -17,11 +17,11 @@ from quadsim.vehicle import GRAVITY
 from training.config import ControlSettings, make_config
 from training.control.excitation import Excitation, set_point_excitation
 from training.control.flights import fly, joined, thrust_axis, thrust_axis_error, with_motion
-from training.control.initial import GivenEstimator, initialise
 from training.control.task import ControlTask, read_flights, save_flights, windows
 from training.data import network_inputs
+from training.init import CONTROLLER_START, initialise_from_data
 from training.loop import INTERRUPTED, Training, train
-from training.models import new_att_snn
+from training.models import AttSNN
 
 TINY = {
     "preset": "control-attitude",
@@ -176,14 +176,14 @@ def test_an_update_with_two_steps_a_sample_descends_the_error_of_what_the_chip_a
 def test_a_linear_teacher_is_imitated_in_seconds():
     """Rate damping, a = -8 gyro: the loss falls below a fifth of the variance of the answer."""
     torch.manual_seed(0)
-    model = new_att_snn(make_config(**TINY | {"encoding": 32, "hidden": 48}))
+    model = AttSNN(make_config(**TINY | {"encoding": 32, "hidden": 48}))
     rng = np.random.default_rng(0)
     time = np.arange(300) / 200.0
     phase, frequency = rng.uniform(0, 6.28, (12, 1, 3)), rng.uniform(0.3, 1.5, (12, 1, 3))
     gyro = np.sin(6.28 * frequency * time[:, None] + phase)
     x = np.concatenate([gyro / 2.5, np.zeros((12, 300, 6))], 2)
     target = -8.0 * gyro
-    initialise(model, GivenEstimator(), x, target, 0)
+    initialise_from_data(model, x, target, 0, CONTROLLER_START)
     optimiser = torch.optim.Adam(model.parameters(), 0.02)
     inputs, wanted = torch.from_numpy(x), torch.from_numpy(target.astype(np.float32))
     for _ in range(150):

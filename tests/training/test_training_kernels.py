@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 import torch
-from plain_network import Plain
+from plain_network import Plain, SuperSpike
 
-from estimators.spiking import Weights, quantise_decay, quantise_weights
+from estimators.networks.forward import Weights
 from training.fused import Fused
+from training.models import quantise_decay, quantise_weights, weight_exponents
 
 
 def random_weights(h0, h1, seed=0, quantised=True, dtype=torch.float64, gain=1.0, after_spike=True):
@@ -94,7 +95,7 @@ def test_windows_go_on_with_neurons_whose_potential_is_at_the_chip_s_limit():
         weights.syn1[:], weights.mem1[:] = 4095 / 4096, 4095 / 4096
     kernels = Fused()
     whole = kernels.forward(x, weights)[0].detach()
-    assert kernels._last.traces[0].v1.min() == -(2**23 - 1) / 2**14
+    assert kernels._last.traces[0].v.min() == -(2**23 - 1) / 2**14
     reset = np.ones(3, bool)
     parts = [
         kernels.forward(x[:, 400 * k : 400 * k + 400], weights, reset & (k == 0))[0].detach()
@@ -118,3 +119,102 @@ def test_a_trace_that_is_overwritten_is_not_used():
     kernels.forward(x, weights)
     with pytest.raises(RuntimeError, match="another window"):
         first.sum().backward()
+
+
+# --- one encoder that fires on every large input, one hidden neuron, one output ----------------------
+
+
+def chain(x, tau=0.5, w_after=None):
+    """Output potentials and trace of a window x (T,) of the network in floats."""
+    one = torch.ones(1, 1, dtype=torch.float64)
+    taus = [torch.full((1,), tau, dtype=torch.float64)] * 6
+    after, tau_after = (one[:, :0], one[0, :0]) if w_after is None else (one * w_after, taus[0])
+    w_in = torch.cat([one] + [0 * one] * 5, 1)
+    readings = torch.zeros(1, len(x), 6, dtype=torch.float64)
+    readings[0, :, 0] = torch.as_tensor(x)
+    kernels = Fused(quantised=False)
+    out, _ = kernels.forward(readings, Weights(w_in, one * 0.75, one * 0, one, after, *taus, tau_after))
+    return out[0, :, 0], *(spikes[0, :, 0] for spikes in kernels.spikes()), kernels._last.traces[0]
+
+
+def test_superspike_is_a_step_with_the_gradient_of_the_paper():
+    x = torch.tensor([-0.3, 0.0, 0.2], requires_grad=True)
+    y = SuperSpike.apply(x)
+    y.sum().backward()
+    assert y.tolist() == [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(x.grad, 1 / (1 + 20 * np.abs([-0.3, 0.0, 0.2])) ** 2, rtol=1e-6)
+
+
+def test_a_sample_reaches_the_output_in_the_third_step():
+    out, encoding, hidden, _ = chain([1.0, 0, 0, 0, 0], tau=0.1)
+    assert encoding.tolist() == [1, 0, 0, 0, 0]
+    assert hidden.tolist() == [0, 1, 0, 0, 0]
+    np.testing.assert_allclose(out[:3], [0.0, 0.0, 1.0])
+
+
+def test_neuron_follows_the_written_equations():
+    x = np.linspace(0, 0.3, 40)
+    _, encoding, _, _ = chain(x, tau=0.8)
+    u = v = 0.0
+    for t in range(40):
+        u = 0.8 * u + x[t]
+        v = 0.8 * v + u
+        assert encoding[t] == (v > 0.5)
+        v = 0.0 if v > 0.5 else v
+
+
+@pytest.mark.parametrize("w_after", [-0.4, 0.3])
+def test_a_spike_leaves_a_current_in_its_own_neuron_that_decays(w_after):
+    x = [1.0] + 29 * [0.0]
+    _, _, spikes, trace = chain(x, w_after=w_after)
+    assert spikes.sum() >= 1
+    expected = [w_after * sum(spikes[k] * 0.5 ** (t - 1 - k) for k in range(t)) for t in range(30)]
+    np.testing.assert_allclose(trace.a[1:, 0, 0], expected, atol=1e-15)
+    without = chain(x)[3].v[2:, 0, 1]
+    assert trace.v[2, 0, 1] == without[0]
+    assert (trace.v[12, 0, 1] - without[10]) * w_after > 0
+
+
+def test_recurrent_delay_of_two_is_the_papers_convention():
+    """v[t+1] = τ v[t] + i[t], i[t+1] = τ i[t] + W s[t], spikes of v: as printed in the paper."""
+    rng, tau = np.random.default_rng(0), 0.75
+    w_ff, w_rec = rng.normal(0, 0.5, (7, 5)), rng.normal(0, 0.5, (7, 7))
+    matrices = (rng.normal(0, 0.5, (5, 6)), w_ff, w_rec, np.ones((2, 7)), np.zeros((7, 0)))
+    weights = *matrices, *(np.full(k, tau) for k in (5, 5, 7, 7, 1, 1)), np.zeros(0)
+    kernels = Fused(quantised=False, recurrent_delay=2)
+    kernels.forward(torch.tensor(rng.normal(size=(1, 200, 6))), Weights(*map(torch.tensor, weights)))
+    encoding, hidden = (each[0].astype(float) for each in kernels.spikes())
+    v, i, spikes = np.zeros(7), np.zeros(7), np.zeros(7)
+    for t in range(200):
+        v, i = tau * v * (1 - spikes) + i, tau * i + w_rec @ spikes
+        spikes = (v > 0.5).astype(float)
+        np.testing.assert_array_equal(hidden[t], spikes)
+        # The paper's encoding layer, too, uses its old current: it spikes one step later than this one.
+        i = i + w_ff @ encoding[t]
+
+
+def test_grid_of_the_chip():
+    w = quantise_weights(torch.tensor([[0.0, 0.1, 1.0, 3.0, -3.0]], dtype=torch.float64)) * 256
+    assert w.tolist() == [[0, 26, 254, 254, -256]]
+    d = (1 - quantise_decay(torch.tensor([0.0, 0.5, 0.99999], dtype=torch.float64))) * 4096
+    assert d.tolist() == [4096, 2048, 1]
+
+
+def test_rounding_lets_gradients_through():
+    for finest in (0, -6):
+        w = torch.tensor([[0.1, -0.003]], requires_grad=True)
+        quantise_weights(w, finest).sum().backward()
+        assert w.grad.tolist() == [[1.0, 1.0]]
+
+
+def test_a_row_of_small_weights_has_finer_steps_down_to_the_finest():
+    w = torch.tensor(
+        [[0.9, 0.003], [0.1, 0.003], [1e-3, 0.003], [0.0, 0.0], [3.0, -3.0]], dtype=torch.float64
+    )
+    assert weight_exponents(w, -6).tolist() == [[0], [-3], [-6], [-6], [0]]
+    assert weight_exponents(w, 0).tolist() == [[0]] * 5
+    fine = quantise_weights(w, -6)
+    step = torch.exp2(weight_exponents(w, -6)) / 128
+    assert (fine / step == torch.round(fine / step)).all()
+    assert ((fine - w)[:4].abs() <= step[:4] / 2).all()
+    assert torch.equal(quantise_weights(fine, -6), fine)

@@ -3,8 +3,7 @@ import pytest
 import torch
 
 from training.config import make_config
-from training.loss import error_loss, total_cost
-from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K, Lookahead
+from training.optim import LOOKAHEAD_ALPHA, LOOKAHEAD_K, Lookahead, error_loss, total_cost
 
 
 def start():

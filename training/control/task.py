@@ -19,9 +19,9 @@ from quadsim.seeding import child
 
 from ..config import TrainConfig
 from ..data import Batch, network_inputs
-from ..models import AttSNN, new_att_snn
+from ..init import CONTROLLER_START, given_estimator, initialise_from_data
+from ..models import AttSNN
 from .flights import SIGNALS, ControlFlights, fly, joined
-from .initial import given_estimator, initialise
 
 if TYPE_CHECKING:
     from ..loop import Student
@@ -68,9 +68,10 @@ class ControlTask:
         batch = next(
             windows(self.rounds[0], long, round(long.window_s * self.rate_hz), seed, INITIAL_WINDOWS)
         )
-        model = new_att_snn(config, self.estimator.sizes)
+        model = AttSNN(config, self.estimator.sizes)
         target = np.repeat(batch.target, steps, 1)
-        initialise(model, self.estimator, network_inputs(config, batch).numpy(), target, config.seed)
+        x = network_inputs(config, batch).numpy()
+        initialise_from_data(model, x, target, config.seed, CONTROLLER_START, self.estimator)
         return model
 
     def _seeds(self, *key: int, n: int) -> list[np.random.SeedSequence]:
