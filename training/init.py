@@ -226,14 +226,7 @@ def _connect(model: AttSNN, sizes: tuple[int, int]) -> None:
 def _random_encoders(
     x: NDArray[np.float64], tau: NDArray, preferred: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Input weights of encoding neurons: random directions, of which each prefers one of the first inputs.
-
-    Args:
-        x: Scaled inputs (n, T, inputs), whose standard deviations the weights make up for.
-        tau: Time constants of the currents, (neurons,).
-        preferred: Inputs that are preferred in turn.
-        rng: Source of all draws.
-    """
+    """Random directions in the inputs (n, T, inputs), of which each prefers one of the first ones."""
     every, shape = np.arange(tau.size), (tau.size, x.shape[-1])
     directions = rng.normal(size=shape) * (rng.random(shape) < 0.3)
     directions[every, every % preferred] += np.where(every // preferred % 2 == 0, -2.0, 2.0)
@@ -270,10 +263,7 @@ def _filtered(signal: NDArray, tau: NDArray) -> NDArray:
 
 
 def _drive_scale(current: NDArray, rng: np.random.Generator) -> NDArray:
-    """Factors (k,) of neurons' input weights that make the means of their currents (n, T, k) positive.
-
-    The standard deviations become a part of the threshold, log-uniform between a fifth and all of it.
-    """
+    """Factors that make currents (n, T, k) positive, with a deviation of a fifth to all of the threshold."""
     part = np.exp(rng.uniform(math.log(0.2), math.log(1.0), current.shape[2]))
     sign = np.where(current.mean((0, 1)) < 0, -1.0, 1.0)
     return sign * 0.5 * part / np.maximum(current.std((0, 1)), 1e-6)
@@ -282,17 +272,7 @@ def _drive_scale(current: NDArray, rng: np.random.Generator) -> NDArray:
 def _solve_outputs(
     model: AttSNN, x: NDArray[np.float64], target: NDArray[np.floating], first: int = 0
 ) -> NDArray:
-    """Ridge regression from the hidden spikes, filtered as the outputs filter them, to the targets.
-
-    Args:
-        model: Whose output weights to solve.
-        x: Scaled inputs (n, T, inputs).
-        target: Of the outputs, (n, T, outputs).
-        first: First hidden neuron that the outputs may read.
-
-    Returns:
-        Weights (outputs, hidden neurons from the first on).
-    """
+    """Output weights by ridge regression from the hidden spikes, filtered as the outputs filter them."""
     _, spikes = _layer_spikes(model, x)
     features = spikes[..., first:].astype(np.float32)
     for name in ("syn2", "mem2"):

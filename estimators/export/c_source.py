@@ -165,15 +165,7 @@ def _integers(tensors: Tensors) -> dict[str, str]:
 
 
 def _blocks(weights: Ints) -> tuple[Ints, Ints]:
-    """Weights onto the hidden layer by block of neurons and by source.
-
-    Args:
-        weights: Halves of mantissas, (neurons, sources).
-
-    Returns:
-        Words of four weights (rows, 4), and for each block its first source, the one after its last, and the
-        row of source 0 if no source were left out, (blocks, 3).
-    """
+    """Words of four weights, and each block's first source, the one after its last, and row of source 0."""
     sources, count = weights.shape[1], 0
     rows, ranges = [], []
     for block in _padded(weights, BLOCK).reshape(-1, BLOCK, sources):

@@ -122,16 +122,13 @@ def _decays(tau: NDArray[np.floating]) -> Array:
 
 
 class Spiking:
-    """Att-SNN, with the numbers of the chip where it is quantised; see `estimators.networks.network.Core`."""
+    """Att-SNN, with the numbers of the chip where it is quantised; a `NetworkCore`."""
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
         """Lay the weights out for the kernel."""
         one = float(STATE_ONE) if config.quantised else 1.0
-        self.steps, self.scale, self.outputs = (
-            config.steps_per_sample,
-            config.output_scale / one,
-            config.n_outputs,
-        )
+        self.steps, self.scale = config.steps_per_sample, config.output_scale / one
+        self.outputs = config.n_outputs
         weights = packed(real_weights(config, tensors), config.quantised, config.recurrent_delay)
         number = weights.table.dtype
         self.sizes = config.encoding, config.hidden, self.outputs

@@ -60,7 +60,7 @@ class Layer(NamedTuple):
 
 
 class Recurrent:
-    """Att-RNN: two GRU layers and a linear output, in float32; see `estimators.networks.network.Core`."""
+    """Att-RNN: two GRU layers and a linear output, in float32; a `NetworkCore`."""
 
     def __init__(self, config: NetworkConfig, tensors: Tensors) -> None:
         """Lay the weights out for the kernel: by source, biases in the last rows."""
@@ -167,16 +167,7 @@ def _gates(from_x, from_h, h):
 
 @njit(error_model="numpy", fastmath={"contract"})
 def _run_layer(x, h, layer):
-    """Run a layer over some samples of some copies.
-
-    Args:
-        x: Inputs, those of all copies' first samples first, shape (samples · copies, in).
-        h: States of the copies, changed, shape (copies, units).
-        layer: Weights.
-
-    Returns:
-        The states after each sample, in the order of x, shape (samples · copies, units).
-    """
+    """States after inputs x, (samples · copies, ..), the first samples of all copies first; h is changed."""
     rows, copies, units = x.shape[0], h.shape[0], h.shape[1]
     y, from_x = np.empty((rows, units), np.float32), np.empty((rows, 3 * units), np.float32)
     from_h = np.empty((copies, 3 * units), np.float32)
