@@ -46,8 +46,10 @@ BLOCK_S = 0.5
 """Error over time is averaged over blocks of this length."""
 
 COLUMNS = {
+    "log": "Name of a log; empty for a dataset.",
     "estimator": "Name, or path of a network's weights.",
     "initial": 'Whether the initial attitude was given: "known" or "unknown". Networks are never given it.',
+    "bias": "Of a log: gyroscope as it reads (raw), or with its mean bias taken off (known).",
     "median_deg": "Mean absolute error of roll and pitch, pooled, of a sequence; median over sequences.",
     "mean_deg": "Mean over sequences,",
     "sd_deg": "standard deviation,",
@@ -57,19 +59,22 @@ COLUMNS = {
     "behind_deg": "Mean over sequences of the error less that of the best estimator with the same start,",
     "behind_low_deg": "and ends of its bootstrap interval: paired, so narrower than the means' own suggest.",
     "behind_high_deg": "",
-    "inclination_rmse_deg": "Mean over sequences of the inclination error's RMS.",
+    "inclination_rmse_deg": "Mean over sequences of the inclination error's RMS; NaN where no sample counts.",
+    "silenced_inclination_deg": "The same of a network with its output weights at zero.",
     "settle_20_s": "From an unknown tilt of 20°: time until the median start stays below 2°; NaN: never.",
     "settle_45_s": "The same from 45°.",
     "runtime_ns": "Run time per sample of `run` over all flights.",
     "flights": "Flights it was run on.",
+    "scored_s": "Of a log: length of what is scored [s].",
     "missing": "Samples of these that were missing or refused in part or whole, and bridged.",
     "without_number": "Share of estimates that are no finite number or no angle; each counts as 180°.",
     "reference": "Whether it receives the true attitude.",
     "flaw": "What is wrong with its estimates, or why it has none; empty if nothing.",
     "unranked": "Why it is not ranked: a reference, or its flaw; empty if it is.",
     "tied": "Whether it does not differ significantly from the best (the paired interval includes 0).",
+    "faults": "Of a log: faults of the sensors that begin inside it; empty if none is found.",
 }
-"""Columns of the table, a row for each estimator and start."""
+"""Columns of the table, a row for each log, estimator, start and kind of bias."""
 
 
 @dataclass
@@ -79,7 +84,7 @@ class Evaluation:
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     """The columns are those of `COLUMNS`."""
     sequences: dict[tuple[str, str], Array] = field(default_factory=dict)
-    """Mean absolute error of each sequence (n,) [deg]."""
+    """Mean absolute error of each sequence of a dataset (n,) [deg]."""
     settling: dict[tuple[str, float], Array] = field(default_factory=dict)
     """(estimator, tilt) to the median over starts of the inclination error in each block [deg]."""
 
@@ -134,23 +139,29 @@ def evaluate(
         ValueError: For a dataset that is not one, an unknown estimator, or where every estimator fails.
     """
     flights = load_flights([dataset])
-    steps, rate_hz = flights.gyro.shape[1], flights.rate_hz
+    steps = min(round(settle_s * flights.rate_hz), flights.gyro.shape[1])
     made = estimators
     if not isinstance(made, Mapping):
-        made = made_of(made, rate_hz, vehicle=vehicle_of(dataset))
+        made = made_of(made, flights.rate_hz, vehicle=vehicle_of(dataset))
     result = Evaluation()
     rows: list[dict[str, Any]] = []
     for k, (name, est) in enumerate(made.items()):
         progress(k, len(made), name)
         flown = flights.first(slow_flights) if slow_flights and name in FILTERPY else flights
-        starts: list[Initial] = [
-            s for s in initial if s == "unknown" or not isinstance(est, NetworkEstimator)
-        ]
+        starts = [s for s in initial if s == "unknown" or not isinstance(est, NetworkEstimator)]
+        cases = {s: flown.known() if s == "known" else flown for s in starts}
         try:
-            rows += _evaluated(name, est, flown, starts, min(round(settle_s * rate_hz), steps), seed, result)
+            for each in cases.values():
+                _run(est, each.map(lambda values: values[:, :3], each.start))  # compiles
+            curves = {tilt: _settling(est, tilted_starts(flown, tilt, steps, seed)) for tilt in TILTS_DEG}
+            found = {s: assessed(name, est, each, seed=seed)[1] for s, each in cases.items()}
         except ValueError as error:
-            failed = {"estimator": name, "reference": receives_truth(est), "flights": 0, "missing": 0}
-            rows += [failed | {"initial": s, "flaw": f"did not run: {error}"} for s in starts]
+            rows += [failed(name, est, error) | {"initial": s} for s in starts]
+            continue
+        settled = {f"settle_{tilt:g}_s": _time_below(curve) for tilt, curve in curves.items()}
+        rows += [row | settled | {"initial": s} for s, row in found.items()]
+        result.settling |= {(name, tilt): curve for tilt, curve in curves.items()}
+        result.sequences |= {(name, s): row["sequences"] for s, row in found.items()}
     progress(len(made), len(made), "")
     if rows and not result.sequences:
         flaws = dict.fromkeys(f"{each['estimator']} {each['flaw']}" for each in rows)
@@ -166,8 +177,17 @@ def evaluate(
     return result
 
 
-def measured(est: AttitudeEstimator, flights: Flights) -> tuple[Array, dict[str, Any]]:
-    """Estimates (n, T, 2) [rad] of an estimator, and what of it tables say: errors a sequence, and flaws.
+def assessed(
+    name: str, est: AttitudeEstimator, flights: Flights, *, silence: bool = True, seed: int = 0
+) -> tuple[Array, dict[str, Any]]:
+    """Estimates (n, T, 2) [rad] of an estimator, and its row of the table beside the errors of its sequences.
+
+    Args:
+        name: Its name, by which networks are known.
+        est: The estimator.
+        flights: What it is run on.
+        silence: Run a network with output weights of zero, too.
+        seed: Of the bootstrap.
 
     Raises:
         ValueError: It does not run, or its `sequence` does not give the estimates of its `update`.
@@ -178,50 +198,36 @@ def measured(est: AttitudeEstimator, flights: Flights) -> tuple[Array, dict[str,
     estimate = _run(est, flights)
     runtime = (time.perf_counter() - begin) / truth[..., 0].size * 1e9
     require_same(est, estimate, streamed)
-    of_run = {"runtime_ns": runtime, "missing": missing_samples(est), "reference": receives_truth(est)}
-    return estimate, errors_of(estimate, truth) | of_run
+    row = {"estimator": name, "reference": receives_truth(est), "flights": len(truth), "runtime_ns": runtime}
+    row |= {"missing": missing_samples(est)} | errors_of(estimate, truth, seed)
+    if silence and (twin := silenced_twin(name, flights.rate_hz)) is not None:
+        silent = errors_of(_run(twin, flights), truth)
+        row |= {"silenced_deg": silent["mean_deg"]}
+        row |= {"silenced_inclination_deg": silent["inclination_rmse_deg"]}
+    return estimate, row
 
 
-def errors_of(estimate: Array, truth: Array) -> dict[str, Any]:
-    """Errors a sequence of roll and pitch (n, T, 2) [rad] over samples whose truth is known, and flaws."""
+def errors_of(estimate: Array, truth: Array, seed: int = 0) -> dict[str, Any]:
+    """Errors and flaws of roll and pitch (n, T, 2) [rad] over samples whose truth is known, by column."""
+    error = attitude_error(estimate, truth)
+    low, high = error.mean_interval(seed=seed)
     return {
-        "absolute": attitude_error(estimate, truth),
-        "inclination": inclination_rmse(estimate, truth),
+        "sequences": error.sequences,
+        "median_deg": error.median,
+        "mean_deg": error.mean,
+        "sd_deg": error.sd,
+        "mean_low_deg": low,
+        "mean_high_deg": high,
+        "inclination_rmse_deg": inclination_rmse(estimate, truth).mean,
         "without_number": share_without_number(estimate, truth),
         "flaw": flaw_of(estimate, truth),
     }
 
 
-def _evaluated(
-    name: str,
-    est: AttitudeEstimator,
-    flown: Flights,
-    starts: Sequence[Initial],
-    steps: int,
-    seed: int,
-    result: Evaluation,
-) -> list[dict[str, Any]]:
-    """One estimator's rows; what figures are drawn from goes to the result."""
-    short = flown.map(lambda each: each[:, :3])
-    for start in starts:
-        _run(est, short.known() if start == "known" else short)  # compiles
-    curves = {tilt: _settling(est, tilted_starts(flown, tilt, steps, seed)) for tilt in TILTS_DEG}
-    without = silenced_twin(name, flown.rate_hz)
-    rows, errors = [], {}
-    for start in starts:
-        chosen = flown.known() if start == "known" else flown
-        found = measured(est, chosen)[1]
-        error, inclination = found.pop("absolute"), found.pop("inclination")
-        low, high = error.mean_interval(seed=seed)
-        silent = np.nan if without is None else attitude_error(_run(without, chosen), chosen.truth).mean
-        errors[name, start] = error.sequences
-        found |= {"estimator": name, "initial": start, "flights": len(chosen.gyro), "silenced_deg": silent}
-        found |= {"median_deg": error.median, "mean_deg": error.mean, "sd_deg": error.sd}
-        found |= {"mean_low_deg": low, "mean_high_deg": high, "inclination_rmse_deg": inclination.mean}
-        rows.append(found | {f"settle_{tilt:g}_s": _time_below(curve) for tilt, curve in curves.items()})
-    result.settling |= {(name, tilt): curve for tilt, curve in curves.items()}
-    result.sequences |= errors
-    return rows
+def failed(name: str, est: AttitudeEstimator, error: ValueError) -> dict[str, Any]:
+    """The row of an estimator that did not run."""
+    flaw = {"flaw": f"did not run: {error}", "flights": 0, "missing": 0, "without_number": 0.0}
+    return {"estimator": name, "reference": receives_truth(est)} | flaw
 
 
 def tilted_starts(flights: Flights, tilt_deg: float, steps: int, seed: int = 0) -> Flights | None:

@@ -3,13 +3,13 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from quadsim.estimator import OTHERS, Readings
+from quadsim.estimator import Readings
 from quadsim.imu.spec import ImuSpec
 from quadsim.rotation import roll_pitch_from_quat
 from quadsim.vehicle import Vehicle
@@ -85,24 +85,18 @@ def load_flights(datasets: Sequence[xr.Dataset], count: int | None = None) -> Fl
 
 def vehicle_of(dataset: xr.Dataset) -> Vehicle | None:
     """The airframe that flew a dataset, as its recipe has it; None where the dataset does not say."""
-    config = json.loads(dataset.attrs.get("config", "{}"))
+    config = _config(dataset)
     return Vehicle.model_validate(config["vehicle"]) if "vehicle" in config else None
 
 
 def imu_of(dataset: xr.Dataset) -> ImuSpec | None:
     """The IMU of a dataset; None where the dataset does not say, or it was recorded."""
-    config = json.loads(dataset.attrs.get("config", "{}"))
+    config = _config(dataset)
     return ImuSpec.model_validate(config["imu"]) if "vehicle" in config and "imu" in config else None
 
 
-def other_sensors(dataset: xr.Dataset) -> dict[str, Array]:
-    """Readings beside the IMU's (flight, time, ·) that a dataset holds; what it calls unknown is left out."""
-    unknown = json.loads(dataset.attrs.get("config", "{}")).get("unknown", ())
-    return {name: _values(dataset, name) for name in OTHERS if name in dataset and name not in unknown}
-
-
-def _values(dataset: xr.Dataset, name: str) -> Array:
-    return np.ascontiguousarray(dataset[name].transpose("flight", "time", ...).values, np.float64)
+def _config(dataset: xr.Dataset) -> dict[str, Any]:
+    return json.loads(dataset.attrs.get("config", "{}"))
 
 
 def _flights(dataset: xr.Dataset) -> Flights:
@@ -112,9 +106,14 @@ def _flights(dataset: xr.Dataset) -> Flights:
         missing.append("rate_hz (an attribute)")
     if missing:
         raise ValueError(f"the dataset has no {', '.join(missing)}: not one of quadsim generate")
-    gyro, accel, quat = (_values(dataset, name) for name in ("gyro", "accel", "quat"))
+    unknown = _config(dataset).get("unknown", ())
+    sensors = {
+        name: np.ascontiguousarray(dataset[name].transpose("flight", "time", ...).values, np.float64)
+        for name in ("quat", *Readings._fields)
+        if name in dataset and name not in unknown
+    }
+    quat = sensors.pop("quat")
     truth = roll_pitch_from_quat(quat)
     if "valid_steps" in dataset:
-        truth[np.arange(gyro.shape[1]) >= dataset["valid_steps"].to_numpy()[:, None]] = np.nan
-    readings = Readings(gyro, accel, **other_sensors(dataset))
-    return Flights(readings, quat, truth, float(dataset.attrs["rate_hz"]))
+        truth[np.arange(truth.shape[1]) >= dataset["valid_steps"].to_numpy()[:, None]] = np.nan
+    return Flights(Readings(**sensors), quat, truth, float(dataset.attrs["rate_hz"]))

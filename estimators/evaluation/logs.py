@@ -8,7 +8,6 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,13 +17,12 @@ from numpy.typing import NDArray
 
 from quadsim.estimator import AttitudeEstimator, receives_truth
 from quadsim.logs.faults import SensorFault
-from quadsim.logs.truth_bias import GyroBias, bias_by_truth
-from quadsim.runs.files import write_csv
+from quadsim.logs.truth import GyroBias, bias_by_truth
 
 from ..metrics import inclination_error
 from ..registry import FILTERPY, names, needs_vehicle
 from .beliefs import Beliefs, Interval, beliefs
-from .comparison import Progress, errors_of, made_of, measured, silenced_twin
+from .comparison import COLUMNS, Evaluation, Progress, assessed, errors_of, failed, made_of
 from .flights import Flights, load_flights
 from .without_truth import LEVEL, Comparison, compare, motion
 
@@ -37,21 +35,6 @@ NO_ATTITUDE = "it has no attitude"
 """Why a log is compared in place of scored."""
 SKIP_S = 3.0
 """Time at the start that is not scored [s]."""
-
-COLUMNS = {
-    "log": "",
-    "estimator": "",
-    "bias": "raw or known.",
-    "inclination_rmse_deg": "NaN where no sample counts.",
-    "mean_deg": "Mean absolute error of roll and of pitch, pooled, over the same samples.",
-    "scored_s": "Length of what is scored [s].",
-    "without_number": "Share of the estimates scored that are no number or no angle, each counted as 180°.",
-    "silenced_deg": "Of a network: inclination RMSE with its output weights at zero; NaN for others.",
-    "reference": "Whether it receives the true attitude.",
-    "flaw": "What is wrong with its estimates, or why it has none; empty if nothing.",
-    "faults": "Faults of the sensors that begin inside the log; empty if none is found.",
-}
-"""Columns of the table, a row for each log, estimator and kind of bias."""
 
 
 @dataclass
@@ -74,11 +57,6 @@ class ScoredLog:
     """Estimator that has models to what it believed of them."""
     comparison: Comparison | None = None
     """How estimators differ on a log without a true attitude, which has no rows in the table."""
-
-    @property
-    def time_s(self) -> Array:
-        """Stamps of the samples (T,) [s]."""
-        return np.arange(len(self.truth)) / self.flights.rate_hz
 
     @property
     def counted_s(self) -> float:
@@ -110,18 +88,12 @@ class ScoredLog:
 
 
 @dataclass
-class LogScores:
-    """Estimators on all logs."""
+class LogScores(Evaluation):
+    """Estimators on all logs; the table has a row for each log, estimator and kind of bias."""
 
-    logs: dict[str, ScoredLog]
-    table: pd.DataFrame
-    """The columns are those of `COLUMNS`."""
+    logs: dict[str, ScoredLog] = field(default_factory=dict)
     tuning: str = ""
     """Which parameters the filters have, in a sentence."""
-
-    def write_csv(self, path: Path) -> None:
-        """Write the table."""
-        write_csv(path, self.table.to_dict("records"))
 
     def mean(self, estimator: str, bias: str) -> float:
         """Mean over the logs of the headline of the inclination RMSE [deg]."""
@@ -129,11 +101,12 @@ class LogScores:
 
     def silenced(self, estimator: str) -> float:
         """The same of the network silenced, raw; NaN for others [deg]."""
-        return float(self._errors(RAW)["silenced_deg"].to_dict().get(estimator, np.nan))
+        return float(self._errors(RAW)["silenced_inclination_deg"].to_dict().get(estimator, np.nan))
 
     def _errors(self, bias: str) -> pd.DataFrame:
         chosen = self.table.loc[(self.table.bias == bias) & self.table.log.isin(self.headline)]
-        return pd.DataFrame(chosen.groupby("estimator")[["inclination_rmse_deg", "silenced_deg"]].mean())
+        columns = ["inclination_rmse_deg", "silenced_inclination_deg"]
+        return pd.DataFrame(chosen.groupby("estimator")[columns].mean())
 
     def on_logs(self, bias: str = RAW) -> pd.DataFrame:
         """Inclination RMSE of estimators by log [deg]."""
@@ -213,7 +186,7 @@ def score_logs(
         if reason not in (None, NO_ATTITUDE):
             raise ValueError(f"{title}: nothing to score: {reason}")
     chosen, rows = estimators or default_names(), []
-    scores = LogScores({}, pd.DataFrame())
+    scores = LogScores()
     for k, (title, log, blind) in enumerate(zip(titles, logs, reasons, strict=True)):
         made = chosen
         if not isinstance(made, Mapping):
@@ -221,8 +194,8 @@ def score_logs(
         scores.logs[title] = one = _log(log, within_deg, skip_s, bool(blind))
         if not one.counted.any():
             raise ValueError(f"{title}: nothing to compare: it has no readings after the first {skip_s:g} s")
-        level = errors_of(np.zeros_like(one.flights.truth), one.flights.truth) | {"flaw": ""}
-        level = _columns(level, one) | {"estimator": LEVEL, "reference": False}
+        level = errors_of(np.zeros_like(one.flights.truth), one.flights.truth)
+        level |= {"estimator": LEVEL, "reference": False, "flaw": ""}
         own = [] if blind else [level | {"bias": which} for which in (RAW, KNOWN)]
         for done, (name, est) in enumerate(made.items(), k * len(made)):
             progress(done, len(logs) * len(made), name)
@@ -236,7 +209,8 @@ def score_logs(
             one.comparison = _comparison(title, one, {row["estimator"]: row["flaw"] for row in own})
         else:
             faults = "; ".join(fault.name for fault in one.faults)
-            rows += [{"log": title, "faults": faults} | row for row in own]
+            of_log = {"log": title, "initial": "unknown", "scored_s": one.counted_s, "faults": faults}
+            rows += [of_log | row for row in own]
     scores.table = pd.DataFrame(rows, columns=list(COLUMNS))
     if not any(log.estimates for log in scores.logs.values()):
         failed = [f"{name} {flaw}" for name, flaw in scores.unranked.items()]
@@ -298,39 +272,30 @@ def _conditions(
     }
 
 
-def _columns(found: Mapping[str, Any], log: ScoredLog) -> dict[str, Any]:
-    """Columns of the table, of errors from `errors_of` or `measured`."""
-    own = {key: value for key, value in found.items() if key in COLUMNS or key == "missing"}
-    means = {"inclination_rmse_deg": found["inclination"].mean, "mean_deg": found["absolute"].mean}
-    return own | means | {"scored_s": log.counted_s}
-
-
 def _rows(name: str, est: AttitudeEstimator, log: ScoredLog) -> list[dict[str, Any]]:
     """Run an estimator on a log; the estimate by the raw gyroscope, and its beliefs, go to the log."""
     flights, rows = log.flights, []
+    if log.bias is None and receives_truth(est):
+        refused = ValueError("the log has no true attitude")
+        return [failed(name, est, refused) | {"bias": RAW, "flaw": "receives the true attitude"}]
     offsets = {RAW: np.zeros(3)} | ({} if log.bias is None else {KNOWN: log.bias.significant})
     for bias, offset in offsets.items():
-        row = {"estimator": name, "bias": bias, "reference": receives_truth(est), "flaw": ""}
-        rows.append(row | {"scored_s": 0.0, "without_number": 0.0})
-        if log.bias is None and row["reference"]:
-            rows[-1]["flaw"] = "receives the true attitude"
-            continue
         if not np.isfinite(offset).all():
+            rows.append({"estimator": name, "reference": receives_truth(est), "flaw": "", "scored_s": 0.0})
             continue
         readings = flights.readings._replace(gyro=flights.gyro - offset)
+        silence = bias == RAW and log.bias is not None
         try:
-            estimate, found = measured(est, replace(flights, readings=readings))
+            estimate, row = assessed(name, est, replace(flights, readings=readings), silence=silence)
         except ValueError as error:
-            rows[-1]["flaw"] = f"did not run: {error}"
-            continue
-        rows[-1] |= _columns(found, log)
-        if bias == RAW:
-            log.estimates[name] = estimate[0]
-            believed = beliefs(est, flights.gyro, flights.accel, **flights.readings.others)
-            log.beliefs |= {} if believed is None else {name: believed}
-            if log.bias is not None and (twin := silenced_twin(name, flights.rate_hz)) is not None:
-                rows[-1]["silenced_deg"] = measured(twin, flights)[1]["inclination"].mean
-    return rows
+            row = failed(name, est, error) | {"scored_s": 0.0}
+        else:
+            if bias == RAW:
+                log.estimates[name] = estimate[0]
+                believed = beliefs(est, flights.gyro, flights.accel, **flights.readings.others)
+                log.beliefs |= {} if believed is None else {name: believed}
+        rows.append(row)
+    return [row | {"bias": bias} for row, bias in zip(rows, offsets, strict=True)]
 
 
 def _comparison(title: str, log: ScoredLog, flaws: Mapping[str, str]) -> Comparison:

@@ -20,10 +20,10 @@ def show_mount(file: Path, mount: str | None, truth: str | None, imu: str | None
     ones. Otherwise roll and pitch follow from hover, in which the mean force is along body z; the heading is
     that of `mount`, or zero.
     """
-    from ..logs import read_recording
-    from ..logs.mount_estimate import estimate_mount, show_estimate
+    from ..logs import read_log
+    from ..logs.mounting import estimate_mount, show_estimate
 
-    show_estimate(file, estimate_mount(read_recording(file, mount=mount, truth=truth, imu=imu), mount, level))
+    show_estimate(file, estimate_mount(read_log(file, mount=mount, truth=truth, imu=imu), mount, level))
 
 
 def convert_logs(
@@ -38,13 +38,13 @@ def convert_logs(
 ) -> None:
     """Convert logs to a dataset: pieces of equal length without gaps and with a known attitude."""
     from ..logs import read_parts, read_recording, refused
-    from ..logs.convert import convert, show_converted
+    from ..logs.convert import convert
 
     recordings = [read_recording(file, mount=mount, truth=truth, imu=imu) for file in files]
     logs = [part for each in recordings for part in read_parts(each, rate)]
     for fault in refused([log.attrs["log"] for log in logs], force):
         say(f"warning: {fault}", "yellow")
-    show_converted(logs, convert(logs, out, piece), piece)
+    convert(logs, out, piece)
 
 
 def calibrate_imu(

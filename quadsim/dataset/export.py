@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,9 +21,8 @@ from pydantic import ValidationError
 from ..config.toml import describe, nearest
 from ..imu.spec import ImuSpec
 from ..rotation import matrix_from_quat, quat_from_euler
-from .generation import Progress
 from .reading import open_dataset
-from .store import VARIABLES
+from .store import VARIABLES, Progress
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,9 @@ TRUTH_HEADER = "#timestamp," + ",".join(
 TRUTH = ("position", "quat", "velocity", "gyro_bias", "accel_bias")
 
 
-def export(path: str | Path, out: str | Path, format: str, progress: Progress | None = None) -> Path:
+def export(
+    path: str | Path, out: str | Path, format: str, progress: Progress = lambda done, total: None
+) -> Path:
     """Write a dataset in another format.
 
     Args:
@@ -69,7 +71,7 @@ def export(path: str | Path, out: str | Path, format: str, progress: Progress | 
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as drafts:
             draft = Path(drafts) / out.name
-            FORMATS[format](dataset, draft, progress or (lambda done, total: None))
+            FORMATS[format](dataset, draft, progress)
             draft.rename(out)
     except (OSError, sqlite3.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else None
@@ -169,53 +171,35 @@ def _imu_yaml(imu: ImuSpec | None, rate_hz: float) -> str:
 
 def _rosbag2(dataset: xr.Dataset, out: Path, progress: Progress) -> None:
     """A bag per flight: `/imu` (sensor_msgs/Imu, in the frame `imu`) and `/pose`, the truth in `world`."""
-    bags, storage = _needs("rosbags.rosbag2"), _needs("rosbags.typesys")
-    store = storage.get_typestore(storage.Stores.ROS2_HUMBLE)
+    bags, typesys = _needs("rosbags.rosbag2"), _needs("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    message = store.types
+    vector, point = message["geometry_msgs/msg/Vector3"], message["geometry_msgs/msg/Point"]
+    quaternion, pose = message["geometry_msgs/msg/Quaternion"], message["geometry_msgs/msg/Pose"]
     rate_hz, imu = dataset.attrs["rate_hz"], _imu_of(dataset)
-    kinds = {
-        name: store.types[f"{package}/msg/{name}"]
-        for package, names in (
-            ("builtin_interfaces", ("Time",)),
-            ("std_msgs", ("Header",)),
-            ("sensor_msgs", ("Imu",)),
-            ("geometry_msgs", ("Point", "Pose", "PoseStamped", "Quaternion", "Vector3")),
-        )
-        for name in names
-    }
-    absent = np.array([-1.0, *[0.0] * 8])  # by convention: the message holds no orientation
+    level, absent = quaternion(0.0, 0.0, 0.0, 1.0), np.array([-1.0, *[0.0] * 8])  # holds no orientation
     gyro_noise, accel_noise = (  # zeros where it is unknown, by convention
         np.diag([sensor.noise**2 * rate_hz] * 3).ravel() if sensor else np.zeros(9)
         for sensor in (imu and imu.gyro, imu and imu.accel)
     )
+
+    def add(bag: Any, connection: Any, time: int, frame: str, *fields: object) -> None:
+        stamp = message["builtin_interfaces/msg/Time"](*divmod(time, 1_000_000_000))
+        made = message[connection.msgtype](message["std_msgs/msg/Header"](stamp, frame), *fields)
+        bag.write(connection, time, store.serialize_cdr(made, connection.msgtype))
+
     for flight, one in _flights(dataset, progress):
         gyro, accel, position, quat = (
             one[name].to_numpy().astype(float).tolist() for name in ("gyro", "accel", "position", "quat")
         )
         with bags.Writer(out / f"flight_{flight:03d}", version=9) as bag:
-            topics = {
-                name: bag.add_connection(topic, kinds[name].__msgtype__, typestore=store)
-                for name, topic in (("Imu", "/imu"), ("PoseStamped", "/pose"))
-            }
+            imus = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+            poses = bag.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
             for k, time in enumerate(timestamps(one.sizes["time"], rate_hz).tolist()):
-                stamp = kinds["Time"](*divmod(time, 1_000_000_000))
                 w, x, y, z = quat[k]
-                messages = {
-                    "Imu": kinds["Imu"](
-                        kinds["Header"](stamp, "imu"),
-                        kinds["Quaternion"](0.0, 0.0, 0.0, 1.0),
-                        absent,
-                        kinds["Vector3"](*gyro[k]),
-                        gyro_noise,
-                        kinds["Vector3"](*accel[k]),
-                        accel_noise,
-                    ),
-                    "PoseStamped": kinds["PoseStamped"](
-                        kinds["Header"](stamp, "world"),
-                        kinds["Pose"](kinds["Point"](*position[k]), kinds["Quaternion"](x, y, z, w)),
-                    ),
-                }
-                for name, message in messages.items():
-                    bag.write(topics[name], time, store.serialize_cdr(message, message.__msgtype__))
+                read = (vector(*gyro[k]), gyro_noise, vector(*accel[k]), accel_noise)
+                add(bag, imus, time, "imu", level, absent, *read)
+                add(bag, poses, time, "world", pose(point(*position[k]), quaternion(x, y, z, w)))
 
 
 def _flights(dataset: xr.Dataset, progress: Progress) -> Iterator[tuple[int, xr.Dataset]]:

@@ -1,9 +1,7 @@
 """Generate a dataset over many processes; a killed run resumes."""
 
 import json
-import logging
 import shutil
-from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import closing
 from importlib.metadata import version
@@ -18,17 +16,13 @@ from ..runs.files import alone, drop_parts
 from ..runs.fingerprint import code_digest
 from ..runs.pool import process_count, run_jobs
 from . import store as dataset_store
-from .integrity import read_attributes, refuse_damaged
-from .store import FLIGHTS, Plan, partial_folder
+from .reading import read_attributes, refuse_damaged
+from .store import FLIGHTS, Plan, Progress, partial_folder
 
-log = logging.getLogger(__name__)
-
-Progress = Callable[[int, int], None]
 BATCH_FLIGHTS = 16  # more gain no speed
 BATCH_BYTES = 400e6  # memory that a worker may use for a batch,
 SAMPLE_BYTES = 600  # of which a sample of a flight takes this much while it is simulated
 WORTH_A_PROCESS = 2_000_000  # samples that take longer than the start of a process does
-ATTEMPTS = 4  # a worker may die this often
 
 
 def generate(
@@ -40,7 +34,7 @@ def generate(
     rate_hz: float = 200.0,
     workers: int | None = None,
     executor: Executor | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda done, total: None,
     overwrite: bool = False,
 ) -> Path:
     """Simulate flights and write them as a labelled Zarr store.
@@ -69,7 +63,7 @@ def generate(
 
     Raises:
         ValueError: A bad argument, another dataset in the way, or another process that writes it.
-        OSError: The dataset cannot be written, or workers keep dying; finished flights stay.
+        OSError: The dataset cannot be written, or a worker died; finished flights stay.
     """
     plan = _plan(config, flights, duration_s, seed, rate_hz)
     if workers is None and plan.flights * plan.steps < WORTH_A_PROCESS and executor is None:
@@ -157,35 +151,26 @@ def _flat(tree: object, prefix: str = "") -> dict[str, object]:
     }
 
 
-def _fly_all(
-    plan: Plan, folder: Path, workers: int, executor: Executor | None, progress: Progress | None
-) -> None:
-    """Fly what is missing; a pool of ours whose worker died is replaced, a few times."""
-    for attempt in range(ATTEMPTS):
-        if executor is None:  # another machine's worker may still be writing
-            drop_parts(folder)
-        whole = dataset_store.whole_flights(folder)
-        missing = [flight for flight in range(plan.flights) if flight not in whole]
-        batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}
-        done = plan.flights - len(missing)
-        if progress:
-            progress(done, plan.flights)
-        try:
-            with closing(run_jobs(dataset_store.fly_batch, batches, workers, executor)) as finished:
-                for _, batch in finished:
-                    for _ in batch:
-                        done += 1
-                        if progress:
-                            progress(done, plan.flights)
-            return
-        except BrokenExecutor as error:
-            if executor is not None or attempt == ATTEMPTS - 1:
-                raise ChildProcessError(
-                    f"worker processes keep dying (out of memory, or killed); {done} complete "
-                    f"flights of {plan.flights} stay in {folder}; run the same command to continue, with "
-                    "fewer workers"
-                ) from error
-            log.warning("a worker process died; starting again with the flights that are missing")
+def _fly_all(plan: Plan, folder: Path, workers: int, executor: Executor | None, progress: Progress) -> None:
+    """Fly what is missing."""
+    if executor is None:  # another machine's worker may still be writing
+        drop_parts(folder)
+    whole = dataset_store.whole_flights(folder)
+    missing = [flight for flight in range(plan.flights) if flight not in whole]
+    batches = {batch[0]: (plan, folder, batch) for batch in _batches(missing, plan.steps, workers)}
+    done = plan.flights - len(missing)
+    progress(done, plan.flights)
+    try:
+        with closing(run_jobs(dataset_store.fly_batch, batches, workers, executor)) as finished:
+            for _, batch in finished:
+                for _ in batch:
+                    done += 1
+                    progress(done, plan.flights)
+    except BrokenExecutor as error:
+        raise ChildProcessError(
+            f"a worker process died (out of memory, or killed); {done} complete flights of {plan.flights} "
+            f"stay in {folder}; run the same command to continue, with fewer workers"
+        ) from error
 
 
 def _batches(flights: list[int], steps: int, workers: int) -> list[list[int]]:

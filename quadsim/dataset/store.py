@@ -14,7 +14,7 @@ byte for byte however they came to be. The finished store has the digests of all
 import json
 import shutil
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -38,6 +38,8 @@ from ..vehicle import MIN_ROTORS
 
 FORMAT: Literal["quadsim flights"] = "quadsim flights"
 FORMAT_VERSION = 1
+Progress = Callable[[int, int], None]
+"""progress(flights done, flights in all)."""
 DIGESTS = "checksum/files.json"
 COMPRESSION = BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle", typesize=4)
 

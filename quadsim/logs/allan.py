@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -38,27 +39,26 @@ LONGEST = 1 / 4
 """Longest averaging time as a share of the log."""
 
 
-@dataclass(frozen=True)
-class SensorNoise:
+class SensorNoise(NamedTuple):
     """One sensor's noise, all three axes pooled; unit: rad/s or m/s²."""
 
-    noise: float | None
-    """White noise density N [unit/√Hz]; None where the logs are too short."""
-    random_walk: float
-    """Bias random walk σ_b [unit/√s]; 0 where the logs show none, or are too short."""
-    time_constant: float
-    """Correlation time τ of that walk [s]."""
-    resolved: bool
-    """Whether the log is long enough to tell τ; if not, it is a lower bound."""
     bias: Array
     """Mean of each axis over the log; the accelerometer's along gravity alone."""
     bias_sd: float
     """Standard deviation of an axis of that mean by white noise, 1/√T of the samples' own."""
     turn_on: float
     """Standard deviation of the turn-on bias, from as many logs and axes as there are."""
-    times: Array
+    noise: float | None = None
+    """White noise density N [unit/√Hz]; None where the logs are too short."""
+    random_walk: float = 0.0
+    """Bias random walk σ_b [unit/√s]; 0 where the logs show none, or are too short."""
+    time_constant: float = 0.0
+    """Correlation time τ of that walk [s]."""
+    resolved: bool = False
+    """Whether the log is long enough to tell τ; if not, it is a lower bound."""
+    times: Array = np.empty(0)
     """Averaging times (k,) [s]."""
-    deviation: Array
+    deviation: Array = np.empty(0)
     """Allan deviation (k,), axes pooled."""
 
 
@@ -151,13 +151,11 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only:
     if not 9.7 <= gravity <= 9.9:
         raise ValueError(f"gravity: {gravity} m/s², on Earth it is 9.76 to 9.84")
     logs = [longest_part(log)[0] for log in logs]
-    stretches = [still_stretch(log) for log in logs]
     rates = [1.0 / float(np.median(np.diff(log.time))) for log in logs]
     if max(rates) > 1.02 * min(rates):
         raise ValueError(f"logs at {min(rates):.1f} to {max(rates):.1f} Hz; one rate is required")
     rate = float(np.mean(rates))
-    gyros, accels = ([getattr(log, sensor)[part] for log, part in zip(logs, stretches, strict=True)]
-                     for sensor in ("gyro", "accel"))  # fmt: skip
+    gyros, accels = zip(*(still_readings(log) for log in logs), strict=True)
     down = np.stack([accel.mean(axis=0) for accel in accels])
     length = np.linalg.norm(down, axis=1, keepdims=True)
     for log, gyro, accel, found in zip(logs, gyros, accels, length[:, 0], strict=True):
@@ -184,8 +182,8 @@ def calibrate(logs: Sequence[Recording], gravity: float = GRAVITY, *, bias_only:
     )
 
 
-def still_stretch(log: Recording) -> slice:
-    """The longest stretch of a log in which the sensor lies still and no sample is missing.
+def still_readings(log: Recording) -> tuple[Array, Array]:
+    """Both sensors over the longest stretch in which they lie still and no sample is missing, (n, 3) each.
 
     Raises:
         ValueError: It is shorter than `BIAS_S`.
@@ -207,7 +205,7 @@ def still_stretch(log: Recording) -> slice:
         raise ValueError(
             f"{log.name}: at rest for {found:.0f} s at a stretch; at least {BIAS_S:g} s are required"
         )
-    return slice(start * second, end * second)
+    return log.gyro[start * second : end * second], log.accel[start * second : end * second]
 
 
 def write_imu(calibration: Calibration, out: Path) -> None:
@@ -219,7 +217,7 @@ def write_imu(calibration: Calibration, out: Path) -> None:
         "# scale_factor, misalignment, low_pass_hz and saturation here.",
     ]
     lines += [f"# {line}" for line in calibration.lacking]
-    for name, unit, sensor in (("gyro", "rad/s", calibration.gyro), ("accel", "m/s²", calibration.accel)):
+    for name, (_, unit, sensor) in zip(("gyro", "accel"), calibration.sensors, strict=True):
         bias = ", ".join(f"{value:.5g}" for value in sensor.bias)
         lines += ["", f"[{name}]"]
         if sensor.noise is not None:
@@ -241,12 +239,10 @@ def _fitted(
 
     As much of it as the longest of them allows, `longest_s` [s].
     """
-    mean = bias.mean(axis=0)
     white = np.mean([signal.var(axis=0).mean() / len(signal) for signal in signals])
-    bias_sd = float(np.sqrt(white / len(signals)))
+    found = SensorNoise(bias.mean(axis=0), float(np.sqrt(white / len(signals))), turn_on)
     if longest_s < NOISE_S:
-        none = np.empty(0)
-        return SensorNoise(None, 0.0, 0.0, False, mean, bias_sd, turn_on, none, none)
+        return found
     longest = max(len(signal) for signal in signals)
     sizes = np.unique(np.geomspace(1, max(2, int(longest * LONGEST)), POINTS).astype(np.int64))
     times = sizes / rate_hz
@@ -257,10 +253,8 @@ def _fitted(
         total[fits] += freedom * allan_variance(signal, rate_hz, sizes[fits]).mean(axis=1)
         weight[fits] += freedom
     variance = total / weight
-    noise, walk, tau, resolved = _fit(times, variance, weight, longest_s >= WALK_S)
-    return SensorNoise(
-        noise, walk, tau, resolved, mean, bias_sd, turn_on, times, np.sqrt(variance)
-    )  # fmt: skip
+    fitted = _fit(times, variance, weight, longest_s >= WALK_S)
+    return SensorNoise(*found[:3], *fitted, times, np.sqrt(variance))
 
 
 def _fit(times: Array, variance: Array, freedom: Array, with_walk: bool) -> tuple[float, float, float, bool]:

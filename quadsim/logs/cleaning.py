@@ -22,8 +22,6 @@ RATES_HZ = (40.0, 10_000.0)
 """Sample rates that make sense to bring to the network's."""
 UNSORTED, BACK_S = 0.05, 0.01
 """Share of the stamps that go back by more than this time [s] above which rows are out of order."""
-STUCK = 3
-"""So many equal readings in a row at the end of an axis' range are a saturation."""
 STUCK_S = 0.5
 """Equal readings of an axis over this time [s] are left out where another axis of the sensor moves,"""
 MOVES = 10.0
@@ -130,10 +128,11 @@ def least_steps(readings: Array) -> Array:
     return np.where(steps > 0, steps, np.inf).min(axis=0)
 
 
-def held(readings: Array, least: int) -> list[tuple[int, int]]:
+def held(readings: Array, least: int) -> NDArray[np.int64]:
     """First sample and end of each run of at least `least` equal readings (T, ·); none if all are equal."""
     same = (readings[1:] == readings[:-1]).all(axis=1)
-    return [(a, b + 1) for a, b in stretches(same) if b + 1 - a >= least and not same.all()]
+    runs = stretches(same) + np.array([0, 1])
+    return runs[(np.diff(runs)[:, 0] >= least) & ~same.all()]
 
 
 def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
@@ -141,7 +140,7 @@ def stuck_samples(readings: Array, period: float) -> NDArray[np.bool_]:
 
     Or of all axes of a sensor while the other sensor moves.
     """
-    least, stuck = max(round(STUCK_S / period), STUCK), np.zeros(readings.shape, bool)
+    least, stuck = max(round(STUCK_S / period), 3), np.zeros(readings.shape, bool)
     for first, moves in ((0, FORCE_MOVES), (3, RATE_MOVES)):
         sensor, other = readings[:, first : first + 3], readings[:, 3 - first : 6 - first]
         limits = MOVES * least_steps(sensor)
@@ -196,17 +195,5 @@ def _cleaned(log: Recording) -> tuple[Recording, dict[str, int]]:
         "stamps_back": int((~forward).sum()),
         "clock_back_ms": round(-1e3 * float(steps.min(initial=0.0))),
         "repeated": int(same.sum()),
-        "saturated": int(_saturated(readings).sum()),
     }
     return replace(log, time=time, gyro=readings[:, :3], accel=readings[:, 3:]), counted
-
-
-def _saturated(readings: Array) -> NDArray[np.bool_]:
-    """Samples within a run of equal readings at the least or largest value of an axis."""
-    stuck = np.zeros(len(readings), bool)
-    for values in readings.T:
-        ends = {values.min(), values.max()} - {np.median(values)}  # an axis that hardly moves has none
-        for extreme in ends:
-            for start, end in stretches(values == extreme):
-                stuck[start:end] |= end - start >= STUCK
-    return stuck

@@ -7,18 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ..dataset import store as dataset_store
-from ..dataset.reading import open_dataset
 from ..dataset.store import LABELS, VARIABLES, Plan, Recorded, partial_folder
 from ..dataset.stretches import stretches
 from ..runs.console import say
 from ..runs.files import alone
-from .recording import Array
 
 READ = {"gyro": "gyro", "accel": "accel", "ang_vel": "gyro", "specific_force": "accel", "quat": "quat"}
 """Variable of a dataset to the one of a log that it repeats: nobody knows the true rate and force."""
+WIDTH = {name: len(LABELS[each.dim]) for name, each in VARIABLES.items()}
 
 
 def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Path:
@@ -36,45 +34,46 @@ def convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float = 20.0) -> Pat
         ValueError: No piece without a gap and with a known attitude, or `out` exists.
     """
     out = out.expanduser().absolute()
-    with alone(out):
-        return _convert(logs, out, piece_s)
-
-
-def _convert(logs: Sequence[xr.Dataset], out: Path, piece_s: float) -> Path:
-    if out.exists():
-        raise ValueError(f"{out} exists already: move it, or choose another --out")
     rates = {float(log.attrs["rate_hz"]) for log in logs}
     if len(rates) != 1:
         raise ValueError(f"logs at {sorted(rates)} Hz; one rate is required")
     rate_hz = rates.pop()
     steps = round(piece_s * rate_hz)
-    pieces = [piece for log in logs for piece in _pieces(log, steps)]
-    if not pieces:
-        raise ValueError(
-            f"no piece of {piece_s:g} s without a gap and with a known attitude: choose a shorter --piece"
+    with alone(out):
+        if out.exists():
+            raise ValueError(f"{out} exists already: move it, or choose another --out")
+        pieces = [piece for log in logs for piece in _pieces(log, steps)]
+        if not pieces:
+            raise ValueError(
+                f"no piece of {piece_s:g} s without a gap and with a known attitude: choose a shorter --piece"
+            )
+        held = set(READ)
+        if all("position" in log for log in logs):
+            held.add("position")
+        if all(_has_rotors(piece) for piece in pieces):
+            held.add("rotor_vel")
+        names = tuple(str(log.attrs["source"]) for log in logs)
+        unknown = tuple(name for name in VARIABLES if name not in held)
+        plan = Plan(
+            quadsim_version=version("quadsim"),
+            flights=len(pieces),
+            steps=steps,
+            rate_hz=rate_hz,
+            config=Recorded(logs=names, piece_s=piece_s, unknown=unknown),
         )
-    held = {*READ, *(["position"] if all("position" in log for log in logs) else [])}
-    if all(_has_rotors(piece) for piece in pieces):
-        held.add("rotor_vel")
-    plan = Plan(
-        quadsim_version=version("quadsim"),
-        flights=len(pieces),
-        steps=steps,
-        rate_hz=rate_hz,
-        config=Recorded(
-            logs=tuple(str(log.attrs["source"]) for log in logs),
-            piece_s=piece_s,
-            unknown=tuple(name for name in VARIABLES if name not in held),
-        ),
-    )
-    folder = partial_folder(out)
-    shutil.rmtree(folder, ignore_errors=True)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    dataset_store.begin(folder, plan)
-    for number, piece in enumerate(pieces):
-        values = {name: array[None] for name, array in _values(piece, steps, held).items()}
-        dataset_store.write_flights(folder, [number], values, [(steps, "")])
-    dataset_store.finish(folder, plan, out)
+        folder = partial_folder(out)
+        shutil.rmtree(folder, ignore_errors=True)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        dataset_store.begin(folder, plan)
+        for number, piece in enumerate(pieces):
+            values = {name: np.zeros((1, steps, WIDTH[name]), "<f4") for name in VARIABLES}
+            for name in held:
+                values[name][0] = piece[READ.get(name, name)]
+            dataset_store.write_flights(folder, [number], values, [(steps, "")])
+        dataset_store.finish(folder, plan, out)
+    total = sum(float(log.attrs["duration_s"]) for log in logs)
+    share = 100 * len(pieces) * piece_s / total
+    say(f"{out}: {len(pieces)} pieces of {piece_s:g} s, {share:.0f} % of {total:.0f} s")
     return out
 
 
@@ -91,23 +90,6 @@ def _pieces(log: xr.Dataset, steps: int) -> list[xr.Dataset]:
 
 def _has_rotors(piece: xr.Dataset) -> bool:
     """Whether the speed of each of the dataset's rotors is known all the time."""
-    wanted = len(LABELS[VARIABLES["rotor_vel"].dim])
-    return "rotor_vel" in piece and (
-        piece["rotor_vel"].shape[-1] == wanted and bool(np.isfinite(piece["rotor_vel"]).all())
-    )
-
-
-def _values(piece: xr.Dataset, steps: int, held: set[str]) -> dict[str, NDArray[np.float32]]:
-    def values(name: str) -> Array:
-        if name in held:
-            return piece[READ.get(name, name)].to_numpy()
-        return np.zeros((steps, len(LABELS[VARIABLES[name].dim])))
-
-    return {name: np.ascontiguousarray(values(name), "<f4") for name in VARIABLES}
-
-
-def show_converted(logs: Sequence[xr.Dataset], out: Path, piece_s: float) -> None:
-    """Print how much of logs became a dataset: `quadsim export --format zarr`."""
-    pieces = open_dataset(out).sizes["flight"]
-    total = sum(float(log.attrs["duration_s"]) for log in logs)
-    say(f"{out}: {pieces} pieces of {piece_s:g} s, {100 * pieces * piece_s / total:.0f} % of {total:.0f} s")
+    if "rotor_vel" not in piece or piece["rotor_vel"].shape[-1] != WIDTH["rotor_vel"]:
+        return False
+    return bool(np.isfinite(piece["rotor_vel"]).all())

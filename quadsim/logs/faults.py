@@ -10,8 +10,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from ..dataset.stretches import blocks_of, stretches
 from .cleaning import MOVES, held, least_steps
 from .recording import Array
-from .truth_bias import BiasOverTime, bias_over_time
-from .truth_delay import LONG_S
+from .truth import LONG_S, BiasOverTime, bias_over_time
 
 FaultKind = Literal["bias jump", "stuck axis", "saturation", "vibration"]
 Sensor = Literal["gyroscope", "accelerometer"]
@@ -262,15 +261,15 @@ def _clipped(
     """First sample, end and total time [s] of the parts of an axis (T,) that are clipped from above."""
     near, least = NEAR * least_steps(values[:, None])[0], MOVES * least_steps(sensor)
     frozen = np.append((sensor[1:] == sensor[:-1]).all(axis=1), False)
-    long = held(values[:, None], max(round(RUN_S / period), 2))
+    starts = held(values[:, None], max(round(RUN_S / period), 2))[:, 0]
     levels, counts = np.unique(values, return_counts=True)
     often = levels[counts * period >= CLIPPED_S]
-    limits = np.intersect1d([values[start] for start, _ in long if not frozen[start]], often)
+    limits = np.intersect1d(values[starts[~frozen[starts]]], often)
     for limit in limits[limits > np.median(values)]:
         at = values == limit
-        for first, last in stretches(values <= limit):
-            if at[first:last].sum() * period < CLIPPED_S:
-                continue
+        count = np.append(0, np.cumsum(at))
+        below = stretches(values <= limit)
+        for first, last in below[np.diff(count[below])[:, 0] * period >= CLIPPED_S]:
             close = [(first + a, first + b) for a, b in stretches(values[first:last] > limit - near)]
             piled = [(a, b) for a, b in close if at[a:b].mean() >= PILED]
             runs = [(a, b) for a, b in piled if (sensor[max(a - 1, 0) : b + 1].std(axis=0) > least).any()]

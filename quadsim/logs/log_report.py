@@ -9,9 +9,9 @@ import numpy as np
 from ..runs.console import print_table, say
 from .cleaning import LONGEST_GAP_S
 from .faults import SensorFault
-from .mean_force import Level, Rest
+from .mounting import Level, Rest
 from .recording import TruthAxes, mount_text
-from .truth_delay import Alignment
+from .truth import Alignment
 
 SLOW_HZ = 90.0
 """Below this rate the samples lack motion of a vehicle, and a warning is given."""
@@ -94,8 +94,6 @@ class LogReport:
     """How far the clock goes back at most [ms]."""
     repeated: int
     """Samples equal to the one before on all six axes."""
-    saturated: int
-    """Samples with an axis stuck at the end of its range."""
     still: tuple[str, ...]
     """Sensors, or axes of one, that read the same number all the time."""
     sensor_faults: tuple[SensorFault, ...]
@@ -224,8 +222,6 @@ class LogReport:
             yield f"sampled at {rate:.0f} Hz: motion above {fastest:.0f} Hz is not in this log"
         if self.repeated:
             yield f"{self.repeated} samples repeat the one before"
-        if self.saturated and not any(fault.kind == "saturation" for fault in self.sensor_faults):
-            yield f"{self.saturated} samples are stuck at the end of the sensor's range"
         if self.missing:
             yield f"{self.missing} samples or stamps are not numbers, or beyond any sensor's range: left out"
 
@@ -308,7 +304,6 @@ def show_report(path: Path, report: LogReport) -> None:
         "single samples lost": report.lost,
         "stamps not after the last": report.stamps_back,
         "repeated samples": report.repeated,
-        "saturated samples": report.saturated,
         "samples not numbers": report.missing,
         "truth": report.truth,
         "truth known": f"{100 * report.truth_share:.1f} % of the time, at {report.truth_rate_hz:.1f} Hz",

@@ -16,9 +16,9 @@ from ..rotation import quat_rotate, wxyz_from_xyzw, xyzw_from_wxyz
 from .cleaning import EXACT_S, LONGEST_GAP_S, gaps_of, longest_part, stuck_samples
 from .faults import fast_part, find_faults
 from .log_report import AXES, LogReport
-from .mean_force import level, turn_at_rest
+from .mounting import level, turn_at_rest
 from .recording import Array, Recording
-from .truth_delay import align
+from .truth import align
 
 PASS = 0.8
 """Share of the new Nyquist frequency that the anti-alias filter lets through; −6 dB is midway to it."""
@@ -59,11 +59,11 @@ def resample(log: Recording, rate_hz: float = 200.0) -> tuple[xr.Dataset, LogRep
         inside = (grid >= time[part[0]] - EXACT_S) & (grid <= time[part[-1]] + EXACT_S)
         if part.size >= 4 and inside.any():
             even[inside] = _even(time[part], readings[part], grid[inside], rate_hz, source_rate, corner)
-    even[_near(time[stuck.any(axis=1)], grid, 1.0 / source_rate)] = np.nan
+    even[np.interp(grid, time, stuck.any(axis=1)) > 0.0] = np.nan
     gyro, accel = even[:, :3], even[:, 3:]
     truth, truth_rate = _truth(log, grid)
     sensors = {
-        name: _interpolated(grid, *_forward(track.time, track.values), SENSOR_GAP_S)
+        name: interpolated(grid, *_forward(track.time, track.values), SENSOR_GAP_S)
         for name, track in log.sensors.items()
     }
     quat = truth["quat"]
@@ -135,13 +135,6 @@ def _even(
     return CubicSpline(fine, smooth)(grid)
 
 
-def _near(times: Array, grid: Array, period: float) -> NDArray[np.bool_]:
-    """Which times of a grid (m,) are within a sample period of some of the times, in order."""
-    ends = np.concatenate([[-np.inf], times, [np.inf]])
-    after = np.searchsorted(ends, grid).clip(1)
-    return np.minimum(ends[after] - grid, grid - ends[after - 1]) <= period
-
-
 def _forward(time: Array, values: Array, start: float = -np.inf, end: float = np.inf) -> tuple[Array, Array]:
     """Rows (K, ·) of finite numbers whose stamps are within limits and after all before."""
     good = np.isfinite(values).all(axis=1) & (time >= start) & (time <= end)
@@ -150,7 +143,7 @@ def _forward(time: Array, values: Array, start: float = -np.inf, end: float = np
     return time[forward], values[forward]
 
 
-def _interpolated(grid: Array, time: Array, values: Array, longest_s: float) -> Array:
+def interpolated(grid: Array, time: Array, values: Array, longest_s: float) -> Array:
     """Readings on the grid (T, ·), NaN outside and between stamps that are further apart than a time [s]."""
     if time.size < 2:
         return np.full((grid.size, values.shape[1]), np.nan)
@@ -183,7 +176,7 @@ def _truth(log: Recording, grid: Array) -> tuple[dict[str, Array], float]:
     mark = np.ones(len(kept), bool) if log.marked is None else log.marked[kept]
     out["scored"] = known & mark[after] & mark[after - 1]
     if log.position is not None:
-        out["position"] = _interpolated(grid, time, log.position[kept], TRUTH_GAP_S)
+        out["position"] = interpolated(grid, time, log.position[kept], TRUTH_GAP_S)
     return out, float(1.0 / np.median(np.diff(time)))
 
 

@@ -63,8 +63,8 @@ def pack_series(log: NDArray[np.void], rate_hz: float, signals: Mapping[str, Arr
     names = ["roll", "pitch", "yaw", "roll_est", "pitch_est", "x", "y", "z", "x_ref", "y_ref", "z_ref"]
     columns = np.hstack([angles, shown["position"], shown["target"]])
     steps = [ANGLE_STEP] * 5 + [LENGTH_STEP] * 6
-    channels = {n: _pack(v, LEVELS, step) for n, v, step in zip(names, columns.T, steps, strict=True)}
-    packed = {name: _pack(v[: len(shown)], SIGNAL_LEVELS) for name, v in signals.items()}
+    channels = {n: pack_channel(v, LEVELS, step) for n, v, step in zip(names, columns.T, steps, strict=True)}
+    packed = {name: pack_channel(v[: len(shown)], SIGNAL_LEVELS) for name, v in signals.items()}
     known = {name: channel for name, channel in packed.items() if (_integers(channel) != MISSING).any()}
     return FlightSeries(every / rate_hz, channels, known)
 
@@ -90,7 +90,8 @@ def _integers(channel: Channel) -> NDArray[np.int16]:
     return np.frombuffer(base64.b64decode(channel.data), "<i2")
 
 
-def _pack(values: Array, levels: int, step: float = 1e-9) -> Channel:
+def pack_channel(values: Array, levels: int = LEVELS, step: float = 1e-9) -> Channel:
+    """A quantity in time (T,), NaN where missing, as integers up to ±`levels` in multiples of a `step`."""
     finite = np.isfinite(values)
     scale = max(step, np.abs(values[finite]).max(initial=0.0) / levels)
     scale = float(f"{scale:.6g}")  # short in the page

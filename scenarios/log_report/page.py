@@ -3,10 +3,8 @@
 Traces are drawn by uPlot (github.com/leeoniya/uPlot, MIT), which is in the page with its licence.
 """
 
-import base64
 import json
 import math
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -19,7 +17,8 @@ from estimators.metrics import inclination_error
 from quadsim.dataset.stretches import stretches
 from quadsim.runs.files import write_whole
 
-from ..report.page import script, uplot
+from ..bench.series import FlightSeries, compress_flights, pack_channel
+from ..report.page import described, script, uplot
 from ..report.template import render
 from .verdict import log_verdict
 
@@ -29,8 +28,6 @@ MOST_SAMPLES = 12_000
 """Samples of a trace in the page; longer logs are decimated."""
 SHOWN = 3
 """Estimators drawn at first."""
-MISSING = -32768
-"""The integer of a number that is missing."""
 FAULT_COLOURS = {
     "bias jump": "#cc79a7",
     "stuck axis": "#7f7f7f",
@@ -48,18 +45,22 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
         scores: From `score_logs`.
         warnings: Lines about the logs, shown below the verdict.
     """
-    channels: list[NDArray[np.int16]] = []
-    described = {name: _log(log, channels) for name, log in scores.logs.items()}
+    every = {name: max(1, math.ceil(len(log.truth) / MOST_SAMPLES)) for name, log in scores.logs.items()}
+    series = {name: _series(log, every[name]) for name, log in scores.logs.items()}
     names = [name for name in scores.estimators if name != LEVEL]
-    appearance = {name: look._asdict() for name, look in looks(names).items()}
-    data = {"estimators": sorted(names), "looks": appearance, "shown": names[:SHOWN], "logs": described}
+    data = {
+        "estimators": sorted(names),
+        "looks": {name: look._asdict() for name, look in looks(names).items()},
+        "shown": names[:SHOWN],
+        "logs": {n: described(series[n]) | _about(log, every[n]) for n, log in scores.logs.items()},
+    }
     page = render(
         "log_report/log.html",
         title="Attitude estimators on recorded logs",
         kicker="recorded logs",
         verdict=log_verdict(scores),
         warnings=warnings,
-        logs=list(described),
+        logs=list(scores.logs),
         rows=_table(scores),
         faulty=scores.faulty,
         scored=scores.scored,
@@ -67,7 +68,7 @@ def write_log_report(path: Path, scores: LogScores, warnings: Sequence[str] = ()
         **uplot(),
         script=script("log_report/js/log.js"),
         payload=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
-        traces=_compress(channels),
+        traces=compress_flights(series.values()),
     )
     return write_whole(path.expanduser(), page)
 
@@ -100,22 +101,18 @@ def _compared(scores: LogScores) -> list[dict[str, object]]:
     return tables
 
 
-def _log(log: ScoredLog, channels: list[NDArray[np.int16]]) -> dict[str, object]:
-    """What the page says of a log; its traces are appended to the channels, in the order of their scales."""
-    rate, steps = log.flights.rate_hz, len(log.truth)
-    every = max(1, math.ceil(steps / MOST_SAMPLES))
-    scales: dict[str, float] = {}
-    for name, values in _traces(log):
-        integers, scales[name] = _integers(values[::every])
-        channels.append(integers)
-    uncounted = stretches(~log.counted[::every])
-    done = "scored" if log.comparison is None else "compared"
-    note = f"{steps / rate:.0f} s at {rate:g} Hz, {log.counted_s:.0f} s {done}; {log.bias_text}"
+def _series(log: ScoredLog, every: int) -> FlightSeries:
+    """What is drawn of a log, one sample of `every`."""
+    channels = {name: pack_channel(values[::every]) for name, values in _traces(log)}
+    return FlightSeries(every / log.flights.rate_hz, channels)
+
+
+def _about(log: ScoredLog, every: int) -> dict[str, object]:
+    """What the page says of a log beside its traces."""
+    rate, done = log.flights.rate_hz, "scored" if log.comparison is None else "compared"
+    note = f"{len(log.truth) / rate:.0f} s at {rate:g} Hz, {log.counted_s:.0f} s {done}; {log.bias_text}"
     return {
-        "dt": every / rate,
-        "samples": len(log.counted[::every]),
-        "scales": scales,
-        "uncounted": (np.array(uncounted).reshape(-1, 2) * every / rate).round(3).tolist(),
+        "uncounted": (stretches(~log.counted[::every]) * every / rate).round(3).tolist(),
         "faults": [[f.sentence, f.start_s, f.end_s, FAULT_COLOURS[f.kind]] for f in log.faults],
         "note": note + (f"; one sample of {every} is drawn" if every > 1 else "") + ".",
     }
@@ -142,16 +139,3 @@ def _traces(log: ScoredLog) -> Iterator[tuple[str, Array]]:
             yield f"model|{model}", believed.probability[0, latest, k]
         for k, angle in enumerate(() if scored else angles):
             yield f"sigma|{name}, {angle}", np.degrees(believed.sigma[0, latest, k])
-
-
-def _integers(values: Array) -> tuple[NDArray[np.int16], float]:
-    """16-bit integers of a trace (T,), and their scale; what is not finite is `MISSING`."""
-    finite = np.isfinite(values)
-    scale = max(float(np.abs(values[finite]).max(initial=0.0)), 1e-6) / 32767
-    return np.where(finite, np.round(np.where(finite, values, 0.0) / scale), MISSING).astype("<i2"), scale
-
-
-def _compress(channels: Sequence[NDArray[np.int16]]) -> str:
-    """Differences of all channels, low bytes before high ones, as `compress_flights` has them, in base64."""
-    steps = np.diff(np.concatenate([np.zeros(1, "<i2"), *channels]))
-    return base64.b64encode(zlib.compress(steps.view(np.uint8).reshape(-1, 2).T.tobytes())).decode()

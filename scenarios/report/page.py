@@ -198,12 +198,12 @@ def _closed_loop_data(
         "cells": {
             f"{cell.scenario}|{cell.estimator}": {
                 "histogram": cell.histogram,
-                "series": series and _described(series),
+                "series": series and described(series),
             }
             for cell, series in zip(results.cells, cells, strict=True)
         },
         "means": {name: total.means for name, total in totals_of(results.rows).items()},
-        "shared": {scenario: _described(series) for scenario, series in shared.items()},
+        "shared": {scenario: described(series) for scenario, series in shared.items()},
         "faults": {n: fault_spans(s.faults, s.duration_s) for n, s in results.scenarios.items()},
         "series_seed": 0,
         "bodies": {n: _body(s.vehicle) for n, s in results.scenarios.items()},
@@ -215,8 +215,8 @@ def _body(name: str) -> dict[str, object]:
     return {"hubs": vehicle.hubs.tolist(), "prop_radius": vehicle.frame.prop_radius}
 
 
-def _described(series: FlightSeries) -> dict[str, object]:
-    """All of a flight in time but its integers."""
+def described(series: FlightSeries) -> dict[str, object]:
+    """All of a flight in time but its integers, as pages unpack it."""
     scales = {name: channel.scale for name, channel in series.channels.items()}
     return {"dt": series.dt, "samples": series.samples, "scales": scales}
 

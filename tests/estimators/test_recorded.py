@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sensor import readings
 from typer.testing import CliRunner
 
 from estimators import create
@@ -13,16 +14,14 @@ from estimators.evaluation.logs import KNOWN, LEVEL, RAW, default_names, score_l
 from estimators.evaluation.without_truth import compare, horizontal_force
 from quadsim.cli import app
 from quadsim.logs import read_log
-from quadsim.logs.mount_estimate import estimate_mount
+from quadsim.logs.mounting import estimate_mount
 from quadsim.logs.recording import Recording, mount_matrix, mounted
 from quadsim.logs.resample import resample
-from quadsim.logs.truth_bias import bias_by_truth
+from quadsim.logs.truth import bias_by_truth
 from quadsim.rotation import (
-    quat_conjugate,
     quat_from_euler,
     quat_from_rotvec,
     quat_multiply,
-    quat_rotate_inverse,
     roll_pitch_from_quat,
 )
 from quadsim.vehicle import GRAVITY
@@ -70,11 +69,8 @@ def test_only_known_upright_and_marked_samples_count(log):
 
 def test_the_bias_is_read_off_the_truth_and_taking_it_off_helps():
     time = np.arange(4000) / 200.0
-    angle = 0.3 * np.sin(time)
-    quat = quat_from_euler(angle, 0.0, 0.0)
-    gyro = np.stack([0.3 * np.cos(time), 0.0 * time, 0.0 * time], axis=1) + BIAS
-    gravity = quat_rotate_inverse(quat, np.array([0.0, 0.0, 9.81]))
-    held = resample(Recording("held", "x", time, gyro, gravity, "x", time, quat))[0]
+    gyro, accel, quat = readings(time, 0.3 * np.sin(time), 0.0, 0.0)
+    held = resample(Recording("held", "x", time, gyro + BIAS, accel, "x", time, quat))[0]
     scores = score_logs([held], {"mahony": create("mahony", k_p=1.0, k_i=0.0)})
     np.testing.assert_allclose(scores.logs["held"].bias.mean, BIAS, atol=1e-4)
     # a proportional filter follows a bias of b to b / k_p
@@ -94,15 +90,14 @@ def test_a_fast_turn_has_the_bias_of_a_slow_one():
 def noisy(bias, noise=0.025, seconds=60.0, seed=0):
     """A sensor that turns gently at 200 Hz, with a bias [rad/s] and a truth with white noise [rad]."""
     time, rng = np.arange(round(seconds * 200)) / 200.0, np.random.default_rng(seed)
-    quat = quat_from_euler(0.2 * np.sin(2 * time), 0.2 * np.sin(3 * time), 0.3 * time)
-    turn = quat_multiply(quat_conjugate(quat[:-1]), quat[1:])
-    gyro = np.concatenate([400 * turn[:, 1:], [[0.0, 0.0, 0.3]]]) + rng.normal(0.0, 0.003, (time.size, 3))
-    accel = quat_rotate_inverse(quat, np.array([0.0, 0.0, 9.81])) + rng.normal(0.0, 0.05, gyro.shape)
+    gyro, accel, quat = readings(time, 0.2 * np.sin(2 * time), 0.2 * np.sin(3 * time), 0.3 * time)
+    gyro = gyro + rng.normal(0.0, 0.003, gyro.shape) + bias
+    accel = accel + rng.normal(0.0, 0.05, gyro.shape)
     seen = quat_multiply(quat, quat_from_rotvec(rng.normal(0.0, noise, gyro.shape)))
-    return resample(Recording("noisy", "x", time, gyro + bias, accel, "mocap", time, seen))[0]
+    return resample(Recording("noisy", "x", time, gyro, accel, "mocap", time, seen))[0]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_bias_against_a_noisy_truth_is_within_its_interval(seed):
     bias = np.radians([1.5, -1.0, 0.0])
     found = bias_by_truth(*(noisy(bias, seed=seed)[name].to_numpy()[0] for name in ("gyro", "quat")), 200.0)
@@ -126,8 +121,7 @@ def test_a_bias_is_removed_where_it_is_significant_and_the_report_says_where_not
     assert "nothing is removed" in write_log_report(tmp_path / "r.html", alone).read_text()
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-@pytest.mark.parametrize("bias", [-0.3, 0.0, 0.3])
+@pytest.mark.parametrize(("bias", "noise"), [(-0.3, 0.0), (0.0, 0.02), (0.3, 0.02)])
 def test_no_filter_has_a_larger_error_with_the_estimated_mount(make_flights, bias, noise):
     flight = make_flights(1, 40.0, seed=2, noise=0.0)
     gyro, accel, quat = (flight[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
@@ -138,7 +132,7 @@ def test_no_filter_has_a_larger_error_with_the_estimated_mount(make_flights, bia
         "mine", "x", time, gyro @ tilted, accel @ tilted + [0.0, bias, 0.0], "mocap", time,
         quat_multiply(quat, shake),
     )  # fmt: skip
-    found = estimate_mount(mine)
+    found = estimate_mount(resample(mine)[0])
     assert found.accel_bias is not None
     uncertain = 0.1 + 2 * 9.81 * np.radians(found.sd_deg[0])
     assert found.levelled or np.abs(found.accel_bias - [0.0, bias]).max() < uncertain
@@ -197,11 +191,8 @@ class Given:
 @pytest.mark.parametrize(
     ("value", "reason"),
     [
-        (1e20, "returned angles beyond ±100 rad in 100.0 % of the samples"),
-        (0.0, "returned the same roll and pitch at every sample"),
         (np.nan, "returned roll or pitch that is not a finite number in 100.0 % of the samples"),
         (None, "receives the true attitude"),
-        (SystemExit(0), "did not run: Given ends with SystemExit: 0"),
         (KeyError("x"), "did not run: Given ends with KeyError: 'x'"),
     ],
 )
@@ -220,27 +211,6 @@ def test_what_cannot_be_ranked_is_listed_with_its_reason_and_is_not_the_best(log
         assert log_verdict(score_logs([log], {"bad": Given(value)})).headline == "No estimator is ranked."
 
 
-def test_rows_are_written(log, tmp_path):
-    scores = score_logs([log], ["mahony", "vqf"])
-    scores.write_csv(tmp_path / "logs.csv")
-    with (tmp_path / "logs.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 6
-    assert float(rows[0]["inclination_rmse_deg"]) == scores.table.inclination_rmse_deg[0]
-
-
-class Unused:
-    """An estimator that must not be run."""
-
-    rate_hz = 200.0
-
-    def reset(self, n=1, roll_pitch=None):
-        """Fail."""
-        raise AssertionError("something was run")
-
-    update = reset
-
-
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -252,7 +222,7 @@ def test_what_cannot_be_scored_is_said_before_anything_is_run(log, change, reaso
     (name, value), blank = *change.items(), log.copy(deep=True)
     blank[name][:] = value
     with pytest.raises(ValueError, match=f"mine: nothing to score: {reason}"):
-        score_logs([blank], {"unused": Unused()})
+        score_logs([blank], ["mahony"], progress=lambda *_: pytest.fail("something was run"))
 
 
 def test_a_log_shorter_than_the_start_or_never_upright_is_not_scored(log):
@@ -267,17 +237,17 @@ def test_a_log_shorter_than_the_start_or_never_upright_is_not_scored(log):
     assert unscorable(steep, within_deg=60.0) is None
 
 
+def saved(path, log, sensor=1.0, quat=1.0, valid=True):
+    """The path of a log as a file, its readings and quaternions times a factor."""
+    one = log.isel(flight=0, time=np.isfinite(log["gyro"][0]).all("axis").to_numpy())
+    time, gyro, accel, truth = (one[name].to_numpy() for name in ("time", "gyro", "accel", "quat"))
+    arrays = {"gyro": sensor * gyro, "acc": sensor * accel, "quat": quat * truth}
+    np.savez(path, t=time, valid=np.full(time.size, valid), **arrays)
+    return str(path)
+
+
 def test_evaluate_leaves_a_log_without_attitude_out_and_says_so(log, tmp_path):
-    one = log.isel(flight=0)
-    known = np.isfinite(one["gyro"]).all(axis=1).to_numpy()
-    for name in ("with", "without"):
-        np.savez(
-            tmp_path / f"{name}.npz",
-            t=one["time"].to_numpy()[known], gyro=one["gyro"].to_numpy()[known],
-            acc=one["accel"].to_numpy()[known], quat=one["quat"].to_numpy()[known],
-            valid=np.full(known.sum(), name == "with"),
-        )  # fmt: skip
-    logs = [str(tmp_path / f"{name}.npz") for name in ("with", "without")]
+    logs = [saved(tmp_path / f"{name}.npz", log, valid=name == "with") for name in ("with", "without")]
     command = ["evaluate", "--estimator", "mahony", "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(app, [*command, "--logs", logs[0], "--logs", logs[1]], catch_exceptions=False)
     assert "without.npz: nothing to score: it has no attitude" in done.output
@@ -286,7 +256,7 @@ def test_evaluate_leaves_a_log_without_attitude_out_and_says_so(log, tmp_path):
         assert {row["log"] for row in csv.DictReader(file)} == {"with"}
     done = CliRunner().invoke(app, [*command, "--logs", logs[1]], catch_exceptions=False)
     assert done.exit_code == 0
-    assert "without: no true attitude" in done.output
+    assert "without: turned to the world and averaged over 10 s" in done.output
     assert "nan" not in done.output
 
 
@@ -376,16 +346,9 @@ def test_forces_in_a_steady_turn_do_not_add_up():
 
 @pytest.mark.filterwarnings("error")
 def test_numbers_that_no_sensor_has_are_refused_without_numpy_s_warnings(log, tmp_path):
-    one = log.isel(flight=0)
-    known = np.isfinite(one["gyro"]).all(axis=1).to_numpy()
     for name, sensor, quat in (("readings", 1e300, 1.0), ("truth", 1.0, 1e200)):
-        path = tmp_path / f"{name}.npz"
-        np.savez(
-            path,
-            t=one["time"].to_numpy()[known], gyro=sensor * one["gyro"].to_numpy()[known],
-            acc=sensor * one["accel"].to_numpy()[known], quat=quat * one["quat"].to_numpy()[known],
-        )  # fmt: skip
-        command = ["evaluate", "--estimator", "mahony", "--out", str(tmp_path / "out"), "--logs", str(path)]
+        path = saved(tmp_path / f"{name}.npz", log, sensor, quat)
+        command = ["evaluate", "--estimator", "mahony", "--out", str(tmp_path / "out"), "--logs", path]
         with pytest.raises(ValueError, match=name):
             CliRunner().invoke(app, command, catch_exceptions=False)
 

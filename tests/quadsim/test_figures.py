@@ -4,12 +4,10 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 
-from quadsim.dataset import store as dataset_store
 from quadsim.dataset.figures import plot
 from quadsim.dataset.generation import generate
 from quadsim.flight.recipe import Recipe
-from quadsim.flight.simulate import simulate_flights
-from quadsim.imu.spec import ImuSpec, load_imu
+from quadsim.imu.spec import load_imu
 from quadsim.vehicle import load_vehicle
 
 CONFIG = Recipe(vehicle=load_vehicle("hummingbird"), imu=load_imu("adis16448"), warmup_s=0.5)
@@ -26,18 +24,6 @@ def test_a_picture_has_ink_in_every_part(source, tmp_path):
     assert picture.shape[1] > 1000
     parts = [part for row in np.array_split(picture, 5) for part in np.array_split(row, 4, axis=1)]
     assert all(np.ptp(part) > 100 for part in parts)
-
-
-def test_motionless_flights_can_be_drawn(tmp_path, monkeypatch):
-    def still(config, seeds, steps, rate_hz):
-        log = simulate_flights(config, seeds, steps, rate_hz)
-        log["quat"][:], log["gyro"][:], log["accel"][:] = (1, 0, 0, 0), 0, (0, 0, 9.81)
-        return log
-
-    monkeypatch.setattr(dataset_store, "simulate_flights", still)
-    config = CONFIG.model_copy(update={"imu": ImuSpec()})
-    source = generate(config, 1, 0.5, tmp_path / "x.zarr", workers=1)
-    assert plot(source, tmp_path / "x.png").stat().st_size > 10_000
 
 
 def test_an_unknown_picture_format_is_refused(source, tmp_path):

@@ -46,42 +46,29 @@ def test_a_usd_log_is_read_in_si_units(tmp_path, version):
     assert not any("checksum" in note for note in log.notes)
 
 
-def test_a_usd_log_that_is_cut_off_is_read_up_to_there(tmp_path):
-    path = write_usd(tmp_path / "log00")
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-100])
-    assert read_recording(path).time.size == 398
-    report = reported(path)[1]
-    (line,) = [warning for warning in report.warnings if warning.startswith("damaged")]
-    event = 10 + 4 * len(IMU + QUAT + RPM)
-    assert (
-        line
-        == f"damaged: cut off after byte {len(whole) - 4 - 2 * event} of {len(whole) - 100}, read up to there"
-    )
+EVENT = 10 + 4 * len(IMU + QUAT + RPM)
+"""Bytes of an event."""
 
 
-def test_a_usd_log_with_a_bad_checksum_is_read_whole_and_said(tmp_path):
+@pytest.mark.parametrize(
+    ("cut", "flip", "rows", "said"),
+    [
+        (100, 0, 398, "cut off after byte {there} of {size}, read up to there"),
+        (0, 1, 400, "bad checksum, all events were read, some of their numbers may be wrong"),
+        (0, 4 + 100 * EVENT, 300, "no event at byte {there} of {size}, read up to there"),
+    ],
+)
+def test_a_damaged_usd_log_is_read_up_to_the_damage_which_is_named(tmp_path, cut, flip, rows, said):
     path = write_usd(tmp_path / "log00")
     data = bytearray(path.read_bytes())
-    data[-1] ^= 1
+    there = len(data) - 4 - (400 - rows) * EVENT
+    data = data[: len(data) - cut]
+    if flip:
+        data[-flip] ^= 0xFF
     path.write_bytes(data)
-    assert read_recording(path).time.size == 400
-    report = reported(path)[1]
-    assert (
-        "damaged: bad checksum, all events were read, some of their numbers may be wrong" in report.warnings
-    )
-
-
-def test_a_usd_log_with_an_unknown_event_is_read_up_to_it(tmp_path):
-    path = write_usd(tmp_path / "log00")
-    data = bytearray(path.read_bytes())
-    event = 10 + 4 * len(IMU + QUAT + RPM)
-    at = len(data) - 4 - 100 * event
-    data[at] ^= 0xFF
-    path.write_bytes(data)
-    assert read_recording(path).time.size == 300
-    report = reported(path)[1]
-    assert f"damaged: no event at byte {at} of {len(data)}, read up to there" in report.warnings
+    assert read_recording(path).time.size == rows
+    said = said.format(there=there, size=len(data))
+    assert f"damaged: {said}" in reported(path)[1].warnings
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,12 @@
 """Any CSV, by a TOML file that says what its columns are: names, units, axes and rate."""
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import pandas as pd
 from pydantic import model_validator
 
 from ...config.ranges import Between, SampleRate
@@ -160,22 +160,26 @@ def read_table(path: Path) -> Recording:
 
 def _rows(file: Path, spec: Table) -> tuple[list[str], Array]:
     """Names of the columns, and all numbers; an empty field is NaN."""
-    with file.open(newline="", encoding="utf-8-sig") as stream:
-        rows = [row for row in csv.reader(stream, delimiter=spec.delimiter) if row][spec.skip_rows :]
-    names = [name.strip().lstrip("#").strip() for name in rows.pop(0)] if spec.header and rows else []
-    widths = {len(row) for row in rows}
-    if len(rows) < 2 or len(widths) != 1:
-        raise ValueError(f"{file}: at least 2 rows of one width are required, found widths {sorted(widths)}")
-    numbers = np.full((len(rows), widths.pop()), math.nan)
-    for r, row in enumerate(rows):
-        for c, cell in enumerate(row):
-            try:
-                numbers[r, c] = float(cell) if cell.strip() else math.nan
-            except ValueError as error:
-                hint = '; is delimiter = ";" what it has?' if ";" in cell else ""
-                raise ValueError(
-                    f"{file}: row {r + 1} of the numbers, column {c + 1}: {cell[:40]!r} is no number{hint}"
-                ) from error
+    try:
+        cells = pd.read_csv(
+            file, sep=spec.delimiter, header=None, skiprows=spec.skip_rows, dtype=str,
+            encoding="utf-8-sig", skipinitialspace=True,
+        )  # fmt: skip
+    except ValueError as error:  # such as rows of several widths
+        raise ValueError(f"{file}: {error}") from error
+    names = []
+    if spec.header:
+        names = [str(name).strip().lstrip("#").strip() for name in cells.iloc[0]]
+        cells = cells.iloc[1:]
+    numbers = cells.apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+    for row, column in np.argwhere(np.isnan(numbers) & cells.notna().to_numpy())[:1]:
+        cell = str(cells.iat[row, column])
+        hint = '; is delimiter = ";" what it has?' if ";" in cell else ""
+        raise ValueError(
+            f"{file}: row {row + 1} of the numbers, column {column + 1}: {cell[:40]!r} is no number{hint}"
+        )
+    if len(numbers) < 2:
+        raise ValueError(f"{file}: at least 2 rows of numbers are required")
     return names, numbers
 
 

@@ -13,7 +13,9 @@ from zlib import crc32
 
 import numpy as np
 
+from ..cleaning import GAP
 from ..recording import OWN_ESTIMATE, Array, Recording, Track
+from ..resample import interpolated
 
 MAGIC = 0xBC
 STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}
@@ -21,8 +23,6 @@ STAMPS = {1: ("<HI", 1e-3), 2: ("<HQ", 1e-6)}
 GYRO = ("gyro.x", "gyro.y", "gyro.z")
 ACCEL = ("acc.x", "acc.y", "acc.z")
 ROTORS = ("rpm.m1", "rpm.m2", "rpm.m3", "rpm.m4")
-GAP = 2.5
-"""A step of more than this many sample periods is a gap, as in `quadsim.logs.resample`."""
 TRUTHS = {
     "locSrv": "motion capture",
     "stateEstimate": f"the autopilot's {OWN_ESTIMATE}",
@@ -66,7 +66,8 @@ def read_usdlog(path: Path) -> Recording:
         if not both.any():
             raise ValueError(f"{path}: gyroscope and accelerometer were logged at different times")
         time = gyro.time[both]
-        imu = Track(time, np.hstack([gyro.values[both], _at(accel, time)]))
+        longest_s = GAP * float(np.median(np.diff(accel.time)))
+        imu = Track(time, np.hstack([gyro.values[both], interpolated(time, *accel, longest_s)]))
         events = " and ".join(next(n for n, v in tracks.items() if s[0] in v) for s in (GYRO, ACCEL))
         notes = (*notes, f"{events}: accelerometer brought to the stamps of the gyroscope")
     if imu is None:
@@ -91,16 +92,6 @@ def read_usdlog(path: Path) -> Recording:
             own = group == "stateEstimate"
             return log.with_truth(f"{group}: {kind}", found.time, found.values[:, :4], position, own)
     return log
-
-
-def _at(track: Track, time: Array) -> Array:
-    """Readings interpolated to stamps among their own (T, ·); NaN where one of them is missing."""
-    values = np.stack([np.interp(time, track.time, column) for column in track.values.T], axis=1)
-    steps = np.diff(track.time)
-    if not len(steps):
-        return values
-    after = np.searchsorted(track.time, time).clip(1, len(steps))
-    return np.where((steps[after - 1] <= GAP * np.median(steps))[:, None], values, np.nan)
 
 
 def decode(path: Path) -> tuple[dict[str, dict[str, Array]], tuple[str, ...]]:

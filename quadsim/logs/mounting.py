@@ -1,0 +1,239 @@
+"""How the IMU is mounted: from how the truth turns, or from where the mean specific force points.
+
+Signals are evenly sampled: `gyro` (T, 3) [rad/s] and `accel` (T, 3) [m/s²], NaN where missing, and the true
+attitude `quat` (T, 4), quat_WB of the body, NaN where not known.
+"""
+
+import math
+import warnings
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from ..dataset.stretches import blocks_of
+from ..rotation import matrix_from_quat, quat_from_roll_pitch, quat_rotate_inverse, roll_pitch_of_up
+from ..runs.console import print_table, say
+from ..vehicle import GRAVITY
+from .recording import Array, mount_matrix, mount_text
+from .truth import turns_at_delay
+
+HOVER_RATE, HOVER_RMS = 0.15, 0.3
+"""Mean and root mean square of the body rate over a second of hover, at most [rad/s],"""
+HOVER_FORCE = 0.1
+"""and share by which the mean specific force of that second may differ from gravity."""
+LEAST_HOVER_S = 3
+"""Fewest seconds of hover that are used alone; with fewer the complete log is used."""
+REST_SHARE = 0.03
+"""Share of the specific force within which it stays at rest."""
+BIAS = 0.196
+"""Standard deviation of an accelerometer's turn-on bias [m/s²]: the ADIS16448's in RotorS."""
+LARGEST_SD_DEG = 5.0
+"""An estimate that is less certain about an axis is refused [deg]."""
+
+
+class Level(NamedTuple):
+    """Where the specific force points on average."""
+
+    force: Array
+    """Mean specific force, in IMU axes (3,) [m/s²]."""
+    sd_deg: float
+    """Standard deviation of the direction of that mean, by the scatter of its seconds [deg]."""
+    seconds: int
+    hover: bool
+    """Whether these are seconds of hover (or at rest); else they are all of the log's."""
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between the mean force and z [deg]."""
+        return float(np.degrees(np.arctan2(np.hypot(*self.force[:2]), self.force[2])))
+
+    @property
+    def mount(self) -> Array:
+        """The rotation without a change of heading that brings the mean force to body z (3, 3)."""
+        roll, pitch = roll_pitch_of_up(self.force)
+        steep = np.hypot(*self.force[1:]) < 0.02 * abs(self.force[0])  # x is up or down: any roll is the same
+        return matrix_from_quat(quat_from_roll_pitch([0.0 if steep else roll, pitch]))
+
+
+class Rest(NamedTuple):
+    """A stretch at rest."""
+
+    seconds: int
+    rate: float
+    """The gyroscope's mean rate across the force [rad/s]: its bias."""
+
+
+class MountEstimate(NamedTuple):
+    """An estimated mounting."""
+
+    body_from_imu: Array
+    """Rotation from IMU to body axes (3, 3)."""
+    sd_deg: tuple[float, float, float]
+    """Standard deviation about body x, y, z [deg]; infinite about z where the heading does not show."""
+    by: str
+    """What it was estimated from."""
+    accel_bias: Array | None = None
+    """Accelerometer's bias across body z (2,) [m/s²]; None where it cannot be separated from a tilt."""
+    levelled: bool = False
+    """Whether the tilt is that of the mean force, because the bias hides a part of the IMU's tilt."""
+
+
+def level(gyro: Array, accel: Array, rate_hz: float) -> Level | None:
+    """Mean specific force of the seconds of hover, or of all where there are too few; None without any."""
+    rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
+    complete = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(forces).all(axis=(1, 2))
+    rates, forces = rates[complete], forces[complete].mean(axis=1)
+    if not len(forces):
+        return None
+    hover = np.linalg.norm(rates.mean(axis=1), axis=1) < HOVER_RATE
+    hover &= np.sqrt((rates**2).sum(axis=2).mean(axis=1)) < HOVER_RMS
+    hover &= np.abs(np.linalg.norm(forces, axis=1) / GRAVITY - 1.0) < HOVER_FORCE
+    alone = int(hover.sum()) >= LEAST_HOVER_S
+    forces = forces[hover] if alone else forces
+    mean = forces.mean(axis=0)
+    scatter = forces.std(axis=0) / np.sqrt(len(forces)) / max(float(np.linalg.norm(mean)), 1e-9)
+    return Level(mean, float(np.degrees(np.linalg.norm(scatter))), len(forces), alone)
+
+
+def turn_at_rest(gyro: Array, accel: Array, rate_hz: float) -> Rest | None:
+    """The stretch at rest over which the vertical turns most by the gyroscope; None where there is none.
+
+    At rest are seconds in which the specific force is gravity's to a tenth and stays within a share of
+    itself, from the first of the stretch on. The turn is that of the mean rate ω across the force: a vehicle
+    that turns so is not at rest. In a steady banked turn ω is at the angle of bank from the force, which is
+    below 25° where the force is below 1.1 g: an ω within 30° of the force counts as 0.
+    """
+    rates, forces = (blocks_of(each, round(rate_hz)) for each in (gyro, accel))
+    means, rates = forces.mean(axis=1), rates.mean(axis=1)
+    size = np.linalg.norm(means, axis=1)
+    steady = np.isfinite(rates).all(axis=1) & (np.linalg.norm(forces.std(axis=1), axis=1) < REST_SHARE * size)
+    steady &= np.abs(size / GRAVITY - 1.0) < HOVER_FORCE
+    found: list[Rest] = []
+    start = 0
+    for k in range(len(means) + 1):
+        ends = k == len(means) or not steady[k]
+        if ends or np.linalg.norm(means[k] - means[start]) > REST_SHARE * size[start]:
+            if k > start and steady[start]:
+                mean = rates[start:k].mean(axis=0)
+                across = float(np.linalg.norm(np.cross(means[start] / size[start], mean)))
+                found.append(Rest(k - start, across if across > 0.5 * float(np.linalg.norm(mean)) else 0.0))
+            start = k + ends
+    return max(found, key=lambda rest: rest.rate * rest.seconds, default=None)
+
+
+def estimate_mount(log: xr.Dataset, given: str | None = None, from_level: bool = False) -> MountEstimate:
+    """The mounting of an IMU, from a true attitude of the body where there is one, else from the mean force.
+
+    Args:
+        log: From `read_log`.
+        given: The mount that it was read with; the estimate includes it.
+        from_level: From the mean force, although there is a true attitude.
+
+    Raises:
+        ValueError: Too little motion for the truth, or no complete second of samples.
+    """
+    report, rate_hz = log.attrs["log"], float(log.attrs["rate_hz"])
+    gyro, accel, quat = (log[name].to_numpy()[0] for name in ("gyro", "accel", "quat"))
+    try:
+        if np.isfinite(quat).any() and report.truth_axes == "body" and not from_level:
+            found = with_accel_bias(mount_from_truth(gyro, quat, rate_hz), accel, quat)
+        else:
+            found = mount_from_level(level(gyro, accel, rate_hz))
+    except ValueError as error:
+        raise ValueError(f"{report.path or log.attrs['source']}: {error}") from None
+    return found if given is None else found._replace(body_from_imu=found.body_from_imu @ mount_matrix(given))
+
+
+def mount_from_level(found: Level | None) -> MountEstimate:
+    """The mounting at which the mean force is along body z; its heading is taken as zero.
+
+    The standard deviation is that of the mean and of an accelerometer's bias.
+
+    Raises:
+        ValueError: No complete second, or the force has no steady direction.
+    """
+    if found is None:
+        raise ValueError("no second without missing samples")
+    if found.sd_deg > LARGEST_SD_DEG:
+        raise ValueError(f"the mean force has no steady direction: {found.sd_deg:.0f}° (1 SD)")
+    by = f"the mean force of {found.seconds} s {'of hover' if found.hover else 'in motion'}"
+    sd = float(np.hypot(found.sd_deg, np.degrees(BIAS / GRAVITY)))
+    return MountEstimate(found.mount, (sd, sd, np.inf), by)
+
+
+def mount_from_truth(gyro: Array, quat: Array, rate_hz: float) -> MountEstimate:
+    """The rotation that brings the gyroscope's rates nearest to those of the true attitude.
+
+    Wahba's problem, min Σ |ω_truth − R ω_gyro|² (Markley 1988), of rates over spans, the mean of both and the
+    truth's delay taken out. Spans overlap, so that the noise of every sample of the truth is averaged; the
+    standard deviation is that of as many as do not.
+
+    Raises:
+        ValueError: Too little motion, or about one axis alone.
+    """
+    rates = turns_at_delay(gyro, quat, rate_hz)
+    if rates is None:
+        raise ValueError("the truth and the gyroscope turn too little together: fly rolls and pitches")
+    measured, true, span = rates
+    count = len(true) // span
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # an axis without motion: see below
+        found = Rotation.align_vectors(true, measured, return_sensitivity=True)
+    rotation, distance, sensitivity = cast("tuple[Rotation, float, Array]", found)
+    sd = np.degrees(np.sqrt(np.diag(sensitivity) * distance**2 / (3 * count)))
+    if not (sd < LARGEST_SD_DEG).all():
+        raise ValueError(
+            f"the mounting is uncertain by {sd.max():.0f}° (1 SD): the truth has to turn about two axes, and "
+            "as the gyroscope does"
+        )
+    x, y, z = sd.tolist()
+    return MountEstimate(np.asarray(rotation.as_matrix()), (x, y, z), f"{count} turns of the truth")
+
+
+def with_accel_bias(found: MountEstimate, accel: Array, quat: Array) -> MountEstimate:
+    """A mounting by the truth, with the accelerometer's bias: its mean less gravity's in body axes.
+
+    Filters take the bias for a tilt. Where it hides a part of the IMU's tilt, so that more would show with
+    the mounting than without, the tilt is that which brings the mean force onto gravity's: both together.
+    """
+    known = np.isfinite(accel).all(axis=1) & np.isfinite(quat).all(axis=1)
+    force = accel[known].mean(axis=0)
+    gravity = quat_rotate_inverse(quat[known], np.array([0.0, 0.0, GRAVITY])).mean(axis=0)
+    mounted_force = found.body_from_imu @ force
+    bias = (mounted_force - gravity)[:2]
+    found = found._replace(accel_bias=bias)
+    hidden = np.linalg.norm(bias) > np.linalg.norm((force - gravity)[:2])
+    if not hidden or np.linalg.norm(gravity) < 0.5 * GRAVITY:
+        return found
+    axis = np.cross(mounted_force, gravity)
+    sine = float(np.linalg.norm(axis))
+    tilt = np.arctan2(sine, float(mounted_force @ gravity))
+    levelling = Rotation.from_rotvec(axis / max(sine, 1e-12) * tilt)
+    sd = np.hypot(found.sd_deg, np.degrees([tilt, tilt, 0.0]))
+    body_from_imu = levelling.as_matrix() @ found.body_from_imu
+    return found._replace(body_from_imu=body_from_imu, sd_deg=tuple(sd.tolist()), levelled=True)
+
+
+def show_estimate(path: Path, found: MountEstimate) -> None:
+    """Print an estimated mounting, its uncertainty and the `--mount` that gives it."""
+    x, y, z = found.sd_deg
+    angle = np.degrees(Rotation.from_matrix(found.body_from_imu).magnitude())
+    rows = {
+        "from": found.by,
+        "rotation": f"{angle:.2f}°",
+        "1 SD about body x, y": f"{x:.2f}°, {y:.2f}°",
+        "1 SD about body z": f"{z:.2f}°" if z < math.inf else "the heading does not show",
+    }
+    if found.accel_bias is not None:
+        x, y = found.accel_bias
+        rows["accelerometer bias, body x, y"] = f"{x:+.2f}, {y:+.2f} m/s²"
+    print_table(rows.items())
+    if found.accel_bias is None:
+        text = "the log cannot separate the accelerometer's bias from a tilt of the IMU"
+        say(f"! {text}: the mount takes both together")
+    elif found.levelled:
+        text = "the accelerometer's bias hides a part of the IMU's tilt: the mount takes both together"
+        say(f"! {text}, so that no filter's error rises")
+    say(f'{path}: --mount "{mount_text(found.body_from_imu)}"')

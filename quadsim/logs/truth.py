@@ -1,0 +1,320 @@
+"""The true attitude of a log beside its gyroscope: how late it is, whether both turn alike, and the bias.
+
+Signals are evenly sampled: `gyro` is the body rate (T, 3) [rad/s], NaN where missing, and `quat` the true
+quat_WB (T, 4), NaN where not known.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+from scipy.spatial.transform import Rotation
+from scipy.stats import t as student
+
+from ..rotation import matrix_from_quat, quat_conjugate, quat_from_rotvec, quat_multiply, xyzw_from_wxyz
+from .recording import Array
+
+SEARCH_S = 0.5
+"""Delays of more than this are not looked for."""
+SPAN_S, LONG_S = 0.1, 0.5
+"""Turns over these times are compared: white noise of the truth's attitude falls as one over the time, and
+counts over the shorter in gentle motion; over the longer, fast motion turns back."""
+MOVING, SURELY_MOVING = 0.05, 0.25
+"""Least standard deviations of the rates, of both and of one alone, that say something [rad/s]."""
+TURNING = 0.1
+"""The same of the truth about an axis, for a correlation of that axis alone [rad/s]."""
+COMMON = 0.3
+"""Correlation under the best rotation or mirroring of the gyroscope's axes below which the truth's noise is
+not corrected for: chance reaches 0.2 in half a minute."""
+RATE_MAX = 2.0
+"""Turns with a mean rate above this tell nothing of the bias [rad/s]: they hold the truth's delay."""
+BLOCKS = 16
+"""Parts of the log whose scatter gives the bias's interval: errors within one may be correlated."""
+
+
+class Agreement(NamedTuple):
+    """How the truth turns beside the gyroscope, over the time in which both have most in common."""
+
+    agreement: float
+    """Correlation over all three axes, corrected for the truth's noise: 1 where both turn alike."""
+    axes: tuple[float, float, float]
+    """The same of each axis; 1 where the truth hardly turns about it."""
+    rotated: float
+    """The same under the rotation of the gyroscope's axes at which it is largest,"""
+    rotation_deg: float
+    """and the angle of that rotation [deg]."""
+    gain: float
+    """What that rotation adds to the correlation as it is, not corrected."""
+    common: float
+    """Correlation under the best rotation or mirroring: what the truth's noise leaves."""
+
+
+class Alignment(NamedTuple):
+    """How the turns of the truth and of the gyroscope belong together."""
+
+    delay_s: float
+    """How late the truth is [s] (negative: early), to a fraction of a sample."""
+    agreement: float
+    """Correlation of the rates over `SPAN_S` at that delay, all three axes together."""
+    rotated_agreement: float
+    """The same under the rotation of the gyroscope's axes at which it is largest."""
+    slope: float
+    """Readings over the truth's rates, 1 where units agree: the true slope is between r and 1/r times this,
+    with r the correlation under that rotation."""
+    turned: Agreement
+    """Whether both turn alike."""
+
+
+class Turns(NamedTuple):
+    """Mean body rates over a time, NaN where one of them is not known."""
+
+    measured: Array
+    """By the gyroscope (m, 3) [rad/s]."""
+    true: Array
+    """By the attitude (m, 3) [rad/s]."""
+    span: int
+    """Samples of a mean."""
+    most: int
+    """Largest delay that is looked for, in samples."""
+
+    def at(self, lag: int) -> tuple[Array, Array]:
+        """Both where the truth is `lag` samples late, less their means, where both are known."""
+        a, b = self.measured, self.true
+        a, b = (a[: a.shape[0] - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
+        both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+        return a[both] - a[both].mean(axis=0), b[both] - b[both].mean(axis=0)
+
+    def at_all_delays(self) -> "_Cross":
+        """How they belong together at every delay from the largest negative one on: arrays of them."""
+        known = np.isfinite(self.measured[:, 0]).astype(np.float64)
+        a, b = (np.nan_to_num(each).T for each in (self.measured, self.true))
+        here = slice(known.size - 1 - self.most, known.size + self.most)
+
+        def summed(x: Array, y: Array) -> Array:
+            return correlate(y, x, method="fft")[here]
+
+        count = summed(known, known)
+        sums_a, sums_b = ([summed(x, known) for x in a], [summed(known, y) for y in b])
+        products = [[summed(x, y) for y in b] for x in a]
+        moments = np.array(products) - np.einsum("il,jl->ijl", sums_a, sums_b) / count
+        p = summed((a**2).sum(axis=0), known) - (np.array(sums_a) ** 2).sum(axis=0) / count
+        q = summed(known, (b**2).sum(axis=0)) - (np.array(sums_b) ** 2).sum(axis=0) / count
+        return _Cross.of(np.moveaxis(moments, -1, 0), p, q)
+
+
+def align(gyro: Array, quat: Array, rate_hz: float) -> Alignment | None:
+    """Find the delay at which the truth turns most as the gyroscope says, and compare both there.
+
+    Returns:
+        The result; None where there is too little motion.
+    """
+    short, long = (_turns(gyro, quat, rate_hz, span_s) for span_s in (SPAN_S, LONG_S))
+    if short is None or long is None:
+        return None
+    crosses = short.at_all_delays()
+    fit = crosses.agreement
+    peak = int(np.clip(np.argmax(fit), 1, fit.size - 2))
+    left, top, right = fit[peak - 1 : peak + 2]
+    bend = left - 2 * top + right
+    beside = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    rotated = int(np.argmax(crosses.rotated_agreement))
+    both = [_agreement(each, peak - short.most, rotated - short.most) for each in (short, long)]
+    return Alignment(
+        delay_s=float((peak - short.most + beside) / rate_hz),
+        agreement=float(top),
+        rotated_agreement=float(crosses.rotated_agreement[rotated]),
+        slope=float(crosses.slope[rotated]),
+        turned=max(both, key=lambda each: each.common),
+    )
+
+
+def turns_at_delay(gyro: Array, quat: Array, rate_hz: float) -> tuple[Array, Array, int] | None:
+    """Rates of gyroscope and truth over spans that overlap, less their means, (m, 3) each; samples of a span.
+
+    The truth's delay, at which they agree best under any rotation of the gyroscope's axes, is taken out, and
+    so is the gyroscope's scale. Of both spans the one over which they have most in common is used. None where
+    there is too little motion.
+    """
+    found = []
+    for span_s in (SPAN_S, LONG_S):
+        if (rates := _turns(gyro, quat, rate_hz, span_s)) is None:
+            return None
+        crosses = rates.at_all_delays()
+        best = int(np.argmax(crosses.rotated_agreement))
+        measured, true = rates.at(best - rates.most)
+        found.append((crosses.common[best], measured / crosses.slope[best], true, rates.span))
+    return max(found, key=lambda each: each[0])[1:]
+
+
+def _turns(gyro: Array, quat: Array, rate_hz: float, span_s: float) -> Turns | None:
+    """Mean body rates of the gyroscope and of the truth, or None where there is too little motion."""
+    known = np.asarray(np.isfinite(quat).all(axis=1))
+    span = max(round(span_s * rate_hz), 1)
+    if known.size < 4 * span + 2 * SEARCH_S * rate_hz:
+        return None
+    xyzw = xyzw_from_wxyz(np.where(known[:, None], quat, (1.0, 0.0, 0.0, 0.0)))
+    before, after = Rotation.from_quat(xyzw[:-span]), Rotation.from_quat(xyzw[span:])
+    turn = (before.inv() * after).as_rotvec() * rate_hz / span
+    between = 0.5 * (gyro[:-1] + gyro[1:]).clip(-1e9, 1e9)  # the squares of any number are finite
+    measured = np.stack([np.convolve(axis, np.full(span, 1 / span), "valid") for axis in between.T], axis=1)
+    both = known[:-span] & known[span:] & np.isfinite(measured).all(axis=1)
+    if both.sum() < 4 * SEARCH_S * rate_hz:
+        return None
+    a, b = (np.where(both[:, None], x, np.nan) for x in (measured, turn))
+    spreads = [np.nanstd(x, axis=0).max() for x in (a, b)]
+    if min(spreads) < MOVING and max(spreads) < SURELY_MOVING:
+        return None
+    return Turns(a, b, span, round(SEARCH_S * rate_hz))
+
+
+def _agreement(rates: Turns, lag: int, rotated_lag: int) -> Agreement:
+    """How turns agree at two delays in samples, with the gyroscope's axes as they are and rotated.
+
+    The correlation under the best rotation or mirroring, c = (s₁ + s₂ + s₃)/√(pq), is less than 1 by the
+    truth's noise, which has the share 1 − c² of its variance q. Correlations are corrected for it
+    (Spearman 1904); it is taken to be the same about every axis.
+    """
+    a, b = rates.at(lag)
+    plain, best = (_Cross.of(x.T @ y, (x**2).sum(), (y**2).sum()) for x, y in ((a, b), rates.at(rotated_lag)))
+    common = max(float(plain.common), float(best.common))
+    explained = common if common > COMMON else 1.0
+    noise = (1 - explained**2) * float((b**2).sum()) / 3
+    signal = (b**2).sum(axis=0) - noise
+    x, y, z = (
+        float(a[:, k] @ b[:, k] / np.sqrt(max(float(a[:, k] @ a[:, k]), 1e-30) * signal[k]))
+        if signal[k] > TURNING**2 * len(b)
+        else 1.0
+        for k in range(3)
+    )
+    return Agreement(
+        agreement=float(plain.agreement) / explained,
+        axes=(x, y, z),
+        rotated=float(best.rotated_agreement) / explained,
+        rotation_deg=float(best.rotation_deg),
+        gain=float(best.rotated_agreement - plain.agreement),
+        common=common,
+    )
+
+
+class _Cross(NamedTuple):
+    """How two series without their means belong together, all axes together: numbers, or arrays of them."""
+
+    agreement: Array
+    rotated_agreement: Array
+    common: Array
+    rotation_deg: Array
+    slope: Array
+
+    @classmethod
+    def of(cls, moments: Array, p: Array, q: Array) -> "_Cross":
+        """From the second moments Σ a bᵀ (..., 3, 3), p = Σ |a|² and q = Σ |b|² (...).
+
+        The rotation R is that which maximises c = Σ b·R a = tr(R Σ a bᵀ) = s₁ + s₂ ± s₃, the singular values
+        (Kabsch 1976). The correlation is r = c/√(pq) and the slope of a over b √(p/q), midway between the two
+        regressions c/q, which noise of b biases low, and p/c, which noise of a biases high. They are r and
+        1/r times it, and the true slope is between them (Frisch 1934).
+        """
+        p, q = np.maximum(p, 1e-30), np.maximum(q, 1e-30)
+        u, s, vt = np.linalg.svd(moments)
+        proper = np.ones_like(s)
+        proper[..., -1] = np.linalg.det(u @ vt)
+        rotation = (np.swapaxes(vt, -1, -2) * proper[..., None, :]) @ np.swapaxes(u, -1, -2)
+        cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1.0) / 2.0
+        scale = np.sqrt(p * q)
+        return cls(
+            np.trace(moments, axis1=-2, axis2=-1) / scale,
+            (s * proper).sum(axis=-1) / scale,
+            s.sum(axis=-1) / scale,
+            np.degrees(np.arccos(np.clip(cosine, -1, 1))),
+            np.sqrt(p / q),
+        )
+
+
+class GyroBias(NamedTuple):
+    """Mean bias of a gyroscope over a log."""
+
+    mean: Array
+    """(3,) [rad/s]."""
+    half_width: Array
+    """Half the width of its 95 % interval (3,) [rad/s]."""
+
+    @property
+    def significant(self) -> Array:
+        """The mean on axes where it differs significantly from zero, else 0 (3,) [rad/s]; NaN if unknown."""
+        return np.where(np.abs(self.mean) <= self.half_width, 0.0, self.mean)
+
+
+class BiasOverTime(NamedTuple):
+    """A gyroscope's bias over each of n turns of `LONG_S`; NaN where the turn is fast or not known."""
+
+    bias: Array
+    """(n, 3) [rad/s]."""
+    rate: Array
+    """Mean rate (n, 3) [rad/s]."""
+    rms: Array
+    """Root mean square of the rate (n,) [rad/s]."""
+
+
+def bias_by_truth(gyro: Array, quat: Array, rate_hz: float) -> GyroBias:
+    """The bias b at which the integrated gyroscope turns as the truth does, with its 95 % interval.
+
+    Over a turn from s to e, log(R_truthᵀ R_gyro) = R_eᵀ ∫ R dt b to first order: least squares over turns of
+    `LONG_S`, iterated. White noise of the truth's attitude cancels from one turn to the next; the interval is
+    by the scatter of blocks of turns (cluster-robust, Student's t).
+
+    Returns:
+        The bias; NaN if fewer than a second of slow turns is known.
+    """
+    known, rates, truth = _slow_turns(gyro, quat, rate_hz)
+    if known.sum() * LONG_S < 1.0:
+        return GyroBias(np.full(3, np.nan), np.full(3, np.nan))
+    mean, scores, inverse = np.zeros(3), np.zeros_like(rates[:, 0]), np.eye(3)
+    for _ in range(4):
+        beyond, lever = _beyond(rates - mean, truth, 1.0 / rate_hz)
+        inverse = np.linalg.inv(np.einsum("nki,nkj->ij", lever, lever))
+        scores = np.einsum("nki,nk->ni", lever, beyond)
+        mean += inverse @ scores.sum(axis=0)
+    blocks = min(BLOCKS, len(scores))
+    sums = np.stack([part.sum(axis=0) for part in np.array_split(scores, blocks)]) @ inverse
+    sd = np.sqrt((sums**2).sum(axis=0) * blocks / (blocks - 1))
+    return GyroBias(mean, float(student.ppf(0.975, blocks - 1)) * sd)
+
+
+def bias_over_time(gyro: Array, quat: Array, rate_hz: float) -> BiasOverTime:
+    """The bias of each turn of `LONG_S`, linear about that of the log."""
+    known, rates, truth = _slow_turns(gyro, quat, rate_hz)
+    bias, means = np.full((2, len(known), 3), np.nan)
+    rms = np.full(len(known), np.nan)
+    mean = bias_by_truth(gyro, quat, rate_hz).mean
+    if np.isfinite(mean).all():
+        beyond, lever = _beyond(rates - mean, truth, 1.0 / rate_hz)
+        bias[known] = mean + np.linalg.solve(lever, beyond[:, :, None])[:, :, 0]
+        means[known] = rates.mean(axis=1)
+        rms[known] = np.sqrt((rates**2).sum(axis=2).mean(axis=1))
+        fast = ~(rms < RATE_MAX)  # to and fro, with a small mean
+        bias[fast], means[fast], rms[fast] = np.nan, np.nan, np.nan
+    return BiasOverTime(bias, means, rms)
+
+
+def _slow_turns(gyro: Array, quat: Array, rate_hz: float) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Which turns of `LONG_S` are slow and known (n,); of those the rates (m, k, 3) and true turns (m, 4)."""
+    span = max(round(LONG_S * rate_hz), 1)
+    count = (len(gyro) - 1) // span
+    rates = (0.5 * (gyro[:-1] + gyro[1:]))[: count * span].reshape(count, span, 3)
+    before, after = quat[: count * span : span], quat[span : count * span + 1 : span]
+    slow = np.linalg.norm(rates.mean(axis=1), axis=1) < RATE_MAX  # not where it is NaN
+    known = slow & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    return known, rates[known], quat_multiply(quat_conjugate(before[known]), after[known])
+
+
+def _beyond(rates: Array, truth: Array, dt: float) -> tuple[Array, Array]:
+    """What body rates (n, k, 3) turn further than true turns (n, 4): (n, 3) [rad], and R_endᵀ ∫ R dt [s]."""
+    turned, lever = np.tile([1.0, 0.0, 0.0, 0.0], (len(rates), 1)), np.zeros((len(rates), 3, 3))
+    for k in range(rates.shape[1]):
+        half = quat_from_rotvec(0.5 * dt * rates[:, k])
+        turned = quat_multiply(turned, half)
+        lever += dt * matrix_from_quat(turned)
+        turned = quat_multiply(turned, half)
+    relative = Rotation.from_quat(xyzw_from_wxyz(quat_multiply(quat_conjugate(truth), turned)))
+    return relative.as_rotvec(), np.swapaxes(matrix_from_quat(turned), 1, 2) @ lever
