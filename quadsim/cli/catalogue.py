@@ -33,12 +33,12 @@ HOW = {
     Kind.SCENARIOS: "quadsim fly NAME; quadsim bench --scenario NAME",
     Kind.ESTIMATORS: "--estimator NAME; also weights, or your own: file.py:Class, module:Class",
     Kind.CONTROLLERS: "--controller NAME; also weights, or your own: file.py:make, module:make",
-    Kind.VEHICLES: "--vehicle NAME, or a TOML file",
-    Kind.IMUS: "--imu NAME, or a TOML file",
+    Kind.VEHICLES: "--set vehicle=NAME, or a TOML file; quadsim evaluate --vehicle NAME",
+    Kind.IMUS: "--set imu=NAME, or a TOML file",
     Kind.EXTERNALS: "quadsim bench --set external=NAME, or a TOML file",
     Kind.RECIPES: "quadsim generate --recipe NAME, or a TOML file",
     Kind.PRESETS: "quadsim train --preset NAME, or a TOML file",
-    Kind.TUNING: "--tuning NAME, or a file written by quadsim tune",
+    Kind.TUNING: "--set tuning=NAME, or a file written by quadsim tune; quadsim evaluate --tuning NAME",
     Kind.WEIGHTS: "--estimator NAME; quadsim report NAME; quadsim export NAME",
 }
 """Commands and options that accept a name."""
