@@ -98,8 +98,8 @@ def bench(
         str,
         typer.Option(
             help="suite: all scenarios. axes: initial attitude, motion, drag, airframe and IMU are varied."
-            " held-out: scenarios drawn with held-out seeds. breaking-points: the smallest "
-            "disturbance that causes a crash. Or your own TOML file."
+            " held-out: scenarios drawn with held-out seeds. breaking-points: disturbances "
+            "at increasing levels. Or your own TOML file."
         ),
     ] = "suite",
     scenario: Annotated[
