@@ -25,7 +25,7 @@ from training.models import quantise_decay, quantise_weights
 from .timing import Row, in_turns, show, spent
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
-from plain_network import forward
+from plain_network import forward  # pyright: ignore[reportMissingImports]  (a folder of the tests)
 
 BATCH, STEPS, HIDDEN = 40, 2000, 100
 FUSED, FLOOR, PLAIN = "fused, quantised", "dense floor", "plain PyTorch, floats"

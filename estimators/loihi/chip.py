@@ -42,43 +42,32 @@ ANY = -1
 """A decay that a compartment does not use."""
 
 
+@dataclass(frozen=True)
 class LoihiLayer:
-    """One population of neurons, its input and its recurrent connections.
+    """One population of neurons, its input and its recurrent connections; vectors are scalars or (out,)."""
 
-    Args:
-        w_in: Mantissas of the weights from the layer below, shape (out, in); (out, 0) for a layer that its
-            bias alone drives.
-        w_rec: Mantissas of the recurrent weights, shape (out, out). None: no recurrence.
-        du: Decay of the current, 0...4096, as those below a scalar or of shape (out,).
-        dv: Decay of the membrane.
-        vth: Mantissa of the threshold.
-        exp_in: Exponent of the weights `w_in` into each neuron, -6...0.
-        exp_rec: The same of `w_rec`.
-        w_after: Mantissas of the weights of the neurons on their own after-spike currents; 0: no such
-            current.
-        d_after: Decay of these currents.
-        exp_after: Exponent of `w_after`.
-    """
+    w_in: NDArray[np.integer]
+    """Mantissas of the weights from the layer below, (out, in); (out, 0) where the bias alone drives it."""
+    w_rec: NDArray[np.integer] | None = None
+    """Mantissas of the recurrent weights, (out, out)."""
+    du: ArrayLike = DECAY_ONE
+    """Decays of the currents."""
+    dv: ArrayLike = DECAY_ONE
+    """Decays of the membranes."""
+    vth: ArrayLike = 128
+    """Mantissas of the thresholds."""
+    exp_in: ArrayLike = 0
+    """Exponents of the weights `w_in` into each neuron, -6...0; below of `w_rec` and `w_after`."""
+    exp_rec: ArrayLike = 0
+    w_after: ArrayLike = 0
+    """Mantissas of the weights on their own after-spike currents; 0: no such current."""
+    d_after: ArrayLike = DECAY_ONE
+    """Decays of these currents."""
+    exp_after: ArrayLike = 0
 
-    def __init__(
-        self,
-        w_in: NDArray[np.integer],
-        w_rec: NDArray[np.integer] | None = None,
-        *,
-        du: ArrayLike = DECAY_ONE,
-        dv: ArrayLike = DECAY_ONE,
-        vth: ArrayLike = 128,
-        exp_in: ArrayLike = 0,
-        exp_rec: ArrayLike = 0,
-        w_after: ArrayLike = 0,
-        d_after: ArrayLike = DECAY_ONE,
-        exp_after: ArrayLike = 0,
-    ) -> None:
-        self.w_in, self.w_rec = w_in, w_rec
-        each = (du, dv, vth, exp_in, exp_rec, w_after, d_after, exp_after)
-        self.du, self.dv, self.vth, self.exp_in, self.exp_rec, self.w_after, self.d_after, self.exp_after = (
-            np.broadcast_to(np.asarray(value, np.int64), len(w_in)) for value in each
-        )
+    def of(self, name: str) -> Ints:
+        """A vector, (out,)."""
+        return np.broadcast_to(np.asarray(getattr(self, name), np.int64), len(self.w_in))
 
 
 class Neuron(NamedTuple):
@@ -218,20 +207,22 @@ def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
 
 def decay_profiles(layer: LoihiLayer) -> Ints:
     """(du, dv) of the somas of a layer, (out, 2); du is `ANY` where no spike enters the layer."""
+    dv = layer.of("dv")
     driven = layer.w_in.shape[1] > 0 or layer.w_rec is not None
-    return np.stack([layer.du if driven else np.full_like(layer.dv, ANY), layer.dv], axis=1)
+    return np.stack([layer.of("du") if driven else np.full_like(dv, ANY), dv], axis=1)
 
 
 def _neurons(layer: LoihiLayer, start: int) -> list[Neuron]:
     """What each neuron of a layer takes; `start` is the source that the first of them is."""
     w_rec = np.zeros((len(layer.w_in), 0)) if layer.w_rec is None else layer.w_rec
-    formats = -np.stack([layer.exp_in, layer.exp_rec, layer.exp_after], 1)
+    formats = -np.stack([layer.of(name) for name in ("exp_in", "exp_rec", "exp_after")], 1)
+    vth, w_after, d_after = (layer.of(name) for name in ("vth", "w_after", "d_after"))
     neurons = []
     for i, (du, dv) in enumerate(decay_profiles(layer)):
-        profiles, thresholds = {(int(du), int(dv))}, {int(layer.vth[i])}
+        profiles, thresholds = {(int(du), int(dv))}, {int(vth[i])}
         own = []
-        if layer.w_after[i]:
-            profiles.add((int(layer.d_after[i]), ANY))
+        if w_after[i]:
+            profiles.add((int(d_after[i]), ANY))
             thresholds.add(VTH_MAX)
             own = [start + i]
         below = np.flatnonzero(layer.w_in[i]) + start - layer.w_in.shape[1]

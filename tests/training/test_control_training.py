@@ -16,8 +16,8 @@ from quadsim.trajectory.specs import Hover
 from quadsim.vehicle import GRAVITY
 from training.config import ControlSettings, make_config
 from training.control.excitation import Excitation, set_point_excitation
-from training.control.flights import fly, joined, thrust_axis, thrust_axis_error, with_motion
-from training.control.task import ControlTask, read_flights, save_flights, windows
+from training.control.flights import fly, thrust_axis, thrust_axis_error, with_motion
+from training.control.task import ControlTask, read_flights, windows
 from training.data import network_inputs
 from training.init import CONTROLLER_START, initialise_from_data
 from training.loop import INTERRUPTED, Training, train
@@ -100,25 +100,6 @@ def test_the_angle_between_thrust_axes_of_equal_attitudes_is_zero():
     wanted = np.array([[0.2, 0.0, 0.0, 9.81]])
     assert thrust_axis_error(wanted, quat, np.zeros(1)) == pytest.approx(0.0, abs=1e-7)
     assert thrust_axis_error(0 * wanted, quat, np.zeros(1)) == pytest.approx(0.2)
-
-
-def test_flights_of_two_rounds_are_aggregated(tmp_path):
-    training = training_of(tmp_path, **TINY)
-    assert [len(each) for each in training.task.rounds] == [3]
-    for _ in range(2):
-        training.history.append(training.one_epoch())
-    assert [len(each) for each in training.task.rounds] == [3, 2]
-    assert len(joined(training.task.rounds)) == 5
-    config = make_config(**TINY | {"control": TINY["control"] | {"rounds": 2}, "epochs": 6})
-    assert [config.round_of(epoch) for epoch in range(6)] == [0, 0, 1, 1, 2, 2]
-
-
-def test_flights_survive_their_file(recipe, tmp_path):
-    flights = fly(SETTINGS, recipe, seeds(2))
-    save_flights(tmp_path / "f.npz", flights)
-    again = read_flights(tmp_path / "f.npz")
-    assert again.rate_hz == flights.rate_hz
-    assert np.array_equal(again.target, flights.target)
 
 
 def test_windows_follow_one_another_within_a_stream_and_a_flight(recipe):
@@ -207,6 +188,10 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights_which_fly(recipe, tmp
     assert resumed.best.epoch == whole.best.epoch
     names = [sorted(each.name for each in (tmp_path / name).iterdir()) for name in ("whole", "parts")]
     assert names[0] == names[1]
+    rounds = [read_flights(tmp_path / "whole" / f"round-{k}.npz") for k in (0, 1)]
+    assert [len(each) for each in rounds] == [3, 2]
+    config = make_config(**TINY | {"control": TINY["control"] | {"rounds": 2}, "epochs": 6})
+    assert [config.round_of(epoch) for epoch in range(6)] == [0, 0, 1, 1, 2, 2]
     states = [torch.load(tmp_path / name / "checkpoint.pt")["model"] for name in ("whole", "parts")]
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
     assert whole.weights.read_bytes() == resumed.weights.read_bytes()

@@ -80,22 +80,3 @@ def test_a_weight_can_be_trained_to_the_ends_of_the_chips_range_and_no_further(l
     assert (
         set(weights.w_ff.abs().unique().tolist()) == set(weights.w_in.abs().unique().tolist()) == {127 / 128}
     )
-
-
-def test_frozen_neurons_keep_their_values_and_have_no_gradient():
-    model = model_of(12, 10, after_spike=True)
-    initialise_random(model, 0)
-    model.freeze(4, 3)
-    before = {name: value.detach().clone() for name, value in model.named_parameters()}
-    model(torch.ones(1, 50, 6, dtype=torch.float64))[0].square().sum().backward()
-    frozen = {"w_in": 4, "syn0": 4, "mem0": 4, "w_out": 0, "syn2": 0, "mem2": 0}
-    with torch.no_grad():
-        for name, value in model.named_parameters():
-            rows = frozen.get(name, 3)
-            assert not value.grad[:rows].any(), name
-            value += 0.01
-    model.constrain()
-    for name, value in model.named_parameters():
-        rows = frozen.get(name, 3)
-        assert torch.equal(value[:rows], before[name][:rows]), name
-        assert not torch.equal(value[rows:], before[name][rows:]), name

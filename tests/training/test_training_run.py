@@ -216,7 +216,7 @@ def test_weights_that_are_not_numbers_stop_the_run_and_keep_the_best(dataset, tm
 
 def test_a_run_that_stopped_early_has_nothing_left_to_do(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "finished", lambda losses: "enough" if len(losses) >= 2 else None)
-    choices = TINY | {"data": dataset, "out": tmp_path}
+    choices = TINY | {"data": dataset, "out": tmp_path, "batches": 1}
     assert train(**choices | {"out": tmp_path / "to-the-end"}).reason == "all 3 epochs done"
     first = train(**choices | {"optimisation": "paper"})
     log = (tmp_path / "log.csv").read_text()
