@@ -8,6 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import torch
+from controllers import random_snn
 from loihi_network import LoihiNetwork
 from plain_network import states
 from safetensors.numpy import save_file
@@ -32,26 +33,6 @@ from estimators.networks.weights_file import (
     save_network,
 )
 from quadsim.rotation import roll_pitch_of_up
-
-
-def random_snn(config, seed=0):
-    rng = np.random.default_rng(seed)
-    tensors = {}
-    for name, shape in expected_shapes(config).items():
-        if not name.startswith("w_"):
-            tensors[name] = np.clip(np.exp(rng.uniform(0.0, 8.3, shape)), 1, 4096).astype(np.int16)
-            continue
-        scale = {"w_in": 40, "w_ff": 50, "w_rec": 30, "w_out": 60, "w_after": 60}[name]
-        tensors[name] = (2 * np.clip(np.rint(rng.normal(0, scale / 2, shape)), -128, 127)).astype(np.int16)
-    return tensors | random_exponents(tensors, rng)
-
-
-def random_exponents(tensors, rng):
-    return {
-        exponent: rng.integers(-6, 1, len(tensors[name])).astype(np.int16)
-        for name, exponent in EXPONENTS.items()
-        if name in tensors
-    }
 
 
 def random_rnn(config, seed=0):
@@ -335,7 +316,7 @@ def test_weights_of_another_version_are_refused_in_one_line(tmp_path, format, in
 
 def test_an_exponent_is_a_smaller_step_of_the_weights_into_one_neuron():
     config = NetworkConfig(model="att-snn", encoding=8, hidden=8)
-    tensors = random_snn(config)
+    tensors = random_snn(config, 1)
     coarse = tensors | {name: np.zeros(8, np.int16) for name in EXPONENTS.values()}
     fine, whole = real_weights(config, tensors), real_weights(config, coarse)
     np.testing.assert_array_equal(fine.w_ff, whole.w_ff * 2.0 ** tensors["exp_ff"][:, None])

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 import torch
-from controllers import ATTITUDE, CONFIG
+from controllers import ATTITUDE, CONFIG, random_snn
 from plain_network import forward
 
 from estimators.control.controller import SpikingController
@@ -18,10 +18,8 @@ from estimators.networks.gru import Recurrent
 from estimators.networks.network import NetworkEstimator
 from estimators.networks.on_chip import OnLoihi
 from estimators.networks.weights_file import (
-    EXPONENTS,
     LEVEL_UP,
     NetworkConfig,
-    expected_shapes,
     exponents,
     load_network,
     save_network,
@@ -31,21 +29,6 @@ from quadsim.dataset.reading import open_dataset
 from quadsim.flight.recipe import load_recipe
 
 ESTIMATES_UP = {"outputs": "up", "set_point": None}
-
-
-def random_snn(config, seed=0):
-    rng = np.random.default_rng(seed)
-    tensors = {
-        name: (2 * rng.integers(-60, 61, shape)).astype(np.int16)
-        if name.startswith("w_")
-        else rng.integers(1, 2000, shape).astype(np.int16)
-        for name, shape in expected_shapes(config).items()
-    }
-    return tensors | {
-        exponent: rng.integers(-6 * (seed % 2), 1, config.hidden).astype(np.int16)
-        for name, exponent in EXPONENTS.items()
-        if name in tensors
-    }
 
 
 def readings(steps, seed=0):

@@ -1,8 +1,8 @@
-"""A small spiking controller with random weights, and signals for it."""
+"""A small spiking controller and other networks with random weights, and signals for it."""
 
 import numpy as np
 
-from estimators.networks.weights_file import NetworkConfig, SetPointScaling, expected_shapes
+from estimators.networks.weights_file import EXPONENTS, NetworkConfig, SetPointScaling, expected_shapes
 from quadsim.vehicle import GRAVITY
 
 CONFIG = NetworkConfig(
@@ -26,6 +26,22 @@ def random_tensors(config=CONFIG, seed=0):
         drawn = rng.integers(low, high, shape)
         tensors[name] = (2 * drawn if name.startswith("w_") else drawn).astype(np.int16)
     return tensors
+
+
+def random_snn(config, seed=0):
+    """Tensors of any spiking network; of odd seeds with exponents other than 0."""
+    rng = np.random.default_rng(seed)
+    tensors = {
+        name: (2 * rng.integers(-60, 61, shape)).astype(np.int16)
+        if name.startswith("w_")
+        else rng.integers(1, 2000, shape).astype(np.int16)
+        for name, shape in expected_shapes(config).items()
+    }
+    return tensors | {
+        exponent: rng.integers(-6 * (seed % 2), 1, config.hidden).astype(np.int16)
+        for name, exponent in EXPONENTS.items()
+        if name in tensors
+    }
 
 
 def readings(n, steps, seed=1):
