@@ -14,6 +14,7 @@ from torch.nn.functional import huber_loss
 from torch.optim import Optimizer
 
 from estimators.networks.forward import TIME_CONSTANTS
+from estimators.networks.weights_file import AXES
 
 from .config import TrainConfig, TrainingRecipe
 
@@ -87,8 +88,8 @@ def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
 
     The factors differ between layers since a common change of many weights adds up over the neurons.
     """
-    encoding, hidden, output = config.method.layer_steps
-    steps = {"w_in": encoding, "w_ff": hidden, "w_rec": hidden, "w_after": hidden, "w_out": output}
+    layers = dict(zip(("encoding", "hidden", "outputs"), config.method.layer_steps, strict=True))
+    steps = {name: layers[axes[0]] for name, axes in AXES.items() if name.startswith("w_")}
     for name, parameter in model.named_parameters():
         parameter.requires_grad_(not (config.fixed_taus and name in TIME_CONSTANTS))
     groups = [{"params": [p], "step": steps.get(name, 1.0)} for name, p in model.named_parameters()]
