@@ -127,7 +127,7 @@ def _train(
 
 
 def _networks(s: Sizes) -> list[Stage]:
-    ours = {"model": "att-snn", "preset": "hummingbird", "epochs": s["ours_epochs"]}
+    ours = {"model": "att-snn", "preset": "hummingbird"} | s["ours"]
     long, short = PAPER | s["snn"], PAPER | s["fold"]
     return [
         _train(RNN, GRU | s["rnn"], s["seed"]),
