@@ -1,7 +1,5 @@
 """The page training.md: errors of the shipped weights, and every setting of a training."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The stages, what each takes from, and which of them a table or figure needs."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path

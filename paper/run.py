@@ -1,7 +1,5 @@
 """Plan, make the stages that are missing, judge the claims, write the pages."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path

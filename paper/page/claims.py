@@ -3,8 +3,6 @@
 A function below computes a quantity: whether the claim holds, whether partly, and what was measured.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -44,15 +42,12 @@ AVERAGED = 20
 class Judgement(NamedTuple):
     """A claim and its verdict."""
 
-    item: str
-    """The table or figure that it is about."""
+    item: str  #: the table or figure that it is about
     claim: str
-    rule: str
-    """When it counts as holding."""
+    rule: str  #: when it counts as holding
+    limits: str  #: what the verdict does not show
     verdict: Verdict
     measured: str
-    limits: str
-    """What the verdict does not show."""
 
 
 class Interval(NamedTuple):
@@ -87,9 +82,8 @@ def judge(numbers: Numbers, judges: bool = True) -> list[Judgement]:
             measured = str(error)
         if not judges:
             measured += "; preset quick is for a look, and judges nothing"
-        judged.append(
-            Judgement(claim["item"], claim["claim"], claim["rule"], verdict, measured, claim["limits"])
-        )
+        said = {key: claim[key] for key in ("item", "claim", "rule", "limits")}
+        judged.append(Judgement(**said, verdict=verdict, measured=measured))
     return judged
 
 

@@ -1,7 +1,5 @@
 """Figures in the paper's forms, from the stages' numbers; told apart by line and marker in grey too."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The page: prose of `sections.md` around the tables and figures, every number of it from the run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

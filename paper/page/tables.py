@@ -1,7 +1,5 @@
 """Tables in Markdown for the gaps of `sections.md`, from the stages' numbers, the paper's own beside ours."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
