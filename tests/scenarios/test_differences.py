@@ -1,14 +1,11 @@
 """Breaking points, and paired differences."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
-from flown import benchmark, crash
+from flown import benchmark, crash, flight
 
 from quadsim.flight.scenario import load_scenario
 from scenarios.bench.experiment import load_experiment
-from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.ranking import by_contender, paired_difference
 from scenarios.report.terminal import breaking_table
 
@@ -55,12 +52,6 @@ def test_a_breaking_point_is_the_least_level_with_a_crash():
     assert breaking_table(results).row_count == 3
 
 
-def flight(scenario, estimator, seed, error, cause=""):
-    metrics = dict.fromkeys(each.name for each in fields(FlightMetrics))
-    metrics |= {"error_deg": error, "attitude_deg": 2 * error}
-    return FlightRow(scenario, estimator, seed, cause, 1.0, **metrics)
-
-
 def test_pairing_removes_what_the_flights_share():
     hard = np.random.default_rng(0).uniform(1, 50, 6)
     gap = np.array([1.0, 1.2, 0.8, 1.1, 0.9, 1.0])
@@ -74,8 +65,8 @@ def test_pairing_removes_what_the_flights_share():
 
 
 def test_crashed_flights_make_no_pair():
-    flights = [flight("a", "x", 0, 9.0, "tilted over"), flight("a", "x", 1, 3.0), flight("b", "x", 1, 5.0)]
-    flights += [flight("a", "y", 0, 1.0), flight("a", "y", 1, 1.0), flight("b", "y", 1, 1.0, "flew away")]
+    flights = [flight("a", "x", 0, crash(1.0, 9.0)), flight("a", "x", 1, 3.0), flight("b", "x", 1, 5.0)]
+    flights += [flight("a", "y", 0, 1.0), flight("a", "y", 1, 1.0), flight("b", "y", 1, crash(1.0, 1.0))]
     flown = by_contender(flights)
     assert paired_difference(flown["x"], flown["y"], "error_deg") == (2.0, None, None)
     assert paired_difference(flown["x"], flown["y"], "position_m") == (None, None, None)

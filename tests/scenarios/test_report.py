@@ -1,13 +1,13 @@
 """The report, as text and in a browser."""
 
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from accessibility import findings
-from flown import benchmark, crash
+from flown import benchmark, crash, flight
 
 import estimators
 from estimators.appearance import look
@@ -19,7 +19,6 @@ from quadsim.wind import Constant
 from scenarios.bench.cell import Cell, FlightSettings, failed_cell, make_cell
 from scenarios.bench.experiment import load_experiment
 from scenarios.bench.flight_log import SHARED, fly
-from scenarios.bench.flight_metrics import FlightMetrics, FlightRow
 from scenarios.bench.results import Results
 from scenarios.bench.series import unpack_series
 from scenarios.report.page import OfflineSection, page_flights, write_report
@@ -29,16 +28,6 @@ OFFLINE = [
     {"estimator": "mahony", "start": "known", "mean [°]": 2.5, "note": ""},
     {"estimator": "ekf", "start": "known", "mean [°]": None, "note": "no weights <here>"},
 ]
-
-
-def metrics(**known):
-    return dict.fromkeys(each.name for each in fields(FlightMetrics)) | known
-
-
-def flight(seed, scenario, estimator, cause="", error=1.0):
-    numbers = metrics(error_deg=error, inclination_deg=1.5, attitude_deg=2.0, position_m=0.1)
-    numbers |= {"worst_tilt_deg": 10.0, "recover_s": 0.0, "power_w": 50.0, "jitter": 1.0}
-    return FlightRow(scenario, estimator, seed, cause, 1.0, **numbers)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +45,7 @@ def results():
         for estimator in ("truth", "mahony"):
             cell = make_cell(name, estimator, mission, flown)
             cells.append(replace(cell, receives_truth=estimator == "truth"))
-        flights = [flight(0, name, "ekf", "flew away", 9.0), flight(1, name, "ekf")]
+        flights = [flight(name, "ekf", 0, crash(1.0, 9.0)), flight(name, "ekf", 1, 1.0)]
         cells.append(Cell(name, "ekf", "", flights, cells[0].histogram, cells[0].series))
         cells.append(failed_cell(name, "vqf", "no weights <here>"))
     names = ["truth", "mahony", "ekf", "vqf"]
