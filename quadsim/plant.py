@@ -38,33 +38,32 @@ class State(NamedTuple):
 @njit(cache=True)
 def air_velocity(p):
     """Velocity relative to the air, body axes, a tuple [m/s]."""
-    q, v, wind = p.quat, p.velocity, p.wind
+    q, v, wind = p.state.quat, p.state.velocity, p.state.wind
     return rotate_inverse_core(q[0], q[1], q[2], q[3], v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
 
 
 @njit(cache=True)
-def actuate(p, rotor_vel_cmd):
+def actuate(p):
     """Advance the rotors of one vehicle by a step and write force and moment, averaged over it.
 
     Rotor lag is exact. Drag is taken at mid-step from the current acceleration: second order in dt.
 
     Args:
-        p: Record of `vehicle_dtype`.
-        rotor_vel_cmd: (rotors,) commanded rotor speeds [rad/s].
+        p: Record of `vehicle_dtype`; the commanded rotor speeds are in its state.
     """
-    q, w, half = p.quat, p.ang_vel, 0.5 * p.dt
-    for i in range(p.rotor_vel.shape[0]):
-        ref = min(max(rotor_vel_cmd[i], 0.0), p.omega_max)
-        now = p.rotor_vel[i]
-        tau = p.tau_up if ref > now else p.tau_down
-        p.rotor_vel[i], p.mean_speed[i], p.mean_square[i] = lag(now, ref, tau, p.dt)
+    s, half = p.state, 0.5 * p.dt
+    q, w, speed, force, acc = s.quat, s.ang_vel, s.rotor_vel, s.specific_force, s.ang_acc
+    for i in range(speed.shape[0]):
+        ref = min(max(s.rotor_vel_cmd[i], 0.0), p.omega_max)
+        tau = p.tau_up if ref > speed[i] else p.tau_down
+        speed[i], p.mean_speed[i], p.mean_square[i] = lag(speed[i], ref, tau, p.dt)
     vx, vy, vz = air_velocity(p)
     gx, gy, gz = rotate_inverse_core(q[0], q[1], q[2], q[3], 0.0, 0.0, -GRAVITY)
-    ax = p.specific_force[0] + gx - (w[1] * vz - w[2] * vy)
-    ay = p.specific_force[1] + gy - (w[2] * vx - w[0] * vz)
-    az = p.specific_force[2] + gz - (w[0] * vy - w[1] * vx)
+    ax = force[0] + gx - (w[1] * vz - w[2] * vy)
+    ay = force[1] + gy - (w[2] * vx - w[0] * vz)
+    az = force[2] + gz - (w[0] * vy - w[1] * vx)
     midpoint_vel = (vx + half * ax, vy + half * ay, vz + half * az)
-    midpoint_rate = (w[0] + half * p.ang_acc[0], w[1] + half * p.ang_acc[1], w[2] + half * p.ang_acc[2])
+    midpoint_rate = (w[0] + half * acc[0], w[1] + half * acc[1], w[2] + half * acc[2])
     f, m = p.force, p.moment
     f[0], f[1], f[2], m[0], m[1], m[2] = aerodynamic_wrench(
         p, p.mean_speed, p.mean_square, midpoint_vel, midpoint_rate
@@ -78,13 +77,14 @@ def update_truth(p):
     Args:
         p: Record of `vehicle_dtype`.
     """
-    q, w = p.quat, (p.ang_vel[0], p.ang_vel[1], p.ang_vel[2])
-    for i in range(p.rotor_vel.shape[0]):
-        p.mean_square[i] = p.rotor_vel[i] * p.rotor_vel[i]
-    fx, fy, fz, mx, my, mz = aerodynamic_wrench(p, p.rotor_vel, p.mean_square, air_velocity(p), w)
+    q, rate, speed = p.state.quat, p.state.ang_vel, p.state.rotor_vel
+    w = rate[0], rate[1], rate[2]
+    for i in range(speed.shape[0]):
+        p.mean_square[i] = speed[i] * speed[i]
+    fx, fy, fz, mx, my, mz = aerodynamic_wrench(p, speed, p.mean_square, air_velocity(p), w)
     ground, moment = p.ground_force, p.ground_moment
     cx, cy, cz = rotate_inverse_core(q[0], q[1], q[2], q[3], ground[0], ground[1], ground[2])
-    f, a = p.specific_force, p.ang_acc
+    f, a = p.state.specific_force, p.state.ang_acc
     f[0], f[1], f[2] = (fx + cx) / p.mass, (fy + cy) / p.mass, (fz + cz) / p.mass
     moments = (mx + moment[0], my + moment[1], mz + moment[2])
     a[0], a[1], a[2] = angular_acceleration(p.inertia, moments, w)
@@ -92,20 +92,20 @@ def update_truth(p):
 
 
 @njit(cache=True)
-def fly(p, rotor_vel_cmd, substeps):
+def fly(p, substeps):
     """Move one vehicle in free flight over a sample; specific force and angular acceleration stay behind."""
     for i in range(substeps):
         if i:
             update_truth(p)
-        actuate(p, rotor_vel_cmd)
+        actuate(p)
         advance(p)
 
 
 @njit(cache=True)
-def actuate_all(vehicles, rotor_vel_cmd):
-    """`actuate` for all vehicles (n,) and their commands (n, rotors)."""
+def actuate_all(vehicles):
+    """`actuate` for all vehicles (n,)."""
     for i in range(vehicles.shape[0]):
-        actuate(vehicles[i], rotor_vel_cmd[i])
+        actuate(vehicles[i])
 
 
 @njit(cache=True)
@@ -116,10 +116,10 @@ def update_truth_all(vehicles):
 
 
 @njit(cache=True)
-def fly_all(vehicles, rotor_vel_cmd, substeps):
-    """`fly` for all vehicles (n,) and their commands (n, rotors)."""
+def fly_all(vehicles, substeps):
+    """`fly` for all vehicles (n,)."""
     for i in range(vehicles.shape[0]):
-        fly(vehicles[i], rotor_vel_cmd[i], substeps)
+        fly(vehicles[i], substeps)
 
 
 class Plant:
@@ -179,13 +179,13 @@ class Plant:
                 'with another integrator, use "mujoco" or "auto"'
             )
         self.engine = None if free and engine != "mujoco" else MujocoEngine(model, self.vehicles, contact)
-        v = self.vehicles
+        v, s = self.vehicles, self.vehicles["state"]
         self.position, self.velocity, self.quat, self.ang_vel = (
-            v[name] for name in ("position", "velocity", "quat", "ang_vel")
+            s[name] for name in ("position", "velocity", "quat", "ang_vel")
         )
-        self.rotor_vel, self.rotor_effect, self.wind = v["rotor_vel"], v["effect"], v["wind"]
-        self.specific_force, self.ang_acc = v["specific_force"], v["ang_acc"]
-        self.roll_pitch, self.yaw = v["roll_pitch"], v["yaw"]
+        self.rotor_vel, self.specific_force, self.ang_acc = s["rotor_vel"], s["specific_force"], s["ang_acc"]
+        self.wind, self.rotor_vel_cmd = s["wind"], s["rotor_vel_cmd"]
+        self.rotor_effect, self.roll_pitch, self.yaw = v["effect"], v["roll_pitch"], v["yaw"]
         self.reset()
 
     def reset(
@@ -222,8 +222,7 @@ class Plant:
         self.velocity[rows] = _rows("velocity", velocity, (rows.size, 3), 0.0)
         self.ang_vel[rows] = _rows("ang_vel", ang_vel, (rows.size, 3), 0.0)
         self.rotor_vel[rows] = _rows("rotor_vel", rotor_vel, (rows.size, rotors), hover[:, None])
-        for name in ("force", "moment", "wind"):
-            self.vehicles[name][rows] = 0.0
+        self.vehicles["force"][rows] = self.vehicles["moment"][rows] = self.wind[rows] = 0.0
         others = np.delete(np.arange(self.n), rows)
         unchanged = self.vehicles[others]
         if self.engine is not None:
@@ -247,19 +246,20 @@ class Plant:
         """
         command = _rows("rotor_vel_cmd", rotor_vel_cmd, self.rotor_vel.shape, 0.0)
         self.wind[:] = _rows("wind", wind, (self.n, 3), 0.0)
-        self.move(command)
+        self.rotor_vel_cmd[:] = command
+        self.move()
         update_truth_all(self.vehicles)
         return self.state()
 
-    def move(self, rotor_vel_cmd: Array) -> None:
-        """Move all vehicles over a sample; specific force and angular acceleration stay behind."""
+    def move(self) -> None:
+        """Move all vehicles over a sample at their commands; specific force and angular acceleration stay."""
         if self.engine is None:
-            fly_all(self.vehicles, rotor_vel_cmd, self.substeps)
+            fly_all(self.vehicles, self.substeps)
             return
         for i in range(self.substeps):
             if i:
                 update_truth_all(self.vehicles)
-            actuate_all(self.vehicles, rotor_vel_cmd)
+            actuate_all(self.vehicles)
             self.engine.step()
 
     def state(self) -> State:

@@ -21,6 +21,11 @@ def child(parent: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
     )
 
 
+def children(parents: Sequence[np.random.SeedSequence], key: int) -> list[np.random.SeedSequence]:
+    """The child of that number of each seed sequence."""
+    return [child(parent, key) for parent in parents]
+
+
 def vehicle_seeds(seed: Seed, n: int) -> list[np.random.SeedSequence]:
     """One seed sequence per vehicle; that of vehicle i does not depend on n.
 

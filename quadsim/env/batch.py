@@ -21,7 +21,7 @@ from ..flight.scenario import Scenario, changed
 from ..flight.world import FLYING
 from ..pictures.render import Image, Scene, View, Window
 from .made import Made, controller_for, made_for, scenario_for
-from .spaces import OBSERVATION, OBSERVATION_SPACE, action_scale, observe, to_command
+from .spaces import OBSERVATION, OBSERVATION_SPACE, action_scale, hidden_dtype, observe, to_command
 
 Array = NDArray[np.float64]
 MOST = 100_000
@@ -67,6 +67,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             raise ValueError(f'level "{level}" is below the attitude controller: leave controller out')
         self._rate_hz, self._duration_s = rate_hz, duration_s
         self._level: Level = level
+        self._index = LEVELS.index(level)
         self.mission = self._mission(self._scenario)
         self.scale = action_scale(level, self.mission.vehicle)
         self.single_observation_space = OBSERVATION_SPACE
@@ -99,7 +100,8 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             self.mission.restart(every, self._seeds(every))
             self.mission.sense()
         self.done[:] = False
-        return self._observe()[0], self._masked(self.hidden())
+        observation, _, hidden = self.observe()
+        return observation, _masked(hidden)
 
     def _choose(self, options: dict[str, Any] | None) -> bool:
         """Take the scenario that options ask for, or the environment's own; whether it is another one.
@@ -134,16 +136,16 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Advance one sample with actions (n, numbers); episodes that ended in the last step restart."""
         actions = shaped(actions, (self.num_envs, *self.scale.shape))
-        observation, reward, crashed, over = self.advance(actions)
-        info = self._masked(self.hidden())
+        observation, reward, crashed, over, hidden = self.advance(actions)
+        info = _masked(hidden)
         if crashed.any():
             info |= {"cause": self.mission.cause.copy(), "_cause": crashed.copy()}
         return observation, reward, crashed, over, info
 
     def advance(
         self, actions: Array
-    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """`step` without information: observations, rewards, terminations and truncations, new arrays.
+    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.void]]:
+        """`step` with the information as records of `hidden_dtype`, all new arrays.
 
         Raises:
             ValueError: An action is not finite, or there was no reset.
@@ -151,54 +153,35 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         if not self._random:
             raise ValueError("step was called before reset")
         mission = self.mission
-        index, hover = LEVELS.index(self._level), mission.vehicle.hover_rotor_vel
-        if not to_command(index, actions, self.scale, hover, mission.records):
+        if not to_command(self._index, actions, self.scale, mission.vehicle.hover_rotor_vel, mission.records):
             raise ValueError("an action is not a finite number; has the policy diverged?")
-        mission.move(self._level)
         if self.done.any():
+            mission.move(self._level)
             again = np.flatnonzero(self.done)
             mission.restart(again, self._seeds(again))
-        mission.sense()
+            mission.sense()
+        else:
+            mission.step(self._level)
         if self.render_mode == "human":
             self._show()
-        observation, reward = self._observe()
+        observation, reward, hidden = self.observe()
         reward[self.done] = 0.0
         crashed, over = mission.cause != FLYING, mission.k >= mission.steps
         self.done = crashed | over
-        return observation, reward, crashed, over
+        return observation, reward, crashed, over, hidden
 
-    def _observe(self) -> tuple[NDArray[np.float32], Array]:
-        """Observations (n, 17) and rewards (n,) at this instant, as new arrays."""
+    def observe(self) -> tuple[NDArray[np.float32], Array, NDArray[np.void]]:
+        """Observations (n, 17), rewards (n,) and what agents do not see (n,) now, as new arrays."""
         records, reward = np.zeros(self.num_envs, OBSERVATION), np.empty(self.num_envs)
-        observe(self.mission.records, records, reward)
-        return records.view(np.float32).reshape(self.num_envs, -1), reward
-
-    def hidden(self) -> dict[str, NDArray[Any]]:
-        """What agents do not see, new arrays of n rows; see the table of `QuadrotorEnv`."""
-        mission, loop = self.mission, self.mission.loop
-        plant, target = loop.plant, mission.target
-        estimate = loop.measured_state["roll_pitch"].copy()
-        return {
-            "attitude": np.column_stack([plant.roll_pitch, plant.yaw]),
-            "estimate": estimate,
-            "attitude_error": np.abs(estimate - plant.roll_pitch).mean(axis=1),
-            "position": plant.position.copy(),
-            "velocity": plant.velocity.copy(),
-            "wind": mission.air.copy(),
-            "rotor_vel": plant.rotor_vel.copy(),
-            "position_cost": np.sum((target["position"] - plant.position) ** 2, axis=1),
-            "velocity_cost": 0.1 * np.sum((target["velocity"] - plant.velocity) ** 2, axis=1),
-        }
-
-    def _masked(self, rows: dict[str, NDArray[Any]]) -> dict[str, Any]:
-        """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
-        return rows | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in rows}
+        hidden = np.zeros(self.num_envs, hidden_dtype(self.mission.plant.rotor_vel.shape[1]))
+        observe(self.mission.records, records, reward, hidden)
+        return records.view(np.float32).reshape(self.num_envs, -1), reward, hidden
 
     def render(self) -> tuple[Image, ...] | None:
         """A picture of every vehicle; None without a render mode, or in a window, which shows the first."""
         if self.render_mode != "rgb_array":
             return None
-        plant, self._scene = self.mission.loop.plant, self._scene or Scene(self.mission.vehicle)
+        plant, self._scene = self.mission.plant, self._scene or Scene(self.mission.vehicle)
         views = [View((x, y, z), distance=1.6) for x, y, z in plant.position]
         places = zip(plant.position, plant.quat, views, strict=True)
         return tuple(self._scene.draw(*place) for place in places)
@@ -210,7 +193,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             return
         if self._window is None:
             self._window = Window(mission.vehicle)
-        self._window.show(mission.loop.plant.position[0], mission.loop.plant.quat[0])
+        self._window.show(mission.plant.position[0], mission.plant.quat[0])
         time.sleep(max(self._shown_at + 1 / FPS - time.perf_counter(), 0.0))
         self._shown_at = time.perf_counter()
 
@@ -239,6 +222,12 @@ def shaped(action: ArrayLike, shape: tuple[int, ...]) -> Array:
     if action.shape != shape:
         raise ValueError(f"an action has shape {action.shape}; it must be {shape}")
     return action
+
+
+def _masked(hidden: NDArray[np.void]) -> dict[str, Any]:
+    """Information in Gymnasium's form: each key with a mask of the vehicles that have it."""
+    names, every = hidden.dtype.names or (), np.ones(len(hidden), dtype=bool)
+    return {name: hidden[name] for name in names} | {f"_{name}": every for name in names}
 
 
 def _whole(seed: int | None) -> int | None:

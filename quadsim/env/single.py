@@ -156,7 +156,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         """
         observation, info = self._batch.reset(seed=seed, options=options)
         super().reset(seed=seed)
-        return observation[0], _first(info)
+        return observation[0], {key: rows[0] for key, rows in info.items() if key[0] != "_"}
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one sample with an action.
@@ -167,8 +167,9 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         if self._batch.done[0]:
             raise ValueError("the episode is over; call reset to begin another")
         actions = shaped(action, self._batch.scale.shape)[None]
-        observation, reward, crashed, over = self._batch.advance(actions)
-        info = _first(self._batch.hidden())
+        observation, reward, crashed, over, hidden = self._batch.advance(actions)
+        row = hidden[0]
+        info = {name: row[name] for name in hidden.dtype.names or ()}
         if crashed[0]:
             info["cause"] = CAUSES[self._batch.mission.cause[0]]
         return observation[0], reward.item(), crashed.item(), over.item(), info
@@ -181,12 +182,3 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def close(self) -> None:
         """Free what rendering took."""
         self._batch.close_extras()
-
-
-def _first(rows: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """The only row of each array, masks left out; a number where it is one."""
-    return {
-        key: values[0] if values.ndim > 1 else values[0].item()
-        for key, values in rows.items()
-        if not key.startswith("_")
-    }

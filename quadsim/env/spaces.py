@@ -1,5 +1,7 @@
 """Actions and observations of the environments: their sizes, and their numbers in the records of a flight."""
 
+from functools import cache
+
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
@@ -21,6 +23,26 @@ OBSERVATION = np.dtype(
     ]
 )
 """One observation, see the table of `QuadrotorEnv`."""
+
+
+@cache
+def hidden_dtype(rotors: int) -> np.dtype:
+    """What agents do not see, see the table of `QuadrotorEnv`."""
+    return np.dtype(
+        [
+            ("attitude", "f8", 3),
+            ("estimate", "f8", 2),
+            ("attitude_error", "f8"),
+            ("position", "f8", 3),
+            ("velocity", "f8", 3),
+            ("wind", "f8", 3),
+            ("rotor_vel", "f8", rotors),
+            ("position_cost", "f8"),
+            ("velocity_cost", "f8"),
+        ]
+    )
+
+
 POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, RATE_LIMIT = 100.0, 50.0, 50.0, 50.0
 OBSERVATION_LIMIT = np.repeat(
     [POSITION_LIMIT, VELOCITY_LIMIT, ACCELERATION_LIMIT, np.pi, 1.0, RATE_LIMIT], [3, 3, 3, 3, 2, 3]
@@ -87,21 +109,34 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def observe(loops, observation, reward):
-    """Write observations (n,) and rewards (n,); see the tables of `QuadrotorEnv`."""
+def observe(loops, observation, reward, hidden):
+    """Write observations, rewards and what agents do not see, (n,) each; see the tables of `QuadrotorEnv`."""
     for i in range(observation.shape[0]):
-        out, wanted, m, p = observation[i], loops[i].flight.target, loops[i].measured, loops[i].vehicle
+        out, row, flight, m, p = (
+            observation[i],
+            hidden[i],
+            loops[i].flight,
+            loops[i].measured,
+            loops[i].vehicle,
+        )
+        s, wanted = p.state, flight.target
         distance = speed = 0.0  # squared errors
         for j in range(3):
             out.position_error[j] = _clip(wanted.position[j] - m.position[j], POSITION_LIMIT)
             out.velocity_error[j] = _clip(wanted.velocity[j] - m.velocity[j], VELOCITY_LIMIT)
             out.acceleration[j] = _clip(wanted.acceleration[j], ACCELERATION_LIMIT)
             out.gyro[j] = _clip(m.gyro[j], RATE_LIMIT)
-            distance += (wanted.position[j] - p.position[j]) ** 2
-            speed += (wanted.velocity[j] - p.velocity[j]) ** 2
-        out.roll_pitch[0] = _clip(m.roll_pitch[0], np.pi)
-        out.roll_pitch[1] = _clip(m.roll_pitch[1], np.pi)
+            distance += (wanted.position[j] - s.position[j]) ** 2
+            speed += (wanted.velocity[j] - s.velocity[j]) ** 2
+            row.position[j], row.velocity[j], row.wind[j] = s.position[j], s.velocity[j], flight.wind[j]
+        for j in range(2):
+            out.roll_pitch[j] = _clip(m.roll_pitch[j], np.pi)
+            row.attitude[j], row.estimate[j] = p.roll_pitch[j], m.roll_pitch[j]
+            row.attitude_error += 0.5 * abs(m.roll_pitch[j] - p.roll_pitch[j])
+        for j in range(s.rotor_vel.shape[0]):
+            row.rotor_vel[j] = s.rotor_vel[j]
         error = wanted.yaw - m.yaw
         out.yaw_error = np.arctan2(np.sin(error), np.cos(error))
         out.heading[0], out.heading[1] = np.cos(m.yaw), np.sin(m.yaw)
-        reward[i] = 1.0 / (1.0 + distance + 0.1 * speed) if loops[i].flight.cause == FLYING else 0.0
+        row.attitude[2], row.position_cost, row.velocity_cost = p.yaw, distance, 0.1 * speed
+        reward[i] = 1.0 / (1.0 + distance + 0.1 * speed) if flight.cause == FLYING else 0.0

@@ -41,7 +41,7 @@ def start_on_ground(
 
     Args:
         spec: Of the start.
-        log: Flights, (n, T) records of `quadsim.flight.simulate.sample_dtype`; changed.
+        log: Flights, (n, T) records of `quadsim.motion.rotors.state_dtype`; changed.
         rate_hz: Samples per second.
         seeds: One per flight.
 

@@ -17,6 +17,7 @@ from ..estimator import AttitudeEstimator, Readings, accepted_sensors, receives_
 from ..external import ExternalSensor
 from ..imu.spec import ImuSpec
 from ..imu.stream import ImuStream
+from ..motion.rotors import state_dtype
 from ..own import named_errors
 from ..plant import Plant
 from ..rotation import euler_from_quat, quat_from_rotvec, quat_multiply
@@ -51,6 +52,8 @@ class FlightLoop:
         engine: What integrates the motion, see `quadsim.plant.Plant`.
         controller: Makes the attitude controller; None for the cascade's own.
         plans: Set-points and winds, (n, T) records of `PLAN`, of which the last ones hold; None for none.
+        log: (n, t) records of `quadsim.motion.rotors.state_dtype`, where the states at the last t samples of
+            the plans are written.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class FlightLoop:
         engine: Engine = "auto",
         controller: MakeController | None = None,
         plans: NDArray[np.void] | None = None,
+        log: NDArray[np.void] | None = None,
     ) -> None:
         if estimator is not None and estimator.rate_hz != rate_hz:
             raise ValueError(f"the estimator runs at {estimator.rate_hz:g} Hz and the loop at {rate_hz:g} Hz")
@@ -83,8 +87,10 @@ class FlightLoop:
             self.inner = InnerLoop(made(controller, rate_hz, nominal or first), records)
         self.imu = None if imu is None else ImuStream(imu, n, rate_hz, seed, records["imu"])
         self.plans = np.zeros((n, 1), PLAN) if plans is None else plans
-        limits = records["flight"]
-        limits["min_cos_tilt"], limits["min_altitude"], limits["max_distance"] = -np.inf, -np.inf, np.inf
+        self.log = np.zeros((n, 0), state_dtype(len(first.rotors))) if log is None else log
+        flights = records["flight"]
+        flights["min_cos_tilt"], flights["min_altitude"], flights["max_distance"] = -np.inf, -np.inf, np.inf
+        self.target, self.air, self.cause = (flights[name] for name in ("target", "wind", "cause"))
         self.estimator, self.external, self.corrupt = estimator, external, corrupt
         self._name = type(estimator).__name__
         self._observe = getattr(estimator, "observe", None) if receives_truth(estimator) else None
@@ -94,7 +100,9 @@ class FlightLoop:
             self.inertial = self.imu.gyro, self.imu.accel
         self.attitude = self.true_attitude = self.plant.roll_pitch
         self.yaw, self.measured_state = self.plant.yaw, records["measured"]
-        self.k, self._last_rate = self.measured_state["k"], np.zeros((n, 3))
+        self.k, self._roll_pitch = self.measured_state["k"], self.measured_state["roll_pitch"]
+        self._last_rate = np.zeros((n, 3))
+        self._sensed = Readings(*self.inertial, self.plant.rotor_vel)
 
     @property
     def gyro(self) -> Array:
@@ -126,6 +134,7 @@ class FlightLoop:
             self.sense()
             return
         self.plant.reset(position, velocity, quat, ang_vel, ids=ids)
+        self.plant.rotor_vel_cmd[ids] = self.controller.rotor_vel_cmd[ids]
         self.controller.reset(ids)
         if self.inner is not None:
             self.inner.reset(ids)
@@ -172,7 +181,7 @@ class FlightLoop:
     ) -> None:
         """The first half of `step`: control and motion."""
         start(self._accept(level, command, wind), self.records)
-        self.plant.move(self.controller.rotor_vel_cmd)
+        self.plant.move()
 
     def sense(self) -> None:
         """The second half of `step`: IMU, the plan's next sample, external sensor and estimate."""
@@ -190,19 +199,19 @@ class FlightLoop:
     def _step(self, level: int, substeps: int) -> None:
         """Compiled step, then external sensor, sensor faults and estimate."""
         noise, at = (NO_NOISE, 0) if self.imu is None else (self.imu.noise, self.imu.next_samples())
-        self.crashed = step(level, self.records, self.plans, substeps, noise, at)
+        self.crashed = step(level, self.records, self.plans, 1, substeps, noise, at, self.log)
         if self.external is not None:
             self.external.measure(self.measured_state)
-        rate, force = self.inertial
-        readings = Readings(rate.copy(), force.copy(), self.plant.rotor_vel.copy())
+        readings = self._sensed
         if self.corrupt is not None:
+            readings = readings.map(np.copy)
             self.corrupt(readings, self.k.copy())
             self._last_rate = np.where(np.isfinite(readings.gyro), readings.gyro, self._last_rate)
             self.measured_state["gyro"] = self._last_rate
         self.readings = readings
         if self.estimator is not None:
             self.attitude = self.estimate(self.estimator, readings)
-            self.measured_state["roll_pitch"] = self.attitude
+            self._roll_pitch[:] = self.attitude
 
     def estimate(self, estimator: AttitudeEstimator, readings: Readings) -> Array:
         """Roll and pitch (n, 2) by the estimator, which gets copies.

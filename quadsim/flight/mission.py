@@ -18,7 +18,7 @@ from ..estimator import AttitudeEstimator
 from ..external import ExternalSensor, ExternalSpec, load_external
 from ..imu.spec import load_imu
 from ..rotation import quat_from_euler, quat_from_rotvec, quat_multiply
-from ..seeding import child
+from ..seeding import children
 from ..trajectory.reference import reference
 from ..trajectory.specs import Trajectory
 from ..vehicle import load_vehicle, with_drag
@@ -36,13 +36,13 @@ TRAJECTORY, AIR, SENSOR, BEGINNING, FAULT, EXTERNAL = range(6)
 """Children of a flight's seed, one for each component that draws from it."""
 
 
-class Mission:
-    """n flights of a scenario. `begin` them, then `step` until `k` reaches `steps`.
+class Mission(FlightLoop):
+    """The loops of n flights of a scenario. `begin` them, then `step` until `k` reaches `steps`.
 
-    `loop` holds plant, sensors, estimate and controller at the current sample; `k` (n,) counts each flight's
-    samples; `target` (n,), records of `SET_POINT`, and `air` (n, 3) are its set-point and wind; `cause` (n,)
-    tells which flights have crashed, and why. What a crashed vehicle does then means nothing: it is put back
-    above its set-point as often as it crashes again, so that no number overflows.
+    `k` (n,) counts each flight's samples; `target` (n,), records of `SET_POINT`, and `air` (n, 3) are its
+    set-point and wind; `cause` (n,) tells which flights have crashed, and why. What a crashed vehicle does
+    then means nothing: it is put back above its set-point as often as it crashes again, so that no number
+    overflows.
 
     Args:
         scenario: What to fly.
@@ -62,97 +62,70 @@ class Mission:
         duration_s: float | None = None,
         controller: MakeController | None = None,
     ) -> None:
-        self.scenario, self.n, self.rate_hz = scenario, n, rate_hz
+        self.scenario, self.estimator, self.n, self.rate_hz = scenario, estimator, n, rate_hz
         self.vehicle = with_drag(load_vehicle(scenario.vehicle), scenario.drag_factor)
         self.steps = steps_of(scenario.duration_s if duration_s is None else duration_s, rate_hz)
-        self._imu, self._estimator = displaced(load_imu(scenario.imu), scenario.faults), estimator
-        self._external, self._controller = load_external(scenario.external), controller
+        self._spec = displaced(load_imu(scenario.imu), scenario.faults)
+        self._outside, self._make = load_external(scenario.external), controller
 
     def begin(self, seeds: Seeds) -> None:
         """Begin all flights, one seed each."""
         if len(seeds) != self.n:
             raise ValueError(f"{len(seeds)} seeds for {self.n} flights; there must be one for each")
-        faults, external = self.scenario.faults, None
-        if self._external != ExternalSpec():
-            outside = [child(seed, EXTERNAL) for seed in seeds]
-            external = ExternalSensor(self._external, self.n, self.rate_hz, outside)
-        self.loop = FlightLoop(
+        faults, crash, external = self.scenario.faults, self.scenario.crash, None
+        if self._outside != ExternalSpec():
+            external = ExternalSensor(self._outside, self.n, self.rate_hz, children(seeds, EXTERNAL))
+        super().__init__(
             self.vehicle,
             self.n,
             rate_hz=self.rate_hz,
-            imu=self._imu,
-            estimator=self._estimator,
-            seed=[child(seed, SENSOR) for seed in seeds],
+            imu=self._spec,
+            estimator=self.estimator,
+            seed=children(seeds, SENSOR),
             contact=self.scenario.contact,
             engine=self.scenario.engine,
             external=external,
-            controller=self._controller,
-            corrupt=sensor_faults(faults, self.n, self.rate_hz, [child(seed, FAULT) for seed in seeds]),
+            controller=self._make,
+            corrupt=sensor_faults(faults, self.n, self.rate_hz, children(seeds, FAULT)),
             plans=self._plan(seeds),
         )
-        self._faults = VehicleFaults(faults, self.loop.plant)
-        self.k, self.records, crash = self.loop.k, self.loop.records, self.scenario.crash
-        self._flights = self.records["flight"]
+        self._faults, self._flights = VehicleFaults(faults, self.plant), self.records["flight"]
         self._flights["min_cos_tilt"] = math.cos(math.radians(crash.tilt_deg))
         self._flights["min_altitude"], self._flights["max_distance"] = crash.altitude, crash.distance
-        self.target, self.air = self._flights["target"], self._flights["wind"]
-        self.cause = self._flights["cause"]
-        self.loop.reset(**self._start(seeds, self.loop.plans["target"][:, 0]))
+        self.reset(**self._start(seeds, self.plans["target"][:, 0]))
         # a start beyond the limits has a sample's time to come back
-        self._flights["cause"] = self._flights["crashed"] = self.loop.crashed = FLYING
+        self._flights["cause"] = self._flights["crashed"] = self.crashed = FLYING
 
     def restart(self, ids: NDArray[np.int64], seeds: Seeds) -> None:
         """Restart some flights, one seed each, while the others continue; call `sense` before they are read.
 
         Sensor noise and faults continue with what the seed of the vehicle's first flight holds for its next.
         """
-        self.loop.plans[ids] = plans = self._plan(seeds)
+        self.plans[ids] = plans = self._plan(seeds)
         self._flights["cause"][ids] = self._flights["crashed"][ids] = FLYING
         self._faults.restart(ids)
-        self.loop.reset(**self._start(seeds, plans["target"][:, 0]), ids=ids)
+        self.reset(**self._start(seeds, plans["target"][:, 0]), ids=ids)
 
-    @property
-    def crashed(self) -> int:
-        """How many vehicles are down at this sample."""
-        return self.loop.crashed
-
-    def step(self, level: Level = "position", command: Command | None = None) -> None:
-        """Advance by one sample, on a command at a level of the controller.
-
-        Without one, the command is in the records of the loop, where the scenario's set-point is by default.
-        """
-        self._prepare()
-        self.loop.step(level, command)
-
-    def move(self, level: Level = "position", command: Command | None = None) -> None:
-        """The first half of `step`: control and motion."""
-        self._prepare()
-        self.loop.move(level, command)
-
-    def sense(self) -> None:
-        """The second half of `step`: IMU, estimate, the next set-point, and who has crashed."""
-        self.loop.sense()
-
-    def _prepare(self) -> None:
+    def _accept(self, level: Level, command: Command | None, wind: Array | None) -> int:
         """Put crashed vehicles back above their set-points, and let the faults of vehicles act."""
-        if self.loop.crashed:
+        if self.crashed:
             crashed = np.flatnonzero(self._flights["crashed"])
-            self.loop.plant.reset(position=self.target["position"][crashed] + [0.0, 0.0, 1.0], ids=crashed)
-            self.loop.controller.reset(crashed)
+            self.plant.reset(position=self.target["position"][crashed] + [0.0, 0.0, 1.0], ids=crashed)
+            self.controller.reset(crashed)
         if self._faults.any:
             self._faults.apply(self.k)
+        return super()._accept(level, command, wind)
 
     def _plan(self, seeds: Seeds) -> NDArray[np.void]:
         """Set-points and winds of whole flights, (n, steps + 1) records of `PLAN`."""
-        path, air = ([child(seed, part) for seed in seeds] for part in (TRAJECTORY, AIR))
+        path, air = children(seeds, TRAJECTORY), children(seeds, AIR)
         return planned(self.scenario.trajectory, self.scenario.wind, self.steps + 1, self.rate_hz, path, air)
 
     def _start(self, seeds: Seeds, first: NDArray[np.void]) -> dict[str, Any]:
         """Arguments of `FlightLoop.reset`, from the first set-points (n,)."""
         start = self.scenario.start
-        angles = np.array(
-            [np.random.default_rng(child(s, BEGINNING)).uniform(-np.pi, np.pi, 4) for s in seeds]
-        )
+        randoms = map(np.random.default_rng, children(seeds, BEGINNING))
+        angles = np.array([random.uniform(-np.pi, np.pi, 4) for random in randoms])
         course, tilt_axis, spin_axis, error_axis = np.stack(
             [np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1
         ).swapaxes(0, 1)

@@ -56,10 +56,13 @@ NO_NOISE = np.empty((1, 0, 0, 3))
 @njit(cache=True)
 def start_one(level, loop):
     """Wind and control of one vehicle: the count of samples increases, and its rotors get their command."""
+    state, command = loop.vehicle.state, loop.controller.rotor_vel_cmd
     for axis in range(3):
-        loop.vehicle.wind[axis] = loop.flight.wind[axis]
+        state.wind[axis] = loop.flight.wind[axis]
     loop.measured.k += 1
     control(level, loop.set_point, loop.measured, loop.controller)
+    for rotor in range(command.shape[0]):
+        state.rotor_vel_cmd[rotor] = command[rotor]
 
 
 @njit(cache=True)
@@ -78,7 +81,8 @@ def look_up(loop, plan):
 def judge(loop):
     """Write whether a vehicle is down now, and why; `cause` keeps the first reason."""
     flight = loop.flight
-    p, q, w, wanted = loop.vehicle.position, loop.vehicle.quat, loop.vehicle.ang_vel, flight.target.position
+    s, wanted = loop.vehicle.state, flight.target.position
+    p, q, w = s.position, s.quat, s.ang_vel
     cos_tilt = 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
     distance = math.sqrt((p[0] - wanted[0]) ** 2 + (p[1] - wanted[1]) ** 2 + (p[2] - wanted[2]) ** 2)
     rate = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
@@ -96,7 +100,7 @@ def judge(loop):
 
 
 @njit(cache=True)
-def sense_one(loop, plan, noise, at, x):
+def sense_one(loop, plan, noise, at, x, log):
     """Truth, sample of the IMU, the plan's next sample and the judgement of crashes, of one vehicle.
 
     Args:
@@ -105,20 +109,24 @@ def sense_one(loop, plan, noise, at, x):
         noise: (NOISES, block, 3) standard normal numbers of its IMU; without an IMU, of length 0.
         at: Place of this sample in the block.
         x: (2, 3) memory.
+        log: (t,) records of `quadsim.motion.rotors.state_dtype`, for the last t samples of the plan.
     """
-    p, m = loop.vehicle, loop.measured
+    p, s, m = loop.vehicle, loop.vehicle.state, loop.measured
     update_truth(p)
     for axis in range(3):
-        m.position[axis], m.velocity[axis], m.gyro[axis] = p.position[axis], p.velocity[axis], p.ang_vel[axis]
+        m.position[axis], m.velocity[axis], m.gyro[axis] = s.position[axis], s.velocity[axis], s.ang_vel[axis]
     m.roll_pitch[0], m.roll_pitch[1], m.yaw = p.roll_pitch[0], p.roll_pitch[1], p.yaw
     if noise.shape[0] > 0:
         for axis in range(3):
-            x[GYRO, axis], x[ACCEL, axis] = p.ang_vel[axis], p.specific_force[axis]
-        measure(loop.imu, noise[:, at], x, p.ang_acc, p.rotor_vel)
+            x[GYRO, axis], x[ACCEL, axis] = s.ang_vel[axis], s.specific_force[axis]
+        measure(loop.imu, noise[:, at], x, s.ang_acc, s.rotor_vel)
         for axis in range(3):
             m.gyro[axis] = loop.imu.reading[GYRO, axis]
     look_up(loop, plan)
     judge(loop)
+    place = m.k - plan.shape[0] + log.shape[0]
+    if 0 <= place < log.shape[0]:
+        log[place] = s
 
 
 @njit(cache=True)
@@ -129,23 +137,26 @@ def start(level, loops):
 
 
 @njit(cache=True)
-def step(level, loops, plans, substeps, noise, at):
-    """One sample of all vehicles, but for the estimate; returns how many are down.
+def step(level, loops, plans, samples, substeps, noise, at, logs):
+    """Samples of all vehicles, but for the estimate; returns how many are down.
 
     Args:
         level: Number of the level of the command in the records.
         loops: (n,) records of `loop_dtype`.
         plans: (n, T) records of `PLAN`.
-        substeps: Steps of integration; none where the vehicles have moved already.
+        samples: How many; several only without an IMU.
+        substeps: Steps of integration in each; none where the vehicles have moved already.
         noise: (n, NOISES, block, 3) of the IMUs, or `NO_NOISE`.
         at: Place of this sample in the block.
+        logs: (n, t) as of `sense_one`; none where t is 0.
     """
     crashed, x = 0, np.empty((2, 3))
     for i in range(loops.shape[0]):
         loop = loops[i]
-        if substeps > 0:
-            start_one(level, loop)
-            fly(loop.vehicle, loop.controller.rotor_vel_cmd, substeps)
-        sense_one(loop, plans[i], noise[min(i, noise.shape[0] - 1)], at, x)
+        for _ in range(samples):
+            if substeps > 0:
+                start_one(level, loop)
+                fly(loop.vehicle, substeps)
+            sense_one(loop, plans[i], noise[min(i, noise.shape[0] - 1)], at, x, logs[i])
         crashed += loop.flight.crashed != FLYING
     return crashed

@@ -105,20 +105,20 @@ class MujocoEngine:
 @njit(cache=True)
 def _write(vehicles, qpos, qvel, ctrl):
     for i in range(vehicles.shape[0]):
-        p = vehicles[i]
+        p, s = vehicles[i], vehicles[i].state
         for j in range(3):
-            qpos[i, j], qvel[i, j], qvel[i, 3 + j] = p.position[j], p.velocity[j], p.ang_vel[j]
+            qpos[i, j], qvel[i, j], qvel[i, 3 + j] = s.position[j], s.velocity[j], s.ang_vel[j]
             ctrl[i, j], ctrl[i, 3 + j] = p.force[j], p.moment[j]
         for j in range(4):
-            qpos[i, 3 + j] = p.quat[j]
+            qpos[i, 3 + j] = s.quat[j]
 
 
 @njit(cache=True)
 def _read(vehicles, qpos, qvel, reaction):
     for i in range(vehicles.shape[0]):
-        p = vehicles[i]
+        p, s = vehicles[i], vehicles[i].state
         for j in range(3):
-            p.position[j], p.velocity[j], p.ang_vel[j] = qpos[i, j], qvel[i, j], qvel[i, 3 + j]
+            s.position[j], s.velocity[j], s.ang_vel[j] = qpos[i, j], qvel[i, j], qvel[i, 3 + j]
             p.ground_force[j], p.ground_moment[j] = reaction[i, j], reaction[i, 3 + j]
         for j in range(4):
-            p.quat[j] = qpos[i, 3 + j]
+            s.quat[j] = qpos[i, 3 + j]

@@ -97,11 +97,11 @@ def advance(p):
     """Move one body by a step under a force and a moment that are constant in body axes.
 
     Args:
-        p: Record of `quadsim.motion.rotors.vehicle_dtype`: position, quat, velocity and ang_vel move on.
+        p: Record of `quadsim.motion.rotors.vehicle_dtype`: its state moves on.
     """
-    h, moment, q = p.dt, (p.moment[0], p.moment[1], p.moment[2]), unit(p.quat)
-    v1 = p.velocity[0], p.velocity[1], p.velocity[2]
-    w1 = p.ang_vel[0], p.ang_vel[1], p.ang_vel[2]
+    x, v, w, r = p.state.position, p.state.velocity, p.state.ang_vel, p.state.quat
+    h, moment, q = p.dt, (p.moment[0], p.moment[1], p.moment[2]), unit(r)
+    v1, w1 = (v[0], v[1], v[2]), (w[0], w[1], w[2])
     a1, g1, d1 = acceleration(p, q), angular_acceleration(p.inertia, moment, w1), w1
     v2, w2, u = moved(v1, 0.5 * h, a1), moved(w1, 0.5 * h, g1), scaled(0.5 * h, d1)
     a2 = acceleration(p, turned(q, u))
@@ -112,7 +112,6 @@ def advance(p):
     v4, w4, u = moved(v1, h, a3), moved(w1, h, g3), scaled(h, d3)
     a4 = acceleration(p, turned(q, u))
     g4, d4 = angular_acceleration(p.inertia, moment, w4), dexp_inverse(u, w4)
-    x, v, w, r = p.position, p.velocity, p.ang_vel, p.quat
     x[0], x[1], x[2] = moved(x, h, weighted(v1, v2, v3, v4))
     v[0], v[1], v[2] = moved(v1, h, weighted(a1, a2, a3, a4))
     w[0], w[1], w[2] = moved(w1, h, weighted(g1, g2, g3, g4))

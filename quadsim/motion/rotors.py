@@ -11,8 +11,26 @@ from ..vehicle import AIR_DENSITY, Vehicle
 
 
 @cache
+def state_dtype(rotors: int) -> np.dtype:
+    """The state of a vehicle with so many rotors at one instant, fields as in `quadsim.plant.State`."""
+    return np.dtype(
+        [
+            ("position", "f8", 3),
+            ("velocity", "f8", 3),
+            ("quat", "f8", 4),
+            ("ang_vel", "f8", 3),
+            ("specific_force", "f8", 3),
+            ("rotor_vel", "f8", rotors),
+            ("ang_acc", "f8", 3),
+            ("wind", "f8", 3),  # on the way to it, world axes [m/s]
+            ("rotor_vel_cmd", "f8", rotors),
+        ]
+    )
+
+
+@cache
 def vehicle_dtype(rotors: int) -> np.dtype:
-    """The record of one simulated vehicle with so many rotors: its constants, then its state."""
+    """The record of one simulated vehicle with so many rotors: its constants, its state, and scratch."""
     return np.dtype(
         [
             ("mass", "f8"),
@@ -29,20 +47,13 @@ def vehicle_dtype(rotors: int) -> np.dtype:
             ("reaction", "f8", rotors),  # +1 where the yaw reaction is along +z
             ("effect", "f8", rotors),  # thrust relative to a healthy rotor
             ("dt", "f8"),  # of one step of the engine
-            ("wind", "f8", 3),  # world axes
-            ("position", "f8", 3),  # of the centre of mass, world [m]
-            ("quat", "f8", 4),  # quat_WB
-            ("velocity", "f8", 3),  # of the centre of mass, world [m/s]
-            ("ang_vel", "f8", 3),  # body axes [rad/s]
-            ("rotor_vel", "f8", rotors),
+            ("state", state_dtype(rotors)),
             ("mean_speed", "f8", rotors),  # of the rotors over the step,
             ("mean_square", "f8", rotors),  # and of their squares
             ("force", "f8", 3),  # aerodynamic, body axes, constant over the step [N],
             ("moment", "f8", 3),  # and its moment [N m]
             ("ground_force", "f8", 3),  # reaction of the ground, world axes [N],
             ("ground_moment", "f8", 3),  # and its moment, body axes [N m]
-            ("specific_force", "f8", 3),
-            ("ang_acc", "f8", 3),
             ("roll_pitch", "f8", 2),
             ("yaw", "f8"),
         ],

@@ -170,5 +170,5 @@ def make_cell(name: str, estimator: str, mission: Mission, flown: Flown) -> Cell
     ]
     series = pack_series(log[0, : max(end[0], 1)], mission.rate_hz, flown.signals)
     histogram = error_histogram(log, end).tolist()
-    reference = receives_truth(mission.loop.estimator)
+    reference = receives_truth(mission.estimator)
     return Cell(name, estimator, "", flights, histogram, series, reference, flaw)

@@ -59,7 +59,7 @@ def fly(mission: Mission, seed: int, first: int = 0) -> Flown:
     mission.begin(vehicle_seeds(seed, first + mission.n)[first:])
     rotors, every = len(mission.vehicle.rotors), decimation(mission.rate_hz)
     log, signals = np.zeros((mission.steps, mission.n), log_dtype(rotors)), []
-    last_command = mission.loop.controller.rotor_vel_cmd.copy()
+    last_command = mission.controller.rotor_vel_cmd.copy()
     end = np.full(mission.n, mission.steps)
     faults = [f for f in mission.scenario.faults if isinstance(f, GyroBiasStep | BiasRamp | AccelBiasStep)]
     add_bias = sensor_faults(faults, 1, mission.rate_hz, 0)
@@ -80,16 +80,15 @@ def fly(mission: Mission, seed: int, first: int = 0) -> Flown:
 
 def _signals(mission: Mission, added_bias: Array) -> Array:
     """The signals of the first flight at this sample, with the gyroscope bias that faults add [rad/s]."""
-    loop = mission.loop
     return np.concatenate(
         [
-            np.degrees(loop.gyro[0]),
-            loop.readings.accel[0],
-            np.degrees(added_bias + (0.0 if loop.imu is None else loop.imu.gyro_bias[0])),
-            np.degrees(_own(loop.estimator, "gyro_bias", mission.n, 3)),
+            np.degrees(mission.gyro[0]),
+            mission.readings.accel[0],
+            np.degrees(added_bias + (0.0 if mission.imu is None else mission.imu.gyro_bias[0])),
+            np.degrees(_own(mission.estimator, "gyro_bias", mission.n, 3)),
             mission.air[0],
-            loop.controller.rotor_vel_cmd[0],
-            np.degrees(_own(loop.estimator, "roll_pitch_sigma", mission.n, 2)),
+            mission.controller.rotor_vel_cmd[0],
+            np.degrees(_own(mission.estimator, "roll_pitch_sigma", mission.n, 2)),
         ]
     )
 
@@ -111,11 +110,12 @@ def write_row(loops, last_command, row):
     """
     for i in range(row.shape[0]):
         out, p, c, target = row[i], loops[i].vehicle, loops[i].controller, loops[i].flight.target
-        axis, quat, estimate = c.thrust_axis, p.quat, loops[i].measured.roll_pitch
+        s, axis, estimate = p.state, c.thrust_axis, loops[i].measured.roll_pitch
+        quat = s.quat
         w, x, y, z = quat[0], quat[1], quat[2], quat[3]
         up_x, up_y, up_z = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         for j in range(3):
-            out.position[j], out.target[j] = p.position[j], target.position[j]
+            out.position[j], out.target[j] = s.position[j], target.position[j]
         for j in range(2):
             out.euler[j], out.estimate[j] = p.roll_pitch[j], estimate[j]
         out.euler[2] = p.yaw
@@ -125,9 +125,9 @@ def write_row(loops, last_command, row):
         dot = up_x * axis[0] + up_y * axis[1] + up_z * axis[2]
         out.tracking = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), dot)
         out.tilt = math.atan2(math.sqrt(up_x * up_x + up_y * up_y), up_z)
-        change, rotors = 0.0, p.rotor_vel.shape[0]
+        change, rotors = 0.0, s.rotor_vel.shape[0]
         for j in range(rotors):
-            out.rotor_vel[j] = p.rotor_vel[j]
+            out.rotor_vel[j] = s.rotor_vel[j]
             change += (c.rotor_vel_cmd[j] - last_command[i, j]) ** 2
             last_command[i, j] = c.rotor_vel_cmd[j]
         out.command_change = math.sqrt(change / rotors)

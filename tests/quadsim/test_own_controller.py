@@ -24,7 +24,7 @@ def flown(scenario, controller, seconds=3.0, n=2):
     track = []
     for _ in range(mission.steps):
         mission.step()
-        track.append(mission.loop.plant.position.copy())
+        track.append(mission.plant.position.copy())
     return np.array(track), mission.cause.copy()
 
 
@@ -121,7 +121,7 @@ def test_commands_of_any_size_leave_rotors_within_their_limits():
     mission.begin(np.random.SeedSequence(1).spawn(2))
     for _ in range(50):
         mission.step()
-        assert mission.loop.controller.rotor_vel_cmd.max() <= mission.vehicle.motor.omega_max
+        assert mission.controller.rotor_vel_cmd.max() <= mission.vehicle.motor.omega_max
 
 
 def test_a_controller_without_restart_is_said_so():

@@ -115,8 +115,8 @@ def flown(scenario: Scenario, n: int = 2, seed: int = 0) -> Mission:
 def test_a_flight_does_not_depend_on_the_flights_beside_it():
     scenario = load_scenario("dryden-moderate").model_copy(update={"duration_s": 0.5})
     alone, beside = flown(scenario, 1), flown(scenario, 3)
-    np.testing.assert_array_equal(alone.loop.plant.position[0], beside.loop.plant.position[0])
-    np.testing.assert_array_equal(alone.loop.gyro[0], beside.loop.gyro[0])
+    np.testing.assert_array_equal(alone.plant.position[0], beside.plant.position[0])
+    np.testing.assert_array_equal(alone.gyro[0], beside.gyro[0])
 
 
 def test_a_flight_in_wind_does_not_notice_a_crash_beside_it():
@@ -130,7 +130,7 @@ def test_a_flight_in_wind_does_not_notice_a_crash_beside_it():
         mission.begin(vehicle_seeds(0, 2)[seeds])
         for _ in range(mission.steps):
             mission.step("attitude", np.array(command))
-        positions.append(mission.loop.plant.position[-1].copy())
+        positions.append(mission.plant.position[-1].copy())
         assert (mission.cause[0] > 0) == (len(command) == 2)
     np.testing.assert_array_equal(*positions)
 
@@ -143,13 +143,13 @@ def test_wind_does_not_change_the_sensor_noise():
     missions = [Mission(each) for each in (calm, windy)]
     for mission in missions:
         mission.begin(vehicle_seeds(3, 1))
-    np.testing.assert_array_equal(missions[0].loop.gyro, missions[1].loop.gyro)
+    np.testing.assert_array_equal(missions[0].gyro, missions[1].gyro)
 
 
 def test_starts_tilted_by_the_given_angle_about_an_axis_of_its_own():
     mission = Mission(HOVER.model_copy(update={"start": Start(tilt_deg=25.0)}), None, 4)
     mission.begin(vehicle_seeds(0, 4))
-    quat = mission.loop.plant.quat
+    quat = mission.plant.quat
     tilt = np.degrees(np.arccos(1 - 2 * (quat[:, 1] ** 2 + quat[:, 2] ** 2)))
     np.testing.assert_allclose(tilt, 25.0)
     assert len(np.unique(quat[:, 1])) == 4
@@ -171,7 +171,7 @@ def test_an_attitude_is_given_wrongly_by_the_angle_that_is_asked_for():
 
     mission = Mission(HOVER.model_copy(update={"start": start}), Listener(), 50)
     mission.begin(vehicle_seeds(0, 50))
-    truth = mission.loop.true_attitude
+    truth = mission.true_attitude
     error = inclination_error(given["roll_pitch"][:, None], truth[:, None])[:, 0]
     np.testing.assert_allclose(error, 4.0, atol=1e-6)
     off = given["roll_pitch"] - truth
@@ -215,7 +215,7 @@ def test_a_restarted_flight_has_its_rotors_and_its_mass_again():
         {"kind": "payload-drop", "mass": 0.2, "at_s": 9.0},
     ]
     mission = flown(Scenario(**HOVER.model_dump() | {"faults": faults}), 2)
-    plant = mission.loop.plant
+    plant = mission.plant
     assert np.all(plant.rotor_effect < 1.0)
     mission.restart(np.array([1]), vehicle_seeds(9, 1))
     assert np.all(plant.rotor_effect[0] < 1.0)
@@ -255,12 +255,12 @@ def test_near_the_ground_the_rotors_push_harder():
     mission.begin(vehicle_seeds(0, 4))
     radius = mission.vehicle.frame.prop_radius
     heights = np.array([0.1, 0.5, 1.0, 100.0]) * radius
-    mission.loop.plant.position[:, 2] = heights
+    mission.plant.position[:, 2] = heights
     mission._faults.apply(mission.k)
-    effect = mission.loop.plant.rotor_effect[:, 0]
+    effect = mission.plant.rotor_effect[:, 0]
     np.testing.assert_allclose(effect, 1 / (1 - (1 / (4 * np.array([0.5, 0.5, 1.0, 100.0]))) ** 2))
     mission._faults.restart(np.array([1]))
-    assert mission.loop.plant.rotor_effect[1, 0] == 1.0
+    assert mission.plant.rotor_effect[1, 0] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -373,9 +373,9 @@ def test_vibration_has_its_amplitude_and_a_phase_of_its_own():
 
 def test_controller_holds_its_rate_while_samples_are_missing():
     mission = flown(with_faults({"kind": "dropout", "probability": 1.0, "at_s": 0.5}))
-    assert np.isnan(mission.loop.gyro).all()
-    assert np.isfinite(mission.loop.measured_state["gyro"]).all()
-    assert np.isfinite(mission.loop.plant.position).all()
+    assert np.isnan(mission.gyro).all()
+    assert np.isfinite(mission.measured_state["gyro"]).all()
+    assert np.isfinite(mission.plant.position).all()
 
 
 def test_payload_is_carried_and_then_dropped():
@@ -384,7 +384,7 @@ def test_payload_is_carried_and_then_dropped():
     masses = []
     for _ in range(mission.steps):
         mission.step()
-        masses.append(mission.loop.plant.vehicles["mass"][0])
+        masses.append(mission.plant.vehicles["mass"][0])
     np.testing.assert_allclose(masses[:100], 0.916)
     np.testing.assert_allclose(masses[100:], 0.716)
 
@@ -400,7 +400,7 @@ def test_rotors_fade_and_break_as_told():
         {"kind": "rotor-loss", "rotor": 2, "effect": 0.5, "at_s": 0.9},
     ]
     mission = flown(with_faults(*faults))
-    np.testing.assert_allclose(mission.loop.plant.rotor_effect, [[0.8, 0.8, 0.4, 0.8]] * 2)
+    np.testing.assert_allclose(mission.plant.rotor_effect, [[0.8, 0.8, 0.4, 0.8]] * 2)
 
 
 # --- the external sensor --------------------------------------------------------------------------
@@ -455,16 +455,16 @@ def test_a_hexarotor_flies_with_attitude_from_an_estimator(name, estimator):
     for _ in range(mission.steps):
         mission.step()
         assert not mission.crashed
-    assert mission.loop.plant.rotor_vel.shape == (2, 6)
+    assert mission.plant.rotor_vel.shape == (2, 6)
 
 
 def test_only_the_controller_is_misled_by_the_external_sensor():
     scenario = HOVER.model_copy(update={"external": "motion-capture"})
     ideal, real = flown(HOVER), flown(scenario)
-    np.testing.assert_array_equal(ideal.loop.measured_state["position"], ideal.loop.plant.position)
-    apart = np.abs(real.loop.measured_state["position"] - real.loop.plant.position)
+    np.testing.assert_array_equal(ideal.measured_state["position"], ideal.plant.position)
+    apart = np.abs(real.measured_state["position"] - real.plant.position)
     assert 0 < apart.max() < 0.01
-    np.testing.assert_array_equal(real.loop.attitude, real.loop.true_attitude)
+    np.testing.assert_array_equal(real.attitude, real.true_attitude)
 
 
 def test_stands_on_the_ground_and_takes_off():
@@ -473,7 +473,7 @@ def test_stands_on_the_ground_and_takes_off():
     height = []
     for _ in range(mission.steps):
         mission.step()
-        height.append(mission.loop.plant.position[0, 2])
+        height.append(mission.plant.position[0, 2])
     np.testing.assert_allclose(height[200:600], 0.03, atol=1e-3)
     assert height[-1] == pytest.approx(2.0, abs=0.03)
     assert mission.cause[0] == 0

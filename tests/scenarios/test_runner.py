@@ -156,9 +156,9 @@ def test_log_holds_what_the_loop_did():
     mission = Mission(Scenario(description="", duration_s=0.2), estimators.create("madgwick"), 2)
     log, end, _ = fly(mission, seed=4)
     assert end.tolist() == [40, 40]
-    np.testing.assert_array_equal(log["position"][:, -1], mission.loop.plant.position)
-    np.testing.assert_array_equal(log["estimate"][:, -1], mission.loop.attitude)
-    up = mission.loop.plant.quat
+    np.testing.assert_array_equal(log["position"][:, -1], mission.plant.position)
+    np.testing.assert_array_equal(log["estimate"][:, -1], mission.attitude)
+    up = mission.plant.quat
     np.testing.assert_allclose(
         np.cos(log["tilt"][:, -1]), 1 - 2 * (up[:, 1] ** 2 + up[:, 2] ** 2), atol=1e-12
     )
