@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .config.ranges import ENGINES, SAMPLE_RATE, Engine
-from .motion.engine import MujocoEngine, is_free_body, vehicle_model
+from .motion.engine import MujocoEngine, vehicle_model
 from .motion.free_body import advance
 from .motion.rotors import aerodynamic_wrench, angular_acceleration, lag, vehicle_records
 from .rotation import euler_core, rotate_inverse_core
@@ -171,14 +171,16 @@ class Plant:
         self.vehicles = vehicle_records(vehicles, step) if records is None else records
         if records is not None:
             records[:] = vehicle_records(vehicles, step)
-        model = vehicle_model(self.vehicle, step, integrator, contact)
-        free = is_free_body(model)
+        free = integrator == "RK4" and not contact
         if engine == "compiled" and not free:
             raise ValueError(
                 'engine = "compiled" integrates one free body by RK4; where the ground can be touched, or '
                 'with another integrator, use "mujoco" or "auto"'
             )
-        self.engine = None if free and engine != "mujoco" else MujocoEngine(model, self.vehicles, contact)
+        self.engine = None
+        if engine == "mujoco" or not free:
+            model = vehicle_model(self.vehicle, step, integrator, contact)
+            self.engine = MujocoEngine(model, self.vehicles, contact)
         v, s = self.vehicles, self.vehicles["state"]
         self.position, self.velocity, self.quat, self.ang_vel = (
             s[name] for name in ("position", "velocity", "quat", "ang_vel")

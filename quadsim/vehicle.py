@@ -143,15 +143,18 @@ def with_drag(vehicle: Vehicle, factor: float) -> Vehicle:
     """The vehicle with this many times the drag of its rotors and of its frame."""
     if factor == 1.0:
         return vehicle
-    motor = {"rotor_drag": vehicle.motor.rotor_drag * factor}
-    motor["rolling_moment"] = vehicle.motor.rolling_moment * factor
-    areas = tuple(area * factor for area in vehicle.frame.drag_area)
-    return vehicle.model_copy(
-        update={
-            "motor": vehicle.motor.model_copy(update=motor),
-            "frame": vehicle.frame.model_copy(update={"drag_area": areas}),
-        }
-    )
+    return _scaled(vehicle, factor, rotor_drag=factor, rolling_moment=factor)
+
+
+def _scaled(vehicle: Vehicle, drag_area: float, **motor: float) -> Vehicle:
+    """The vehicle with its drag areas and numbers of its motors times these factors."""
+    changed = {name: getattr(vehicle.motor, name) * factor for name, factor in motor.items()}
+    areas = tuple(area * drag_area for area in vehicle.frame.drag_area)
+    parts = {
+        "motor": vehicle.motor.model_copy(update=changed),
+        "frame": vehicle.frame.model_copy(update={"drag_area": areas}),
+    }
+    return vehicle.model_copy(update=parts)
 
 
 def load_vehicle(source: str | Path) -> Vehicle:
@@ -187,16 +190,6 @@ def randomise(vehicle: Vehicle, spread: Randomisation, rng: np.random.Generator)
     across, along = factor(spread.inertia), factor(spread.inertia)
     ixx, iyy, izz = vehicle.inertia
     ixx, iyy = ixx * mass * across, iyy * mass * across
-    factors = {"k_f": k_f, "k_m": k_m, "rotor_drag": drag, "tau_up": lag, "tau_down": lag}
-    motor = vehicle.motor.model_copy(
-        update={name: getattr(vehicle.motor, name) * each for name, each in factors.items()}
-    )
-    frame = vehicle.frame.model_copy(update={"drag_area": tuple(a * area for a in vehicle.frame.drag_area)})
-    return vehicle.model_copy(
-        update={
-            "mass": vehicle.mass * mass,
-            "inertia": (ixx, iyy, min(izz * mass * along, ixx + iyy)),
-            "motor": motor,
-            "frame": frame,
-        }
-    )
+    drawn = _scaled(vehicle, area, k_f=k_f, k_m=k_m, rotor_drag=drag, tau_up=lag, tau_down=lag)
+    inertia = (ixx, iyy, min(izz * mass * along, ixx + iyy))
+    return drawn.model_copy(update={"mass": vehicle.mass * mass, "inertia": inertia})

@@ -11,7 +11,7 @@ with M(s) = 1 / (τ s + 1) the rotor lag, T the sample period (zero-order hold: 
 estimator's delay, T_x(s) the closed inner loop. Delays are 3rd-order Padé approximations.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import control
@@ -54,26 +54,28 @@ def blocks(vehicle: Vehicle, rate_hz: float, estimator_delay: float) -> Blocks:
     return Blocks(lag * _delay(0.5 / rate_hz) * integrator, _delay(estimator_delay), integrator)
 
 
-def rate_loop(b: Blocks, k: float) -> TransferFunction:
-    """Open rate loop, PI on an integrator with rotor lag."""
-    return (k + INTEGRAL * k**2 * b.integrator) * b.actuator
+def open_loop(b: Blocks, name: str, gains: Mapping[str, float]) -> TransferFunction:
+    """The open loop "rate", "yaw_rate", "attitude", "yaw", "velocity" or "position", as in the table above.
 
+    Yaw does not come from the estimator; velocity is per m/s² of thrust tilted.
 
-def attitude_loop(b: Blocks, k_rate: float, k: float, delayed: bool = True) -> TransferFunction:
-    """Open attitude (or yaw) loop around the closed rate loop; yaw does not come from the estimator."""
-    forward = k * control.feedback(rate_loop(b, k_rate)) * b.integrator
-    return forward * b.estimator if delayed else forward
-
-
-def velocity_loop(b: Blocks, k_rate: float, k_att: float, k: float) -> TransferFunction:
-    """Open velocity loop around the closed attitude loop, per m/s² of thrust tilted."""
-    forward = attitude_loop(b, k_rate, k_att, delayed=False)
-    return (k + INTEGRAL * k**2 * b.integrator) * control.feedback(forward, b.estimator) * b.integrator
-
-
-def position_loop(b: Blocks, k_rate: float, k_att: float, k_vel: float, k: float) -> TransferFunction:
-    """Open position loop around the closed velocity loop."""
-    return k * control.feedback(velocity_loop(b, k_rate, k_att, k_vel)) * b.integrator
+    Args:
+        b: What it is made of.
+        name: The loop.
+        gains: Proportional gains of it and of the loops inside it, by their names.
+    """
+    k = gains[name]
+    if name in ("rate", "yaw_rate"):
+        return (k + INTEGRAL * k**2 * b.integrator) * b.actuator
+    if name == "position":
+        return k * control.feedback(open_loop(b, "velocity", gains)) * b.integrator
+    inner = "yaw_rate" if name == "yaw" else "rate"
+    turn = k if name != "velocity" else gains["attitude"]
+    forward = turn * control.feedback(open_loop(b, inner, gains)) * b.integrator
+    if name == "velocity":
+        tilted = control.feedback(forward, b.estimator)
+        return (k + INTEGRAL * k**2 * b.integrator) * tilted * b.integrator
+    return forward * b.estimator if name == "attitude" else forward
 
 
 def design(vehicle: Vehicle, rate_hz: float = 200.0, estimator_delay: float = ESTIMATOR_DELAY) -> Gains:
@@ -82,41 +84,21 @@ def design(vehicle: Vehicle, rate_hz: float = 200.0, estimator_delay: float = ES
     Raises:
         ValueError: If the delay is too long for a margin to be reached.
     """
-    b = blocks(vehicle, rate_hz, estimator_delay)
-    want = PHASE_MARGIN_DEG
-    k_rate = _gain_for(lambda k: rate_loop(b, k), want["rate"], "rate")
-    k_yaw_rate = YAW_RATE * k_rate
-    k_att = _gain_for(lambda k: attitude_loop(b, k_rate, k), want["attitude"], "attitude")
-    k_yaw = _gain_for(lambda k: attitude_loop(b, k_yaw_rate, k, delayed=False), want["yaw"], "yaw")
-    k_vel = _gain_for(lambda k: velocity_loop(b, k_rate, k_att, k), want["velocity"], "velocity")
-    k_pos = _gain_for(lambda k: position_loop(b, k_rate, k_att, k_vel, k), want["position"], "position")
-    return Gains(
-        rate=k_rate,
-        rate_integral=INTEGRAL * k_rate**2,
-        yaw_rate=k_yaw_rate,
-        yaw_rate_integral=INTEGRAL * k_yaw_rate**2,
-        attitude=k_att,
-        yaw=k_yaw,
-        velocity=k_vel,
-        velocity_integral=INTEGRAL * k_vel**2,
-        position=k_pos,
-    )
+    b, k = blocks(vehicle, rate_hz, estimator_delay), {}
+    for name in PHASE_MARGIN_DEG:
+        k[name] = _gain_for(b, name, k)
+        k["yaw_rate"] = YAW_RATE * k["rate"]
+    integrals = {f"{name}_integral": INTEGRAL * k[name] ** 2 for name in ("rate", "yaw_rate", "velocity")}
+    return Gains(**k, **integrals)
 
 
 def loop_margins(
     vehicle: Vehicle, gains: Gains, rate_hz: float = 200.0, estimator_delay: float = ESTIMATOR_DELAY
 ) -> dict[str, Margins]:
     """Margins of every loop with the given gains, under a given estimator delay."""
-    b = blocks(vehicle, rate_hz, estimator_delay)
-    g = gains
-    return {
-        "rate": margins(rate_loop(b, g.rate)),
-        "yaw rate": margins(rate_loop(b, g.yaw_rate)),
-        "attitude": margins(attitude_loop(b, g.rate, g.attitude)),
-        "yaw": margins(attitude_loop(b, g.yaw_rate, g.yaw, delayed=False)),
-        "velocity": margins(velocity_loop(b, g.rate, g.attitude, g.velocity)),
-        "position": margins(position_loop(b, g.rate, g.attitude, g.velocity, g.position)),
-    }
+    b, k = blocks(vehicle, rate_hz, estimator_delay), gains.model_dump()
+    names = ("rate", "yaw_rate", "attitude", "yaw", "velocity", "position")
+    return {name.replace("_", " "): margins(open_loop(b, name, k)) for name in names}
 
 
 def margins(loop: TransferFunction) -> Margins:
@@ -132,17 +114,20 @@ def _delay(seconds: float) -> TransferFunction:
     return TransferFunction(numerator, denominator)
 
 
-def _gain_for(loop: Callable[[float], TransferFunction], phase_deg: float, name: str) -> float:
+def _gain_for(b: Blocks, name: str, inner: Mapping[str, float]) -> float:
     """The largest gain with the required phase margin: scan down to where the loop has it, then bisect."""
+    phase_deg = PHASE_MARGIN_DEG[name]
+
+    def excess(k: float) -> float:
+        return _phase_margin(open_loop(b, name, {**inner, name: k})) - phase_deg
+
     grid = np.geomspace(200.0, 0.02, 80)
-    excess = [_phase_margin(loop(k)) - phase_deg for k in grid]
-    above = next((i for i, e in enumerate(excess) if e > 0), None)
-    if above is None or above == 0:
+    above = next((i for i, k in enumerate(grid) if excess(k) > 0), 0)
+    if above == 0:
         raise ValueError(
             f"no gain gives the {name} loop a phase margin of {phase_deg:g}°: its delays are too long"
         )
-    bracket = (grid[above], grid[above - 1])
-    return root_scalar(lambda k: _phase_margin(loop(k)) - phase_deg, bracket=bracket, xtol=1e-9).root
+    return root_scalar(excess, bracket=(grid[above], grid[above - 1]), xtol=1e-9).root
 
 
 def _phase_margin(loop: TransferFunction) -> float:

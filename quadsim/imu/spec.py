@@ -1,14 +1,13 @@
 """The errors of an IMU as a typed model, read from TOML."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import model_validator
 
 from ..config.ranges import Arm, Between, ForceVector, Rotation, RotorSpeed
-from ..config.toml import Strict, load_toml, nearest
+from ..config.toml import Strict, load_toml
 
 Noise: TypeAlias = Annotated[float, Between(0.0, 1000.0)]
 Spread: TypeAlias = Annotated[float, Between(0.0, 0.5)]
@@ -88,44 +87,6 @@ class ImuSpec(Strict):
     """Vibration of the rotors; left out, there is none."""
     dropped: Annotated[float, Between(0.0, 0.99)] = 0.0
     """Share of the samples that are lost; the reading is then the one before."""
-
-    def without(self, *parts: str) -> "ImuSpec":
-        """The same IMU with some parts of its error off, such as "noise" or "lever_arm" (see PARTS)."""
-        for part in parts:
-            if part not in PARTS:
-                raise ValueError(f'unknown part "{part}" of an IMU; {nearest(part, PARTS)}')
-        gyro, accel = _cleared(self.gyro, parts), _cleared(self.accel, parts)
-        return _cleared(self, parts).model_copy(update={"gyro": gyro, "accel": accel})
-
-    def only(self, *parts: str) -> "ImuSpec":
-        """The same IMU with only some parts of its error (see PARTS)."""
-        self.without(*parts)
-        return self.without(*(part for part in PARTS if part not in parts))
-
-
-Model = TypeVar("Model", Sensor, ImuSpec)
-
-PARTS = (
-    "noise",
-    "random_walk",
-    "turn_on",
-    "scale_factor",
-    "misalignment",
-    "low_pass_hz",
-    "resolution",
-    "saturation",
-    "lever_arm",
-    "mounting_deg",
-    "g_sensitivity",
-    "vibration",
-    "dropped",
-)
-"""Parts of the error that can be switched off, by the name of their field."""
-
-
-def _cleared(model: Model, parts: Sequence[str]) -> Model:
-    fields = type(model).model_fields
-    return model.model_copy(update={part: fields[part].default for part in parts if part in fields})
 
 
 def load_imu(source: str | Path) -> ImuSpec:

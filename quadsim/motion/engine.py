@@ -50,20 +50,6 @@ def vehicle_model(vehicle: Vehicle, timestep: float, integrator: str, contact: b
     return mujoco.MjModel.from_xml_string(mjcf(vehicle, timestep, integrator, contact))
 
 
-def is_free_body(model: mujoco.MjModel) -> bool:
-    """Whether a model is one rigid body in free flight, as `quadsim.motion.free_body` integrates it."""
-    option = model.opt
-    return (
-        (model.nbody, model.njnt, model.nv, model.neq, model.ntendon) == (2, 1, 6, 0, 0)
-        and option.integrator == mujoco.mjtIntegrator.mjINT_RK4
-        and bool(option.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        and option.density == option.viscosity == 0.0
-        and np.array_equal(option.gravity, (0.0, 0.0, -GRAVITY))
-        and not (model.dof_damping.any() or model.dof_armature.any() or model.body_ipos[BODY].any())
-        and np.array_equal(model.body_iquat[BODY], (1.0, 0.0, 0.0, 0.0))
-    )
-
-
 class MujocoEngine:
     """n copies of a model, which exchange their state with the records of the plant.
 

@@ -36,6 +36,8 @@ TARGET_COLOUR = np.array([0.10, 0.75, 0.30, 0.90], dtype=np.float32)
 WIND_COLOUR = np.array([0.45, 0.25, 0.85, 0.90], dtype=np.float32)
 WIND_SCALE = 0.06
 """Length of the wind's arrow, metres for each m/s."""
+SAMPLES = 8
+"""For each pixel, for smooth edges."""
 CALM = 0.05
 """Wind without an arrow [m/s]."""
 
@@ -57,7 +59,6 @@ class Scene:
         copies: Number of quadrotors in the picture.
         width: Width of the image [px].
         height: Height of the image [px].
-        oversample: Drawn this many times finer and averaged, for smooth edges.
         ghost: Draw the last quadrotor as translucent.
 
     Raises:
@@ -70,20 +71,17 @@ class Scene:
         copies: int = 1,
         width: int = 960,
         height: int = 540,
-        oversample: int = 1,
         ghost: bool = False,
     ):
-        self.width, self.height, self.oversample = width, height, oversample
-        shape = (height * oversample, width * oversample)
-        self._context = _gl_context(shape[1], shape[0])
+        self._context = _gl_context(width, height)
         self._context.make_current()
-        self.model = scene_model(vehicle, copies, shape[1], shape[0], samples=4 if oversample == 1 else 0)
+        self.model = scene_model(vehicle, copies, width, height)
         if ghost:
             own = self.model.geom_bodyid == self.model.body(f"quadrotor{copies - 1}").id
             self.model.geom_matid[own], self.model.geom_rgba[own] = -1, GHOST_COLOUR
         self.data = mujoco.MjData(self.model)
-        self._rect = mujoco.MjrRect(0, 0, shape[1], shape[0])
-        self._pixels = np.empty((*shape, 3), dtype=np.uint8)
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+        self._pixels = np.empty((height, width, 3), dtype=np.uint8)
         self._scene = mujoco.MjvScene(self.model, maxgeom=10_000)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
         self._drawer = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -138,7 +136,7 @@ class Scene:
             font, place = mujoco.mjtFont.mjFONT_NORMAL.value, mujoco.mjtGridPos.mjGRID_TOPLEFT.value
             mujoco.mjr_overlay(font, place, self._rect, *text, self._drawer)
         mujoco.mjr_readPixels(self._pixels, None, self._rect, self._drawer)
-        return self._shrink(self._pixels[::-1])
+        return self._pixels[::-1].copy()
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -152,15 +150,6 @@ class Scene:
         reach = max(1.5, view.distance)
         self.model.light_pos[sun] = np.array(view.target) - 4.0 * reach * self.model.light_dir[sun]
         self._drawer.shadowClip = reach
-
-    def _shrink(self, pixels: Image) -> Image:
-        k = self.oversample
-        if k == 1:
-            return pixels.copy()
-        total = np.zeros((self.height, self.width, 3), dtype=np.uint16)
-        for row, column in itertools.product(range(k), repeat=2):
-            total += pixels[row::k, column::k]
-        return np.round(total / k**2).astype(np.uint8)
 
     def _add_trail(self, points: NDArray[np.float64], radius: float) -> None:
         for start, end in itertools.pairwise(points):
@@ -206,7 +195,7 @@ class Window:
                 raise RuntimeError(f"{NO_SCREEN} ({error})") from error
         if not able:  # the viewer itself would end the process
             raise RuntimeError(NO_SCREEN)
-        self.model = scene_model(vehicle, 1, 960, 540, samples=4)
+        self.model = scene_model(vehicle, 1, 960, 540)
         self.data = mujoco.MjData(self.model)
         before = set(threading.enumerate())
         self._viewer = viewer.launch_passive(self.model, self.data, show_left_ui=False, show_right_ui=False)
@@ -267,30 +256,11 @@ def replay(
                 return
 
 
-def still(
-    vehicle: Vehicle,
-    position: ArrayLike,
-    quat: ArrayLike,
-    view: View,
-    trail: ArrayLike | None = None,
-    width: int = 1200,
-    height: int = 675,
-) -> Image:
-    """One picture of quadrotors at given places; the arguments are those of `Scene.draw`.
-
-    Raises:
-        RuntimeError: If neither EGL nor OSMesa works here.
-    """
-    places = np.atleast_2d(np.asarray(position, dtype=np.float64))
-    with closing(Scene(vehicle, len(places), width, height, oversample=2)) as scene:
-        return scene.draw(places, quat, view, trail)
-
-
-def scene_model(vehicle: Vehicle, copies: int, width: int, height: int, samples: int) -> mujoco.MjModel:
-    """The scene with quadrotors that can be placed anywhere (mocap bodies); samples: for each pixel."""
+def scene_model(vehicle: Vehicle, copies: int, width: int, height: int) -> mujoco.MjModel:
+    """The scene with quadrotors that can be placed anywhere (mocap bodies)."""
     spec = mujoco.MjSpec.from_string((ASSETS / "scene.xml").read_text(encoding="utf-8"))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
-    spec.visual.quality.offsamples = samples
+    spec.visual.quality.offsamples = SAMPLES
     for index in range(copies):
         body = spec.worldbody.add_body(name=f"quadrotor{index}", mocap=True)
         for geom in quadrotor_geoms(vehicle):

@@ -1,6 +1,5 @@
 """The compiled engine against MuJoCo, which defines the physics."""
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -8,7 +7,7 @@ from numpy.testing import assert_allclose
 from quadsim.flight.recipe import load_recipe
 from quadsim.flight.scenario import load_scenario
 from quadsim.flight.simulate import simulate_flights
-from quadsim.motion.engine import is_free_body, mjcf, vehicle_model
+from quadsim.motion.engine import vehicle_model
 from quadsim.motion.free_body import advance, dexp_inverse
 from quadsim.plant import Plant
 from quadsim.rotation import quat_from_rotvec, quat_multiply
@@ -124,24 +123,6 @@ def test_the_records_have_the_mass_and_the_inertia_of_the_mjcf():
     model = vehicle_model(HUMMINGBIRD, 0.005, "RK4", contact=False)
     assert plant.vehicles["mass"][0] == model.body_mass[1]
     assert np.array_equal(plant.vehicles["inertia"][0], model.body_inertia[1])
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        ("</worldbody>", '<body><freejoint/><geom size="0.1"/></body></worldbody>'),  # a second body
-        ('<site name="com"/>', '<site name="com"/><body><joint/><geom size="0.1"/></body>'),  # a joint
-        ('<inertial pos="0 0 0"', '<inertial pos="0 0 0.1"'),
-        ('gravity="', 'density="1.2" gravity="'),
-        ('integrator="RK4"', 'integrator="Euler"'),
-        ('contact="disable"', 'contact="enable"'),
-    ],
-)
-def test_anything_but_one_free_body_is_left_to_mujoco(change):
-    xml = mjcf(HUMMINGBIRD, 0.005)
-    assert is_free_body(mujoco.MjModel.from_xml_string(xml))
-    assert change[0] in xml
-    assert not is_free_body(mujoco.MjModel.from_xml_string(xml.replace(*change)))
 
 
 def test_auto_is_compiled_in_free_flight_and_mujoco_on_the_ground():
