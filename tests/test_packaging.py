@@ -75,19 +75,8 @@ def test_an_installed_wheel_flies_beside_folders_of_the_user_with_its_packages_n
         listed = run([*command, "list", "scenarios"], work, PYTHONPATH=str(site))
         assert str(site) in listed
         assert "scenarios/mine.toml" in listed
-        for scenario in ("scenarios/mine.toml", "hover"):
-            fly = [
-                *command,
-                "fly",
-                scenario,
-                "--estimator",
-                "mahony",
-                "--duration",
-                0.5,
-                "--out",
-                f"{scenario}-{flags}",
-            ]
-            assert "0 of 1 crashed" in run(fly, work, PYTHONPATH=str(site))
+    fly = [*command, "fly", "scenarios/mine.toml", "--estimator", "truth", "--out", "mine"]
+    assert "0 of 1 crashed" in run(fly, work, PYTHONPATH=str(site))
 
 
 @pytest.fixture(scope="module")
@@ -121,12 +110,11 @@ print(quadsim.vehicle.load_vehicle("hummingbird").mass, scenarios.__file__)
 @pytest.mark.parametrize("regular", [False, True], ids=["namespace", "regular"])
 def test_folders_of_the_user_hide_no_package_of_an_editable_installation(programs, tmp_path, regular):
     fill_with_shadows(tmp_path, regular)
-    bench = ["--scenario", "hover", "--estimator", "mahony", "--estimator", "truth", "--seeds", "1"]
-    for program in ([programs / "quadsim"], [programs / "python", "-m", "quadsim.cli"]):
-        out = f"out-{len(program)}"
-        done = run([*program, "bench", *bench, "--duration", "0.2", "--workers", "2", "--out", out], tmp_path)
-        assert "mahony" in done
-        assert "did not run" not in done
+    program = [programs / "quadsim"] if regular else [programs / "python", "-m", "quadsim.cli"]
+    cells = ["--scenario", "hover", "--estimator", "mahony", "--estimator", "truth", "--seeds", "1"]
+    done = run([*program, "bench", *cells, "--duration", "0.2", "--workers", "2", "--out", "out"], tmp_path)
+    assert "mahony" in done
+    assert "did not run" not in done
     assert run([programs / "python", "-c", MASS], tmp_path).split() == [
         "0.716",
         str(ROOT / "scenarios" / "__init__.py"),

@@ -1,9 +1,10 @@
 """The command line: what it says to a newcomer, to a mistake, and at the end of the work."""
 
-import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
+from filelock import FileLock
 from typer.main import get_command
 
 from estimators.networks.weights_file import load_network
@@ -11,21 +12,11 @@ from quadsim.cli import app, main
 from quadsim.cli.catalogue import Kind
 from quadsim.cli.options import pair_of
 from quadsim.runs.record import load_record
+from training.loop import INTERRUPTED
 
 VERBS = [
-    "generate",
-    "train",
-    "tune",
-    "evaluate",
-    "fly",
-    "bench",
-    "report",
-    "export",
-    "compile",
-    "identify",
-    "demo",
-    "paper",
-    "list",
+    *("generate", "train", "tune", "evaluate", "fly", "bench", "report", "export"),
+    *("compile", "identify", "demo", "paper", "list"),
 ]
 
 
@@ -54,15 +45,6 @@ def dataset(quadsim, tmp_path):
     return path
 
 
-HOLD = """import sys
-from pathlib import Path
-from quadsim.runs.files import alone
-with alone(Path("busy")):
-    print("held", flush=True)
-    sys.stdin.read()
-"""
-
-
 @pytest.mark.parametrize(
     "command",
     [
@@ -79,34 +61,13 @@ with alone(Path("busy")):
 )
 def test_a_folder_that_another_process_writes_is_left_alone(quadsim, tmp_path, command):
     if "--data" in command:
-        quadsim("generate", "--flights", 4, "--duration", 2, "--workers", 1, "--out", "flights.zarr")
-    held = subprocess.Popen(
-        [sys.executable, "-c", HOLD], cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert held.stdout is not None
-    held.stdout.readline()
-    try:
+        quadsim("generate", "--flights", 4, "--duration", 1, "--workers", 1, "--out", "flights.zarr")
+    with FileLock(tmp_path / ".busy.lock"):
         code, _, err = quadsim(*command.split(), "--out", "busy")
-    finally:
-        held.kill()
-        held.wait()
     assert code == 2
     (line,) = err.strip().splitlines()
     assert line == "quadsim: busy is being written by another process: wait for it, or choose another"
     assert not (tmp_path / "busy").exists()
-
-
-def test_the_second_of_two_benchmarks_at_once_is_refused(quadsim, tmp_path):
-    command = [sys.executable, "-m", "quadsim.cli", "bench", "--scenario", "hover", "--out", "both"]
-    command += ["--estimator", "mahony", "--workers", "1"]
-    runs = [
-        subprocess.Popen([*command, "--seed", seed], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-        for seed in "12"
-    ]
-    said = [run.communicate()[1] for run in runs]
-    codes = [run.returncode for run in runs]
-    assert sorted(codes) == [0, 2]
-    assert "both is being written by another process" in said[codes.index(2)]
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -255,14 +216,6 @@ def test_a_report_of_weights_shows_where_the_neurons_go(quadsim):
     assert f"{config.encoding + config.hidden + config.n_outputs} neurons on 1 of a chip's 128 cores" in out
 
 
-def test_a_report_of_weights_on_flights_leaves_pictures(quadsim, dataset, tmp_path):
-    code, out, _ = quadsim("report", "att-snn", "--data", dataset, "--out", "inside")
-    assert code == 0
-    assert "gyro removed" in out
-    found = {path.name for path in (tmp_path / "inside").iterdir()}
-    assert found == {"raster.png", "ablation.png", "tuning.png"}
-
-
 def test_a_verb_has_at_most_eight_options_beside_the_common_ones():
     common = {"--out", "--seed", "--set", "--help"}
     for verb, command in get_command(app).commands.items():
@@ -323,19 +276,14 @@ def test_bench_leaves_the_slow_out_and_its_reports_say_how_they_were_made(quadsi
     assert written.date in (tmp_path / "report.html").read_text()
 
 
-def test_ctrl_c_in_a_training_keeps_its_weights_and_exits_as_interrupted(quadsim, tmp_path, monkeypatch):
-    quadsim("generate", "--flights", 4, "--duration", 2, "--workers", 1, "--out", "data.zarr")
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("quadsim.cli.networks.time_left", interrupt)
-    settings = [f"--set={pair}" for pair in ("batches=1", "batch_size=2", "window_s=0.5")]
-    code, out, err = quadsim("train", "--data", "data.zarr", "--out", "run", *settings)
+def test_ctrl_c_exits_as_interrupted_also_where_a_training_ends_in_order(quadsim, monkeypatch):
+    best = SimpleNamespace(epoch=0)
+    stopped = SimpleNamespace(best=best, weights="run/best.safetensors", reason=INTERRUPTED, before=None)
+    monkeypatch.setattr("training.loop.train", lambda *_, **__: stopped)
+    code, out, err = quadsim("train", "--data", "data.zarr", "--out", "run")
     assert code == 130
     assert "interrupted; finished work stays" in err
     assert "best.safetensors" in out
-    assert (tmp_path / "run" / "best.safetensors").is_file()
 
 
 def test_what_is_refused_before_any_work_leaves_one_line_and_no_bar(quadsim):

@@ -58,17 +58,16 @@ def test_a_window_without_a_screen_is_refused_in_words(monkeypatch):
         env.step(np.zeros(4))
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_passes_the_checker_of_stable_baselines3(level):
+def test_passes_the_checker_of_stable_baselines3():
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    env = gymnasium.make(ID, estimator=estimators.create("mahony"), scenario="hover", level=level)
+    env = gymnasium.make(ID, estimator=estimators.create("mahony"), scenario="hover")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         checker.check_env(env.unwrapped)
 
 
 def test_zero_action_at_level_position_holds_the_set_point():
-    env = gymnasium.make(ID, estimator=estimators.create("madgwick"), scenario="hover", level="position")
+    env = gymnasium.make(ID, estimator="mahony", scenario="hover", duration_s=8.0, level="position")
     observation, _ = env.reset(seed=5)
     done = False
     while not done:
@@ -255,15 +254,15 @@ def test_estimators_are_given_by_name_object_class_function_or_module(made):
     assert (one[9:11] == 0).all() if made in ("env:class", "env:own") else (one == other).all()
 
 
-@pytest.mark.parametrize("name", ["mahony", "ekf-drag", "vqf", "att-snn-loihi"])
+@pytest.mark.parametrize("name", ["mahony", "vqf", "att-snn-loihi"])
 def test_environments_given_one_object_fly_as_if_each_had_its_own(name):
     shared = estimators.create(name, vehicle="hummingbird")
-    alone = [gymnasium.make(ID, estimator=name, scenario="step") for _ in range(3)]
-    together = [gymnasium.make(ID, estimator=shared, scenario="step") for _ in range(3)]
-    for k in range(3):
+    alone = [gymnasium.make(ID, estimator=name, scenario="step") for _ in range(2)]
+    together = [gymnasium.make(ID, estimator=shared, scenario="step") for _ in range(2)]
+    for k in range(2):
         alone[k].reset(seed=k)
         together[k].reset(seed=k)
-    for _ in range(100):
+    for _ in range(40):
         for one, other in zip(alone, together, strict=True):
             assert (one.step(np.zeros(4, np.float32))[0] == other.step(np.zeros(4, np.float32))[0]).all()
 
@@ -347,41 +346,6 @@ def test_what_an_estimator_does_in_flight_is_said_in_one_line(n, made, said):
             env.step(action)
 
 
-class Vandal(Still):
-    """It changes every array that it is given."""
-
-    def reset(self, n=1, roll_pitch=None):
-        """Start."""
-        super().reset(n)
-        if roll_pitch is not None:
-            roll_pitch[:] = 1.0
-
-    def observe(self, quat):
-        """Take the truth."""
-        quat[:] = (1.0, 0.0, 0.0, 0.0)
-
-    def update(self, gyro, accel, *, rotor_vel=None):
-        """Take a sample."""
-        gyro[:], accel[:] = 5.0, -5.0
-        if rotor_vel is not None:
-            rotor_vel[:] = 0.0
-        return super().update(gyro, accel)
-
-
-@pytest.mark.parametrize("scenario", [SHORT, load_scenario("hover")])
-def test_nothing_that_an_estimator_or_an_agent_changes_in_place_moves_the_vehicle(scenario):
-    envs = [gymnasium.make(ID, estimator=each, scenario=scenario).unwrapped for each in (Still, Vandal)]
-    for env in envs:
-        env.reset(seed=0)
-    for _ in range(15):
-        (quiet, *_, calm), (loud, *_, wild) = (env.step(np.full(4, 0.1)) for env in envs)
-        np.testing.assert_array_equal(quiet, loud)
-        for key in ("position", "velocity", "attitude", "rotor_vel"):
-            np.testing.assert_array_equal(calm[key], wild[key])
-            wild[key][:] = 7.0
-        loud[:] = 7.0
-
-
 def test_copies_and_pickles_of_an_environment_are_refused_with_the_reason():
     env = gymnasium.make(ID).unwrapped
     env.reset(seed=0)
@@ -406,13 +370,15 @@ def test_information_holds_the_truth_the_estimate_and_the_terms_of_the_reward():
     env = gymnasium.make(ID, estimator="mahony", scenario="wind-5", level="position").unwrapped
     _, first = env.reset(seed=1)
     assert {key: np.shape(value) for key, value in first.items()} == INFO
+    info = first
     for _ in range(200):
+        for key in ("position", "velocity", "attitude", "rotor_vel"):
+            info[key][:] = 1e6  # an agent has copies
         observation, reward, _, _, info = env.step(np.zeros(4))
     np.testing.assert_allclose(observation[9:11], info["estimate"], atol=1e-6)
     assert info["attitude_error"] == pytest.approx(np.abs(info["attitude"][:2] - info["estimate"]).mean())
     assert reward == pytest.approx(1 / (1 + info["position_cost"] + info["velocity_cost"]))
     assert np.linalg.norm(info["wind"]) == pytest.approx(5.0)
-    assert not np.array_equal(first["rotor_vel"], info["rotor_vel"])
 
 
 def test_information_of_a_batch_has_a_row_and_a_mask_for_every_vehicle():

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from quadsim.config.toml import preset_names
-from quadsim.imu.spec import PARTS, ImuSpec, RotorVibration, Sensor, load_imu
+from quadsim.imu.spec import ImuSpec, RotorVibration, Sensor, load_imu
 from quadsim.imu.stream import BLOCK, ImuStream, simulate_imu, simulate_imu_with_bias
 from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
 
@@ -20,6 +20,26 @@ EVERYTHING = load_imu("px4-mini").model_copy(
         "dropped": 0.05,
     }
 )
+
+
+PARTS = (set(ImuSpec.model_fields) | set(Sensor.model_fields)) - {
+    *("gyro", "accel", "time_constant", "low_pass_order"),
+}
+"""Parts of the error that can be switched off, by the name of their field."""
+
+
+def without(spec, *parts):
+    """The same IMU, or sensor, with some parts of its error off."""
+    fields = type(spec).model_fields
+    update = {part: fields[part].default for part in parts if part in fields}
+    if isinstance(spec, ImuSpec):
+        update |= {name: without(getattr(spec, name), *parts) for name in ("gyro", "accel")}
+    return spec.model_copy(update=update)
+
+
+def only(spec, *parts):
+    """The same IMU with only some parts of its error."""
+    return without(spec, *PARTS.difference(parts))
 
 
 def flight(n: int, steps: int) -> dict[str, np.ndarray]:
@@ -59,11 +79,10 @@ def test_perfect_imu_reads_the_truth():
     assert np.array_equal(accel, motion["specific_force"])
 
 
-@pytest.mark.parametrize("n", [1, 7])
 @pytest.mark.parametrize("spec", [EVERYTHING, ADIS], ids=["everything", "adis16448"])
-def test_streaming_and_whole_arrays_give_the_same_numbers(n, spec):
-    motion = flight(n, 2 * BLOCK + 37)
-    stream = ImuStream(spec, n, RATE, seed=5)
+def test_streaming_and_whole_arrays_give_the_same_numbers(spec):
+    motion = flight(3, 2 * BLOCK + 37)
+    stream = ImuStream(spec, 3, RATE, seed=5)
     gyro, accel = stream_through(stream, motion)
     whole = simulate_imu_with_bias(spec, **motion, rate_hz=RATE, seed=5)
     assert np.array_equal(gyro, whole[0])
@@ -72,15 +91,11 @@ def test_streaming_and_whole_arrays_give_the_same_numbers(n, spec):
     assert np.array_equal(stream.accel_bias, whole[3][:, -1])
 
 
-@pytest.mark.parametrize("n", [1, 7])
-def test_a_vehicle_reads_the_same_in_any_batch(n):
-    few = simulate_imu_with_bias(EVERYTHING, **flight(n, 60), rate_hz=RATE, seed=5)
+def test_a_vehicle_reads_the_same_in_any_batch_and_by_its_seed_sequence():
+    few = simulate_imu_with_bias(EVERYTHING, **flight(2, 60), rate_hz=RATE, seed=5)
     many = simulate_imu_with_bias(EVERYTHING, **flight(9, 60), rate_hz=RATE, seed=5)
     for one, other in zip(few, many, strict=True):
-        assert np.array_equal(one, other[:n])
-
-
-def test_seed_sequences_choose_the_vehicles():
+        assert np.array_equal(one, other[:2])
     children = np.random.SeedSequence(5).spawn(4)
     many = simulate_imu(ADIS, *at_rest(4, 20), RATE, seed=5)
     some = simulate_imu(ADIS, *at_rest(2, 20), RATE, seed=children[2:])
@@ -88,7 +103,7 @@ def test_seed_sequences_choose_the_vehicles():
 
 
 def test_seeds_and_axes_are_independent():
-    gyro, accel = simulate_imu(ADIS.only("noise"), *at_rest(2, 20_000), RATE, seed=0)
+    gyro, accel = simulate_imu(only(ADIS, "noise"), *at_rest(2, 20_000), RATE, seed=0)
     channels = np.concatenate([gyro, accel - [0.0, 0.0, 9.81]], axis=-1).transpose(0, 2, 1).reshape(12, -1)
     assert np.abs(np.corrcoef(channels) - np.eye(12)).max() < 0.04
 
@@ -133,7 +148,7 @@ def test_reset_gives_a_new_flight_to_the_chosen_vehicles_only():
 
 def test_resets_are_reproducible_whatever_happened_before():
     ang_vel, force = np.zeros((2, 3)), np.zeros((2, 3))
-    spec = EVERYTHING.without("vibration", "lever_arm")
+    spec = without(EVERYTHING, "vibration", "lever_arm")
     early, late = ImuStream(spec, 2, RATE, seed=1), ImuStream(spec, 2, RATE, seed=1)
     early.reset()
     for _ in range(BLOCK + 9):
@@ -157,7 +172,7 @@ def allan_variance(sensor: Sensor, t: np.ndarray) -> np.ndarray:
 def allan_ratios(name: str) -> dict[str, np.ndarray]:
     """Measured over expected Allan deviation of both sensors at 0.2 s to 300 s."""
     rate_hz, taus = 10.0, np.array([0.2, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
-    spec = load_imu(name).only("noise", "random_walk", "turn_on")
+    spec = only(load_imu(name), "noise", "random_walk", "turn_on")
     readings = simulate_imu(spec, *at_rest(12, 60_000), rate_hz, seed=11)
     ratios = {}
     for sensor, series in zip(("gyro", "accel"), readings, strict=True):
@@ -176,13 +191,13 @@ def test_allan_deviation_matches_datasheet(name):
 
 @pytest.mark.parametrize("rate_hz", [1.0, 200.0])
 def test_noise_density_does_not_depend_on_the_rate(rate_hz):
-    gyro, accel = simulate_imu(ADIS.only("noise"), *at_rest(20, 2000), rate_hz, seed=2)
+    gyro, accel = simulate_imu(only(ADIS, "noise"), *at_rest(20, 2000), rate_hz, seed=2)
     assert gyro.std() == pytest.approx(3.394e-4 * np.sqrt(rate_hz), rel=0.01)
     assert (accel - [0, 0, 9.81]).std() == pytest.approx(0.004 * np.sqrt(rate_hz), rel=0.01)
 
 
 def test_bias_starts_at_and_keeps_its_stationary_spread():
-    spec, rate_hz = ADIS.only("random_walk"), 0.1
+    spec, rate_hz = only(ADIS, "random_walk"), 0.1
     _, _, gyro_bias, accel_bias = simulate_imu_with_bias(spec, *at_rest(3000, 100), rate_hz, seed=3)
     for bias, sensor in ((gyro_bias, spec.gyro), (accel_bias, spec.accel)):
         assert sensor.time_constant is not None
@@ -192,7 +207,9 @@ def test_bias_starts_at_and_keeps_its_stationary_spread():
 
 
 def test_turn_on_bias_has_the_datasheet_spread_over_500_seeds():
-    _, _, gyro_bias, accel_bias = simulate_imu_with_bias(ADIS.only("turn_on"), *at_rest(500, 3), RATE, seed=7)
+    _, _, gyro_bias, accel_bias = simulate_imu_with_bias(
+        only(ADIS, "turn_on"), *at_rest(500, 3), RATE, seed=7
+    )
     assert np.array_equal(gyro_bias[:, 0], gyro_bias[:, -1])
     three_sigma = 3.0 / np.sqrt(2.0 * 1500)
     assert gyro_bias[:, 0].std() == pytest.approx(0.0087, rel=three_sigma)
@@ -201,7 +218,7 @@ def test_turn_on_bias_has_the_datasheet_spread_over_500_seeds():
 
 def test_true_bias_is_what_the_reading_is_off_by_without_noise():
     ang_vel, force = at_rest(3, 200)
-    spec = ADIS.only("random_walk", "turn_on")
+    spec = only(ADIS, "random_walk", "turn_on")
     gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(spec, ang_vel, force, RATE, seed=1)
     assert np.array_equal(gyro - ang_vel, gyro_bias)
     assert accel - force == pytest.approx(accel_bias, abs=1e-14)
@@ -213,38 +230,31 @@ def test_true_bias_is_what_the_reading_is_off_by_without_noise():
 @pytest.mark.parametrize("part", ["noise", "random_walk", "turn_on", "vibration", "g_sensitivity"])
 def test_a_part_has_the_same_random_numbers_alone_and_among_others(part):
     motion, others = flight(2, BLOCK + 20), {"noise", "random_walk", "turn_on"} - {part}
-    among = simulate_imu(EVERYTHING.only(part, *others), **motion, rate_hz=RATE, seed=3)
-    without = simulate_imu(EVERYTHING.only(*others), **motion, rate_hz=RATE, seed=3)
-    alone = simulate_imu(EVERYTHING.only(part), **motion, rate_hz=RATE, seed=3)
-    truth = simulate_imu(EVERYTHING.without(*PARTS), **motion, rate_hz=RATE, seed=3)
+    among = simulate_imu(only(EVERYTHING, part, *others), **motion, rate_hz=RATE, seed=3)
+    others_alone = simulate_imu(only(EVERYTHING, *others), **motion, rate_hz=RATE, seed=3)
+    alone = simulate_imu(only(EVERYTHING, part), **motion, rate_hz=RATE, seed=3)
+    truth = simulate_imu(without(EVERYTHING, *PARTS), **motion, rate_hz=RATE, seed=3)
     for sensor in range(2):
-        assert among[sensor] - without[sensor] == pytest.approx(alone[sensor] - truth[sensor], abs=1e-12)
+        assert among[sensor] - others_alone[sensor] == pytest.approx(alone[sensor] - truth[sensor], abs=1e-12)
 
 
 def test_the_same_samples_are_dropped_whatever_else_is_on():
     motion, held = flight(2, BLOCK + 20), []
     for others in ([], ["noise", "turn_on", "vibration"]):
-        gyro, _ = simulate_imu(EVERYTHING.only("dropped", *others), **motion, rate_hz=RATE, seed=3)
+        gyro, _ = simulate_imu(only(EVERYTHING, "dropped", *others), **motion, rate_hz=RATE, seed=3)
         held.append(np.diff(gyro, axis=1) == 0.0)
     assert np.array_equal(*held)
     assert held[0].any()
 
 
-@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("part", sorted(PARTS))
 def test_every_part_changes_the_reading_and_can_be_switched_off(part):
     motion = flight(1, 150)
     motion["ang_vel"] = 40.0 * motion["ang_vel"]  # beyond the range, to saturate
     truth = simulate_imu(load_imu("perfect"), **motion, rate_hz=RATE, seed=3)
-    alone = simulate_imu(EVERYTHING.only(part), **motion, rate_hz=RATE, seed=3)
+    alone = simulate_imu(only(EVERYTHING, part), **motion, rate_hz=RATE, seed=3)
     assert not np.array_equal(alone, truth)
-    assert np.array_equal(simulate_imu(EVERYTHING.without(*PARTS), **motion, rate_hz=RATE, seed=3), truth)
-
-
-def test_unknown_part_names_the_nearest():
-    with pytest.raises(ValueError, match='unknown part "nois" of an IMU; did you mean "noise"'):
-        ADIS.without("nois")
-    with pytest.raises(ValueError, match='unknown part "nois"'):
-        ADIS.only("nois")
+    assert np.array_equal(simulate_imu(without(EVERYTHING, *PARTS), **motion, rate_hz=RATE, seed=3), truth)
 
 
 def test_lever_arm_agrees_with_the_motion_of_the_point():
@@ -312,18 +322,6 @@ def test_readings_are_multiples_of_the_resolution():
     assert accel.tolist() == [[[1.0, 1.5, -1.0], [-1.5, 12.0, 90.0], [-90.0, 11.0, -12.0]]]
 
 
-@pytest.mark.parametrize("name", ["adis16448", "px4-mini"])
-def test_readings_stay_within_the_range(name):
-    spec = load_imu(name)
-    gyro, accel = simulate_imu(spec, *(1e4 * x for x in at_rest(2, 50)), RATE, seed=0)
-    assert accel[..., 2].max() <= spec.accel.saturation
-    assert accel[..., 2].min() >= 0.999 * spec.accel.saturation
-    low, _ = simulate_imu(spec, np.full((2, 50, 3), -1e4), np.zeros((2, 50, 3)), RATE, seed=0)
-    assert -spec.gyro.saturation <= low.min()
-    assert low.max() <= -0.999 * spec.gyro.saturation
-    assert np.abs(gyro).max() <= spec.gyro.saturation
-
-
 def test_scale_factor_and_misalignment_have_their_spread():
     sensor = Sensor(scale_factor=0.01, misalignment=0.02)
     truth = np.broadcast_to([1.0, 0.0, 0.0], (1000, 2, 3))
@@ -345,7 +343,7 @@ def test_mounting_turns_the_readings_into_sensor_axes():
 
 def test_a_turned_sensor_reads_what_one_along_the_body_reads_of_the_turned_motion():
     angles = (20.0, -40.0, 110.0)
-    along = EVERYTHING.without("mounting_deg", "lever_arm", "vibration", "resolution")
+    along = without(EVERYTHING, "mounting_deg", "lever_arm", "vibration", "resolution")
     turned = along.model_copy(update={"mounting_deg": angles})
     motion, quat = flight(3, 50), quat_from_euler(*np.radians(angles))
     rate, force = motion["ang_vel"], motion["specific_force"]
@@ -478,13 +476,8 @@ def test_no_motion_gives_a_reading_out_of_range(size, rate_hz, low_pass_hz, seed
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[gyro]\nnois = 1", 'unknown key "gyro.nois"; did you mean "noise"'),
-        ("[gyro]\nnoise = -1", "gyro.noise = -1: should be 0 to 1000; the nearest is 0"),
         ("[accel]\nrandom_walk = 0.1", "needs a time_constant"),
         ("[accel]\nresolution = 2\nsaturation = 1", "must not exceed saturation"),
-        ("[accel]\nlow_pass_order = 3", "low_pass_order = 3"),
-        ("dropped = 1.0", "dropped = 1.0: should be 0 to 0.99"),
-        ("lever_arm = [1, 2]", "lever_arm"),
     ],
 )
 def test_bad_imu_file_is_one_clear_line(tmp_path, text, message):
@@ -514,7 +507,7 @@ def test_adis16448_has_the_numbers_of_rotors():
     assert ADIS.gyro.saturation == pytest.approx(np.radians(1000.0))
     assert ADIS.accel.saturation == pytest.approx(18 * 9.80665)
     rotors = ("noise", "random_walk", "turn_on", "saturation")
-    assert ADIS.only(*rotors) == ADIS
+    assert only(ADIS, *rotors) == ADIS
 
 
 def test_px4_mini_is_another_domain():

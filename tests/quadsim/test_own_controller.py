@@ -56,10 +56,8 @@ def test_the_cascades_own_inner_levels_as_a_controller_fly_as_the_cascade_does()
     assert np.abs(with_own - built_in).max() < 0.02
 
 
-@pytest.mark.parametrize("scenario", ["step", "wind-5", "landing"])
-def test_the_example_flies(scenario):
-    make = runpy.run_path(str(EXAMPLE))["make"]
-    _, cause = flown(scenario, make, seconds=6.0)
+def test_the_example_flies():
+    _, cause = flown("wind-5", runpy.run_path(str(EXAMPLE))["make"], seconds=4.0)
     assert not cause.any()
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from quadsim.config.toml import preset_names
 from quadsim.pictures.film import Marks, film
-from quadsim.pictures.render import NO_OPENGL, WIND_SCALE, Scene, View, still
+from quadsim.pictures.render import NO_OPENGL, WIND_SCALE, Scene, View
 from quadsim.pictures.shapes import quadrotor_geoms
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
@@ -26,6 +26,14 @@ def _opengl():
         pytest.skip(str(error))
 
 
+def still(position, quat, view, trail=None, width=320, height=180):
+    """One picture of quadrotors."""
+    scene = Scene(VEHICLE, len(np.atleast_2d(position)), width, height)
+    image = scene.draw(position, quat, view, trail)
+    scene.close()
+    return image
+
+
 def orange(image):
     """Pixels in the colour of the front arm."""
     red, green, blue = np.moveaxis(image.astype(int), -1, 0)
@@ -33,24 +41,16 @@ def orange(image):
 
 
 def test_still_shows_the_vehicle_before_sky_and_ground():
-    image = still(VEHICLE, (0, 0, 1), LEVEL, VIEW, width=320, height=180)
+    image = still((0, 0, 1), LEVEL, VIEW)
     assert image.shape == (180, 320, 3)
     assert image.dtype == np.uint8
     dark = (image.max(axis=-1) < 70).mean()
     assert 0.005 < dark < 0.3  # the carbon of arms and blades, and nothing else
 
 
-def test_picture_follows_the_attitude():
-    pictures = [
-        still(VEHICLE, (0, 0, 1), quat_from_euler(roll, 0.0, 0.0), VIEW, width=160, height=90)
-        for roll in (0.0, 0.6)
-    ]
-    assert np.abs(pictures[0].astype(int) - pictures[1]).max() > 50
-
-
 def test_nose_is_orange_and_points_forward():
     above = View((0.0, 0.0, 1.0), distance=1.3, azimuth=90.0, elevation=-89.0)  # x to the right, y up
-    image = still(VEHICLE, (0, 0, 1), LEVEL, above, width=320, height=320)
+    image = still((0, 0, 1), LEVEL, above, height=320)
     nose = np.argwhere(orange(image)[:, 200:])
     tail = np.argwhere(orange(image)[:, :110])
     assert len(nose) > 4 * len(tail)
@@ -59,9 +59,9 @@ def test_nose_is_orange_and_points_forward():
 def test_every_copy_and_the_trail_are_drawn():
     places = np.array([[-0.6, 0.0, 1.0], [0.6, 0.0, 1.0]])
     view = View((0.0, 0.0, 1.0), distance=2.5, azimuth=90.0)
-    pair = still(VEHICLE, places, np.tile(LEVEL, (2, 1)), view, width=320, height=180)
+    pair = still(places, np.tile(LEVEL, (2, 1)), view)
     assert all((half.max(axis=-1) < 70).any() for half in (pair[:, :160], pair[:, 160:]))
-    joined = still(VEHICLE, places, np.tile(LEVEL, (2, 1)), view, trail=places, width=320, height=180)
+    joined = still(places, np.tile(LEVEL, (2, 1)), view, trail=places)
     assert np.any(joined[:, 150:170] != pair[:, 150:170])
 
 
@@ -71,16 +71,6 @@ def test_geometry_is_that_of_the_vehicle(name):
     discs = [geom for geom in quadrotor_geoms(vehicle) if geom["material"] == "blur"]
     np.testing.assert_allclose([disc["pos"] for disc in discs], vehicle.hubs)
     assert {disc["size"][0] for disc in discs} == {vehicle.frame.prop_radius}
-
-
-def test_film_lasts_as_long_as_the_flight(tmp_path):
-    time = np.arange(100) / 100
-    position = np.stack([time, 0 * time, 1 + 0 * time], axis=-1)
-    path = film(
-        tmp_path / "x.mp4", VEHICLE, time, position, np.tile(LEVEL, (100, 1)), fps=10, width=160, height=96
-    )
-    frames = imageio.imread(path, plugin="FFMPEG")
-    assert frames.shape == (10, 96, 160, 3)
 
 
 def test_film_of_nothing_is_refused(tmp_path):
@@ -151,12 +141,12 @@ def test_the_arrow_points_where_the_wind_blows_to():
 
 
 def test_a_film_with_marks_plays_in_real_time(tmp_path):
-    time = np.arange(100) / 50.0
-    level, place = np.tile(LEVEL, (100, 1)), np.tile([0.0, 0.0, 1.0], (100, 1))
-    tilted = quat_from_euler(np.full(100, np.radians(30.0)), np.zeros(100), np.zeros(100))
-    marks = Marks(tilted, place, np.tile([2.0, 0.0, 0.0], (100, 1)))
+    time = np.arange(21) / 50.0
+    level, place = np.tile(LEVEL, (21, 1)), np.tile([0.0, 0.0, 1.0], (21, 1))
+    tilted = quat_from_euler(np.full(21, np.radians(30.0)), np.zeros(21), np.zeros(21))
+    marks = Marks(tilted, place, np.tile([2.0, 0.0, 0.0], (21, 1)))
     assert "30.0 deg" in marks.text(5, 0.1, LEVEL)[1]
     path = film(tmp_path / "a.mp4", VEHICLE, time, place, level, width=160, height=96, marks=marks)
     about = imageio.immeta(path)
     assert about["fps"] == 25.0
-    assert about["duration"] == pytest.approx(2.0, abs=0.05)
+    assert about["duration"] == pytest.approx(0.4, abs=0.05)

@@ -61,15 +61,8 @@ def test_every_shipped_scenario_loads_and_explains_its_numbers(name):
     ("toml", "message"),
     [
         ("duraton_s = 3.0", 'unknown key "duraton_s"; did you mean "duration_s"'),
-        ("duration_s = 0.0", r"duration_s = 0.0"),
-        ('duration_s = "20 s"', r'duration_s = "20 s"'),
         ("[start]\ntilt = 20.0", 'unknown key "start.tilt"; did you mean "tilt_deg"'),
-        ("[start]\ntilt_deg = 200.0", r"start.tilt_deg = 200.0"),
-        ("[crash]\ndistance = -1.0", r"crash.distance = -1.0"),
-        ('[trajectory]\nkind = "hovr"', "hovr"),
-        ('[[wind]]\nkind = "constant"\nvelocity = [1.0, 2.0]', "velocity"),
         ('[[faults]]\nkind = "gremlin"', "gremlin"),
-        ('[[faults]]\nkind = "dropout"\nprobability = 1.5', r"probability = 1.5"),
         ('[[faults]]\nkind = "rotor-loss"\nrotor = 12', r"rotor = 12"),
     ],
 )
@@ -133,17 +126,6 @@ def test_a_flight_in_wind_does_not_notice_a_crash_beside_it():
         positions.append(mission.plant.position[-1].copy())
         assert (mission.cause[0] > 0) == (len(command) == 2)
     np.testing.assert_array_equal(*positions)
-
-
-def test_wind_does_not_change_the_sensor_noise():
-    calm = HOVER.model_copy(update={"start": Start()})
-    windy = Scenario.model_validate(
-        calm.model_dump() | {"wind": [{"kind": "dryden", "airspeed": 5, "altitude": 10, "wind_20ft": 15}]}
-    )
-    missions = [Mission(each) for each in (calm, windy)]
-    for mission in missions:
-        mission.begin(vehicle_seeds(3, 1))
-    np.testing.assert_array_equal(missions[0].gyro, missions[1].gyro)
 
 
 def test_starts_tilted_by_the_given_angle_about_an_axis_of_its_own():
@@ -446,11 +428,9 @@ def test_external_noise_has_its_size_and_a_vehicles_own_seed():
     assert abs(np.corrcoef(noise[:, 0, 0], noise[:, 1, 0])[0, 1]) < 0.06
 
 
-@pytest.mark.parametrize("estimator", ["truth", "eskf"])
-@pytest.mark.parametrize("name", ["hover", "step", "figure-8"])
-def test_a_hexarotor_flies_with_attitude_from_an_estimator(name, estimator):
-    scenario = load_scenario(name).model_copy(update={"vehicle": "hexarotor"})
-    mission = Mission(scenario, estimators.create(estimator, vehicle="hexarotor"), 2)
+def test_a_hexarotor_flies_with_attitude_from_an_estimator():
+    scenario = load_scenario("figure-8").model_copy(update={"vehicle": "hexarotor"})
+    mission = Mission(scenario, estimators.create("mahony", vehicle="hexarotor"), 2, duration_s=10.0)
     mission.begin(vehicle_seeds(0, 2))
     for _ in range(mission.steps):
         mission.step()

@@ -7,7 +7,6 @@ from pydantic import ValidationError
 from quadsim.flight.recipe import load_recipe
 from quadsim.trajectory.reference import reference
 from quadsim.trajectory.specs import (
-    Hover,
     Lissajous,
     Mix,
     Move,
@@ -125,11 +124,6 @@ def test_a_flight_depends_on_its_own_seed_alone():
     assert np.array_equal(reference(Mix(), 2000, RATE, seeds)[3], reference(Mix(), 2000, RATE, seeds[3:4])[0])
 
 
-def test_hover_is_still():
-    assert not np.any(fly(Hover())["velocity"])
-    assert not np.any(fly(Hover())["acceleration"])
-
-
 def test_set_points_from_a_file_are_passed_through(tmp_path):
     path = tmp_path / "points.csv"
     path.write_text("t,x,y,z,yaw\n0,0,0,2,0\n2,1,0,2,0.5\n4,1,2,3,0\n")
@@ -156,11 +150,6 @@ def test_a_wrong_set_point_file_is_named(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ValueError, match=r"points\.csv"):
         fly(SetPointFile(path=str(path)))
-
-
-def test_a_missing_set_point_file_is_named():
-    with pytest.raises(ValueError, match="no-such-file"):
-        fly(SetPointFile(path="no-such-file.csv"))
 
 
 def test_a_tilt_beyond_the_controller_is_refused():
