@@ -136,12 +136,11 @@ class Plant:
         rate_hz: Samples per second; each is one RK4 step of at most 5 ms (1 ms with contact), or several.
         integrator: A MuJoCo integrator: "RK4", or "implicitfast", "Euler", "implicit".
         contact: Whether the ground can be touched: take-off, landing, crashes.
-        engine: "mujoco"; "compiled", MuJoCo's RK4 of a free body, compiled; "auto", compiled where it can be.
+        engine: "mujoco"; "auto", MuJoCo's RK4 of a free body, compiled, where it can be.
         records: (n,) records of `quadsim.motion.rotors.vehicle_dtype` to use, for loops with larger records.
 
     Raises:
-        ValueError: For a rate or a number of vehicles that is not positive, an unknown integrator or engine,
-            or if the compiled engine is required where it cannot be used.
+        ValueError: For a rate or a number of vehicles that is not positive, an unknown integrator or engine.
     """
 
     def __init__(
@@ -171,14 +170,8 @@ class Plant:
         self.vehicles = vehicle_records(vehicles, step) if records is None else records
         if records is not None:
             records[:] = vehicle_records(vehicles, step)
-        free = integrator == "RK4" and not contact
-        if engine == "compiled" and not free:
-            raise ValueError(
-                'engine = "compiled" integrates one free body by RK4; where the ground can be touched, or '
-                'with another integrator, use "mujoco" or "auto"'
-            )
         self.engine = None
-        if engine == "mujoco" or not free:
+        if engine == "mujoco" or contact or integrator != "RK4":
             model = vehicle_model(self.vehicle, step, integrator, contact)
             self.engine = MujocoEngine(model, self.vehicles, contact)
         v, s = self.vehicles, self.vehicles["state"]

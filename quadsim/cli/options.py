@@ -59,7 +59,7 @@ RecipeFields = Annotated[
     typer.Option(
         "--set",
         help="Change of the recipe, as name=value: vehicle or imu (a shipped name or a TOML file), "
-        "engine (auto, mujoco, compiled), any key of a recipe, or rate (samples per second; "
+        "engine (auto, mujoco), any key of a recipe, or rate (samples per second; "
         "default: 200). Repeat for more.",
     ),
 ]
@@ -69,7 +69,7 @@ ConditionFields = Annotated[
         "--set",
         help="Condition of the flights, as name=value: vehicle, imu or external (a shipped name or a "
         "TOML file, in place of the scenarios'), tuning (filter parameters: a shipped name or a "
-        "file from quadsim tune), engine (auto, mujoco, compiled), rate (samples per second). "
+        "file from quadsim tune), engine (auto, mujoco), rate (samples per second). "
         "Repeat for more.",
     ),
 ]
@@ -105,7 +105,7 @@ class Conditions(Sampling):
     imu: str | None = None
     external: str | None = None
     engine: Engine | None = None
-    """Integrator: mujoco; compiled, its scheme for free flight, equal to 1e-12 and faster; or auto."""
+    """Integrator: mujoco; or auto, in free flight its scheme compiled, equal to 1e-12 and faster."""
     tuning: str | None = None
     """None selects the parameters shipped for the vehicle."""
 

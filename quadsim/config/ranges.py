@@ -122,6 +122,6 @@ ForceVector: TypeAlias = tuple[_ForcePart, _ForcePart, _ForcePart]
 Mass: TypeAlias = Annotated[float, Between(1e-3, 1000.0, "kg")]
 RotorSpeed: TypeAlias = Annotated[float, Between(1.0, 1e5, "rad/s")]
 
-Engine = Literal["auto", "mujoco", "compiled"]
-"""What integrates the motion: MuJoCo, its scheme for a free body compiled, or that where it can be (auto)."""
+Engine = Literal["auto", "mujoco"]
+"""What integrates the motion: MuJoCo, or wherever that is the same its scheme for a free body, compiled."""
 ENGINES: tuple[Engine, ...] = get_args(Engine)

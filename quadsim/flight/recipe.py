@@ -77,7 +77,7 @@ class Recipe(Strict):
     ground: GroundStart | None = None
     """A start at rest on the ground, before the flight; its end falls away."""
     engine: Engine = "auto"
-    """What integrates the motion: "mujoco", "compiled" (its scheme for free flight), or "auto"."""
+    """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     warmup_s: Annotated[float, Between(0.0, 60.0, "s")] = 4.0
     """Simulated before recording, so that flights begin in motion [s]."""
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ValidationError, model_validator
+from pydantic import ValidationError
 
 from ..config.ranges import Between, Coordinate, Distance, Engine, Position, RateDeg, Speed
 from ..config.toml import Model, Strict, describe, load_toml, preset_names
@@ -64,7 +64,7 @@ class Scenario(Strict):
     contact: bool = False
     """Whether the ground can be touched, at five times the cost; otherwise to reach it is to crash."""
     engine: Engine = "auto"
-    """What integrates the motion: "mujoco", "compiled" (its scheme for free flight), or "auto"."""
+    """What integrates the motion: "mujoco", or "auto", its scheme for free flight, compiled."""
     trajectory: Trajectory = Hover()
     """The set-points."""
     wind: tuple[WindSpec, ...] = ()
@@ -75,12 +75,6 @@ class Scenario(Strict):
     """What goes wrong, in the order in which it acts on a sample."""
     crash: Crash = Crash()
     """What counts as a crash."""
-
-    @model_validator(mode="after")
-    def _engine_can(self) -> "Scenario":
-        if self.contact and self.engine == "compiled":
-            raise ValueError('engine = "compiled" has no contact; use "auto" or "mujoco", or contact = false')
-        return self
 
 
 def load_scenario(source: str | Path) -> Scenario:

@@ -53,7 +53,7 @@ def difference(plant, other):
 def test_a_step_of_any_body_is_mujocos_to_round_off():
     rng = np.random.default_rng(0)
     vehicles, start = random_bodies(rng, 64)
-    plant, engine = Plant(vehicles, 64, engine="compiled"), Plant(vehicles, 64, engine="mujoco")
+    plant, engine = Plant(vehicles, 64, engine="auto"), Plant(vehicles, 64, engine="mujoco")
     mass, inertia = plant.vehicles["mass"][:, None], plant.vehicles["inertia"]
     engine.reset(**start)
     for _ in range(200):
@@ -69,7 +69,7 @@ def test_free_bodies_part_no_faster_than_mujoco_parts_from_itself_rounded_once_m
     # MuJoCo's moment contains v × m v, zero but for its rounding: that of m v² beside I dω/dt
     rng = np.random.default_rng(1)
     vehicles, start = random_bodies(rng, 16)
-    engine, rounded, plant = (Plant(vehicles, 16, engine=each) for each in ("mujoco", "mujoco", "compiled"))
+    engine, rounded, plant = (Plant(vehicles, 16, engine=each) for each in ("mujoco", "mujoco", "auto"))
     for each in (engine, rounded, plant):
         each.reset(**start)
     worst = np.zeros((2, 16))
@@ -91,7 +91,7 @@ def test_flights_of_20_s_agree_to_1e_12(recipe):
     config = load_recipe(recipe)
     by_engine = [
         simulate_flights(config.model_copy(update={"engine": each}), vehicle_seeds(0, 4), 4000)
-        for each in ("mujoco", "compiled")
+        for each in ("mujoco", "auto")
     ]
     for name in (*STATE, "specific_force", "gyro", "accel"):
         assert_allclose(by_engine[1][name], by_engine[0][name], rtol=1e-12, atol=1e-12, err_msg=name)
@@ -101,7 +101,7 @@ def test_a_flight_of_two_minutes_agrees_to_1e_9():
     config = load_recipe("hummingbird")
     by_engine = [
         simulate_flights(config.model_copy(update={"engine": each}), vehicle_seeds(1, 1), 24_000)
-        for each in ("mujoco", "compiled")
+        for each in ("mujoco", "auto")
     ]
     for name in STATE:
         assert_allclose(by_engine[1][name], by_engine[0][name], rtol=1e-9, atol=1e-9, err_msg=name)
@@ -133,7 +133,7 @@ def test_auto_is_compiled_in_free_flight_and_mujoco_on_the_ground():
 
 @pytest.mark.parametrize("quat", [(0, 0, 0, 0), (2, 0.4, 0, 0)])
 def test_a_quaternion_of_another_length_is_what_it_is_to_mujoco(quat):
-    plants = [Plant(HUMMINGBIRD, engine=each) for each in ("mujoco", "compiled")]
+    plants = [Plant(HUMMINGBIRD, engine=each) for each in ("mujoco", "auto")]
     for plant in plants:
         plant.quat[:] = quat
         plant.vehicles["force"], plant.vehicles["moment"] = (1.0, 2.0, 3.0), (0.1, 0.0, 0.0)
@@ -143,10 +143,8 @@ def test_a_quaternion_of_another_length_is_what_it_is_to_mujoco(quat):
 
 
 def test_bad_engines_are_named():
-    with pytest.raises(ValueError, match=r"unknown engine 'bullet'; choose one of auto, mujoco, compiled"):
+    with pytest.raises(ValueError, match=r"unknown engine 'bullet'; choose one of auto, mujoco"):
         Plant(HUMMINGBIRD, engine="bullet")
-    with pytest.raises(ValueError, match=r'engine = "compiled" integrates one free body'):
-        Plant(HUMMINGBIRD, contact=True, integrator="implicitfast", engine="compiled")
 
 
 def test_a_scenario_takes_an_engine(tmp_path):

@@ -47,7 +47,7 @@ def test_free_fall_reads_zero(n):
     assert state.velocity[:, 2] == pytest.approx(-GRAVITY * 0.5)
 
 
-@pytest.mark.parametrize("engine", ["compiled", "mujoco"])
+@pytest.mark.parametrize("engine", ["auto", "mujoco"])
 @pytest.mark.parametrize("area", [(0.02, 0.02, 0.02), (0.01, 0.02, 0.05)])
 def test_frame_drag_grows_with_the_airspeed_and_opposes_it(engine, area):
     """−½ ρ C_d A |v| v per body axis: with one area for all axes, antiparallel to the airspeed."""
