@@ -1,6 +1,7 @@
 """Make the README's picture and the video of the site's first page: `python docs/pictures.py`."""
 
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from imageio_ffmpeg import get_ffmpeg_exe
 from pages import ROOT
 from PIL import Image
 
-from quadsim.pictures.render import View, still
+from quadsim.pictures.render import Scene, View
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
 from scenarios.bench.series import FlightSeries, unpack_series
@@ -34,7 +35,8 @@ def exposures(series: FlightSeries, start_s: float, end_s: float, count: int = 6
     along = np.degrees(np.arctan2(*(place[-1] - place[0])[1::-1]))
     far = 0.8 + 0.95 * float(np.linalg.norm(high - low))
     view = View(tuple(0.5 * (low + high)), far, azimuth=along + 70.0, elevation=-12.0)
-    return Image.fromarray(still(load_vehicle(VEHICLE), place[shown], quat[shown], view, place, 1200, 675))
+    with closing(Scene(load_vehicle(VEHICLE), len(shown), 1200, 675)) as scene:
+        return Image.fromarray(scene.draw(place[shown], quat[shown], view, place))
 
 
 def picture(out: Path) -> None:
