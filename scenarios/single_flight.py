@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from quadsim.flight.scenario import changed, load_scenario
 from quadsim.pictures.film import Marks, film
-from quadsim.pictures.render import replay
 from quadsim.rotation import quat_from_euler
 from quadsim.runs.files import write_csv
 from quadsim.runs.fingerprint import content_digest
@@ -50,7 +49,6 @@ def fly_scenario(
     *,
     flight: int = 0,
     video: bool = False,
-    view: bool = False,
 ) -> SingleFlight:
     """Simulate a scenario with attitude from one estimator, and write report, samples and video.
 
@@ -62,13 +60,12 @@ def fly_scenario(
         changes: Fields that replace those of the scenario.
         flight: Number of the first flight, as in the flights.parquet of a benchmark of the same seed.
         video: Whether to make a video of the first flight.
-        view: Whether to show the first flight in MuJoCo's viewer, in real time, until it is closed.
 
     Raises:
         ValueError: For a bad argument or scenario file.
         OSError: If a file cannot be written.
-        RuntimeError: If a video is required and there is no headless OpenGL, or a view and no screen; the
-            other files are written by then.
+        RuntimeError: If a video is required and there is no headless OpenGL; the other files are written by
+            then.
     """
     if flight < 0:
         raise ValueError(f"flight is {flight}; flights count from 0")
@@ -98,8 +95,6 @@ def fly_scenario(
     )
     if problem:
         raise problem
-    if view:
-        replay(mission.vehicle, *poses)
     return SingleFlight(results, report, out / "flight.csv", film_path)
 
 

@@ -49,7 +49,6 @@ def fly(
         ),
     ] = 0,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 of the first flight.")] = False,
-    view: Annotated[bool, typer.Option("--view", help="Show the first flight in MuJoCo's viewer.")] = False,
 ) -> None:
     """Fly one scenario with attitude from one estimator; write a report and all samples as CSV.
 
@@ -74,9 +73,8 @@ def fly(
                 given.changes(duration),
                 flight=flight,
                 video=video,
-                view=view,
             )
-    except RuntimeError as error:  # no OpenGL for the video, no screen for the view
+    except RuntimeError as error:  # no OpenGL for the video
         raise ValueError(str(error)) from error
     row = done.results.rows[0]
     if row.reason:

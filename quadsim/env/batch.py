@@ -1,6 +1,5 @@
 """The environment of n quadrotors that are stepped as one batch."""
 
-import time
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -19,15 +18,13 @@ from ..control.records import ATTITUDE, LEVELS, Level
 from ..flight.mission import Mission
 from ..flight.scenario import Scenario, changed
 from ..flight.world import FLYING
-from ..pictures.render import Image, Scene, View, Window
+from ..pictures.render import Image, Scene, View
 from .made import Made, controller_for, made_for, scenario_for
 from .spaces import OBSERVATION, OBSERVATION_SPACE, action_scale, hidden_dtype, observe, to_command
 
 Array = NDArray[np.float64]
 MOST = 100_000
 """Environments in a batch."""
-FPS = 50
-"""Pictures per second of flight in a window."""
 OPTIONS = ("scenario", "wind")
 """Of `reset`."""
 
@@ -36,8 +33,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     """n quadrotors stepped as one batch; spaces, reward and arguments are those of `QuadrotorEnv`."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's own attribute)
-        "render_modes": ["rgb_array", "human"],
-        "render_fps": FPS,
+        "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -54,8 +50,8 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
     ) -> None:
         if level not in LEVELS:
             raise ValueError(f'unknown level "{level}"; valid: {", ".join(LEVELS)}')
-        if render_mode not in (None, "rgb_array", "human"):
-            raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, human, or None')
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f'unknown render_mode "{render_mode}"; valid: rgb_array, or None')
         SAMPLE_RATE.of("rate_hz", rate_hz)
         if not isinstance(num_envs, int) or not 1 <= num_envs <= MOST:
             raise ValueError(f"num_envs = {num_envs!r}: a whole number from 1 to {MOST} is allowed")
@@ -77,8 +73,6 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         self._random: list[np.random.Generator] = []
         self.done = np.zeros(num_envs, dtype=bool)
         self._scene: Scene | None = None
-        self._window: Window | None = None
-        self._shown_at = 0.0
 
     def _mission(self, scenario: Scenario) -> Mission:
         made = made_for(self._made, scenario, self._rate_hz)
@@ -162,8 +156,6 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
             mission.sense()
         else:
             mission.step(self._level)
-        if self.render_mode == "human":
-            self._show()
         observation, reward, hidden = self.observe()
         reward[self.done] = 0.0
         crashed, over = mission.cause != FLYING, mission.k >= mission.steps
@@ -178,7 +170,7 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         return records.view(np.float32).reshape(self.num_envs, -1), reward, hidden
 
     def render(self) -> tuple[Image, ...] | None:
-        """A picture of every vehicle; None without a render mode, or in a window, which shows the first."""
+        """A picture of every vehicle; None without a render mode."""
         if self.render_mode != "rgb_array":
             return None
         plant, self._scene = self.mission.plant, self._scene or Scene(self.mission.vehicle)
@@ -186,23 +178,11 @@ class QuadrotorVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], 
         places = zip(plant.position, plant.quat, views, strict=True)
         return tuple(self._scene.draw(*place) for place in places)
 
-    def _show(self) -> None:
-        """Move the first vehicle in the window, and wait until real time has caught up."""
-        mission = self.mission
-        if mission.k[0] % max(round(self._rate_hz / FPS), 1):
-            return
-        if self._window is None:
-            self._window = Window(mission.vehicle)
-        self._window.show(mission.plant.position[0], mission.plant.quat[0])
-        time.sleep(max(self._shown_at + 1 / FPS - time.perf_counter(), 0.0))
-        self._shown_at = time.perf_counter()
-
     def close_extras(self, **kwargs: Any) -> None:
-        """Free the scene and shut the window."""
-        for each in (self._scene, self._window):
-            if each is not None:
-                each.close()
-        self._scene = self._window = None
+        """Free the scene."""
+        if self._scene is not None:
+            self._scene.close()
+        self._scene = None
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be copied or pickled: the arrays are views of the engine's memory, which a copy lacks."""

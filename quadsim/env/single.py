@@ -12,7 +12,7 @@ from ..control.records import Level
 from ..flight.scenario import Scenario
 from ..flight.world import CAUSES
 from ..pictures.render import Image
-from .batch import FPS, QuadrotorVectorEnv, shaped
+from .batch import QuadrotorVectorEnv, shaped
 from .made import Made
 
 
@@ -107,7 +107,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     | `level`       | "attitude" | where the action enters the controller                                 |
     | `rate_hz`     | 200.0      | samples, and steps, per second                                         |
     | `duration_s`  | None       | length of an episode, instead of the scenario's                        |
-    | `render_mode` | None       | "rgb_array" for pictures, "human" for MuJoCo's viewer                  |
+    | `render_mode` | None       | "rgb_array" for pictures                                               |
     | `controller`  | None       | attitude controller of your own, see `quadsim.control.own`; or weights |
 
     `metadata["render_fps"]` is `rate_hz`, so that gymnasium's RecordVideo, which draws every step, plays in
@@ -126,7 +126,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     """
 
     # gymnasium declares this as a variable of instances
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium's own attribute)
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012  (Gymnasium's own attribute)
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ class QuadrotorEnv(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         return observation[0], reward.item(), crashed.item(), over.item(), info
 
     def render(self) -> Image | None:
-        """A picture of the vehicle, (540, 960, 3); None without a render mode, or in a window."""
+        """A picture of the vehicle, (540, 960, 3); None without a render mode."""
         pictures = self._batch.render()
         return None if pictures is None else pictures[0]
 

@@ -10,10 +10,6 @@ import itertools
 import logging
 import os
 import sys
-import threading
-import time as clock
-import warnings
-from contextlib import closing
 from typing import NamedTuple, Protocol
 
 import mujoco
@@ -29,7 +25,6 @@ log = logging.getLogger(__name__)
 Image = NDArray[np.uint8]
 
 NO_OPENGL = "no headless OpenGL on this machine, so no pictures: install Debian's libegl1 or libosmesa6"
-NO_SCREEN = "no screen to open a window on; --video (render_mode rgb_array) needs none"
 TRAIL_COLOUR = np.array([0.93, 0.36, 0.08, 0.85], dtype=np.float32)
 GHOST_COLOUR = np.array([0.10, 0.55, 0.95, 0.30], dtype=np.float32)
 TARGET_COLOUR = np.array([0.10, 0.75, 0.30, 0.90], dtype=np.float32)
@@ -174,86 +169,6 @@ class Scene:
         geom, ball = self._scene.geoms[self._scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE.value
         mujoco.mjv_initGeom(geom, ball, np.full(3, radius), place, np.eye(3).ravel(), TARGET_COLOUR)
         self._scene.ngeom += 1
-
-
-class Window:
-    """MuJoCo's viewer with one quadrotor in it; the mouse turns and zooms. `close` it afterwards.
-
-    Args:
-        vehicle: Airframe to draw.
-
-    Raises:
-        RuntimeError: If there is no screen.
-    """
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        with warnings.catch_warnings(action="ignore"):  # of glfw, on every reason
-            try:
-                viewer = importlib.import_module("mujoco.viewer")
-                able = importlib.import_module("glfw").init()
-            except (ImportError, RuntimeError) as error:
-                raise RuntimeError(f"{NO_SCREEN} ({error})") from error
-        if not able:  # the viewer itself would end the process
-            raise RuntimeError(NO_SCREEN)
-        self.model = scene_model(vehicle, 1, 960, 540)
-        self.data = mujoco.MjData(self.model)
-        before = set(threading.enumerate())
-        self._viewer = viewer.launch_passive(self.model, self.data, show_left_ui=False, show_right_ui=False)
-        self._threads = set(threading.enumerate()) - before
-        self._last: NDArray[np.float64] | None = None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether nobody has closed it."""
-        return self._viewer.is_running()
-
-    def show(self, position: ArrayLike, quat: ArrayLike) -> None:
-        """Place the quadrotor, (3,) [m] and (4,) quat_WB, with the camera staying beside it."""
-        place = np.asarray(position, dtype=np.float64)
-        with self._viewer.lock():
-            self.data.mocap_pos[0], self.data.mocap_quat[0] = place, quat
-            mujoco.mj_forward(self.model, self.data)
-            camera = self._viewer.cam
-            if self._last is None:
-                camera.distance, camera.azimuth, camera.elevation = 2.0, 145.0, -20.0
-                camera.lookat[:] = place
-            else:  # by as much as the vehicle, so that the user's own moves of it stay
-                camera.lookat[:] += place - self._last
-            self._last = place.copy()
-        self._viewer.sync()
-
-    def close(self) -> None:
-        """Shut the window, and wait until it no longer draws: a process that ends before would fail."""
-        self._viewer.close()
-        for each in self._threads:
-            each.join(timeout=5.0)
-
-
-def replay(
-    vehicle: Vehicle, time: ArrayLike, position: ArrayLike, quat: ArrayLike, laps: int | None = None
-) -> None:
-    """Show a flight in a window in real time, again and again until it is closed.
-
-    Args:
-        vehicle: Airframe.
-        time: (T,) [s].
-        position: (T, 3) [m].
-        quat: (T, 4) quat_WB.
-        laps: Close the window by itself after so many times.
-
-    Raises:
-        RuntimeError: If there is no screen.
-    """
-    t, p, q = (np.asarray(each, dtype=np.float64) for each in (time, position, quat))
-    with closing(Window(vehicle)) as window:
-        for _ in itertools.count() if laps is None else range(laps):
-            start = clock.perf_counter()
-            while window.is_open and (now := clock.perf_counter() - start) <= t[-1] - t[0]:
-                k = np.searchsorted(t, t[0] + now)
-                window.show(p[k], q[k])
-                clock.sleep(1 / 60)
-            if not window.is_open:
-                return
 
 
 def scene_model(vehicle: Vehicle, copies: int, width: int, height: int) -> mujoco.MjModel:

@@ -47,17 +47,6 @@ def test_passes_the_checker_with_pictures():
     env.close()
 
 
-def test_a_window_without_a_screen_is_refused_in_words(monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    env = gymnasium.make(ID, render_mode="human")
-    env.reset(seed=0)
-    for _ in range(3):  # the first picture is due in the fourth step
-        env.step(np.zeros(4))
-    with pytest.raises(RuntimeError, match="no screen"):
-        env.step(np.zeros(4))
-
-
 def test_passes_the_checker_of_stable_baselines3():
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     env = gymnasium.make(ID, estimator=estimators.create("mahony"), scenario="hover")
