@@ -35,8 +35,9 @@ def exposures(series: FlightSeries, start_s: float, end_s: float, count: int = 6
     along = np.degrees(np.arctan2(*(place[-1] - place[0])[1::-1]))
     far = 0.8 + 0.95 * float(np.linalg.norm(high - low))
     view = View(tuple(0.5 * (low + high)), far, azimuth=along + 70.0, elevation=-12.0)
-    with closing(Scene(load_vehicle(VEHICLE), len(shown), 1200, 675)) as scene:
-        return Image.fromarray(scene.draw(place[shown], quat[shown], view, place))
+    with closing(Scene(load_vehicle(VEHICLE), len(shown), 2400, 1350)) as scene:
+        image = Image.fromarray(scene.draw(place[shown], quat[shown], view, place))
+    return image.resize((1200, 675), Image.Resampling.BOX)  # smooth edges, also without multisampling
 
 
 def picture(out: Path) -> None:

@@ -50,10 +50,10 @@ def test_still_shows_the_vehicle_before_sky_and_ground():
 
 def test_nose_is_orange_and_points_forward():
     above = View((0.0, 0.0, 1.0), distance=1.3, azimuth=90.0, elevation=-89.0)  # x to the right, y up
-    image = still((0, 0, 1), LEVEL, above, height=320)
-    nose = np.argwhere(orange(image)[:, 200:])
-    tail = np.argwhere(orange(image)[:, :110])
-    assert len(nose) > 4 * len(tail)
+    image = still((0, 0, 1), LEVEL, above, width=640, height=640)
+    nose = np.argwhere(orange(image)[:, 400:])
+    tail = np.argwhere(orange(image)[:, :220])
+    assert len(nose) > 2 * len(tail)
 
 
 def test_every_copy_and_the_trail_are_drawn():
