@@ -212,8 +212,10 @@ def test_what_cannot_be_ranked_is_listed_with_its_reason_and_is_not_the_best(fli
 
 def test_a_sequence_that_equals_update_is_scored(flights):
     part = flights.isel(time=slice(1000))
-    same, plain = evaluate(part, {"same": Same(), "plain": Plain()}, initial=("unknown",), settle_s=1.0).rows
+    made = {"same": Same(), "plain": Plain(), "off": updating("Off", lambda angles: angles + 0.5)()}
+    same, plain, off = evaluate(part, made, initial=("unknown",), settle_s=1.0).rows
     assert not same.unranked
+    assert (same.tied, plain.tied, off.tied) == (True, True, False)
     assert same.mean_deg == pytest.approx(plain.mean_deg)
 
 

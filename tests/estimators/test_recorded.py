@@ -213,6 +213,13 @@ def test_what_cannot_be_scored_is_said_before_anything_is_run(log, change, reaso
         score_logs([blank], ["mahony"], progress=lambda *_: pytest.fail("something was run"))
 
 
+def test_a_log_without_attitude_and_readings_is_not_compared(log):
+    blank = log.copy(deep=True)
+    blank["quat"][:] = blank["gyro"][:] = np.nan
+    with pytest.raises(ValueError, match="mine: nothing to compare: it has no readings after the first 3 s"):
+        score_logs([blank], ["mahony"])
+
+
 def test_a_log_shorter_than_the_start_or_never_upright_is_not_scored(log):
     assert unscorable(log) is None
     short = log.isel(time=slice(500)).copy(deep=True)

@@ -108,13 +108,13 @@ def test_noise_and_a_line_are_those_that_were_added():
 
 def test_a_flight_is_parted_into_rest_and_air(monkeypatch):
     rng = np.random.default_rng(0)
-    shakes = np.repeat([1.0, 30.0], [2000, 2000])[:, None]
-    gyro, accel = rng.normal(0, 1e-3, (4000, 3)) * shakes, rng.normal(0, 0.02, (4000, 3)) * shakes
+    shakes = np.repeat([1.0, 30.0, 1.0], [2000, 2000, 600])[:, None]  # a long rest, and a short one
+    gyro, accel = rng.normal(0, 1e-3, (4600, 3)) * shakes, rng.normal(0, 0.02, (4600, 3)) * shakes
     flight = Flight(200.0, gyro, accel)
     monkeypatch.setattr(noise, "spectrum", lambda signal, rate, band=noise.FLYING: (signal, band))
     found = *noise.spectra_at_rest(flight), *noise.spectra_in_flight(flight)
     np.testing.assert_array_equal(
-        [each for each, _ in found], [gyro[:2000], accel[:2000], gyro[2000:], accel[2000:]]
+        [each for each, _ in found], [gyro[:2000], accel[:2000], gyro[2000:4000], accel[2000:4000]]
     )
     assert [band for _, band in found] == [noise.RESTING] * 2 + [noise.FLYING] * 2
     assert noise.spectra_at_rest(flight.part(2000, 4000)) is None
