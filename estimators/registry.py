@@ -4,7 +4,7 @@ import importlib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,21 +30,17 @@ class Entry:
 
     description: str
     """A sentence."""
-    made_by: str = ""
+    made_by: str
     """ "module:Class" in this package, called with name, rate_hz and values; empty for a network."""
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, table: dict[str, Any]) -> "Entry":
-        """The entry of a table."""
-        spec = {key: Parameter(**each) for key, each in table.get("parameters", {}).items()}
-        return cls(**(table | {"parameters": spec}))
+    parameters: Mapping[str, Parameter]
 
 
-SHIPPED = {
-    name: Entry.of(table)
-    for name, table in tomllib.loads((ASSETS / "estimators.toml").read_text("utf-8")).items()
-}
+def _entry(description: str, made_by: str = "", parameters: Mapping[str, Any] | None = None) -> Entry:
+    return Entry(description, made_by, {key: Parameter(**each) for key, each in (parameters or {}).items()})
+
+
+_TABLES = tomllib.loads((ASSETS / "estimators.toml").read_text("utf-8"))
+SHIPPED = {name: _entry(**table) for name, table in _TABLES.items()}
 """What ships, in the order of `names()`."""
 FILTERPY = ("ekf-filterpy", "ukf-filterpy")
 COPIES = {"ekf-filterpy": "ekf"}

@@ -198,7 +198,8 @@ def run_batch(
     Returns:
         Roll and pitch (p, n, T, 2) [rad].
     """
-    made = [create(name, rate_hz, vehicle=vehicle, **each) for each in parameter_sets(params)]
+    sets = parameter_sets(params)
+    made = [create(name, rate_hz, tuning=None, vehicle=vehicle, imu=None, **each) for each in sets]
     return np.stack([run(est, gyro, accel, roll_pitch, **sensors) for est in made])
 
 

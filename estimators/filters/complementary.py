@@ -24,7 +24,7 @@ RECORD = np.dtype([("roll", "f8"), ("pitch", "f8"), ("tilt_variance", "f8")])
 """Angles [rad], and the variance of the tilt that gaps have left [rad²]."""
 
 
-@njit(error_model="numpy")
+@njit(inline="always")
 def step(s, p, sample):
     """See `driver`."""
     gx, gy, gz = sample.gyro
@@ -42,7 +42,7 @@ def step(s, p, sample):
     return s.roll, pitch
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """See `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)

@@ -59,7 +59,8 @@ class BatchedFilter:
             ValueError: For shapes that do not fit, or both attitudes at once.
         """
         self.state = self._started(*initial_quat(n, roll_pitch, quat))
-        self._samples, self._shape = initial_samples(n), (n, 3)
+        self._samples, self._shape, self._sample = initial_samples(n), (n, 3), (n, 1, 3)
+        self._no_rotors = np.empty((n, 1, 0))
 
     def restart(
         self, ids: ArrayLike, roll_pitch: ArrayLike | None = None, quat: ArrayLike | None = None
@@ -78,8 +79,8 @@ class BatchedFilter:
             raise ValueError(
                 f"gyro {gyro.shape} and accel {accel.shape} must both be {self._shape}, as in reset"
             )
-        rotors = rotor_speeds(self._shape[:1], sensors)
-        return self._run(gyro[:, None], accel[:, None], rotors[:, None])[:, 0]
+        rotors = rotor_speeds(self._shape[:1], sensors)[:, None] if sensors else self._no_rotors
+        return self._run(gyro.reshape(self._sample), accel.reshape(self._sample), rotors)[:, 0]
 
     def sequence(self, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]) -> Array:
         """Take (n, T, 3) samples, carrying on from the last; roll and pitch (n, T, 2) [rad]."""
@@ -164,7 +165,7 @@ class CompiledFilter(BatchedFilter):
         return states
 
     def _run(self, gyro: Array, accel: Array, rotors: Array) -> Array:
-        out = np.empty((*gyro.shape[:2], 2))
+        out = np.empty((len(gyro), gyro.shape[1], 2))
         self.run(self.state, self._samples, self._params, self._dt, gyro, accel, rotors, out)
         return out
 

@@ -15,7 +15,7 @@ from quadsim.rotation import multiply_core, normalize_core
 from quadsim.runs.compiled import njit
 
 from .driver import Array, CompiledFilter, Records
-from .inline_math import direction_core, exp_core, roll_pitch_core
+from .inline_math import direction_core, exp_core, put, roll_pitch_core
 from .samples import run_all
 
 SIGMA_KNOWN = 0.01
@@ -52,9 +52,9 @@ def dot(a, b):
 def propagate(P, T, step, noise):
     """P ← F P Fᵀ + noise I. F x = x ⊗ step, and P is symmetric: F (F P)ᵀ; T is scratch."""
     for i in range(4):
-        T[i] = times(P[i], step)
+        put(T[i], times(P[i], step))
     for i in range(4):
-        P[i] = times(T[:, i], step)
+        put(P[i], times(T[:, i], step))
         P[i, i] += noise
 
 
@@ -77,7 +77,7 @@ def correct(P, size, dx, column, total, residual):
             P[a, b] -= gain * column[b]
 
 
-@njit(error_model="numpy")
+@njit(inline="always")
 def step(s, p, sample):
     """See `driver`.
 
@@ -101,11 +101,11 @@ def step(s, p, sample):
         for a in range(4):
             column[a] = 2.0 * dot(P[a], h)
         correct(P, 4, dx, column, 2.0 * dot(h, column) + variance, residual[k] - 2.0 * dot(h, dx))
-    s.quat[:] = normalize_core(w + dx[0], x + dx[1], y + dx[2], z + dx[3])
+    put(s.quat, normalize_core(w + dx[0], x + dx[1], y + dx[2], z + dx[3]))
     return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """See `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)

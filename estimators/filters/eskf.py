@@ -22,7 +22,7 @@ from quadsim.vehicle import GRAVITY
 
 from .driver import Array, CompiledFilter, Records
 from .ekf import NOTHING_KNOWN, SIGMA_UNKNOWN, correct
-from .inline_math import atan2_core, exp_core, roll_pitch_core
+from .inline_math import atan2_core, exp_core, put, roll_pitch_core
 from .samples import run_all
 
 RECORD = np.dtype(
@@ -69,7 +69,7 @@ def propagate(P, r, dt, attitude_walk, bias_walk):
         P[i, i] += attitude_walk if i < 2 else bias_walk
 
 
-@njit(error_model="numpy")
+@njit(inline="always")
 def step(s, p, sample):
     """See `driver`. A missing specific force has the variance of nothing known."""
     dt, P, dx, b = sample.dt, s.covariance, s.error, s.gyro_bias
@@ -88,15 +88,15 @@ def step(s, p, sample):
     variance += 0.0 if force > 0.0 else NOTHING_KNOWN
     dx[:] = 0.0
     for k in range(2):
-        s.column[:] = P[k]
+        put(s.column, P[k])
         correct(P, 5, dx, s.column, P[k, k] + variance, tilt[k] - dx[k])
-    s.quat[:] = turned(qw, qx, qy, qz, dx[0], dx[1])
+    put(s.quat, turned(qw, qx, qy, qz, dx[0], dx[1]))
     for k in range(3):
         b[k] += dx[2 + k]
     return roll_pitch_core(s.quat[0], s.quat[1], s.quat[2], s.quat[3])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """See `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)

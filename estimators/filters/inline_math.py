@@ -29,6 +29,13 @@ def atan2_core(y, x):
     return angle if y >= 0.0 else -angle
 
 
+@njit
+def put(array, values):
+    """Write a tuple or an array to an array; for a slice Numba would also compile messages about shapes."""
+    for k in range(len(values)):
+        array[k] = values[k]
+
+
 @njit(error_model="numpy")
 def direction_core(x, y, z):
     """A vector scaled to length 1; zero stays zero."""

@@ -15,7 +15,7 @@ from quadsim.rotation import multiply_core, normalize_core
 from quadsim.runs.compiled import njit
 
 from .driver import CompiledFilter
-from .inline_math import direction_core, roll_pitch_core
+from .inline_math import direction_core, put, roll_pitch_core
 from .samples import reacquire, run_all
 
 RECORD = np.dtype([("quat", "f8", 4), ("tilt_variance", "f8")])
@@ -39,7 +39,7 @@ def descent(qw, qx, qy, qz, ax, ay, az):
     return w * scale, x * scale, y * scale, z * scale, math.sqrt(fx * fx + fy * fy + fz * fz)
 
 
-@njit(error_model="numpy")
+@njit(inline="always")
 def step(s, p, sample):
     """See `driver`."""
     dt = sample.dt
@@ -56,11 +56,11 @@ def step(s, p, sample):
         qy + (dy - beta * fy) * dt,
         qz + (dz - beta * fz) * dt,
     )
-    s.quat[:] = qw, qx, qy, qz
+    put(s.quat, (qw, qx, qy, qz))
     return roll_pitch_core(qw, qx, qy, qz)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """See `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)

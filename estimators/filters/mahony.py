@@ -13,14 +13,14 @@ from quadsim.rotation import multiply_core, normalize_core, rotate_inverse_core
 from quadsim.runs.compiled import njit
 
 from .driver import CompiledFilter
-from .inline_math import direction_core, roll_pitch_core
+from .inline_math import direction_core, put, roll_pitch_core
 from .samples import reacquire, run_all
 
 RECORD = np.dtype([("quat", "f8", 4), ("gyro_bias", "f8", 3), ("tilt_variance", "f8")])
 """The variance is that of the tilt that gaps have left [rad²]."""
 
 
-@njit(error_model="numpy")
+@njit(inline="always")
 def step(s, p, sample):
     """See `driver`."""
     dt, k_i = sample.dt, p.k_i
@@ -38,12 +38,12 @@ def step(s, p, sample):
     )
     h = 0.5 * dt
     qw, qx, qy, qz = normalize_core(qw + h * dw, qx + h * dx, qy + h * dy, qz + h * dz)
-    s.quat[:] = qw, qx, qy, qz
-    s.gyro_bias[:] = bx, by, bz
+    put(s.quat, (qw, qx, qy, qz))
+    put(s.gyro_bias, (bx, by, bz))
     return roll_pitch_core(qw, qx, qy, qz)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(states, samples, params, dt, gyro, accel, rotor_vel, out):
     """See `driver`."""
     run_all(step, states, samples, params, dt, gyro, accel, rotor_vel, out)

@@ -116,7 +116,7 @@ def sum_of_squares(rotor_vel, i, t):
     return total if total >= ROTORS_STOPPED * ROTORS_STOPPED else 0.0
 
 
-@njit
+@njit(forceinline=True)
 def sanitise_sample(state, dt, gyro, accel, rotor_vel, i, t):
     """The `Sample` to use for one that may be missing: the last good rate, specific force zero.
 

@@ -101,9 +101,13 @@ def mean_squared_error(name: str, sets: Mapping[str, ArrayLike], flights: Flight
         flights: What to score on.
         workers: Threads that share the parameter sets of a compiled filter.
     """
-    made = [create(name, flights.rate_hz, **each) for each in parameter_sets(sets)]
+    made = [_made(name, flights.rate_hz, each) for each in parameter_sets(sets)]
     with ThreadPoolExecutor(1 if is_custom(name) else workers) as pool:
         return np.array(list(pool.map(lambda est: _error_of(est, is_custom(name), flights), made)))
+
+
+def _made(name: str, rate_hz: float, values: Mapping[str, float]) -> AttitudeEstimator:
+    return create(name, rate_hz, tuning=None, vehicle=None, imu=None, **values)
 
 
 def _error_of(est: AttitudeEstimator, is_of_user: bool, flights: Flights) -> float:
@@ -236,7 +240,7 @@ def tune(
     )
     (found,) = parameter_sets(values(best.position[None]))
     if not math.isfinite(best.cost):
-        est = create(name, data.rate_hz, **found)
+        est = _made(name, data.rate_hz, found)
         flaw = flaw_of(run_quietly(est, data.gyro, data.accel, data.start), data.truth)
         raise ValueError(f"no parameters of {name} give estimates that can be scored: it {flaw}")
     return Tuned(
