@@ -277,7 +277,7 @@ class _Recovering(Truth):
     """Level for some seconds from a start, and right from then on."""
 
     def __init__(self, seconds):
-        super().__init__(200.0)
+        super().__init__("truth", 200.0, {})
         self.late = round(seconds * self.rate_hz)
 
     def reset(self, n=1, roll_pitch=None, quat=None):
