@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError, model_validator
 
-from estimators.loihi.chip import EXPONENT_MIN
+from estimators.loihi.layers import WEIGHT_EXP_MIN
 from estimators.networks.symmetry import OPERATIONS, is_symmetric
 from estimators.networks.weights_file import (
     EXPONENTS,
@@ -104,7 +104,7 @@ class TrainingRecipe(Strict):
     """Share the weights that quarter turns and mirror images of the body map onto each other (att-snn)."""
     recurrent_delay: Literal[1, 2] = 1
     """1: the chip's time convention; 2: the paper's equations (att-snn)."""
-    finest_exponent: Annotated[int, Between(EXPONENT_MIN, 0)] = 0
+    finest_exponent: Annotated[int, Between(WEIGHT_EXP_MIN, 0)] = 0
     """Least exponent of the weights into a hidden neuron: steps of 1/128 times 2 to that power, where all of
     the neuron's weights are small enough (att-snn). A run that continues from weights has at least theirs."""
     after_spike: bool = False
@@ -236,7 +236,7 @@ class TrainConfig(TrainingRecipe):
         if self.control.estimator:
             network, _ = estimator_weights(self.control.estimator)
             fixed = {name: getattr(network, name) for name in ("inputs", "after_spike", "steps_per_sample")}
-            for name, value in (fixed | {"finest_exponent": EXPONENT_MIN}).items():
+            for name, value in (fixed | {"finest_exponent": WEIGHT_EXP_MIN}).items():
                 if getattr(self, name) != value:
                     raise ValueError(f"{name}: {getattr(self, name)}, but with the estimator it is {value}")
 

@@ -16,11 +16,9 @@ from torch import Tensor
 from estimators.loihi.neurons import STATE_ONE
 from estimators.networks.encoder import INPUT_ONE
 from estimators.networks.forward import THRESHOLD, Weights, packed
+from estimators.spiking import SURROGATE_WIDTH
 
 from .window_kernels import Floats, Gradients, Trace, backward_window, forward_window
-
-SURROGATE_WIDTH = 20.0
-"""Of the gradient of a spike, 1 / (1 + 20 |v - θ|)² (SuperSpike, Zenke & Ganguli 2018)."""
 
 
 class Workspace:

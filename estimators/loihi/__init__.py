@@ -1,1 +1,5 @@
-"""Emulated Loihi: neurons in its integers, and where on its cores they go."""
+"""Emulated Loihi, all integers: spikes in, spikes out; cores, decay profiles and the limits of the chip."""
+
+from .layers import LoihiLayer, LoihiNetwork
+
+__all__ = ["LoihiLayer", "LoihiNetwork"]

@@ -16,14 +16,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from .neurons import DECAY_ONE, VTH_MAX
+from .layers import WEIGHT_EXP_MIN, LoihiLayer
+from .neurons import VTH_MAX
 
 Ints = NDArray[np.int64]
-
-EXPONENT_MIN = -6
-"""The chip has exponents from -8 to 7; these are the ones that need no rounding and no more than 16 bits."""
 
 CORES = 128
 LIMITS = {
@@ -40,34 +38,6 @@ _WEIGHT_BITS, _HEADER_BITS, _BLOCK, _WORD_BITS = 8, 10, 64, 64
 _INDEX_BITS = (6, 7, 8, 9, 10)
 ANY = -1
 """A decay that a compartment does not use."""
-
-
-@dataclass(frozen=True)
-class LoihiLayer:
-    """One population of neurons, its input and its recurrent connections; vectors are scalars or (out,)."""
-
-    w_in: NDArray[np.integer]
-    """Mantissas of the weights from the layer below, (out, in); (out, 0) where the bias alone drives it."""
-    w_rec: NDArray[np.integer] | None = None
-    """Mantissas of the recurrent weights, (out, out)."""
-    du: ArrayLike = DECAY_ONE
-    """Decays of the currents."""
-    dv: ArrayLike = DECAY_ONE
-    """Decays of the membranes."""
-    vth: ArrayLike = 128
-    """Mantissas of the thresholds."""
-    exp_in: ArrayLike = 0
-    """Exponents of the weights `w_in` into each neuron, -6...0; below of `w_rec` and `w_after`."""
-    exp_rec: ArrayLike = 0
-    w_after: ArrayLike = 0
-    """Mantissas of the weights on their own after-spike currents; 0: no such current."""
-    d_after: ArrayLike = DECAY_ONE
-    """Decays of these currents."""
-    exp_after: ArrayLike = 0
-
-    def of(self, name: str) -> Ints:
-        """A vector, (out,)."""
-        return np.broadcast_to(np.asarray(getattr(self, name), np.int64), len(self.w_in))
 
 
 class Neuron(NamedTuple):
@@ -101,7 +71,7 @@ class ChipCore:
 
     def __post_init__(self) -> None:
         """Start without synapses."""
-        self.synapses = np.zeros((1 - EXPONENT_MIN, self.sources), np.int64)
+        self.synapses = np.zeros((1 - WEIGHT_EXP_MIN, self.sources), np.int64)
         """Synapses of each source on this core, a row for each exponent of weights, from 0 down."""
 
     def used(self) -> dict[str, int]:
@@ -207,22 +177,21 @@ def partition(layers: Sequence[LoihiLayer]) -> list[ChipCore]:
 
 def decay_profiles(layer: LoihiLayer) -> Ints:
     """(du, dv) of the somas of a layer, (out, 2); du is `ANY` where no spike enters the layer."""
-    dv = layer.of("dv")
+    dv = layer.dv
     driven = layer.w_in.shape[1] > 0 or layer.w_rec is not None
-    return np.stack([layer.of("du") if driven else np.full_like(dv, ANY), dv], axis=1)
+    return np.stack([layer.du if driven else np.full_like(dv, ANY), dv], axis=1)
 
 
 def _neurons(layer: LoihiLayer, start: int) -> list[Neuron]:
     """What each neuron of a layer takes; `start` is the source that the first of them is."""
     w_rec = np.zeros((len(layer.w_in), 0)) if layer.w_rec is None else layer.w_rec
-    formats = -np.stack([layer.of(name) for name in ("exp_in", "exp_rec", "exp_after")], 1)
-    vth, w_after, d_after = (layer.of(name) for name in ("vth", "w_after", "d_after"))
+    formats = -np.stack([layer.exp_in, layer.exp_rec, layer.exp_after], 1)
     neurons = []
     for i, (du, dv) in enumerate(decay_profiles(layer)):
-        profiles, thresholds = {(int(du), int(dv))}, {int(vth[i])}
+        profiles, thresholds = {(int(du), int(dv))}, {int(layer.vth[i])}
         own = []
-        if w_after[i]:
-            profiles.add((int(d_after[i]), ANY))
+        if layer.w_after[i]:
+            profiles.add((int(layer.d_after[i]), ANY))
             thresholds.add(VTH_MAX)
             own = [start + i]
         below = np.flatnonzero(layer.w_in[i]) + start - layer.w_in.shape[1]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..loihi.chip import LoihiLayer, partition
+from ..loihi.chip import partition
+from ..loihi.layers import LoihiLayer
 from ..loihi.neurons import DECAY_ONE, VTH_MAX
 from .forward import Spiking
 from .weights_file import NetworkConfig, Tensors, exponents

@@ -18,7 +18,7 @@ from quadsim.config.toml import Strict, describe
 from quadsim.runs.files import write_whole
 from quadsim.runs.fingerprint import ASSETS
 
-from ..loihi.chip import EXPONENT_MIN
+from ..loihi.layers import WEIGHT_EXP_MIN
 
 Tensors = dict[str, NDArray[Any]]
 END = ".safetensors"
@@ -326,7 +326,7 @@ def _check_values(path: str | Path, config: NetworkConfig, tensors: Mapping[str,
             continue
         low, high = (-256, 254) if name.startswith("w_") else (1, 4096)
         if name in EXPONENTS.values():
-            low, high = EXPONENT_MIN, 0
+            low, high = WEIGHT_EXP_MIN, 0
         if value.min() < low or value.max() > high:
             span = f"{value.min()}...{value.max()}"
             raise ValueError(f"{path}: tensor {name} spans {span}, allowed {low}...{high}")

@@ -3,7 +3,8 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loihi_network import LoihiNetwork
+
+from estimators.loihi import LoihiLayer, LoihiNetwork
 
 
 def decayed(x, d):
@@ -89,7 +90,7 @@ def test_emulator_equals_plain_python(case):
     layers, spikes, biases = case
     plain = [{k: None if x is None else x.tolist() for k, x in layer.items()} for layer in layers]
     expected = reference(plain, spikes.tolist(), biases.tolist())
-    net = LoihiNetwork(layers)
+    net = LoihiNetwork([LoihiLayer(**layer) for layer in layers])
     net.reset(2)
     for t, states in enumerate(expected):
         net.step(np.tile(spikes[t], (2, 1)), bias_mant=biases[t])

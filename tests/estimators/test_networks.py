@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 from controllers import random_snn
-from loihi_network import LoihiNetwork
 from plain_network import states
 from safetensors.numpy import save_file
 
+from estimators.loihi import LoihiLayer, LoihiNetwork
 from estimators.networks.encoder import scaled_inputs
 from estimators.networks.forward import Weights, real_weights
 from estimators.networks.gru import Recurrent, tanh
@@ -82,7 +82,7 @@ def test_a_network_has_every_state_of_its_layers_on_the_emulated_chip(tmp_path, 
     core = OnLoihi(config, tensors)
     est, chip, spikes = (
         BatchedNetwork(core, 200.0),
-        LoihiNetwork([vars(layer) | BIAS for layer in core.layers]),
+        LoihiNetwork([LoihiLayer(**vars(layer) | BIAS) for layer in core.layers]),
         np.zeros(2, int),
     )
     est._begin(1)

@@ -13,23 +13,10 @@ import torch
 from torch import Tensor
 
 from estimators.networks.forward import MATRICES, THRESHOLD, Weights
+from estimators.spiking import superspike
 
 STATE_ONE, V_MAX, OUTPUT_THRESHOLD = 2.0**14, 2.0**23 - 1, (2.0**17 - 1) * 64
 BIAS_STEP, MANT_MAX = 2.0**4, 4095.0
-
-
-class SuperSpike(torch.autograd.Function):
-    """Heaviside step with the gradient 1 / (1 + 20 |x|)² (Zenke & Ganguli 2018)."""
-
-    @staticmethod
-    def forward(ctx, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return (x > 0).to(x.dtype)
-
-    @staticmethod
-    def backward(ctx, *grads: Tensor) -> Tensor:
-        (x,) = ctx.saved_tensors
-        return grads[0] / (1 + 20.0 * x.abs()) ** 2
 
 
 def states(x: Tensor, weights: Weights, quantised: bool = False, recurrent_delay: int = 1) -> list:
@@ -78,7 +65,7 @@ def states(x: Tensor, weights: Weights, quantised: bool = False, recurrent_delay
         v1 = membrane(v1, s1, u1 + a1, w.mem1)
         v0 = membrane(v0, s0, rounded(u0, bias), w.mem0)
         s1_before = s1
-        s0, s1 = (SuperSpike.apply(v / one - THRESHOLD) for v in (v0, v1))
+        s0, s1 = (superspike(v / one - THRESHOLD) for v in (v0, v1))
         every.append(SimpleNamespace(u0=u0, v0=v0, s0=s0, u1=u1, v1=v1, s1=s1, a1=a1, v2=v2))
     return every
 
