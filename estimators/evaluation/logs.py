@@ -21,6 +21,7 @@ from quadsim.logs.truth import GyroBias, bias_by_truth
 
 from ..metrics import inclination_error
 from ..registry import FILTERPY, names, needs_vehicle
+from .beliefs import Beliefs, Interval, beliefs
 from .comparison import COLUMNS, Evaluation, Progress, assessed, errors_of, failed, made_of
 from .flights import Flights, load_flights
 from .without_truth import LEVEL, Comparison, compare, motion
@@ -52,6 +53,8 @@ class ScoredLog:
     """Mean bias of its gyroscope; None for a log without a true attitude."""
     estimates: dict[str, Array] = field(default_factory=dict)
     """Estimator to roll and pitch (T, 2) [rad]."""
+    beliefs: dict[str, Beliefs] = field(default_factory=dict)
+    """Estimator that has models to what it believed of them."""
     comparison: Comparison | None = None
     """How estimators differ on a log without a true attitude, which has no rows in the table."""
 
@@ -72,6 +75,16 @@ class ScoredLog:
         axes = [axis for axis, value in zip("xyz", self.bias.significant, strict=True) if value != 0.0]
         removed = f"{', '.join(axes)} removed" if axes else "not significant, nothing is removed"
         return f"gyro bias ({shown}) °/s at 95 %: {removed}"
+
+    def interval(self, name: str) -> Interval:
+        """How honest the interval of an estimator with beliefs is where the truth counts."""
+        return self.beliefs[name].interval(self.truth[None], self.counted[None])
+
+    def honesty(self, name: str) -> str:
+        """The same in words; without a true attitude the size of its σ alone."""
+        if self.comparison is None:
+            return self.interval(name).text
+        return f"its σ is {self.beliefs[name].sigma_deg:.1f}° in the median"
 
 
 @dataclass
@@ -260,7 +273,7 @@ def _conditions(
 
 
 def _rows(name: str, est: AttitudeEstimator, log: ScoredLog) -> list[dict[str, Any]]:
-    """Run an estimator on a log; the estimate by the raw gyroscope goes to the log."""
+    """Run an estimator on a log; the estimate by the raw gyroscope, and its beliefs, go to the log."""
     flights, rows = log.flights, []
     if log.bias is None and receives_truth(est):
         refused = ValueError("the log has no true attitude")
@@ -277,7 +290,10 @@ def _rows(name: str, est: AttitudeEstimator, log: ScoredLog) -> list[dict[str, A
         except ValueError as error:
             row = failed(name, est, error) | {"scored_s": 0.0}
         else:
-            log.estimates |= {name: estimate[0]} if bias == RAW else {}
+            if bias == RAW:
+                log.estimates[name] = estimate[0]
+                believed = beliefs(est, flights.gyro, flights.accel, **flights.readings.others)
+                log.beliefs |= {} if believed is None else {name: believed}
         rows.append(row)
     return [row | {"bias": bias} for row, bias in zip(rows, offsets, strict=True)]
 

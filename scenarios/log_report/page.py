@@ -132,3 +132,10 @@ def _traces(log: ScoredLog) -> Iterator[tuple[str, Array]]:
             yield f"{angle}|{name}", np.degrees(estimate[:, k])
         if scored:
             yield f"error|{name}", inclination_error(estimate, log.truth)
+    for name, believed in log.beliefs.items():
+        latest = np.searchsorted(believed.samples, np.arange(len(log.truth)), side="right") - 1
+        latest = np.maximum(latest, 0)
+        for k, model in enumerate(believed.models):
+            yield f"model|{model}", believed.probability[0, latest, k]
+        for k, angle in enumerate(() if scored else angles):
+            yield f"sigma|{name}, {angle}", np.degrees(believed.sigma[0, latest, k])

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimators.evaluation.beliefs import Interval
 from estimators.evaluation.logs import KNOWN, LEVEL, RAW, LogScores
 
 CLEAR = 0.8
@@ -36,7 +37,7 @@ def log_verdict(scores: LogScores) -> LogVerdict:
     compared = [line for log in scores.compared for line in _compared(scores, log)]
     notes = [f"{name} {reason.rstrip('.')}: it is not ranked." for name, reason in scores.unranked.items()]
     if not scores.scored:
-        lines = [*compared, *_failing(scores), *notes]
+        lines = [*compared, *_failing(scores), *_believed(scores), *notes]
         return LogVerdict(_headline_without_truth(scores), lines)
     if not scores.ranked:
         return LogVerdict("No estimator is ranked.", [*compared, *notes])
@@ -47,7 +48,7 @@ def log_verdict(scores: LogScores) -> LogVerdict:
         f"with the gyroscope as it reads. A level guess makes {level:.2f}°.",
         *([scores.tuning] if scores.tuning else []),
     ]
-    for part in (_failing, _by_log, _bias):
+    for part in (_failing, _by_log, _bias, _believed):
         lines += part(scores)
     lines += compared
     if len(logs) == 1:
@@ -158,3 +159,21 @@ def _compared(scores: LogScores, log: str) -> Iterator[str]:
         f"to {high:.2f} m/s² (RMS), of a level guess {found.level_force:.2f} m/s². It is near zero for a "
         f"right attitude, and for a level guess where the vehicle stays level: it favours {chosen}."
     )
+
+
+def _believed(scores: LogScores) -> Iterator[str]:
+    """Which models an estimator of several believed, over all logs, and how honest its sigma was."""
+    for name in dict.fromkeys(name for log in scores.logs.values() for name in log.beliefs):
+        found = [log for log in scores.logs.values() if name in log.beliefs]
+        found = [log for log in found if not log.faults] or found
+        shares = [log.beliefs[name].share() for log in found]
+        mean = {model: float(np.mean([share[model] for share in shares])) for model in shares[0]}
+        ranked = sorted(mean.items(), key=lambda each: -each[1])
+        shown = ", ".join(f"{model} {share:.0%}" for model, share in ranked)
+        sigma = np.median([log.beliefs[name].sigma_deg for log in found])
+        inside = f"its σ is {sigma:.1f}° in the median"
+        if honest := [log.interval(name) for log in found if log.comparison is None]:
+            covered, sigmas, errors = np.array(honest).T
+            rmse = float(np.sqrt(np.nanmean(errors**2)))
+            inside = Interval(float(np.nanmean(covered)), float(np.nanmedian(sigmas)), rmse).text
+        yield f"{name} believed, in share of the time: {shown}; {inside}."

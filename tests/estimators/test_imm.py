@@ -1,12 +1,11 @@
 """The estimator imm: which model it believes, how sure it is, and what it makes of what it does not know."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
 from estimators import create, run, run_batch
+from estimators.evaluation.beliefs import beliefs
 from estimators.evaluation.comparison import evaluate
 from estimators.evaluation.flights import load_flights
 from estimators.evaluation.logs import score_logs
@@ -102,32 +101,6 @@ def test_the_density_is_student_s_t_of_scipy():
     np.testing.assert_allclose(np.diff(ours), np.diff(theirs), atol=1e-12)
 
 
-class Tenths(NamedTuple):
-    """Every tenth of a second of n sequences."""
-
-    probability: np.ndarray
-    """Of each model (n, k, m)."""
-    sigma: np.ndarray
-    """Standard deviation of roll and pitch (n, k, 2) [rad]."""
-    roll_pitch: np.ndarray
-
-    def inside(self, truth):
-        """Share of the true angles (n, T, 2) within the 95 % interval."""
-        error = np.radians(absolute_error(self.roll_pitch, truth[:, 19::20]))
-        return (error <= 1.96 * self.sigma).mean()
-
-
-def tenths(est, gyro, accel):
-    """An estimator from an unknown start, asked every tenth of a second."""
-    est.reset(len(gyro))
-    parts = []
-    for first in range(0, gyro.shape[1], 20):
-        part = slice(first, first + 20)
-        estimate = est.sequence(gyro[:, part], accel[:, part])[:, -1]
-        parts.append((est.model_probability, est.roll_pitch_sigma, estimate))
-    return Tenths(*(np.stack(each, axis=1) for each in zip(*parts, strict=True)))
-
-
 # --- which model ------------------------------------------------------------------------------------
 
 
@@ -135,7 +108,8 @@ def test_probabilities_are_of_three_models_and_sum_to_one(flight):
     gyro, accel, _ = flight
     est = imm()
     assert est.models == MODELS
-    found = tenths(est, gyro, accel)
+    found = beliefs(est, gyro, accel)
+    assert found is not None
     assert found.probability.shape == (2, 300, 3)
     np.testing.assert_allclose(found.probability.sum(axis=-1), 1.0, atol=1e-12)
     assert (found.probability >= 0.0).all()
@@ -144,7 +118,8 @@ def test_probabilities_are_of_three_models_and_sum_to_one(flight):
 def test_in_flight_it_believes_in_a_multirotor_and_beats_estimators_that_do_not(flight):
     gyro, accel, truth = flight
     est = imm()
-    found = tenths(est, gyro, accel)
+    found = beliefs(est, gyro, accel)
+    assert found is not None
     assert found.probability[:, 100:, MULTIROTOR].mean() > 0.9
     others = [rmse(create(name), gyro, accel, truth) for name in ("vqf", "eskf", "mahony")]
     assert rmse(est, gyro, accel, truth) < 0.8 * min(others)
@@ -153,7 +128,8 @@ def test_in_flight_it_believes_in_a_multirotor_and_beats_estimators_that_do_not(
 def test_in_the_hand_it_believes_in_the_hand_and_is_as_good_as_vqf():
     gyro, accel, quat = in_the_hand()
     est = imm()
-    found = tenths(est, gyro, accel)
+    found = beliefs(est, gyro, accel)
+    assert found is not None
     assert found.probability[0, 50:, MODELS.index("hand")].mean() > 0.9
     truth = roll_pitch_from_quat(quat)
     assert rmse(est, gyro, accel, truth) < rmse(create("vqf"), gyro, accel, truth) + 0.3
@@ -182,7 +158,8 @@ def test_it_changes_its_model_within_seconds(flight):
     gyro, accel = (
         np.concatenate([flown[k][:1, :3000], hand[k], flown[k][:1, 3000:]], axis=1) for k in (0, 1)
     )
-    found = tenths(imm(), gyro, accel)
+    found = beliefs(imm(), gyro, accel)
+    assert found is not None
     flying = found.probability[0, :, MULTIROTOR]
     assert flying[150:].max() > 0.99
     assert flying[200:250].max() < 0.5
@@ -345,6 +322,8 @@ def test_evaluate_gives_imm_the_rotor_speeds_of_a_log(shaken):
     given = run(imm(), gyro, accel, rotor_vel=rotors)[0]
     np.testing.assert_array_equal(scores.logs["mine"].estimates["imm"], given)
     assert np.abs(given - run(imm(), gyro, accel)[0]).max() > 1e-3
+    believed = scores.logs["mine"].beliefs["imm"]
+    np.testing.assert_array_equal(believed.roll_pitch[0], given[believed.samples])
 
 
 # --- how sure ---------------------------------------------------------------------------------------
@@ -352,8 +331,9 @@ def test_evaluate_gives_imm_the_rotor_speeds_of_a_log(shaken):
 
 def test_the_truth_is_within_the_95_percent_interval_as_often_as_it_should(flight):
     gyro, accel, truth = flight
-    found = tenths(imm(), gyro, accel)
-    assert found.inside(truth) > 0.9
+    found = beliefs(imm(), gyro, accel)
+    assert found is not None
+    assert found.interval(truth).inside > 0.9
     late = np.degrees(found.sigma[:, 200:])
     assert 0.1 < late.mean() < 3.0  # an interval of ±180° would hold it as well
 
@@ -377,9 +357,10 @@ def test_sigma_grows_under_vibration(flight):
     shaken = accel + 5.0 * rng.normal(size=accel.shape) + 0.5
     sigma = []
     for force in (accel, shaken):
-        found = tenths(imm(), gyro, force)
+        found = beliefs(imm(), gyro, force)
+        assert found is not None
         sigma.append(np.median(found.sigma[:, 200:]))
-        assert found.inside(truth) > 0.85
+        assert found.interval(truth).inside > 0.85
     assert sigma[1] > 1.5 * sigma[0]
 
 

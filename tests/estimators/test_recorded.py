@@ -1,6 +1,7 @@
 """Scores on recorded logs: what counts, what a level guess makes, and what a known bias is worth."""
 
 import csv
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -151,6 +152,17 @@ def test_estimators_that_need_a_vehicle_are_left_out_without_one():
     assert "imm" in default_names()
     assert "ekf-drag" not in default_names()
     assert "ekf-drag" in default_names(vehicle_known=True)
+
+
+def test_the_models_that_imm_believes_along_a_log_are_recorded(log):
+    scores = score_logs([log], ["imm", "mahony"])
+    ((name, believed),) = scores.logs["mine"].beliefs.items()
+    assert name == "imm"
+    assert sum(believed.share().values()) == pytest.approx(1.0)
+    estimate = scores.logs["mine"].estimates["imm"][believed.samples]
+    np.testing.assert_array_equal(believed.roll_pitch[0], estimate)
+    nowhere = np.full((1, len(log["time"]), 2), np.nan)
+    assert np.isnan(believed.interval(nowhere).inside)
 
 
 class Given:
@@ -316,6 +328,16 @@ def test_forces_that_all_estimators_share_favour_none():
     scores = score_logs([biased_start(0.0, 60.0)], made)
     assert scores.compared["noisy"].favoured == ()
     assert "the evidence favours no estimator: " in log_verdict(scores).headline
+
+
+def test_what_imm_believes_of_a_log_without_truth_has_its_sigma(tmp_path):
+    log = biased_start(0.0, 20.0)
+    scores = score_logs([log], {"imm": create("imm")})
+    assert any(
+        re.search(r"imm believed.*its σ is \d+\.\d° in the median", line)
+        for line in log_verdict(scores).lines
+    )
+    assert "sigma|imm, roll" in write_log_report(tmp_path / "r.html", scores).read_text()
 
 
 def test_forces_in_a_steady_turn_do_not_add_up():

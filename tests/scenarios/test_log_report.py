@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimators import create
+from estimators.evaluation.beliefs import Beliefs, Interval
 from estimators.evaluation.logs import RAW, LogScores, score_logs
 from quadsim.logs.faults import SensorFault
 from quadsim.logs.recording import Recording
@@ -33,6 +34,10 @@ def log(name: str, bias: float | np.ndarray = 0.0, seconds: float = 40.0):
 def scored():
     logs = [log("calm & <quiet>"), log("biased", math.radians(3.0))]
     scores = score_logs(logs, ["mahony", "eskf", "complementary"], within_deg=90.0)
+    zero, probability = np.zeros((1, 1, 2)), np.array([[[0.25, 0.75]]])
+    scores.logs["calm & <quiet>"].beliefs["imm"] = Beliefs(
+        ("drag", "hand"), np.array([1000]), zero, zero + 1.0, probability
+    )
     return logs, scores
 
 
@@ -41,13 +46,14 @@ def report(scored, tmp_path_factory):
     return write_log_report(tmp_path_factory.mktemp("report") / "report.html", scored[1], ["mount it <so>"])
 
 
-def test_verdict_names_the_best_and_the_bias(scored):
+def test_verdict_names_the_best_the_bias_and_what_is_believed(scored):
     found = log_verdict(scored[1])
     text = " ".join(found.lines)
     assert found.headline.startswith("Smallest error: ")
     assert re.search(r"2 logs, \d+ s scored", text)
     assert "reads up to 3.0 °/s at rest" in text
     assert "quadsim identify --still" in text
+    assert "hand 75%, drag 25%" in text
 
 
 def test_verdict_says_when_nothing_beats_a_level_guess(scored):
@@ -55,6 +61,7 @@ def test_verdict_says_when_nothing_beats_a_level_guess(scored):
     assert log_verdict(scores).headline.startswith("No estimator is much better than a level guess (10.00°)")
 
 
+INSIDE = "of the true angles are inside its 95 % interval"
 FAULTS = {
     "bias jump": SensorFault("bias jump", "gyroscope", "x", 12.0, 40.0, "the bias jumps by +3.0 °/s"),
     "vibration": SensorFault("vibration", "accelerometer", "xyz", 5.0, 9.0, "it vibrates by 4.0 m/s² RMS"),
@@ -98,6 +105,27 @@ def test_the_faults_of_a_recording_are_those_of_its_scores_and_table(tmp_path):
     scores = score_logs([jumped], ["mahony"], within_deg=90.0)
     assert [fault.kind for fault in scores.logs["jumped"].faults] == ["bias jump"]
     assert set(scores.table.faults) == {"bias jump, gyroscope x"}
+
+
+@pytest.mark.parametrize(
+    ("inside", "sigma", "rmse", "said"),
+    [
+        (1.0, 11.6, 2.5, " only because the interval is wide: its median σ is 11.6° at an error of 2.5° RMS"),
+        (1.0, 2.6, 2.5, " only because the interval is wide: its median σ is 2.6° at an error of 2.5° RMS"),
+        (0.97, 6.0, 2.5, " only because the interval is wide: its median σ is 6.0° at an error of 2.5° RMS"),
+        (0.97, 9.0, 9.0, ", but the error is large: its median σ is 9.0° at an error of 9.0° RMS"),
+        (0.97, 2.0, 2.0, ""),
+    ],
+)  # fmt: skip
+def test_a_wide_interval_or_a_large_error_does_not_reassure(inside, sigma, rmse, said):
+    assert Interval(inside, sigma, rmse).text == f"{inside:.0%} {INSIDE}{said}"
+
+
+def test_the_error_beside_an_interval_is_of_roll_and_pitch_where_they_count():
+    sigma = np.radians([[[4.0, 4.0], [50.0, 50.0]]])
+    believed = Beliefs(("one",), np.array([0, 1]), np.zeros((1, 2, 2)), sigma, np.ones((1, 2, 1)))
+    truth = np.radians([[[3.0, 3.0], [90.0, 80.0]]])
+    assert believed.interval(truth, np.array([[True, False]])) == pytest.approx((1.0, 4.0, 3.0))
 
 
 def test_verdict_of_one_log_warns_of_the_next():
@@ -159,12 +187,13 @@ def test_traces_are_those_of_the_log(page, scored):
 
 def test_panels_have_one_time_axis(page):
     page.evaluate("PLOTS[0].setScale('x', {min: 5, max: 6})")
-    assert page.evaluate("PLOTS.map((plot) => [plot.scales.x.min, plot.scales.x.max])") == [[5, 6]] * 5
+    assert page.evaluate("PLOTS.map((plot) => [plot.scales.x.min, plot.scales.x.max])") == [[5, 6]] * 6
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_another_log_and_another_estimator_are_drawn(page):
     page.select_option("#log", "biased")
+    assert page.evaluate("PLOTS.length") == 5  # imm was not scored on it
     before = page.evaluate("PLOTS.at(-1).series.length")
     page.click("#chips button >> nth=0")
     assert abs(page.evaluate("PLOTS.at(-1).series.length") - before) == 1
@@ -179,7 +208,7 @@ def test_a_log_without_truth_is_drawn(browser, tmp_path):
     page.goto(write_log_report(tmp_path / "r.html", scores).as_uri())
     page.wait_for_selector(".uplot")
     titles = page.evaluate("panels().filter((panel) => panel.lines.length).map((panel) => panel.title)")
-    assert titles[2:] == ["roll [°]", "pitch [°]"]
+    assert titles[2:] == ["roll [°]", "pitch [°]", "probability of imm's models", "standard deviation [°]"]
     assert page.locator("th button").all_inner_texts()[:2] == ["estimator", "horizontal force [m/s²]"]
     assert noise == []
     page.close()

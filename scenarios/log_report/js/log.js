@@ -6,6 +6,7 @@ import { makeSortable } from "../../report/js/tables.js";
 
 const data = JSON.parse($("data").textContent);
 const MISSING = -32768, PLOTS = [];
+const MODELS = ["#0072b2", "#56b4e9", "#e69f00", "#009e73", "#7b5cd6"];
 const shown = new Set(data.shown);
 let log = data.logs[$("log").value];
 
@@ -35,9 +36,15 @@ function panels() {
     lines: [...(`${name}|truth` in log.scales ? [[`${name}|truth`, line("truth", () => css("--ink"), { width: 2.6 })]] : []),
       ...estimates(name)],
   });
+  const sigmas = Object.keys(log.scales).filter((name) => name.startsWith("sigma|"));
+  const models = Object.keys(log.scales).filter((name) => name.startsWith("model|"));
   return [
     sensor("gyro", "°/s"), sensor("accel", "m/s²"), angle("roll"), angle("pitch"),
     { title: "inclination error [°]", lines: estimates("error"), low: 0 },
+    ...(models.length ? [{ title: "probability of imm's models", low: 0, high: 1,
+      lines: models.map((name, k) => [name, line(name.slice(6), MODELS[k % MODELS.length])]) }] : []),
+    { title: "standard deviation [°]", low: 0,
+      lines: sigmas.map((name, k) => [name, line(name.slice(6), MODELS[k % MODELS.length])]) },
   ];
 }
 const estimates = (kind) => data.estimators.filter((name) => shown.has(name) && `${kind}|${name}` in log.scales)

@@ -1,0 +1,110 @@
+"""What `imm` believes along a recording: probabilities of its models, and how honest its sigma is."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadsim.estimator import AttitudeEstimator, OtherSensors, Readings
+
+from ..filters.drag.imm import InteractingModels
+from ..metrics import absolute_error
+
+Array = NDArray[np.float64]
+
+EVERY_S = 0.1
+"""Time between the samples at which the models are asked [s]."""
+NORMAL_95 = 1.96
+"""Half the width of the 95 % interval of a normal distribution, in standard deviations."""
+ALL, WIDE, LARGE_DEG = 0.995, 2.0, 5.0
+"""An interval is called wide where it holds this share of the truth, or its standard deviation is this many
+times the error; and an error large above this [deg]."""
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Estimates of n recordings at k samples of theirs."""
+
+    models: tuple[str, ...]
+    """Names of the m models."""
+    samples: NDArray[np.int64]
+    """Which samples they are, (k,)."""
+    roll_pitch: Array
+    """(n, k, 2) [rad]."""
+    sigma: Array
+    """Standard deviation of roll and pitch (n, k, 2) [rad]."""
+    probability: Array
+    """Of each model, (n, k, m)."""
+
+    def share(self) -> dict[str, float]:
+        """Mean probability of each model over all samples of all recordings."""
+        return dict(zip(self.models, self.probability.mean(axis=(0, 1)).tolist(), strict=True))
+
+    @property
+    def sigma_deg(self) -> float:
+        """Median of the standard deviation of roll and pitch [deg]."""
+        return float(np.degrees(np.median(self.sigma)))
+
+    def interval(self, truth: Array, counted: NDArray[np.bool_] | None = None) -> "Interval":
+        """The 95 % interval beside the error, over the angles that are known; NaN if none is.
+
+        Args:
+            truth: Roll and pitch of all samples (n, T, 2) [rad]; NaN where they are not known.
+            counted: Samples that count (n, T); None for all.
+        """
+        error = np.radians(absolute_error(self.roll_pitch, truth[:, self.samples]))
+        known = np.isfinite(error)
+        if counted is not None:
+            known &= counted[:, self.samples, None]
+        if not known.any():
+            return Interval(float("nan"), float("nan"), float("nan"))
+        inside = (error <= NORMAL_95 * self.sigma)[known].mean()
+        rmse, sigma = np.degrees([np.sqrt(np.mean(error[known] ** 2)), np.median(self.sigma[known])])
+        return Interval(float(inside), float(sigma), float(rmse))
+
+
+class Interval(NamedTuple):
+    """How honest a 95 % interval is."""
+
+    inside: float
+    """Share of true rolls and pitches within it."""
+    sigma_deg: float
+    """Median of the standard deviation [deg]."""
+    rmse_deg: float
+    """Root mean square error of roll and pitch [deg]."""
+
+    @property
+    def text(self) -> str:
+        """How many true angles are inside, and why that may not be reassuring."""
+        text = f"{self.inside:.0%} of the true angles are inside its 95 % interval"
+        figures = f"its median σ is {self.sigma_deg:.1f}° at an error of {self.rmse_deg:.1f}° RMS"
+        if self.inside >= ALL or self.sigma_deg > WIDE * self.rmse_deg:
+            return f"{text} only because the interval is wide: {figures}"
+        return f"{text}, but the error is large: {figures}" if self.rmse_deg > LARGE_DEG else text
+
+
+def beliefs(
+    est: AttitudeEstimator, gyro: Array, accel: Array, **sensors: Unpack[OtherSensors]
+) -> Beliefs | None:
+    """Run an estimator from an unknown start, and ask it every tenth of a second; None if it has no models.
+
+    Args:
+        est: The estimator.
+        gyro: Body rate (n, T, 3) [rad/s].
+        accel: Specific force in body axes (n, T, 3) [m/s²].
+        sensors: Further readings (n, T, ·), as in `estimators.run`.
+    """
+    readings = Readings(gyro, accel, **sensors)
+    if not isinstance(est, InteractingModels):
+        return None
+    est.reset(len(gyro))
+    every = max(round(EVERY_S * est.rate_hz), 1)
+    samples = np.arange(every - 1, gyro.shape[1], every)
+    parts = []
+    for last in samples:
+        part = readings.map(lambda each, last=last: each[:, last + 1 - every : last + 1])
+        estimate = est.sequence(part.gyro, part.accel, **part.others)[:, -1]
+        parts.append((estimate, est.roll_pitch_sigma, est.model_probability))
+    roll_pitch, sigma, probability = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
+    return Beliefs(est.models, samples, roll_pitch, sigma, probability)
