@@ -268,7 +268,7 @@ def needs_vehicle(name: str) -> bool:
 
 
 def _network(name: str, rate_hz: float, params: Mapping[str, object]) -> AttitudeEstimator:
-    from .networks.network import create_network  # imports torch, which no other estimator needs
+    from .networks.network import create_network
 
     for key in params:
         if key != "weights":
