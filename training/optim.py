@@ -88,7 +88,9 @@ def new_optimiser(model: nn.Module, config: TrainingRecipe) -> Lookahead:
 
     The factors differ between layers since a common change of many weights adds up over the neurons.
     """
-    layers = dict(zip(("encoding", "hidden", "outputs"), config.method.layer_steps, strict=True))
+    layers: dict[str, float] = dict(
+        zip(("encoding", "hidden", "outputs"), config.method.layer_steps, strict=True)
+    )
     steps = {name: layers[axes[0]] for name, axes in AXES.items() if name.startswith("w_")}
     for name, parameter in model.named_parameters():
         parameter.requires_grad_(not (config.fixed_taus and name in TIME_CONSTANTS))

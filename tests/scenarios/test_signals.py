@@ -65,7 +65,7 @@ def test_attributes_of_another_meaning_are_no_signals():
         def gyro_bias(self):
             """A method, not an array."""
 
-    signals = fly(Mission(WINDY, Own(200.0), 2), 0).signals
+    signals = fly(Mission(WINDY, Own("truth", 200.0, {}), 2), 0).signals
     assert np.isnan([signals["bias_est_x"], signals["roll_sigma"]]).all()
 
 
