@@ -203,13 +203,17 @@ def _from_matrix(m, out):
 
 def _over_arrays(loop: Callable[..., None], size: int, *operands: Array) -> Array:
     """Results (..., size) of a compiled loop over operands (..., components), which broadcast."""
-    leading = np.broadcast_shapes(*(each.shape[:-1] for each in operands))
+    leading = operands[0].shape[:-1]
+    if any(each.shape[:-1] != leading for each in operands):
+        leading = np.broadcast_shapes(*(each.shape[:-1] for each in operands))
     count = math.prod(leading)
     rows = []
     for each in operands:
-        repeated = np.empty((*leading, each.shape[-1]))
-        repeated[...] = each
-        rows.append(repeated.reshape(count, each.shape[-1]))
+        if each.shape[:-1] != leading or not each.flags.carray:  # the one layout that is compiled
+            repeated = np.empty((*leading, each.shape[-1]))
+            repeated[...] = each
+            each = repeated
+        rows.append(each.reshape(count, each.shape[-1]))
     out = np.empty((count, size))
     loop(*rows, out)
     return out.reshape(*leading, size)
