@@ -125,16 +125,21 @@ class LoihiNetwork:
             The spikes of the last layer, shape (n, out).
 
         Raises:
-            ValueError: A shape that does not fit.
+            ValueError: A shape that does not fit, a spike that is not 0 or 1, or a bias that the chip cannot
+                hold.
         """
         n, inputs = self._state.first_v.shape
         own = slice(self._edges[1], self._edges[2])
         drive = np.zeros((n, inputs), np.int32)
         if spikes_in is not None:
-            drive[:] = _fit("spikes_in", spikes_in, n, inputs)
+            arriving = _fit("spikes_in", spikes_in, n, inputs)
+            if not np.all((arriving == 0) | (arriving == 1)):
+                raise ValueError("spikes_in: spikes are 0 or 1")
+            drive[:] = arriving
         tables = np.tile(self._table, (n, 1, 1))
         if bias_mant is not None:
-            mantissas = _fit("bias_mant", bias_mant, n, len(self.layers[0].w_in)).astype(np.int64)
+            given = _fit("bias_mant", bias_mant, n, len(self.layers[0].w_in))
+            mantissas = _whole("bias_mant", given, BIAS_MANT_MIN, BIAS_MANT_MAX)
             tables[:, 3, own] = mantissas << self.layers[0].bias_exp
         _step_all(self._weights, tables, drive, self._state)
         return self.s[-1]

@@ -69,3 +69,7 @@ def test_layers_that_do_not_fit_are_refused():
     net = LoihiNetwork([LoihiLayer(w_in=np.zeros((2, 1)))])
     with pytest.raises(ValueError, match=r"spikes_in: shape \(1, 4\), should be \(1, 1\)"):
         net.step(np.zeros((1, 4)))
+    with pytest.raises(ValueError, match="spikes_in: spikes are 0 or 1"):
+        net.step([[np.nan]])
+    with pytest.raises(ValueError, match="bias_mant: has values that are not whole numbers"):
+        net.step(bias_mant=[np.nan, 0])
