@@ -9,7 +9,6 @@ from typing import Annotated, NamedTuple
 import typer
 from rich.table import Table
 
-from ..config.toml import preset_names, read_toml, shipped_folder
 from ..runs.console import output as console
 from ..runs.fingerprint import ASSETS
 
@@ -89,6 +88,8 @@ def items(kind: Kind) -> list[Item]:
             from estimators.networks.weights_file import shipped_controllers, shipped_names
 
             return _weights([*shipped_names(), *shipped_controllers()])
+    from ..config.toml import preset_names, shipped_folder
+
     root = shipped_folder(kind)
     shipped = [Item(name, summary(root / f"{name}.toml")) for name in preset_names(kind)]
     own = sorted(path for path in Path(kind).glob("*.toml") if not _ships(path, root))
@@ -102,6 +103,8 @@ def _weights(names: Iterable[str]) -> list[Item]:
 
 def summary(file: Path) -> str:
     """Description of a TOML file: its key `description` or `source`, or else its first comment."""
+    from ..config.toml import read_toml
+
     try:
         text = file.read_text(encoding="utf-8")
         data = read_toml(text, file.name)

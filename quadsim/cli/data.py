@@ -5,11 +5,10 @@ from typing import Annotated
 
 import typer
 
-from ..config.toml import merged, parse
 from ..runs.console import output as console
 from ..runs.console import pool_of, progress_bar
 from .logs import convert_logs
-from .options import Imu, LearningSeed, Mount, Pool, RecipeFields, Sampling, Truth, fields_of
+from .options import Imu, LearningSeed, Mount, Pool, RecipeFields, Truth, fields_of
 
 
 def generate(
@@ -33,9 +32,11 @@ def generate(
 
     Example: quadsim generate --flights 4 --duration 20 --out data/small.zarr
     """
+    from ..config.toml import merged, parse
     from ..dataset.generation import generate as generate_dataset
     from ..dataset.reading import dataset_info
     from ..flight.recipe import Recipe, load_recipe
+    from .conditions import Sampling
 
     changes = fields_of(set_)
     rate = parse({name: changes.pop(name) for name in ("rate",) if name in changes}, Sampling, "--set").rate

@@ -13,7 +13,6 @@ from .options import (
     Pool,
     Seed,
     Workers,
-    conditions_of,
 )
 
 
@@ -58,6 +57,8 @@ def fly(
     from scenarios.bench.controllers import contender
     from scenarios.single_flight import file_name, fly_scenario
     from scenarios.verbs import warn
+
+    from .conditions import conditions_of
 
     estimator = contender(estimator, controller)
     given = conditions_of(set_)
@@ -154,6 +155,8 @@ def bench(
     Example: quadsim bench --workers tcp://127.0.0.1:8786 --seeds 100
     """
     from scenarios.verbs import run_bench
+
+    from .conditions import conditions_of
 
     given = conditions_of(set_)
     run_bench(

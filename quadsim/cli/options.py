@@ -8,9 +8,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from ..config.ranges import Between, Engine
-from ..config.toml import Strict, merged, parse
-
 Initial = Literal["unknown", "known"]
 Search = Literal["swarm", "evolution"]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
@@ -92,34 +89,6 @@ OWN_CONTROLLER = (
 )
 
 
-class Sampling(Strict):
-    """Sampling rate, as set by `--set`."""
-
-    rate: Annotated[float, Between(50.0, 2000.0, "Hz")] = 200.0
-
-
-class Conditions(Sampling):
-    """Changes of flights in closed loop, as set by `--set`; None keeps the scenario's value."""
-
-    vehicle: str | None = None
-    imu: str | None = None
-    external: str | None = None
-    engine: Engine | None = None
-    """Integrator: mujoco; or auto, in free flight its scheme compiled, equal to 1e-12 and faster."""
-    tuning: str | None = None
-    """None selects the parameters shipped for the vehicle."""
-
-    def changes(self, duration_s: float | None) -> dict[str, object]:
-        """Fields that replace those of every scenario."""
-        given = self.model_dump(exclude={"rate", "tuning"}) | {"duration_s": duration_s}
-        return {name: value for name, value in given.items() if value is not None}
-
-
-def conditions_of(texts: Sequence[str] | None) -> Conditions:
-    """Conditions given by `--set`; the error for an unknown name lists the valid ones."""
-    return parse(fields_of(texts), Conditions, "--set")
-
-
 def time_left(seconds: float, done: int, total: int) -> str:
     """Remaining time at the mean pace so far, for example "12 min"."""
     left = seconds / done * (total - done)
@@ -130,6 +99,8 @@ def time_left(seconds: float, done: int, total: int) -> str:
 
 def fields_of(texts: Sequence[str] | None, *options: str) -> dict[str, object]:
     """Settings given by --set; those named in `options` are refused, because another option sets them."""
+    from ..config.toml import merged
+
     fields: dict[str, object] = {}
     for name, value in map(pair_of, texts or []):
         for table in reversed(name.split(".")[1:]):

@@ -10,9 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from filelock import FileLock, Timeout
-
 if TYPE_CHECKING:
+    from filelock import FileLock
     from matplotlib.figure import Figure
 from .fingerprint import fingerprint
 
@@ -140,7 +139,9 @@ def alone(path: Path, wait_s: float = 0.0) -> Iterator[None]:
         lock.release()
 
 
-def _acquired(path: Path, whole: Path, wait_s: float) -> FileLock:
+def _acquired(path: Path, whole: Path, wait_s: float) -> "FileLock":
+    from filelock import FileLock, Timeout
+
     beside, inside = (
         FileLock(folder / f".{whole.name}.lock", is_singleton=True) for folder in (whole.parent, whole)
     )

@@ -162,6 +162,23 @@ def test_a_locale_without_a_sign_prints_another():
     assert "Fly scenarios ? estimators" in done.stdout
 
 
+def test_help_imports_nothing_that_takes_long():
+    code = (
+        "import sys; sys.argv[1:] = ['--help']\n"
+        "from quadsim.cli import main\n"
+        "try: main()\n"
+        "finally: print({'gymnasium', 'numpy', 'pydantic', 'filelock'} & set(sys.modules), file=sys.stderr)"
+    )
+    assert run(code).stderr == "set()\n"
+
+
+@pytest.mark.parametrize("first", ["quadsim", "gymnasium"])
+def test_the_environment_is_registered_whatever_is_imported_first(first):
+    second = {"quadsim": "gymnasium", "gymnasium": "quadsim"}[first]
+    done = run(f"import {first}, {second}\nprint('quadsim/Quadrotor-v0' in gymnasium.registry)")
+    assert done.stdout == "True\n"
+
+
 def test_without_a_folder_for_compiled_code_there_is_one_warning(tmp_path):
     (tmp_path / "file").touch()
     code = (

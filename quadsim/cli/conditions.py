@@ -1,0 +1,36 @@
+"""Conditions of flights, as set by `--set`: models, which take long to import and no `--help` needs."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from ..config.ranges import Between, Engine
+from ..config.toml import Strict, parse
+from .options import fields_of
+
+
+class Sampling(Strict):
+    """Sampling rate, as set by `--set`."""
+
+    rate: Annotated[float, Between(50.0, 2000.0, "Hz")] = 200.0
+
+
+class Conditions(Sampling):
+    """Changes of flights in closed loop, as set by `--set`; None keeps the scenario's value."""
+
+    vehicle: str | None = None
+    imu: str | None = None
+    external: str | None = None
+    engine: Engine | None = None
+    """Integrator: mujoco; or auto, in free flight its scheme compiled, equal to 1e-12 and faster."""
+    tuning: str | None = None
+    """None selects the parameters shipped for the vehicle."""
+
+    def changes(self, duration_s: float | None) -> dict[str, object]:
+        """Fields that replace those of every scenario."""
+        given = self.model_dump(exclude={"rate", "tuning"}) | {"duration_s": duration_s}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+def conditions_of(texts: Sequence[str] | None) -> Conditions:
+    """Conditions given by `--set`; the error for an unknown name lists the valid ones."""
+    return parse(fields_of(texts), Conditions, "--set")
