@@ -1,6 +1,7 @@
 """One scenario with one estimator in detail: a report, every sample as CSV, and a video."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,6 +50,7 @@ def fly_scenario(
     *,
     flight: int = 0,
     video: bool = False,
+    progress: Callable[[int, int], object] | None = None,
 ) -> SingleFlight:
     """Simulate a scenario with attitude from one estimator, and write report, samples and video.
 
@@ -60,6 +62,7 @@ def fly_scenario(
         changes: Fields that replace those of the scenario.
         flight: Number of the first flight, as in the flights.parquet of a benchmark of the same seed.
         video: Whether to make a video of the first flight.
+        progress: Called after each frame of the video with the number of frames done and of all.
 
     Raises:
         ValueError: For a bad argument or scenario file.
@@ -84,9 +87,8 @@ def fly_scenario(
     film_path, problem = None, None
     if video:
         try:
-            film_path = film(
-                out / "flight.mp4", mission.vehicle, *poses, marks=marks_of(first, flown, mission.rate_hz)
-            )
+            marks = marks_of(first, flown, mission.rate_hz)
+            film_path = film(out / "flight.mp4", mission.vehicle, *poses, marks=marks, progress=progress)
         except RuntimeError as error:  # no OpenGL: the report is written without it
             problem = error
     title = f"{name} with attitude from {estimator}"

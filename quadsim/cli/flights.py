@@ -1,11 +1,13 @@
 """Commands that fly in closed loop: `fly`, `bench`, `demo`."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..runs.console import output as console
+from ..runs.console import progress_bar
 from ..runs.files import alone
 from .options import (
     OWN_CONTROLLER,
@@ -65,7 +67,7 @@ def fly(
     parts = (scenario, estimator, *filter(None, (given.vehicle, given.imu, given.tuning)))
     folder = out or Path("reports") / "-".join(["fly", *map(file_name, parts)])
     try:
-        with alone(folder):
+        with alone(folder), progress_bar("video", "frames") if video else nullcontext() as bar:
             done = fly_scenario(
                 scenario,
                 estimator,
@@ -74,6 +76,7 @@ def fly(
                 given.changes(duration),
                 flight=flight,
                 video=video,
+                progress=bar,
             )
     except RuntimeError as error:  # no OpenGL for the video
         raise ValueError(str(error)) from error

@@ -1,5 +1,6 @@
 """Videos of flights: the vehicle, and what an estimator believed of it."""
 
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -8,7 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..vehicle import Vehicle
-from .render import Scene, View
+from .render import Scene, View, drawn_by_processor
+
+
+class Format(NamedTuple):
+    """Size and frame rate of a video."""
+
+    width: int  #: [px]
+    height: int  #: [px]
+    fps: float  #: frames per second
+
+    @classmethod
+    def suited(cls) -> "Format":
+        """What the renderer of this machine draws in about the time that the flight takes."""
+        return cls(640, 360, 12.5) if drawn_by_processor() else cls(960, 540, 25.0)
 
 
 class Marks(NamedTuple):
@@ -33,10 +47,9 @@ def film(
     time: ArrayLike,
     position: ArrayLike,
     quat: ArrayLike,
-    fps: float = 25.0,
-    width: int = 960,
-    height: int = 540,
+    format: Format | None = None,
     marks: Marks | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Path:
     """Write a video of a flight in real time; the camera follows, and the last two seconds leave a trail.
 
@@ -46,10 +59,9 @@ def film(
         time: (T,) [s].
         position: (T, 3) [m].
         quat: (T, 4) quat_WB.
-        fps: Frames per second.
-        width: Width of the video [px].
-        height: Height of the video [px].
+        format: Size and frame rate; by default what suits the renderer.
         marks: What to show of estimate, set-point and wind, with a clock.
+        progress: Called after each frame with the number of frames done and of all.
 
     Raises:
         RuntimeError: If neither EGL nor OSMesa works here.
@@ -60,14 +72,17 @@ def film(
     t, p, q = (np.asarray(each, dtype=np.float64) for each in (time, position, quat))
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"time has shape {t.shape}; a film needs a flight of at least two samples")
+    width, height, fps = format or Format.suited()
     frames = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / fps))
     targets = _smooth(p, seconds=0.12, dt=float(t[1] - t[0]))
     tail = max(round(2.0 / (t[1] - t[0])), 40)
     with (
-        closing(Scene(vehicle, 2 if marks else 1, width, height, ghost=bool(marks))) as scene,
+        closing(
+            Scene(vehicle, 2 if marks else 1, width, height, ghost=bool(marks), draft=drawn_by_processor())
+        ) as scene,
         imageio.get_writer(path, fps=fps, macro_block_size=2, quality=7) as video,
     ):
-        for k in frames:
+        for done, k in enumerate(frames, 1):
             view = View(tuple(targets[k]), distance=2.0, elevation=-18.0)
             trail = p[max(k - tail, 0) : k + 1 : tail // 40]
             if marks is None:
@@ -76,6 +91,8 @@ def film(
                 shown = marks.target[k], marks.wind[k], marks.text(k, float(t[k]), q[k])
                 image = scene.draw(p[[k, k]], np.stack([q[k], marks.estimate[k]]), view, trail, *shown)
             video.append_data(image)  # pyright: ignore[reportAttributeAccessIssue]
+            if progress is not None:
+                progress(done, len(frames))
     return Path(path)
 
 

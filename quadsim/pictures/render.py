@@ -10,6 +10,7 @@ import itertools
 import logging
 import os
 import sys
+from functools import cache
 from typing import NamedTuple, Protocol
 
 import mujoco
@@ -33,6 +34,10 @@ WIND_SCALE = 0.06
 """Length of the wind's arrow, metres for each m/s."""
 SAMPLES = 8
 """For each pixel, for smooth edges."""
+DRAFT = {"numslices": 12, "numstacks": 6, "shadowsize": 2048}
+"""Detail of round bodies and of shadows where a processor draws, which then is twice as fast."""
+PROCESSORS = ("llvmpipe", "softpipe", "swrast", "swiftshader")
+"""What OpenGL calls renderers without a graphics card."""
 CALM = 0.05
 """Wind without an arrow [m/s]."""
 
@@ -55,6 +60,7 @@ class Scene:
         width: Width of the image [px].
         height: Height of the image [px].
         ghost: Draw the last quadrotor as translucent.
+        draft: Draw round bodies and shadows with less detail.
 
     Raises:
         RuntimeError: If neither EGL nor OSMesa works here; the message says what to install.
@@ -67,10 +73,11 @@ class Scene:
         width: int = 960,
         height: int = 540,
         ghost: bool = False,
+        draft: bool = False,
     ):
         self._context = _gl_context(width, height)
         self._context.make_current()
-        self.model = scene_model(vehicle, copies, width, height)
+        self.model = scene_model(vehicle, copies, width, height, draft)
         if ghost:
             own = self.model.geom_bodyid == self.model.body(f"quadrotor{copies - 1}").id
             self.model.geom_matid[own], self.model.geom_rgba[own] = -1, GHOST_COLOUR
@@ -171,8 +178,25 @@ class Scene:
         self._scene.ngeom += 1
 
 
-def scene_model(vehicle: Vehicle, copies: int, width: int, height: int) -> mujoco.MjModel:
-    """The scene with quadrotors that can be placed anywhere (mocap bodies)."""
+@cache
+def drawn_by_processor() -> bool:
+    """Whether OpenGL draws without a graphics card here.
+
+    Raises:
+        RuntimeError: If neither EGL nor OSMesa works here.
+    """
+    context = _gl_context(16, 16)
+    context.make_current()
+    gl = importlib.import_module("OpenGL.GL")
+    renderer = gl.glGetString(gl.GL_RENDERER).decode().lower()
+    context.free()
+    return any(name in renderer for name in PROCESSORS)
+
+
+def scene_model(
+    vehicle: Vehicle, copies: int, width: int, height: int, draft: bool = False
+) -> mujoco.MjModel:
+    """The scene with quadrotors that can be placed anywhere (mocap bodies); arguments as of `Scene`."""
     spec = mujoco.MjSpec.from_string((ASSETS / "scene.xml").read_text(encoding="utf-8"))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.quality.offsamples = SAMPLES
@@ -180,6 +204,9 @@ def scene_model(vehicle: Vehicle, copies: int, width: int, height: int) -> mujoc
         body = spec.worldbody.add_body(name=f"quadrotor{index}", mocap=True)
         for geom in quadrotor_geoms(vehicle):
             body.add_geom(contype=0, conaffinity=0, **geom)
+    if draft:
+        for name, value in DRAFT.items():
+            setattr(spec.visual.quality, name, value)
     return spec.compile()
 
 

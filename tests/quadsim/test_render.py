@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from quadsim.config.toml import preset_names
-from quadsim.pictures.film import Marks, film
-from quadsim.pictures.render import NO_OPENGL, WIND_SCALE, Scene, View
+from quadsim.pictures import film as films
+from quadsim.pictures.film import Format, Marks, film
+from quadsim.pictures.render import NO_OPENGL, WIND_SCALE, Scene, View, scene_model
 from quadsim.pictures.shapes import quadrotor_geoms
 from quadsim.rotation import quat_from_euler
 from quadsim.vehicle import load_vehicle
@@ -146,7 +147,31 @@ def test_a_film_with_marks_plays_in_real_time(tmp_path):
     tilted = quat_from_euler(np.full(21, np.radians(30.0)), np.zeros(21), np.zeros(21))
     marks = Marks(tilted, place, np.tile([2.0, 0.0, 0.0], (21, 1)))
     assert "30.0 deg" in marks.text(5, 0.1, LEVEL)[1]
-    path = film(tmp_path / "a.mp4", VEHICLE, time, place, level, width=160, height=96, marks=marks)
+    done = []
+    path = film(
+        *(tmp_path / "a.mp4", VEHICLE, time, place, level),
+        format=Format(160, 96, 25.0),
+        marks=marks,
+        progress=lambda *count: done.append(count),
+    )
     about = imageio.immeta(path)
+    assert about["size"] == (160, 96)
     assert about["fps"] == 25.0
     assert about["duration"] == pytest.approx(0.4, abs=0.05)
+    assert done == [(k + 1, 10) for k in range(10)]
+
+
+def test_a_processor_draws_fewer_and_smaller_pictures(monkeypatch):
+    sizes = []
+    for processor in (False, True):
+        monkeypatch.setattr(films, "drawn_by_processor", lambda processor=processor: processor)
+        sizes.append(Format.suited())
+    graphics_card, processor = sizes
+    assert all(less < more for less, more in zip(processor, graphics_card, strict=True))
+
+
+def test_a_draft_has_less_detail():
+    draft, fine = (scene_model(VEHICLE, 1, 64, 64, draft).vis.quality for draft in (True, False))
+    assert draft.numslices < fine.numslices
+    assert draft.numstacks < fine.numstacks
+    assert draft.shadowsize < fine.shadowsize
