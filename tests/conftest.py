@@ -1,6 +1,7 @@
 """Small synthetic flights for the tests of estimators: cheap, seeded, and of a known physics."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,14 @@ from quadsim.rotation import quat_from_euler, quat_rotate, quat_rotate_inverse
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 RECORDINGS = Path(os.environ.get("QUADSIM_REALDATA", Path(__file__).parents[2] / "shared" / "realdata"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_process() -> Iterator[None]:
+    """Commands without a number of workers start no processes: those of pytest have the CPUs already."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "sched_getaffinity", lambda pid: {0})
+        yield
 
 
 @pytest.fixture(scope="session")
