@@ -29,6 +29,8 @@ log = logging.getLogger(__name__)
 LONGEST_S = 120.0
 """Time after which a process that waits for another's compilation compiles for itself [s]."""
 IMPORT = re.compile(rb"^from (\.*)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+BESIDE = Path(__file__).parent / "__pycache__"
+"""Compiled code of one installation, which can be copied with it."""
 CONSTANT = re.compile(rb"\b[A-Z][A-Z0-9_]+\b")
 
 
@@ -62,7 +64,11 @@ class Place(caching.UserProvidedCacheLocator):
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
         self._py_file, self._lineno = py_file, py_func.__code__.co_firstlineno
-        self._cache_path = str(store() / self.get_suitable_cache_subpath(py_file))
+        folder, inside = store(), Path(py_file).parent
+        if folder == BESIDE and inside.is_relative_to(ROOT):
+            self._cache_path = str(folder / "-".join(inside.relative_to(ROOT).parts))
+        else:
+            self._cache_path = str(folder / self.get_suitable_cache_subpath(py_file))
         self.ensure_cache_path()
 
     def get_source_stamp(self) -> bytes:
@@ -131,15 +137,14 @@ class StoredCode(caching.FunctionCache):
 def store() -> Path:
     """The folder for compiled code: where the user says, beside ours, or in the user's cache."""
     given = os.environ.get("NUMBA_CACHE_DIR")
-    beside = Path(__file__).parent / "__pycache__"
-    for place in [Path(given)] if given else [beside, Path(user_cache_dir("numba", appauthor=False))]:
+    for place in [Path(given)] if given else [BESIDE, Path(user_cache_dir("numba", appauthor=False))]:
         if is_writable(place):
             return place
     place = Path(tempfile.mkdtemp(prefix="numba-"))
     log.warning(
         "no compiled code can be stored in %s: every run compiles it; set NUMBA_CACHE_DIR to a "
         "folder that can be written",
-        given or f"{beside} or {user_cache_dir('numba', appauthor=False)}",
+        given or f"{BESIDE} or {user_cache_dir('numba', appauthor=False)}",
     )
     atexit.register(shutil.rmtree, place, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = str(place)  # for the processes that this one starts
