@@ -95,14 +95,14 @@ class FlightLoop:
         self._name = type(estimator).__name__
         self._observe = getattr(estimator, "observe", None) if receives_truth(estimator) else None
         self._accepted = () if estimator is None else accepted_sensors(estimator.update)
-        self.inertial = self.plant.ang_vel, self.plant.specific_force
-        if self.imu is not None:
-            self.inertial = self.imu.gyro, self.imu.accel
         self.attitude = self.true_attitude = self.plant.roll_pitch
         self.yaw, self.measured_state = self.plant.yaw, records["measured"]
         self.k, self._roll_pitch = self.measured_state["k"], self.measured_state["roll_pitch"]
         self._last_rate = np.zeros((n, 3))
-        self._sensed = Readings(*self.inertial, self.plant.rotor_vel)
+        inertial = {"gyro": self.plant.ang_vel, "accel": self.plant.specific_force}
+        if self.imu is not None:
+            inertial = self.imu.readings
+        self._sensed = Readings(**inertial, rotor_vel=self.plant.rotor_vel)
 
     @property
     def gyro(self) -> Array:

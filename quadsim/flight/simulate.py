@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..control.records import POSITION
-from ..imu.stream import simulate_imu_with_bias
+from ..imu.stream import simulate_readings
 from ..motion.rotors import state_dtype
 from ..seeding import children
 from ..vehicle import randomise
@@ -26,7 +26,7 @@ MAX_BODY_RATE = 150.0  # rad/s: a vehicle beyond either has diverged
 
 def simulate_flights(
     config: Recipe, seeds: Seeds, steps: int, rate_hz: float = 200.0
-) -> dict[str, Array | list[str]]:
+) -> dict[str, Array | NDArray[np.int64] | list[str]]:
     """Fly one flight per seed on true attitude, but for the configured error, and record it.
 
     Args:
@@ -52,20 +52,10 @@ def simulate_flights(
     if config.ground is not None:
         before = start_on_ground(config.ground, log, rate_hz, ground)
         end = np.where(end < steps, np.minimum(end + before, steps), steps)
-    flights = {name: log[name] for name in log.dtype.names or ()}
-    rate, force, rotor_vel = flights["ang_vel"], flights["specific_force"], flights["rotor_vel"]
-    ang_acc = flights.pop("ang_acc")
-    gyro, accel, gyro_bias, accel_bias = simulate_imu_with_bias(
-        config.imu, rate, force, rate_hz, imu, ang_acc, rotor_vel
-    )
-    return flights | {
-        "gyro": gyro,
-        "accel": accel,
-        "gyro_bias": gyro_bias,
-        "accel_bias": accel_bias,
-        "end_step": end,
-        "end_reason": ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end],
-    }
+    flights = {name: log[name] for name in log.dtype.names or () if name != "ang_acc"}
+    reasons = ["" if e == steps else f"diverged after {e / rate_hz:.2f} s" for e in end]
+    readings = simulate_readings(config.imu, log, rate_hz, imu)
+    return {**flights, **readings, "end_step": end, "end_reason": reasons}
 
 
 def _fly(

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..control.cascade import control
 from ..control.records import MEASURED, SET_POINT, controller_dtype
-from ..imu.kernel import ACCEL, GYRO, IMU, measure
+from ..imu.kernel import GYRO, IMU, SENSORS, measure
 from ..motion.rotors import vehicle_dtype
 from ..plant import fly, update_truth
 from ..runs.compiled import njit
@@ -108,7 +108,7 @@ def sense_one(loop, plan, noise, at, x, log):
         plan: (T,) records of `PLAN`.
         noise: (NOISES, block, 3) standard normal numbers of its IMU; without an IMU, of length 0.
         at: Place of this sample in the block.
-        x: (2, 3) memory.
+        x: (SENSORS, 3) memory.
         log: (t,) records of `quadsim.motion.rotors.state_dtype`, for the last t samples of the plan.
     """
     p, s, m = loop.vehicle, loop.vehicle.state, loop.measured
@@ -117,9 +117,7 @@ def sense_one(loop, plan, noise, at, x, log):
         m.position[axis], m.velocity[axis], m.gyro[axis] = s.position[axis], s.velocity[axis], s.ang_vel[axis]
     m.roll_pitch[0], m.roll_pitch[1], m.yaw = p.roll_pitch[0], p.roll_pitch[1], p.yaw
     if noise.shape[0] > 0:
-        for axis in range(3):
-            x[GYRO, axis], x[ACCEL, axis] = s.ang_vel[axis], s.specific_force[axis]
-        measure(loop.imu, noise[:, at], x, s.ang_acc, s.rotor_vel)
+        measure(loop.imu, noise[:, at], s, x)
         for axis in range(3):
             m.gyro[axis] = loop.imu.reading[GYRO, axis]
     look_up(loop, plan)
@@ -150,7 +148,7 @@ def step(level, loops, plans, samples, substeps, noise, at, logs):
         at: Place of this sample in the block.
         logs: (n, t) as of `sense_one`; none where t is 0.
     """
-    crashed, x = 0, np.empty((2, 3))
+    crashed, x = 0, np.empty((SENSORS, 3))
     for i in range(loops.shape[0]):
         loop = loops[i]
         for _ in range(samples):

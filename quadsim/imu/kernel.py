@@ -1,7 +1,7 @@
 """The arithmetic of the IMU: a record of coefficients and state per vehicle, one function for each error."""
 
 import math
-from typing import NamedTuple
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,11 @@ from .spec import ImuSpec
 
 Array = NDArray[np.float64]
 
-GYRO, ACCEL = 0, 1
-WHITE, WALK, DROP, NOISES = 0, 2, 4, 5
-"""Streams of random numbers: gyro and accel noise, gyro and accel walk, dropped samples; and their number."""
+GYRO, ACCEL = range(2)
+SENSORS = 2
+"""How many sensors there are, in the order of `ImuSpec.sensors`."""
+WHITE, WALK, DROP, NOISES = (0, 1), (2, 3), 4, 5
+"""Streams of random numbers: noise and walk of each sensor, dropped samples; and their number."""
 
 IMU = np.dtype(
     [
@@ -25,36 +27,49 @@ IMU = np.dtype(
         ("dt", "f8"),
         ("lever_arm_on", "i8"),
         ("lever_arm", "f8", 3),
-        ("low_pass_on", "i8", 2),
-        ("transition", "f8", (2, 2, 2)),
-        ("from_last", "f8", (2, 2)),
-        ("from_new", "f8", (2, 2)),
+        ("low_pass_on", "i8", SENSORS),
+        ("transition", "f8", (SENSORS, 2, 2)),
+        ("from_last", "f8", (SENSORS, 2)),
+        ("from_new", "f8", (SENSORS, 2)),
         ("vibration_on", "i8"),
-        ("amplitude", "f8", (2, 3)),  # over the square of the rotor speed
-        ("corner", "f8", 2),  # of the low-pass [rad/s]
-        ("order", "i8", 2),
-        ("white", "f8", 2),
-        ("decay", "f8", 2),
-        ("diffusion", "f8", 2),
-        ("resolution", "f8", 2),
-        ("limit", "f8", 2),
+        ("amplitude", "f8", (SENSORS, 3)),  # over the square of the rotor speed
+        ("corner", "f8", SENSORS),  # of the low-pass [rad/s]
+        ("order", "i8", SENSORS),
+        ("white", "f8", SENSORS),
+        ("decay", "f8", SENSORS),
+        ("diffusion", "f8", SENSORS),
+        ("resolution", "f8", SENSORS),
+        ("limit", "f8", SENSORS),
         ("drop_below", "f8"),
         # drawn once for each flight
-        ("matrix", "f8", (2, 3, 3)),  # body axes to sensor axes, scale factor and misalignment
+        ("matrix", "f8", (SENSORS, 3, 3)),  # body axes to sensor axes, scale factor and misalignment
         ("force_matrix", "f8", (3, 3)),  # specific force in body axes to gyro error
-        ("turn_on", "f8", (2, 3)),
-        ("phase_offset", "f8", (MAX_ROTORS, 2, 3)),
+        ("turn_on", "f8", (SENSORS, 3)),
+        ("phase_offset", "f8", (MAX_ROTORS, SENSORS, 3)),
         # changes with every sample
         ("started", "i8"),
-        ("walk", "f8", (2, 3)),
-        ("filter", "f8", (2, 3, 2)),
-        ("last_input", "f8", (2, 3)),
+        ("walk", "f8", (SENSORS, 3)),
+        ("filter", "f8", (SENSORS, 3, 2)),
+        ("last_input", "f8", (SENSORS, 3)),
         ("phase", "f8", MAX_ROTORS),
-        ("bias", "f8", (2, 3)),  # in the reading, turn-on and walk
-        ("reading", "f8", (2, 3)),
+        ("bias", "f8", (SENSORS, 3)),  # in the reading, turn-on and walk
+        ("reading", "f8", (SENSORS, 3)),
     ],
     align=True,
 )
+
+
+@cache
+def motion_dtype(rotors: int) -> np.dtype:
+    """What an IMU feels at one instant; records with more fields, such as a vehicle's state, serve too."""
+    return np.dtype(
+        [
+            ("ang_vel", "f8", 3),  # body rate, body axes [rad/s]
+            ("specific_force", "f8", 3),  # at the centre of mass, body axes [m/s²]
+            ("ang_acc", "f8", 3),  # [rad/s²]; used only with a lever arm
+            ("rotor_vel", "f8", rotors),  # [rad/s]; used only with vibration
+        ]
+    )
 
 
 def white_noise_sd(density: float, dt: float) -> float:
@@ -92,7 +107,7 @@ def constants(spec: ImuSpec, dt: float) -> NDArray[np.void]:
     if spec.vibration is not None:
         p["vibration_on"] = 1
         p["amplitude"] = np.array([spec.vibration.gyro, spec.vibration.accel]) / spec.vibration.rotor_vel**2
-    for index, sensor in enumerate((spec.gyro, spec.accel)):
+    for index, sensor in enumerate(spec.sensors.values()):
         corner, order, tau = 2.0 * math.pi * sensor.low_pass_hz, sensor.low_pass_order, sensor.time_constant
         p["low_pass_on"][index], p["order"][index] = corner > 0.0, order
         p["corner"][index] = corner or np.inf
@@ -113,7 +128,7 @@ def draw_flight(p: np.void, spec: ImuSpec, random: np.random.Generator) -> None:
     sensor_from_body = matrix_from_quat(quat_from_euler(*np.radians(spec.mounting_deg))).T
     p["phase_offset"] = random.uniform(0.0, 2.0 * np.pi, (MAX_ROTORS, 2, 3))
     p["force_matrix"] = spec.g_sensitivity * g_sensitivity @ sensor_from_body
-    for index, sensor in enumerate((spec.gyro, spec.accel)):
+    for index, sensor in enumerate(spec.sensors.values()):
         p["turn_on"][index] = sensor.turn_on * turn_on[index]
         p["walk"][index] = sensor.walk_sd * walk[index]
         error = sensor.misalignment * misalignment[index]
@@ -126,6 +141,13 @@ def noise_streams(spec: ImuSpec) -> list[int]:
     """Streams of random numbers that an IMU uses."""
     sizes = (spec.gyro.noise, spec.accel.noise, spec.gyro.random_walk, spec.accel.random_walk, spec.dropped)
     return [index for index, size in enumerate(sizes) if size > 0.0]
+
+
+@njit(cache=True)
+def _feel(s, x):
+    """What each sensor would read without any error, in body axes at the centre of mass."""
+    for axis in range(3):
+        x[GYRO, axis], x[ACCEL, axis] = s.ang_vel[axis], s.specific_force[axis]
 
 
 @njit(cache=True)
@@ -143,7 +165,7 @@ def _move_to_lever_arm(p, x, ang_acc):
 @njit(cache=True)
 def _low_pass(p, x):
     """Replace x by the filters' output; at the first sample a filter has settled on its input."""
-    for sensor in range(2):
+    for sensor in range(SENSORS):
         if not p.low_pass_on[sensor]:
             continue
         phi, g0, g1 = p.transition[sensor], p.from_last[sensor], p.from_new[sensor]
@@ -166,7 +188,7 @@ def _vibrate(p, x, rotor_vel):
         speed = rotor_vel[rotor]
         phase = p.phase[rotor] + speed * p.dt
         p.phase[rotor] = phase - 2.0 * math.pi * math.floor(phase / (2.0 * math.pi))
-        for sensor in range(2):
+        for sensor in range(SENSORS):
             ratio = (speed / p.corner[sensor]) ** 2
             gain = speed * speed / math.sqrt(1.0 + (ratio * ratio if p.order[sensor] == 2 else ratio))
             for axis in range(3):
@@ -177,23 +199,26 @@ def _vibrate(p, x, rotor_vel):
 @njit(cache=True)
 def _turn_to_sensor_axes(p, x):
     """Apply mounting, scale factor and misalignment, and the gyroscope's sensitivity to force."""
-    wx, wy, wz, fx, fy, fz = x[GYRO, 0], x[GYRO, 1], x[GYRO, 2], x[ACCEL, 0], x[ACCEL, 1], x[ACCEL, 2]
+    fx, fy, fz = x[ACCEL, 0], x[ACCEL, 1], x[ACCEL, 2]
+    for sensor in range(SENSORS):
+        a, b, c = x[sensor, 0], x[sensor, 1], x[sensor, 2]
+        for axis in range(3):
+            M = p.matrix[sensor, axis]
+            x[sensor, axis] = M[0] * a + M[1] * b + M[2] * c
     for axis in range(3):
-        M, N, G = p.matrix[GYRO, axis], p.matrix[ACCEL, axis], p.force_matrix[axis]
-        x[GYRO, axis] = M[0] * wx + M[1] * wy + M[2] * wz
+        G = p.force_matrix[axis]
         x[GYRO, axis] += G[0] * fx + G[1] * fy + G[2] * fz
-        x[ACCEL, axis] = N[0] * fx + N[1] * fy + N[2] * fz
 
 
 @njit(cache=True)
 def _add_bias_and_noise(p, x, noise):
     """Add turn-on bias, bias random walk and white noise; the walk moves on."""
-    for sensor in range(2):
+    for sensor in range(SENSORS):
         for axis in range(3):
             walk = p.walk[sensor, axis]
             p.bias[sensor, axis] = p.turn_on[sensor, axis] + walk
-            x[sensor, axis] += p.bias[sensor, axis] + p.white[sensor] * noise[WHITE + sensor, axis]
-            p.walk[sensor, axis] = p.decay[sensor] * walk + p.diffusion[sensor] * noise[WALK + sensor, axis]
+            x[sensor, axis] += p.bias[sensor, axis] + p.white[sensor] * noise[WHITE[sensor], axis]
+            p.walk[sensor, axis] = p.decay[sensor] * walk + p.diffusion[sensor] * noise[WALK[sensor], axis]
 
 
 @njit(cache=True)
@@ -204,7 +229,7 @@ def _read_out(p, x, noise):
     """
     if p.started and noise[DROP, 0] < p.drop_below:
         return
-    for sensor in range(2):
+    for sensor in range(SENSORS):
         resolution, limit = p.resolution[sensor], p.limit[sensor]
         for axis in range(3):
             value = x[sensor, axis]
@@ -218,34 +243,25 @@ def _read_out(p, x, noise):
 
 
 @njit(cache=True)
-def measure(p, noise, x, ang_acc, rotor_vel):
+def measure(p, noise, s, x):
     """Take one sample of one IMU, to `reading` and `bias` of its record: every error in turn.
 
     Args:
         p: Record of dtype IMU; its state moves on.
         noise: Standard normal numbers of this sample, shape (NOISES, 3).
-        x: True body rate [rad/s] and specific force at the centre of mass [m/s²], body axes, (2, 3); changed.
-        ang_acc: Angular acceleration, shape (3,) [rad/s²]; used only with a lever arm.
-        rotor_vel: Rotor speeds, shape (rotors,) [rad/s]; used only with vibration.
+        s: True motion, a record with the fields of `motion_dtype`.
+        x: (SENSORS, 3) memory.
     """
+    _feel(s, x)
     if p.lever_arm_on:
-        _move_to_lever_arm(p, x, ang_acc)
+        _move_to_lever_arm(p, x, s.ang_acc)
     _low_pass(p, x)
     if p.vibration_on:
-        _vibrate(p, x, rotor_vel)
+        _vibrate(p, x, s.rotor_vel)
     _turn_to_sensor_axes(p, x)
     _add_bias_and_noise(p, x, noise)
     _read_out(p, x, noise)
     p.started = 1
-
-
-class Motion(NamedTuple):
-    """What IMUs feel, of n vehicles over T samples."""
-
-    ang_vel: Array  #: (n, T, 3) body rate, body axes [rad/s]
-    specific_force: Array  #: (n, T, 3) at the centre of mass, body axes [m/s²]
-    ang_acc: Array  #: (n, T, 3) [rad/s²]; used only with a lever arm
-    rotor_vel: Array  #: (n, T, rotors) [rad/s]; used only with vibration
 
 
 @njit(cache=True)
@@ -257,21 +273,16 @@ def measure_series(imus, noise, place, samples, motion, out, bias):
         noise: Standard normal numbers, shape (n, NOISES, block, 3).
         place: Place in the block of the first sample.
         samples: First sample, and the one after the last.
-        motion: A `Motion`.
-        out: Readings of gyro and accel, shape (2, n, T, 3) [rad/s, m/s²].
+        motion: (n, T) records with the fields of `motion_dtype`.
+        out: Readings of the sensors, shape (SENSORS, n, T, 3).
         bias: Their true biases, same shape.
     """
-    x = np.empty((2, 3))
+    x = np.empty((SENSORS, 3))
     first, end = samples
     for i in range(imus.shape[0]):
         p = imus[i]
         for t in range(first, end):
-            # an array that its IMU does not use has one sample
-            acc, rotor_vel = motion.ang_acc[i], motion.rotor_vel[i]
-            for j in range(3):
-                x[GYRO, j], x[ACCEL, j] = motion.ang_vel[i, t, j], motion.specific_force[i, t, j]
-            acc, rotor_vel = acc[min(t, acc.shape[0] - 1)], rotor_vel[min(t, rotor_vel.shape[0] - 1)]
-            measure(p, noise[i, :, place + t - first], x, acc, rotor_vel)
-            for sensor in range(2):
+            measure(p, noise[i, :, place + t - first], motion[i, t], x)
+            for sensor in range(SENSORS):
                 for j in range(3):
                     out[sensor, i, t, j], bias[sensor, i, t, j] = p.reading[sensor, j], p.bias[sensor, j]

@@ -88,6 +88,11 @@ class ImuSpec(Strict):
     dropped: Annotated[float, Between(0.0, 0.99)] = 0.0
     """Share of the samples that are lost; the reading is then the one before."""
 
+    @property
+    def sensors(self) -> dict[str, Sensor]:
+        """Its sensors, by the names of their readings."""
+        return {"gyro": self.gyro, "accel": self.accel}
+
 
 def load_imu(source: str | Path) -> ImuSpec:
     """Load a preset ("adis16448", "px4-mini", …) or a TOML file.

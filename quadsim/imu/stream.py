@@ -13,7 +13,7 @@ From the truth at the centre of mass, in body axes, to the reading; every part c
 Whole arrays and single samples go through the same compiled pass and give the same numbers.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,18 @@ from numpy.typing import ArrayLike, NDArray
 from ..config.ranges import SAMPLE_RATE
 from ..seeding import Seed, child, vehicle_seeds
 from ..vehicle import MAX_ROTORS
-from .kernel import ACCEL, GYRO, IMU, NOISES, Motion, constants, draw_flight, measure_series, noise_streams
+from .kernel import (
+    ACCEL,
+    GYRO,
+    IMU,
+    NOISES,
+    SENSORS,
+    constants,
+    draw_flight,
+    measure_series,
+    motion_dtype,
+    noise_streams,
+)
 from .spec import ImuSpec
 
 Array = NDArray[np.float64]
@@ -34,8 +45,8 @@ class ImuStream:
     """The IMUs of n vehicles, one sample at a time: the same numbers as `simulate_imu`.
 
     The random numbers of vehicle i follow from its seed alone: they do not change with n, nor with the parts
-    of the error that are switched on. `gyro` and `accel` (n, 3) are views of the last readings;
-    `records` (n,) and `noise` are what `quadsim.imu.kernel.measure` takes.
+    of the error that are switched on. `readings` are views of the last sample, an array (n, 3) for each of
+    `ImuSpec.sensors`; `records` (n,) and `noise` are what `quadsim.imu.kernel.measure` takes.
     """
 
     def __init__(
@@ -62,9 +73,7 @@ class ImuStream:
         self._flight = np.zeros(n, dtype=np.int64)
         self.records = np.zeros(n, IMU) if records is None else records
         self.records[:] = constants(spec, 1.0 / rate_hz)
-        self.gyro, self.accel = self.records["reading"].swapaxes(0, 1)
-        self.needs_ang_acc = bool(self.records["lever_arm_on"][0])
-        self.needs_rotor_vel = bool(self.records["vibration_on"][0])
+        self.readings = dict(zip(spec.sensors, self.records["reading"].swapaxes(0, 1), strict=True))
         self._noises = noise_streams(spec)
         self._random: list[list[np.random.Generator]] = [[] for _ in range(n)]
         self.noise = np.zeros((n, NOISES, BLOCK, 3))
@@ -106,16 +115,15 @@ class ImuStream:
         Returns:
             gyro [rad/s] and accel [m/s²], each (n, 3), in sensor axes.
         """
-        given = (
-            ang_vel,
-            specific_force,
-            _given("ang_acc", ang_acc) if self.needs_ang_acc else np.zeros(3),
-            _given("rotor_vel", rotor_vel) if self.needs_rotor_vel else np.zeros(1),
-        )
-        n = len(self.records)
-        rows = (np.broadcast_to(each, (n, np.shape(each)[-1]))[:, None] for each in given)
-        motion = Motion(*(np.ascontiguousarray(each, dtype=np.float64) for each in rows))
-        out, bias = np.empty((2, 2, n, 1, 3))
+        given = {
+            "ang_vel": ang_vel,
+            "specific_force": specific_force,
+            "ang_acc": ang_acc,
+            "rotor_vel": rotor_vel,
+        }
+        rows = {name: np.asarray(each)[..., None, :] for name, each in _needed(self.spec, given).items()}
+        motion = _records((len(self.records), 1), rows)
+        out, bias = np.empty((2, SENSORS, *motion.shape, 3))
         measure_series(self.records, self.noise, self.next_samples(), (0, 1), motion, out, bias)
         return out[GYRO, :, 0], out[ACCEL, :, 0]
 
@@ -146,6 +154,32 @@ class ImuStream:
             random.standard_normal(out=self.noise[vehicle, each, begin:])
 
 
+def simulate_readings(
+    spec: ImuSpec, motion: NDArray[np.void], rate_hz: float, seed: Seed
+) -> dict[str, Array]:
+    """Readings and true biases of whole flights.
+
+    Args:
+        spec: The IMU.
+        motion: (n, T) records with the fields of `quadsim.imu.kernel.motion_dtype`, all finite.
+        rate_hz: Samples per second.
+        seed: Whole number, seed sequence, or one seed sequence per vehicle.
+
+    Returns:
+        For each of `spec.sensors`, "gyro" say, its readings and as "gyro_bias" their bias (turn-on and random
+        walk), each (n, T, 3), in sensor axes.
+    """
+    n, steps = motion.shape
+    stream = ImuStream(spec, n, rate_hz, seed)
+    out, bias = np.empty((2, SENSORS, n, steps, 3))
+    for start in range(0, steps, BLOCK):
+        end = min(start + BLOCK, steps)
+        place = stream.next_samples(end - start)
+        measure_series(stream.records, stream.noise, place, (start, end), motion, out, bias)
+    biases = (f"{name}_bias" for name in spec.sensors)
+    return dict(zip((*spec.sensors, *biases), (*out, *bias), strict=True))
+
+
 def simulate_imu_with_bias(
     spec: ImuSpec,
     ang_vel: ArrayLike,
@@ -160,23 +194,17 @@ def simulate_imu_with_bias(
     Returns:
         gyro [rad/s], accel [m/s²] and their biases (turn-on and random walk), each (n, T, 3), in sensor axes.
     """
-    rates = _series("ang_vel", ang_vel, 3)
-    n, steps = rates.shape[:2]
-    stream = ImuStream(spec, n, rate_hz, seed)
-    shape = (n, steps)
-    forces = _series("specific_force", specific_force, 3, shape)
-    motion = Motion(
-        rates,
-        forces,
-        _series("ang_acc", ang_acc, 3, shape) if stream.needs_ang_acc else np.zeros((n, 1, 3)),
-        _series("rotor_vel", rotor_vel, None, shape) if stream.needs_rotor_vel else np.zeros((n, 1, 1)),
-    )
-    out, bias = np.empty((2, 2, n, steps, 3))
-    for start in range(0, steps, BLOCK):
-        end = min(start + BLOCK, steps)
-        place = stream.next_samples(end - start)
-        measure_series(stream.records, stream.noise, place, (start, end), motion, out, bias)
-    return out[GYRO], out[ACCEL], bias[GYRO], bias[ACCEL]
+    motion = {
+        "ang_vel": ang_vel,
+        "specific_force": specific_force,
+        "ang_acc": ang_acc,
+        "rotor_vel": rotor_vel,
+    }
+    shape = _series("ang_vel", ang_vel, 3).shape[:2]
+    width = {name: 3 for name in motion} | {"rotor_vel": None}
+    given = {name: _series(name, each, width[name], shape) for name, each in _needed(spec, motion).items()}
+    found = simulate_readings(spec, _records(shape, given), rate_hz, seed)
+    return found["gyro"], found["accel"], found["gyro_bias"], found["accel_bias"]
 
 
 def simulate_imu(
@@ -208,18 +236,31 @@ def simulate_imu(
     return simulate_imu_with_bias(spec, ang_vel, specific_force, rate_hz, seed, ang_acc, rotor_vel)[:2]
 
 
-def _given(name: str, value: ArrayLike | None) -> ArrayLike:
-    if value is None:
-        need = "sits off the centre of mass" if name == "ang_acc" else "feels the vibration of the rotors"
-        raise ValueError(f"this IMU {need} and needs {name}")
-    return value
+def _needed(spec: ImuSpec, motion: dict[str, ArrayLike | None]) -> dict[str, ArrayLike]:
+    """What an IMU uses of a motion, by name."""
+    unused = set[str]()
+    for name, used, why in (
+        ("ang_acc", any(spec.lever_arm), "sits off the centre of mass"),
+        ("rotor_vel", spec.vibration is not None, "feels the vibration of the rotors"),
+    ):
+        if not used:
+            unused.add(name)
+        elif motion[name] is None:
+            raise ValueError(f"this IMU {why} and needs {name}")
+    return {name: values for name, values in motion.items() if values is not None and name not in unused}
 
 
-def _series(
-    name: str, value: ArrayLike | None, size: int | None, shape: tuple[int, ...] | None = None
-) -> Array:
-    """Array (n, T, size or rotors) of finite numbers in a layout that the kernel knows, else ValueError."""
-    array = np.require(_given(name, value), dtype=np.float64, requirements=["C", "W"])
+def _records(shape: tuple[int, ...], given: Mapping[str, ArrayLike]) -> NDArray[np.void]:
+    """Motion (n, T) as records; what is not given is zero."""
+    motion = np.zeros(shape, motion_dtype(np.shape(given.get("rotor_vel", (0.0,)))[-1]))
+    for name, values in given.items():
+        motion[name] = values
+    return motion
+
+
+def _series(name: str, value: ArrayLike, size: int | None, shape: tuple[int, ...] | None = None) -> Array:
+    """Array (n, T, size or rotors) of finite numbers, else ValueError."""
+    array = np.asarray(value, dtype=np.float64)
     expected = f"({', '.join(map(str, shape or ('n', 'T')))}, {size or 'rotors'})"
     right = array.ndim == 3 and (array.shape[2] == size if size else array.shape[2] <= MAX_ROTORS)
     if not right or (shape is not None and array.shape[:2] != shape):
