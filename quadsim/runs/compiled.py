@@ -44,7 +44,8 @@ def njit(*function: Callable[..., Any], cache: bool = False, **options: Any) -> 
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(**{"no_cfunc_wrapper": True} | options)(function)
+        options.setdefault("no_cfunc_wrapper", True)
+        dispatcher = numba.njit(**options)(function)
         if cache and dispatcher is not function:  # which it is with NUMBA_DISABLE_JIT
             stored = StoredCode(function)
             dispatcher._cache = stored  # pyright: ignore[reportAttributeAccessIssue]
