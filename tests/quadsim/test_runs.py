@@ -15,7 +15,7 @@ from numba.core.errors import TypingError
 
 from estimators.tuned import Tuned, Tuning, to_toml
 from quadsim.config.toml import parse, read_toml
-from quadsim.runs import compiled, files
+from quadsim.runs import compiled
 from quadsim.runs.compiled import njit
 from quadsim.runs.files import alone, drop_parts, replace, write_csv, write_whole
 from quadsim.runs.fingerprint import code_digest, fingerprint, source_digest
@@ -106,13 +106,13 @@ def test_a_folder_is_held_from_inside_where_the_one_around_it_cannot_be_written(
     folder = tmp_path / "x"
     folder.mkdir()
 
-    class OnlyBelow(files.FileLock):
+    class OnlyBelow(FileLock):
         def acquire(self, *arguments, **options):
             if Path(self.lock_file).parent != folder:
                 raise PermissionError(13, "Permission denied", self.lock_file)
             return super().acquire(*arguments, **options)
 
-    monkeypatch.setattr(files, "FileLock", OnlyBelow)
+    monkeypatch.setattr("filelock.FileLock", OnlyBelow)
     with alone(folder):
         assert [each.name for each in folder.iterdir()] == [".x.lock"]
     assert not list(folder.iterdir())
